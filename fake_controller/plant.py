@@ -12,7 +12,7 @@ from agent.robot import Dynamics, RobotDescription
 from agent.simulation import ExternalTorque, ForwardSimulation, ServoGains
 from fake_controller.actuation import load_effect
 from fake_controller.actuation.drive import actuation
-from fake_controller.actuation.machine import Machine, draw_machine
+from fake_controller.actuation.machine import Machine, check_bodies, draw_machine
 from fake_controller.actuation.sensors import Measured, Sensors
 
 if TYPE_CHECKING:
@@ -36,7 +36,8 @@ class Plant:
         model: the machine is what this model says, instead of one drawn from `seed`.
 
     Raises:
-        InputError: an effect that does not exist, does not fit this robot, or is too stiff to simulate.
+        InputError: bodies that cannot exist, or an effect that does not exist, does not fit this robot, or is too
+            stiff to simulate.
     """
 
     def __init__(
@@ -59,6 +60,7 @@ class Plant:
         self._beyond_series, self._beyond_start = np.zeros((1, robot.dof)), 0.0
         for effect in effects:
             load_effect(effect).install(self.machine)
+        check_bodies(self.machine)
         dynamics = self.machine.dynamics()
         gains = ServoGains.tuned(self.machine.typical_inertia, self.machine.limit)
         self._simulation = ForwardSimulation(

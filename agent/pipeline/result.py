@@ -216,7 +216,13 @@ def run_data(
         nominal=model.robot.nominal_torque,
         prediction=TorqueData.of(typical_motion(predictions), pooled_rmse(predictions)),
         further=further,
+        validation_paths=np.array([_path(motion.loop.trajectory.tcp) for motion in plan.validation]),
     )
+
+
+def _path(poses: np.ndarray, points: int = 120) -> np.ndarray:
+    """(points, 3) positions of poses (S, 4, 4), evenly chosen."""
+    return poses[np.linspace(0, len(poses) - 1, points).round().astype(int), :3, 3]
 
 
 def typical_motion(predictions: Sequence[Prediction]) -> Prediction:

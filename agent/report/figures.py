@@ -26,9 +26,9 @@ class Figure:
 
 
 def search_history(best: np.ndarray, mean: np.ndarray) -> Plot:
-    """Fitness over the generations (the paper's Fig. 4a): best (G,) and mean of the feasible (G,)."""
+    """Fitness over the generations : best (G,) and mean of the feasible (G,)."""
     series = (Series("best", best), Series("mean of the feasible", mean, "dashed", SERIES[1]))
-    caption = "Fitness, log10 det(HᵀH / M), over the generations; higher is better."
+    caption = "Fitness, log10 det(HᵀH / M), over the generations; higher is better (the paper's Fig. 4a)."
     panel = Panel("fitness", "", series)
     return Plot("search-history", caption, "generation", (panel,), np.arange(1.0, len(best) + 1))
 
@@ -58,7 +58,7 @@ def limit_margins(t: np.ndarray, use: dict[str, np.ndarray], names: tuple[str, .
 
 
 def motion_box_plot(rmse: np.ndarray, nominal: np.ndarray, names: tuple[str, ...], gate: float, caption: str) -> Figure:
-    """RMSE (motions, n) of several motions per axis, over the nominal torque (n,) where there is one (Fig. 5b).
+    """RMSE (motions, n) of several motions per axis, over the nominal torque (n,) where there is one.
 
     A box is the middle half, its line the median; whiskers reach what is no farther off than 1.5 boxes, dots the rest.
     """

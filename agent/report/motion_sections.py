@@ -52,7 +52,7 @@ def motion_section(data: MotionData) -> Section:
     left = {} if data.left is None else {"loop": data.left[every]}
     scene = Scene(
         "path",
-        "The arm on its loop with the via-points, base frame"
+        "The arm on its loop with the via-points, base frame (the paper's Fig. 4b)"
         + ("." if data.left is None else "; the loop is coloured by what the model leaves there."),
         lines={"loop": data.path[every]},
         points={"via-points": data.via_points},

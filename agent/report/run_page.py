@@ -22,6 +22,7 @@ from agent.report.figures import motion_box_plot
 from agent.report.motion_sections import MotionData, SearchData, motion_section, search_section
 from agent.report.page import About, Page, Section, Table, render
 from agent.report.rounds_section import rounds_sections
+from agent.report.scene import Scene
 from agent.report.torque_section import TorqueData, torque_plot
 
 
@@ -31,7 +32,8 @@ class RunData:
 
     result: the content of `result.json`; about: the first screen; parameter_rows: the table of the model, header first;
     rmse (motions or cycles, n) [N·m] on moving samples; nominal (n,) torque of the joints, NaN where there is none;
-    `prediction` of one motion; `further` sections made elsewhere, in order; `search`, where there was one.
+    `prediction` of one motion; `further` sections made elsewhere, in order; `search`, where there was one;
+    `validation_paths` (motions, k, 3) [m] of the TCP on the unseen motions.
     """
 
     result: dict[str, Any]
@@ -43,6 +45,7 @@ class RunData:
     prediction: TorqueData
     further: Sequence[Section] = ()
     search: SearchData | None = None
+    validation_paths: np.ndarray | None = None
 
 
 def render_run(data: RunData, title: str, headline: str, prediction: Section, search: Section) -> str:
@@ -73,6 +76,7 @@ def run_report(data: RunData) -> str:
     if result["diagnosis"] is not None:
         headline = f"{headline} {result['diagnosis']['summary']}"
     assert data.search is not None
+    assert data.validation_paths is not None
     return render_run(data, "Calibration", headline, _validation(data), search_section(data.search))
 
 
@@ -133,13 +137,20 @@ def _validation(data: RunData) -> Section:
         )
     parts = (
         Table("validation", header, rows),
+        Scene(
+            "validation-paths",
+            f"Paths of {counted(len(data.rmse), 'unseen motion')} in the sub-region (the paper's Fig. 5a).",
+            lines={"validation paths": data.validation_paths},
+            boxes=data.motion.boxes,
+        ),
         motion_box_plot(
             data.rmse,
             data.nominal,
             names,
             gate,
-            f"Prediction error on {counted(len(data.rmse), 'unseen motion')} in the sub-region, per axis.",
+            f"Prediction error on {counted(len(data.rmse), 'unseen motion')} in the sub-region, per axis (the paper's "
+            "Fig. 5b).",
         ),
-        torque_plot(data.prediction, "Torque on one unseen motion, the one in the middle of the field."),
+        torque_plot(data.prediction, "Torque on one unseen motion, the one of median error (the paper's Fig. 6)."),
     )
     return Section("Prediction of unseen motions", text, parts)

@@ -25,7 +25,7 @@ class ArmPoses:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A 3-D view that turns: named polylines (k, 3) and points (k, 3) in metres, boxes (min, max), and the arm.
+    """A 3-D view that turns: polylines (k, 3) or (p, k, 3), points (k, 3) by name [m], boxes (min, max), the arm.
 
     `colouring` {line: (k,)} colours a polyline by figures, which `coloured_by` names with their unit.
     """
@@ -56,8 +56,8 @@ def scene_part(scene: Scene) -> dict[str, Any]:
         data["arm"] = {"time": np.round(scene.arm.time, 3).tolist(), "ends": ends.tolist()}
         data["arm"]["radius"] = np.round(scene.arm.radius, 3).tolist()
     rows = ["what,x [m],y [m],z [m]"]
-    for name, line in {**data["lines"], **data["points"]}.items():
-        rows += [",".join([name, *(f"{value:.4f}" for value in point)]) for point in line]
+    for name, line in {**scene.lines, **scene.points}.items():
+        rows += [",".join([name, *(f"{value:.4f}" for value in point)]) for point in line.reshape(-1, 3)]
     text = json.dumps(data).replace("<", "\\u003c")
     csv = packed("\n".join(rows) + "\n")
     return {"kind": "scene", "part": scene, "json": text, "still": _still(scene), "csv": csv}
@@ -66,7 +66,10 @@ def scene_part(scene: Scene) -> dict[str, Any]:
 def _still(scene: Scene) -> str:
     """SVG text of the view as it opens."""
     corners = {name: _corners(*box) for name, box in scene.boxes.items()}
-    everything = np.concatenate([*scene.lines.values(), *scene.points.values(), *corners.values()])
+    strokes = {name: line.reshape(-1, *line.shape[-2:]) for name, line in scene.lines.items()}
+    everything = np.concatenate(
+        [*(line.reshape(-1, 3) for line in scene.lines.values()), *scene.points.values(), *corners.values()]
+    )
     middle = (everything.min(axis=0) + everything.max(axis=0)) / 2
     scale = 180 / max(float(np.linalg.norm(everything - middle, axis=1).max()), 1e-6)
     cosine, sine = np.cos(_TURN), np.sin(_TURN)
@@ -81,8 +84,8 @@ def _still(scene: Scene) -> str:
         for found in corners.values()
         for edge in _EDGES
     ]
-    for colour, line in zip(SERIES, scene.lines.values(), strict=False):
-        drawn.append(f'<polyline points="{flat(line)}" fill="none" stroke="{colour}" stroke-width="1.5"/>')
+    for colour, lines in zip(SERIES, strokes.values(), strict=False):
+        drawn += [f'<polyline points="{flat(one)}" fill="none" stroke="{colour}" stroke-width="1.5"/>' for one in lines]
     return f'<svg viewBox="0 0 640 400">{"".join(drawn)}</svg>'
 
 

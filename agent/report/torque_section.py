@@ -61,7 +61,7 @@ def worst_first(robot: RobotDescription, error: np.ndarray) -> list[int]:
 
 
 def torque_plot(data: TorqueData, caption: str) -> Plot:
-    """Measured over predicted torque with its parts stacked, and beside it what is left with its bounds (Fig. 6)."""
+    """Measured over predicted torque with its parts stacked, and beside it what is left with its bounds."""
     panels = []
     for k in data.order:
         joint, unit = data.joints[k], data.units[k]

@@ -9,6 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
+from agent.core import InputError
 from agent.robot import Dynamics, RobotDescription
 from fake_controller.actuation.friction import FrictionCurve, FrictionModifier
 
@@ -19,6 +20,7 @@ COULOMB = {"comau_ns16": (68.0, 108.8, 50.4, 7.17, 12.8, 8.08)}
 
 #: kg/m of a link of an arm that reaches 1 m.
 _WEIGHT = 60.0
+_ROUND_OFF = 1e-9  # of the largest eigenvalue of a mass matrix
 
 
 class Load(Protocol):
@@ -106,8 +108,18 @@ class Machine:
 
 
 def draw_machine(robot: RobotDescription, seed: int) -> Machine:
-    """A machine of this type: links, rotors and friction scatter around the description by 10 to 15 %."""
+    """A machine of this type: links, rotors and friction scatter around the description by 10 to 15 %.
+
+    Raises:
+        InputError: a link with a negative mass.
+    """
     nominal_links = nominal_parameters(robot)
+    if np.any(nominal_links[::10] < 0):
+        joint = robot.joint_names[int(np.argmin(nominal_links[::10]))]
+        raise InputError(
+            f"{robot.name}: the link that {joint} moves has a mass of {nominal_links[::10].min():.4g} kg; "
+            "no machine can have that: correct it in the robot's URDF"
+        )
     inertia, load = _typical(robot, nominal_links)
     rng = [np.random.default_rng([seed, part]) for part in range(3)]
     # Without a nominal torque: what full acceleration takes. Without a rotor: three tenths of that torque turn it.
@@ -136,6 +148,27 @@ def draw_machine(robot: RobotDescription, seed: int) -> Machine:
         limit=limit,
         typical_inertia=inertia + reflected,
     )
+
+
+def check_bodies(machine: Machine) -> None:
+    """Refuse bodies that cannot exist: with them the arm gains energy by moving faster, and no number stays finite.
+
+    Raises:
+        InputError: the kinetic energy of some motion is negative; names the pose and the joint that moves most in it.
+    """
+    dynamics, robot = machine.dynamics(), machine.robot
+    lower, upper = (np.clip(limit, -np.pi, np.pi) for limit in robot.position_limits)
+    rotors = machine.coupling.T @ np.diag(machine.reflected_rotors) @ machine.coupling
+    for q in np.random.default_rng(0).uniform(lower, upper, (64, robot.dof)):
+        matrix = dynamics.mass_matrix(q) + rotors
+        values, vectors = np.linalg.eigh(matrix)
+        if values[0] < -_ROUND_OFF * values[-1]:
+            joint = robot.joint_names[int(np.argmax(np.abs(vectors[:, 0])))]
+            raise InputError(
+                f"{robot.name}: the bodies of this machine cannot exist: at joint positions {np.round(q, 2).tolist()} "
+                f"a motion of {joint} has a negative kinetic energy. Correct the inertias in the robot's URDF, or "
+                "estimate the model with --method consistent"
+            )
 
 
 def weighs_nothing(robot: RobotDescription) -> bool:

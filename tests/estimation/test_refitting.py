@@ -1,4 +1,4 @@
-"""Friction estimated again beside base parameters that are kept: what it may be off by, and what it shares with them."""
+"""Friction estimated again while base parameters are kept: its deviations, and what it shares with them."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def torque_of(robot, q, qd, qdd, rubs=lambda q: 1.0):
 def earlier(arm, multisine, make_log):
     """The arm, and its model from noisy logs of one motion."""
     robot = arm(DOF)
-    t = np.arange(int(20 * 500)) / 500
+    t = np.arange(20 * 500) / 500
     q, qd, qdd = multisine(DOF, t, seed=1)
     noise = np.random.default_rng(1).normal(size=q.shape)
     log = make_log(robot, t, q, torque_of(robot, q, qd, qdd) + noise)
@@ -80,7 +80,7 @@ def test_what_friction_scatters_by_at_given_base_parameters_is_what_is_said(earl
     found = [refit(model, [later(noise=20.0, seed=seed)]).model for seed in range(10, 30)]
     scatter = np.std([each.values[base:] for each in found], axis=0, ddof=1)
     said = np.median([np.sqrt(np.diag(conditional_covariance(each))) for each in found], axis=0)
-    assert np.all((0.4 < scatter / said) & (scatter / said < 1.6))
+    assert np.all((scatter / said > 0.4) & (scatter / said < 1.6))
 
 
 def test_an_error_that_every_cycle_repeats_is_not_averaged_away(earlier, later):

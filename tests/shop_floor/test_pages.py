@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import base64
 import gzip
+import html
 import json
 import re
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 FOREIGN = re.compile(r"""(?:src|href|action|data)\s*=\s*["'](?!data:|#)([^"']+)|url\(\s*["']?(?!#|data:)([^"')]+)""")
@@ -74,6 +76,19 @@ def test_a_calibration(calibrated: Path, browse):
     assert "jitter [µs RMS]" in text
     document = _check_shown(browse, page)
     assert document.count("<canvas") > 1, "plots are drawn"
+
+
+def test_figures_carry_the_numbers_of_the_paper(calibrated: Path):
+    """And Fig. 5a is every validation motion, not one."""
+    text = _pages(calibrated)["calibration"].read_text(encoding="utf-8")
+    captions = html.unescape(" ".join(re.findall(r"<figcaption>(.*?)</figcaption>", text, flags=re.DOTALL)))
+    assert re.findall(r"the paper's Fig\. (\d\w?)", captions) == ["5a", "5b", "6", "4b", "4a"]
+    scenes = [
+        json.loads(found) for found in re.findall(r'<script type="application/json">(\{"lines".*?)</script>', text)
+    ]
+    (paths,) = [scene["lines"]["validation paths"] for scene in scenes if "validation paths" in scene["lines"]]
+    plan = json.loads((_pages(calibrated)["calibration"].parent / "plan.json").read_text(encoding="utf-8"))
+    assert np.shape(paths) == (len(plan["validation"]), 120, 3)
 
 
 def test_every_plot_and_table_has_its_data_a_click_away(calibrated: Path):

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.signal import butter, sosfiltfilt
 
+from agent.core import InputError
 from agent.robot.dynamics import Dynamics
 from fake_controller.actuation.drive import Drive
 from fake_controller.actuation.machine import draw_machine, weighs_nothing
@@ -55,6 +56,24 @@ def test_tracking_is_a_servos(ns16, motion, run):
     assert plant.settled(5e-5)
     # Speed is the difference of counted positions: half a sample late, and no drift.
     assert np.abs(np.cumsum(velocity, axis=0) * 0.002 + position[0] - position).max() < 1e-4
+
+
+@pytest.mark.parametrize(
+    ("element", "wrong", "said"),
+    [
+        (r'izz="[^"]+"', 'izz="-50"', r"the bodies of this machine cannot exist: .* negative kinetic energy"),
+        (r'<mass value="([^"]+)"', r'<mass value="-\1"', r"the link that joint_1 moves has a mass of -137.4 kg"),
+    ],
+)
+def test_bodies_that_cannot_exist_are_refused(ns16, element, wrong, said):
+    """Before anything is sent: with them no torque stays a number."""
+    with pytest.raises(InputError, match=said):
+        Plant(replace(ns16, urdf=re.sub(element, wrong, ns16.urdf)), 3)
+
+
+def test_inertias_that_are_wrong_but_leave_every_energy_positive_are_run(ns16):
+    """Descriptions with placeholders are common: a link too thin for its inertia still moves."""
+    Plant(replace(ns16, urdf=re.sub(r'iyy="[^"]+"', 'iyy="0.001"', ns16.urdf)), 3)
 
 
 def test_a_moving_arm_is_not_settled(ns16, motion):

@@ -10,7 +10,7 @@ for (const figure of document.querySelectorAll("figure.scene")) {
   };
   const shapes = [];
   let next = 0;
-  for (const [name, line] of Object.entries(scene.lines)) shapes.push({ name, colour: colours[next++ % 6], strokes: [line], values: scene.colouring[name] });
+  for (const [name, line] of Object.entries(scene.lines)) shapes.push({ name, colour: colours[next++ % 6], strokes: Array.isArray(line[0][0]) ? line : [line], values: scene.colouring[name] });
   for (const [name, points] of Object.entries(scene.points)) shapes.push({ name, colour: colours[next++ % 6], points });
   for (const [name, [low, high]] of Object.entries(scene.boxes)) {
     const c = [0, 1, 2, 3, 4, 5, 6, 7].map(k => [k & 1 ? high[0] : low[0], k & 2 ? high[1] : low[1], k & 4 ? high[2] : low[2]]);
