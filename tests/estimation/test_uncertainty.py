@@ -16,7 +16,7 @@ from agent.estimation.observation import observe
 from agent.estimation.prior import link_prior
 from agent.estimation.problem import Problem
 from agent.estimation.solving import autocorrelation_time
-from agent.estimation.uncertainty import covariance
+from agent.estimation.uncertainty import covariance, jackknife, parameter_prior, silent_directions
 from agent.model.friction_terms import AxleMotion, Reversal, axle_columns
 from agent.robot.bodies import rigid_bodies
 from agent.validation import predict_log
@@ -138,6 +138,97 @@ def test_an_error_that_every_cycle_repeats_is_not_averaged_away(arm, multisine, 
         at = [len(problem.load) + k for k, term in enumerate(problem.terms) if term.form == "coulomb"]
         ratio = deviations[1][at] / deviations[0][at]
         assert np.all((least < ratio) & (ratio < most)), ratio
+
+
+@pytest.fixture(scope="module")
+def white(arm, multisine, make_log):
+    """Of one cycle with white noise: the problem, its estimate, and the estimate with so much error held out (9 times
+    that of the fit, on every joint) that the jackknife widens nothing."""
+    problem, found = _white(arm, multisine, make_log)
+    return problem, found, replace(found, held_out=9 * problem.moments.energy(found.parameters)[None])
+
+
+def test_the_covariance_is_that_of_least_squares_with_a_prior(white):
+    """Whatever the prior counts: A cov A - k² Λ is what the noise alone does, and A is Xᵀ W X + k Λ."""
+    problem, _, found = white
+    information, precision = found.moments.weighted(found.weights)[:-1, :-1], problem.prior.precision
+    noises = []
+    for weight in (0.5, 2.0, 20.0):
+        bread = information + weight * precision
+        cov = covariance(problem, replace(found, prior_weight=weight))
+        noises.append(bread @ cov @ bread - weight**2 * precision)
+    scale = np.sqrt(np.outer(np.diag(noises[0]), np.diag(noises[0])))
+    for other in noises[1:]:
+        assert other / scale == pytest.approx(noises[0] / scale, abs=0.02)
+
+
+def test_noise_of_one_joint_held_out_widens_its_own_friction_alone(white):
+    """Nine times the squared error is three times the variance, joint by joint."""
+    problem, found, _ = white
+    energy = problem.moments.energy(found.parameters)
+    coulomb = [len(problem.load) + k for k, term in enumerate(problem.terms) if term.form == "coulomb"]
+    same, first = (replace(found, held_out=energy[None] * factor) for factor in (1.0, np.array([9.0, 1.0])))
+    narrow = replace(problem, partition=replace(problem.partition, cluster=0 * problem.partition.cluster))
+    before, after = (np.diag(covariance(narrow, one))[coulomb] for one in (same, first))
+    assert after[0] / before[0] == pytest.approx(3.0, rel=0.1)
+    assert after[1] / before[1] == pytest.approx(1.0, rel=0.1)
+
+
+def test_the_jackknife_leaves_out_one_cluster_after_the_other(white):
+    problem, found, _ = white
+    cells = problem.partition
+    assert cells.clusters > 10
+    left = [
+        problem.solver(found.moments.weighted(found.weights, cells.cluster != cluster))
+        for cluster in range(cells.clusters)
+    ]
+    expected = np.var(left, axis=0, ddof=1) * (cells.clusters - 1) ** 2 / cells.clusters
+    assert jackknife(problem, found) == pytest.approx(expected, rel=1e-6)
+
+
+def test_deviations_are_widened_to_the_jackknife_beyond_its_own_scatter_alone(white):
+    """Twice the relative deviation of a variance from C clusters, √(2 / (C - 1))."""
+    problem, found, _ = white
+    limit = 1 + 2 * np.sqrt(2 / (problem.partition.clusters - 1))
+    energy, repeated = problem.moments.energy(found.parameters), jackknife(problem, found)
+    seen = np.concatenate(
+        [
+            repeated / np.diag(covariance(problem, replace(found, held_out=part**2 * energy[None])))
+            for part in np.geomspace(1.0, 3.0, 120)
+        ]
+    )
+    narrower = seen[seen > 1 + 1e-9]
+    assert narrower.max() <= limit
+    assert narrower.max() > 0.995 * limit
+
+
+def test_what_was_believed_and_how_much_of_it_the_data_took_away(white):
+    problem, found, _ = white
+    deviation = np.sqrt(np.diag(np.linalg.inv(problem.prior.precision)))
+    information = problem.moments.weighted(found.weights)[:-1, :-1]
+    for weight in (found.prior_weight, 1e6, 1e18):
+        said = parameter_prior(problem, replace(found, prior_weight=weight))
+        assert said.mean == pytest.approx(problem.prior.mean)
+        assert said.standard_deviation == pytest.approx(deviation, rel=1e-6)
+        after = np.diag(np.linalg.inv(information / weight + problem.prior.precision))
+        assert said.data_share == pytest.approx(1 - after / deviation**2, abs=1e-6)
+    assert said.data_share.max() < 1e-3
+    assert parameter_prior(problem, replace(found, prior_weight=0.0)) is None
+
+
+def test_directions_that_the_data_leave_to_the_prior(white):
+    """Fewer independent rows decide fewer directions; none has more than one unit of information."""
+    problem, found, _ = white
+    covariance_before = np.linalg.inv(problem.prior.precision)
+    counts = []
+    for times in (1.0, 1e3, 1e6, 1e12):
+        silent = silent_directions(problem.moments, found.weights, problem.prior, np.full(2, times))
+        information = problem.moments.weighted(found.weights / times)[:-1, :-1]
+        values = np.linalg.eigvals(information @ covariance_before).real
+        assert len(silent) == np.sum(values < 1)
+        counts.append(len(silent))
+    assert counts == sorted(counts)
+    assert counts[0] < counts[-1] == len(problem.prior.mean)
 
 
 def test_deviations_shrink_with_data_as_they_should(arm, multisine, make_log):

@@ -1,0 +1,103 @@
+"""`python tests/mutants.py MODULE…`: change one thing at a time in a module, and list the changes that no test notices.
+
+mutmut makes the changes, in a copy of the tree under `.verify/mutants/`, and keeps what it has tried there: an
+interrupted run goes on where it stopped, and only functions that changed since are tried again.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+#: Packages whose numbers somebody relies on, and the tests that have to notice a change in them.
+PACKAGES = {
+    "agent/diagnosis": ["tests/diagnosis"],
+    "agent/estimation": ["tests/estimation"],
+    "agent/report": ["tests/validation", "tests/shop_floor/test_pages.py"],
+    "agent/runs": ["tests/shop_floor/test_trends.py", "tests/shop_floor/test_history.py"],
+    "agent/validation": ["tests/validation"],
+}
+#: The same for single modules whose package has many tests that say little of them.
+NARROW = {
+    "agent/estimation/blocks.py": ["tests/estimation/test_uncertainty.py"],
+    "agent/estimation/refitting.py": ["tests/estimation/test_refitting.py"],
+    "agent/estimation/solving.py": ["tests/estimation/test_uncertainty.py", "tests/estimation/test_paper.py"],
+    "agent/estimation/uncertainty.py": ["tests/estimation/test_uncertainty.py", "tests/estimation/test_paper.py"],
+    "agent/validation/torque.py": ["tests/validation", "tests/estimation/test_plausible.py"],
+}
+_LINKED = ("agent", "drivers", "fake_controller", "second_world", "recipes", "docs", "tests")
+_SETTINGS = """
+[tool.mutmut]
+source_paths = ["agent", "drivers", "fake_controller", "second_world"]
+only_mutate = ["{module}"]
+also_copy = ["recipes", "docs"]
+pytest_add_cli_args = ["-m", "not verify", "-p", "no:cacheprovider"]
+pytest_add_cli_args_test_selection = {tests}
+do_not_mutate_patterns = ["raise ", "errstate", "strict=True"]
+use_git_change_detection = false
+"""
+_DIFFERENCES = """
+import sys
+from mutmut.mutation.diff_apply import find_mutant, get_diff_for_mutant
+for name in sys.argv[1:]:
+    print("\\0" + name, get_diff_for_mutant(name, path=find_mutant(name).path), sep="\\n")
+"""
+
+
+def modules() -> list[str]:
+    """All modules of these packages, by path."""
+    return [
+        str(path.relative_to(ROOT))
+        for package in PACKAGES
+        for path in sorted((ROOT / package).rglob("*.py"))
+        if path.name != "__init__.py"
+    ]
+
+
+def survivors(module: str) -> tuple[int, list[str]]:
+    """How many changes of a module were tried, and those that no test noticed, as differences of its text.
+
+    Raises:
+        RuntimeError: the tests fail on the unchanged module.
+    """
+    folder = ROOT / ".verify/mutants" / module.removesuffix(".py").replace("/", ".")
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in _LINKED:
+        if not (folder / name).exists():
+            (folder / name).symlink_to(ROOT / name)
+    tests = NARROW.get(module) or PACKAGES["/".join(module.split("/")[:2])]
+    settings = (ROOT / "pyproject.toml").read_text(encoding="utf-8") + _SETTINGS.format(module=module, tests=tests)
+    (folder / "pyproject.toml").write_text(settings, encoding="utf-8")
+    done = _mutmut(folder, "run", "--max-children", str(os.cpu_count()))
+    if done.returncode:
+        raise RuntimeError(f"{module}: mutmut gave up\n{done.stdout[-3000:]}")
+    states = dict(line.strip().rsplit(": ", 1) for line in _mutmut(folder, "results", "--all", "1").stdout.splitlines())
+    alive = [name for name, state in states.items() if state not in ("killed", "timeout")]
+    return len(states), _run(folder, "-c", _DIFFERENCES, *alive).stdout.split("\0")[1:]
+
+
+def _mutmut(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    return _run(folder, "-m", "mutmut", *arguments)
+
+
+def _run(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, *arguments]
+    environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
+    return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
+
+
+def main(chosen: list[str]) -> int:
+    """0 if every change is noticed."""
+    left = 0
+    for module in chosen or modules():
+        tried, alive = survivors(module)
+        left += len(alive)
+        print(*alive, f"{module}: {tried - len(alive)} of {tried} changes noticed", sep="\n", flush=True)
+    return int(left > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
