@@ -1,11 +1,12 @@
 """`python tests/mutants.py MODULE…`: change one thing at a time in a module, and list the changes that no test notices.
 
 mutmut makes the changes, in a copy of the tree under `.verify/mutants/`, and keeps what it has tried there: an
-interrupted run goes on where it stopped, and only functions that changed since are tried again.
+interrupted run goes on where it stopped, and only survivors and functions that changed since are tried again.
 """
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -39,6 +40,7 @@ pytest_add_cli_args_test_selection = {tests}
 do_not_mutate_patterns = ["raise ", "errstate", "strict=True"]
 use_git_change_detection = false
 """
+_NOTICED = (1, 3, 24, 36, 152, 255, -24)  # exit codes: a test failed, or took far too long
 _DIFFERENCES = """
 import sys
 from mutmut.mutation.diff_apply import find_mutant, get_diff_for_mutant
@@ -71,6 +73,11 @@ def survivors(module: str) -> tuple[int, list[str]]:
     tests = NARROW.get(module) or PACKAGES["/".join(module.split("/")[:2])]
     settings = (ROOT / "pyproject.toml").read_text(encoding="utf-8") + _SETTINGS.format(module=module, tests=tests)
     (folder / "pyproject.toml").write_text(settings, encoding="utf-8")
+    for noted in folder.glob(f"mutants/{module}.meta"):
+        tried = json.loads(noted.read_text(encoding="utf-8"))
+        codes = tried["exit_code_by_key"]
+        tried["exit_code_by_key"] = {name: code if code in _NOTICED else None for name, code in codes.items()}
+        noted.write_text(json.dumps(tried), encoding="utf-8")
     done = _mutmut(folder, "run", "--max-children", str(os.cpu_count()))
     if done.returncode:
         raise RuntimeError(f"{module}: mutmut gave up\n{done.stdout[-3000:]}")

@@ -113,3 +113,13 @@ def test_search_verdict_and_pages_know_no_effect_by_name():
                 if isinstance(name, str) and name in known:
                     found.append(f"{path.relative_to(ROOT).as_posix()}:{node.lineno}: {name}")
     assert found == []
+
+
+def test_no_fixture_that_tests_share_needs_measured_data():
+    """Else a whole folder of tests skips in a fresh clone, and a wrong formula passes there."""
+    needing = [
+        path.relative_to(ROOT).as_posix()
+        for path in sorted((ROOT / "tests").rglob("conftest.py"))
+        if path.parent != ROOT / "tests" and "shared_data" in path.read_text("utf-8")
+    ]
+    assert needing == []

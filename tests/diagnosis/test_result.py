@@ -79,6 +79,14 @@ def test_figures_hold_to_their_definitions(diagnosed, case):
         assert 0 < cause["probability"] <= 1
 
 
+def test_a_healthy_machine_has_no_gap_and_a_built_in_effect_is_named(diagnosed):
+    assert (diagnosed(0).result["verdict"], diagnosed(0).result["causes"]) == ("no_gap", [])
+    assert diagnosed(1).result["verdict"] == "explained"
+    assert [(cause["effect"], cause["joints"]) for cause in diagnosed(1).result["causes"]] == [
+        ("stribeck", ["joint_2"])
+    ]
+
+
 def test_the_page_and_the_text_name_the_cause(diagnosed):
     page = diagnosis_report(diagnosed(1))
     assert "joint_2: most likely stribeck" in page

@@ -1,0 +1,15 @@
+"""No number of a fit, a verdict or a page can be changed unnoticed."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.mutants import modules, survivors
+
+
+@pytest.mark.verify
+@pytest.mark.parametrize("module", modules())
+def test_every_change_of_a_number_is_noticed(module, measured):
+    tried, alive = survivors(module)
+    measured(f"{module}: changes noticed by its tests", f"{tried - len(alive)} of {tried}", "", "all", not alive)
+    assert not alive, "\n".join(alive)
