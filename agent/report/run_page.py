@@ -76,7 +76,6 @@ def run_report(data: RunData) -> str:
     if result["diagnosis"] is not None:
         headline = f"{headline} {result['diagnosis']['summary']}"
     assert data.search is not None
-    assert data.validation_paths is not None
     return render_run(data, "Calibration", headline, _validation(data), search_section(data.search))
 
 
@@ -105,6 +104,7 @@ def _headline(result: dict[str, Any]) -> str:
 
 
 def _validation(data: RunData) -> Section:
+    assert data.validation_paths is not None
     validation, gate = data.result["validation"], data.result["gate"]["normalised_rmse"]
     names, not_judged = tuple(validation["joints"]), data.result["gate"].get("not_judged", [])
     rows = [

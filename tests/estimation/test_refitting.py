@@ -9,6 +9,7 @@ import pytest
 
 from agent.estimation import EstimationSettings, conditional_covariance, estimate
 from agent.estimation.refitting import refit
+from agent.model import ModelEffect
 from agent.robot.bodies import rigid_bodies
 
 DOF = 2
@@ -30,7 +31,9 @@ def earlier(arm, multisine, make_log):
     q, qd, qdd = multisine(DOF, t, seed=1)
     noise = np.random.default_rng(1).normal(size=q.shape)
     log = make_log(robot, t, q, torque_of(robot, q, qd, qdd) + noise)
-    return robot, estimate(robot, [log], EstimationSettings.create(method="weighted", friction="paper", cutoff=20.0))
+    return robot, estimate(
+        robot, [log], EstimationSettings.create(method="weighted", friction="paper", cutoff=18.0, order=6)
+    )
 
 
 @pytest.fixture(scope="module")
@@ -115,6 +118,52 @@ def test_nothing_is_left_of_friction_that_follows_from_the_base_parameters(earli
     assert np.all(left < 1e-9 * np.sum(root**2, axis=1)[base:])
 
 
+def test_doubt_about_the_base_parameters_is_doubt_about_friction(earlier, later):
+    """Σ_φ = S + G Σ_β Gᵀ, so a hundred times Σ_β adds 99 times the second term."""
+    _, model = earlier
+    base, log = len(model.independent), later()
+    doubted = model.covariance.copy()
+    doubted[:base, :base] *= 100
+    before, after = (
+        refit(replace(model, covariance=each), [log]).model.covariance for each in (model.covariance, doubted)
+    )
+    passed_on = before[base:, :base] @ np.linalg.pinv(before[:base, :base], rcond=1e-14) @ before[:base, base:]
+    added = np.diag(after - before)[base:]
+    assert np.all(added > 0)
+    assert added == pytest.approx(99 * np.diag(passed_on), rel=1e-3)
+
+
+def test_errors_are_those_of_moving_samples_joint_by_joint(earlier, later):
+    _, model = earlier
+    log = later(2, noise=np.array([1.0, 4.0]))
+    found = refit(model, [log])
+    passed = np.sqrt(2 * model.cutoff / 500)  # of white noise at 500 Hz
+    for error in (found.before, found.held_out):
+        assert error[1] == pytest.approx(4 * passed, rel=0.1)
+        assert 0.9 * passed < error[0] < 2 * passed
+
+
+@pytest.mark.parametrize("parameters", ["friction", "all"])
+def test_what_an_effect_explains_is_no_friction(earlier, later, parameters):
+    """A torque offset that the model has is taken off the measured torque, and stays in the model."""
+    _, model = earlier
+    effect = ModelEffect("torque_offset", ("joint_1",), {"offset": 7.0})
+    log = later()
+    bare = refit(model, [log], parameters).model
+    shifted = replace(log, effort=log.effort + [7.0, 0.0])
+    found = refit(replace(model, effects=(effect,)), [shifted], parameters).model
+    assert found.effects == (effect,)
+    assert np.all(np.abs(found.values - bare.values) < 0.01 * bare.standard_deviations)
+
+
+def test_the_model_says_how_it_was_made(earlier, later):
+    _, model = earlier
+    found = refit(model, [later()]).model
+    assert (found.method, found.cutoff, found.order) == (model.method, 18.0, 6)
+    assert (found.names, found.condition_number) == (model.names, model.condition_number)
+    assert found.notes[1:] == ("Friction estimated again; base parameters are those of the model before.",)
+
+
 def test_what_friction_scatters_by_at_given_base_parameters_is_what_is_said(earlier, later):
     """Fresh noise on the same motion, far above what the base parameters are off by."""
     _, model = earlier
@@ -141,5 +190,7 @@ def test_everything_estimated_again_is_a_fresh_estimate_of_the_same_terms(earlie
     _, model = earlier
     found = refit(model, [later()], "all")
     assert found.model.terms == model.terms
+    assert found.model.method == model.method
+    assert np.all(found.model.base_values != model.base_values)
     assert np.all(found.held_out > 0)
     assert np.all(found.held_out < 1.2 * found.before)
