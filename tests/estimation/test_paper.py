@@ -114,6 +114,17 @@ def test_what_the_data_do_not_show_is_of_minimum_norm_and_is_said(log, tmp_path)
     assert np.array_equal(IdentifiedModel.load(tmp_path / "model.json").values, model.values)
 
 
+def test_what_the_data_leave_open_makes_nothing_else_less_certain(log):
+    """The second joint rests: its friction is anything, that of the first is as certain as it was."""
+    deviations = []
+    for rest in (False, True):
+        robot, recorded = log(rest=rest)
+        model = estimate(robot, [recorded], PAPER)
+        first = [k for k, term in enumerate(model.terms) if term.axle == 0]
+        deviations.append(model.standard_deviations[len(model.independent) :][first])
+    assert np.all(deviations[1] < 3 * deviations[0])
+
+
 def test_an_estimator_is_one_function_and_one_registration(log, monkeypatch):
     def from_description(problem) -> Estimate:
         """No fit at all: what the description says."""
