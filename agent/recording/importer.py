@@ -11,9 +11,11 @@ from typing import Any
 import numpy as np
 
 from agent.core import Dimension, InputError, counted, parse_quantity
+from agent.recording.column_table import ColumnTable
 from agent.recording.log import ARRAYS, MACHINE, Log
 from agent.recording.mapping import (
     CURRENT,
+    OF_NOMINAL,
     USABLE,
     Columns,
     EffortColumns,
@@ -27,14 +29,16 @@ from agent.recording.repair.limits import LIMITS, impossible
 from agent.recording.repair.stamps import put_in_order, spacing_of, stand_still
 from agent.recording.resampling import resampled
 from agent.recording.scratch import Scratch
-from agent.recording.tables import ColumnTable, read_table
+from agent.recording.tables import read_table
 from agent.robot import RobotDescription
 
 _NANO = 1_000_000_000
 #: Columns whose lengths differ by more than this part do not belong together.
 _SAME_LENGTH = 0.01
-#: Characters of a field that are shown.
-_SHOWN = 40
+#: Characters of a field, and values of a column, that are shown.
+_SHOWN, _SHOWN_VALUES = 40, 8
+#: With more rows a second, whole seconds lack their fractions.
+_ROWS_A_SECOND = 5
 #: Latest time that a header stamp can hold [s].
 _LATEST = 2.0**31
 
@@ -88,9 +92,10 @@ def _assemble(robot: RobotDescription, mapping: Mapping, source: _Source, output
     time[late] = np.nan
     rows, notes = _common_rows(mapping, time, present)
     time = time[:rows]
-    inside = np.ones(rows, bool)
+    inside = source.selected(rows)
+    notes = [*source.notes, *notes]
     if entries.window is not None:
-        inside = ~(time < entries.window.start) & ~(time >= entries.window.stop)
+        inside &= ~(time < entries.window.start) & ~(time >= entries.window.stop)
         if not (inside & np.isfinite(time)).any():
             span = f"{np.nanmin(time):.15g} s to {np.nanmax(time):.15g} s" if np.isfinite(time).any() else "nowhere"
             mapping.fault("window", f"no row is in it; the rows go from {span}")
@@ -176,6 +181,7 @@ class _Source:
         self._mapping = mapping
         self._tables = tables
         self.clock = str(mapping.path)  # what says when a row was, for messages
+        self.notes = [f"{table.path.name}: {note}" for table in tables for note in table.notes]
 
     def time(self) -> np.ndarray:
         """(S,) [s]."""
@@ -187,17 +193,46 @@ class _Source:
                 / entries.rate
             )
         factor = Dimension.TIME.value.factors | {"ns": 1e-9}
-        if entries.time.unit not in factor:
-            self._mapping.fault("time.unit", f"{entries.time.unit!r} is no unit of time: {', '.join(factor)}")
-        table = self._table("time", entries.time.file, [entries.time.column])
-        (column,) = self._numbers("time.column", table, [entries.time.column])
-        time = column * factor[entries.time.unit]
+        unknown = [unit for unit in entries.time.units() if unit not in factor]
+        if unknown:
+            self._mapping.fault("time.unit", f"{unknown[0]!r} is no unit of time: {', '.join(factor)}")
+        names = entries.time.names()
+        key = "time.column" if len(names) == 1 else "time.columns"
+        table = self._table("time", entries.time.file, names)
+        columns = self._numbers(key, table, names)
+        time = np.sum([c * factor[u] for c, u in zip(columns, entries.time.units(), strict=True)], axis=0)
         known = time[np.isfinite(time)]
-        if len(known) >= 2 and stand_still(np.sort(np.rint(known * _NANO))):
-            what = f"column {entries.time.column} stands still at {known.min():.9g} s ({len(known)} rows)"
-            self._mapping.fault("time.column", f"{table.path}: {what}; name the column of time and its unit")
+        if len(known) < 2:
+            return time
+        what, values = f"{table.path}: column {names[-1]}", len(np.unique(known))
+        if 1 < values < len(known) / _ROWS_A_SECOND and np.all(known % 1 == 0):
+            parts = [name for name in table.columns if "nano" in name.lower() or "nsec" in name.lower()]
+            both = ", ".join(map(str, [*names, *(parts[:1] or ["nanosec"])]))
+            what += f" holds whole seconds, {len(known)} rows with {values} values"
+            self._mapping.fault(key, f"{what}; add the column of their fractions, such as columns: [{both}]")
+        if stand_still(np.sort(np.rint(known * _NANO))):
+            what += f" stands still at {known.min():.9g} s ({len(known)} rows)"
+            self._mapping.fault(key, f"{what}; name the column of time and its unit")
         self.clock = str(table.path)
         return time
+
+    def selected(self, rows: int) -> np.ndarray:
+        """(rows,) which of the rows `rows:` takes; all without it."""
+        wanted = self._mapping.entries.rows
+        if wanted is None:
+            return np.ones(rows, bool)
+        table = self._table("rows", wanted.file, [wanted.column])
+        (column,) = self._numbers("rows.column", table, [wanted.column])
+        if len(column) < rows:
+            self._mapping.fault("rows.column", f"{table.path}: {len(column)} rows, where other columns have {rows}")
+        selected: np.ndarray = column[:rows] == wanted.equals
+        if not selected.any():
+            values = np.unique(column[np.isfinite(column)])
+            listed = ", ".join(f"{value:g}" for value in values[:_SHOWN_VALUES])
+            listed += ", …" if len(values) > _SHOWN_VALUES else ""
+            self._mapping.fault("rows.equals", f"no row has {wanted.column} {wanted.equals:g}; there are {listed}")
+        self.notes.append(f"{np.count_nonzero(selected)} of {rows} rows have {wanted.column} {wanted.equals:g}")
+        return selected
 
     def position(self, key: str, columns: PositionColumns | None) -> np.ndarray | None:
         """(S, n), None without an entry. Side and offset of set-points are those of the positions unless given."""
@@ -224,9 +259,22 @@ class _Source:
         raw = self._raw("effort", "effort", columns, side)
         if any(currents):
             raw = raw * np.where(currents, self._torque_constants(columns), 1.0)
+        shares = [unit in OF_NOMINAL for unit in units]
+        if any(shares):
+            raw = raw * np.where(shares, self._nominal_torques(side), 1.0)
         if side == "motor":
             return (raw * self._robot.gear_ratios) @ self._robot.coupling
         return raw
+
+    def _nominal_torques(self, side: str) -> np.ndarray:
+        """(n,) [N·m] of the motors, or of the joints."""
+        nominal = self._robot.nominal_torque
+        if np.isnan(nominal).any():
+            missing = ", ".join(n for n, k in zip(self._robot.joint_names, nominal, strict=True) if np.isnan(k))
+            self._mapping.fault(
+                "effort.unit", f"shares of nominal torque need nominal_motor_torque of {missing} in robot.yaml"
+            )
+        return nominal / np.abs(self._robot.gear_ratios) if side == "motor" else nominal
 
     def _to_joints(self, values: np.ndarray, side: str) -> np.ndarray:
         if side == "joint":
@@ -255,7 +303,7 @@ class _Source:
         """One column a joint; one name may stand for a matrix of them."""
         n = self._robot.dof
         names = columns.columns if isinstance(columns.columns, list) else [columns.columns]
-        if len(names) == 1 and n > 1 and isinstance(names[0], str):
+        if len(names) == 1 and isinstance(names[0], str):
             matrices = [matrix for table in self._tables if len(matrix := table.matrix(names[0])) == n]
             names = [*matrices[0]] if matrices else names
         if len(names) != n:
@@ -274,12 +322,18 @@ class _Source:
         having = [table for table in tables if all(table.column(name) is not None for name in names)]
         if len(having) == 1:
             return having[0]
-        columns_key = "time.column" if key == "time" else f"{key}.columns"
+        columns_key = {"time": "time.column", "rows": "rows.column"}.get(key, f"{key}.columns")
         if having:
             listed = ", ".join(table.path.name for table in having)
             self._mapping.fault(columns_key, f"{listed} all have these columns; say which with `file:`")
         table = tables[0]
         missing = [str(name) for name in names if table.column(name) is None]
+        doubled = [name for name in missing if name in table.doubled]
+        if doubled:
+            self._mapping.fault(
+                columns_key,
+                f"{table.path.name}: several columns are named {doubled[0]}; make them differ, or use numbers",
+            )
         self._mapping.fault(
             columns_key, f"{table.path.name} has no column {', '.join(missing)}; it has {', '.join(table.columns)}"
         )
