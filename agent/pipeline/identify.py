@@ -30,13 +30,13 @@ def import_files(robot: str, mapping: Path, tables: list[Path], out: Path) -> li
     return [str(note) for note in import_log(load_robot(robot), mapping, tables, out)]
 
 
-def read_logs(paths: list[Path], robot: Any, console: Console) -> list[Any]:
-    """Read logs, saying what had to be repaired."""
+def read_logs(paths: list[Path], robot: Any, console: Console, topic: str | None = None) -> list[Any]:
+    """Read logs, of which `topic` holds the joint states where there are several, saying what had to be repaired."""
     from agent.recording import read_log
 
     logs = []
     for path in paths:
-        log = read_log(path, robot)
+        log = read_log(path, robot, topic)
         for repair in log.repairs:
             console.warn(f"{log.name}: {repair}")
         logs.append(log)
@@ -165,6 +165,7 @@ def estimate_files(
     allow_mixed: bool = False,
     force: bool = False,
     structure: str = "rigid",
+    topic: str | None = None,
 ) -> tuple[dict[str, Any], str]:
     """Fit a model to logs and write its file; returns its content and a table for people.
 
@@ -176,7 +177,7 @@ def estimate_files(
     check_output(out, paths)
     if export is not None and method is None:
         method = "consistent"
-    model, _ = fit_files(robot, paths, cutoff, method, console, allow_mixed, force, structure)
+    model, _ = fit_files(robot, paths, cutoff, method, console, allow_mixed, force, structure, topic)
     model.save(out)
     written = [out]
     if export is not None:
@@ -195,13 +196,14 @@ def fit_files(
     allow_mixed: bool,
     force: bool,
     structure: str,
+    topic: str | None = None,
 ) -> tuple[IdentifiedModel, list[Log]]:
     """The model that `estimate_files` writes, and the logs it was fitted to, without their velocities."""
     from agent.estimation import EstimationSettings, estimate
 
     check_structure(structure)
     description = load_robot(robot) if isinstance(robot, str) else robot
-    logs = read_logs(paths, description, console)
+    logs = read_logs(paths, description, console, topic)
     check_one_machine(logs, None, allow_mixed)
     check_plausible(description, logs, force, console)
     # no fit looks at these, and twenty minutes of them are many
@@ -238,7 +240,12 @@ def check_output(out: Path, paths: Sequence[Path]) -> None:
 
 
 def validate_files(
-    model_path: Path, paths: list[Path], cutoff: float | None, console: Console, allow_mixed: bool = False
+    model_path: Path,
+    paths: list[Path],
+    cutoff: float | None,
+    console: Console,
+    allow_mixed: bool = False,
+    topic: str | None = None,
 ) -> Validation:
     """Prediction of logs by a model."""
     from agent.estimation import beyond_fit
@@ -246,7 +253,7 @@ def validate_files(
     from agent.validation import predict_log, summary
 
     model = IdentifiedModel.load(model_path)
-    logs = read_logs(paths, model.robot, console)
+    logs = read_logs(paths, model.robot, console, topic)
     check_one_machine(logs, model, allow_mixed)
     predictions = [predict_log(model, log, cutoff) for log in logs]
     result = summary(predictions)

@@ -125,10 +125,20 @@ def _refuse_other_robot(
     missing = ", ".join(name for name in robot.joint_names if name not in known)
     of = f"of robot {named!r}, " if named else ""
     joints = _listed(topics) if len(topics) > 1 else ", ".join(_in_order(next(iter(topics.values()))))
+    prefixes = _prefixes(known, robot.joint_names)
+    advice = "Name the robot description that belongs to the log"
+    if prefixes:
+        advice = f"Its names begin with {' or '.join(prefixes)}: give the joints of one arm these names in robot.yaml"
     raise InputError(
         f"{path}: the log is {of}not of robot {robot.name!r}: {missing} missing, its joints are "
-        f"{joints or 'without names'}. Name the robot description that belongs to the log"
+        f"{joints or 'without names'}. {advice}"
     )
+
+
+def _prefixes(known: set[str], joints: Sequence[str]) -> list[str]:
+    """What stands before all of the robot's joints in a log, such as `left_` and `right_`."""
+    found = {name.removesuffix(joints[0]) for name in known if name.endswith(joints[0])}
+    return sorted(prefix for prefix in found if all(prefix + joint in known for joint in joints))
 
 
 def _names(groups: Sequence[Messages]) -> set[str]:
