@@ -22,7 +22,7 @@ from agent.core import InputError, counted
 from agent.recording.column_table import ColumnTable
 
 _HIDDEN = re.compile(r'"[^"]*"|\[[^\]]*\]|\([^)]*\)')
-_VECTOR = re.compile(r"\[([^\[\]]*)\]|[({]([^\[\]]*)[)}]")
+_VECTOR = re.compile(r"(?:[a-z_.]+\()?(?:'\w',)?\s*\[([^\[\]]*)\][^\[\]]*|[({]([^\[\]]*)[)}]")
 _BETWEEN = re.compile(r"[\s,;|]+")
 _THOUSANDS = re.compile(r"[-+]?\d{1,3}(?:,\d{3})+\.\d*")
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?|[-+]?\d+,")
@@ -31,7 +31,8 @@ _CLOCK = re.compile(r"(\d{1,2}):(\d\d):(\d\d(?:[.,]\d+)?)")
 #: What programs write for a number that is missing.
 _MISSING = {"", "nan", "na", "n/a", "#n/a", "null", "none", "-", "--", "inf", "-inf"}
 
-Cell = float | list[float]
+#: A number, the numbers of a vector, NaN for a word, None for what is missing.
+Cell = float | list[float] | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +77,11 @@ def table_of_rows(path: Path, rows: Sequence[Row]) -> ColumnTable:
 def _plain_table(path: Path, lines: list[str]) -> ColumnTable | None:
     """The table where every line below the names is of plain numbers, as most are: read at once."""
     start = next((k for k, line in enumerate(lines) if not _is_comment(line) and _is_data(_cells(line))), None)
-    if start is None or '"' in lines[start]:
+    if (
+        start is None
+        or '"' in lines[start]
+        or _is_names(_row(lines[start], _separator(lines[start])).fields, _cells(lines[start]))
+    ):
         return None
     separator = _separator(lines[start])
     plain = [line for line in lines[start:] if not _is_comment(line)]
@@ -141,11 +146,13 @@ def _cells(line: str) -> list[Cell]:
 
 
 def _cell(text: str) -> Cell:
-    """A number, NaN for anything else; the numbers of a vector such as `[0.1, 0.2]` or `0.1 0.2`."""
+    """What a field holds; vectors are such as `[0.1, 0.2]` or `0.1 0.2`."""
+    if text.lower() in _MISSING:
+        return None
     number = _number(text)
-    if number == number or len(text) < 3 or text.lower() in _MISSING or _THOUSANDS.fullmatch(text):
+    if number == number or len(text) < 3 or _THOUSANDS.fullmatch(text):
         return number
-    inner = _VECTOR.search(text)
+    inner = _VECTOR.fullmatch(text)
     parts = [part for part in _BETWEEN.split(inner[1] or inner[2] or "" if inner else text) if part]
     values = [_number(part) for part in parts]
     known = all(value == value or part.lower() == "nan" for part, value in zip(parts, values, strict=True))
@@ -170,15 +177,18 @@ def _number(text: str) -> float:
 
 
 def _is_data(cells: list[Cell]) -> bool:
-    """Whether at least half of the fields are numbers."""
-    return 0 < len(cells) <= 2 * sum(isinstance(cell, list) or cell == cell for cell in cells)
+    """Whether at least half of the fields that are not missing are numbers."""
+    known = [cell for cell in cells if cell is not None]
+    return 0 < len(known) <= 2 * sum(isinstance(cell, list) or cell == cell for cell in known)
 
 
 def _is_names(fields: list[str], cells: list[Cell]) -> bool:
-    """Whether fields are words, none of which stands for a missing number."""
-    words = [field for field in fields if field]
-    numbers = any(isinstance(cell, list) or cell == cell for cell in cells)
-    return bool(words) and not numbers and not any(word.lower() in _MISSING for word in words)
+    """Whether fields are words, none of which stands for a missing number, or count the columns as `,0,1,2` does."""
+    known = [cell for cell in cells if cell is not None]
+    words = all(not isinstance(cell, list) and cell != cell for cell in known)
+    counts = [range(first, first + len(cells)) for first in (-1, 0)]
+    numbered = len(cells) > 2 and any(known == list(count)[1:] for count in counts) and not fields[0]
+    return bool(known) and ((words and not any(field and field.lower() in _MISSING for field in fields)) or numbered)
 
 
 def _blocks(rows: Sequence[Row], cells: list[list[Cell]], width: int) -> list[tuple[int, int]]:
@@ -186,7 +196,7 @@ def _blocks(rows: Sequence[Row], cells: list[list[Cell]], width: int) -> list[tu
     blocks: list[tuple[int, int]] = []
     names: list[str] | None = None
     for k, row in enumerate(cells):
-        if len(row) != width or not _is_data(row):
+        if len(row) != width or not _is_data(row) or _is_names(rows[k].fields, row):
             continue
         between = range(blocks[-1][1], k) if blocks else range(k)
         strange = [j for j in between if not rows[j].comment and len(cells[j]) != width]
@@ -206,7 +216,7 @@ def _heads(rows: Sequence[Row], cells: list[list[Cell]], start: int, width: int)
     """Lines of names above a block, the first line first; fields that separators at the line's end leave are empty."""
     heads: list[list[str]] = []
     for row, values in zip(reversed(rows[:start]), reversed(cells[:start]), strict=True):
-        if not row.comment and len(values) == width and _is_data(values):
+        if not row.comment and len(values) == width and _is_data(values) and not _is_names(row.fields, values):
             break
         fields = row.fields
         while len(fields) > width and not fields[-1]:
@@ -229,7 +239,7 @@ def _columns(
     for place in range(width):
         column: list[Cell] = [values[place] if len(values) == width else np.nan for _, values in rows]
         for (row, values), cell in zip(rows, column, strict=True):
-            if len(values) == width and row.fields[place] and not isinstance(cell, list) and cell != cell:
+            if len(values) == width and isinstance(cell, float) and cell != cell:
                 words[place] = row.fields[place]
                 break
         lengths = Counter(len(cell) for cell in column if isinstance(cell, list))

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import zstandard
 from mcap.reader import make_reader
-from mcap.writer import CompressionType
+from mcap.writer import CompressionType, Writer
 
 from agent.core.errors import InputError
 from agent.recording import read_log
@@ -230,6 +230,22 @@ def test_a_bag_of_ros_1(whole: Path, tmp_path: Path):
     (tmp_path / "cut.bag").write_bytes((tmp_path / "old.bag").read_bytes()[:9000])
     with pytest.raises(InputError, match=r"rosbag reindex cut\.bag"):
         read_log(tmp_path / "cut.bag")
+
+
+def test_messages_of_ros_1_in_an_mcap_file(whole: Path, tmp_path: Path):
+    """As `mcap convert` makes it of a ROS 1 bag."""
+    rosbag1 = pytest.importorskip("rosbags.rosbag1", reason="reading ROS 1 is an extra: pip install '.[ros1]'")
+    with rosbag1.Reader(_ros1(tmp_path / "old.bag")) as bag, open(tmp_path / "converted.mcap", "wb") as file:
+        writer = Writer(file)
+        writer.start(profile="ros1", library="mcap go")
+        schema = writer.register_schema("sensor_msgs/JointState", "ros1msg", b"")
+        channel = writer.register_channel("/joint_states", "ros1", schema)
+        for _, stamp, raw in bag.messages():
+            writer.add_message(channel, stamp, bytes(raw), stamp)
+        writer.finish()
+    log, expected = read_log(tmp_path / "converted.mcap"), read_log(whole)
+    assert log.joint_names == JOINTS
+    np.testing.assert_array_equal(log.velocity, expected.velocity)
 
 
 def test_without_the_library_a_bag_of_ros_1_is_named_with_what_converts_it(tmp_path: Path, monkeypatch):

@@ -87,6 +87,36 @@ def test_a_row_of_missing_values_does_not_end_the_table(taken):
     _same(log)
 
 
+def test_rows_that_are_filled_by_several_topics_in_turn(taken):
+    """As plotting tools export messages of different rates: most cells are empty."""
+    head = "t,imu.x,imu.y,imu.z,a,b,x,y,wrench.x,wrench.y,wrench.z,wrench.w\n"
+    rows = "".join(
+        f"{t - 1e-3:.9g},1,2,3,,,,,,,,\n"
+        f"{t:.9g},,,,{','.join(f'{v:.12g}' for v in row)},,,,\n"
+        f"{t + 1e-3:.9g},,,,,,,,1,2,3,4\n"
+        for t, row in zip(T, ROWS[:, 1:], strict=True)
+    )
+    log, notes = taken(head + rows, NAMES)
+    _same(log)
+    assert "240 rows without a number in every column, dropped" in notes
+
+
+def test_names_with_an_index_and_doubled_ones_that_nobody_uses(taken):
+    """As a robot maker's logger writes arrays: one of its columns stands there twice."""
+    text = "t,q[0],q[1],dq[0],dq[0],tau[0],tau[1]\n" + _lines(rows=np.column_stack([T, Q, T, T, TAU]))
+    for q, tau in (("q", "tau"), ("['q[0]', 'q[1]']", "['tau[0]', 'tau[1]']")):
+        log, _ = taken(text, f"time: {{column: t}}\nposition: {{columns: {q}}}\neffort: {{columns: {tau}}}\n")
+        _same(log)
+
+
+def test_columns_that_are_counted_instead_of_named(taken):
+    """As data frames without names are saved: an index, then 0, 1, 2, …."""
+    indexed = np.column_stack([np.arange(len(T)), ROWS])
+    text = ",0,1,2,3,4\n" + _lines(rows=indexed)
+    log, _ = taken(text, "time: {column: '0'}\nposition: {columns: ['1', '2']}\neffort: {columns: [5, 6]}\n")
+    _same(log)
+
+
 def test_a_doubled_name_matters_where_the_map_uses_it(taken):
     with pytest.raises(InputError, match=r"position\.columns: data\.csv: several columns are named a"):
         taken("t,a,a,x,y\n" + _lines(), "time: {column: t}\nposition: {columns: [a, b]}\n")

@@ -24,7 +24,7 @@ _WITH_CONDITION = re.compile(
 )
 _SETTING = re.compile(
     r"(?:(?P<with>\bWITH\s+)|,\s*|^[ \t]*)(?P<name>\$[\w.\[\]]+)\s*:?=\s*"
-    r"(?:(?!\b(?:WITH|ENDMOVE|VIA|ADVANCE)\b)[^,\n;])+(?P<more>,\s*(?=\$))?",
+    r"(?:(?!\b(?:WITH|ENDMOVE|VIA|ADVANCE)\b)[^,\n;])+(?:(?=(?P<more>,\s*)\$))?",
     re.IGNORECASE | re.MULTILINE,
 )
 _OF_A_MOVE = re.compile(r"(?:WITH|ADVANCE|VIA|ENDMOVE)\b|,|\$\w+\s*=", re.IGNORECASE)
@@ -74,9 +74,10 @@ def without_setting(text: str, place: TextPosition) -> tuple[str, str]:
         name = found["name"].upper().replace("$ARM_DATA[1].", "$")
         variable = SYSTEM_VARIABLES.get(name)
         if found.start() <= start < found.end() and (variable is None or variable.kind != "POS"):
-            blank = re.sub(r"[^\n]", " ", found[0])
-            keep = "WITH" if found["with"] and found["more"] else ""
-            return text[: found.start()] + keep + blank[len(keep) :] + text[found.end() :], name
+            end = found.end("more") if found["with"] and found["more"] else found.end()
+            blank = re.sub(r"[^\n]", " ", text[found.start() : end])
+            keep = "WITH" if end > found.end() else ""
+            return text[: found.start()] + keep + blank[len(keep) :] + text[end:], name
     return text, ""
 
 
@@ -220,7 +221,7 @@ class _Sieve:
             self.passed["WITH"] += 1
             return " " * len(found[0])
 
-        return _WITH_CONDITION.sub(blank, line)
+        return re.sub(r",(\s*),", r",\1 ", _WITH_CONDITION.sub(blank, line))
 
     def _check_arm(self, at: int, arm: str) -> None:
         """It is arm 1: by its number, a constant, or a variable that is never anything else."""

@@ -2,7 +2,7 @@
 
 A row of the table `messages` is a CDR message of a row of `topics`, as a message of an MCAP file is one of its channel
 (rosbag2_storage_default_plugins, sqlite_storage.cpp). So rows become records of an MCAP file, and one reader decodes
-both. Messages of a ROS 1 bag are written anew in CDR for it.
+both.
 """
 
 from __future__ import annotations
@@ -153,19 +153,14 @@ def ros1_records(path: Path, file: str) -> Iterator[bytes]:
     """
     convert = f"rosbags-convert --src {path.name} --dst {path.stem}"
     what = f"{path}: is a ROS 1 bag: convert it with {convert}; reading it here"
-    bags, types = needed("rosbags.rosbag1", what, "ros1"), needed("rosbags.typesys", what, "ros1")
-    old, new = (types.get_typestore(store) for store in (types.Stores.ROS1_NOETIC, types.Stores.ROS2_HUMBLE))
-    header = new.types["std_msgs/msg/Header"]
+    bags = needed("rosbags.rosbag1", what, "ros1")
     try:
         with bags.Reader(file) as reader:
             for connection in reader.connections:
-                yield from _channel(connection.id, connection.topic, connection.msgtype, "cdr")
+                yield from _channel(connection.id, connection.topic, connection.msgtype, "ros1")
             wanted = [one for one in reader.connections if one.msgtype == _JOINT_STATE]
             for connection, stamp, raw in reader.messages(wanted) if wanted else ():
-                message = old.deserialize_ros1(raw, _JOINT_STATE)
-                message.header = header(message.header.stamp, message.header.frame_id)
-                data = bytes(new.serialize_cdr(message, _JOINT_STATE))
-                yield _record(Opcode.MESSAGE, _MESSAGE.pack(connection.id, 0, stamp, stamp) + data)
+                yield _record(Opcode.MESSAGE, _MESSAGE.pack(connection.id, 0, stamp, stamp) + raw)
     except InputError:
         raise
     except Exception as error:  # rosbags raises whatever a damaged file leads it to

@@ -38,7 +38,7 @@ from agent.recording.mcap.bag import (
     too_much,
     unpacked,
 )
-from agent.recording.mcap.joint_state import JointStateLayout, parse_layout
+from agent.recording.mcap.joint_state import JointStateLayout, from_ros1, parse_layout
 from agent.recording.scratch import Scratch
 
 _MAGIC = b"\x89MCAP0\r\n"
@@ -123,6 +123,7 @@ class _Scanner:
         self._found = Scan()
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, str | None] = {}
+        self._ros1: dict[int, bool] = {}
         self._layouts: dict[tuple[int, int], list[JointStateLayout]] = defaultdict(list)
         self._layout_count = 0
         self._parts: list[bytes] = []
@@ -262,7 +263,8 @@ class _Scanner:
         schema = self._schemas.get(channel.schema_id)
         kind = schema.name if schema else "no type"
         self._found.types[channel.topic] = f"{kind} ({channel.message_encoding})"
-        readable = kind in _TYPES and channel.message_encoding == "cdr"
+        readable = kind in _TYPES and channel.message_encoding in ("cdr", "ros1")
+        self._ros1[channel.id] = channel.message_encoding == "ros1"
         self._channels[channel.id] = channel.topic if readable else None
 
     def _decode(self) -> None:
@@ -274,6 +276,7 @@ class _Scanner:
                 records = np.lib.stride_tricks.sliding_window_view(data, length)[starts]
                 order = starts + self._before
                 packed = np.all(records[:, _MESSAGE_HEAD:][:, : len(ZSTD)] == np.frombuffer(ZSTD, np.uint8), axis=1)
+                packed |= self._ros1[channel]
                 if packed.any():
                     self._decode_packed(topic, channel, records[packed], order[packed])
                 self._decode_alike(topic, channel, records[~packed], order[~packed])
@@ -282,13 +285,16 @@ class _Scanner:
         self._parts, self._size = [], 0
 
     def _decode_packed(self, topic: str, channel: int, records: np.ndarray, order: np.ndarray) -> None:
-        """Decode messages that are compressed one by one, by their length before."""
+        """Decode messages that are compressed one by one, or of ROS 1, by their length in CDR."""
         by_length: dict[int, list[tuple[int, bytes]]] = defaultdict(list)
         for place, record in zip(order.tolist(), records, strict=True):
-            head, body = record[:_MESSAGE_HEAD].tobytes(), record[_MESSAGE_HEAD:].tobytes()
+            head, message = record[:_MESSAGE_HEAD].tobytes(), record[_MESSAGE_HEAD:].tobytes()
             try:
-                message = _unpack("zstd", body, _MOST_MESSAGE) or b""
-            except zstandard.ZstdError:
+                if message.startswith(ZSTD):
+                    message = _unpack("zstd", message, _MOST_MESSAGE) or b""
+                if self._ros1[channel]:
+                    message = from_ros1(message)
+            except (zstandard.ZstdError, ValueError):
                 message = b""
             if len(message) > _MOST_MESSAGE:
                 message = b""
