@@ -312,15 +312,21 @@ def trajectories(as_json: opt.AsJson = False) -> None:
 def import_(
     files: Annotated[list[Path], typer.Argument(metavar="IN... OUT.mcap", help="tables, then the log to write")],
     robot: opt.RobotOption,
-    mapping: Annotated[Path, typer.Option("--map", metavar="MAP.yaml", help="which column is what")],
+    mapping: Annotated[Path | None, typer.Option("--map", metavar="MAP.yaml", help="which column is what")] = None,
+    preset: Annotated[
+        str | None, typer.Option("--preset", metavar="NAME", help="columns of a recorder: ur-rtde or ur-record")
+    ] = None,
     messages: opt.Messages = None,
 ) -> None:
-    """Turn columns of CSV, MAT or Parquet files into a log."""
+    """Turn columns of CSV, Excel, MAT, HDF5, NumPy or Parquet files into a log."""
     from agent.pipeline import import_files
 
     if len(files) < 2:
         raise InputError("import: name at least one table and the log to write: agent import … IN OUT.mcap")
-    for note in import_files(robot, mapping, files[:-1], files[-1]):
+    columns = preset if mapping is None else mapping
+    if columns is None or (mapping is not None and preset is not None):
+        raise InputError("import: say which column is what with either --map MAP.yaml or --preset NAME")
+    for note in import_files(robot, columns, files[:-1], files[-1]):
         opt.console_for(messages).say(note)
     print(files[-1])
 

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 from agent.core import AgentError, Console, InputError, counted, words_of
 from agent.pipeline.corrected_simulator import run_forward, write_simulator
 from agent.pipeline.gap_question import GapQuestion
-from agent.pipeline.identify import check_one_machine, check_plausible, read_logs, say_used
-from agent.robot import RobotDescription, load_robot
+from agent.pipeline.identify import check_one_machine, check_plausible, load_arm, read_logs, say_used
+from agent.robot import RobotDescription
 
 if TYPE_CHECKING:
     from agent.diagnosis import Diagnosis
@@ -46,7 +46,7 @@ def diagnose_files(
         InputError: a robot, model or log that cannot be used, an unknown effect, or an output that cannot be written.
     """
     if robot is None or isinstance(robot, str):
-        there = None if robot is None else load_robot(robot)
+        there = None if robot is None else load_arm(robot, paths, question.topic)
         return _diagnose(there, paths, question, console, robot, unfinished=unfinished)
     return _diagnose(robot, paths, question, console, robot.name, unfinished=unfinished)
 

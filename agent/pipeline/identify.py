@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from agent.validation import Validation
 
 
-def import_files(robot: str, mapping: Path, tables: list[Path], out: Path) -> list[str]:
-    """Turn columns of tables into a log; returns what there is to say about it.
+def import_files(robot: str, mapping: Path | str, tables: list[Path], out: Path) -> list[str]:
+    """Turn columns of tables into a log, by a mapping file or a preset; returns what there is to say about it.
 
     Raises:
         InputError: a table, the mapping or the output is not usable.
@@ -27,7 +27,22 @@ def import_files(robot: str, mapping: Path, tables: list[Path], out: Path) -> li
 
     if out.exists():
         raise InputError(f"{out}: exists already; name another log, or move it away")
-    return [str(note) for note in import_log(load_robot(robot), mapping, tables, out)]
+    return [str(note) for note in import_log(load_arm(robot), mapping, tables, out)]
+
+
+def load_arm(robot: str, logs: Sequence[Path] = (), topic: str | None = None) -> RobotDescription:
+    """A robot by name or path; of a URDF or MJCF, the arm whose joints the logs have.
+
+    Raises:
+        InputError: no such robot, or a file that is wrong.
+    """
+    from agent.model import is_simulator, load_arm as load
+
+    if not is_simulator(Path(robot)):
+        return load_robot(robot)
+    from agent.recording import logged_joints
+
+    return load(Path(robot), logged_joints(logs[0], topic) if logs else ())
 
 
 def read_logs(paths: list[Path], robot: Any, console: Console, topic: str | None = None) -> list[Any]:
@@ -202,7 +217,7 @@ def fit_files(
     from agent.estimation import EstimationSettings, estimate
 
     check_structure(structure)
-    description = load_robot(robot) if isinstance(robot, str) else robot
+    description = load_arm(robot, paths, topic) if isinstance(robot, str) else robot
     logs = read_logs(paths, description, console, topic)
     check_one_machine(logs, None, allow_mixed)
     check_plausible(description, logs, force, console)

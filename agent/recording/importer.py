@@ -24,7 +24,8 @@ from agent.recording.mapping import (
     load_mapping,
     units_of,
 )
-from agent.recording.mcap.log_file import nanoseconds, write_log
+from agent.recording.mcap.log_file import CURRENTS, nanoseconds, write_log
+from agent.recording.presets import preset_map
 from agent.recording.repair.limits import LIMITS, impossible
 from agent.recording.repair.stamps import put_in_order, spacing_of, stand_still
 from agent.recording.resampling import resampled
@@ -43,8 +44,10 @@ _ROWS_A_SECOND = 5
 _LATEST = 2.0**31
 
 
-def import_log(robot: RobotDescription, map_path: Path, inputs: Sequence[Path], output: Path) -> tuple[str, ...]:
-    """Turn columns of one or more tables into a log.
+def import_log(
+    robot: RobotDescription, map_or_preset: Path | str, inputs: Sequence[Path], output: Path
+) -> tuple[str, ...]:
+    """Turn columns of one or more tables into a log, by a mapping file, or by the name of a recorder (`PRESETS`).
 
     Motor-side columns come to the joints by the robot's gear ratios g and coupling C: q = C⁻¹ diag(1/g) q_m and
     τ = Cᵀ diag(g) τ_m; a current i by its torque constant first, τ_m = k i.
@@ -58,23 +61,34 @@ def import_log(robot: RobotDescription, map_path: Path, inputs: Sequence[Path], 
     """
     if output.suffix != ".mcap":
         raise InputError(f"{output}: the log to write comes last and ends in .mcap")
-    mapping = load_mapping(map_path)
-    source = _Source(robot, mapping, [read_table(path) for path in inputs])
-    log, notes = _assemble(robot, mapping, source, output)
-    if mapping.entries.decimate is not None:
-        if mapping.entries.decimate > len(log.t) // 10:
+    if isinstance(map_or_preset, str):
+        tables = [read_table(path) for path in inputs]
+        mapping, said = preset_map(map_or_preset, tables)
+    else:
+        mapping, said = load_mapping(map_or_preset), []
+        tables = [read_table(path) for path in inputs]
+    source = _Source(robot, mapping, tables)
+    source.notes += said
+    log, notes, current = _assemble(robot, mapping, source, output)
+    entries = mapping.entries
+    if entries.decimate is not None:
+        if entries.decimate > len(log.t) // 10:
             mapping.fault("decimate", f"{len(log.t)} samples would leave fewer than ten")
-        log = _decimated(log, mapping.entries.decimate, notes)
-    if mapping.entries.cycle_period is not None:
-        if mapping.entries.cycle_period * log.sample_rate < 10:
+        log = _decimated(log, entries.decimate, notes)
+    if entries.cycle_period is not None:
+        if entries.cycle_period * log.sample_rate < 10:
             mapping.fault("cycle_period", f"a cycle has at least ten samples, of {1 / log.sample_rate:g} s here")
-        log = replace(log, cycle_starts=tuple(np.arange(0.0, log.t[-1], mapping.entries.cycle_period).tolist()))
-    write_log(output, log)
+        log = replace(log, cycle_starts=tuple(np.arange(0.0, log.t[-1], entries.cycle_period).tolist()))
+    further = {} if current is None or entries.decimate else {CURRENTS: (log.t, None, None, current)}
+    write_log(output, log, further)
     notes.append(f"{len(log.t)} samples, {log.t[-1]:.3f} s at {log.sample_rate:.6g} Hz")
     return tuple(f"{output.name}: {note}" for note in notes)
 
 
-def _assemble(robot: RobotDescription, mapping: Mapping, source: _Source, output: Path) -> tuple[Log, list[str]]:
+def _assemble(
+    robot: RobotDescription, mapping: Mapping, source: _Source, output: Path
+) -> tuple[Log, list[str], np.ndarray | None]:
+    """The log, what there is to say, and motor currents (S, n) [A] where the columns are currents."""
     entries = mapping.entries
     values = {
         "position": source.position("position", entries.position),
@@ -83,6 +97,7 @@ def _assemble(robot: RobotDescription, mapping: Mapping, source: _Source, output
         "reference_position": source.position("reference_position", entries.reference_position),
         "planned_position": source.position("planned_position", entries.planned_position),
     }
+    values["current"] = source.current
     present = {name: array for name, array in values.items() if array is not None}
     time = source.time()
     late = np.abs(time) > _LATEST
@@ -93,6 +108,11 @@ def _assemble(robot: RobotDescription, mapping: Mapping, source: _Source, output
     rows, notes = _common_rows(mapping, time, present)
     time = time[:rows]
     inside = source.selected(rows)
+    if mapping.preset:
+        repeats = inside & np.append(False, np.diff(time) == 0)
+        inside &= ~repeats
+        if repeats.any():
+            source.notes.append(f"{counted(int(repeats.sum()), 'row')} with the time of the row before, dropped")
     notes = [*source.notes, *notes]
     if entries.window is not None:
         inside &= ~(time < entries.window.start) & ~(time >= entries.window.stop)
@@ -136,7 +156,7 @@ def _assemble(robot: RobotDescription, mapping: Mapping, source: _Source, output
         metadata={"robot": robot.name, "motion": entries.motion, **machine},
         repairs=repairs,
     )
-    return log, notes
+    return log, notes, present.get("current")
 
 
 def _common_rows(mapping: Mapping, time: np.ndarray, values: dict[str, np.ndarray]) -> tuple[int, list[str]]:
@@ -181,6 +201,7 @@ class _Source:
         self._mapping = mapping
         self._tables = tables
         self.clock = str(mapping.path)  # what says when a row was, for messages
+        self.current: np.ndarray | None = None  # (S, n) [A]
         self.notes = [f"{table.path.name}: {note}" for table in tables for note in table.notes]
 
     def time(self) -> np.ndarray:
@@ -249,16 +270,21 @@ class _Source:
         side = columns.side or self._mapping.entries.side
         return self._to_joints(self._raw("velocity", "velocity", columns, side), side)
 
-    def effort(self, columns: EffortColumns) -> np.ndarray:
-        """(S, n)."""
+    def effort(self, columns: EffortColumns) -> np.ndarray | None:
+        """(S, n); None for currents of a known recorder without torque constants."""
         units = self._per_joint("effort.unit", columns.unit, None)
         currents = [unit in CURRENT for unit in units]
         side = columns.side or ("motor" if any(currents) else self._mapping.entries.side)
         if any(currents) and side == "joint":
             self._mapping.fault("effort.side", "currents are on the motor side")
         raw = self._raw("effort", "effort", columns, side)
+        if all(currents):
+            self.current = raw
         if any(currents):
-            raw = raw * np.where(currents, self._torque_constants(columns), 1.0)
+            constants = self._torque_constants(columns)
+            if constants is None:
+                return None
+            raw = raw * np.where(currents, constants, 1.0)
         shares = [unit in OF_NOMINAL for unit in units]
         if any(shares):
             raw = raw * np.where(shares, self._nominal_torques(side), 1.0)
@@ -375,15 +401,21 @@ class _Source:
                 self._mapping.fault(key, f"{joint.name}: {error}")
         return np.array(result)
 
-    def _torque_constants(self, columns: EffortColumns) -> np.ndarray:
-        """(n,) [N·m/A, motor side]."""
+    def _torque_constants(self, columns: EffortColumns) -> np.ndarray | None:
+        """(n,) [N·m/A, motor side]; None where a known recorder's robot has none."""
         given = columns.torque_constant
         if given is None:
             given = [np.nan if joint.torque_constant is None else joint.torque_constant for joint in self._robot.joints]
         constants = np.array(self._per_joint("effort.torque_constant", given, None), dtype=float)
         if np.isnan(constants).any():
             missing = ", ".join(n for n, k in zip(self._robot.joint_names, constants, strict=True) if np.isnan(k))
+            if self._mapping.preset:
+                self.notes.append(f"currents are kept on {CURRENTS}; torques need the torque_constant of {missing}")
+                return None
             self._mapping.fault("effort.unit", f"currents need the torque_constant of {missing}, here or in robot.yaml")
+        if self._mapping.preset:
+            used = ", ".join(f"{constant:g}" for constant in constants)
+            self.notes.append(f"torques are currents times the torque constants {used} N·m/A (motor side)")
         return constants
 
     def _per_joint(self, key: str, value: Any, default: Any) -> list[Any]:

@@ -168,11 +168,15 @@ class ImportMap(_MappingPart):
 
 @dataclass(frozen=True)
 class Mapping:
-    """A mapping file and what it takes to point into it."""
+    """A mapping file and what it takes to point into it.
+
+    `preset`: it is that of a recorder. Then rows that repeat a time are dropped, and currents need no torque constant.
+    """
 
     path: Path
     document: Any
     entries: ImportMap
+    preset: bool = False
 
     def fault(self, key: str, message: str) -> NoReturn:
         """Refuse the mapping at a key such as `position.columns`.

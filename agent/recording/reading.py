@@ -14,7 +14,7 @@ from agent.core import InputError
 from agent.recording.log import Log, Repair
 from agent.recording.mcap.log_file import PLANNED, REFERENCES, RUN
 from agent.recording.mcap.scan import Messages, Scan, scan
-from agent.recording.mcap.topics import choose_topics, namesake
+from agent.recording.mcap.topics import choose_topics, joint_names, namesake
 from agent.recording.repair.jumps import Mended, mend_jumps
 from agent.recording.repair.limits import impossible
 from agent.recording.repair.spikes import find_spikes
@@ -106,6 +106,15 @@ def read_log(path: str | Path, robot: RobotDescription | None = None, topic: str
         without_effort=table.without_effort,
         scratch=found.scratch,
     )
+
+
+def logged_joints(path: Path, topic: str | None = None) -> tuple[str, ...]:
+    """Names of all joints in the joint states of a log, whatever messages they come in.
+
+    Raises:
+        InputError: as `read_log`.
+    """
+    return joint_names(path, scan(path), topic)
 
 
 def _mended(

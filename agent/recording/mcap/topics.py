@@ -40,15 +40,7 @@ def choose_topics(
     Raises:
         InputError: no topic of joint states, several that may be meant, or joints of the robot missing.
     """
-    groups = {topic: found.topics[topic] for topic in sorted(found.topics) if found.topics[topic]}
-    topics = {topic: messages for topic, messages in groups.items() if _may_be_states(topic, messages, robot)}
-    if wanted is not None:
-        name = next((topic for topic in groups if topic.strip("/") == wanted.strip("/")), None)
-        if name is None:
-            raise InputError(f"{path}: no joint states on the topic {wanted}; it has {_listed(groups) or 'none'}")
-        topics = {name: groups[name]}
-    if not topics:
-        raise InputError(f"{path}: {_no_joint_states(found, groups)}")
+    topics = _candidates(path, found, robot, wanted)
     if robot is None:
         return _without_robot(path, topics)
     chosen = _holding(topics, robot.joint_names)
@@ -76,6 +68,32 @@ def _may_be_states(topic: str, groups: Sequence[Messages], robot: RobotDescripti
         return True
     joints = () if robot is None else robot.joint_names
     return any(set(joints) & set(group.layout.names) and group.effort is not None for group in groups)
+
+
+def joint_names(path: Path, found: Scan, wanted: str | None) -> tuple[str, ...]:
+    """Of all topics of joint states, or of the topic `wanted`.
+
+    Raises:
+        InputError: there is no such topic.
+    """
+    topics = _candidates(path, found, None, wanted)
+    return tuple(dict.fromkeys(name for groups in topics.values() for name in _in_order(groups)))
+
+
+def _candidates(
+    path: Path, found: Scan, robot: RobotDescription | None, wanted: str | None
+) -> dict[str, list[Messages]]:
+    """Topics that may hold the measured states, or the one that is wanted."""
+    groups = {topic: found.topics[topic] for topic in sorted(found.topics) if found.topics[topic]}
+    topics = {topic: messages for topic, messages in groups.items() if _may_be_states(topic, messages, robot)}
+    if wanted is not None:
+        name = next((topic for topic in groups if topic.strip("/") == wanted.strip("/")), None)
+        if name is None:
+            raise InputError(f"{path}: no joint states on the topic {wanted}; it has {_listed(groups) or 'none'}")
+        return {name: groups[name]}
+    if not topics:
+        raise InputError(f"{path}: {_no_joint_states(found, groups)}")
+    return topics
 
 
 def namesake(found: Scan, wanted: str, states: str) -> str | None:

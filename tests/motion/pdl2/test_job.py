@@ -241,7 +241,7 @@ def test_conditions_and_refused_settings_of_a_job_are_passed_over_and_counted():
     read = [each for each in parse_program(kept, "glue.pdl", ROBOT).run() if isinstance(each, Move)]
     assert [move.line for move in read] == [8, 9, 10, 11, 13, 14]
     assert passed == {"WITH": 2, "$FLY_DIST": 4, "$LIN_SPD": 1}
-    assert [round(move.settings.lispot_speed, 9) for move in read[2:5]] == [0.2, 0.2, 0.3]
+    assert [round(move.settings.linear_speed, 9) for move in read[2:5]] == [0.2, 0.2, 0.3]
 
 
 def test_a_frame_that_is_refused_is_not_passed_over():
