@@ -9,7 +9,6 @@ from .mcap.foxglove import (
 )
 from .mcap.log_file import write_log as write_log
 from .mcap.writer import LogWriter as LogWriter
-from .presets import PRESETS as PRESETS
 from .reading import logged_joints as logged_joints, read_log as read_log
 from .repair.grid import line as line, sample_numbers as sample_numbers, settled as settled
 from .scratch import Scratch as Scratch

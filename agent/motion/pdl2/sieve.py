@@ -210,8 +210,7 @@ class _Sieve:
                 break
             out[at + 1] = self._bare[at + 1]
             at += 1
-        for line in range(start, at + 1):
-            out[line] = self._without_conditions(out[line])
+        out[start : at + 1] = map(self._without_conditions, out[start : at + 1])
         return at
 
     def _without_conditions(self, line: str) -> str:

@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
-from typing import BinaryIO
+from typing import IO
 
 import lz4.frame
 import numpy as np
@@ -132,7 +132,7 @@ class _Scanner:
         self._before = 0
         self._file_size = self._unpacked = 0
 
-    def run(self, file: BinaryIO, size: int) -> Scan:
+    def run(self, file: IO[bytes], size: int) -> Scan:
         magic = file.read(len(_MAGIC))
         if magic != _MAGIC:
             what = "not an MCAP file" if size else "the file is empty"
@@ -170,7 +170,7 @@ class _Scanner:
         self._channels.clear()
         return self._found
 
-    def _records(self, file: BinaryIO, size: int) -> Iterator[tuple[int, bytes, bool]]:
+    def _records(self, file: IO[bytes], size: int) -> Iterator[tuple[int, bytes, bool]]:
         """Records of the data section: opcode, content, and whether the content is whole."""
         while True:
             at = file.tell()
