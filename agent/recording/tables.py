@@ -136,7 +136,7 @@ def _read_parquet(path: Path) -> ColumnTable:
     from pyarrow import ArrowException, parquet
 
     try:
-        content = parquet.read_table(path)
+        content = parquet.read_table(path).flatten()  # fields of structs become columns
     except ArrowException as error:
         raise InputError(f"{path}: not a readable Parquet file: {error}") from None
     columns: dict[str, np.ndarray] = {}

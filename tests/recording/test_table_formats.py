@@ -169,6 +169,33 @@ def test_dates_and_times_of_day_are_seconds(taken, style):
         assert log.date.replace(microsecond=0) == start
 
 
+def test_messages_printed_one_a_line_without_names(taken):
+    """As `ros2 topic echo --csv` prints joint states: stamp, frame, names, positions, velocities, efforts."""
+    ns = np.rint(T * 1e9).astype(int) + 1_700_000_000_000_000_000
+    rows = "".join(
+        f"{n // 10**9},{n % 10**9},,turn,slide,{q[0]:.12g},{q[1]:.12g},nan,nan,{e[0]:.12g},{e[1]:.12g}\n"
+        for n, q, e in zip(ns, Q, TAU, strict=True)
+    )
+    log, _ = taken(rows, "time: {columns: [1, 2]}\nposition: {columns: [6, 7]}\neffort: {columns: [10, 11]}\n")
+    _same(log)
+
+
+def test_fractions_of_dates_may_have_nine_digits(taken):
+    rows = "".join(f"2031-05-06T07:08:{t:012.9f}+02:00;{a:.12g};{b:.12g}\n" for t, (a, b) in zip(T, Q, strict=True))
+    log, _ = taken("when;a;b\n" + rows, "time: {column: when}\nposition: {columns: [a, b]}\n")
+    np.testing.assert_allclose(log.t, T, atol=2e-6)
+
+
+def test_fields_of_a_struct_in_parquet_are_columns(taken, tmp_path):
+    pyarrow = pytest.importorskip("pyarrow", reason="reading Parquet is an extra: pip install '.[tables]'")
+    from pyarrow import parquet
+
+    state = [{"q": q.tolist(), "tau": tau.tolist()} for q, tau in zip(Q, TAU, strict=True)]
+    parquet.write_table(pyarrow.table({"t": T, "state": state}), tmp_path / "a.parquet")
+    log, _ = taken(tmp_path / "a.parquet", VECTORS.replace("s: q", "s: state.q").replace("s: tau", "s: state.tau"))
+    _same(log)
+
+
 def test_the_names_of_a_recorded_topic_may_keep_their_mark(taken):
     text = "%time,field.q0,field.q1\n" + "".join(
         f"{1.7e18 + 1e9 * t:.0f},{a:.12g},{b:.12g}\n" for t, (a, b) in zip(T, Q, strict=True)

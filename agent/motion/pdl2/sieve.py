@@ -18,8 +18,9 @@ from agent.motion.pdl2.variables import PREDEFINED, SYSTEM_VARIABLES
 
 _MOVES = re.compile(r"\b(?:SYNC)?MOVE(?:FLY)?\b", re.IGNORECASE)
 _MOVE = re.compile(r"MOVE(?:FLY)?\b", re.IGNORECASE)
-_WITH_CONDITION = re.compile(
-    r"(?:\bWITH\s+|(?<=,)\s*)(?:CONDITION|EVENT)\s*\[[^\]]*\](?:\s*,\s*(?:CONDITION|EVENT)\s*\[[^\]]*\])*",
+_ON_THE_WAY = re.compile(
+    r"(?:\bWITH\s+|(?<=,)\s*)(?:CONDITION|EVENT)\s*\[[^\]]*\](?:\s*,\s*(?:CONDITION|EVENT)\s*\[[^\]]*\])*"
+    r"|\bTIL\b(?:(?!\b(?:WITH|ENDMOVE|VIA|ADVANCE)\b)[^,])*",
     re.IGNORECASE,
 )
 _SETTING = re.compile(
@@ -214,13 +215,14 @@ class _Sieve:
         return at
 
     def _without_conditions(self, line: str) -> str:
-        """A line of a move without the conditions that are enabled on the way: they move nothing."""
+        """A line of a move without the conditions that are enabled on the way, and those that end it: they move
+        nothing, and where it is meant to go stays the same."""
 
         def blank(found: re.Match[str]) -> str:
-            self.passed["WITH"] += 1
+            self.passed["TIL" if found[0].upper().startswith("TIL") else "WITH"] += 1
             return " " * len(found[0])
 
-        return re.sub(r",(\s*),", r",\1 ", _WITH_CONDITION.sub(blank, line))
+        return re.sub(r",(\s*),", r",\1 ", _ON_THE_WAY.sub(blank, line))
 
     def _check_arm(self, at: int, arm: str) -> None:
         """It is arm 1: by its number, a constant, or a variable that is never anything else."""

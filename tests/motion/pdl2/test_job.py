@@ -232,6 +232,8 @@ BEGIN
   ENDMOVE
   MOVEFLY LINEAR TO spot ADVANCE WITH $LIN_SPD = 0.3, $FLY_DIST = -5
   MOVE LINEAR TO spot WITH $FLY_DIST = -5
+  MOVE LINEAR TO spot TIL $DIN[4] = TRUE, WITH $LIN_SPD = 0.1
+  MOVEFLY TO spot ADVANCE TIL CONDITION[3]
 END glue
 """
 
@@ -239,8 +241,8 @@ END glue
 def test_conditions_and_refused_settings_of_a_job_are_passed_over_and_counted():
     kept, passed = job_text(SETTINGS, "glue.pdl", ROBOT)
     read = [each for each in parse_program(kept, "glue.pdl", ROBOT).run() if isinstance(each, Move)]
-    assert [move.line for move in read] == [8, 9, 10, 11, 13, 14]
-    assert passed == {"WITH": 2, "$FLY_DIST": 4, "$LIN_SPD": 1}
+    assert [move.line for move in read] == [8, 9, 10, 11, 13, 14, 15, 16]
+    assert passed == {"WITH": 2, "TIL": 2, "$FLY_DIST": 4, "$LIN_SPD": 1}
     assert [round(move.settings.linear_speed, 9) for move in read[2:5]] == [0.2, 0.2, 0.3]
 
 
