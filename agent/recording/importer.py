@@ -138,6 +138,8 @@ def _assemble(
     present = {name: array[:rows][keep] for name, array in present.items()}
     stamp = nanoseconds(time[keep])
     measured = [present[name] for name in ("position", "effort") if name in present]
+    if np.any(np.diff(stamp) < 0) and (several := source.episodes()):
+        mapping.fault("time", several)
     order = put_in_order(stamp, measured, source.clock)
     present = {name: array[order.rows] for name, array in present.items()}
     spacing = spacing_of(order.stamp, entries.rate)
@@ -254,6 +256,17 @@ class _Source:
             self._mapping.fault("rows.equals", f"no row has {wanted.column} {wanted.equals:g}; there are {listed}")
         self.notes.append(f"{np.count_nonzero(selected)} of {rows} rows have {wanted.column} {wanted.equals:g}")
         return selected
+
+    def episodes(self) -> str:
+        """What to say of a table with several recordings, each with a clock of its own; empty where it has one."""
+        for table in self._tables:
+            for name, column in table.columns.items():
+                if self._mapping.entries.rows is None and "episode" in name.lower() and len(np.unique(column)) > 1:
+                    rows = f"rows: {{column: {name}, equals: {column[0]:g}}}"
+                    return (
+                        f"{table.path}: the time goes back, and {name} numbers several recordings: take one with {rows}"
+                    )
+        return ""
 
     def position(self, key: str, columns: PositionColumns | None) -> np.ndarray | None:
         """(S, n), None without an entry. Side and offset of set-points are those of the positions unless given."""

@@ -279,10 +279,15 @@ def test_shares_of_the_nominal_torque(taken, unit, part):
 
 
 def test_rows_are_selected_by_a_column(taken):
-    table = np.column_stack([np.tile(T, 3), np.repeat([4, 5, 6], len(T)), np.tile(Q, (3, 1)), np.tile(TAU, (3, 1))])
+    runs = np.repeat([4, 5, 6], len(T))
+    table = np.column_stack(
+        [np.tile(T, 3), runs, np.tile(Q, (3, 1)) * (1 + (runs == 6))[:, None], np.tile(TAU, (3, 1))]
+    )
     text = "t,episode_index,a,b,x,y\n" + _lines(rows=table)
     log, notes = taken(text, NAMES + "rows: {column: episode_index, equals: 5}\n")
     _same(log)
     assert "120 of 360 rows have episode_index 5" in notes
+    with pytest.raises(InputError, match=r"episode_index numbers several recordings: take one with rows.*equals: 4"):
+        taken(text, NAMES)
     with pytest.raises(InputError, match=r"rows\.equals: no row has episode_index 7; there are 4, 5, 6"):
         taken(text, NAMES + "rows: {column: episode_index, equals: 7}\n")
