@@ -23,11 +23,16 @@ def import_files(robot: str, mapping: Path | str, tables: list[Path], out: Path)
     Raises:
         InputError: a table, the mapping or the output is not usable.
     """
-    from agent.recording import import_log
+    from agent.recording import import_log, mapped_joints
 
     if out.exists():
         raise InputError(f"{out}: exists already; name another log, or move it away")
-    return [str(note) for note in import_log(load_arm(robot), mapping, tables, out)]
+    from agent.model import is_simulator, load_arm as load
+
+    # what the table has no column for, such as a finger of a gripper, is no joint of the arm
+    alone = is_simulator(Path(robot))
+    description = load(Path(robot), most=mapped_joints(mapping)) if alone else load_robot(robot)
+    return [str(note) for note in import_log(description, mapping, tables, out)]
 
 
 def load_arm(robot: str, logs: Sequence[Path] = (), topic: str | None = None) -> RobotDescription:

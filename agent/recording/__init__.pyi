@@ -1,4 +1,4 @@
-from .importer import import_log as import_log
+from .importer import import_log as import_log, mapped_joints as mapped_joints
 from .log import PARTS as PARTS, PLANNED_PARTS as PLANNED_PARTS, Log as Log, machines_of as machines_of
 from .mcap.foxglove import (
     FILTERED as FILTERED,

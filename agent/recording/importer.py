@@ -85,6 +85,14 @@ def import_log(
     return tuple(f"{output.name}: {note}" for note in notes)
 
 
+def mapped_joints(map_or_preset: Path | str) -> int:
+    """How many joints a map has columns for; seven, the most that an arm has, where one column is a whole matrix."""
+    if isinstance(map_or_preset, str):
+        return len(preset_map(map_or_preset, [])[0].entries.position.columns)
+    columns = load_mapping(map_or_preset).entries.position.columns
+    return 7 if isinstance(columns, str) or columns == columns[:1] else len(columns)
+
+
 def _assemble(
     robot: RobotDescription, mapping: Mapping, source: _Source, output: Path
 ) -> tuple[Log, list[str], np.ndarray | None]:

@@ -7,7 +7,8 @@ import pytest
 
 from agent.core import InputError
 from agent.model import load_simulator
-from agent.pipeline import load_arm
+from agent.pipeline import import_files, load_arm
+from agent.recording import read_log
 from agent.robot import load_robot
 
 URDF = """<robot name="two and a half"><link name="foot"/><link name="a"/><link name="b"/>
@@ -64,6 +65,22 @@ def test_of_an_arm_those_joints_are_taken_that_the_log_has(file, tmp_path):
     other = write_foreign(tmp_path / "other.mcap", [{**message, "names": ["y"]} for message in messages])
     with pytest.raises(InputError, match=r"none of its joints moves the arm \(turn, lift, .*those of the log are y"):
         load_arm(str(file), [other])
+
+
+@pytest.mark.parametrize("columns", ["[a, b]", "q"])
+def test_a_table_is_imported_for_a_file_without_drives(file, tmp_path, columns):
+    """A joint of the gripper that follows none is on the way to the tip, and the map has no column for it."""
+    text = file.read_text()
+    for tie in ('<mimic joint="finger_1"/>', '<equality><joint joint1="finger_1" joint2="finger_2"/></equality>'):
+        text = text.replace(tie, "")
+    file.write_text(text)
+    rows = "".join(f"{k / 200},{k / 1e3},{k / 2e3},0.0,3.5,1.5,0.0\n" for k in range(100))
+    table = tmp_path / "t.csv"
+    table.write_text("t,a,b,c,e,f,g\n" + rows if columns != "q" else "t,q[1],q[2],q[3],e,f,g\n" + rows)
+    (tmp_path / "map.yaml").write_text(f"time: {{column: t}}\nposition: {{columns: {columns}}}\n")
+    import_files(str(file), tmp_path / "map.yaml", [table], tmp_path / "out.mcap")
+    names = ("turn", "lift") if columns == "[a, b]" else ("turn", "lift", "finger_1")
+    assert read_log(tmp_path / "out.mcap").joint_names == names
 
 
 @pytest.mark.parametrize(

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings, strategies as st
 
 from agent.core import InputError
 from agent.recording import Log, import_log, read_log
+from agent.recording.tables import read_table
 from agent.robot import load_robot
 from tests.recording.test_importer import ROBOT, URDF
 
@@ -291,3 +294,40 @@ def test_rows_are_selected_by_a_column(taken):
         taken(text, NAMES)
     with pytest.raises(InputError, match=r"rows\.equals: no row has episode_index 7; there are 4, 5, 6"):
         taken(text, NAMES + "rows: {column: episode_index, equals: 7}\n")
+
+
+PIECES = st.sampled_from(
+    ["1.5", "-2", "1e3", "", "nan", "NA", "x", "[1, 2]", '"[1 2]"', '"', "(", "]", "2,5", "12:00:01", "#"]
+)
+LINES = st.lists(st.lists(PIECES, max_size=5), max_size=12)
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=list(HealthCheck))
+@given(LINES, st.sampled_from([",", ";", "\t", "|", " "]), st.sampled_from([".csv", ".tsv"]))
+def test_any_text_is_a_table_or_one_message(tmp_path, lines, separator, ending):
+    path = tmp_path / f"any{ending}"
+    path.write_text("\n".join(separator.join(line) for line in lines), encoding="utf-8")
+    with suppress(InputError):
+        table = read_table(path)
+        assert len({len(column) for column in table.columns.values()}) == 1
+        assert all(column.dtype == float for column in table.columns.values())
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
+@given(
+    st.lists(st.lists(st.floats(-1e6, 1e6), min_size=3, max_size=3), min_size=4, max_size=20),
+    st.sampled_from([",", ";", "\t", "|"]),
+    st.lists(st.sampled_from(["Drive 4", "Samples;20", "Interval,4", "", "a b c d", "2031"]), max_size=3),
+    st.integers(0, 2),
+    st.booleans(),
+)
+def test_numbers_come_back_as_they_were_written(tmp_path, rows, separator, preamble, empty, vectors):
+    """Whatever separates them, whatever stands above them, alone or as a vector in a cell."""
+    head = ["t", "q"] if vectors else ["t", "q1", "q2"]
+    cells = [[repr(a), f'"[{b!r}, {c!r}]"'] if vectors else [repr(a), repr(b), repr(c)] for a, b, c in rows]
+    lines = [*preamble, *(separator.join([*line, *[""] * empty]) for line in [head, *cells])]
+    path = tmp_path / "table.csv"
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    table = read_table(path)
+    names = ("t", "q[1]", "q[2]") if vectors else ("t", "q1", "q2")
+    np.testing.assert_array_equal(np.column_stack([table.column(name) for name in names]), rows)

@@ -81,10 +81,11 @@ def load_simulator(
     return Simulator(arm, model, robot, (*arm.notes, *said, *ignored))
 
 
-def load_arm(path: Path, log_joints: Sequence[str] = ()) -> RobotDescription:
+def load_arm(path: Path, log_joints: Sequence[str] = (), most: int = _MOST_JOINTS) -> RobotDescription:
     """The description of the arm in a URDF or MJCF: gear ratios of 1 and no nominal torques.
 
-    Its joints are those of the logs; where there are none, the longest chain of joints that all move on their own.
+    Its joints are those of the logs; where there are none, the longest chain of joints that all move on their own, of
+    which the first `most` are taken.
 
     Raises:
         InputError: a file that cannot be read or used, or none of its joints is in the logs.
@@ -98,7 +99,7 @@ def load_arm(path: Path, log_joints: Sequence[str] = ()) -> RobotDescription:
             raise InputError(
                 f"{path}: none of its joints moves the arm ({', '.join(in_file) or 'it has none'}){listed}"
             )
-        return {name: name for name in chain[:_MOST_JOINTS]}
+        return {name: name for name in chain[:most]}
 
     return described(_arm(path, root, match, _GRAVITY), None)[0]
 
