@@ -61,12 +61,9 @@ def import_log(
     """
     if output.suffix != ".mcap":
         raise InputError(f"{output}: the log to write comes last and ends in .mcap")
-    if isinstance(map_or_preset, str):
-        tables = [read_table(path) for path in inputs]
-        mapping, said = preset_map(map_or_preset, tables)
-    else:
-        mapping, said = load_mapping(map_or_preset), []
-        tables = [read_table(path) for path in inputs]
+    given = None if isinstance(map_or_preset, str) else load_mapping(map_or_preset)
+    tables = [read_table(path) for path in inputs]
+    mapping, said = preset_map(str(map_or_preset), tables) if given is None else (given, [])
     source = _Source(robot, mapping, tables)
     source.notes += said
     log, notes, current = _assemble(robot, mapping, source, output)
