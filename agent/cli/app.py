@@ -148,6 +148,7 @@ def estimate(
         typer.Option(metavar="DIR", help="also write URDF, MuJoCo model and friction file (of a consistent fit)"),
     ] = None,
     structure: opt.Structure = "rigid",
+    topic: opt.Topic = None,
     allow_mixed: opt.AllowMixed = False,
     force: opt.Force = False,
     as_json: opt.AsJson = False,
@@ -157,7 +158,7 @@ def estimate(
     from agent.pipeline import estimate_files
 
     model, text = estimate_files(
-        robot, logs, out, cutoff, method, opt.console_for(messages), export, allow_mixed, force, structure
+        robot, logs, out, cutoff, method, opt.console_for(messages), export, allow_mixed, force, structure, topic
     )
     opt.print_found(as_json, model, text)
 
@@ -167,6 +168,7 @@ def validate(
     logs: opt.Logs,
     model: opt.ModelFile,
     cutoff: opt.Cutoff = None,
+    topic: opt.Topic = None,
     allow_mixed: opt.AllowMixed = False,
     as_json: opt.AsJson = False,
     messages: opt.Messages = None,
@@ -174,7 +176,7 @@ def validate(
     """Predict the torque of logs that were not used in the fit."""
     from agent.pipeline import validate_files, validation_text
 
-    result = validate_files(model, logs, cutoff, opt.console_for(messages), allow_mixed)
+    result = validate_files(model, logs, cutoff, opt.console_for(messages), allow_mixed, topic)
     opt.print_found(as_json, result.to_dict(), validation_text(result))
 
 
@@ -194,6 +196,7 @@ def diagnose(
     ] = None,
     cutoff: opt.Cutoff = None,
     without: opt.Without = None,
+    topic: opt.Topic = None,
     allow_mixed: opt.AllowMixed = False,
     force: opt.Force = False,
     as_json: opt.AsJson = False,
@@ -221,7 +224,7 @@ def diagnose(
 
     left_out = tuple(without or ())
     question = GapQuestion(
-        model, joint_map, cutoff, left_out, report, out, allow_mixed, force, next_recipe, load, drives_off
+        model, joint_map, cutoff, left_out, report, out, allow_mixed, force, next_recipe, load, drives_off, topic
     )
     console = opt.console_for(messages)
 
@@ -309,15 +312,21 @@ def trajectories(as_json: opt.AsJson = False) -> None:
 def import_(
     files: Annotated[list[Path], typer.Argument(metavar="IN... OUT.mcap", help="tables, then the log to write")],
     robot: opt.RobotOption,
-    mapping: Annotated[Path, typer.Option("--map", metavar="MAP.yaml", help="which column is what")],
+    mapping: Annotated[Path | None, typer.Option("--map", metavar="MAP.yaml", help="which column is what")] = None,
+    preset: Annotated[
+        str | None, typer.Option("--preset", metavar="NAME", help="columns of a recorder: ur-rtde or ur-record")
+    ] = None,
     messages: opt.Messages = None,
 ) -> None:
-    """Turn columns of CSV, MAT or Parquet files into a log."""
+    """Turn columns of CSV, Excel, MAT, HDF5, NumPy or Parquet files into a log."""
     from agent.pipeline import import_files
 
     if len(files) < 2:
         raise InputError("import: name at least one table and the log to write: agent import … IN OUT.mcap")
-    for note in import_files(robot, mapping, files[:-1], files[-1]):
+    columns = preset if mapping is None else mapping
+    if columns is None or (mapping is not None and preset is not None):
+        raise InputError("import: say which column is what with either --map MAP.yaml or --preset NAME")
+    for note in import_files(robot, columns, files[:-1], files[-1]):
         opt.console_for(messages).say(note)
     print(files[-1])
 

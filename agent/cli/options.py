@@ -14,10 +14,13 @@ Messages = Annotated[
 ]
 Yes = Annotated[bool, typer.Option("--yes", help="the cell is clear: move without asking")]
 AsJson = Annotated[bool, typer.Option("--json", help="one JSON object on stdout")]
-RobotOption = Annotated[str, typer.Option("--robot", metavar="R", help="built-in robot or robot.yaml")]
+RobotOption = Annotated[str, typer.Option("--robot", metavar="R", help="built-in robot, robot.yaml, URDF or MJCF")]
 Cutoff = Annotated[float | None, typer.Option("--cutoff", metavar="HZ", help="cut-off of the torque filter")]
+Topic = Annotated[
+    str | None, typer.Option("--topic", metavar="T", help="of the arm's JointState messages, where a log has several")
+]
 RunsFolder = Annotated[Path, typer.Option("--logs", metavar="DIR", help="where runs are kept")]
-AnyRobot = Annotated[str | None, typer.Option("--robot", metavar="R", help="built-in robot or robot.yaml")]
+AnyRobot = Annotated[str | None, typer.Option("--robot", metavar="R", help="built-in robot, robot.yaml, URDF or MJCF")]
 Serial = Annotated[str | None, typer.Option("--serial", metavar="S", help="serial of one machine")]
 Authorised = Annotated[
     Path | None, typer.Option("--authorisation", metavar="FILE", help="a person's word that allows unattended motion")

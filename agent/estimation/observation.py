@@ -156,4 +156,5 @@ def check_log(robot: RobotDescription, log: Log) -> None:
             f"{', '.join(robot.joint_names)}"
         )
     if log.effort is None:
-        raise InputError(f"{log.path}: no torque (effort) was recorded, so nothing can be estimated or compared")
+        whose = f" of {', '.join(log.without_effort)}" if 0 < len(log.without_effort) < len(log.joint_names) else ""
+        raise InputError(f"{log.path}: no torque (effort){whose} was recorded, so nothing can be estimated or compared")

@@ -33,7 +33,12 @@ from .simulators.correction import (
     correct as correct,
 )
 from .simulators.joints import load_joint_map as load_joint_map
-from .simulators.load import Simulator as Simulator, is_simulator as is_simulator, load_simulator as load_simulator
+from .simulators.load import (
+    Simulator as Simulator,
+    is_simulator as is_simulator,
+    load_arm as load_arm,
+    load_simulator as load_simulator,
+)
 from .simulators.mjcf import compiled as compiled, mujoco_package as mujoco_package
 from .simulators.servos import (
     SERVO_STIFFNESS as SERVO_STIFFNESS,

@@ -19,7 +19,7 @@ from agent.notebook.results import (
     quiet,
 )
 from agent.recording import Log
-from agent.robot import RobotDescription, load_robot as _load_robot
+from agent.robot import RobotDescription
 
 if TYPE_CHECKING:
     from agent.model import IdentifiedModel
@@ -31,12 +31,14 @@ ModelLike: TypeAlias = "IdentifiedModel | str | Path"
 
 
 def load_robot(robot: RobotLike) -> RobotDescription:
-    """A robot description: a built-in name, or the path of a robot.yaml.
+    """A robot description: a built-in name, or the path of a robot.yaml, a URDF or an MJCF.
 
     Raises:
         InputError: no such robot, or a file that is wrong.
     """
-    return robot if isinstance(robot, RobotDescription) else _load_robot(str(robot))
+    from agent.pipeline import load_arm
+
+    return robot if isinstance(robot, RobotDescription) else load_arm(str(robot))
 
 
 def load_recipe(recipe: Recipe | str | Path) -> Recipe:

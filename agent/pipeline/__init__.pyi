@@ -13,6 +13,7 @@ from .identify import (
     estimate_files as estimate_files,
     fit_files as fit_files,
     import_files as import_files,
+    load_arm as load_arm,
     read_logs as read_logs,
     validate_files as validate_files,
     validation_text as validation_text,

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 from agent.core import AgentError, Console, InputError, counted, words_of
 from agent.pipeline.corrected_simulator import run_forward, write_simulator
 from agent.pipeline.gap_question import GapQuestion
-from agent.pipeline.identify import check_one_machine, check_plausible, read_logs, say_used
-from agent.robot import RobotDescription, load_robot
+from agent.pipeline.identify import check_one_machine, check_plausible, load_arm, read_logs, say_used
+from agent.robot import RobotDescription
 
 if TYPE_CHECKING:
     from agent.diagnosis import Diagnosis
@@ -46,7 +46,7 @@ def diagnose_files(
         InputError: a robot, model or log that cannot be used, an unknown effect, or an output that cannot be written.
     """
     if robot is None or isinstance(robot, str):
-        there = None if robot is None else load_robot(robot)
+        there = None if robot is None else load_arm(robot, paths, question.topic)
         return _diagnose(there, paths, question, console, robot, unfinished=unfinished)
     return _diagnose(robot, paths, question, console, robot.name, unfinished=unfinished)
 
@@ -263,7 +263,7 @@ def _find(robot: RobotDescription | None, paths: Sequence[Path], question: GapQu
 
         check_arm(load_recipe(question.next_recipe), robot)
     console.step(f"reading {counted(len(paths), 'log')}")
-    logs = read_logs(list(paths), robot, console)
+    logs = read_logs(list(paths), robot, console, question.topic)
     if question.next_recipe is not None and not question.allow_mixed:
         from agent.pipeline.next_checks import check_tool
 
@@ -296,7 +296,7 @@ def _at_rest(
 
     if question.drives_off is None:
         return None
-    (log,) = read_logs([question.drives_off], robot, console)
+    (log,) = read_logs([question.drives_off], robot, console, question.topic)
     channel_zero(robot, log, reference)
     return log
 
@@ -317,7 +317,7 @@ def _simulator(
             raise InputError("diagnose: --map names joints of an MJCF or URDF: give one with --model arm.xml|arm.urdf")
         return (None if question.model is None else IdentifiedModel.load(question.model)), None
     names = None if question.joint_map is None else load_joint_map(question.joint_map)
-    log_joints = () if robot is not None else read_log(paths[0]).joint_names
+    log_joints = () if robot is not None else read_log(paths[0], topic=question.topic).joint_names
     found = load_simulator(question.model, robot, log_joints, names)
     for note in found.notes:
         console.warn(f"{question.model.name}: {note}")

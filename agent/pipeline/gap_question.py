@@ -20,7 +20,7 @@ class GapQuestion:
     format); None: neither. `allow_mixed`: logs and
     model may be of several machines or tools; `force`: go on although a log is implausible. `next_recipe`: where the
     motion that tells more may lie; then `out` is the folder for it, and `next_payload` a known mass for it.
-    `drives_off` is a log of the arm at rest with its drives off.
+    `drives_off` is a log of the arm at rest with its drives off. `topic` holds the joint states of the logs.
     """
 
     model: Path | None = None
@@ -34,6 +34,7 @@ class GapQuestion:
     next_recipe: Path | None = None
     next_payload: str | None = None
     drives_off: Path | None = None
+    topic: str | None = None
 
     def options(self) -> list[str]:
         """The words of `agent diagnose` that ask the same; with which logs, or what to record, comes beside them."""
@@ -46,6 +47,7 @@ class GapQuestion:
             "--next": self.next_recipe,
             "--payload": self.next_payload,
             "--drives-off": self.drives_off,
+            "--topic": self.topic,
         }
         words = [word for option, value in named.items() if value is not None for word in (option, str(value))]
         words += [word for effect in self.without for word in ("--without", effect)]

@@ -17,26 +17,46 @@ if TYPE_CHECKING:
     from agent.validation import Validation
 
 
-def import_files(robot: str, mapping: Path, tables: list[Path], out: Path) -> list[str]:
-    """Turn columns of tables into a log; returns what there is to say about it.
+def import_files(robot: str, mapping: Path | str, tables: list[Path], out: Path) -> list[str]:
+    """Turn columns of tables into a log, by a mapping file or a preset; returns what there is to say about it.
 
     Raises:
         InputError: a table, the mapping or the output is not usable.
     """
-    from agent.recording import import_log
+    from agent.recording import import_log, mapped_joints
 
     if out.exists():
         raise InputError(f"{out}: exists already; name another log, or move it away")
-    return [str(note) for note in import_log(load_robot(robot), mapping, tables, out)]
+    from agent.model import is_simulator, load_arm as load
+
+    # what the table has no column for, such as a finger of a gripper, is no joint of the arm
+    alone = is_simulator(Path(robot))
+    description = load(Path(robot), most=mapped_joints(mapping)) if alone else load_robot(robot)
+    return [str(note) for note in import_log(description, mapping, tables, out)]
 
 
-def read_logs(paths: list[Path], robot: Any, console: Console) -> list[Any]:
-    """Read logs, saying what had to be repaired."""
+def load_arm(robot: str, logs: Sequence[Path] = (), topic: str | None = None) -> RobotDescription:
+    """A robot by name or path; of a URDF or MJCF, the arm whose joints the logs have.
+
+    Raises:
+        InputError: no such robot, or a file that is wrong.
+    """
+    from agent.model import is_simulator, load_arm as load
+
+    if not is_simulator(Path(robot)):
+        return load_robot(robot)
+    from agent.recording import logged_joints
+
+    return load(Path(robot), logged_joints(logs[0], topic) if logs else ())
+
+
+def read_logs(paths: list[Path], robot: Any, console: Console, topic: str | None = None) -> list[Any]:
+    """Read logs, of which `topic` holds the joint states where there are several, saying what had to be repaired."""
     from agent.recording import read_log
 
     logs = []
     for path in paths:
-        log = read_log(path, robot)
+        log = read_log(path, robot, topic)
         for repair in log.repairs:
             console.warn(f"{log.name}: {repair}")
         logs.append(log)
@@ -165,6 +185,7 @@ def estimate_files(
     allow_mixed: bool = False,
     force: bool = False,
     structure: str = "rigid",
+    topic: str | None = None,
 ) -> tuple[dict[str, Any], str]:
     """Fit a model to logs and write its file; returns its content and a table for people.
 
@@ -176,7 +197,7 @@ def estimate_files(
     check_output(out, paths)
     if export is not None and method is None:
         method = "consistent"
-    model, _ = fit_files(robot, paths, cutoff, method, console, allow_mixed, force, structure)
+    model, _ = fit_files(robot, paths, cutoff, method, console, allow_mixed, force, structure, topic)
     model.save(out)
     written = [out]
     if export is not None:
@@ -195,13 +216,14 @@ def fit_files(
     allow_mixed: bool,
     force: bool,
     structure: str,
+    topic: str | None = None,
 ) -> tuple[IdentifiedModel, list[Log]]:
     """The model that `estimate_files` writes, and the logs it was fitted to, without their velocities."""
     from agent.estimation import EstimationSettings, estimate
 
     check_structure(structure)
-    description = load_robot(robot) if isinstance(robot, str) else robot
-    logs = read_logs(paths, description, console)
+    description = load_arm(robot, paths, topic) if isinstance(robot, str) else robot
+    logs = read_logs(paths, description, console, topic)
     check_one_machine(logs, None, allow_mixed)
     check_plausible(description, logs, force, console)
     # no fit looks at these, and twenty minutes of them are many
@@ -238,7 +260,12 @@ def check_output(out: Path, paths: Sequence[Path]) -> None:
 
 
 def validate_files(
-    model_path: Path, paths: list[Path], cutoff: float | None, console: Console, allow_mixed: bool = False
+    model_path: Path,
+    paths: list[Path],
+    cutoff: float | None,
+    console: Console,
+    allow_mixed: bool = False,
+    topic: str | None = None,
 ) -> Validation:
     """Prediction of logs by a model."""
     from agent.estimation import beyond_fit
@@ -246,7 +273,7 @@ def validate_files(
     from agent.validation import predict_log, summary
 
     model = IdentifiedModel.load(model_path)
-    logs = read_logs(paths, model.robot, console)
+    logs = read_logs(paths, model.robot, console, topic)
     check_one_machine(logs, model, allow_mixed)
     predictions = [predict_log(model, log, cutoff) for log in logs]
     result = summary(predictions)

@@ -11,9 +11,11 @@ from typing import Any
 import numpy as np
 
 from agent.core import Dimension, InputError, counted, parse_quantity
+from agent.recording.column_table import ColumnTable
 from agent.recording.log import ARRAYS, MACHINE, Log
 from agent.recording.mapping import (
     CURRENT,
+    OF_NOMINAL,
     USABLE,
     Columns,
     EffortColumns,
@@ -22,25 +24,30 @@ from agent.recording.mapping import (
     load_mapping,
     units_of,
 )
-from agent.recording.mcap.log_file import nanoseconds, write_log
+from agent.recording.mcap.log_file import CURRENTS, nanoseconds, write_log
+from agent.recording.presets import preset_map
 from agent.recording.repair.limits import LIMITS, impossible
 from agent.recording.repair.stamps import put_in_order, spacing_of, stand_still
 from agent.recording.resampling import resampled
 from agent.recording.scratch import Scratch
-from agent.recording.tables import ColumnTable, read_table
+from agent.recording.tables import read_table
 from agent.robot import RobotDescription
 
 _NANO = 1_000_000_000
 #: Columns whose lengths differ by more than this part do not belong together.
 _SAME_LENGTH = 0.01
-#: Characters of a field that are shown.
-_SHOWN = 40
+#: Characters of a field, and values of a column, that are shown.
+_SHOWN, _SHOWN_VALUES = 40, 8
+#: With more rows a second, whole seconds lack their fractions.
+_ROWS_A_SECOND = 5
 #: Latest time that a header stamp can hold [s].
 _LATEST = 2.0**31
 
 
-def import_log(robot: RobotDescription, map_path: Path, inputs: Sequence[Path], output: Path) -> tuple[str, ...]:
-    """Turn columns of one or more tables into a log.
+def import_log(
+    robot: RobotDescription, map_or_preset: Path | str, inputs: Sequence[Path], output: Path
+) -> tuple[str, ...]:
+    """Turn columns of one or more tables into a log, by a mapping file, or by the name of a recorder (`PRESETS`).
 
     Motor-side columns come to the joints by the robot's gear ratios g and coupling C: q = C⁻¹ diag(1/g) q_m and
     τ = Cᵀ diag(g) τ_m; a current i by its torque constant first, τ_m = k i.
@@ -54,23 +61,39 @@ def import_log(robot: RobotDescription, map_path: Path, inputs: Sequence[Path], 
     """
     if output.suffix != ".mcap":
         raise InputError(f"{output}: the log to write comes last and ends in .mcap")
-    mapping = load_mapping(map_path)
-    source = _Source(robot, mapping, [read_table(path) for path in inputs])
-    log, notes = _assemble(robot, mapping, source, output)
-    if mapping.entries.decimate is not None:
-        if mapping.entries.decimate > len(log.t) // 10:
+    given = None if isinstance(map_or_preset, str) else load_mapping(map_or_preset)
+    tables = [read_table(path) for path in inputs]
+    mapping, said = preset_map(str(map_or_preset), tables) if given is None else (given, [])
+    source = _Source(robot, mapping, tables)
+    source.notes += said
+    log, notes, current = _assemble(robot, mapping, source, output)
+    entries = mapping.entries
+    if entries.decimate is not None:
+        if entries.decimate > len(log.t) // 10:
             mapping.fault("decimate", f"{len(log.t)} samples would leave fewer than ten")
-        log = _decimated(log, mapping.entries.decimate, notes)
-    if mapping.entries.cycle_period is not None:
-        if mapping.entries.cycle_period * log.sample_rate < 10:
+        log = _decimated(log, entries.decimate, notes)
+    if entries.cycle_period is not None:
+        if entries.cycle_period * log.sample_rate < 10:
             mapping.fault("cycle_period", f"a cycle has at least ten samples, of {1 / log.sample_rate:g} s here")
-        log = replace(log, cycle_starts=tuple(np.arange(0.0, log.t[-1], mapping.entries.cycle_period).tolist()))
-    write_log(output, log)
+        log = replace(log, cycle_starts=tuple(np.arange(0.0, log.t[-1], entries.cycle_period).tolist()))
+    further = {} if current is None or entries.decimate else {CURRENTS: (log.t, None, None, current)}
+    write_log(output, log, further)
     notes.append(f"{len(log.t)} samples, {log.t[-1]:.3f} s at {log.sample_rate:.6g} Hz")
     return tuple(f"{output.name}: {note}" for note in notes)
 
 
-def _assemble(robot: RobotDescription, mapping: Mapping, source: _Source, output: Path) -> tuple[Log, list[str]]:
+def mapped_joints(map_or_preset: Path | str) -> int:
+    """How many joints a map has columns for; seven, the most that an arm has, where one column is a whole matrix."""
+    if isinstance(map_or_preset, str):
+        return len(preset_map(map_or_preset, [])[0].entries.position.columns)
+    columns = load_mapping(map_or_preset).entries.position.columns
+    return 7 if isinstance(columns, str) or columns == columns[:1] else len(columns)
+
+
+def _assemble(
+    robot: RobotDescription, mapping: Mapping, source: _Source, output: Path
+) -> tuple[Log, list[str], np.ndarray | None]:
+    """The log, what there is to say, and motor currents (S, n) [A] where the columns are currents."""
     entries = mapping.entries
     values = {
         "position": source.position("position", entries.position),
@@ -79,6 +102,7 @@ def _assemble(robot: RobotDescription, mapping: Mapping, source: _Source, output
         "reference_position": source.position("reference_position", entries.reference_position),
         "planned_position": source.position("planned_position", entries.planned_position),
     }
+    values["current"] = source.current
     present = {name: array for name, array in values.items() if array is not None}
     time = source.time()
     late = np.abs(time) > _LATEST
@@ -88,9 +112,15 @@ def _assemble(robot: RobotDescription, mapping: Mapping, source: _Source, output
     time[late] = np.nan
     rows, notes = _common_rows(mapping, time, present)
     time = time[:rows]
-    inside = np.ones(rows, bool)
+    inside = source.selected(rows)
+    if mapping.preset:
+        repeats = inside & np.append(False, np.diff(time) == 0)
+        inside &= ~repeats
+        if repeats.any():
+            source.notes.append(f"{counted(int(repeats.sum()), 'row')} with the time of the row before, dropped")
+    notes = [*source.notes, *notes]
     if entries.window is not None:
-        inside = ~(time < entries.window.start) & ~(time >= entries.window.stop)
+        inside &= ~(time < entries.window.start) & ~(time >= entries.window.stop)
         if not (inside & np.isfinite(time)).any():
             span = f"{np.nanmin(time):.15g} s to {np.nanmax(time):.15g} s" if np.isfinite(time).any() else "nowhere"
             mapping.fault("window", f"no row is in it; the rows go from {span}")
@@ -113,6 +143,8 @@ def _assemble(robot: RobotDescription, mapping: Mapping, source: _Source, output
     present = {name: array[:rows][keep] for name, array in present.items()}
     stamp = nanoseconds(time[keep])
     measured = [present[name] for name in ("position", "effort") if name in present]
+    if np.any(np.diff(stamp) < 0) and (several := source.episodes()):
+        mapping.fault("time", several)
     order = put_in_order(stamp, measured, source.clock)
     present = {name: array[order.rows] for name, array in present.items()}
     spacing = spacing_of(order.stamp, entries.rate)
@@ -131,7 +163,7 @@ def _assemble(robot: RobotDescription, mapping: Mapping, source: _Source, output
         metadata={"robot": robot.name, "motion": entries.motion, **machine},
         repairs=repairs,
     )
-    return log, notes
+    return log, notes, present.get("current")
 
 
 def _common_rows(mapping: Mapping, time: np.ndarray, values: dict[str, np.ndarray]) -> tuple[int, list[str]]:
@@ -176,6 +208,8 @@ class _Source:
         self._mapping = mapping
         self._tables = tables
         self.clock = str(mapping.path)  # what says when a row was, for messages
+        self.current: np.ndarray | None = None  # (S, n) [A]
+        self.notes = [f"{table.path.name}: {note}" for table in tables for note in table.notes]
 
     def time(self) -> np.ndarray:
         """(S,) [s]."""
@@ -187,17 +221,57 @@ class _Source:
                 / entries.rate
             )
         factor = Dimension.TIME.value.factors | {"ns": 1e-9}
-        if entries.time.unit not in factor:
-            self._mapping.fault("time.unit", f"{entries.time.unit!r} is no unit of time: {', '.join(factor)}")
-        table = self._table("time", entries.time.file, [entries.time.column])
-        (column,) = self._numbers("time.column", table, [entries.time.column])
-        time = column * factor[entries.time.unit]
+        unknown = [unit for unit in entries.time.units() if unit not in factor]
+        if unknown:
+            self._mapping.fault("time.unit", f"{unknown[0]!r} is no unit of time: {', '.join(factor)}")
+        names = entries.time.names()
+        key = "time.column" if len(names) == 1 else "time.columns"
+        table = self._table("time", entries.time.file, names)
+        columns = self._numbers(key, table, names)
+        time = np.sum([c * factor[u] for c, u in zip(columns, entries.time.units(), strict=True)], axis=0)
         known = time[np.isfinite(time)]
-        if len(known) >= 2 and stand_still(np.sort(np.rint(known * _NANO))):
-            what = f"column {entries.time.column} stands still at {known.min():.9g} s ({len(known)} rows)"
-            self._mapping.fault("time.column", f"{table.path}: {what}; name the column of time and its unit")
+        if len(known) < 2:
+            return time
+        what, values = f"{table.path}: column {names[-1]}", len(np.unique(known))
+        if 1 < values < len(known) / _ROWS_A_SECOND and np.all(known % 1 == 0):
+            parts = [name for name in table.columns if "nano" in name.lower() or "nsec" in name.lower()]
+            both = ", ".join(map(str, [*names, *(parts[:1] or ["nanosec"])]))
+            what += f" holds whole seconds, {len(known)} rows with {values} values"
+            self._mapping.fault(key, f"{what}; add the column of their fractions, such as columns: [{both}]")
+        if stand_still(np.sort(np.rint(known * _NANO))):
+            what += f" stands still at {known.min():.9g} s ({len(known)} rows)"
+            self._mapping.fault(key, f"{what}; name the column of time and its unit")
         self.clock = str(table.path)
         return time
+
+    def selected(self, rows: int) -> np.ndarray:
+        """(rows,) which of the rows `rows:` takes; all without it."""
+        wanted = self._mapping.entries.rows
+        if wanted is None:
+            return np.ones(rows, bool)
+        table = self._table("rows", wanted.file, [wanted.column])
+        (column,) = self._numbers("rows.column", table, [wanted.column])
+        if len(column) < rows:
+            self._mapping.fault("rows.column", f"{table.path}: {len(column)} rows, where other columns have {rows}")
+        selected: np.ndarray = column[:rows] == wanted.equals
+        if not selected.any():
+            values = np.unique(column[np.isfinite(column)])
+            listed = ", ".join(f"{value:g}" for value in values[:_SHOWN_VALUES])
+            listed += ", …" if len(values) > _SHOWN_VALUES else ""
+            self._mapping.fault("rows.equals", f"no row has {wanted.column} {wanted.equals:g}; there are {listed}")
+        self.notes.append(f"{np.count_nonzero(selected)} of {rows} rows have {wanted.column} {wanted.equals:g}")
+        return selected
+
+    def episodes(self) -> str:
+        """What to say of a table with several recordings, each with a clock of its own; empty where it has one."""
+        for table in self._tables:
+            for name, column in table.columns.items():
+                if self._mapping.entries.rows is None and "episode" in name.lower() and len(np.unique(column)) > 1:
+                    rows = f"rows: {{column: {name}, equals: {column[0]:g}}}"
+                    return (
+                        f"{table.path}: the time goes back, and {name} numbers several recordings: take one with {rows}"
+                    )
+        return ""
 
     def position(self, key: str, columns: PositionColumns | None) -> np.ndarray | None:
         """(S, n), None without an entry. Side and offset of set-points are those of the positions unless given."""
@@ -214,19 +288,37 @@ class _Source:
         side = columns.side or self._mapping.entries.side
         return self._to_joints(self._raw("velocity", "velocity", columns, side), side)
 
-    def effort(self, columns: EffortColumns) -> np.ndarray:
-        """(S, n)."""
+    def effort(self, columns: EffortColumns) -> np.ndarray | None:
+        """(S, n); None for currents of a known recorder without torque constants."""
         units = self._per_joint("effort.unit", columns.unit, None)
         currents = [unit in CURRENT for unit in units]
         side = columns.side or ("motor" if any(currents) else self._mapping.entries.side)
         if any(currents) and side == "joint":
             self._mapping.fault("effort.side", "currents are on the motor side")
         raw = self._raw("effort", "effort", columns, side)
+        if all(currents):
+            self.current = raw
         if any(currents):
-            raw = raw * np.where(currents, self._torque_constants(columns), 1.0)
+            constants = self._torque_constants(columns)
+            if constants is None:
+                return None
+            raw = raw * np.where(currents, constants, 1.0)
+        shares = [unit in OF_NOMINAL for unit in units]
+        if any(shares):
+            raw = raw * np.where(shares, self._nominal_torques(side), 1.0)
         if side == "motor":
             return (raw * self._robot.gear_ratios) @ self._robot.coupling
         return raw
+
+    def _nominal_torques(self, side: str) -> np.ndarray:
+        """(n,) [N·m] of the motors, or of the joints."""
+        nominal = self._robot.nominal_torque
+        if np.isnan(nominal).any():
+            missing = ", ".join(n for n, k in zip(self._robot.joint_names, nominal, strict=True) if np.isnan(k))
+            self._mapping.fault(
+                "effort.unit", f"shares of nominal torque need nominal_motor_torque of {missing} in robot.yaml"
+            )
+        return nominal / np.abs(self._robot.gear_ratios) if side == "motor" else nominal
 
     def _to_joints(self, values: np.ndarray, side: str) -> np.ndarray:
         if side == "joint":
@@ -255,7 +347,7 @@ class _Source:
         """One column a joint; one name may stand for a matrix of them."""
         n = self._robot.dof
         names = columns.columns if isinstance(columns.columns, list) else [columns.columns]
-        if len(names) == 1 and n > 1 and isinstance(names[0], str):
+        if len(names) == 1 and isinstance(names[0], str):
             matrices = [matrix for table in self._tables if len(matrix := table.matrix(names[0])) == n]
             names = [*matrices[0]] if matrices else names
         if len(names) != n:
@@ -274,12 +366,18 @@ class _Source:
         having = [table for table in tables if all(table.column(name) is not None for name in names)]
         if len(having) == 1:
             return having[0]
-        columns_key = "time.column" if key == "time" else f"{key}.columns"
+        columns_key = {"time": "time.column", "rows": "rows.column"}.get(key, f"{key}.columns")
         if having:
             listed = ", ".join(table.path.name for table in having)
             self._mapping.fault(columns_key, f"{listed} all have these columns; say which with `file:`")
         table = tables[0]
         missing = [str(name) for name in names if table.column(name) is None]
+        doubled = [name for name in missing if name in table.doubled]
+        if doubled:
+            self._mapping.fault(
+                columns_key,
+                f"{table.path.name}: several columns are named {doubled[0]}; make them differ, or use numbers",
+            )
         self._mapping.fault(
             columns_key, f"{table.path.name} has no column {', '.join(missing)}; it has {', '.join(table.columns)}"
         )
@@ -321,15 +419,21 @@ class _Source:
                 self._mapping.fault(key, f"{joint.name}: {error}")
         return np.array(result)
 
-    def _torque_constants(self, columns: EffortColumns) -> np.ndarray:
-        """(n,) [N·m/A, motor side]."""
+    def _torque_constants(self, columns: EffortColumns) -> np.ndarray | None:
+        """(n,) [N·m/A, motor side]; None where a known recorder's robot has none."""
         given = columns.torque_constant
         if given is None:
             given = [np.nan if joint.torque_constant is None else joint.torque_constant for joint in self._robot.joints]
         constants = np.array(self._per_joint("effort.torque_constant", given, None), dtype=float)
         if np.isnan(constants).any():
             missing = ", ".join(n for n, k in zip(self._robot.joint_names, constants, strict=True) if np.isnan(k))
+            if self._mapping.preset:
+                self.notes.append(f"currents are kept on {CURRENTS}; torques need the torque_constant of {missing}")
+                return None
             self._mapping.fault("effort.unit", f"currents need the torque_constant of {missing}, here or in robot.yaml")
+        if self._mapping.preset:
+            used = ", ".join(f"{constant:g}" for constant in constants)
+            self.notes.append(f"torques are currents times the torque constants {used} N·m/A (motor side)")
         return constants
 
     def _per_joint(self, key: str, value: Any, default: Any) -> list[Any]:

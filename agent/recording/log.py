@@ -72,6 +72,7 @@ class Log:
     repairs: tuple[Repair, ...] = ()
     breaks: tuple[float, ...] = ()
     sha256: str = ""
+    without_effort: tuple[str, ...] = ()
     scratch: Scratch = field(default_factory=Scratch, repr=False)
 
     @property

@@ -18,6 +18,8 @@ _TORQUE = {"N·m": 1.0, "Nm": 1.0, "N*m": 1.0, "N.m": 1.0, "mN·m": 1e-3, "mNm":
 _FORCE = {"N": 1.0, "mN": 1e-3, "kN": 1e3}
 #: A current [A] becomes a torque by the torque constant.
 CURRENT = {"A": 1.0, "mA": 1e-3}
+#: A share of the nominal torque, as drives report it.
+OF_NOMINAL = {"%": 1e-2, "percent": 1e-2, "‰": 1e-3, "per mille": 1e-3}
 
 
 def _one_or_list(what: str, *types: type) -> BeforeValidator:
@@ -66,10 +68,39 @@ class _MappingPart(BaseModel):
 
 
 class TimeColumn(_MappingPart):
-    """`time:` the column with the time of each row."""
+    """`time:` the column with the time of each row, or columns whose sum it is, such as seconds and nanoseconds."""
+
+    column: Annotated[Any, BeforeValidator(_column)] = None
+    columns: _Names = None
+    unit: _Unit = None
+    file: str | None = None
+
+    @model_validator(mode="after")
+    def _column_or_columns(self) -> TimeColumn:
+        if (self.column is None) == (self.columns is None):
+            raise ValueError("give either column, or columns such as [sec, nanosec]")
+        if len(self.units()) != len(self.names()):
+            raise ValueError(f"unit: {len(self.names())} units are expected, such as [s, ns]")
+        return self
+
+    def names(self) -> list[str | int]:
+        """The columns to add up."""
+        if self.columns is None:
+            return [self.column]
+        return self.columns if isinstance(self.columns, list) else [self.columns]
+
+    def units(self) -> list[str]:
+        """One a column: seconds, and nanoseconds of a second column."""
+        if self.unit is None:
+            return ["s", "ns"][: len(self.names())]
+        return self.unit if isinstance(self.unit, list) else [self.unit]
+
+
+class RowSelection(_MappingPart):
+    """`rows:` those in which a column has a value."""
 
     column: Annotated[Any, BeforeValidator(_column)]
-    unit: str = "s"
+    equals: int | float
     file: str | None = None
 
 
@@ -124,6 +155,7 @@ class ImportMap(_MappingPart):
     reference_position: PositionColumns | None = None
     planned_position: PositionColumns | None = None
     window: TimeWindow | None = None
+    rows: RowSelection | None = None
     decimate: Annotated[int, Field(ge=2)] | None = None
     cycle_period: Annotated[Time, Field(gt=0)] | None = None
 
@@ -136,11 +168,15 @@ class ImportMap(_MappingPart):
 
 @dataclass(frozen=True)
 class Mapping:
-    """A mapping file and what it takes to point into it."""
+    """A mapping file and what it takes to point into it.
+
+    `preset`: it is that of a recorder. Then rows that repeat a time are dropped, and currents need no torque constant.
+    """
 
     path: Path
     document: Any
     entries: ImportMap
+    preset: bool = False
 
     def fault(self, key: str, message: str) -> NoReturn:
         """Refuse the mapping at a key such as `position.columns`.
@@ -166,5 +202,5 @@ def units_of(quantity: str, linear: bool) -> dict[str, float]:
     if quantity == "velocity":
         return Dimension.SPEED.value.factors if linear else _ANGULAR_SPEED
     if quantity == "effort":
-        return (_FORCE if linear else _TORQUE) | CURRENT
+        return (_FORCE if linear else _TORQUE) | CURRENT | OF_NOMINAL
     return Dimension.LENGTH.value.factors if linear else _ANGLE

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -13,8 +12,9 @@ import numpy as np
 
 from agent.core import InputError
 from agent.recording.log import Log, Repair
-from agent.recording.mcap.log_file import PLANNED, REFERENCES, RUN, STATES
+from agent.recording.mcap.log_file import PLANNED, REFERENCES, RUN
 from agent.recording.mcap.scan import Messages, Scan, scan
+from agent.recording.mcap.topics import choose_topics, joint_names, namesake
 from agent.recording.repair.jumps import Mended, mend_jumps
 from agent.recording.repair.limits import impossible
 from agent.recording.repair.spikes import find_spikes
@@ -27,19 +27,21 @@ _NANO = 1_000_000_000
 _SAME_STAMP = 0.1
 #: [rad or m] A joint that travels further than this in a log moves.
 _MOVED = 0.01
-#: As `scan` names the type of a log's measured states.
-_STATES_TYPE = "sensor_msgs/msg/JointState (cdr)"
+#: Of joints in several messages, those further apart than this times the period are not interpolated between.
+_JOINED = 2.5
 
 
 @dataclass(frozen=True, eq=False)
 class _Table:
     """Samples of one topic in the order of the file: stamp (S,) [ns]; `arrays` (S, n): position and, where there are,
-    velocity and effort; `first`: earliest stamp [ns] of these joints, also of a sample that was left out."""
+    velocity and effort; `first`: earliest stamp [ns] of these joints, also of a sample that was left out;
+    `without_effort`: joints that hardly have any, so that of all is left out."""
 
     first: int
     stamp: np.ndarray
     arrays: dict[str, np.ndarray]
     repairs: tuple[Repair, ...]
+    without_effort: tuple[str, ...] = ()
 
     @property
     def measured(self) -> list[np.ndarray]:
@@ -47,23 +49,23 @@ class _Table:
         return [values for field, values in self.arrays.items() if field != "velocity"]
 
 
-def read_log(path: str | Path, robot: RobotDescription | None = None) -> Log:
+def read_log(path: str | Path, robot: RobotDescription | None = None, topic: str | None = None) -> Log:
     """Read a log by docs/logs.md, whoever wrote it.
 
     Joints come in the order of `robot`, whatever the order and the further joints of the log; without a robot, in the
-    order of the log. What is repaired stands in `Log.repairs`.
+    order of the log. `topic` is that of the joint states where there are several. What is repaired stands in
+    `Log.repairs`.
 
     Raises:
-        InputError: not an MCAP file, no joint states in it, joints of the robot missing, or stamps that cannot be used.
+        InputError: neither an MCAP file nor a bag, no joint states in it, several topics that may be meant, joints of
+            the robot missing, or stamps that cannot be used.
     """
     path = Path(path)
     found = scan(path)
-    topic = _topic(found, STATES)
-    if topic is None:
-        raise InputError(f"{path}: {_no_joint_states(found)}")
     run = found.metadata.get(RUN, {})
-    names = _joint_names(path, found.topics[topic], robot, run.get("robot"))
-    table = _table(found.topics.pop(topic), names, found.scratch)
+    chosen = choose_topics(path, found, robot, topic, run.get("robot"))
+    topic, names = chosen.topics[0], chosen.joints
+    table = _table([group for one in chosen.topics for group in found.topics.pop(one)], names, found.scratch)
     if table is None:
         raise InputError(f"{path}: {topic}: no message holds a finite position of every joint ({', '.join(names)})")
     order = put_in_order(table.stamp, table.measured, str(path))
@@ -77,11 +79,13 @@ def read_log(path: str | Path, robot: RobotDescription | None = None) -> Log:
         mended.append(_repair(kind, stamp, int(stamp[0])))
     spacing = spacing_of(stamp, _nominal_rate(run))
     duration = (int(stamp[-1]) - int(stamp[0])) / _NANO
-    repairs = [*_file_repairs(found, topic, duration), *_run_repairs(run, spacing.repairs)]
+    repairs = [*chosen.repairs, *_file_repairs(found, topic, duration), *_run_repairs(run, spacing.repairs)]
     repairs += [*table.repairs, *order.repairs, *mended, *spacing.repairs]
     t = (stamp - stamp[0]) / _NANO
-    references = _set_points(found, REFERENCES, names, stamp, spacing.rate, repairs)
-    planned = _set_points(found, PLANNED, names, stamp, spacing.rate, repairs)
+    references, planned = (
+        _set_points(found, namesake(found, wanted, topic), names, stamp, spacing.rate, repairs)
+        for wanted in (REFERENCES, PLANNED)
+    )
     return Log(
         path=path,
         joint_names=names,
@@ -99,8 +103,18 @@ def read_log(path: str | Path, robot: RobotDescription | None = None) -> Log:
         repairs=tuple(repairs),
         breaks=tuple(t[list(cuts)].tolist()),
         sha256=found.sha256,
+        without_effort=table.without_effort,
         scratch=found.scratch,
     )
+
+
+def logged_joints(path: Path, topic: str | None = None) -> tuple[str, ...]:
+    """Names of all joints in the joint states of a log, whatever messages they come in.
+
+    Raises:
+        InputError: as `read_log`.
+    """
+    return joint_names(path, scan(path), topic)
 
 
 def _mended(
@@ -142,49 +156,10 @@ def _cut(segments: Sequence[tuple[int, int]], cuts: Sequence[int]) -> tuple[tupl
     return tuple(pieces)
 
 
-def _topic(found: Scan, wanted: str) -> str | None:
-    """The topic of that name, or the only one that has it below a namespace."""
-    if found.topics.get(wanted):
-        return wanted
-    others = [topic for topic in found.topics if topic.rstrip("/").endswith(wanted) or f"/{topic}" == wanted]
-    return others[0] if len(others) == 1 else None
-
-
-def _no_joint_states(found: Scan) -> str:
-    empty = found.types.get(STATES) == _STATES_TYPE and not found.unreadable
-    if not found.types or (empty and not found.closed):
-        return "no messages in it" + ("" if found.closed else "; its writer stopped before it had written any")
-    topics = ", ".join(f"{topic}: {kind}" for topic, kind in sorted(found.types.items()))
-    if empty:
-        return f"the topic {STATES} is in it without a single message: was it published while this was recorded?"
-    return f"no readable {STATES} of type {_STATES_TYPE} in it; it has {topics}"
-
-
-def _joint_names(
-    path: Path, groups: Sequence[Messages], robot: RobotDescription | None, named: str | None
-) -> tuple[str, ...]:
-    """Of the robot, or of the log without one; `named` is the robot that the log says it is of."""
-    counts: Counter[tuple[str, ...]] = Counter()
-    for group in groups:
-        counts[group.layout.names] += len(group.stamp)
-    most = counts.most_common(1)[0][0]
-    if robot is None:
-        if len(set(most)) != len(most) or not most:
-            raise InputError(f"{path}: joint names are empty or stand twice in a message: {list(most)}")
-        return most
-    if not any(set(robot.joint_names) <= set(names) for names in counts):
-        closest = max(counts, key=lambda names: len(set(names) & set(robot.joint_names)))
-        missing = [name for name in robot.joint_names if name not in closest]
-        raise InputError(
-            f"{path}: the log is {f'of robot {named!r}, ' if named else ''}not of robot {robot.name!r}: "
-            f"{', '.join(missing)} missing, its joints are "
-            f"{', '.join(closest) or 'without names'}. Name the robot description that belongs to the log"
-        )
-    return robot.joint_names
-
-
 def _table(groups: list[Messages], names: tuple[str, ...], scratch: Scratch) -> _Table | None:
     """Whole, finite samples of the named joints, and what was left out."""
+    if not any(set(names) <= set(group.layout.names) for group in groups):
+        return _joined(groups, names, scratch)
     others = [group for group in groups if not set(names) <= set(group.layout.names)]
     ours = [group for group in groups if set(names) <= set(group.layout.names)]
     usable = [group for group in ours if group.layout.whole]
@@ -197,13 +172,15 @@ def _table(groups: list[Messages], names: tuple[str, ...], scratch: Scratch) -> 
     keep = np.ones(len(stamp), bool)
     repairs: list[Repair] = []
     arrays: dict[str, np.ndarray] = {}
+    bare: dict[str, tuple[str, ...]] = {}
     for field in ("position", "velocity", "effort"):
         values = _column(usable, field, names, scratch)
-        unknown = np.concatenate([~np.all(np.isfinite(values[part]), axis=1) for part in scratch.parts(len(values))])
+        known = np.concatenate([np.isfinite(values[part]) for part in scratch.parts(len(values))])
+        unknown = ~np.all(known, axis=1)
         if field != "position" and np.count_nonzero(unknown) > 0.5 * len(stamp):
+            bare[field] = tuple(name for name, share in zip(names, known.mean(axis=0), strict=True) if share < 0.5)
             if any(getattr(group, field) is not None for group in usable):
-                kind = f"samples without a finite {field}, so all {field} left out"
-                repairs.append(_repair(kind, stamp[unknown], first))
+                repairs.append(_repair(_without(field, bare[field], names), stamp[unknown], first))
             continue
         torn = impossible(values, field, scratch) & ~unknown
         for rows, kind in ((unknown, f"without a finite {field}"), (torn, f"with a {field} that no arm can have")):
@@ -225,7 +202,71 @@ def _table(groups: list[Messages], names: tuple[str, ...], scratch: Scratch) -> 
     ):
         if left_out:
             repairs.append(_repair(kind, np.concatenate([group.stamp for group in left_out]), first))
-    return _Table(first, stamp, arrays, tuple(repairs))
+    return _Table(first, stamp, arrays, tuple(repairs), bare.get("effort", ()))
+
+
+def _without(field: str, bare: Sequence[str], names: Sequence[str]) -> str:
+    """What to say of a quantity that some of the joints lack."""
+    whose = f" of {', '.join(bare)}" if 0 < len(bare) < len(names) else ""
+    return f"samples without a finite {field}{whose}, so all {field} left out"
+
+
+def _joined(groups: list[Messages], names: tuple[str, ...], scratch: Scratch) -> _Table | None:
+    """Samples of joints that come in several messages, on the stamps of the part that has the fewest.
+
+    Where stamps are the same the values stay as they are; else those of the others are interpolated.
+    """
+    parts = _parts(groups, names)
+    tables = {part: _table(messages, part, scratch) for part, messages in parts.items()}
+    ordered = {part: _by_stamp(table) for part, table in tables.items() if table is not None and len(table.stamp) > 1}
+    if len(ordered) < len(tables) or {name for part in ordered for name in part} != set(names):
+        return None
+    base = min(ordered.values(), key=lambda table: len(table.stamp))
+    near = np.ones(len(base.stamp), bool)
+    arrays: dict[str, np.ndarray] = {}
+    for field in ("position", "velocity", "effort"):
+        if all(field in table.arrays for table in ordered.values()):
+            arrays[field] = np.empty((len(base.stamp), len(names)))
+    first = min(table.first for table in ordered.values())
+    t = (base.stamp - first) / _NANO
+    for part, table in ordered.items():
+        times = (table.stamp - first) / _NANO
+        after = np.clip(np.searchsorted(times, t), 1, len(times) - 1)
+        around = np.where(t == times[after], 0.0, times[after] - times[after - 1])
+        near &= (t >= times[0]) & (t <= times[-1]) & (around <= _JOINED * np.median(np.diff(times)))
+        for field, values in arrays.items():
+            for k, name in enumerate(part):
+                values[:, names.index(name)] = np.interp(t, times, table.arrays[field][:, k])
+    if np.count_nonzero(near) < 2:
+        return None
+    bare = {name for part, table in ordered.items() if "effort" not in table.arrays for name in part}
+    without = tuple(name for name in names if name in bare)
+    listed = " + ".join(str(len(part)) for part in ordered)
+    repairs = [repair for table in ordered.values() for repair in table.repairs]
+    repairs.append(Repair(f"joints in several messages ({listed}), joined by stamp; samples", 0.0, int(near.sum())))
+    if 0 < len(without) < len(names):
+        repairs.append(Repair(_without("effort", without, names), 0.0, len(base.stamp)))
+    kept = {field: values[near] for field, values in arrays.items()}
+    return _Table(first, base.stamp[near], kept, tuple(repairs), without)
+
+
+def _parts(groups: list[Messages], names: tuple[str, ...]) -> dict[tuple[str, ...], list[Messages]]:
+    """Messages by which of the joints they hold, the most frequent first; parts that share a joint are left out."""
+    found: dict[tuple[str, ...], list[Messages]] = {}
+    for group in groups:
+        if part := tuple(name for name in names if name in group.layout.names):
+            found.setdefault(part, []).append(group)
+    parts: dict[tuple[str, ...], list[Messages]] = {}
+    for part in sorted(found, key=lambda part: -sum(len(group.stamp) for group in found[part])):
+        if not any(set(part) & set(other) for other in parts):
+            parts[part] = found[part]
+    return parts
+
+
+def _by_stamp(table: _Table) -> _Table:
+    """Sorted, each stamp once."""
+    stamp, rows = np.unique(table.stamp, return_index=True)
+    return replace(table, stamp=stamp, arrays={field: values[rows] for field, values in table.arrays.items()})
 
 
 def _column(groups: list[Messages], field: str, names: tuple[str, ...], scratch: Scratch) -> np.ndarray:
@@ -246,10 +287,9 @@ def _column(groups: list[Messages], field: str, names: tuple[str, ...], scratch:
 
 
 def _set_points(
-    found: Scan, wanted: str, names: tuple[str, ...], stamp: np.ndarray, rate: float, repairs: list[Repair]
+    found: Scan, topic: str | None, names: tuple[str, ...], stamp: np.ndarray, rate: float, repairs: list[Repair]
 ) -> np.ndarray | None:
     """(S, n) set-points on the stamps (S,) [ns] of the samples, NaN where there is none."""
-    topic = _topic(found, wanted)
     if topic is None:
         return None
     groups = found.topics.pop(topic)

@@ -1,54 +1,24 @@
-"""Columns of numbers out of CSV, MAT and Parquet files."""
+"""Columns of numbers out of files, each by the library that knows the format."""
 
 from __future__ import annotations
 
-import contextlib
-import csv
-from codecs import BOM_UTF16_BE, BOM_UTF16_LE
+import zipfile
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from agent.core import InputError, needed
+from agent.recording.column_table import ColumnTable
+from agent.recording.text_tables import Row, read_text, table_of_rows
 
 #: Columns that one matrix of a MAT file may hold; a wider one is no table of samples.
 _MAX_COLUMNS = 256
 
 
-@dataclass(frozen=True, eq=False)
-class ColumnTable:
-    """Columns (S,) by name, in the order of the file, NaN where a field is no number; constants by name.
-
-    A matrix (S, k) named q is columns q[1] to q[k]. Columns of a MAT file may differ in length. `words` has the first
-    field of a column that is no number, where there is one.
-    """
-
-    path: Path
-    columns: dict[str, np.ndarray]
-    constants: dict[str, float]
-    words: dict[str, str] = field(default_factory=dict)
-
-    def name(self, key: str | int) -> str | None:
-        """Of a column by name, or by number from 1; None if there is none."""
-        if isinstance(key, int):
-            return list(self.columns)[key - 1] if 1 <= key <= len(self.columns) else None
-        return key if key in self.columns else None
-
-    def column(self, key: str | int) -> np.ndarray | None:
-        """(S,) by name, or by number from 1; None if there is none."""
-        name = self.name(key)
-        return None if name is None else self.columns[name]
-
-    def matrix(self, name: str) -> list[str]:
-        """Names of the columns of a matrix, q[1], q[2], …; empty if there is none of that name."""
-        return [column for column in self.columns if column.startswith(f"{name}[")]
-
-
 def read_table(path: Path) -> ColumnTable:
-    """Read a file by its ending: .csv, .tsv, .txt, .dat, .mat, .parquet.
+    """Read a file by its ending.
 
     Raises:
         InputError: no such file, another ending, or nothing in it that can be read.
@@ -67,96 +37,13 @@ def read_table(path: Path) -> ColumnTable:
     return table
 
 
-def _read_text(path: Path) -> ColumnTable:
-    """Comma, semicolon, tab, | or blanks between the numbers, which may stand in double quotes; decimal commas where
-    the comma separates nothing.
-
-    Names come from the first line above the numbers that has as many fields, a comment (#, %) among them.
-    """
-    content = path.read_bytes()
-    encoding = "utf-16" if content.startswith((BOM_UTF16_LE, BOM_UTF16_BE)) else "utf-8-sig"
-    lines = [line for line in content.decode(encoding, errors="replace").splitlines() if line.strip()]
-    start = next((k for k, line in enumerate(lines) if _is_data(line)), None)
-    if start is None:
-        raise InputError(
-            f"{path}: no line of numbers in it; export numbers like 1234.5 with commas, semicolons, tabs, | or blanks "
-            "between them, as UTF-8, or as UTF-16 with a byte order mark"
-        )
-    separator = _separator(lines[start])
-    width = len(_split(lines[start], separator))
-    names = [f"column {k + 1}" for k in range(width)]
-    for line in lines[:start]:
-        fields = _split(line.lstrip("#% \t") if _comment(line) else line, separator)
-        if len(fields) == width:
-            names = [field.strip("\"' ") for field in fields]
-            break
-    data = [line for line in lines[start:] if not _comment(line)]
-    quoted = '"' if '"' in lines[start] else None
-    words: dict[int, str] = {}
-    try:
-        plain = data if separator == "," else [line.replace(",", ".") for line in data]
-        values = np.loadtxt(plain, delimiter=separator, ndmin=2, comments=None, quotechar=quoted)
-    except ValueError:
-        values, words = _read_broken(data, separator, width)
-    if len(set(names)) < width:
-        raise InputError(f"{path}: column names stand twice: {', '.join(names)}; make them differ, or use numbers")
-    columns = dict(zip(names, values.T, strict=True))
-    return ColumnTable(path, columns, {}, {names[place]: word for place, word in words.items()})
-
-
-def _read_broken(lines: list[str], separator: str | None, width: int) -> tuple[np.ndarray, dict[int, str]]:
-    """(S, width) numbers, NaN where a field is none and in rows of another width; the first such field by column."""
-    values = np.full((len(lines), width), np.nan)
-    words: dict[int, str] = {}
-    for row, line in zip(values, lines, strict=True):
-        fields = _split(line, separator)
-        if len(fields) != width:
-            continue
-        row[:] = [_number(field if separator == "," else field.replace(",", ".")) for field in fields]
-        for place in np.flatnonzero(np.isnan(row)).tolist():
-            if fields[place]:
-                words.setdefault(place, fields[place])
-    return values, words
-
-
-def _separator(line: str) -> str | None:
-    return next((mark for mark in (";", "\t", ",", "|") if mark in line), None)
-
-
-def _split(line: str, separator: str | None) -> list[str]:
-    fields = line.split(separator)
-    if '"' in line:
-        with contextlib.suppress(csv.Error):  # a field of very many characters
-            fields = next(csv.reader([line], delimiter=separator or " ", skipinitialspace=True))
-    return [field.strip() for field in fields]
-
-
-def _comment(line: str) -> bool:
-    return line.lstrip().startswith(("#", "%"))
-
-
-def _is_data(line: str) -> bool:
-    """Whether at least half of the fields are numbers."""
-    if _comment(line):
-        return False
-    fields = _split(line, _separator(line))
-    return 2 * sum(not np.isnan(_number(field.replace(",", "."))) for field in fields) >= len(fields)
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return np.nan
-
-
 def _read_mat(path: Path) -> ColumnTable:
     from scipy.io import loadmat
 
     try:
         content = loadmat(path, squeeze_me=True, struct_as_record=False)
-    except NotImplementedError:
-        raise InputError(f"{path}: saved as MATLAB 7.3 (HDF5); save it with `save -v7`") from None
+    except NotImplementedError:  # MATLAB 7.3 is HDF5
+        return _read_hdf5(path)
     except Exception as error:  # scipy raises whatever a damaged file leads it to
         raise InputError(f"{path}: not a readable MAT file: {error}") from None
     columns: dict[str, np.ndarray] = {}
@@ -183,12 +70,73 @@ def _flatten(name: str, value: Any, columns: dict[str, np.ndarray], constants: d
         columns |= {f"{name}[{k + 1}]": column for k, column in enumerate(samples.T)}
 
 
+def _read_hdf5(path: Path) -> ColumnTable:
+    """Datasets by their path, `log/q` as `log.q`, in files of MATLAB 7.3 too."""
+    h5py = needed("h5py", f"{path}: reading HDF5 (MATLAB 7.3)", "tables")
+    columns: dict[str, np.ndarray] = {}
+    constants: dict[str, float] = {}
+
+    def take(name: str, item: Any) -> None:
+        kind = item.attrs.get("MATLAB_class", b"double")
+        if isinstance(item, h5py.Dataset) and item.shape and not name.startswith("#") and kind != b"char":
+            values = np.squeeze(item[()])
+            # MATLAB stores its matrices column by column, so they come transposed
+            _flatten(name.replace("/", "."), values.T if "MATLAB_class" in item.attrs else values, columns, constants)
+
+    try:
+        with h5py.File(path, "r") as file:
+            file.visititems(take)
+    except (OSError, RuntimeError, ValueError, KeyError) as error:
+        raise InputError(f"{path}: not a readable HDF5 file: {error}") from None
+    return ColumnTable(path, columns, constants)
+
+
+def _read_numpy(path: Path) -> ColumnTable:
+    """Arrays by name; of a single array, the columns by number, or by the names of its fields."""
+    columns: dict[str, np.ndarray] = {}
+    constants: dict[str, float] = {}
+    try:
+        content = np.load(path, allow_pickle=False)
+        arrays = {"": content} if isinstance(content, np.ndarray) else {name: content[name] for name in content.files}
+    except (ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
+        advice = "; save plain arrays, not objects: np.savez(file, t=t, q=q)" if "pickle" in str(error) else ""
+        raise InputError(f"{path}: not a readable NumPy file: {error}{advice}") from None
+    for name, array in arrays.items():
+        for part in array.dtype.names or ():
+            _flatten(f"{name}.{part}".strip("."), array[part], columns, constants)
+        if array.dtype.names is None:
+            _flatten(name or "column", np.squeeze(array), columns, constants)
+    if "" in arrays:  # as in a text file without names
+        columns = {name.replace("column[", "column ").rstrip("]"): values for name, values in columns.items()}
+    return ColumnTable(path, columns, constants)
+
+
+def _read_workbook(path: Path) -> ColumnTable:
+    """The sheet with the most rows."""
+    openpyxl = needed("openpyxl", f"{path}: reading Excel", "tables")
+    try:
+        book = openpyxl.load_workbook(path, read_only=True, data_only=True)
+        sheets = [[[_text(value) for value in row] for row in sheet.values] for sheet in book.worksheets]
+        book.close()
+    except Exception as error:  # openpyxl raises whatever a damaged file leads it to
+        raise InputError(f"{path}: not a readable .xlsx file: {error}") from None
+    rows = max(sheets, key=len, default=[])
+    return table_of_rows(path, [Row(row) for row in rows if any(row)])
+
+
+def _text(value: Any) -> str:
+    """A cell as a CSV file would have it."""
+    if value is None:
+        return ""
+    return value.isoformat() if hasattr(value, "isoformat") else str(value).strip()
+
+
 def _read_parquet(path: Path) -> ColumnTable:
-    needed("pyarrow", f"{path}: reading Parquet", "parquet")
+    needed("pyarrow", f"{path}: reading Parquet", "tables")
     from pyarrow import ArrowException, parquet
 
     try:
-        content = parquet.read_table(path)
+        content = parquet.read_table(path).flatten()  # fields of structs become columns
     except ArrowException as error:
         raise InputError(f"{path}: not a readable Parquet file: {error}") from None
     columns: dict[str, np.ndarray] = {}
@@ -206,10 +154,10 @@ def _read_parquet(path: Path) -> ColumnTable:
 
 
 _READERS: dict[str, Callable[[Path], ColumnTable]] = {
-    ".csv": _read_text,
-    ".tsv": _read_text,
-    ".txt": _read_text,
-    ".dat": _read_text,
+    **dict.fromkeys((".csv", ".tsv", ".txt", ".dat", ".log"), read_text),
     ".mat": _read_mat,
+    **dict.fromkeys((".h5", ".hdf5"), _read_hdf5),
+    **dict.fromkeys((".npy", ".npz"), _read_numpy),
+    ".xlsx": _read_workbook,
     ".parquet": _read_parquet,
 }

@@ -41,4 +41,4 @@ from .torque_figures import (
     without_nominal as without_nominal,
 )
 from .torque_limits import TorqueLimits as TorqueLimits
-from .urdf_checks import check_urdf as check_urdf
+from .urdf_checks import check_urdf as check_urdf, parse_robot_file as parse_robot_file

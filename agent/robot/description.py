@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 
 from agent.core import InputError, load_document
-from agent.robot.urdf_checks import check_urdf
+from agent.robot.urdf_checks import check_urdf, parse_robot_file
 
 _NAMED_ENDS = 8  # links of a message
 
@@ -266,6 +266,11 @@ def load_robot(name_or_path: str | Path) -> RobotDescription:
         raise InputError(
             f"robot {str(name_or_path)!r}: neither a built-in robot ({', '.join(builtin_robots())}) nor a file"
         )
+    if path.suffix.lower() in (".urdf", ".xml", ".mjcf", ".xacro", ".sdf"):
+        raise InputError(
+            f"{path}: a URDF or MJCF alone does not say enough of the drives here: write a robot.yaml for it "
+            "(docs/how-to-robot.md)"
+        )
     return _load_file(path)
 
 
@@ -281,10 +286,9 @@ def _load_file(path: Path) -> RobotDescription:
         urdf = urdf_path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: urdf: {urdf_path} cannot be read: {error}") from None
-    try:
-        root = ElementTree.fromstring(urdf)
-    except ElementTree.ParseError as error:
-        raise InputError(f"{urdf_path}: not valid XML: {error}") from None
+    root = parse_robot_file(urdf_path, urdf.encode())
+    if root.tag == "mujoco":
+        raise InputError(f"{path}: urdf: {urdf_path} is an MJCF: name it with --robot instead of {path.name}")
     check_urdf(urdf_path, root, [joint.name for joint in entry.joints])
     elements = {joint.get("name"): joint for joint in root.findall("joint")}
     links = {link.get("name") for link in root.findall("link")}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import xml.etree.ElementTree as ElementTree
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -23,6 +24,33 @@ _NUMBERS = {
 _THREE = ("xyz", "rpy")
 #: Of these, what no body has below zero.
 _NOT_NEGATIVE = {"mass": ("value",), "inertia": ("ixx", "iyy", "izz")}
+
+
+def parse_robot_file(path: Path, text: bytes) -> Element:
+    """The root of a URDF or an MJCF.
+
+    Raises:
+        InputError: not XML, or a format that has to be converted first; says with which command.
+    """
+    expand = f"{path}: a xacro file, not a URDF yet: expand it first: xacro {path.name} > arm.urdf"
+    try:
+        root = ElementTree.fromstring(text)
+    except (ElementTree.ParseError, ValueError) as error:
+        if b"<xacro:" in text:
+            raise InputError(expand) from None
+        raise InputError(f"{path}: not valid XML: {error}") from None
+    if root.tag == "robot" and any("/xacro" in e.tag or e.tag.startswith("xacro") for e in root.iter()):
+        raise InputError(expand)
+    if root.tag == "robot" and any("${" in value or "$(" in value for e in root.iter() for value in e.attrib.values()):
+        raise InputError(expand)
+    if root.tag == "sdf":
+        raise InputError(
+            f"{path}: an SDF (Gazebo), neither a URDF nor an MJCF: convert it with sdf2mjcf {path.name} arm.xml (pip "
+            "install sdformat-mjcf) and name arm.xml with --robot, or take the URDF or xacro that it was made from"
+        )
+    if root.tag not in ("robot", "mujoco"):
+        raise InputError(f"{path}: neither an MJCF (<mujoco>) nor a URDF (<robot>): it starts with <{root.tag}>")
+    return root
 
 
 def check_urdf(path: Path | str, root: Element, joints: Sequence[str]) -> None:

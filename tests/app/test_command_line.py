@@ -217,3 +217,36 @@ def test_progress_tells_the_time_left_and_paths_are_links_on_a_terminal(monkeypa
     monkeypatch.setenv("TERM", "xterm")
     print_path(tmp_path)
     assert capsys.readouterr().out == f"\033]8;;{tmp_path.as_uri()}\033\\{tmp_path}\033]8;;\033\\\n"
+
+
+def test_an_import_takes_a_map_or_a_preset(run_agent, tmp_path: Path):
+    rows = "".join(f"{k / 500},{','.join(6 * [f'{k / 1e3}'])}\n" for k in range(200))
+    names = ",".join(["timestamp", *(f"actual_q_{k}" for k in range(6))])
+    (tmp_path / "rec.csv").write_text(f"{names}\n{rows}")
+    words = ("import", "--robot", ROOT / "recipes/examples/ur10/ur10.urdf", tmp_path / "rec.csv", tmp_path / "o.mcap")
+    for wrong in ((), ("--preset", "ur-rtde", "--map", "map.yaml")):
+        run = run_agent(*words, *wrong)
+        assert run.returncode == 2
+        assert "either --map MAP.yaml or --preset NAME" in run.stderr
+    run = run_agent(*words, "--preset", "ur-rtde")
+    assert run.returncode == 0, run.stderr
+    assert "200 samples, 0.398 s at 500 Hz" in run.stderr
+
+
+def test_a_topic_is_named_on_the_command_line(run_agent, tmp_path: Path):
+    from tests.recording.conftest import write_foreign
+
+    names = [f"joint_{k}" for k in range(1, 7)]
+    both = [
+        {"topic": topic, "time": k / 100, "names": names, "position": [k / 1e3] * 6, "effort": [1.0] * 6}
+        for k in range(50)
+        for topic in ("/a/joint_states", "/b/joint_states")
+    ]
+    log = write_foreign(tmp_path / "log.mcap", both)
+    for words in (("estimate", "-o", tmp_path / "m.json"), ("diagnose",)):
+        run = run_agent(words[0], "--robot", "comau_ns16", *words[1:], log)
+        assert run.returncode == 2
+        assert "/a/joint_states (joint_1" in run.stderr
+        assert "--topic" in run.stderr
+        run = run_agent(words[0], "--robot", "comau_ns16", *words[1:], "--topic", "/c", log)
+        assert "no joint states on the topic /c" in run.stderr

@@ -100,7 +100,7 @@ def test_joints_are_matched_by_a_map(tmp_path, robot):
 BRANCHES = f'<body><joint name="pan" axis="0 0 1"/>{BODY}</body><body><joint name="lift" axis="0 1 0"/>{BODY}</body>'
 REFUSED = {
     "not XML": ("<mujoco", "not valid XML"),
-    "something else": ("<sdf/>", "neither an MJCF"),
+    "something else": ("<sdf/>", "an SDF"),
     "xacro": ('<robot xmlns:xacro="http://ros.org/wiki/xacro"><xacro:arm/></robot>', "xacro"),
     "an include that is missing": ('<mujoco><include file="nope.xml"/></mujoco>', "nope.xml"),
     "no mass": (scene(f'<body><joint name="pan"/><body>{BODY}<joint name="lift"/></body></body>'), "does not accept"),

@@ -203,10 +203,7 @@ def test_tables_with_a_byte_order_mark(convert, tmp_path, encoding):
     ("rows", "complaint"),
     [
         (["1.0;{k};2"] * 300, r"map.yaml:1: time.column: .*data.csv: column t stands still at 1 s \(300 rows\)"),
-        (
-            ["2026-01-01T00:00:{k:02};1;2"] * 60,
-            r"time.column: .*data.csv: column t is not of numbers \('2026-01-01T00:00",
-        ),
+        (["at {k};1;2"] * 60, r"time.column: .*data.csv: column t is not of numbers \('at 0'"),
         (["{k};1,234.5;2"] * 9, r"map.yaml:2: position.columns: .*data.csv: column a is not of numbers \('1,234.5' is"),
         (["{k};2;0x1F"] * 9, r"map.yaml:2: position.columns: .*data.csv: column 3 is not of numbers"),
     ],
@@ -246,7 +243,7 @@ def test_mat_files(convert, tmp_path):
 
 
 def test_parquet_files(convert, tmp_path):
-    pyarrow = pytest.importorskip("pyarrow", reason="reading Parquet is an extra: pip install '.[parquet]'")
+    pyarrow = pytest.importorskip("pyarrow", reason="reading Parquet is an extra: pip install '.[tables]'")
     from pyarrow import parquet
 
     count = np.arange(100)
@@ -270,7 +267,7 @@ def test_without_pyarrow_it_says_what_to_install(convert, tmp_path, monkeypatch)
 
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     (tmp_path / "data.parquet").touch()
-    with pytest.raises(InputError, match=r"pip install 'calibration-agent\[parquet\]'"):
+    with pytest.raises(InputError, match=r"pip install 'calibration-agent\[tables\]'"):
         convert("rate: 1\nposition: {columns: q}\n", tmp_path / "data.parquet")
 
 

@@ -6,6 +6,6 @@ the error it should have is for the caller to say (`docs/decisions/simulator-bac
 
 from agent.model.simulators.arm import SIMULATOR
 from agent.model.simulators.joints import load_joint_map
-from agent.model.simulators.load import Simulator, is_simulator, load_simulator
+from agent.model.simulators.load import Simulator, is_simulator, load_arm, load_simulator
 
-__all__ = ["SIMULATOR", "Simulator", "is_simulator", "load_joint_map", "load_simulator"]
+__all__ = ["SIMULATOR", "Simulator", "is_simulator", "load_arm", "load_joint_map", "load_simulator"]

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import hashlib
-import xml.etree.ElementTree as ElementTree
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from xml.etree.ElementTree import Element
 
 from agent.core import InputError
 from agent.model.identified import IdentifiedModel
 from agent.model.simulators.arm import SimulatedArm, described, model_of
 from agent.model.simulators.joints import matched
 from agent.model.simulators.servos import PositionServos
-from agent.model.simulators.urdf import read_urdf
-from agent.robot import RobotDescription
+from agent.model.simulators.urdf import longest_chain, read_urdf
+from agent.robot import RobotDescription, parse_robot_file
 
 _GRAVITY = (0.0, 0.0, -9.80665)
 _MOST_JOINTS = 7
@@ -34,8 +34,8 @@ class Simulator:
 
 
 def is_simulator(path: Path) -> bool:
-    """Whether a file is, by its name, an MJCF or a URDF and not a model of this program."""
-    return path.suffix.lower() in (".xml", ".urdf", ".mjcf")
+    """Whether a file is, by its name, an MJCF or a URDF (or what they are made from), no model of this program."""
+    return path.suffix.lower() in (".xml", ".urdf", ".mjcf", ".xacro", ".sdf")
 
 
 def load_simulator(
@@ -51,13 +51,7 @@ def load_simulator(
     Raises:
         InputError: a file that cannot be read or used, of another arm, or whose joints don't match.
     """
-    try:
-        text = path.read_bytes()
-        root = ElementTree.fromstring(text)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
-    except (ElementTree.ParseError, ValueError) as error:
-        raise InputError(f"{path}: not valid XML: {error}") from None
+    text, root = _content(path)
     wanted = tuple(log_joints) if robot is None else robot.joint_names
     match = partial(
         matched,
@@ -66,16 +60,7 @@ def load_simulator(
         owner="the logs" if robot is None else f"robot {robot.name}",
         names=names,
     )
-    if root.tag == "robot":
-        if any("xacro" in element.tag for element in root.iter()):
-            raise InputError(f"{path}: a xacro file: turn it into a URDF first (xacro {path.name} > arm.urdf)")
-        arm = read_urdf(path, root, match, _GRAVITY if robot is None else robot.gravity)
-    elif root.tag == "mujoco":
-        from agent.model.simulators.mjcf import read_mjcf
-
-        arm = read_mjcf(path, match)
-    else:
-        raise InputError(f"{path}: neither an MJCF (<mujoco>) nor a URDF (<robot>): it starts with <{root.tag}>")
+    arm = _arm(path, root, match, _GRAVITY if robot is None else robot.gravity)
     if len(arm.joint_names) > _MOST_JOINTS:
         raise InputError(
             f"{path}: {len(arm.joint_names)} joints are to be compared, and a serial arm has at most "
@@ -94,3 +79,56 @@ def load_simulator(
     left = [name for name in wanted if name not in arm.joint_names]
     ignored = (f"{', '.join(left)} of the logs is not compared: the map leaves it out",) if left else ()
     return Simulator(arm, model, robot, (*arm.notes, *said, *ignored))
+
+
+def load_arm(path: Path, log_joints: Sequence[str] = (), most: int = _MOST_JOINTS) -> RobotDescription:
+    """The description of the arm in a URDF or MJCF: gear ratios of 1 and no nominal torques.
+
+    Its joints are those of the logs; where there are none, the longest chain of joints that all move on their own, of
+    which the first `most` are taken.
+
+    Raises:
+        InputError: a file that cannot be read or used, or none of its joints is in the logs.
+    """
+    root = _content(path)[1]
+
+    def match(in_file: Sequence[str]) -> dict[str, str]:
+        chain = [name for name in in_file if name in log_joints] if log_joints else _chain(path, root)
+        if not chain:
+            listed = f"; those of the log are {', '.join(log_joints)}" if log_joints else ""
+            raise InputError(
+                f"{path}: none of its joints moves the arm ({', '.join(in_file) or 'it has none'}){listed}"
+            )
+        return {name: name for name in chain[:most]}
+
+    return described(_arm(path, root, match, _GRAVITY), None)[0]
+
+
+def _content(path: Path) -> tuple[bytes, Element]:
+    try:
+        text = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    return text, parse_robot_file(path, text)
+
+
+def _arm(
+    path: Path,
+    root: Element,
+    match: Callable[[Sequence[str]], Mapping[str, str]],
+    gravity: tuple[float, float, float],
+) -> SimulatedArm:
+    if root.tag == "robot":
+        return read_urdf(path, root, match, gravity)
+    from agent.model.simulators.mjcf import read_mjcf
+
+    return read_mjcf(path, match)
+
+
+def _chain(path: Path, root: Element) -> list[str]:
+    """Joints from base to tip on the way that has most of them."""
+    if root.tag == "robot":
+        return longest_chain(root)
+    from agent.model.simulators.mjcf import longest_branch
+
+    return longest_branch(path)

@@ -91,6 +91,30 @@ def read_mjcf(path: Path, match: Callable[[Sequence[str]], Mapping[str, str]]) -
     return arm
 
 
+def longest_branch(path: Path) -> list[str]:
+    """Joints from base to tip on the way that has most of them, without those that an equality ties together.
+
+    Raises:
+        InputError: MuJoCo does not accept the file.
+    """
+    mujoco, model = mujoco_package(), compiled(path)
+    kinds = {int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)}
+    tied = {
+        int(one)
+        for k in np.flatnonzero(model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT))
+        for one in (model.eq_obj1id[k], model.eq_obj2id[k])
+    }
+    longest: list[str] = []
+    for body in range(1, model.nbody):
+        chain: list[str] = []
+        while body > 0:
+            own = range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body])
+            chain = [model.joint(j).name for j in own if int(model.jnt_type[j]) in kinds and j not in tied] + chain
+            body = int(model.body_parentid[body])
+        longest = max(longest, [name for name in chain if name], key=len)
+    return longest
+
+
 def _links(path: Path, model: Any, chosen: list[int], names: Mapping[int, str], used: Mapping[str, str]) -> np.ndarray:
     """(bodies,) which link each body is part of, from 0 for the base; k is moved by the k-th chosen joint."""
     link_of = np.zeros(model.nbody, dtype=int)

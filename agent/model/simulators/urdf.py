@@ -81,6 +81,24 @@ def read_urdf(
     )
 
 
+def longest_chain(root: Element) -> list[str]:
+    """Joints from base to tip on the way that has most of them, without those that follow or lead others (mimic)."""
+    joints = {end_of(joint, "child"): joint for joint in root.findall("joint")}
+    pairs = {
+        name for j in joints.values() if (m := j.find("mimic")) is not None for name in (j.get("name"), m.get("joint"))
+    }
+    longest: list[str] = []
+    for link in joints:
+        chain: list[str] = []
+        while link in joints and len(chain) < len(joints):
+            joint = joints[link]
+            if joint.get("type") in _MOVABLE and joint.get("name") not in pairs:
+                chain.insert(0, str(joint.get("name")))
+            link = end_of(joint, "parent")
+        longest = max(longest, chain, key=len)
+    return longest
+
+
 def _check_radians(path: Path, root: Element) -> None:
     """Raise InputError where angles are larger than any in radians would be written."""
     for owner in (*root.findall("link"), *root.findall("joint")):

@@ -51,7 +51,7 @@ def job_text(
         Pdl2Error: something moves that is not understood.
     """
     from agent.motion.pdl2.listing import read_listing
-    from agent.motion.pdl2.sieve import sieve
+    from agent.motion.pdl2.sieve import sieve, without_setting
 
     listed = read_listing(listing)
     try:
@@ -62,6 +62,16 @@ def job_text(
     except Pdl2Error:
         pass
     try:
-        return sieve(text, listed)
+        kept, passed = sieve(text, listed)
     except Pdl2Error as error:
         raise error.within(path) from None
+    while True:
+        try:
+            parse_program(kept, path, robot)
+        except Pdl2Error as error:
+            shorter, word = without_setting(kept, error.place)
+            if shorter == kept:
+                return kept, passed  # whoever runs it is told where it stops
+            kept, passed = shorter, {**passed, word: passed.get(word, 0) + 1}
+        else:
+            return kept, passed

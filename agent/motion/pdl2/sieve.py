@@ -18,6 +18,16 @@ from agent.motion.pdl2.variables import PREDEFINED, SYSTEM_VARIABLES
 
 _MOVES = re.compile(r"\b(?:SYNC)?MOVE(?:FLY)?\b", re.IGNORECASE)
 _MOVE = re.compile(r"MOVE(?:FLY)?\b", re.IGNORECASE)
+_ON_THE_WAY = re.compile(
+    r"(?:\bWITH\s+|(?<=,)\s*)(?:CONDITION|EVENT)\s*\[[^\]]*\](?:\s*,\s*(?:CONDITION|EVENT)\s*\[[^\]]*\])*"
+    r"|\bTIL\b(?:(?!\b(?:WITH|ENDMOVE|VIA|ADVANCE)\b)[^,])*",
+    re.IGNORECASE,
+)
+_SETTING = re.compile(
+    r"(?:(?P<with>\bWITH\s+)|,\s*|^[ \t]*)(?P<name>\$[\w.\[\]]+)\s*:?=\s*"
+    r"(?:(?!\b(?:WITH|ENDMOVE|VIA|ADVANCE)\b)[^,\n;])+(?:(?=(?P<more>,\s*)\$))?",
+    re.IGNORECASE | re.MULTILINE,
+)
 _OF_A_MOVE = re.compile(r"(?:WITH|ADVANCE|VIA|ENDMOVE)\b|,|\$\w+\s*=", re.IGNORECASE)
 _ARM = re.compile(r"(?<=MOVE |EFLY )\s*ARM\s*\[\s*(\w+)\s*\]", re.IGNORECASE)
 _STRING = re.compile(r"""'(?:[^']|'')*'|"[^"]*\"""")
@@ -52,6 +62,24 @@ def sieve(text: str, listed: Mapping[str, Listed] | None = None) -> tuple[str, d
     """
     sieved = _Sieve(text.replace("\r\n", "\n").replace("\r", "\n").split("\n"), listed or {})
     return "\n".join(sieved.lines()), dict(sieved.passed)
+
+
+def without_setting(text: str, place: TextPosition) -> tuple[str, str]:
+    """The text without the setting of a system variable at a place, and the variable's name.
+
+    Controllers take values that the motion subset refuses, such as a `$FLY_DIST` below zero for none. The text is as it
+    was where no setting stands there, or where it moves a frame and so the places of the job.
+    """
+    start = sum(len(line) + 1 for line in text.split("\n")[: place.line - 1]) + place.column - 1
+    for found in _SETTING.finditer(text):
+        name = found["name"].upper().replace("$ARM_DATA[1].", "$")
+        variable = SYSTEM_VARIABLES.get(name)
+        if found.start() <= start < found.end() and (variable is None or variable.kind != "POS"):
+            end = found.end("more") if found["with"] and found["more"] else found.end()
+            blank = re.sub(r"[^\n]", " ", text[found.start() : end])
+            keep = "WITH" if end > found.end() else ""
+            return text[: found.start()] + keep + blank[len(keep) :] + text[end:], name
+    return text, ""
 
 
 class _Sieve:
@@ -170,7 +198,7 @@ class _Sieve:
             raise Pdl2Error("is not a statement known here", self._place(at, first))
 
     def _move(self, at: int, out: list[str]) -> int:
-        line = self._bare[at]
+        start, line = at, self._bare[at]
         arm = _ARM.search(line)
         if arm:
             self._check_arm(at, arm[1])
@@ -183,7 +211,18 @@ class _Sieve:
                 break
             out[at + 1] = self._bare[at + 1]
             at += 1
+        out[start : at + 1] = map(self._without_conditions, out[start : at + 1])
         return at
+
+    def _without_conditions(self, line: str) -> str:
+        """A line of a move without the conditions that are enabled on the way, and those that end it: they move
+        nothing, and where it is meant to go stays the same."""
+
+        def blank(found: re.Match[str]) -> str:
+            self.passed["TIL" if found[0].upper().startswith("TIL") else "WITH"] += 1
+            return " " * len(found[0])
+
+        return re.sub(r",(\s*),", r",\1 ", _ON_THE_WAY.sub(blank, line))
 
     def _check_arm(self, at: int, arm: str) -> None:
         """It is arm 1: by its number, a constant, or a variable that is never anything else."""

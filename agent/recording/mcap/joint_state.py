@@ -128,6 +128,37 @@ def parse_layout(message: bytes) -> JointStateLayout:
     )
 
 
+def from_ros1(message: bytes) -> bytes:
+    """The CDR of a message in the serialisation of ROS 1: packed, little endian, with a sequence number in its header.
+
+    Raises:
+        ValueError: not a JointState.
+    """
+    at = 12
+
+    def taken(size: int) -> bytes:
+        nonlocal at
+        part, at = message[at : at + size], at + size
+        if len(part) < size:
+            raise ValueError("the message ends within a field")
+        return part
+
+    def count() -> int:
+        return int.from_bytes(taken(4), "little")
+
+    taken(count())  # frame_id
+    names = [taken(count()).decode() for _ in range(count())]
+    arrays = [np.frombuffer(taken(8 * count()), "<f8") for _ in range(3)]
+    data = bytearray(b"\x00\x01\x00\x00" + message[4:12] + struct.pack("<I", 1) + b"\0")
+    data += bytes(-len(data) % 4) + struct.pack("<I", len(names))
+    for text in (name.encode() + b"\0" for name in names):
+        data += bytes(-len(data) % 4) + struct.pack("<I", len(text)) + text
+    for values in arrays:
+        data += bytes(-len(data) % 4) + struct.pack("<I", len(values))
+        data += (bytes((4 - len(data)) % 8) if len(values) else b"") + values.tobytes()
+    return bytes(data)
+
+
 class _Cursor:
     """Walks over a message and marks the bytes that make up its structure."""
 

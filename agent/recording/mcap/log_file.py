@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -234,10 +234,11 @@ class LogFile:
         return self._channels[topic]
 
 
-def write_log(path: Path, log: Log, further: Mapping[str, Sequence[np.ndarray]] | None = None) -> None:
+def write_log(path: Path, log: Log, further: Mapping[str, Sequence[Any]] | None = None) -> None:
     """Write a log that is in memory, whole or not at all; an existing file is replaced.
 
-    `further` are joint states by topic: times (K,) [s from the first sample], position, velocity and effort (K, n).
+    `further` are joint states by topic: times (K,) [s from the first sample], position, velocity and effort (K, n) or
+    None.
 
     Raises:
         RecordingError: the file cannot be written.
@@ -255,7 +256,7 @@ def write_log(path: Path, log: Log, further: Mapping[str, Sequence[np.ndarray]] 
 _OWN = ("robot", "motion", "sample_rate_hz", "cycle_starts_s")
 
 
-def _write_whole(path: Path, log: Log, further: Mapping[str, Sequence[np.ndarray]]) -> None:
+def _write_whole(path: Path, log: Log, further: Mapping[str, Sequence[Any]]) -> None:
     times = log.stamp + log.t
     run = log.metadata
     robot, motion = run.get("robot", ""), run.get("motion", "")

@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
-from typing import BinaryIO
+from typing import IO
 
 import lz4.frame
 import numpy as np
@@ -26,11 +26,23 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Metadata, Schema
 
 from agent.core import InputError
-from agent.recording.mcap.bag import DATABASE, bag_files, database_records
-from agent.recording.mcap.joint_state import JointStateLayout, parse_layout
+from agent.recording.mcap.bag import (
+    MOST_TIMES,
+    ROS1,
+    SQLITE,
+    ZSTD,
+    CutOffError,
+    bag_files,
+    database_records,
+    ros1_records,
+    too_much,
+    unpacked,
+)
+from agent.recording.mcap.joint_state import JointStateLayout, from_ros1, parse_layout
 from agent.recording.scratch import Scratch
 
 _MAGIC = b"\x89MCAP0\r\n"
+_LFS, _LFS_SIZE = b"version https://git-lfs", 32
 _RECORD = struct.Struct("<BQ")
 _CHUNK = struct.Struct("<QQQII")
 _MESSAGE_HEAD = 22
@@ -38,8 +50,8 @@ _MESSAGE_HEAD = 22
 _BATCH = 2**20
 #: Layouts of messages that one file may have; beyond, messages are not joint states of one robot.
 _MAX_LAYOUTS = 1000
-#: A chunk may hold so much before compression [bytes], and a file so many times its size: logs shrink to a tenth.
-MOST_UNPACKED, _MOST_TIMES = 64 * 2**20, 500
+#: A chunk may hold so much before compression [bytes], and a message.
+MOST_UNPACKED, _MOST_MESSAGE = 64 * 2**20, 2**20
 _TYPES = ("sensor_msgs/msg/JointState", "sensor_msgs/JointState")
 
 
@@ -77,20 +89,24 @@ class Scan:
 
 
 def scan(path: Path) -> Scan:
-    """Read all joint states of a file, or of a bag of ROS 2: its folder, or its `.db3` file.
+    """Read all joint states of a file, or of a bag of ROS: its folder, its `.db3` file, or a ROS 1 bag.
 
     Raises:
-        InputError: no such file, not an MCAP file, or a compression that nobody here knows.
+        InputError: no such file, neither an MCAP file nor a bag, or a compression that nobody here knows.
     """
     try:
         scanner, digest = _Scanner(path), hashlib.sha256()
         for part in bag_files(path) if path.is_dir() else [path]:
-            with open(part, "rb") as file:
-                if part.suffix == DATABASE:
-                    found = scanner.run_records(database_records(part, _TYPES))
+            with unpacked(part) as (content, name):
+                magic = content.read(len(SQLITE))
+                content.seek(0)
+                if magic == SQLITE:
+                    found = scanner.run_records(database_records(part, name, _TYPES))
+                elif magic.startswith(ROS1):
+                    found = scanner.run_records(ros1_records(part, name))
                 else:
-                    found = scanner.run(file, os.fstat(file.fileno()).st_size)
-                file.seek(0)
+                    found = scanner.run(content, os.fstat(content.fileno()).st_size)
+            with open(part, "rb") as file:
                 while block := file.read(_BATCH):
                     digest.update(block)
         found.sha256 = digest.hexdigest()
@@ -107,6 +123,7 @@ class _Scanner:
         self._found = Scan()
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, str | None] = {}
+        self._ros1: dict[int, bool] = {}
         self._layouts: dict[tuple[int, int], list[JointStateLayout]] = defaultdict(list)
         self._layout_count = 0
         self._parts: list[bytes] = []
@@ -115,11 +132,15 @@ class _Scanner:
         self._before = 0
         self._file_size = self._unpacked = 0
 
-    def run(self, file: BinaryIO, size: int) -> Scan:
+    def run(self, file: IO[bytes], size: int) -> Scan:
         magic = file.read(len(_MAGIC))
         if magic != _MAGIC:
-            what = "the file is empty" if size == 0 else "not an MCAP file"
-            raise InputError(f"{self._path}: {what}; a log is an MCAP file with sensor_msgs/msg/JointState messages")
+            what = "not an MCAP file" if size else "the file is empty"
+            if (magic + file.read(_LFS_SIZE)).startswith(_LFS):
+                raise InputError(f"{self._path}: a pointer of Git LFS, not the file itself: git lfs pull")
+            raise InputError(
+                f"{self._path}: {what}; a log is an MCAP file or a bag of ROS, with sensor_msgs/msg/JointState messages"
+            )
         self._file_size += size
         chunks = 0
         for opcode, body, whole in self._records(file, size):
@@ -134,9 +155,12 @@ class _Scanner:
 
     def run_records(self, records: Iterator[bytes]) -> Scan:
         """The same from records at hand."""
-        for record in records:
-            self._take(record)
         self._found.closed = True
+        try:
+            for record in records:
+                self._take(record)
+        except CutOffError as error:
+            self._found.closed, self._found.dropped = False, error.missing
         return self._end()
 
     def _end(self) -> Scan:
@@ -146,7 +170,7 @@ class _Scanner:
         self._channels.clear()
         return self._found
 
-    def _records(self, file: BinaryIO, size: int) -> Iterator[tuple[int, bytes, bool]]:
+    def _records(self, file: IO[bytes], size: int) -> Iterator[tuple[int, bytes, bool]]:
         """Records of the data section: opcode, content, and whether the content is whole."""
         while True:
             at = file.tell()
@@ -194,10 +218,8 @@ class _Scanner:
                 f"{self._path}: a chunk of {size / 2**20:.0f} MiB before compression; at most {MOST_UNPACKED >> 20} "
                 "MiB can be read: write the file anew with smaller chunks"
             )
-        if self._unpacked > max(MOST_UNPACKED, _MOST_TIMES * self._file_size):
-            raise InputError(
-                f"{self._path}: unpacks to more than {_MOST_TIMES} times its size, as no recording of a motion does"
-            )
+        if self._unpacked > max(MOST_UNPACKED, MOST_TIMES * self._file_size):
+            raise InputError(too_much(self._path))
 
     def _take_metadata(self, body: bytes) -> None:
         try:
@@ -241,7 +263,8 @@ class _Scanner:
         schema = self._schemas.get(channel.schema_id)
         kind = schema.name if schema else "no type"
         self._found.types[channel.topic] = f"{kind} ({channel.message_encoding})"
-        readable = kind in _TYPES and channel.message_encoding == "cdr"
+        readable = kind in _TYPES and channel.message_encoding in ("cdr", "ros1")
+        self._ros1[channel.id] = channel.message_encoding == "ros1"
         self._channels[channel.id] = channel.topic if readable else None
 
     def _decode(self) -> None:
@@ -251,10 +274,35 @@ class _Scanner:
             if topic is not None:
                 starts = np.array(places)
                 records = np.lib.stride_tricks.sliding_window_view(data, length)[starts]
-                self._decode_alike(topic, channel, records, starts + self._before)
+                order = starts + self._before
+                packed = np.all(records[:, _MESSAGE_HEAD:][:, : len(ZSTD)] == np.frombuffer(ZSTD, np.uint8), axis=1)
+                packed |= self._ros1[channel]
+                if packed.any():
+                    self._decode_packed(topic, channel, records[packed], order[packed])
+                self._decode_alike(topic, channel, records[~packed], order[~packed])
         self._before += self._size
         self._located.clear()
         self._parts, self._size = [], 0
+
+    def _decode_packed(self, topic: str, channel: int, records: np.ndarray, order: np.ndarray) -> None:
+        """Decode messages that are compressed one by one, or of ROS 1, by their length in CDR."""
+        by_length: dict[int, list[tuple[int, bytes]]] = defaultdict(list)
+        for place, record in zip(order.tolist(), records, strict=True):
+            head, message = record[:_MESSAGE_HEAD].tobytes(), record[_MESSAGE_HEAD:].tobytes()
+            try:
+                if message.startswith(ZSTD):
+                    message = _unpack("zstd", message, _MOST_MESSAGE) or b""
+                if self._ros1[channel]:
+                    message = from_ros1(message)
+            except (zstandard.ZstdError, ValueError):
+                message = b""
+            if len(message) > _MOST_MESSAGE:
+                message = b""
+            by_length[len(message)].append((place, head + message))
+        for alike in by_length.values():
+            places, messages = zip(*alike, strict=True)
+            whole = np.frombuffer(b"".join(messages), np.uint8).reshape(len(messages), -1)
+            self._decode_alike(topic, channel, whole, np.array(places))
 
     def _decode_alike(self, topic: str, channel: int, records: np.ndarray, order: np.ndarray) -> None:
         """Decode messages of one channel and length, layout by layout."""

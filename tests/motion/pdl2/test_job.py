@@ -216,3 +216,39 @@ def test_a_position_that_the_variable_file_does_not_give_is_told_where_it_is_mov
     with pytest.raises(Pdl2Error, match="pnt0001P") as error:
         parse_program(kept, "weld.pdl", ROBOT)
     assert error.value.line == 10
+
+
+SETTINGS = """PROGRAM glue
+VAR
+  spot : POSITION
+BEGIN
+  spot := POS(1000, 0, 900, 0, 180, 0, '')
+  $FLY_DIST := -1.0
+  $ARM_DATA[1].LIN_SPD := 0
+  MOVE JOINT TO {0, 0, -90, 0, 60, 0}
+  MOVEFLY LINEAR TO spot ADVANCE WITH CONDITION[2]
+  MOVEFLY LINEAR TO spot ADVANCE, WITH CONDITION[1], CONDITION[7], WITH $LIN_SPD = 0.2
+  MOVEFLY LINEAR TO spot ADVANCE WITH $FLY_DIST = -5, $LIN_SPD = 0.2,
+  ENDMOVE
+  MOVEFLY LINEAR TO spot ADVANCE WITH $LIN_SPD = 0.3, $FLY_DIST = -5
+  MOVE LINEAR TO spot WITH $FLY_DIST = -5
+  MOVE LINEAR TO spot TIL $DIN[4] = TRUE, WITH $LIN_SPD = 0.1
+  MOVEFLY TO spot ADVANCE TIL CONDITION[3]
+END glue
+"""
+
+
+def test_conditions_and_refused_settings_of_a_job_are_passed_over_and_counted():
+    kept, passed = job_text(SETTINGS, "glue.pdl", ROBOT)
+    read = [each for each in parse_program(kept, "glue.pdl", ROBOT).run() if isinstance(each, Move)]
+    assert [move.line for move in read] == [8, 9, 10, 11, 13, 14, 15, 16]
+    assert passed == {"WITH": 2, "TIL": 2, "$FLY_DIST": 4, "$LIN_SPD": 1}
+    assert [round(move.settings.linear_speed, 9) for move in read[2:5]] == [0.2, 0.2, 0.3]
+
+
+def test_a_frame_that_is_refused_is_not_passed_over():
+    frame = SETTINGS.replace("$FLY_DIST := -1.0", "$TOOL := 3")
+    kept, passed = job_text(frame, "glue.pdl", ROBOT)
+    assert "$TOOL" not in passed
+    with pytest.raises(Pdl2Error, match=r"glue\.pdl:6"):
+        parse_program(kept, "glue.pdl", ROBOT)

@@ -1,0 +1,192 @@
+"""Which topic of a log holds the measured states of the arm, where there are several."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from agent.core import InputError
+from agent.recording.log import Repair
+from agent.recording.mcap.foxglove import FILTERED, PREDICTED, RESIDUAL
+from agent.recording.mcap.log_file import CURRENTS, PLANNED, REFERENCES, STATES, TEMPERATURES
+from agent.recording.mcap.scan import Messages, Scan
+from agent.robot import RobotDescription
+
+#: Topics of joint states that are not measured states of the arm.
+_OTHERS = (REFERENCES, PLANNED, CURRENTS, TEMPERATURES, FILTERED, PREDICTED, RESIDUAL)
+_USUAL = ("joint_states", "joint_state")
+#: As `scan` names the type of a log's measured states.
+_STATES_TYPE = "sensor_msgs/msg/JointState (cdr)"
+
+
+@dataclass(frozen=True)
+class ChosenTopics:
+    """The topics to read, one unless joints of one arm are spread over several; the joints; what was left out."""
+
+    topics: tuple[str, ...]
+    joints: tuple[str, ...]
+    repairs: tuple[Repair, ...] = ()
+
+
+def choose_topics(
+    path: Path, found: Scan, robot: RobotDescription | None, wanted: str | None, named: str | None
+) -> ChosenTopics:
+    """The topic `wanted`, or the only one that holds the joints of the robot.
+
+    `named` is the robot that the log says it is of.
+
+    Raises:
+        InputError: no topic of joint states, several that may be meant, or joints of the robot missing.
+    """
+    topics = _candidates(path, found, robot, wanted)
+    if robot is None:
+        return _without_robot(path, topics)
+    chosen = _holding(topics, robot.joint_names)
+    if len(chosen) > 1 and len({name for topic in chosen for name in _names(topics[topic])}) < sum(
+        len(_names(topics[topic])) for topic in chosen
+    ):
+        one_arm = all(set(robot.joint_names) <= _names(topics[topic]) for topic in chosen)
+        what = "hold the joints of the robot" if one_arm else "hold joints of the same names"
+        raise InputError(f"{path}: several topics {what}: {_listed(topics)}. Say which with --topic")
+    if not chosen:
+        _refuse_other_robot(path, topics, robot, named)
+    left = [topic for topic in topics if topic not in chosen]
+    repairs = [
+        Repair(f"messages of another topic, left out: {_listed({topic: topics[topic]})}", 0.0, _count(topics[topic]))
+        for topic in left
+    ]
+    return ChosenTopics(tuple(chosen), robot.joint_names, tuple(repairs))
+
+
+def _may_be_states(topic: str, groups: Sequence[Messages], robot: RobotDescription | None) -> bool:
+    """Whether a topic may hold measured states: by its name, or of the robot's joints with torque."""
+    if topic.endswith(_OTHERS):
+        return False
+    if topic.endswith(_USUAL):
+        return True
+    joints = () if robot is None else robot.joint_names
+    return any(set(joints) & set(group.layout.names) and group.effort is not None for group in groups)
+
+
+def joint_names(path: Path, found: Scan, wanted: str | None) -> tuple[str, ...]:
+    """Of all topics of joint states, or of the topic `wanted`.
+
+    Raises:
+        InputError: there is no such topic.
+    """
+    topics = _candidates(path, found, None, wanted)
+    return tuple(dict.fromkeys(name for groups in topics.values() for name in _in_order(groups)))
+
+
+def _candidates(
+    path: Path, found: Scan, robot: RobotDescription | None, wanted: str | None
+) -> dict[str, list[Messages]]:
+    """Topics that may hold the measured states, or the one that is wanted."""
+    groups = {topic: found.topics[topic] for topic in sorted(found.topics) if found.topics[topic]}
+    topics = {topic: messages for topic, messages in groups.items() if _may_be_states(topic, messages, robot)}
+    if wanted is not None:
+        name = next((topic for topic in groups if topic.strip("/") == wanted.strip("/")), None)
+        if name is None:
+            raise InputError(f"{path}: no joint states on the topic {wanted}; it has {_listed(groups) or 'none'}")
+        return {name: groups[name]}
+    if not topics:
+        raise InputError(f"{path}: {_no_joint_states(found, groups)}")
+    return topics
+
+
+def namesake(found: Scan, wanted: str, states: str) -> str | None:
+    """The topic of that name in the namespace of the measured states, or the only one in any."""
+    namespace = states.removesuffix(STATES) if states.endswith(STATES) else ""
+    for topic in (namespace + wanted, wanted.lstrip("/")):
+        if found.topics.get(topic):
+            return topic
+    others = [topic for topic in found.topics if topic.endswith(wanted)]
+    return others[0] if len(others) == 1 and not namespace else None
+
+
+def _without_robot(path: Path, topics: dict[str, list[Messages]]) -> ChosenTopics:
+    """The only topic, or the one that logs usually have."""
+    topic = STATES if STATES in topics else next(iter(topics))
+    if len(topics) > 1 and topic != STATES:
+        raise InputError(f"{path}: several topics of joint states: {_listed(topics)}. Say which with --topic")
+    counts: Counter[tuple[str, ...]] = Counter()
+    for group in topics[topic]:
+        counts[group.layout.names] += len(group.stamp)
+    most = counts.most_common(1)[0][0]
+    if len(set(most)) != len(most) or not most:
+        raise InputError(f"{path}: joint names are empty or stand twice in a message: {list(most)}")
+    return ChosenTopics((topic,), most)
+
+
+def _holding(topics: dict[str, list[Messages]], joints: Sequence[str]) -> list[str]:
+    """Topics that hold all joints in one message, else in several, else those that hold them together; of several,
+    the only one with torques."""
+    wanted = set(joints)
+    whole = [t for t, groups in topics.items() if any(wanted <= set(group.layout.names) for group in groups)]
+    whole = whole or [topic for topic, groups in topics.items() if wanted <= _names(groups)]
+    if len(whole) > 1:
+        with_torque = [topic for topic in whole if any(group.effort is not None for group in topics[topic])]
+        return with_torque if len(with_torque) == 1 else whole
+    if whole:
+        return whole
+    parts = [topic for topic, groups in topics.items() if wanted & _names(groups)]
+    together = {name for topic in parts for name in _names(topics[topic])}
+    return parts if wanted <= together else []
+
+
+def _refuse_other_robot(
+    path: Path, topics: dict[str, list[Messages]], robot: RobotDescription, named: str | None
+) -> None:
+    known = {name for groups in topics.values() for name in _names(groups)}
+    missing = ", ".join(name for name in robot.joint_names if name not in known)
+    of = f"of robot {named!r}, " if named else ""
+    joints = _listed(topics) if len(topics) > 1 else ", ".join(_in_order(next(iter(topics.values()))))
+    prefixes = _prefixes(known, robot.joint_names)
+    advice = "Name the robot description that belongs to the log"
+    if prefixes:
+        advice = f"Its names begin with {' or '.join(prefixes)}: give the joints of one arm these names in robot.yaml"
+    raise InputError(
+        f"{path}: the log is {of}not of robot {robot.name!r}: {missing} missing, its joints are "
+        f"{joints or 'without names'}. {advice}"
+    )
+
+
+def _prefixes(known: set[str], joints: Sequence[str]) -> list[str]:
+    """What stands before all of the robot's joints in a log, such as `left_` and `right_`."""
+    found = {name.removesuffix(joints[0]) for name in known if name.endswith(joints[0])}
+    return sorted(prefix for prefix in found if all(prefix + joint in known for joint in joints))
+
+
+def _names(groups: Sequence[Messages]) -> set[str]:
+    return set(_in_order(groups))
+
+
+def _in_order(groups: Sequence[Messages]) -> list[str]:
+    return list(dict.fromkeys(name for group in groups for name in group.layout.names))
+
+
+def _count(groups: Sequence[Messages]) -> int:
+    return sum(len(group.stamp) for group in groups)
+
+
+def _listed(topics: dict[str, list[Messages]]) -> str:
+    return "; ".join(f"{topic} ({', '.join(_in_order(groups)) or 'no names'})" for topic, groups in topics.items())
+
+
+def _no_joint_states(found: Scan, groups: dict[str, list[Messages]]) -> str:
+    empty = found.types.get(STATES) == _STATES_TYPE and not found.unreadable
+    if not found.types or (empty and not found.closed):
+        return "no messages in it" + ("" if found.closed else "; its writer stopped before it had written any")
+    if empty:
+        return f"the topic {STATES} is in it without a single message: was it published while this was recorded?"
+    if found.unreadable:
+        topic, count = max(found.unreadable.items(), key=lambda item: item[1])
+        return (
+            f"no readable {STATES} in it: {count} messages on {topic} are no {_STATES_TYPE}, or compressed in a way "
+            "that is not known here; ros2 bag convert writes them plainly"
+        )
+    topics = ", ".join(f"{topic}: {kind}" for topic, kind in sorted(found.types.items()))
+    which = f". If one of these is the arm, name it with --topic: {_listed(groups)}" if groups else ""
+    return f"no readable {STATES} of type {_STATES_TYPE} in it; it has {topics}{which}"
