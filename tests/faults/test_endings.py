@@ -166,6 +166,10 @@ def test_a_pipe_that_nobody_reads_delays_no_stop(bench, tmp_path, assert_at_rest
         pytest.param(signal.SIGINT, 130, "interrupted", marks=pytest.mark.verify),
         (signal.SIGQUIT, 131, "quit"),
         pytest.param(signal.SIGTERM, 143, "terminated", marks=pytest.mark.verify),
+        (signal.SIGUSR1, 138, "ended by signal 10"),
+        pytest.param(signal.SIGABRT, 134, "ended by signal 6", marks=pytest.mark.verify),
+        pytest.param(signal.SIGALRM, 142, "ended by signal 14", marks=pytest.mark.verify),
+        pytest.param(signal.SIGXCPU, 152, "ended by signal 24", marks=pytest.mark.verify),
     ],
 )
 def test_every_signal_ends_in_a_stop_and_says_so(bench, moving, assert_at_rest, number, code, said):
