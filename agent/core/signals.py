@@ -18,7 +18,7 @@ from types import FrameType
 from typing import Any
 
 #: What people send to end a program, and its message.
-_WORDS = {
+_WORDS: dict[int, str] = {
     signal.SIGINT: "interrupted",
     signal.SIGTERM: "terminated",
     signal.SIGHUP: "hung up: the terminal or the session is gone",

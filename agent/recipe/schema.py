@@ -38,6 +38,7 @@ from agent.recipe.quantities import (
     ToolPose,
     ToolPosition,
 )
+from drivers.texts import place_of
 
 #: Estimators that `estimate.method` may name; `auto` lets held-out error choose.
 ESTIMATION_METHODS = (
@@ -75,6 +76,11 @@ class ControllerSection(RecipeSection):
 
     driver: Name = "tcp"
     address: Name
+
+    @property
+    def place(self) -> str:
+        """Where it is, for people: the address without its options."""
+        return place_of(self.address)
 
 
 class BoxBounds(RecipeSection):

@@ -68,13 +68,13 @@ def test_nothing_suspends_a_program_whose_arm_moves(number: int):
 
 def test_a_limit_of_processor_time_cuts_no_stop_short():
     """It comes once a second, until the limit that kills."""
-    with stop_to_come(), pytest.raises(Ended):
-        try:
-            os.kill(os.getpid(), signal.SIGXCPU)
-        finally:
+    with signals_raised():
+        with stop_to_come():
+            with pytest.raises(Ended):
+                os.kill(os.getpid(), signal.SIGXCPU)
             with undisturbed():
                 os.kill(os.getpid(), signal.SIGXCPU)
-            os.kill(os.getpid(), signal.SIGXCPU)  # while the log is closed
+        os.kill(os.getpid(), signal.SIGXCPU)  # while the log is closed
 
 
 @pytest.mark.parametrize(
