@@ -353,3 +353,45 @@ def test_a_disk_that_takes_nothing_ends_in_a_stop(bench, assert_at_rest, monkeyp
     assert [end.name for end in controller.ends] == ["STOPPED"]
     assert_at_rest(controller, 1)
     _assert_nothing_lost(bench, controller, until[0])
+
+
+def _delete(log: Path) -> None:
+    log.unlink()
+
+
+def _truncate(log: Path) -> None:
+    os.truncate(log, 0)
+
+
+def _replace(log: Path) -> None:
+    log.with_name("other").write_bytes(log.read_bytes())
+    log.with_name("other").rename(log)
+
+
+def _take_the_folder(log: Path) -> None:
+    log.parent.rename(log.parent.with_name("elsewhere"))
+
+
+@pytest.mark.parametrize(
+    "harm", [_delete, *(pytest.param(one, marks=pytest.mark.verify) for one in (_truncate, _replace, _take_the_folder))]
+)
+def test_a_log_that_is_taken_away_in_motion_ends_in_a_stop(bench, assert_at_rest, monkeypatch, harm):
+    controller = bench.serve(clock="real")
+    bench.program.write_text(LONG, encoding="utf-8")
+    bench.log = bench.folder / "taken" / "swing.mcap"
+    bench.log.parent.mkdir()
+    strike, harmed = controller.faults.strike, []
+
+    def once(phase: str, motion_time: float = 0.0):
+        if phase == "streaming" and motion_time > 1.0 + MOMENT / 1000 and not harmed:
+            harmed.append(controller.recorded)
+            harm(bench.log)
+        return strike(phase, motion_time)
+
+    monkeypatch.setattr(controller.faults, "strike", once)
+    ended = bench.record()
+    assert ended.code == 1, ended.errors
+    assert "deleted, replaced or changed while it was recorded" in ended.errors
+    assert [end.name for end in controller.ends] == ["STOPPED"]
+    assert_at_rest(controller, 1)
+    assert controller.recorded - harmed[0] < 2 * 500, "noticed within a second, and then the arm brakes"
