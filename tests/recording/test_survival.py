@@ -212,13 +212,16 @@ def test_a_log_that_somebody_takes_away_is_an_error(tools, tmp_path: Path, harm,
         while writer.backlog:
             os.sched_yield()
 
-    write(0, 1000)
-    harm(path)
-    with pytest.raises(RecordingError, match="deleted, replaced or changed while it was recorded"):
+    def go_on() -> None:
         for first in range(1000, 1001 if after else 3000, 50):
             write(first, 50)
         if after:
             writer.close()
+
+    write(0, 1000)
+    harm(path)
+    with pytest.raises(RecordingError, match="deleted, replaced or changed while it was recorded"):
+        go_on()
 
 
 def test_a_log_that_nobody_touches_is_none(tools, record):
