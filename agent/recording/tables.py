@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from agent.core import InputError, needed
+from agent.recording.table_sizes import check_mat, number_columns
 
 #: Columns that one matrix of a MAT file may hold; a wider one is no table of samples.
 _MAX_COLUMNS = 256
@@ -62,6 +63,8 @@ def read_table(path: Path) -> ColumnTable:
         table = reader(path)
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
+    except (MemoryError, RecursionError):
+        raise InputError(f"{path}: takes more memory, or is nested deeper, than a table of samples") from None
     if not any(len(column) for column in table.columns.values()):
         raise InputError(f"{path}: no columns of numbers in it")
     return table
@@ -153,6 +156,7 @@ def _number(text: str) -> float:
 def _read_mat(path: Path) -> ColumnTable:
     from scipy.io import loadmat
 
+    check_mat(path)
     try:
         content = loadmat(path, squeeze_me=True, struct_as_record=False)
     except NotImplementedError:
@@ -188,7 +192,8 @@ def _read_parquet(path: Path) -> ColumnTable:
     from pyarrow import ArrowException, parquet
 
     try:
-        content = parquet.read_table(path)
+        with parquet.ParquetFile(path) as file:
+            content = file.read(number_columns(path, file))
     except ArrowException as error:
         raise InputError(f"{path}: not a readable Parquet file: {error}") from None
     columns: dict[str, np.ndarray] = {}

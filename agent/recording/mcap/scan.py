@@ -40,6 +40,8 @@ _BATCH = 2**20
 _MAX_LAYOUTS = 1000
 #: A chunk may hold so much before compression [bytes], and a file so many times its size: logs shrink to a tenth.
 MOST_UNPACKED, _MOST_TIMES = 64 * 2**20, 500
+#: More than this in all [bytes] only where the file is large itself: a log shrinks to a thirtieth at the most.
+_MOST_OF_SMALL, _OF_LARGE = 2**30, 30
 _TYPES = ("sensor_msgs/msg/JointState", "sensor_msgs/JointState")
 
 
@@ -194,9 +196,11 @@ class _Scanner:
                 f"{self._path}: a chunk of {size / 2**20:.0f} MiB before compression; at most {MOST_UNPACKED >> 20} "
                 "MiB can be read: write the file anew with smaller chunks"
             )
-        if self._unpacked > max(MOST_UNPACKED, _MOST_TIMES * self._file_size):
+        most = min(max(MOST_UNPACKED, _MOST_TIMES * self._file_size), max(_MOST_OF_SMALL, _OF_LARGE * self._file_size))
+        if self._unpacked > most:
             raise InputError(
-                f"{self._path}: unpacks to more than {_MOST_TIMES} times its size, as no recording of a motion does"
+                f"{self._path}: unpacks to more than {most / self._file_size:.0f} times its size "
+                f"({most >> 20} MiB), as no recording of a motion does"
             )
 
     def _take_metadata(self, body: bytes) -> None:
