@@ -10,6 +10,7 @@ that is broken itself (SIGSEGV, SIGBUS, SIGFPE, SIGILL): Python cannot go on aft
 from __future__ import annotations
 
 import contextlib
+import os
 import signal
 import threading
 import time
@@ -38,6 +39,8 @@ _WAY_TO_STOP = 1.0
 #: So long [s] after one that was raised, others but these say no more than it did: a terminal that closes sends
 #: several, a limit of processor time one a second, and the log is still to be closed.
 _ONE_END = 10.0
+#: File descriptors for the time after a motion.
+_KEPT_BACK = 16
 _BY_HAND = (signal.SIGINT, signal.SIGQUIT)
 
 
@@ -103,7 +106,7 @@ def stop_to_come() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    with signals_raised():
+    with signals_raised(), _descriptors_kept_back():
         suspend, hook = {one: signal.signal(one, signal.SIG_IGN) for one in _SUSPENDING}, threading.excepthook
         threading.excepthook = _reporting(hook)
         _state.moving, _state.failure = True, None
@@ -114,6 +117,21 @@ def stop_to_come() -> Iterator[None]:
             threading.excepthook = hook
             for one, handler in suspend.items():
                 signal.signal(one, handler)
+
+
+@contextlib.contextmanager
+def _descriptors_kept_back() -> Iterator[None]:
+    """What comes after a motion needs files: modules that are loaded only then, the list of programs that have run.
+    Where none are left to the process by then, these are."""
+    kept: list[int] = []
+    with contextlib.suppress(OSError):
+        while len(kept) < _KEPT_BACK:
+            kept.append(os.open(os.devnull, os.O_RDONLY))
+    try:
+        yield
+    finally:
+        for descriptor in kept:
+            os.close(descriptor)
 
 
 @contextlib.contextmanager

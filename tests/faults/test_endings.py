@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import pty
+import resource
 import signal
 import subprocess
 import sys
@@ -395,3 +396,30 @@ def test_a_log_that_is_taken_away_in_motion_ends_in_a_stop(bench, assert_at_rest
     assert [end.name for end in controller.ends] == ["STOPPED"]
     assert_at_rest(controller, 1)
     assert controller.recorded - harmed[0] < 2 * 500, "noticed within a second, and then the arm brakes"
+
+
+def _leave_no_descriptors(process: int) -> None:
+    """From now on the process can open nothing more."""
+    used = {int(name) for name in os.listdir(f"/proc/{process}/fd")}
+    _, most = resource.prlimit(process, resource.RLIMIT_NOFILE)
+    resource.prlimit(process, resource.RLIMIT_NOFILE, (min(set(range(len(used) + 1)) - used), most))
+
+
+@pytest.mark.parametrize(("number", "code"), [(None, 0), (signal.SIGTERM, 143)])
+def test_a_motion_ends_as_ever_where_no_file_can_be_opened(bench, on_terminal, assert_at_rest, number, code: int):
+    controller = bench.serve(clock="real")
+    if number is not None:
+        bench.program.write_text(LONG, encoding="utf-8")
+    terminal = on_terminal("record", bench.recipe, "--program", bench.program, "-o", bench.log, "--yes")
+    terminal.read_until("of motion")
+    _leave_no_descriptors(terminal.process.pid)
+    _wait_for(controller, 500)
+    if number is not None:
+        terminal.process.send_signal(number)
+    os.close(terminal.slave)
+    said = terminal.read_to_the_end()
+    assert terminal.process.wait(30) == code, said
+    assert "Traceback" not in said
+    assert [end.name for end in controller.ends] == ["DONE" if number is None else "STOPPED"]
+    assert_at_rest(controller, 1)
+    assert read_log(bench.log).metadata["lost_samples"] == "0"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -88,3 +89,16 @@ def test_a_program_that_is_broken_ends_by_its_own_signal(fault: str, number: int
         [sys.executable, "-c", text], env={**os.environ, "PYTHONPATH": os.getcwd()}, preexec_fn=end_with_tests
     )
     assert end.returncode == -number
+
+
+def test_after_a_motion_files_can_be_opened_though_none_were_left():
+    _, most = before = resource.getrlimit(resource.RLIMIT_NOFILE)
+    try:
+        with stop_to_come():
+            used = {int(name) for name in os.listdir("/proc/self/fd")}
+            resource.setrlimit(resource.RLIMIT_NOFILE, (min(set(range(max(used) + 2)) - used), most))
+            with pytest.raises(OSError, match="Too many open files"):
+                os.open(os.devnull, os.O_RDONLY)
+        os.close(os.open(os.devnull, os.O_RDONLY))
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, before)
