@@ -49,7 +49,7 @@ def test_a_clash_of_alternatives_is_named(recipe_file: Path, via_points: str, ke
         ("speed: 500 mm/s", "speed: 1e-320 m/s", 7, "motion.speed", "0.001"),
         ("cutoff: 20 Hz", "cutoff: 1e-300 Hz", 15, "estimate.filter.cutoff", "0.1"),
         ("every: 12 h", "every: 1e-300 s", 18, "recalibrate.every", "equal to 1"),
-        ("normalised_rmse: 0.05", "normalised_rmse: 1e-300 %", 17, "gate.normalised_rmse", "1e-06"),
+        ("normalised_rmse: 0.05", "normalised_rmse: 1e-300 %", 17, "gate.normalised_rmse", "0.000001"),
         ("speed: 500 mm/s", "speed: .nan", 7, "motion.speed", "finite"),
         ("speed: 500 mm/s", "speed: true", 7, "motion.speed", "not true or false"),
         ("speed: 500 mm/s", "speed:", 7, "motion.speed", "not nothing"),
