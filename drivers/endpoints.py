@@ -7,6 +7,7 @@ import os
 import socket
 import stat
 from collections.abc import Iterator
+from typing import Any
 
 from drivers.errors import ConfigurationError
 from drivers.registry import available
@@ -46,7 +47,7 @@ def _ports(host: str, port: int) -> Iterator[str]:
         yield f"{'this machine' if _is_here(family, place) else place[0]}:{port}"
 
 
-def _is_here(family: int, place: tuple[str | int, ...]) -> bool:
+def _is_here(family: int, place: tuple[Any, ...]) -> bool:
     """Whether an IP address is one of this machine's: nobody can listen at another's."""
     if ipaddress.ip_address(str(place[0]).partition("%")[0]).is_loopback:
         return True
