@@ -6,13 +6,13 @@ from drivers.texts import hide_all, printable
 class DriverError(Exception):
     """The link failed: nobody there, silent, dropped, or another protocol.
 
-    The message may quote the far end: it is cut, and has neither control characters nor passwords.
+    The message may quote the far end: it is one line, cut, and has neither control characters nor passwords.
     """
 
     exit_code = 4
 
     def __init__(self, message: object = "") -> None:
-        super().__init__(printable(hide_all(str(message)), lines=True))
+        super().__init__(printable(hide_all(str(message))))
 
 
 class ProtocolError(DriverError):

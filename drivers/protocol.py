@@ -12,7 +12,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from drivers.errors import ProtocolError
-from drivers.texts import ALARM, MANY, NAME, printable
+from drivers.texts import ALARM, MANY, MESSAGE, NAME, printable
 
 
 @dataclass(frozen=True)
@@ -41,6 +41,8 @@ class Identity:
             raise ProtocolError(f"the controller names {len(self.joint_names)} joints; 1 to {MANY} are expected")
         for name in ("robot", "serial", "controller", "version"):
             object.__setattr__(self, name, printable(getattr(self, name), NAME))
+        for name in ("watch_only", "unguarded"):
+            object.__setattr__(self, name, printable(getattr(self, name), MESSAGE))
         object.__setattr__(self, "joint_names", tuple(printable(name, NAME) for name in self.joint_names))
 
 

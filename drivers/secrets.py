@@ -60,9 +60,9 @@ def read_secret(source: str) -> str:
     kind, _, name = check_source(source).partition(":")
     secret = _KINDS[kind](name)
     if len(secret) < _SHORTEST:
-        raise ConfigurationError(f"the password in {source} has fewer than {_SHORTEST} characters; choose a longer one")
+        raise ConfigurationError(f"the password in {kind}:… has fewer than {_SHORTEST} characters; choose a longer one")
     if not secret.isprintable():
-        raise ConfigurationError(f"the password in {source} has characters that cannot be typed; one line is expected")
+        raise ConfigurationError(f"the password in {kind}:… has characters that cannot be typed; one line is expected")
     hidden_forms.update({secret, json.dumps(secret)[1:-1], html.escape(secret), repr(secret)[1:-1], quote(secret)})
     return secret
 
@@ -70,7 +70,7 @@ def read_secret(source: str) -> str:
 def _from_environment(name: str) -> str:
     secret = os.environ.get(name)
     if secret is None:
-        raise ConfigurationError(f"the environment has no variable {name}, where the password is expected; export it")
+        raise ConfigurationError("env:…: the environment has no such variable for the password; export it")
     return secret
 
 
@@ -79,20 +79,20 @@ def _from_file(name: str) -> str:
         with open(os.open(name, os.O_RDONLY | os.O_NONBLOCK), "rb") as file:
             about = os.fstat(file.fileno())
             if not stat.S_ISREG(about.st_mode):
-                raise ConfigurationError(f"{name}: not a file, so no password is read from it")
+                raise ConfigurationError("file:…: not a file, so no password is read from it")
             if about.st_mode & (stat.S_IRWXG | stat.S_IRWXO):
-                raise ConfigurationError(f"{name}: others than its owner can read this password; chmod 600 {name}")
+                raise ConfigurationError("file:…: others than its owner can read this password; chmod 600 that file")
             if about.st_uid not in (os.geteuid(), 0):
-                raise ConfigurationError(f"{name}: this password belongs to another user; chown it")
+                raise ConfigurationError("file:…: this password belongs to another user; chown it")
             data = file.read(_LONGEST + 1)
     except OSError as error:
-        raise ConfigurationError(f"{name}: the password cannot be read: {error.strerror}") from None
+        raise ConfigurationError(f"file:…: the password cannot be read: {error.strerror}") from None
     if len(data) > _LONGEST:
-        raise ConfigurationError(f"{name}: longer than {_LONGEST} bytes, which is no password")
+        raise ConfigurationError(f"file:…: longer than {_LONGEST} bytes, which is no password")
     try:
         return data.decode("utf-8").strip("\r\n")
     except UnicodeDecodeError:
-        raise ConfigurationError(f"{name}: the password is not UTF-8") from None
+        raise ConfigurationError("file:…: the password is not UTF-8") from None
 
 
 def _from_keyring(name: str) -> str:
@@ -104,9 +104,9 @@ def _from_keyring(name: str) -> str:
     try:
         secret = keyring.get_password(service, user)
     except Exception as error:  # each of its back ends has errors of its own
-        raise DriverError(f"keyring: {service} cannot be read: {type(error).__name__}") from None
+        raise DriverError(f"keyring:…: cannot be read: {type(error).__name__}") from None
     if secret is None:
-        raise ConfigurationError(f"keyring: there is no password for {user!r} of {service!r}; keyring set stores one")
+        raise ConfigurationError("keyring:…: there is no such password; keyring set stores one")
     return secret
 
 

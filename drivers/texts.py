@@ -21,6 +21,20 @@ _IN_ADDRESS = re.compile(r"(?P<user>[^\s/@,:'\"{}()=]*:)[^\s@/'\"{};]+@(?=[\w\[]
 _KEYS = "pass(?:word|wd|phrase)?|pwd|secret|token|api_?key"
 _IN_OPTION = re.compile(rf"(?i)(?<![a-z])(?P<key>{_KEYS})=(?!\*)[^\s,;'\"&<>}}]+")
 _HIDDEN = "***"
+_IP = re.compile(r"[0-9A-Fa-f]{0,4}(?::[0-9A-Fa-f]{0,4}){2,7}")
+#: Where an address leads: a device, or a host with its port.
+_PLACE = re.compile(
+    r"/(?:[\w./+~-]|:(?=\d))*|\\\\\.\\\w+|(?:[a-z]+://)?(?:\[[\w:.%]+\]|[\w.-]*)(?::0*\d{1,5}(?!\w))?", re.ASCII
+)
+
+
+def place_of(address: str) -> str:
+    """Where an address leads, for people. Nothing of what follows is shown, whatever its name: it may be a password."""
+    text = printable(address, NAME)
+    head = re.split(r"[,;?#&\s]", text, maxsplit=1)[0]
+    found = None if "@" in text or "=" in head else _IP.fullmatch(head) or _PLACE.match(head)
+    place = found[0] if found else ""
+    return place if place == text else f"{place},…"
 
 
 def hide(text: str) -> str:

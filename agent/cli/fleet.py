@@ -105,7 +105,7 @@ def _up_to_date(
     console = opt.console_for(messages)
 
     def engine(tasks: int) -> DaskEngine:
-        return DaskEngine(scheduler, min(tasks, workers or available_cores()), memory, console.say)
+        return DaskEngine(scheduler, min(tasks, workers or available_cores()), memory, console.say, console.warn)
 
     def work(kind: str, source: str, out: str, robot: str | None, model: str | None, **asked: Any) -> Summary:
         return run_fleet(source, make_question(kind, robot, model, **asked), out, engine, console)

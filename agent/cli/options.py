@@ -68,7 +68,7 @@ def engine_for(scheduler: str | None, workers: int | None, console: Any) -> Any:
     from agent.core import DaskEngine, InProcess, LocalProcesses, available_cores
 
     if scheduler is not None:
-        return DaskEngine(scheduler, say=console.say)
+        return DaskEngine(scheduler, say=console.say, warn=console.warn)
     count = workers or available_cores()
     return InProcess() if count == 1 else LocalProcesses(count)
 

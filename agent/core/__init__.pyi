@@ -7,12 +7,14 @@ from .console import (
     print_path as print_path,
     print_text as print_text,
 )
+from .csv_cells import csv_text as csv_text
 from .documents import (
     find_faults as find_faults,
     first_fault as first_fault,
     line_of as line_of,
     load_document as load_document,
     read_json as read_json,
+    read_text as read_text,
     read_yaml as read_yaml,
     validate_document as validate_document,
     without_faults as without_faults,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import atexit
 import json
 import os
+import re
 import sys
 import time
 from collections.abc import Callable
@@ -20,6 +21,9 @@ if TYPE_CHECKING:
 
 #: Characters of one message; a recipe with many faults has some thousands.
 LONGEST = 20_000
+_LONGEST_RESULT = 10_000_000
+#: What the agent's own lines begin with, after a line feed.
+_OWN_LINE = re.compile(r"\n\s*(?=agent: |warning: |\[ *\d+\.?\d* s\])")
 _SOON = 2.0  # s
 _FRAME = 0.1  # s, between two pictures of the progress on a terminal
 _BAR = 20  # characters
@@ -145,7 +149,7 @@ def end_progress() -> None:
 def print_text(text: str) -> None:
     """A result for people on stdout."""
     end_progress()
-    print(text)
+    print(printable(hide(text), _LONGEST_RESULT, lines=True))
 
 
 def print_path(path: Path) -> None:
@@ -164,8 +168,9 @@ def print_json(data: Any) -> None:
 
 
 def fit_to_show(text: str) -> str:
-    """A message for a terminal: no passwords, no control characters, and not without end."""
-    return printable(hide_all(text), LONGEST, lines=True)
+    """A message for a terminal: no passwords, no control characters, not without end, and no line that looks like one
+    of the agent's own, whoever named the folder or the joint in it."""
+    return _OWN_LINE.sub(" ", printable(hide_all(text), LONGEST, lines=True))
 
 
 def finite(data: Any) -> Any:

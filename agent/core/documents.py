@@ -250,7 +250,7 @@ def _described(model: type[BaseModel], fault: Any) -> str:
     elif fault["type"] in ("model_type", "model_attributes_type"):
         message = f"a mapping is expected; its keys are {', '.join(_keys_at(model, location))}"
     else:
-        got = _shown(fault.get("input"))
+        got = "" if location[:1] == ("controller",) else _shown(fault.get("input"))  # an address may hold a password
         if got and got not in message:
             message += f" (got {got})"
     key = printable(".".join(str(part) for part in location) or "document", _SHOWN)

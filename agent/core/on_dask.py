@@ -29,6 +29,8 @@ _LOOK = 2.0
 _AHEAD = 2
 #: Run by every local worker as it starts: Ctrl-C reaches all processes of a terminal at once, and ours ends the others.
 _WITHOUT_CTRL_C = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"
+#: Protocols of Dask that let nobody in without a certificate.
+_ENCRYPTED = ("tls://", "wss://")
 #: How often Dask tries a task again whose worker died.
 _TRIES = 2
 
@@ -43,6 +45,7 @@ class DaskEngine:
         workers: how many of those; one a core if None.
         memory: of each of those, as in `2GiB`; their share of the machine's if None.
         say: called with what a person should know.
+        warn: called where others can run code: a scheduler without TLS does what anybody who reaches it asks for.
 
     Raises:
         InputError: on entering it: Dask is not installed, or nobody answers at the address.
@@ -54,11 +57,13 @@ class DaskEngine:
         workers: int | None = None,
         memory: str | None = None,
         say: Callable[[str], None] = lambda text: None,
+        warn: Callable[[str], None] = lambda text: None,
     ):
         self._scheduler = scheduler
         self._workers = workers or available_cores()
         self._memory = memory
         self._say = say
+        self._warn = warn
         self._cluster: Any = None
         self._client: Any = None
         self._width = (-float("inf"), 1)
@@ -72,6 +77,11 @@ class DaskEngine:
         if self._scheduler is None:
             self._start_local()
         else:
+            if not self._scheduler.startswith(_ENCRYPTED):
+                self._warn(
+                    f"{self._scheduler}: this link is neither encrypted nor authenticated. Whoever reaches the "
+                    "scheduler can run code as the users of its workers; use a scheduler at tls://"
+                )
             self._say(f"{self._scheduler}: connecting to the scheduler")
             try:
                 # a client of an address that is none would keep a thread, and the process would not end
@@ -197,6 +207,7 @@ class DaskEngine:
     def _start_local(self) -> None:
         import dask
 
+        needed("cryptography", "work on many cores")
         settings = {
             "distributed.scheduler.allowed-failures": _TRIES,
             "distributed.scheduler.worker-saturation": 1.0,
@@ -218,6 +229,7 @@ class DaskEngine:
                 dashboard_address="127.0.0.1:0",
                 silence_logs=logging.CRITICAL,
                 preload=[_WITHOUT_CTRL_C],
+                security=self._dask.Security.temporary(),  # else every user of this machine could run code as this one
             )
         except ValueError as error:
             raise InputError(f"local workers cannot be started: {error}") from None

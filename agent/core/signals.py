@@ -1,13 +1,16 @@
 """How a program ends that may have an arm in motion: every signal that ends it is raised in the main thread, so that
 the way out leads through a controlled stop, and none cuts that stop short.
 
-Python alone turns only SIGINT into an exception; SIGHUP (a terminal that is closed, an ssh session that drops), SIGQUIT
-and SIGTERM would end the process on the spot.
+Python alone turns only SIGINT into an exception; every other signal, such as SIGHUP (a closed terminal, a dropped ssh
+session) or SIGXCPU (a limit of the shell), would end the process on the spot. Left alone are the signals of a program
+that is broken itself (SIGSEGV, SIGBUS, SIGFPE, SIGILL): Python cannot go on after them, and the core file shows why. An
+`abort()` in compiled code ends the process in the same way, although SIGABRT from outside is raised.
 """
 
 from __future__ import annotations
 
 import contextlib
+import os
 import signal
 import threading
 import time
@@ -15,32 +18,43 @@ from collections.abc import Callable, Iterator
 from types import FrameType
 from typing import Any
 
-#: What ends a program, and its message.
-WORDS = {
+#: What people send to end a program, and its message.
+_WORDS: dict[int, str] = {
     signal.SIGINT: "interrupted",
     signal.SIGTERM: "terminated",
     signal.SIGHUP: "hung up: the terminal or the session is gone",
     signal.SIGQUIT: "quit",
 }
+#: What ends no program by itself, cannot be caught, or is a fault of the program.
+_OTHERS = (
+    *("SIGKILL", "SIGSTOP", "SIGTSTP", "SIGTTIN", "SIGTTOU", "SIGCONT", "SIGCHLD", "SIGURG", "SIGWINCH", "SIGINFO"),
+    *("SIGSEGV", "SIGBUS", "SIGFPE", "SIGILL", "SIGEMT"),
+)
+#: What ends a program that does nothing about it.
+ENDING = signal.valid_signals() - {getattr(signal, name, None) for name in _OTHERS}
+#: What suspends a program: nobody would watch the arm.
+_SUSPENDING = (signal.SIGTSTP, signal.SIGTTIN)
 #: So long [s] after one that was raised, no other is raised on the way to the stop.
 _WAY_TO_STOP = 1.0
-#: So long [s] after one that was raised, these say no more than it did: a terminal that closes sends several, and the
-#: log is still to be closed.
+#: So long [s] after one that was raised, others but these say no more than it did: a terminal that closes sends
+#: several, a limit of processor time one a second, and the log is still to be closed.
 _ONE_END = 10.0
-_SEVERAL = (signal.SIGHUP, signal.SIGTERM)
+#: File descriptors for the time after a motion.
+_KEPT_BACK = 16
+_BY_HAND = (signal.SIGINT, signal.SIGQUIT)
 
 
 class Ended(BaseException):
     """A signal other than SIGINT, which is a `KeyboardInterrupt` as everywhere."""
 
     def __init__(self, number: int):
-        super().__init__(WORDS[signal.Signals(number)])
+        super().__init__(_WORDS.get(number) or f"ended by signal {number} ({signal.strsignal(number)})")
         self.exit_code = 128 + number
 
 
 def words_of(error: BaseException) -> str:
     """What ended something, for people."""
-    return WORDS[signal.SIGINT] if isinstance(error, KeyboardInterrupt) else str(error) or type(error).__name__
+    return _WORDS[signal.SIGINT] if isinstance(error, KeyboardInterrupt) else str(error) or type(error).__name__
 
 
 class _State:
@@ -59,7 +73,7 @@ _state = _State()
 @contextlib.contextmanager
 def signals_raised() -> Iterator[None]:
     """Within it, signals that end a program are raised in the main thread; what the caller of the program has told it
-    to ignore (`nohup`, a job in the background) stays ignored.
+    to ignore (`nohup`, a job in the background) stays ignored, and a handler of the caller's own stays.
 
     In another thread than the main one, or within itself, it changes nothing.
     """
@@ -67,12 +81,13 @@ def signals_raised() -> Iterator[None]:
         yield
         return
     # A job in the background that writes to its terminal would be suspended, where the terminal is set to that.
-    before = {number: signal.getsignal(number) for number in (*WORDS, signal.SIGTTOU)}
+    before = {number: signal.getsignal(number) for number in (*ENDING, signal.SIGTTOU)}
     kept = {number: handler for number, handler in before.items() if handler is not None}
     _state.catching, _state.raised = True, -float("inf")
     try:
-        for number in WORDS:
-            if before[number] is not signal.SIG_IGN or number == signal.SIGTERM:
+        for number in ENDING:
+            ours = before[number] is signal.SIG_DFL or (number in _WORDS and before[number] is not signal.SIG_IGN)
+            if ours or number == signal.SIGTERM:
                 signal.signal(number, _raise)
         signal.signal(signal.SIGTTOU, signal.SIG_IGN)
         yield
@@ -91,8 +106,8 @@ def stop_to_come() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    with signals_raised():
-        suspend, hook = signal.signal(signal.SIGTSTP, signal.SIG_IGN), threading.excepthook
+    with signals_raised(), _descriptors_kept_back():
+        suspend, hook = {one: signal.signal(one, signal.SIG_IGN) for one in _SUSPENDING}, threading.excepthook
         threading.excepthook = _reporting(hook)
         _state.moving, _state.failure = True, None
         try:
@@ -100,7 +115,23 @@ def stop_to_come() -> Iterator[None]:
         finally:
             _state.moving, _state.failure = False, None
             threading.excepthook = hook
-            signal.signal(signal.SIGTSTP, suspend)
+            for one, handler in suspend.items():
+                signal.signal(one, handler)
+
+
+@contextlib.contextmanager
+def _descriptors_kept_back() -> Iterator[None]:
+    """What comes after a motion needs files: modules that are loaded only then, the list of programs that have run.
+    Where none are left to the process by then, these are."""
+    kept: list[int] = []
+    with contextlib.suppress(OSError):
+        while len(kept) < _KEPT_BACK:
+            kept.append(os.open(os.devnull, os.O_RDONLY))
+    try:
+        yield
+    finally:
+        for descriptor in kept:
+            os.close(descriptor)
 
 
 @contextlib.contextmanager
@@ -123,7 +154,7 @@ def hang_up() -> None:
 
 def _raise(number: int, _: FrameType | None) -> None:
     since = time.monotonic() - _state.raised
-    if _state.shields or (_state.moving and since < _WAY_TO_STOP) or (number in _SEVERAL and since < _ONE_END):
+    if _state.shields or (_state.moving and since < _WAY_TO_STOP) or (number not in _BY_HAND and since < _ONE_END):
         return
     _state.raised = time.monotonic()
     if _state.failure is not None:

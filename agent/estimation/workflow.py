@@ -86,8 +86,8 @@ class EstimationSettings:
         Raises:
             InputError: unknown method or friction, or a cut-off that is none.
         """
-        if cutoff is not None and not (np.isfinite(cutoff) and cutoff > 0):
-            raise InputError(f"--cutoff {cutoff:g}: a frequency above 0 Hz is needed")
+        if cutoff is not None and not (np.isfinite(cutoff) and cutoff >= 0.1):  # as in a recipe
+            raise InputError(f"--cutoff {cutoff:g}: a frequency of at least 0.1 Hz is needed")
         if method is not None and method not in methods():
             raise InputError(f"method {method!r} is not known; choose one of {', '.join(methods())}")
         if friction not in ("selected", "paper"):

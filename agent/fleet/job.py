@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -182,7 +183,7 @@ def _marked(plant: SourceTasks, asked: str, known: dict[str, dict[str, Any]]) ->
 def _alone(out: str) -> Iterator[None]:
     """One run at a time writes a result, as far as this machine can tell."""
     try:
-        with robot_lock("fleet", str(Store(out).local or out)):
+        with robot_lock("fleet", os.path.realpath(local) if (local := Store(out).local) else out):
             yield
     except BusyError:
         raise BusyError(f"{out}: another run writes this result; wait for it to end, or stop it") from None

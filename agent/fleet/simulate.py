@@ -13,8 +13,6 @@ Torque of logs is inverse dynamics of the description, rotors, friction with a s
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
@@ -23,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from agent.core import InputError, needed
+from agent.core import InputError, csv_text, needed
 from agent.fleet.result import ROWS, schema
 from agent.fleet.store import Store
 from agent.robot import RobotDescription, load_robot
@@ -131,9 +129,7 @@ def simulate_fleet(robot: str, machines: int, weeks: int, seed: int, out: str, r
         ],
     }
     for name, table in tables.items():
-        text = io.StringIO()
-        csv.writer(text, lineterminator="\n").writerows(table)
-        store.put(f"_{name}" if rows else name, text.getvalue().encode())
+        store.put(f"_{name}" if rows else name, csv_text(table).encode())
         written.append(f"{out}/{'_' if rows else ''}{name}")
     store.remove(_UNFINISHED)
     return written

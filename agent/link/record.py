@@ -234,7 +234,7 @@ def open_link(
         guard = GuardedLink(
             driver,
             recipe.robot,
-            controller.address,
+            controller.place,
             recipe.record.rate,
             CheckedPrograms(runs / FILE),
             console.confirm,

@@ -12,8 +12,6 @@ Nothing is written that has not been read back and found to give the model's tor
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterable
@@ -25,7 +23,7 @@ from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
-from agent.core import RejectedError, written_whole
+from agent.core import RejectedError, csv_text, written_whole
 from agent.model.friction_terms import ODD, steady_columns
 from agent.model.identified import IdentifiedModel
 from agent.model.sdf import sdf_text
@@ -57,7 +55,7 @@ def export_model(model: IdentifiedModel, folder: Path) -> tuple[Path, ...]:
         folder / f"{model.robot.name}.xml": mujoco_text(model, standard, lines),
         folder / "friction.json": json.dumps(friction_data(model, standard, lines), indent=1, allow_nan=False),
         folder / f"{model.robot.name}.sdf": sdf_text(model, standard, lines),
-        folder / _TABLE: _csv(model),
+        folder / _TABLE: csv_text(model.rows()),
         folder / FOXGLOVE_LAYOUT: foxglove_layout(model.robot.joint_names),
     }
     folder.mkdir(parents=True, exist_ok=True)
@@ -78,15 +76,8 @@ def export_table(model: IdentifiedModel, folder: Path) -> tuple[Path, ...]:
     """
     folder.mkdir(parents=True, exist_ok=True)
     with written_whole(folder / _TABLE) as part:
-        part.write_text(_csv(model), encoding="utf-8")
+        part.write_text(csv_text(model.rows()), encoding="utf-8")
     return (folder / _TABLE,)
-
-
-def _csv(model: IdentifiedModel) -> str:
-    """The table of parameters, as spreadsheets read it."""
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows(model.rows())
-    return text.getvalue()
 
 
 def urdf_text(model: IdentifiedModel, standard: np.ndarray, lines: np.ndarray) -> str:

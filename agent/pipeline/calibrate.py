@@ -109,8 +109,8 @@ def _greet(recipe: Recipe, console: Console) -> None:
     """Ask the controller who it is before the search: a wrong address is reported at once, not minutes later."""
     with answering(recipe) as (_, identity):
         if not identity.watch_only:
-            check_period(identity, recipe.record.rate, recipe.controller.address)
-    console.say(f"{identity.robot}, serial {identity.serial}, answers at {recipe.controller.address}")
+            check_period(identity, recipe.record.rate, recipe.controller.place)
+    console.say(f"{identity.robot}, serial {identity.serial}, answers at {recipe.controller.place}")
 
 
 def _estimate(recipe: Recipe, run: RunFolder, console: Console) -> Any:

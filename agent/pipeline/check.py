@@ -129,7 +129,7 @@ def _controller(recipe: Recipe, _: Console) -> str:
     from agent.safety import PlannedProgram, check_frames, check_period, frames_text
     from drivers.protocol import AcceptsViaPoints, ReportsFrames
 
-    address = recipe.controller.address
+    address = recipe.controller.place
     with answering(recipe) as (driver, identity):
         if not identity.watch_only:
             check_period(identity, recipe.record.rate, address)

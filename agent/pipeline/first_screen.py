@@ -39,7 +39,7 @@ def identity(recipe: Recipe, result: dict[str, Any], run: str) -> list[tuple[str
         ("robot", result["robot"]),
         ("serial", result["serial"] or "not reported"),
         ("tool", "none" if recipe.tool is None else recipe.tool.text()),
-        ("controller", f"{recipe.controller.driver} {recipe.controller.address}"),
+        ("controller", f"{recipe.controller.driver} {recipe.controller.place}"),
         ("date", provenance["started"].replace("T", " ").removesuffix("+00:00")[:16] + " UTC"),
         ("run", run),
         ("current model", whose(result["current_model"], run)),

@@ -15,12 +15,13 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-from agent.core import InputError, write_atomically
+from agent.core import InputError, read_text, write_atomically
 from agent.recipe import Recipe
 from agent.runs import make_folder
 
 _HOUR = 3600.0
 _DAY = 24 * _HOUR
+_LARGEST_UNIT = 1 << 20  # bytes
 
 
 @dataclass(frozen=True)
@@ -49,7 +50,7 @@ def make_schedule(recipe: Recipe, logs: Path, folder: Path, at: str, authorisati
         authorisation: file that allows the motion while nobody is there.
 
     Raises:
-        InputError: not a time of day, or an interval below an hour.
+        InputError: not a time of day, an interval below an hour, or a name that no unit and no crontab can hold.
     """
     match = re.fullmatch(r"([01]?\d|2[0-3]):([0-5]\d)", at)
     if match is None:
@@ -65,9 +66,11 @@ def make_schedule(recipe: Recipe, logs: Path, folder: Path, at: str, authorisati
         words += ["--authorisation", str(authorisation.resolve())]
     name = "calibration-agent-" + re.sub(r"[^A-Za-z0-9_.-]", "-", recipe.path.stem)
     folder = folder.resolve()
+    for word in (*words, str(folder), recipe.robot.name):
+        _check_word(word)
     service = _lines(
         "[Unit]",
-        f"Description=Recalibration of {recipe.robot.name} ({_plain(recipe.path.name)})",
+        f"Description=Recalibration of {_escaped(recipe.robot.name)} ({_escaped(recipe.path.name)})",
         "",
         "[Service]",
         "Type=oneshot",
@@ -100,10 +103,14 @@ def install(schedule: Schedule, folder: Path | None = None) -> list[Path]:
     """Write the units where the user's systemd looks for them; nothing is started by that.
 
     Raises:
+        InputError: units of this name are there already, for another recipe.
         AgentError: they cannot be written.
     """
     folder = folder or Path(os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config") / "systemd" / "user"
     make_folder(folder, "the units")
+    service = folder / f"{schedule.name}.service"
+    if service.exists() and _recipe_of(read_text(service, _LARGEST_UNIT)) != _recipe_of(schedule.service):
+        raise InputError(f"{service}: is there already, for another recipe; rename this recipe, or delete those units")
     units = {f"{schedule.name}.service": schedule.service, f"{schedule.name}.timer": schedule.timer}
     return [write_atomically(folder / name, text) for name, text in units.items()]
 
@@ -120,8 +127,19 @@ def _lines(*lines: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _plain(text: str) -> str:
-    return _escaped(re.sub(r"[\x00-\x1f]", "?", text))
+def _recipe_of(service: str) -> str:
+    """The recipe as a unit calls it; the whole text where it is none of ours."""
+    found = re.search(r"^ExecStart=.* recalibrate (.+) --logs ", service, re.M)
+    return found[1] if found else service
+
+
+def _check_word(word: str) -> None:
+    """Units and crontabs are read by lines: a line feed in a name would be a directive, or a command, of its own."""
+    if not word.isprintable() or word.endswith("\\"):
+        raise InputError(
+            f"{word!r}: a name with control characters, or a backslash at its end, cannot stand in a unit or a "
+            "crontab; rename it"
+        )
 
 
 def _escaped(text: str) -> str:

@@ -69,7 +69,7 @@ ToolPose = Annotated[
 ]
 
 _Extent = Annotated[Reach, Field(ge=0, le=_FARTHEST)]
-Radius = Annotated[Reach, Field(gt=0, le=_FARTHEST)]
+Radius = Annotated[Reach, Field(ge=1e-4, le=_FARTHEST)]
 _Turn = Annotated[Lean, Field(ge=0, le=FULL_TURN)]
 JointRange = Annotated[tuple[JointPosition, JointPosition], _listed("lower, upper", 2)]
 Extent = Annotated[tuple[_Extent, _Extent, _Extent], _listed("dx, dy, dz", 3)]

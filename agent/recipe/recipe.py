@@ -26,6 +26,7 @@ from agent.recipe.schema import (
 )
 from agent.recipe.tool import tool_of
 from agent.robot import Box, RobotDescription, builtin_robots, load_robot
+from drivers.texts import place_of
 
 if TYPE_CHECKING:
     from agent.robot import Tool
@@ -168,7 +169,7 @@ def _contradictions(  # noqa: C901
         message = f"{cutoff:g} Hz is not below half of record.rate, {rate / 2:g} Hz: no such filter exists"
         yield ("estimate", "filter", "cutoff"), message
     if document.controller.driver not in available():
-        message = f"there is no driver {document.controller.driver!r}; allowed are {', '.join(available())}"
+        message = f"there is no driver {place_of(document.controller.driver)!r}; allowed are {', '.join(available())}"
         yield ("controller", "driver"), message
     else:
         try:

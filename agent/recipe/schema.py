@@ -38,6 +38,7 @@ from agent.recipe.quantities import (
     ToolPose,
     ToolPosition,
 )
+from drivers.texts import place_of
 
 #: Estimators that `estimate.method` may name; `auto` lets held-out error choose.
 ESTIMATION_METHODS = (
@@ -75,6 +76,11 @@ class ControllerSection(RecipeSection):
 
     driver: Name = "tcp"
     address: Name
+
+    @property
+    def place(self) -> str:
+        """Where it is, for people: the address without its options."""
+        return place_of(self.address)
 
 
 class BoxBounds(RecipeSection):
@@ -225,7 +231,7 @@ class FilterSection(RecipeSection):
     """The Butterworth filter, run forwards and backwards."""
 
     order: Annotated[Count, Field(ge=1, le=16)] = 8
-    cutoff: Annotated[Frequency, Field(gt=0)] = 30.0
+    cutoff: Annotated[Frequency, Field(ge=0.1)] = 30.0
 
 
 class EstimateSection(RecipeSection):
@@ -246,13 +252,13 @@ class ValidateSection(RecipeSection):
 class GateSection(RecipeSection):
     """What is accepted."""
 
-    normalised_rmse: Annotated[GateRatio, Field(gt=0, le=1)] = 0.03
+    normalised_rmse: Annotated[GateRatio, Field(ge=1e-6, le=1)] = 0.03
 
 
 class RecalibrateSection(RecipeSection):
     """How often, and what, is estimated again."""
 
-    every: Annotated[Interval, Field(gt=0, le=3652 * 86_400.0)] = 604_800.0
+    every: Annotated[Interval, Field(ge=1, le=3652 * 86_400.0)] = 604_800.0
     parameters: Literal["friction", "all"] = "friction"
 
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from agent.core import InputError, needed
 from agent.recording.column_table import ColumnTable
+from agent.recording.table_sizes import check_mat, check_unzipped, check_values, number_columns
 from agent.recording.text_tables import Row, read_text, table_of_rows
 
 #: Columns that one matrix of a MAT file may hold; a wider one is no table of samples.
@@ -32,6 +33,8 @@ def read_table(path: Path) -> ColumnTable:
         table = reader(path)
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
+    except (MemoryError, RecursionError):
+        raise InputError(f"{path}: takes more memory, or is nested deeper, than a table of samples") from None
     if not any(len(column) for column in table.columns.values()):
         raise InputError(f"{path}: no columns of numbers in it")
     return table
@@ -40,6 +43,7 @@ def read_table(path: Path) -> ColumnTable:
 def _read_mat(path: Path) -> ColumnTable:
     from scipy.io import loadmat
 
+    check_mat(path)
     try:
         content = loadmat(path, squeeze_me=True, struct_as_record=False)
     except NotImplementedError:  # MATLAB 7.3 is HDF5
@@ -75,10 +79,13 @@ def _read_hdf5(path: Path) -> ColumnTable:
     h5py = needed("h5py", f"{path}: reading HDF5 (MATLAB 7.3)", "tables")
     columns: dict[str, np.ndarray] = {}
     constants: dict[str, float] = {}
+    sizes: list[int] = []
 
     def take(name: str, item: Any) -> None:
         kind = item.attrs.get("MATLAB_class", b"double")
         if isinstance(item, h5py.Dataset) and item.shape and not name.startswith("#") and kind != b"char":
+            sizes.append(item.size)
+            check_values(path, sum(sizes))
             values = np.squeeze(item[()])
             # MATLAB stores its matrices column by column, so they come transposed
             _flatten(name.replace("/", "."), values.T if "MATLAB_class" in item.attrs else values, columns, constants)
@@ -95,6 +102,7 @@ def _read_numpy(path: Path) -> ColumnTable:
     """Arrays by name; of a single array, the columns by number, or by the names of its fields."""
     columns: dict[str, np.ndarray] = {}
     constants: dict[str, float] = {}
+    check_unzipped(path)
     try:
         content = np.load(path, allow_pickle=False)
         arrays = {"": content} if isinstance(content, np.ndarray) else {name: content[name] for name in content.files}
@@ -114,6 +122,7 @@ def _read_numpy(path: Path) -> ColumnTable:
 def _read_workbook(path: Path) -> ColumnTable:
     """The sheet with the most rows."""
     openpyxl = needed("openpyxl", f"{path}: reading Excel", "tables")
+    check_unzipped(path)
     try:
         book = openpyxl.load_workbook(path, read_only=True, data_only=True)
         sheets = [[[_text(value) for value in row] for row in sheet.values] for sheet in book.worksheets]
@@ -136,7 +145,8 @@ def _read_parquet(path: Path) -> ColumnTable:
     from pyarrow import ArrowException, parquet
 
     try:
-        content = parquet.read_table(path).flatten()  # fields of structs become columns
+        with parquet.ParquetFile(path) as file:
+            content = file.read(number_columns(path, file)).flatten()  # fields of structs become columns
     except ArrowException as error:
         raise InputError(f"{path}: not a readable Parquet file: {error}") from None
     columns: dict[str, np.ndarray] = {}

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import base64
-import csv
-import io
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,8 +11,9 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+from agent.core import csv_text
 from agent.report.figures import Figure
-from agent.report.plots import Plot, csv_text, for_screen, packed, spec
+from agent.report.plots import Plot, for_screen, packed, plot_csv, spec
 from agent.report.scene import Scene, scene_part
 from agent.report.stills import still
 
@@ -108,18 +107,19 @@ def _identifiers(sections: Sequence[Section]) -> list[str]:
 
 def _part(part: Table | Figure | Plot | Scene) -> dict[str, Any]:
     if isinstance(part, Table):
+        csv = base64.b64encode(csv_text((part.header, *part.rows)).encode()).decode("ascii")
         return {
             "kind": "table",
             "part": part,
             "look": [_look([str(row[k]) for row in part.rows]) for k in range(len(part.header))],
-            "csv": "data:text/csv;base64," + base64.b64encode(_csv(part.header, part.rows).encode()).decode("ascii"),
+            "csv": f"data:text/csv;base64,{csv}",
         }
     if isinstance(part, Plot):
         shown = for_screen(part)
-        return {"kind": "plot", "part": shown, "svg": still(shown), "spec": spec(shown), "csv": packed(csv_text(shown))}
+        return {"kind": "plot", "part": shown, "svg": still(shown), "spec": spec(shown), "csv": packed(plot_csv(shown))}
     if isinstance(part, Figure):
         rows = [[f"{float(value):.6g}" for value in row] for row in part.rows]
-        return {"kind": "figure", "part": part, "csv": packed(_csv(part.header, rows))}
+        return {"kind": "figure", "part": part, "csv": packed(csv_text((part.header, *rows)))}
     return scene_part(part)
 
 
@@ -150,12 +150,6 @@ def _is_number(cell: str) -> bool:
     except ValueError:
         return False
     return True
-
-
-def _csv(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows((header, *rows))
-    return text.getvalue()
 
 
 def _asset(name: str) -> str:

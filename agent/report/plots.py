@@ -13,6 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from agent.core import csv_text
+
 #: Seven colours that read on white and on near-black, and that the colour-blind tell apart (after Okabe and Ito).
 SERIES = ("#2a86c8", "#d55e00", "#009e73", "#c0649a", "#8f75d6", "#9a7d0a", "#3f9fb5")
 #: Rows of a plot, at most: more than a wide screen has pixels for.
@@ -143,15 +145,14 @@ def table(plot: Plot) -> tuple[list[str], list[np.ndarray]]:
     return header, columns
 
 
-def csv_text(plot: Plot) -> str:
+def plot_csv(plot: Plot) -> str:
     """The same as text, six digits; cells are empty where there is nothing."""
     header, columns = table(plot)
     dates = [plot.dates and name.endswith(_abscissa_name(plot)) for name in header]
     texts = [_cells(values, date) for values, date in zip(columns, dates, strict=True)]
     longest = max(map(len, texts))
     padded = [cells + [""] * (longest - len(cells)) for cells in texts]
-    head = ",".join('"' + name.replace('"', '""') + '"' for name in header)
-    return "\n".join([head, *map(",".join, zip(*padded, strict=True))]) + "\n"
+    return csv_text([header, *zip(*padded, strict=True)])
 
 
 def packed(text: str) -> str:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from agent.core import csv_text
 from agent.report.plots import SERIES, packed
 
 _TURN, _TILT = -0.9, 0.45  # rad, as in assets/scene.js
@@ -55,12 +56,11 @@ def scene_part(scene: Scene) -> dict[str, Any]:
         ends = np.round(scene.arm.ends, 3).reshape(len(scene.arm.time), -1)
         data["arm"] = {"time": np.round(scene.arm.time, 3).tolist(), "ends": ends.tolist()}
         data["arm"]["radius"] = np.round(scene.arm.radius, 3).tolist()
-    rows = ["what,x [m],y [m],z [m]"]
+    rows = [["what", "x [m]", "y [m]", "z [m]"]]
     for name, line in {**scene.lines, **scene.points}.items():
-        rows += [",".join([name, *(f"{value:.4f}" for value in point)]) for point in line.reshape(-1, 3)]
+        rows += [[name, *(f"{value:.4f}" for value in point)] for point in line.reshape(-1, 3)]
     text = json.dumps(data).replace("<", "\\u003c")
-    csv = packed("\n".join(rows) + "\n")
-    return {"kind": "scene", "part": scene, "json": text, "still": _still(scene), "csv": csv}
+    return {"kind": "scene", "part": scene, "json": text, "still": _still(scene), "csv": packed(csv_text(rows))}
 
 
 def _still(scene: Scene) -> str:

@@ -7,6 +7,7 @@ always a whole model. Nothing here writes to a controller.
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shutil
@@ -15,15 +16,17 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from agent.core import AgentError, Console, InputError, read_json, sha256_file
+from agent.core import AgentError, Console, InputError, read_json, sha256_file, sha256_text
 from agent.runs.folder import RunFolder, write_json
 from agent.runs.history import open_history, which_machine
-from agent.runs.past_run import read_run
+from agent.runs.past_run import controller_key, read_run
 
 if TYPE_CHECKING:
     from agent.recipe import Recipe
 
 _FOLDER = "models"
+#: Characters of a folder's name before its digest.
+_LONGEST_NAME = 200
 
 
 @dataclass(frozen=True)
@@ -155,7 +158,10 @@ def run_key(recipe: Recipe) -> dict[str, str]:
     """Facts about a run by which later ones find it: its loop's key and its controller."""
     from agent.runs.loop_store import loop_key
 
-    return {"loop": loop_key(recipe), "controller": f"{recipe.controller.driver} {recipe.controller.address}"}
+    return {
+        "loop": loop_key(recipe),
+        "controller": controller_key(f"{recipe.controller.driver} {recipe.controller.address}"),
+    }
 
 
 def register_run(run: RunFolder, console: Console) -> None:
@@ -189,8 +195,27 @@ def _about(version: Path) -> Applied:
 
 
 def _place(logs: Path, robot: str, serial: str) -> Path:
-    name = re.sub(r"[^A-Za-z0-9._-]", "_", f"{robot}_{serial}" if serial else robot)
-    return logs / _FOLDER / name
+    """The folder of one machine, and of no other: a name that others could have too ends in its digest.
+
+    A folder that an earlier version named without the digest stays that of the machine it says it is of.
+    """
+    name = re.sub(r"[^A-Za-z0-9._-]", "_", f"{robot}_{serial}" if serial else robot)[:_LONGEST_NAME]
+    plain = logs / _FOLDER / name
+    digest = plain.with_name(f"{name}~{sha256_text(json.dumps([robot, serial]))[:16]}")
+    if digest.exists():
+        return digest
+    if (plain / "current").is_symlink():
+        return plain if _owner(plain) in (None, (robot, serial)) else digest
+    return plain if serial and name == f"{robot}_{serial}" and "_" not in serial else digest
+
+
+def _owner(place: Path) -> tuple[str, str] | None:
+    """Robot and serial that a folder says it is of; None where it is damaged."""
+    try:
+        about = read_json(place / "current" / "about.json")
+        return about["robot"], about["serial"]
+    except (InputError, KeyError, TypeError):
+        return None
 
 
 def _fresh(versions: Path) -> Path:

@@ -1,8 +1,9 @@
 """One run at a time on one robot: a lock for everybody on this machine, whatever folder and user the agent runs in.
 
-It is the system's (`flock`), so the end of a process, however it comes, lets go of it. The file stands for nothing but
-itself: whoever holds the lock takes it away at the end, and those that a killed process has left. Whoever got hold of
-a file that was taken away tries again.
+Every run has a file of its own, which it alone can write to, and holds the system's lock on it (`fcntl`), so the end of
+a process, however it comes, lets go of it. A robot is busy where somebody else holds a file of it. A lock for which
+reading is enough counts for nothing, so no user can hold what is another's; nor can a file that somebody has put there
+keep a run from making its own.
 """
 
 from __future__ import annotations
@@ -11,63 +12,79 @@ import contextlib
 import fcntl
 import hashlib
 import os
+import random
+import secrets
 import stat
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
 from agent.core import AgentError, BusyError
+from drivers.endpoints import endpoints
+from drivers.texts import place_of
 
 #: Where every user may leave a file; the first that is there. Not the temporary folder: each user may have its own.
 FOLDERS = (Path("/run/lock"), Path("/tmp"))
-_NAME = "calibration-agent-{}.lock"
+_NAME = "calibration-agent-{}-{}-{}.lock"  # robot, process, any
 _READ = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK
 _LEFT = 3600.0  # s old at least are files that count as left behind
-_SWEPT = 0.1  # s after which nobody who takes leftovers away still holds one
+_PATIENCE = 0.1  # s, for two runs that begin at once
 
-#: How often this process holds a lock, by process and file; a forked one holds none.
-_held: dict[tuple[int, Path], int] = {}
+#: How often this process holds a lock, and its file, by process and robot; a forked one holds none.
+_held: dict[tuple[int, str], tuple[int, Path]] = {}
+#: Files of this process: whoever closes one lets go of its lock.
+_own: set[tuple[int, Path]] = set()
 
 
 @contextlib.contextmanager
 def robot_lock(driver: str, address: str) -> Iterator[None]:
-    """Hold the lock of one controller. A process that holds it may take it again.
+    """Hold the lock of one controller, however its address is spelt. A process that holds it may take it again.
 
     Raises:
         BusyError: another run holds it.
         AgentError: no lock can be made.
     """
-    path = lock_file(driver, address)
-    key = os.getpid(), path
+    with contextlib.ExitStack() as held:
+        for endpoint in endpoints(driver, address):
+            held.enter_context(_locked(endpoint, f"{driver} {place_of(address)}"))
+        yield
+
+
+@contextlib.contextmanager
+def _locked(endpoint: str, robot: str) -> Iterator[None]:
+    key = os.getpid(), _digest(endpoint)
     if key in _held:
-        _held[key] += 1
+        count, path = _held[key]
+        _held[key] = count + 1, path
         try:
             yield
         finally:
-            _held[key] -= 1
+            _held[key] = count, path
         return
     try:
-        descriptor = _take(path)
+        path, descriptor = _take(key[1], robot)
     except OSError as error:
-        raise AgentError(f"{path}: the robot's lock cannot be made: {error.strerror}; rights?") from None
-    if descriptor is None:
-        raise BusyError(f"{driver} {address}: another run holds this robot; wait for it to end, or stop it")
-    _held[key] = 1
+        raise AgentError(f"{_folder()}: the robot's lock cannot be made there: {error.strerror}; rights?") from None
+    _held[key] = 1, path
     try:
         yield
     finally:
         del _held[key]
-        with contextlib.suppress(OSError):  # another user's: it stays, and locks as well
-            path.unlink()
-        os.close(descriptor)
+        _let_go(path, descriptor)
         _take_leftovers_away()
 
 
-def lock_file(driver: str, address: str) -> Path:
-    """The file of a controller's lock."""
-    name = hashlib.sha256(f"{driver}|{address}".encode()).hexdigest()[:16]
-    folder = next((folder for folder in FOLDERS if _for_all(folder)), FOLDERS[-1])
-    return folder / _NAME.format(name)
+def lock_files(driver: str, address: str) -> list[Path]:
+    """The files of those who hold the lock of a controller, or have left one."""
+    return [path for one in endpoints(driver, address) for path in _folder().glob(_NAME.format(_digest(one), "*", "*"))]
+
+
+def _digest(endpoint: str) -> str:
+    return hashlib.sha256(endpoint.encode("utf-8", "surrogateescape")).hexdigest()[:16]
+
+
+def _folder() -> Path:
+    return next((folder for folder in FOLDERS if _for_all(folder)), FOLDERS[-1])
 
 
 def _for_all(folder: Path) -> bool:
@@ -79,57 +96,66 @@ def _for_all(folder: Path) -> bool:
     return stat.S_ISDIR(mode) and bool(mode & stat.S_IWOTH)
 
 
-def _take_leftovers_away() -> None:
-    for path in (path for folder in FOLDERS for path in folder.glob(_NAME.format("*"))):
-        with contextlib.suppress(OSError):  # held, another user's, or gone by now
-            if time.time() - path.lstat().st_mtime < _LEFT:
-                continue
-            descriptor = os.open(path, _READ)
-            try:
-                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                if _is_at(descriptor, path):
-                    path.unlink()
-            finally:
-                os.close(descriptor)
+def _take(name: str, robot: str) -> tuple[Path, int]:
+    """A file of this process, and a descriptor that holds it.
 
-
-def _take(path: Path) -> int | None:
-    """A descriptor that holds the lock; None where another process does."""
-    until = time.monotonic() + _SWEPT
+    Of two that begin at once each holds a file before it looks for the other's, so at least one sees the other.
+    """
+    until = time.monotonic() + _PATIENCE
     while True:
-        descriptor = _open(path)
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            if _is_at(descriptor, path):
-                return descriptor
-        except BlockingIOError:
-            if time.monotonic() > until:
-                os.close(descriptor)
-                return None
-            time.sleep(_SWEPT / 4)
-        except FileNotFoundError:
-            pass
-        except BaseException:
-            os.close(descriptor)
-            raise
+        path, descriptor = _made(name)
+        holder = next(filter(None, (_holder(other) for other in path.parent.glob(_NAME.format(name, "*", "*")))), None)
+        if holder is None:
+            return path, descriptor
+        _let_go(path, descriptor)
+        if time.monotonic() > until:
+            raise BusyError(f"{robot}: another run holds this robot ({holder}); wait for it to end, or stop it")
+        time.sleep(random.uniform(0, _PATIENCE / 4))
+
+
+def _made(name: str) -> tuple[Path, int]:
+    """A new file, held; nobody else can open it before it is."""
+    path = _folder() / _NAME.format(name, os.getpid(), secrets.token_hex(4))
+    _own.add((os.getpid(), path))
+    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600)
+    try:
+        fcntl.lockf(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        os.fchmod(descriptor, 0o644)  # whatever the mask of this user says
+    except BaseException:
+        _let_go(path, descriptor)
+        raise
+    return path, descriptor
+
+
+def _let_go(path: Path, descriptor: int) -> None:
+    with contextlib.suppress(OSError):  # somebody else has taken it away
+        path.unlink()
+    os.close(descriptor)
+    _own.discard((os.getpid(), path))
+
+
+def _holder(path: Path) -> str | None:
+    """Who holds a file of another process; None for nobody."""
+    if (os.getpid(), path) in _own:
+        return None
+    try:
+        descriptor = os.open(path, _READ)
+    except OSError:  # gone by now, or its owner has not held it yet and will look for ours
+        return None
+    try:
+        about = os.fstat(descriptor)
+        if stat.S_ISREG(about.st_mode):
+            fcntl.lockf(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)  # not refused by others that only read
+        return None
+    except OSError:
+        return f"process {path.name.split('-')[-2]} of user {about.st_uid}"
+    finally:
         os.close(descriptor)
 
 
-def _is_at(descriptor: int, path: Path) -> bool:
-    here, there = os.fstat(descriptor), os.stat(path)
-    return (here.st_dev, here.st_ino) == (there.st_dev, there.st_ino)
-
-
-def _open(path: Path) -> int:
-    """Open, or make, the file. To read is enough for a lock, and a file of another user is not opened for more."""
-    while True:
-        try:
-            return os.open(path, _READ)
-        except FileNotFoundError:
-            pass
-        try:
-            descriptor = os.open(path, os.O_RDONLY | os.O_CREAT | os.O_EXCL, 0o644)
-        except FileExistsError:
-            continue
-        os.fchmod(descriptor, 0o644)  # whatever the mask of this user says
-        return descriptor
+def _take_leftovers_away() -> None:
+    for path in (path for folder in FOLDERS for path in folder.glob(_NAME.format("*", "*", "*"))):
+        with contextlib.suppress(OSError):  # another user's, or gone by now
+            old = time.time() - path.lstat().st_mtime > _LEFT
+            if old and _holder(path) is None and (os.getpid(), path) not in _own:
+                path.unlink()

@@ -5,16 +5,28 @@ from __future__ import annotations
 import contextlib
 import math
 import os
+import re
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
-from agent.core import InputError, error_text
+from agent.core import InputError, error_text, sha256_text
+from drivers.texts import place_of
 
 #: Clocks differ by so much without being wrong.
 AHEAD = timedelta(minutes=5)
+_KEYED = re.compile(r"\S+ \S*,… [0-9a-f]{12}")
+
+
+def controller_key(text: str) -> str:
+    """Driver and address of a controller, with a digest in the place of the address's options: they may be secret."""
+    driver, _, address = text.partition(" ")
+    place = place_of(address)
+    if place == address or _KEYED.fullmatch(text):
+        return text
+    return f"{driver} {place} {sha256_text(address)[:12]}"
 
 
 @dataclass(frozen=True)
@@ -87,6 +99,9 @@ class PastRun:
     def outcome_with(self, current: Collection[str]) -> str:
         """The same, marked where its model is a current one."""
         return f"{self.outcome}, current" if self.run in current else self.outcome
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "controller", controller_key(self.controller))
 
 
 @dataclass(frozen=True)

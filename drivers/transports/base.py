@@ -8,6 +8,7 @@ from typing import Generic, TypeVar
 
 from drivers.errors import DriverError, ProtocolError
 from drivers.protocol import Gap, SampleBlock
+from drivers.texts import place_of
 from drivers.transports.motion import MotionStream
 
 
@@ -85,7 +86,7 @@ class LinkDriver(Generic[Link, Motion]):
         start_timeout: float = 60.0,
         buffer_limit: int = 512 * 1024 * 1024,
     ) -> None:
-        self.address = address
+        self.address = place_of(address)
         self._timeout = timeout
         self._start_timeout = start_timeout
         self._buffer_limit = buffer_limit

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import serial
 
 from drivers.errors import ConfigurationError, DriverError
+from drivers.texts import place_of
 
 BAUD = 115_200
 PROTOCOLS = ("frames", "rtu")
@@ -35,7 +36,8 @@ def parse_port(address: str) -> PortAddress:
     baud, protocol = [*rest, *(str(BAUD), PROTOCOLS[0])[len(rest) :]][:2] if len(rest) < 3 else ("", "")
     if not port or not _RATE.fullmatch(baud) or protocol not in PROTOCOLS:
         raise ConfigurationError(
-            f"address {address!r}: port,baud,protocol is expected, like /dev/ttyUSB0,921600 or /dev/ttyUSB0,115200,rtu"
+            f"address {place_of(address)!r}: port,baud,protocol is expected, like /dev/ttyUSB0,921600 or "
+            "/dev/ttyUSB0,115200,rtu"
         )
     return PortAddress(port, int(baud), protocol)
 
@@ -46,6 +48,7 @@ def open_port(address: PortAddress, timeout: float) -> serial.SerialBase:
     Raises:
         DriverError: there is none, or somebody has it.
     """
+    place = place_of(address.port)
     try:
         port = serial.serial_for_url(
             address.port, baudrate=address.baud, timeout=timeout, write_timeout=timeout, exclusive=True
@@ -53,10 +56,10 @@ def open_port(address: PortAddress, timeout: float) -> serial.SerialBase:
         port.reset_input_buffer()
     except (serial.SerialException, OSError, ValueError) as error:
         if "exclusively lock" in str(error) or getattr(error, "errno", None) in (11, 16):
-            raise DriverError(f"{address.port} is busy: another program has the serial port; close it first") from None
-        reason = getattr(error, "strerror", None) or error
+            raise DriverError(f"{place} is busy: another program has the serial port; close it first") from None
+        reason = str(getattr(error, "strerror", None) or error).replace(address.port, place)
         raise DriverError(
-            f"no controller at {address.port}: {reason}; is the adapter plugged in, is its name right?"
+            f"no controller at {place}: {reason}; is the adapter plugged in, is its name right?"
         ) from None
     return port
 

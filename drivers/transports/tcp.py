@@ -6,6 +6,7 @@ import socket
 from typing import Any
 
 from drivers.errors import ConfigurationError, DriverError
+from drivers.texts import place_of
 from drivers.transports.frame_link import FrameLink
 from drivers.transports.frames import FrameDriver
 from drivers.wire.tcp import MAX_REPLY_PAYLOAD, FrameDecoder, decode
@@ -36,8 +37,10 @@ def parse_address(address: str) -> tuple[str, int]:
     """
     host, separator, port = str(address).rpartition(":")
     host = host.removeprefix("[").removesuffix("]")
-    if not separator or not host or not port.isascii() or not port.isdigit() or not 0 < int(port) < 65536:
-        raise ConfigurationError(f"address {address!r}: host:port is expected, like 192.168.0.10:9100")
+    place = place_of(address)
+    numbered = separator and host and port.isascii() and port.isdigit() and 0 < int(port) < 65536
+    if not numbered or place != address:
+        raise ConfigurationError(f"address {place!r}: host:port is expected, like 192.168.0.10:9100")
     return host, int(port)
 
 

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import os
 import random
 import signal
-import time
+import socket
 from collections.abc import Callable
 
 import pytest
 
 from agent.core.errors import AgentError, BusyError
-from agent.runs.lock import lock_file, robot_lock
+from agent.runs.lock import lock_files, robot_lock
 
 
 @pytest.fixture
@@ -20,7 +21,8 @@ def robot():
     """Driver and address of a robot that is nobody else's."""
     name = "test", f"{os.getpid()}-{random.random()}"
     yield name
-    lock_file(*name).unlink(missing_ok=True)
+    for path in lock_files(*name):
+        path.unlink()
 
 
 def _in_a_fork(act: Callable[[], str], user: int | None = None) -> str:
@@ -59,80 +61,186 @@ def test_a_process_may_take_it_again_and_another_may_not(robot):
     assert _in_a_fork(lambda: _attempt(robot)) == "held"
 
 
+def test_the_lock_of_another_robot_lets_go_of_none(robot):
+    """Whoever closes a file lets go of every lock that its process has on it."""
+    other = robot[0], f"{robot[1]}-other"
+    with robot_lock(*robot):
+        for path in lock_files(*robot):
+            os.utime(path, (0, 0))
+        with robot_lock(*other):
+            pass
+        assert _in_a_fork(lambda: _attempt(robot)) == "busy"
+
+
 def test_nothing_is_left_behind(robot):
     with robot_lock(*robot):
-        assert lock_file(*robot).exists()
-    assert not lock_file(*robot).exists()
+        assert len(lock_files(*robot)) == 1
+        assert _in_a_fork(lambda: _attempt(robot)) == "busy"
+        assert len(lock_files(*robot)) == 1
+    assert lock_files(*robot) == []
 
 
-@pytest.mark.skipif(os.getuid() != 0, reason="only root can become another user")
+def _leave(robot) -> str:
+    """What a killed process leaves, with a mask that hides all."""
+    os.umask(0o077)
+    with robot_lock(*robot):
+        os.kill(os.getpid(), signal.SIGKILL)
+    return ""
+
+
+as_root = pytest.mark.skipif(os.getuid() != 0, reason="only root can become another user")
+
+
+@as_root
 @pytest.mark.parametrize("first", [None, 65534])
 def test_it_works_for_a_second_user(robot, first):
-    """Also with the file that the first one left, as a kill leaves it, and with a mask that hides all."""
-
-    def leave() -> str:
-        os.umask(0o077)
-        with robot_lock(*robot):
-            os.kill(os.getpid(), signal.SIGKILL)
-        return ""
-
-    _in_a_fork(leave, first)
-    assert lock_file(*robot).exists()
+    """Also with the file that the first one left."""
+    _in_a_fork(lambda: _leave(robot), first)
+    assert len(lock_files(*robot)) == 1
     second = 65534 if first is None else 65533
     assert _in_a_fork(lambda: _attempt(robot), second) == "held"
     with robot_lock(*robot):
         assert _in_a_fork(lambda: _attempt(robot), second) == "busy"
-    assert not lock_file(*robot).exists(), "root may take away what others left"
 
 
 def test_what_killed_processes_have_left_is_taken_away(robot):
     """But nothing that is held, or young: its owner may be about to lock it."""
-    left, young, held = (lock_file("test", f"{robot[1]}-{k}") for k in range(3))
-    for path in (left, young, held):
-        path.touch()
-    for path in (left, held):
-        os.utime(path, (0, 0))
+    robots = [(robot[0], f"{robot[1]}-{k}") for k in range(3)]
+    for one in robots[:2]:
+        _in_a_fork(lambda: _leave(one))  # noqa: B023  called at once
+    with robot_lock(*robots[2]):
+        left, young, held = (lock_files(*one)[0] for one in robots)
+        for path in (left, held):
+            os.utime(path, (0, 0))
+        _in_a_fork(lambda: _attempt(robot))
+        assert [path.exists() for path in (left, young, held)] == [False, True, True]
+    young.unlink()
+
+
+@as_root
+@pytest.mark.parametrize("how", ["flock", "shared", "exclusive flock of a name that is not there yet"])
+def test_another_user_holds_no_file_of_ours(robot, how: str):
+    """Who can read a file can lock it, for ever; that counts for nothing."""
+    _in_a_fork(lambda: _leave(robot), 65533)
+    (path,) = lock_files(*robot)
+    holding, ended = os.pipe(), os.pipe()
+    child = os.fork()
+    if child == 0:
+        os.setuid(65534)
+        name = path if how in ("flock", "shared") else path.with_name(path.name.replace(".lock", "x.lock"))
+        descriptor = os.open(name, os.O_RDONLY | os.O_CREAT * (name != path), 0o600)
+        if how == "shared":
+            fcntl.lockf(descriptor, fcntl.LOCK_SH)
+        else:
+            fcntl.flock(descriptor, fcntl.LOCK_EX)
+        os.write(holding[1], b"x")
+        os.read(ended[0], 1)
+        os._exit(0)
     try:
-        with held.open() as holder:
-            fcntl.flock(holder, fcntl.LOCK_EX)
-            with robot_lock(*robot):
-                pass
-            assert [path.exists() for path in (left, young, held)] == [False, True, True]
-        with robot_lock(*robot):
-            pass
-        assert not held.exists()
+        os.read(holding[0], 1)
+        for user in (None, 65533, 65532):
+            assert _in_a_fork(lambda: _attempt(robot), user) == "held"
     finally:
-        young.unlink()
+        os.write(ended[1], b"x")
+        os.waitpid(child, 0)
+        for descriptor in (*holding, *ended):
+            os.close(descriptor)
 
 
-def test_who_takes_leftovers_away_makes_no_robot_look_busy(robot, monkeypatch):
-    waits = []
-    monkeypatch.setattr(time, "sleep", lambda seconds: waits.append(holder.close()))
-    holder = lock_file(*robot).open("w")
-    fcntl.flock(holder, fcntl.LOCK_EX)
+@pytest.mark.parametrize("made", ["link", "fifo", "folder", "socket"])
+def test_what_somebody_puts_there_keeps_no_run_out(robot, tmp_path, made: str):
     with robot_lock(*robot):
-        assert len(waits) == 1
+        (path,) = lock_files(*robot)
+    other = path.with_name(path.name.replace(".lock", "x.lock"))
+    if made == "link":
+        other.symlink_to(tmp_path / "elsewhere")
+    elif made == "fifo":
+        os.mkfifo(other, 0o666)
+    elif made == "folder":
+        other.mkdir()
+    else:
+        socket.socket(socket.AF_UNIX).bind(str(other))
+    try:
+        assert _attempt(robot) == "held"
+        assert not (tmp_path / "elsewhere").exists()
+    finally:
+        other.rmdir() if made == "folder" else other.unlink()
 
 
-def test_a_file_that_is_taken_away_meanwhile_is_not_held(robot, monkeypatch):
-    """Between the opening and the lock the last holder takes its file away: a lock on that would be nobody's."""
-    lock, taken = fcntl.flock, []
+def test_of_two_that_begin_at_once_at_most_one_holds_it(robot):
+    for _ in range(20):
+        read, write = os.pipe()
+        children = []
+        for _ in range(3):
+            child = os.fork()
+            if child == 0:
+                os.close(write)
+                os.read(read, 1)  # all of them at once
+                with contextlib.suppress(BusyError), robot_lock(*robot):
+                    made = os.open(f"/tmp/{robot[1]}.alone", os.O_CREAT | os.O_EXCL)
+                    os.close(made)
+                    os.unlink(f"/tmp/{robot[1]}.alone")
+                    os._exit(0)
+                os._exit(75)
+            children.append(child)
+        os.close(read)
+        os.close(write)
+        ends = [os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) for child in children]
+        assert set(ends) <= {0, 75}, "a second one was let in meanwhile"
 
-    def late(descriptor: int, how: int) -> None:
-        if not taken:
-            taken.append(descriptor)
-            lock_file(*robot).unlink()
-        lock(descriptor, how)
 
-    monkeypatch.setattr(fcntl, "flock", late)
+SPELLINGS = ["127.0.0.1", "localhost", "127.1", "LOCALHOST", "0x7f.1", "2130706433", "[::1]", "0.0.0.0", "127.0.0.2"]
+
+
+@pytest.mark.parametrize("driver", ["tcp", "modbus", "cnr_comau"])
+@pytest.mark.parametrize("spelt", SPELLINGS)
+def test_a_lock_is_of_the_robot_however_its_address_is_spelt(driver: str, spelt: str):
+    port = 40000 + os.getpid() % 20000
+    end = ",trajectory={}" if driver == "cnr_comau" else ":{}"
+    if driver == "cnr_comau":
+        spelt = spelt.strip("[]")
+    ends = [end.format(port), end.format(f"0{port}")]
+    with robot_lock(driver, f"127.0.0.1{ends[0]}"):
+        for one in ends:
+            assert _in_a_fork(lambda: _attempt((driver, f"{spelt}{one}"))) == "busy"  # noqa: B023  called at once
+        assert _in_a_fork(lambda: _attempt((driver, f"{spelt}{end.format(port + 1)}"))) == "held"
+        if driver == "modbus":
+            assert _in_a_fork(lambda: _attempt(("tcp", f"{spelt}:{port}"))) == "busy", "by another driver too"
+
+
+def test_options_and_this_machines_own_address_make_no_second_robot():
+    port = 40000 + os.getpid() % 20000
+    with robot_lock("cnr_comau", f"127.0.0.1,trajectory={port}"):
+        assert _in_a_fork(lambda: _attempt(("cnr_comau", f"localhost,mode=points,trajectory={port}"))) == "busy"
+
+
+def test_a_serial_port_by_another_name_is_the_same_robot(tmp_path):
+    import pty
+
+    master, slave = pty.openpty()
+    name = os.ttyname(slave)
+    (tmp_path / "link").symlink_to(name)
+    try:
+        with robot_lock("serial", name):
+            for other in (
+                f"{tmp_path}/link",
+                f"{name},115200",
+                f"//{name}",
+                f"{tmp_path}/../{tmp_path.name}/link,9600,rtu",
+            ):
+                assert _in_a_fork(lambda: _attempt(("serial", other))) == "busy"  # noqa: B023  called at once
+    finally:
+        os.close(master)
+        os.close(slave)
+
+
+def test_the_message_says_who_holds_it(robot):
     with robot_lock(*robot):
-        assert taken
-        assert lock_file(*robot).exists()
-        assert _in_a_fork(lambda: _attempt(robot)) == "busy"
+        said = _in_a_fork(lambda: _said(robot))
+    assert f"process {os.getpid()} of user {os.geteuid()}" in said
 
 
-def test_a_link_in_its_place_is_not_followed(robot, tmp_path):
-    lock_file(*robot).symlink_to(tmp_path / "elsewhere")
-    with pytest.raises(AgentError, match="the robot's lock cannot be made"), robot_lock(*robot):
+def _said(robot) -> str:
+    with pytest.raises(BusyError) as error, robot_lock(*robot):
         pass
-    assert not (tmp_path / "elsewhere").exists()
+    return str(error.value)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import pty
+import resource
 import signal
 import subprocess
 import sys
@@ -166,6 +167,10 @@ def test_a_pipe_that_nobody_reads_delays_no_stop(bench, tmp_path, assert_at_rest
         pytest.param(signal.SIGINT, 130, "interrupted", marks=pytest.mark.verify),
         (signal.SIGQUIT, 131, "quit"),
         pytest.param(signal.SIGTERM, 143, "terminated", marks=pytest.mark.verify),
+        (signal.SIGUSR1, 138, "ended by signal 10"),
+        pytest.param(signal.SIGABRT, 134, "ended by signal 6", marks=pytest.mark.verify),
+        pytest.param(signal.SIGALRM, 142, "ended by signal 14", marks=pytest.mark.verify),
+        pytest.param(signal.SIGXCPU, 152, "ended by signal 24", marks=pytest.mark.verify),
     ],
 )
 def test_every_signal_ends_in_a_stop_and_says_so(bench, moving, assert_at_rest, number, code, said):
@@ -349,3 +354,72 @@ def test_a_disk_that_takes_nothing_ends_in_a_stop(bench, assert_at_rest, monkeyp
     assert [end.name for end in controller.ends] == ["STOPPED"]
     assert_at_rest(controller, 1)
     _assert_nothing_lost(bench, controller, until[0])
+
+
+def _delete(log: Path) -> None:
+    log.unlink()
+
+
+def _truncate(log: Path) -> None:
+    os.truncate(log, 0)
+
+
+def _replace(log: Path) -> None:
+    log.with_name("other").write_bytes(log.read_bytes())
+    log.with_name("other").rename(log)
+
+
+def _take_the_folder(log: Path) -> None:
+    log.parent.rename(log.parent.with_name("elsewhere"))
+
+
+@pytest.mark.parametrize(
+    "harm", [_delete, *(pytest.param(one, marks=pytest.mark.verify) for one in (_truncate, _replace, _take_the_folder))]
+)
+def test_a_log_that_is_taken_away_in_motion_ends_in_a_stop(bench, assert_at_rest, monkeypatch, harm):
+    controller = bench.serve(clock="real")
+    bench.program.write_text(LONG, encoding="utf-8")
+    bench.log = bench.folder / "taken" / "swing.mcap"
+    bench.log.parent.mkdir()
+    strike, harmed = controller.faults.strike, []
+
+    def once(phase: str, motion_time: float = 0.0):
+        if phase == "streaming" and motion_time > 1.0 + MOMENT / 1000 and not harmed:
+            harmed.append(controller.recorded)
+            harm(bench.log)
+        return strike(phase, motion_time)
+
+    monkeypatch.setattr(controller.faults, "strike", once)
+    ended = bench.record()
+    assert ended.code == 1, ended.errors
+    assert "deleted, replaced or changed while it was recorded" in ended.errors
+    assert [end.name for end in controller.ends] == ["STOPPED"]
+    assert_at_rest(controller, 1)
+    assert controller.recorded - harmed[0] < 2 * 500, "noticed within a second, and then the arm brakes"
+
+
+def _leave_no_descriptors(process: int) -> None:
+    """From now on the process can open nothing more."""
+    used = {int(name) for name in os.listdir(f"/proc/{process}/fd")}
+    _, most = resource.prlimit(process, resource.RLIMIT_NOFILE)
+    resource.prlimit(process, resource.RLIMIT_NOFILE, (min(set(range(len(used) + 1)) - used), most))
+
+
+@pytest.mark.parametrize(("number", "code"), [(None, 0), (signal.SIGTERM, 143)])
+def test_a_motion_ends_as_ever_where_no_file_can_be_opened(bench, on_terminal, assert_at_rest, number, code: int):
+    controller = bench.serve(clock="real")
+    if number is not None:
+        bench.program.write_text(LONG, encoding="utf-8")
+    terminal = on_terminal("record", bench.recipe, "--program", bench.program, "-o", bench.log, "--yes")
+    terminal.read_until("of motion")
+    _leave_no_descriptors(terminal.process.pid)
+    _wait_for(controller, 500)
+    if number is not None:
+        terminal.process.send_signal(number)
+    os.close(terminal.slave)
+    said = terminal.read_to_the_end()
+    assert terminal.process.wait(30) == code, said
+    assert "Traceback" not in said
+    assert [end.name for end in controller.ends] == ["DONE" if number is None else "STOPPED"]
+    assert_at_rest(controller, 1)
+    assert read_log(bench.log).metadata["lost_samples"] == "0"

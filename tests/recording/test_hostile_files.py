@@ -14,6 +14,7 @@ from mcap.writer import CompressionType
 
 from agent.core.errors import InputError
 from agent.recording import read_log
+from agent.recording.tables import read_table
 
 MAGIC = b"\x89MCAP0\r\n"
 BOMB = 300 * 2**20
@@ -89,3 +90,73 @@ def test_names_that_are_no_text_are_no_joint_states(tools, tmp_path):
     path.write_bytes(path.read_bytes().replace(b"abcd", b"\xff\xfe\xfd\xfc"))
     with pytest.raises(InputError, match="no readable"):
         read_log(path)
+
+
+def test_chunks_that_are_honest_are_limited_in_all(tmp_path):
+    """Each is small enough, and unpacks to what it says; the file is large enough for 500 times its size."""
+    packed = zstandard.ZstdCompressor(level=1).compress(bytes(60 * 2**20))
+    path = chunks(tmp_path / "log.mcap", packed + bytes(max(0, 2**17 - len(packed))), 60 * 2**20, 200)
+    with pytest.raises(InputError, match=r"times its size \(1024 MiB\)"):
+        read_log(path)
+
+
+@pytest.mark.parametrize("ending", [".parquet", ".mat"])
+def test_a_table_takes_no_more_memory_than_a_limit(tmp_path, ending: str):
+    """A few hundred kilobytes that would be gigabytes, refused before they are read."""
+    path = tmp_path / f"bomb{ending}"
+    if ending == ".parquet":
+        _parquet_bomb(path)
+    else:
+        _mat_bomb(path)
+    assert path.stat().st_size < 4 * 2**20
+    tracemalloc.start()
+    try:
+        with pytest.raises(InputError, match="more than 67108864 numbers"):
+            read_table(path)
+        assert tracemalloc.get_traced_memory()[1] < 50 * 2**20
+    finally:
+        tracemalloc.stop()
+
+
+def _parquet_bomb(path: Path) -> None:
+    import pyarrow
+    from pyarrow import parquet
+
+    part = pyarrow.table({f"q{k}": np.zeros(2**20) for k in range(5)})
+    with parquet.ParquetWriter(path, part.schema, compression="zstd") as writer:
+        for _ in range(16):
+            writer.write_table(part)
+
+
+def _mat_bomb(path: Path) -> None:
+    """Sixty variables of 10 MiB of zeros, each in a compressed element."""
+    from scipy.io import savemat
+
+    savemat(path, {f"q{k}": np.zeros(10 * 2**17) for k in range(60)}, do_compression=True)
+
+
+def test_texts_of_a_parquet_file_are_not_read(tmp_path):
+    """One text, kept once and repeated, is as long as memory."""
+    import pyarrow
+    from pyarrow import parquet
+
+    path = tmp_path / "texts.parquet"
+    text = pyarrow.DictionaryArray.from_arrays(np.zeros(4000, np.int32), ["x" * 10**6])
+    parquet.write_table(pyarrow.table({"t": np.arange(4000) / 500, "note": text}), path, store_schema=False)
+    table = read_table(path)
+    assert list(table.columns) == ["t"]
+
+
+@pytest.mark.parametrize("kind", ["list", "fixed", "time", "bool"])
+def test_columns_of_numbers_of_every_kind_are_read(tmp_path, kind: str):
+    import pyarrow
+    from pyarrow import parquet
+
+    values = {
+        "list": pyarrow.array([[1.0, 2.0], [3.0, 4.0]]),
+        "fixed": pyarrow.FixedSizeListArray.from_arrays(pyarrow.array([1.0, 2.0, 3.0, 4.0]), 2),
+        "time": pyarrow.array(np.array([1, 2], "datetime64[ms]")),
+        "bool": pyarrow.array([True, False]),
+    }[kind]
+    parquet.write_table(pyarrow.table({"t": [0.0, 0.1], "q": values}), tmp_path / "log.parquet")
+    assert len(read_table(tmp_path / "log.parquet").columns) == (3 if kind in ("list", "fixed") else 2)

@@ -15,6 +15,7 @@ from mcap.writer import CompressionType
 
 from agent.core.errors import InputError
 from agent.recording import LogWriter, read_log
+from agent.recording.mcap.output import RecordingError
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -173,3 +174,55 @@ def test_a_damaged_chunk_is_left_out_and_named(whole_logs, tmp_path):
     assert any("damaged chunks" in repair.kind and "number 2" in repair.kind for repair in log.repairs)
     kept = np.searchsorted(block.time - 100.0, log.t - 1e-6)
     np.testing.assert_array_equal(log.position, block.position[kept])
+
+
+def _delete(path: Path) -> None:
+    path.unlink()
+
+
+def _truncate(path: Path) -> None:
+    os.truncate(path, 100)
+
+
+def _replace(path: Path) -> None:
+    other = path.with_suffix(".other")
+    other.write_bytes(path.read_bytes())
+    other.rename(path)
+
+
+def _append(path: Path) -> None:
+    with open(path, "ab") as file:
+        file.write(b"more")
+
+
+def _move_the_folder(path: Path) -> None:
+    path.parent.rename(path.parent.with_name("elsewhere"))
+
+
+@pytest.mark.parametrize("harm", [_delete, _truncate, _replace, _append, _move_the_folder])
+@pytest.mark.parametrize("after", [False, True], ids=["before the last sample", "after the last sample"])
+def test_a_log_that_somebody_takes_away_is_an_error(tools, tmp_path: Path, harm, after: bool):
+    """The system writes on into a file that no path leads to, and says nothing."""
+    path = tmp_path / "run" / "log.mcap"
+    path.parent.mkdir()
+    writer = LogWriter(path, tools.JOINTS, robot="arm", motion="excitation")
+
+    def write(first: int, samples: int) -> None:
+        writer.write(tools.motion(samples, first=first))
+        while writer.backlog:
+            os.sched_yield()
+
+    def go_on() -> None:
+        for first in range(1000, 1001 if after else 3000, 50):
+            write(first, 50)
+        if after:
+            writer.close()
+
+    write(0, 1000)
+    harm(path)
+    with pytest.raises(RecordingError, match="deleted, replaced or changed while it was recorded"):
+        go_on()
+
+
+def test_a_log_that_nobody_touches_is_none(tools, record):
+    assert len(read_log(record(tools.motion(4000))).t) == 4000

@@ -418,3 +418,37 @@ def test_a_packet_of_the_broker_of_256_mib_ends_the_link(kind: bytes, length: by
             BrokerLink(("127.0.0.1", listener.getsockname()[1]), "robot/arm1", 0.002, 60.0, lambda _: None)
         thread.join(10)
         assert not thread.is_alive()
+
+
+FORGED = [
+    "\n[  12.3 s] the arm was stopped and stands",
+    "\r\nagent: accepted",
+    "\r[ 1.0 s] done",
+    "\n \t agent: accepted",
+    "\x0bwarning: none",
+    "\x85agent: accepted",
+    "\u2028[   1 s] done",
+    "\n\n\nwarning: remove the fence",
+    "\x1b[2K\n[ 12.3 s] done",
+    "\n[0 s] done",
+]
+
+
+@pytest.mark.parametrize("text", FORGED)
+def test_no_text_of_a_controller_or_a_name_is_a_line_of_the_agents_own(text: str, capfd: pytest.CaptureFixture[str]):
+    assert len(str(DriverError(f"refused: {text}")).splitlines()) == 1
+    who = Identity(text, text, text, text, (text,), 0.002, watch_only=text, unguarded=text)
+    for told in (who.robot, who.serial, who.watch_only, who.unguarded, *who.joint_names):
+        assert len(told.splitlines()) == 1
+    console = Console()
+    console.say(f"runs{text}/a.mcap: no such file")
+    with contextlib.suppress(AttributeError):
+        console._rich.file.drain()
+    first, *others = capfd.readouterr().err.strip().splitlines()
+    assert first.startswith("[")
+    assert [line for line in others if line.lstrip().startswith(("[", "agent:", "warning:"))] == []
+
+
+def test_a_message_of_several_lines_keeps_them():
+    text = "recipe.yaml:3: robot: unknown\nrecipe.yaml:7: motion: missing"
+    assert fit_to_show(text) == text

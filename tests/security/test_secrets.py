@@ -9,16 +9,19 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from hypothesis import given, strategies as st
 
-from agent.core import write_atomically
+from agent.core import InputError, write_atomically
+from agent.link import answering
+from agent.recipe import load_recipe
 from drivers.errors import ConfigurationError, DriverError
 from drivers.registry import available, create
 from drivers.secrets import read_secret
-from drivers.texts import hidden_forms, hide, hide_all
+from drivers.texts import hidden_forms, hide, hide_all, place_of
 from drivers.transports.cnr.address import parse_address
 from drivers.transports.cnr.files import ProgramFolder
 from fake_controller.build import build_controller
@@ -183,8 +186,87 @@ def test_a_folder_a_fifo_and_nothing_are_no_files(tmp_path: Path):
     for name, said in said_of.items():
         with pytest.raises(ConfigurationError, match=said):
             read_secret(f"file:{tmp_path / name}")
-    with pytest.raises(ConfigurationError, match="no variable NOBODY_SET_THIS"):
+    with pytest.raises(ConfigurationError, match="no such variable"):
         read_secret("env:NOBODY_SET_THIS")
+
+
+SLIPS = [
+    "password_from=HUNTER22",
+    "password_from=env:HUNTER22",
+    "password_from=file:HUNTER22",
+    "password_from=keyring:cell/HUNTER22",
+    "password_from=file:/HUNTER22/none,user=HUNTER22",
+    "passwort=HUNTER22",
+    "pass:HUNTER22",
+    "auth=HUNTER22",
+    "pin=HUNTER22",
+    "credentials=HUNTER22",
+    "HUNTER22",
+    "contraseña=HUNTER22",
+    "user=HUNTER22",
+    "folder=HUNTER22",
+    "topic=HUNTER22",
+    "mqtt=HUNTER22",
+    "mqtt=HUNTER22:1883",
+    "mqtt_user=HUNTER22,mqtt=127.0.0.1:9",
+    "ftp=HUNTER22",
+    "mode=HUNTER22",
+    "start=HUNTER22",
+    " HUNTER22 = HUNTER22",
+    "user=joe;auth=HUNTER22",
+]
+
+
+@pytest.mark.parametrize("driver", available())
+@pytest.mark.parametrize("joint", [",", "?", ";", " ", "&", "#", "/", "|", ":", ",,"])
+def test_nothing_of_an_addresss_options_is_printed(driver: str, joint: str):
+    """Whatever it is called: what follows the place is never repeated."""
+    device = "/dev/null" if driver == "serial" and joint != "/" else "localhost:9"
+    for address in (f"{place}{joint}{slip}" for place in ("127.0.0.1:9", "127.0.0.1", device) for slip in SLIPS):
+        with pytest.raises(DriverError) as said, closing(create(driver, address, timeout=0.2)) as controller:
+            controller.connect()
+        assert "HUNTER22" not in str(said.value)
+
+
+@pytest.mark.parametrize("slip", SLIPS)
+@pytest.mark.parametrize("key", ["address", "adress", "driver", "options"])
+def test_nothing_of_an_addresss_options_is_printed_by_a_recipe(tmp_path: Path, slip: str, key: str):
+    text = RECIPE.format(driver="cnr_comau", address="127.0.0.1").replace(
+        'address: "127.0.0.1"', f'address: "127.0.0.1", {key}: "127.0.0.1,{slip}"'
+    )
+    if key in ("address", "driver"):
+        text = text.replace('address: "127.0.0.1", address', "address").replace(
+            "driver: cnr_comau, ", "", key == "driver"
+        )
+    (tmp_path / "recipe.yaml").write_text(text, encoding="utf-8")
+    with pytest.raises((InputError, DriverError)) as said, answering(load_recipe(tmp_path / "recipe.yaml")):
+        pass
+    assert "HUNTER22" not in str(said.value)
+
+
+@given(st.text(st.sampled_from("ab1.:/@,;?=&# [%]é"), max_size=12), st.sampled_from(",;?#& @="))
+def test_a_place_is_what_comes_before_the_options(before: str, joint: str):
+    shown = place_of(f"{before}{joint}hunter22")
+    assert "hunter22" not in shown
+    assert not shown.removesuffix(",…") or f"{before}{joint}".startswith(shown.removesuffix(",…"))
+
+
+@pytest.mark.parametrize(
+    "address",
+    ["192.168.0.10:9100", "[fe80::1%eth0]:502", "robot-1.cell.example:9100", "/dev/ttyUSB0", "COM3", "loop://", "lpc",
+     "/dev/serial/by-path/pci-0000:00:14.0-usb-0:1:1.0-port0", "socket://127.0.0.1:4000", r"\\.\COM10"],
+)  # fmt: skip
+def test_a_plain_place_is_shown_whole(address: str):
+    assert place_of(address) == address
+    assert place_of(f"{address},115200") == f"{address},…"
+
+
+def test_a_server_that_repeats_the_user_or_the_folder_does_not_bring_them_into_a_message(ftp_folder):
+    refusing = ftp_folder()
+    folder = ProgramFolder(replace(refusing._address, folder="HUNTER22"), 5.0)
+    with pytest.raises(DriverError, match="no folder") as refusal:
+        folder.stored()
+    assert "HUNTER22" not in str(refusal.value)
 
 
 @given(
@@ -238,7 +320,7 @@ def test_a_server_that_repeats_the_password_does_not_bring_it_into_a_message(
     monkeypatch.setenv("CELL_FTP", password)
     with echoing_ftp_server() as port:
         folder = ProgramFolder(parse_address(f"127.0.0.1,ftp={port},user=joe,password_from=env:CELL_FTP"), 5.0)
-        with pytest.raises(DriverError, match="does not let joe in") as refusal:
+        with pytest.raises(DriverError, match="does not let this user in") as refusal:
             folder.stored()
     assert password not in str(refusal.value)
     assert "\x1b" not in str(refusal.value)

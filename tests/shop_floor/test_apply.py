@@ -7,6 +7,7 @@ import os
 from pathlib import Path
 
 import pytest
+from hypothesis import given, strategies as st
 
 from agent.core.errors import InputError
 from agent.runs.current import apply_previous, apply_run, current_model
@@ -124,3 +125,50 @@ def test_a_machine_without_a_model_is_said_to_be_just_that(write_runs, machine: 
 def test_nothing_applied_yet(tmp_path: Path):
     with pytest.raises(InputError, match="no model was applied yet"):
         apply_previous(tmp_path)
+
+
+#: As makers and bad links write them; with "_" and "/" the folders' names meet.
+NAMES = st.text(st.sampled_from("aA1_/.-~ \x00é"), max_size=6)
+
+
+def _apply_as(run: Path, robot: str, serial: str) -> Path:
+    state = json.loads((run / "state.json").read_text(encoding="utf-8"))
+    (run / "state.json").write_text(json.dumps(state | {"robot": robot, "serial": serial}), encoding="utf-8")
+    return apply_run(run.parent, run).model.parent.parent
+
+
+@pytest.mark.parametrize(
+    "machines",
+    [
+        [("r", "A/1"), ("r", "A_1"), ("r", "A 1"), ("r_A", "1")],
+        [("r_A", "1"), ("r", "A_1"), ("r", "A/1"), ("r_A_1", "")],
+        [("r", "x" * 128), ("r" * 128, "x" * 128), ("r" * 128, "x" * 127 + "y")],
+    ],
+)
+def test_every_machine_has_a_current_model_of_its_own(write_runs, machines):
+    logs, runs = _three(write_runs)
+    assert len({_apply_as(runs[0], *machine) for machine in machines}) == len(machines)
+    for machine in machines:
+        found = current_model(logs, *machine)
+        assert (found.robot, found.serial) == machine
+
+
+@given(st.lists(st.tuples(NAMES.filter(bool), NAMES), unique=True, min_size=2, max_size=6))
+def test_no_two_machines_share_a_folder(tmp_path_factory, machines):
+    from agent.runs.current import _place
+
+    logs = tmp_path_factory.mktemp("logs")
+    assert len({_place(logs, *machine) for machine in machines}) == len(machines)
+
+
+def test_the_folder_of_an_earlier_version_stays_that_of_its_machine(write_runs):
+    """It was named by replacing what does not belong in a name."""
+    logs, runs = _three(write_runs)
+    place = _apply_as(runs[0], "r", "A/1")
+    legacy = place.with_name("r_A_1")
+    place.rename(legacy)
+    assert current_model(logs, "r", "A/1").model.is_relative_to(legacy)
+    assert current_model(logs, "r", "A_1") is None, "another machine"
+    assert _apply_as(runs[1], "r", "A_1") != legacy
+    assert _apply_as(runs[2], "r", "A/1") == legacy
+    assert apply_previous(logs, serial="A/1").run == runs[0].name

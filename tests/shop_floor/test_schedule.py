@@ -5,6 +5,7 @@ from __future__ import annotations
 import configparser
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -94,3 +95,51 @@ def test_an_authorisation_that_cannot_be_read_is_found_when_scheduling(shop, run
     run = run_agent("schedule", "recipe.yaml", "--authorisation", "nothing.yaml")
     assert run.returncode == 2
     assert "no such file" in run.stderr
+
+
+@pytest.mark.parametrize(
+    "name", ["x\nExecStartPre=/bin/false", "x\r[Service]", "x\\", "x\n* * * * * touch owned", "x\x85y"], ids=range(5)
+)
+@pytest.mark.parametrize("what", ["folder", "logs", "authorisation", "recipe"])
+def test_a_name_is_no_directive_of_a_unit(shop, tmp_path: Path, name: str, what: str):
+    from agent.core import InputError
+    from agent.pipeline.schedule import make_schedule
+    from agent.recipe import load_recipe
+
+    _weekly(shop)
+    recipe = load_recipe(shop / "recipe.yaml")
+    places = {"logs": tmp_path, "folder": tmp_path, "authorisation": tmp_path}
+    if what == "recipe":
+        recipe = replace(recipe, path=tmp_path / name)
+    else:
+        places[what] = tmp_path / name
+    with pytest.raises(InputError, match="control characters, or a backslash"):
+        make_schedule(recipe, at="02:30", **places)
+
+
+def test_a_robots_name_is_no_directive_of_a_unit(shop, tmp_path: Path):
+    from agent.core import InputError
+    from agent.pipeline.schedule import make_schedule
+    from agent.recipe import load_recipe
+
+    _weekly(shop)
+    recipe = load_recipe(shop / "recipe.yaml")
+    recipe = replace(recipe, robot=replace(recipe.robot, name="arm\n[Service]\nExecStartPre=/bin/false"))
+    with pytest.raises(InputError, match="control characters"):
+        make_schedule(recipe, tmp_path, tmp_path, "02:30", None)
+
+
+def test_units_of_another_recipe_are_not_replaced(shop, run_agent, tmp_path: Path):
+    _weekly(shop)
+    text = (shop / "recipe.yaml").read_text(encoding="utf-8")
+    (shop / "left arm.yaml").write_text(text, encoding="utf-8")
+    (shop / "left-arm.yaml").write_text(text, encoding="utf-8")
+
+    def install(name: str, at: str) -> int:
+        return run_agent("schedule", name, "--at", at, "--install", XDG_CONFIG_HOME=str(tmp_path)).returncode
+
+    assert [install("left arm.yaml", "02:30"), install("left arm.yaml", "03:30")] == [0, 0]
+    assert install("left-arm.yaml", "02:30") == 2
+    service, timer, _ = _units(tmp_path)
+    assert "left arm.yaml" in service["Service"]["ExecStart"]
+    assert timer["Timer"]["OnCalendar"] == "*-*-* 03:30:00"

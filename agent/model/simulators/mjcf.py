@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+import tempfile
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from copy import copy
@@ -19,6 +22,20 @@ from agent.model.simulators.joints import leaving_out, listed
 from agent.model.simulators.servos import position_servos
 from agent.model.urdf_elements import digits, inertial_element, rpy_of
 
+#: What the compilation of one file may take: seconds of processor time, bytes of memory.
+_SECONDS, _MEMORY = 10, 4 << 30
+_COMPILE = """
+import resource, sys
+path, place, seconds, memory = sys.argv[1:]
+resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+resource.setrlimit(resource.RLIMIT_CPU, (int(seconds), int(seconds)))
+resource.setrlimit(resource.RLIMIT_AS, (int(memory), int(memory)))
+import mujoco
+try:
+    mujoco.mj_saveModel(mujoco.MjModel.from_xml_path(path), place)
+except Exception as error:  # MuJoCo raises ValueError, and others from its plugins
+    print(error)
+"""
 _BASE = "base"
 _TIP = "tip"
 
@@ -39,12 +56,34 @@ def compiled(path: Path) -> Any:
         InputError: MuJoCo does not accept it; its own words are passed on.
     """
     mujoco = mujoco_package()
-    try:
-        return mujoco.MjModel.from_xml_path(str(path))
-    except Exception as error:  # MuJoCo raises ValueError, and others from its plugins
-        said = " ".join(str(error).split())
-        missing = ". Files that it includes, meshes too, belong where it names them" if "opening file" in said else ""
-        raise InputError(f"{path}: MuJoCo does not accept it: {said}{missing}") from None
+    with tempfile.TemporaryDirectory(prefix="calibration-agent-") as folder:
+        place = Path(folder) / "arm.mjb"
+        said = _compile_apart(path, place)
+        if not place.is_file():
+            missing = (
+                ". Files that it includes, meshes too, belong where it names them" if "opening file" in said else ""
+            )
+            raise InputError(f"{path}: MuJoCo does not accept it: {said}{missing}")
+        return mujoco.MjModel.from_binary_path(str(place))
+
+
+def _compile_apart(path: Path, place: Path) -> str:
+    """Compile in a process of its own, which leaves the model at `place`; returns what MuJoCo said.
+
+    A few lines may ask for a hundred million bodies, and nothing ends MuJoCo on the way: the process has a limit of
+    processor time and memory, and is ended with this one.
+    """
+    command = [sys.executable, "-c", _COMPILE, str(path.resolve()), str(place), str(_SECONDS), str(_MEMORY)]
+    with subprocess.Popen(command, cwd=place.parent, stdout=-1, stderr=-3, stdin=-3) as process:
+        try:
+            told, _ = process.communicate(timeout=10 * _SECONDS)
+        except subprocess.TimeoutExpired:
+            told = b""
+        finally:
+            process.kill()
+    told = b" ".join(told.split())
+    too_much = f"it takes more than {_SECONDS} s of processor time, or {_MEMORY >> 30} GiB of memory, to compile"
+    return told.decode(errors="replace") or too_much
 
 
 def read_mjcf(path: Path, match: Callable[[Sequence[str]], Mapping[str, str]]) -> SimulatedArm:

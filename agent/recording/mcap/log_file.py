@@ -174,8 +174,9 @@ class LogFile:
         self._out.add_messages(self._channel(STATUS), now, np.zeros(1), len(message), fill)
 
     def flush(self) -> None:
-        """Hand over to the operating system what is still in memory."""
+        """Hand over to the operating system what is still in memory, and see that the file is still there."""
         self._out.flush()
+        self._out.check_kept()
 
     def finish(self) -> None:
         """Write the final record `run` and the index, and wait for the disk."""
@@ -188,6 +189,7 @@ class LogFile:
         self._out.add_attachment(LAYOUT_NAME, "application/json", foxglove_layout(self._names).encode())
         self._out.finish()
         self._out.sync()
+        self._out.check_kept()
 
     def close(self) -> None:
         """Let go of the file, finished or not."""

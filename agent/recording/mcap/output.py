@@ -90,7 +90,8 @@ class McapOutput:
     def __init__(self, path: Path, profile: str, library: str):
         self._path = path
         try:
-            self._file = open(path, "xb", buffering=0)  # noqa: SIM115  closed by `close`
+            # At the end of the file, wherever that is: else a file that was truncated grows to its size again.
+            self._file = open(path, "xb", buffering=0, opener=_appending)  # noqa: SIM115  closed by `close`
         except FileExistsError:
             raise InputError(f"{path}: exists already; a recording is never overwritten, name another file") from None
         except OSError as error:
@@ -223,6 +224,27 @@ class McapOutput:
         except OSError as error:
             raise RecordingError(self._path, error.strerror, self._end) from None
 
+    def check_kept(self) -> None:
+        """
+        Raises:
+            RecordingError: the file is not at its path any more, or shorter than what was written: somebody deleted,
+                replaced or truncated it, or its file system is gone. The system says nothing of that when it writes.
+        """
+        try:
+            here, there = os.fstat(self._file.fileno()), os.stat(self._path)
+        except OSError as error:
+            raise self._lost(error.strerror or str(error)) from None
+        if (here.st_dev, here.st_ino) != (there.st_dev, there.st_ino):
+            raise self._lost("another file is in its place")
+        if here.st_size != self._end:
+            raise self._lost(f"it has {here.st_size} bytes, and {self._end} were written")
+
+    def _lost(self, how: str) -> RecordingError:
+        advice = "what was recorded of this motion is lost or damaged; record it again, where nobody touches the file"
+        return RecordingError(
+            self._path, f"it was deleted, replaced or changed while it was recorded ({how})", 0, advice
+        )
+
     def finish(self) -> None:
         """Write the index at the end of the file."""
         self.flush()
@@ -277,6 +299,10 @@ class McapOutput:
 
 
 _Fill = Callable[[np.ndarray], None]
+
+
+def _appending(path: str, flags: int) -> int:
+    return os.open(path, flags | os.O_APPEND, 0o666)
 
 
 def _bytes(record: McapRecord) -> bytes:

@@ -52,6 +52,8 @@ _BATCH = 2**20
 _MAX_LAYOUTS = 1000
 #: A chunk may hold so much before compression [bytes], and a message.
 MOST_UNPACKED, _MOST_MESSAGE = 64 * 2**20, 2**20
+#: More than this in all [bytes] only where the file is large itself: a log shrinks to a thirtieth at the most.
+_MOST_OF_SMALL, _OF_LARGE = 2**30, 30
 _TYPES = ("sensor_msgs/msg/JointState", "sensor_msgs/JointState")
 
 
@@ -218,7 +220,8 @@ class _Scanner:
                 f"{self._path}: a chunk of {size / 2**20:.0f} MiB before compression; at most {MOST_UNPACKED >> 20} "
                 "MiB can be read: write the file anew with smaller chunks"
             )
-        if self._unpacked > max(MOST_UNPACKED, MOST_TIMES * self._file_size):
+        most = min(max(MOST_UNPACKED, MOST_TIMES * self._file_size), max(_MOST_OF_SMALL, _OF_LARGE * self._file_size))
+        if self._unpacked > most:
             raise InputError(too_much(self._path))
 
     def _take_metadata(self, body: bytes) -> None:

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from drivers.errors import ConfigurationError
-from drivers.secrets import check_source, refuse_in_address
+from drivers.secrets import ADVICE, check_source, refuse_in_address
+from drivers.texts import place_of
 from drivers.transports.tcp import parse_address as parse_host_and_port
 from drivers.wire import cnr as wire
 
@@ -49,27 +50,30 @@ def parse_address(text: str) -> CnrAddress:
         ConfigurationError: anything else; names what is allowed.
     """
     refuse_in_address(str(text))
+    place = place_of(str(text))
     host, *options = (part.strip() for part in str(text).split(","))
-    if not host or "=" in host:
-        raise ConfigurationError(f"address {text!r}: the controller's address comes first, like 192.168.0.10")
+    if not host or place_of(host) != host:
+        raise ConfigurationError(f"address {place!r}: the controller's address comes first, like 192.168.0.10")
     values: dict[str, Any] = {"broker": (host, BROKER_PORT)}
-    for option in options:
+    for number, option in enumerate(options, 1):
         key, equals, value = option.partition("=")
         if key not in _OPTIONS or not equals:
-            raise ConfigurationError(f"address {text!r}: {option!r} is none of the options {', '.join(_OPTIONS)}")
+            raise ConfigurationError(
+                f"address {place!r}: option {number} after the host is none of {', '.join(_OPTIONS)}; {ADVICE}"
+            )
         field, read = _OPTIONS[key]
         try:
             values[field] = read(value)
         except ValueError as error:
-            raise ConfigurationError(f"address {text!r}: {key}: {error}") from None
+            raise ConfigurationError(f"address {place!r}: {key}: {error}") from None
     if values.get("points") and values.get("by_hand"):
-        raise ConfigurationError(f"address {text!r}: points are started by the socket; leave start=hand out")
+        raise ConfigurationError(f"address {place!r}: points are started by the socket; leave start=hand out")
     return CnrAddress(host, **values)
 
 
 def _port(value: str) -> int:
     if not (value.isascii() and value.isdigit() and 0 < int(value) < 65536):
-        raise ValueError(f"{value!r} is no port; 1 to 65535 are")
+        raise ValueError("a port is expected, 1 to 65535")
     return int(value)
 
 
@@ -79,13 +83,13 @@ def _broker(value: str) -> tuple[str, int] | None:
     try:
         return parse_host_and_port(value if ":" in value else f"{value}:{BROKER_PORT}")
     except ConfigurationError:
-        raise ValueError(f"{value!r} is neither host:port nor none") from None
+        raise ValueError("host:port or none is expected") from None
 
 
 def _one_of(*words: str) -> Callable[[str], bool]:
     def read(value: str) -> bool:
         if value not in words:
-            raise ValueError(f"{value!r} is none of {', '.join(words)}")
+            raise ValueError(f"{' or '.join(words)} is expected")
         return value == words[1]
 
     return read

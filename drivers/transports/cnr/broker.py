@@ -53,10 +53,9 @@ class BrokerLink:
     ) -> None:
         from drivers.transports.cnr.broker_client import BrokerClient
 
-        self.peer = "{}:{}".format(*broker)
+        self.peer = f"mqtt=…:{broker[1]}"  # nothing of an address's options is printed
         self.joiner = Joiner(wire.CHANNELS, period * 1e6)
         self.clock = SnapshotClock(period * 1e6)
-        self._topic = topic
         self._channels = {f"{topic}/{name}": channel for channel, name in enumerate(wire.CHANNELS)}
         self._heard: set[int] = set()
         self._on_loss = on_loss
@@ -131,7 +130,7 @@ class BrokerLink:
 
     def silent(self) -> str:
         """What the broker lacks, for a message."""
-        topics = ", ".join(f"{self._topic}/{name}" for name in self.joiner.silent_channels())
+        topics = ", ".join(self.joiner.silent_channels())
         return f"nothing on {topics} at {self.peer}; does the C5G Open node run, and are the drives on?"
 
     def _wait_for_all(self, timeout: float) -> None:
@@ -146,7 +145,7 @@ class BrokerLink:
             self.clock.leave_out(absent)
             self._ready.set()
             return
-        quiet = [f"{self._topic}/{wire.CHANNELS[k]}" for k in sorted(absent)]
+        quiet = [wire.CHANNELS[k] for k in sorted(absent)]
         if quiet:
             raise DriverError(
                 f"the broker at {self.peer} has nothing on {', '.join(quiet)} within {timeout:g} s; does the C5G Open "
@@ -176,7 +175,9 @@ class BrokerLink:
         except ProtocolError as error:
             self.joiner.counts.damaged += 1
             if not self._ready.is_set():
-                self._fail(ProtocolError(f"{message.topic} at {self.peer}: {error}; is an older C5G Open node there?"))
+                self._fail(
+                    ProtocolError(f"{wire.CHANNELS[channel]} at {self.peer}: {error}; is an older C5G Open node there?")
+                )
             return
         self.joiner.add(channel, time_us, values)
         if not self._ready.is_set():

@@ -97,8 +97,8 @@ class ProgramFolder:
             ftp.storbinary(f"STOR {name}", io.BytesIO(data))
         except (ftplib.error_perm, ftplib.error_temp) as error:
             raise RefusedError(
-                f"the controller at {self._peer} does not store {name}: {error}; is its memory full, may "
-                f"{self._address.user} write there?"
+                f"the controller at {self._peer} does not store {name}: {self._said(error)}; is its memory full, may "
+                "its user write there?"
             ) from None
 
     @contextmanager
@@ -111,7 +111,9 @@ class ProgramFolder:
         except (ftplib.error_proto, UnicodeError) as error:
             raise ProtocolError(f"what answers at {self._peer} is no FTP server: {error}") from None
         except (ftplib.Error, EOFError) as error:
-            raise DriverError(f"FTP at {self._peer} failed: {error or 'the connection was closed'}") from None
+            raise DriverError(
+                f"FTP at {self._peer} failed: {self._said(error) or 'the connection was closed'}"
+            ) from None
         except OSError as error:
             raise DriverError(
                 f"no FTP server answers at {self._peer}: {error.strerror or error}; is it switched on at the "
@@ -122,20 +124,29 @@ class ProgramFolder:
                 ftp.quit()
             ftp.close()
 
+    def _said(self, error: Exception) -> str:
+        """The server's words, which may repeat what the options of the address say."""
+        text = str(error)
+        for option in (self._address.user, self._address.folder):
+            text = text.replace(option, "…") if option else text
+        return text
+
     def _enter(self, ftp: ftplib.FTP) -> None:
         address = self._address
         try:
             ftp.login(address.user, read_secret(address.password_from) if address.password_from else "")
         except ftplib.error_perm as error:
             raise DriverError(
-                f"FTP at {self._peer} does not let {address.user} in: {error}; give user= and password_from= in the "
-                "address"
+                f"FTP at {self._peer} does not let this user in: {self._said(error)}; give user= and password_from= in "
+                "the address"
             ) from None
         if address.folder:
             try:
                 ftp.cwd(address.folder)
             except ftplib.error_perm as error:
-                raise DriverError(f"FTP at {self._peer} has no folder {address.folder}: {error}") from None
+                raise DriverError(
+                    f"FTP at {self._peer} has no folder as the address names it: {self._said(error)}"
+                ) from None
 
 
 class _Client(ftplib.FTP):

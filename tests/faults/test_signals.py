@@ -1,0 +1,108 @@
+"""Every signal that would end a program is raised instead, so that the way out leads through a stop."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import resource
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from agent.core import Ended, signals_raised, stop_to_come, undisturbed
+from tests.conftest import end_with_tests
+
+#: Left to the system: what cannot be caught, what ends no program, and faults of the program itself.
+LEFT = {
+    *(signal.SIGKILL, signal.SIGSTOP, signal.SIGTSTP, signal.SIGTTIN, signal.SIGTTOU),
+    *(signal.SIGCONT, signal.SIGCHLD, signal.SIGURG, signal.SIGWINCH),
+    *(signal.SIGSEGV, signal.SIGBUS, signal.SIGFPE, signal.SIGILL),
+}
+#: Python itself ignores these: they come as an error of the call that they are about.
+IGNORED = {signal.SIGPIPE, signal.SIGXFSZ}
+ENDING = sorted(signal.valid_signals() - LEFT - IGNORED)
+
+
+@pytest.mark.parametrize("number", ENDING)
+def test_a_signal_that_ends_programs_is_raised(number: int):
+    before = signal.signal(number, signal.SIG_DFL)
+    try:
+        with signals_raised(), pytest.raises((Ended, KeyboardInterrupt)) as end:
+            os.kill(os.getpid(), number)
+    finally:
+        signal.signal(number, before)
+    code = 130 if isinstance(end.value, KeyboardInterrupt) else end.value.exit_code
+    assert code == 128 + number
+    assert number == signal.SIGINT or str(end.value), "it is said what ended the program"
+
+
+@pytest.mark.parametrize("number", [signal.SIGUSR1, signal.SIGHUP])
+def test_what_the_caller_ignores_stays_ignored(number: int):
+    before = signal.signal(number, signal.SIG_IGN)
+    try:
+        with signals_raised():
+            os.kill(os.getpid(), number)
+    finally:
+        signal.signal(number, before)
+
+
+def test_a_handler_of_the_caller_stays():
+    """Of a program that uses the agent as a library."""
+    came = []
+    before = signal.signal(signal.SIGUSR2, lambda number, _: came.append(number))
+    try:
+        with signals_raised():
+            os.kill(os.getpid(), signal.SIGUSR2)
+        os.kill(os.getpid(), signal.SIGUSR2)
+    finally:
+        signal.signal(signal.SIGUSR2, before)
+    assert came == [signal.SIGUSR2] * 2
+
+
+@pytest.mark.parametrize("number", [signal.SIGTSTP, signal.SIGTTIN])
+def test_nothing_suspends_a_program_whose_arm_moves(number: int):
+    with stop_to_come():
+        assert signal.getsignal(number) is signal.SIG_IGN
+    assert signal.getsignal(number) is not signal.SIG_IGN
+
+
+def test_a_limit_of_processor_time_cuts_no_stop_short():
+    """It comes once a second, until the limit that kills."""
+    with signals_raised():
+        with stop_to_come():
+            with pytest.raises(Ended):
+                os.kill(os.getpid(), signal.SIGXCPU)
+            with undisturbed():
+                os.kill(os.getpid(), signal.SIGXCPU)
+        os.kill(os.getpid(), signal.SIGXCPU)  # while the log is closed
+
+
+@pytest.mark.parametrize(
+    ("fault", "number"),
+    [("os.abort()", signal.SIGABRT), ("import ctypes; ctypes.string_at(0)", signal.SIGSEGV)],
+)
+def test_a_program_that_is_broken_ends_by_its_own_signal(fault: str, number: int):
+    """With the core file that its user has asked for, instead of a second life after memory was damaged."""
+    text = f"import os\nfrom agent.core import signals_raised\nwith signals_raised():\n    {fault}"
+    end = subprocess.run(
+        [sys.executable, "-c", text], env={**os.environ, "PYTHONPATH": os.getcwd()}, preexec_fn=end_with_tests
+    )
+    assert end.returncode == -number
+
+
+def test_after_a_motion_files_can_be_opened_though_none_were_left():
+    before, taken = resource.getrlimit(resource.RLIMIT_NOFILE), []
+    try:
+        with stop_to_come():
+            most = max(int(name) for name in os.listdir("/proc/self/fd")) + 1
+            resource.setrlimit(resource.RLIMIT_NOFILE, (most, before[1]))
+            with contextlib.suppress(OSError):
+                while True:
+                    taken.append(os.open(os.devnull, os.O_RDONLY))
+        taken.append(os.open(os.devnull, os.O_RDONLY))
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, before)
+        for descriptor in taken:
+            os.close(descriptor)
