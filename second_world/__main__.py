@@ -97,9 +97,9 @@ def write_draw(count: int, seed: int | None, laws: str, out: Path, truth: Path, 
 def run(job: dict[str, Any]) -> dict[str, Any]:
     """Logs of one run in `folder`, its effects with their sizes, and how much they change the torque together.
 
-    With `describe` the robot is written as well, and the motions are those of a baseline. Motions are drawn, or come as
-    `set_points`: by name a file of (S, n) at 1 kHz, and when their `cycles` begin [s]. Effects are sized along the drawn
-    ones in any case.
+    With `describe` the robot is written as well, and the motions are those of a baseline. Motions are drawn, or come
+    as `set_points`: by name a file of (S, n) at 1 kHz, and when their `cycles` begin [s]. Effects are sized along the
+    drawn ones in any case.
     """
     from second_world.arms import write_description
     from second_world.machine import largest_change

@@ -334,9 +334,9 @@ def step(
     Ki, torque count, share of the current loop's step, zero of the encoder, torque and offset per current, the inertia
     of the rotor, whether the torque that is seen is the command, its count, the limit of the current.
     Rows of `friction` (n, 13): Maxwell slip, Coulomb, rise, its speed, viscous, stiffness, change of Coulomb and
-    viscous with temperature, K per power, time constant, per load, per posture, its angle. `pairs` (K, 5): a drag at the speed
-    v[second] + ratio · v[first]: first, second, ratio, Coulomb, viscous. States `x` (n, 16), `states` of the terms
-    (T, 4) and after them of the pairs.
+    viscous with temperature, K per power, time constant, per load, per posture, its angle. `pairs` (K, 5): a drag at
+    the speed v[second] + ratio · v[first]: first, second, ratio, Coulomb, viscous. States `x` (n, 16), `states` of
+    the terms (T, 4) and after them of the pairs.
     """
     n = len(index)
     for j in range(n):

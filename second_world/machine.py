@@ -141,7 +141,11 @@ class _Simulation:
         self._x[:] = 0.0
         self._x[:, 3] = warm
         qd_ref = np.gradient(q_ref, 1 / RATE, axis=0)
-        targets = np.ascontiguousarray(np.stack([q_ref, qd_ref, np.gradient(qd_ref, 1 / RATE, axis=0)], axis=1))
+        targets = np.stack([q_ref, qd_ref, np.gradient(qd_ref, 1 / RATE, axis=0)], axis=1)
+        steps = np.arange(_STEPS * len(q_ref)) / _STEPS
+        before = np.minimum(steps.astype(int), len(q_ref) - 2)
+        share = (steps - before)[:, None, None]
+        targets = (1 - share) * targets[before] + share * targets[before + 1]
         self._settle(targets[0])
         samples, n = q_ref.shape
         out = np.empty((samples, 3, n))
@@ -162,7 +166,7 @@ class _Simulation:
                     qvel,
                     bias,
                     applied,
-                    targets[k],
+                    targets[_STEPS * k + half],
                     *constant,
                     self._x,
                     self._states,

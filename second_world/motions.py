@@ -59,7 +59,7 @@ def _stops(
     first = rng.uniform(-0.7, 0.7, len(reach)) * reach
     parts: list[np.ndarray] = []
     at = first
-    while sum(map(len, parts)) < (cycle - 2.5) * RATE:
+    while not parts or sum(map(len, parts)) < (cycle - 2.5) * RATE:
         goal = rng.uniform(-0.7, 0.7, len(reach)) * reach
         parts += [_between(kind, at, goal, 0.6 * speed, rng), np.tile(goal, (round(rng.uniform(0.2, 0.8) * RATE), 1))]
         at = goal
