@@ -1,5 +1,5 @@
-"""A second world for the blind check: arms in MuJoCo with a servo, friction, motions and recorders of their own.
+"""A family of simulated worlds for the blind check, in MuJoCo: each draw has its own arm, friction, servo and recorder.
 
 It is a process of its own (`python -m second_world`) and shares no physics with the fake controller or the diagnosis:
-another engine, effects written as other laws, other motions. Nothing imports it.
+another engine, several laws for every effect, other motions. Nothing imports it.
 """

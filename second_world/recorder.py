@@ -2,62 +2,93 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from agent.recording import Log, write_log
-from second_world.arms import Arm
 from second_world.motions import RATE
+from second_world.world import World
 
-EVERY = 2  # of the servo's samples one is recorded: 500 Hz
-_STAMP = 1.7e9  # s
+_LAG = 0.008  # s, of a velocity channel behind the motion
+_ROUNDED = 1e-4  # rad
+_LATE = 4e-4  # s on average
+_LOST, _TWICE = 0.03, 0.005  # of the rows
+_GAP = 0.3  # s
 
 
-def write_motion(
-    path: Path,
-    arm: Arm,
-    motion: Mapping[str, np.ndarray],
-    torque: np.ndarray,
-    cycles: tuple[float, ...],
-    seed: int,
-    as_recorded: bool,
-    began: float = 0.0,
-) -> None:
-    """Sample one motion that `began` [s] in the session, with noise.
+@dataclass(frozen=True)
+class Take:
+    """What is recorded: signals (3, S, n) at `RATE`, set-points (S, n) executed and planned, and when it began [s]."""
 
-    `as_recorded` rounds positions to 1e-4 rad, stamps rows late by 0.4 ms on the average (exponential, in the order of
-    arrival) and loses 3 % of them.
-    """
-    rng = np.random.default_rng([seed, 8])
-    position, velocity, effort = (values[::EVERY] for values in (motion["position"], motion["velocity"], torque))
-    samples = len(position)
-    effort = effort + 0.004 * arm.torque * rng.normal(size=effort.shape)
-    velocity = velocity + 0.001 * arm.speed * rng.normal(size=velocity.shape)
-    t = np.arange(samples) * EVERY / RATE
-    if as_recorded:
-        position = np.round(position, 4)
-        late = t + rng.exponential(4e-4, samples)
-        t = np.maximum.accumulate(late) + 1e-7 * np.arange(samples)
-        kept = rng.random(samples) >= 0.03
-        t, position, velocity, effort = t[kept], position[kept], velocity[kept], effort[kept]
-    else:
-        position = np.round(position / 2e-6) * 2e-6
-    start = t[0]
+    name: str
+    signals: np.ndarray
+    executed: np.ndarray
+    planned: np.ndarray
+    cycles: tuple[float, ...]
+    stamp: float
+    serial: str
+
+
+def write_take(path: Path, world: World, take: Take, seed: int) -> None:
+    """One log, with noise, by the world's sensors and recorder."""
+    rng = np.random.default_rng(np.random.SeedSequence([seed, 8]))
+    arm, every = world.arm, round(RATE / world.rate)
+    length = min(len(take.executed), take.signals.shape[1])
+    position, velocity, effort = (values[:length:every] for values in take.signals)
+    t = np.arange(len(position)) / world.rate
+    position = np.round(position / world.encoder) * world.encoder
+    effort = effort + world.noise * arm.torque * rng.normal(size=effort.shape)
+    effort = np.round(effort / world.servo_rows[:, 5]) * world.servo_rows[:, 5]
+    speeds: np.ndarray | None = velocity + 5e-4 * arm.speed * rng.normal(size=velocity.shape)
+    if world.velocity == "lagged":
+        speeds = _behind(take.signals[1][:length])[::every]
+    elif world.velocity == "missing":
+        speeds = None
+    if "rounded" in world.faults:
+        position = np.round(position / _ROUNDED) * _ROUNDED
+    rows = np.arange(len(t))
+    if "lossy" in world.faults:
+        rows = rows[rng.random(len(rows)) >= _LOST]
+    if "gap" in world.faults:
+        begin = rng.uniform(0.2, 0.8) * t[-1]
+        rows = rows[(t[rows] < begin) | (t[rows] > begin + _GAP)]
+    if "late" in world.faults:
+        t = np.maximum.accumulate(t + rng.exponential(_LATE, len(t))) + 1e-7 * np.arange(len(t))
+    if "duplicated" in world.faults:
+        rows = np.sort(np.concatenate([rows, rows[rng.random(len(rows)) < _TWICE]]))
+    start = t[rows[0]]
+    executed, planned = take.executed[:length:every][rows], _as_long(take.planned, length)[::every][rows]
     log = Log(
         path=path,
         joint_names=tuple(arm.joint_names),
-        t=t - start,
-        position=position,
-        velocity=velocity,
-        effort=effort,
-        reference_position=None,
-        planned_position=None,
-        sample_rate=RATE / EVERY,
-        stamp=_STAMP + began + start,
-        segments=((0, len(t)),),
-        cycle_starts=cycles,
-        metadata={"robot": arm.build.name, "motion": path.stem},
+        t=t[rows] - start,
+        position=position[rows],
+        velocity=None if speeds is None else speeds[rows],
+        effort=effort[rows],
+        reference_position=executed if world.tracking else None,
+        planned_position=planned if world.tracking else None,
+        sample_rate=world.rate,
+        stamp=take.stamp + start,
+        segments=((0, len(rows)),),
+        cycle_starts=take.cycles,
+        metadata={"robot": arm.kind.name, "motion": take.name, "serial": take.serial},
     )
+    path.parent.mkdir(parents=True, exist_ok=True)
     write_log(path, log)
+
+
+def _behind(values: np.ndarray) -> np.ndarray:
+    """A first-order lag of `_LAG`."""
+    slow, now = np.empty_like(values), values[0]
+    share = 1.0 / (RATE * _LAG)
+    for k, value in enumerate(values):
+        now = now + share * (value - now)
+        slow[k] = now
+    return slow
+
+
+def _as_long(points: np.ndarray, length: int) -> np.ndarray:
+    """The first `length` rows; the last one again where there are fewer."""
+    return points[np.minimum(np.arange(length), len(points) - 1)]

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from math import asinh, exp
+from math import asinh
 
 from fake_controller.actuation.effect import FrictionEffect, JointEffect, effect
+from fake_controller.actuation.friction import FrictionModifier
 from fake_controller.actuation.machine import Machine
 
 
 @effect("stribeck")
 class SimulatedStribeck(FrictionEffect):
-    """The bristles hold up to `rise` [N·m] more at low speed, fading with exp(−(|v| / speed)^shape)."""
+    """The bristles hold up to `rise` [N·m] more at low speed, fading as 1 / (1 + (|v| / speed)^shape).
+
+    Hess, Soom, J. Tribology 112 (1990): a longer tail than an exponential has.
+    """
 
     POSITIVE = ("speed", "shape")
     rise: float
@@ -19,7 +23,7 @@ class SimulatedStribeck(FrictionEffect):
     shape: float = 2.0
 
     def level(self, level: float, speed: float, load: float) -> float:
-        return level + self.rise * exp(-((abs(speed) / self.speed) ** self.shape))
+        return level + self.rise / (1.0 + (abs(speed) / self.speed) ** self.shape)
 
 
 @effect("asymmetric_friction")
@@ -37,13 +41,21 @@ class SimulatedAsymmetricFriction(FrictionEffect):
 
 
 @effect("load_dependent_friction")
-class SimulatedLoadDependentFriction(FrictionEffect):
-    """The Coulomb level grows with the torque that the gear transmits, by `coefficient` N·m each N·m."""
+class SimulatedLoadDependentFriction(JointEffect):
+    """Teeth rub by `coefficient` N·m each N·m that they transmit, once they bear: below a tenth of nominal, less."""
 
     coefficient: float
 
+    def install_on(self, machine: Machine, k: int) -> None:
+        machine.terms[k].append(_Teeth(self.coefficient, 0.1 * float(machine.nominal[k])))
+
+
+class _Teeth(FrictionModifier):
+    def __init__(self, coefficient: float, bearing: float):
+        self._coefficient, self._bearing = coefficient, bearing
+
     def level(self, level: float, speed: float, load: float) -> float:
-        return level + self.coefficient * abs(load)
+        return level + self._coefficient * load * load / (abs(load) + self._bearing)
 
 
 @effect("viscous_nonlinearity")

@@ -13,7 +13,9 @@ from fake_controller.actuation.machine import Machine
 
 @effect("torque_ripple")
 class SimulatedTorqueRipple(JointEffect):
-    """The motor's torque is off by `amplitude` · sin(order · motor angle + phase) [N·m on the joint side].
+    """The torque is off by `amplitude` · sin(x + sin(x) / 3) [N·m, joint side], x = order · motor angle + phase.
+
+    Magnets and teeth make no pure sine: the wave leans to one side and has all harmonics.
 
     `order` counts periods a motor turn: whole for cogging and current sensors, a fraction for gear angles.
     """
@@ -34,7 +36,8 @@ class _Ripple:
     phase: float
 
     def torque(self, position: float, velocity: float, dt: float) -> float:
-        return self.amplitude * sin(self.order * position + self.phase)
+        turned = self.order * position + self.phase
+        return self.amplitude * sin(turned + sin(turned) / 3)
 
 
 @effect("gravity_spring")
@@ -65,9 +68,11 @@ class SimulatedGravitySpring(JointEffect):
 
 @effect("dress_pack")
 class SimulatedDressPack(JointEffect):
-    """A hose that bends with the joint: `stiffness` [N·m/rad] and `cubic` [N·m/rad³] about `centre` [rad].
+    """A hose between two clamps: `stiffness` [N·m/rad] and `cubic` [N·m/rad³] of the chord 2 sin(bend / 2), the bend
+    counted from `centre` [rad].
 
-    Its inner friction lags behind by up to `hysteresis` [N·m], rebuilt over `travel` [rad] after a reversal (Dahl).
+    Its inner friction lags behind by up to `hysteresis` [N·m]; its strands slip one after the other within `travel`
+    [rad] of a reversal (Iwan).
     """
 
     POSITIVE = ("travel",)
@@ -84,14 +89,17 @@ class SimulatedDressPack(JointEffect):
 class _Hose:
     def __init__(self, effect: SimulatedDressPack):
         self._effect = effect
-        self._lag = 0.0  # of one
+        self._limits = [effect.travel * share for share in (0.25, 0.6, 1.0)]
+        self._stretch = [0.0, 0.0, 0.0]
 
     def torque(self, position: float, velocity: float, dt: float) -> float:
         effect = self._effect
-        bend = position - effect.centre
-        moved = velocity * dt / effect.travel
-        self._lag = (self._lag + moved) / (1.0 + abs(moved))
-        return -(effect.stiffness * bend + effect.cubic * bend**3 + effect.hysteresis * self._lag)
+        bend = 2.0 * sin(0.5 * (position - effect.centre))
+        lag = 0.0
+        for i, limit in enumerate(self._limits):
+            self._stretch[i] = min(max(self._stretch[i] + velocity * dt, -limit), limit)
+            lag += self._stretch[i] / limit / 3.0
+        return -(effect.stiffness * bend + effect.cubic * bend**3 + effect.hysteresis * lag)
 
 
 @effect("contact")

@@ -13,6 +13,8 @@ TORQUE_NOISE = 0.005  # of nominal, standard deviation, white
 ENCODER_COUNTS = 2**14  # per motor turn
 CURRENT_COUNTS = 2**12  # from the drive's lowest to its highest torque
 
+_SWING, _SWING_PERIOD = 0.05, 90.0  # of a torque offset; s
+
 
 @dataclass(frozen=True, eq=False)
 class Measured:
@@ -38,9 +40,10 @@ class Sensors:
     def restart(self) -> None:
         """Forget what was before: the arm rests."""
         late = self._machine.torque_delay / self._period
-        self._torque_line = _DelayLine(max(late, 0.0))
-        self._position_line = _DelayLine(max(-late, 0.0))
+        self._torque_line = _Late(max(late, 0.0))
+        self._position_line = _Late(max(-late, 0.0))
         self._last_position: np.ndarray | None = None
+        self._measured = 0
 
     def measure(self, motion: SimulatedMotion) -> Measured:
         """Velocity is by how much the counted position differs from the last sample's."""
@@ -53,8 +56,41 @@ class Sensors:
         current = self._torque_line.pass_on(motion.motor_torque)
         current = current + TORQUE_NOISE * machine.nominal * self._rng.standard_normal(current.shape)
         current = np.round(current / self._torque_count) * self._torque_count
-        torque = (current * machine.torque_scale + machine.torque_offset) @ machine.robot.coupling
+        torque = (self._scaled(current) + self._offset(len(current))) @ machine.robot.coupling
         return Measured(position, velocity, torque)
+
+    def _scaled(self, current: np.ndarray) -> np.ndarray:
+        """(K, n) with the error of the torque constants, which grows with the torque."""
+        share = (current / self._machine.nominal) ** 2
+        return current * (1.0 + (self._machine.torque_scale - 1.0) * (1.0 + share / (3.0 * (1.0 + share))))
+
+    def _offset(self, count: int) -> np.ndarray:
+        """(K, n) as it swings with the temperature of the amplifier."""
+        t = self._period * (self._measured + np.arange(count))
+        self._measured += count
+        return self._machine.torque_offset * (1.0 + _SWING * np.sin(2.0 * np.pi * t / _SWING_PERIOD))[:, None]
+
+
+class _Late:
+    """Samples (K, n) that are late by `delay` samples: one half is a shift, the other two first-order filters."""
+
+    def __init__(self, delay: float):
+        self._line = _DelayLine(0.5 * delay)
+        self._kept = 0.25 * delay / (1.0 + 0.25 * delay)
+        self._memory: np.ndarray | None = None
+
+    def pass_on(self, samples: np.ndarray) -> np.ndarray:
+        if self._kept == 0.0:
+            return samples
+        late = self._line.pass_on(samples)
+        if self._memory is None:
+            self._memory = np.tile(late[0], (2, 1))
+        out = np.empty_like(late)
+        for k, sample in enumerate(late):
+            self._memory[0] += (1.0 - self._kept) * (sample - self._memory[0])
+            self._memory[1] += (1.0 - self._kept) * (self._memory[0] - self._memory[1])
+            out[k] = self._memory[1]
+        return out
 
 
 class _DelayLine:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from agent.core.errors import InputError
 from agent.robot.dynamics import Dynamics
@@ -107,10 +108,10 @@ def test_a_hose_pulls_back_and_lags_behind(ns16, stop_and_go):
             plant.rest(q[0])
             torque.append(np.concatenate([part.torque for part in plant.run(q, qd)])[:, 3])
         difference = torque[1] - torque[0]
-        assert difference[50:190].mean() == pytest.approx(6.0 * (q[0, 3] - 0.1), abs=0.1)
+        assert difference[50:190].mean() == pytest.approx(12.0 * np.sin(0.5 * (q[0, 3] - 0.1)), abs=0.1)
         # Just before the arm stops: on the move the hose's lag is complete.
         late = np.flatnonzero(np.abs(qd[:, 3]) > 0.2)[-1]
-        ends.append(difference[late] - 6.0 * (q[late, 3] - 0.1))
+        ends.append(difference[late] - 12.0 * np.sin(0.5 * (q[late, 3] - 0.1)))
     assert ends[0] == pytest.approx(4.0, abs=0.5)
     assert ends[1] == pytest.approx(-4.0, abs=0.5)
 
@@ -138,7 +139,8 @@ def test_ripple_is_a_line_at_its_order_of_the_motor_angle(ns16):
     lines = {order: 2 * abs(np.mean((torque - torque.mean()) * np.exp(-1j * order * angle))) for order in range(1, 13)}
     assert max(lines, key=lines.get) == 6
     assert lines[6] > 1.0
-    assert all(lines[order] < 0.2 * lines[6] for order in lines if order != 6)
+    assert 0.1 * lines[6] < lines[12] < 0.4 * lines[6]  # no pure sine
+    assert all(lines[order] < 0.2 * lines[6] for order in lines if order not in (6, 12))
 
 
 @pytest.fixture
@@ -216,8 +218,11 @@ def test_torque_constant_and_offset_change_what_is_measured(measured, plain):
     plant, position, torque = measured(
         effect("torque_constant", ["joint_2"], scale=1.1), effect("torque_offset", ["joint_3"], offset=12.0)
     )
-    assert np.allclose(torque[:, 1], 1.1 * plain[2][:, 1])
-    assert np.allclose(torque[:, 2], plain[2][:, 2] + 12.0)
+    share = (plain[2][:, 1] / plant.machine.nominal[1]) ** 2
+    assert np.allclose(torque[:, 1], plain[2][:, 1] * (1.0 + 0.1 * (1 + share / (3 + 3 * share))))
+    shift = torque[:, 2] - plain[2][:, 2]
+    assert np.abs(shift - 12.0).max() < 0.6 + 1e-9
+    assert np.ptp(shift) > 0.01
     assert np.array_equal(position, plain[1])
     assert np.array_equal(plant.machine.torque_scale, [1.0, 1.1, 1.0, 1.0, 1.0, 1.0])
 
@@ -228,7 +233,10 @@ def test_a_delay_shifts_torque_against_position(measured, plain, delay):
     t = 0.002 * np.arange(len(torque))
     late, original = (torque[:, 1], plain[2][:, 1]) if delay > 0 else (position[:, 1], plain[1][:, 1])
     noise = 9.0 if delay > 0 else 1e-5
-    shifted = np.interp(t - abs(delay), t, original)
+    shifted = np.interp(t - 0.5 * abs(delay), t, original)
+    for _ in range(2):  # and two filters, whose lags are the rest
+        kept = 0.25 * abs(delay) / (0.002 + 0.25 * abs(delay))
+        shifted = lfilter([1.0 - kept], [1.0, -kept], shifted, zi=[kept * shifted[0]])[0]
     assert np.sqrt(np.mean((late - shifted)[10:] ** 2)) < noise
     assert np.abs(late - original).max() > 4 * noise
 
