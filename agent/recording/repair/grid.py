@@ -23,7 +23,7 @@ _ROUGH = 10.0  # mean squared distance from the quintic, in noise: more is no no
 
 
 def grid_rate(stamps: np.ndarray, rate: float) -> float | None:
-    """Rate [Hz], near `rate`, of the even grid that jittering stamps (S,) [s] were sampled on; None where there is none.
+    """Rate [Hz], near `rate`, of the even grid that jittering stamps (S,) [s] were sampled on; None without one.
 
     It is the one with which the stamps are most in phase: |mean exp(2πj f t)| has its peak there (Rayleigh's test).
     Intervals that vary freely add up and keep no phase. They too make a hump about their mean rate, so a grid has to

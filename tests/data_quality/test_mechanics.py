@@ -11,8 +11,8 @@ import pytest
 
 from agent.core.console import Console
 from agent.core.errors import InputError, RejectedError
+from agent.data_quality import QualityFinding, check_quality
 from agent.estimation import estimate
-from agent.estimation.plausible import plausibility_warnings
 from agent.pipeline.identify import check_plausible, estimate_files, validate_files
 from agent.recording import read_log, write_log
 from agent.robot import load_robot
@@ -21,6 +21,11 @@ from tests.arms import Bar, serial_arm
 from tests.small_arms import make_arm, record
 
 JOINT = 1
+
+
+def plausibility_warnings(robot, logs, others=()) -> list[str]:
+    """Why these logs are refused."""
+    return [finding.text for finding in check_quality(robot, logs, others) if finding.refuses]
 
 
 def turned(values: np.ndarray, joint: int = JOINT) -> np.ndarray:
@@ -399,7 +404,8 @@ def test_what_a_model_predicts_is_not_refused(healthy, shared_data, monkeypatch)
     model = estimate(
         robot, [read_log(shared_data / f"gap-dev/baseline/{name}.mcap", robot) for name in ("excite", "moves")]
     )
-    monkeypatch.setattr("agent.estimation.plausibility_warnings", lambda *_: ["joint_1 and joint_5 look swapped"])
+    swapped = QualityFinding("joint_1 and joint_5 look swapped", ("joint_1", "joint_5"))
+    monkeypatch.setattr("agent.data_quality.check_quality", lambda *_: [swapped])
     quiet = Console(-1)
     with pytest.raises(RejectedError, match="look swapped"):
         check_plausible(robot, [log], False, quiet)

@@ -9,6 +9,7 @@ scatter between them, say whether that is chance.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 
@@ -179,6 +180,41 @@ def solved(bodies: Bodies, s: FitSamples) -> Solved:
     error = s.torque - columns @ solution
     joints = np.linalg.norm(error, axis=0) / (scale * np.sqrt(count))
     return Solved(columns, scale, length, sizes, directions, known, solution, error, joints)
+
+
+def fitted_gravity(bodies: Bodies, s: FitSamples) -> np.ndarray:
+    """(3,) gravity [m/s²] in the base frame of the described size, in the direction with which the samples fit best.
+
+    Columns are linear in gravity, so that moments with each component of it serve all directions. These are tried
+    about a sphere, then nearer and nearer to the best.
+    """
+    count, n = s.q.shape
+    robot, rest = bodies.robot, np.zeros((count, n))
+    size = float(np.linalg.norm(robot.gravity)) or 9.80665
+    x = Bodies(replace(robot, gravity=(0.0, 0.0, 0.0))).columns(s)
+    parts = [x]
+    for axis in size * np.eye(3):
+        part = np.zeros_like(x)
+        part[:, :, : 11 * n] = Bodies(replace(robot, gravity=tuple(axis.tolist()))).regressor(s.q, rest, rest)
+        parts.append(part)
+    scale = np.maximum(np.sqrt(np.mean(s.torque**2, axis=0)), 1e-300)
+    flat = [(part / scale[None, :, None]).reshape(count * n, -1) for part in parts]
+    torque, prior = (s.torque / scale).ravel(), np.diag(bodies.precision(s))
+    own = np.array([[a.T @ b for b in flat] for a in flat])
+    cross = np.array([a.T @ torque for a in flat])
+
+    def explained(direction: np.ndarray) -> float:
+        along = np.append(1.0, direction)
+        side = along @ cross
+        return float(side @ np.linalg.solve(np.einsum("i,j,ijab->ab", along, along, own) + prior, side))
+
+    corners = [d / np.linalg.norm(d) for d in np.array(list(product((-1.0, 0.0, 1.0), repeat=3))) if d.any()]
+    best = max(corners, key=explained)
+    for reach in 0.4 * 0.5 ** np.arange(8):
+        for d in corners:
+            near = best + reach * d
+            best = max((best, near / np.linalg.norm(near)), key=explained)
+    return size * best
 
 
 def overfitted(robot: RobotDescription, s: FitSamples, joints: np.ndarray) -> bool:
