@@ -223,7 +223,7 @@ def spoiled_samples(of: Recordings) -> Iterator[QualityFinding]:
 
 def _spoiled(torque: np.ndarray, position: np.ndarray) -> Iterator[tuple[float, float, str, str]]:
     """Share of the samples, least share that is said, what it is and what to do, of a torque (S,) and position (S,)."""
-    levels, counts = np.unique(torque, return_counts=True)
+    levels = np.unique(torque)
     if len(levels) < 3 or len(torque) < 2 * _RUN:
         return
     fine = len(levels) > _LEVELS
@@ -236,7 +236,8 @@ def _spoiled(torque: np.ndarray, position: np.ndarray) -> Iterator[tuple[float, 
     away = np.minimum(before, after)
     ends = starts + length - 1
     size = float(np.sqrt(np.mean(torque**2)))
-    dropped = fine & (value == 0) & (away > max(_STEPS * resolution, _ZERO * size))
+    sides = np.where(length >= _RUN, np.maximum(before, after), away)  # a friction step is no dropout
+    dropped = fine & (value == 0) & (sides > max(_STEPS * resolution, _ZERO * size))
     held = ~dropped & (length >= _RUN) & (away > _STEPS * resolution) & (position[starts] != position[ends])
     yield (
         float(length[dropped].sum()) / len(torque),

@@ -16,19 +16,21 @@ from agent.data_quality.channels import (
     unsigned_channels,
     velocity_mismatch,
 )
+from agent.data_quality.described import described_weight
 from agent.data_quality.finding import Check, QualityFinding, Recordings
 from agent.data_quality.mechanics import implausible_mechanics
 from agent.data_quality.ranges import excessive_torque, excessive_weight, position_units, slide_ranges
 from agent.recording import Log
 from agent.robot import RobotDescription
 
-#: Every check that may refuse, in stages: one that does ends the list.
+#: Every check in stages. One that refuses, or finds another unit, ends the list.
 CHECKS: tuple[tuple[Check, ...], ...] = (
     (discontinuous_positions,),
     (dead_channels, position_units, excessive_torque, unsigned_channels),
     (velocity_mismatch,),
     (stuck_joints,),
     (slide_ranges,),
+    (described_weight,),
     (implausible_mechanics,),
     (excessive_weight,),
 )
@@ -48,7 +50,7 @@ def check_quality(robot: RobotDescription, logs: Sequence[Log], others: Sequence
     recordings = Recordings(robot, [log for log in logs if log.effort is not None], others)
     for stage in CHECKS if recordings.logs else ():
         found += [finding for check in stage for finding in check(recordings)]
-        if any(finding.refuses for finding in found):
+        if any(finding.refuses or finding.scale for finding in found):
             break
     return found
 

@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from agent.data_quality.rigid_fit import FitSamples, fit_samples
 from agent.recording import Log
 from agent.robot import RobotDescription
 
@@ -42,6 +43,11 @@ class Recordings:
     robot: RobotDescription
     logs: Sequence[Log]
     others: Sequence[Log] = ()
+
+    @cached_property
+    def samples(self) -> FitSamples | None:
+        """Low-passed samples of the logs; None where they are too few."""
+        return fit_samples(self.logs)
 
     @cached_property
     def turning(self) -> np.ndarray:
