@@ -34,7 +34,7 @@ def discontinuous_positions(of: Recordings) -> Iterator[QualityFinding]:
         step, time = np.diff(log.position, axis=0), np.diff(log.t)[:, None]
         jumps = np.abs(step) > of.robot.max_velocity * (_TIMES * time + _LATE)
         back = jumps[1:] & (np.abs(np.diff(step, axis=0)) > _ROUGH * np.abs(step[1:]))
-        places, whose = np.flatnonzero(back.any(axis=1)) + 2, of.named(back.any(axis=0))
+        places, whose = np.flatnonzero(back.any(axis=1)) + 2, of.named(np.flatnonzero(back.any(axis=0)))
         if len(places) <= _JUMPS * len(log.t):
             continue
         jumping = f"positions of {', '.join(whose)} jump to and fro {len(places)} times (first at"
@@ -192,7 +192,9 @@ def _velocity_ratio(log: Log, joint: int) -> float | None:
     shape or nothing moves."""
     assert log.velocity is not None
     window = max(2, int(0.1 * log.sample_rate))
-    path, travelled, by_velocity = _path(log, joint), [], []
+    path = _path(log, joint)
+    travelled: list[np.ndarray] = []
+    by_velocity: list[np.ndarray] = []
     for first, stop in log.segments:
         for values, parts in ((log.position[first:stop, joint], travelled), (path[first:stop], by_velocity)):
             parts.append(values[window::window] - values[:-window:window][: len(values[window::window])])
@@ -214,11 +216,10 @@ def spoiled_samples(of: Recordings) -> Iterator[QualityFinding]:
             for share, least, text, advice in _spoiled(log.effort[:, joint], log.position[:, joint]):
                 if share > least:
                     found.setdefault((f"{100 * share:.1f}", text, advice), []).append(joint)
-        for (share, text, advice), joints in found.items():
+        for (percent, text, advice), joints in found.items():
             whose = of.named(np.array(joints))
-            said = text.format(f"{share} % of the samples")
-            said = f"{log.name}: the torque of {', '.join(whose)} {said}"
-            yield QualityFinding(said, whose, float(share) / 100, advice, refuses=False)
+            said = f"{log.name}: the torque of {', '.join(whose)} {text.format(f'{percent} % of the samples')}"
+            yield QualityFinding(said, whose, float(percent) / 100, advice, refuses=False)
 
 
 def _spoiled(torque: np.ndarray, position: np.ndarray) -> Iterator[tuple[float, float, str, str]]:

@@ -53,8 +53,8 @@ def slide_ranges(of: Recordings) -> Iterator[QualityFinding]:
     brings both into theirs."""
     robot, low, high = of.robot, of.lowest, of.highest
     beyond = _beyond(robot, low, high)
-    for slide in np.flatnonzero(~of.turning):
-        others = [k for k in np.flatnonzero(of.turning) if swap_in_range(robot, low, high, slide, k)]
+    for slide in np.flatnonzero(~of.turning).tolist():
+        others = [k for k in np.flatnonzero(of.turning).tolist() if swap_in_range(robot, low, high, slide, k)]
         if len(others) != 1 or max(beyond[slide], beyond[others[0]]) < _BEYOND:
             continue
         pair = of.named(np.sort([slide, others[0]]))
