@@ -37,17 +37,18 @@ def discontinuous_positions(of: Recordings) -> Iterator[QualityFinding]:
         places, whose = np.flatnonzero(back.any(axis=1)) + 2, of.named(np.flatnonzero(back.any(axis=0)))
         if len(places) <= _JUMPS * len(log.t):
             continue
+        where = f"{log.name}: " if len(of.logs) > 1 else ""
         jumping = f"positions of {', '.join(whose)} jump to and fro {len(places)} times (first at"
         jumping += f" {log.t[places[0]]:.3f} s) by more than they can move"
         second = _second_motion(log, of.robot)
         if second is None:
-            text = f"{log.name}: {jumping}: rows are out of order, or their stamps belong to other rows"
+            text = f"{where}{jumping}: rows are out of order, or their stamps belong to other rows"
             advice = "sort the rows by the controller's own time, or export the log again"
             yield QualityFinding(text, whose, len(places) / len(log.t), advice)
             continue
         at = "zero" if not log.position[second].any() else "another motion"
         yield QualityFinding(
-            f"{log.name}: two publishers write to one topic: {second.sum()} of {len(log.t)} samples "
+            f"{where}two publishers write to one topic: {second.sum()} of {len(log.t)} samples "
             f"({100 * second.mean():.1f} %) are {at}, and {jumping}",
             whose,
             float(second.mean()),

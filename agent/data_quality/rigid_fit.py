@@ -69,6 +69,14 @@ def fit_samples(logs: Sequence[Log]) -> FitSamples | None:
     return FitSamples(q, qd, qdd, torque, direction, fold, independent)
 
 
+def torque_noise(log: Log, cutoff: float) -> np.ndarray:
+    """(n,) standard deviation of white noise on the torque, from sample to sample, as a filter at `cutoff` [Hz] leaves
+    it."""
+    assert log.effort is not None
+    fourth = np.median(np.abs(np.diff(log.effort, 4, axis=0)), axis=0) / (0.6745 * np.sqrt(70))
+    return np.asarray(fourth * np.sqrt(min(1.0, 2 * cutoff / log.sample_rate)))
+
+
 class Bodies:
     """Rigid links and rotors of a robot, with Coulomb and viscous friction of its axles and offsets of its joints."""
 

@@ -210,6 +210,7 @@ def fit_files(
     structure: str,
 ) -> tuple[IdentifiedModel, list[Log]]:
     """The model that `estimate_files` writes, and the logs it was fitted to, without their velocities."""
+    from agent.data_quality import fitted_doubts
     from agent.estimation import EstimationSettings, estimate
 
     check_structure(structure)
@@ -226,6 +227,8 @@ def fit_files(
 
         console.step("searching for structure beyond bodies and friction")
         model = with_structure(description, logs, model, console.progress)
+    for finding in fitted_doubts(model, logs):
+        console.warn(str(finding))
     say_used(logs, model.cutoff, model.order, console)
     return model, logs
 

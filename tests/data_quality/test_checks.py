@@ -10,7 +10,7 @@ import pytest
 
 from agent.core.console import Console
 from agent.core.errors import InputError, RejectedError
-from agent.data_quality import check_quality, spoiled
+from agent.data_quality import check_quality, fitted_doubts, spoiled
 from agent.estimation import estimate
 from agent.pipeline.identify import check_plausible, estimate_files, validate_files
 from agent.recording import read_log, write_log
@@ -262,6 +262,23 @@ def test_estimate_and_validate_warn_of_spoiled_samples(tmp_path, shared_robot, c
     assert "the torque of joint_2 is exactly zero for 7.6 % of the samples" in capsys.readouterr().err
     validate_files(tmp_path / "m.json", [tmp_path / "log.mcap"], None, Console(-1))
     assert "the torque of joint_2 is exactly zero for 7.6 % of the samples" in capsys.readouterr().err
+
+
+def test_a_rotor_with_a_negative_inertia_and_an_error_far_above_the_noise_are_said(robot):
+    log = motion(robot, 22, noise=0.002)
+    q, _, qdd = _multisine(4, log.t, 22)
+    wrong = log.effort.copy()
+    wrong[:, 3] -= 5.0 * qdd[:, 3]
+    doubts = fitted_doubts(estimate(robot, [log]), [log])
+    assert doubts == []
+    (rotor,) = fitted_doubts(estimate(robot, [replace(log, effort=wrong)]), [replace(log, effort=wrong)])
+    assert rotor.joints == ("joint_4",)
+    assert "negative inertia" in rotor.text
+    wrong = log.effort.copy()
+    wrong[:, 2] += 0.5 * np.std(wrong[:, 2]) * np.sin(40 * np.sin(q[:, 0]))
+    (error,) = fitted_doubts(estimate(robot, [replace(log, effort=wrong)]), [replace(log, effort=wrong)])
+    assert error.joints == ("joint_3",)
+    assert "more of the torque than its noise" in error.text
 
 
 @pytest.fixture(scope="module")
