@@ -167,8 +167,6 @@ class DecisionLimits:
     least_error: float = _limit(
         0.01, "RMS torque", "expected of a simulator's file, however little its numbers moved leave", "chosen"
     )
-    clipped_share: float = _limit(0.002, "samples", "at exactly the largest torque before it looks clipped", "chosen")
-    clipped_often: float = _limit(3.0, "times", "as many there as at any of the three values below it", "chosen")
     weak_model: float = _limit(
         0.12, "torque", "that the model gets wrong by itself, from where on it is said", "chosen"
     )
@@ -213,7 +211,6 @@ _SENSITIVITY = {
         ("unknown_error", "least_error", "guard", "shortest"),
         "not measured: decides without a model, on a simulator's file or on a single log, which no drawn run is",
     ),
-    "clipped_share": "not moved: decides on a warning only",
 }
 
 

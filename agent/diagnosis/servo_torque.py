@@ -15,8 +15,9 @@ from dataclasses import replace
 import numpy as np
 
 from agent.core import InputError
+from agent.data_quality import unsigned_torque
 from agent.diagnosis.rounding import rounding_step
-from agent.estimation import FilterSettings, motions, unsigned_torque
+from agent.estimation import FilterSettings, motions
 from agent.model import SERVO_STIFFNESS, PositionServos, Simulator, servo_stiffness
 from agent.recording import Log
 

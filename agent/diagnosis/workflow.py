@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from agent.core import InputError, keep_freed_memory
+from agent.data_quality import spoiled
 from agent.diagnosis.dataset import Dataset, assemble
 from agent.diagnosis.drives_off import channel_zero, with_channel_zero
 from agent.diagnosis.held_torque import HeldTorque, held_torque
@@ -19,7 +20,7 @@ from agent.diagnosis.simulator import search_simulator
 from agent.diagnosis.stored_uncertainty import held_to_uncertainty
 from agent.diagnosis.verdict import judge
 from agent.estimation import beyond_fit
-from agent.model import CATALOGUE, SERVO_STIFFNESS, SIMULATOR, IdentifiedModel
+from agent.model import CATALOGUE, SIMULATOR, IdentifiedModel
 from agent.recording import Log
 from agent.robot import RobotDescription
 
@@ -133,19 +134,7 @@ def _warnings(robot: RobotDescription, logs: Sequence[Log], given: bool, limits:
         yield "one motion only: parts of it are held out from each other, which another motion would test harder"
     if not given:
         yield "no model was given: only what a model fitted to these logs cannot absorb is seen as a gap"
-    for log in (log for log in logs if SERVO_STIFFNESS not in log.metadata):
-        assert log.effort is not None
-        for joint, torque in enumerate(np.abs(log.effort).T):
-            # the levels below are as frequent where torque is in coarse steps and only turns there
-            levels, counts = np.unique(torque[torque < torque.max() * (1 - 1e-9)], return_counts=True)
-            at_largest = len(torque) - counts.sum()
-            share = at_largest / len(torque)
-            often = share > limits.clipped_share and at_largest > limits.clipped_often * counts[-3:].max(initial=0)
-            if often and len(levels) > 50:
-                yield (
-                    f"{log.name}: the torque of {robot.joint_names[joint]} stays at its largest value for "
-                    f"{100 * share:.1f} % of the time: it looks clipped, and what happens there is not seen"
-                )
+    yield from map(str, spoiled(robot, logs))
     still = [
         name
         for joint, name in enumerate(robot.joint_names)

@@ -8,8 +8,8 @@ from .filtering import (
 )
 from .fitted_range import beyond_fit as beyond_fit, known_positions as known_positions
 from .observation import Observation as Observation, check_log as check_log, observe as observe
-from .plausible import plausibility_warnings as plausibility_warnings, unsigned_torque as unsigned_torque
 from .prior import DESCRIPTION as DESCRIPTION, EITHER as EITHER, physical_prior as physical_prior
+from .prior_choice import placeholders as placeholders
 from .refitting import Refit as Refit, conditional_covariance as conditional_covariance, refit as refit
 from .workflow import (
     ESTIMATORS as ESTIMATORS,

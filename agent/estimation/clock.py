@@ -1,7 +1,8 @@
 """The even grid on which a segment of a log was sampled, and its signals there, a part at a time.
 
-Uneven stamps mean an uneven sampling, a late stamp on an even one, or both. The position tells: sampled evenly it is
-smooth in the sample number, else in the stamps. Where recorded velocities give times in which its squared fourth
+Uneven stamps mean an uneven sampling, a late stamp on an even one, or both. Where the stamps keep the phase of a grid,
+the position tells: sampled evenly it is smooth in the sample number, else in the stamps. Without a grid they are
+believed. Where recorded velocities give times in which its squared fourth
 differences are a tenth of those in either, these are taken.
 """
 
@@ -43,14 +44,14 @@ class SampleClock:
         uneven = np.max(np.abs(stamps - late)) > 1e-3 * slope
         if not uneven and number[-1] + 1 == len(stamps):
             return cls(log, start, number, slope, intercept, None)
-        if uneven:
+        if uneven and log.even:
             number = settled(number, (stamps - intercept) / slope, log.position[start:stop])
             slope, intercept = line(number, stamps)
             late = intercept + slope * number
         by_number, by_stamp = (cls(log, start, number, slope, intercept, knots) for knots in (late, stamps))
         if not uneven:
             return by_number
-        even, stamped = by_number._roughness(), by_stamp._roughness()
+        even, stamped = by_number._roughness() if log.even else np.inf, by_stamp._roughness()
         if log.velocity is not None and np.all(np.isfinite(log.velocity[start:stop])):
             times = taken_at(stamps, late, log.position[start:stop], log.velocity[start:stop])
             by_velocity = None if times is None else cls(log, start, number, slope, intercept, times)

@@ -149,7 +149,7 @@ def rigid_columns(rigid: RigidBodies, motion: Motion, scratch: Scratch) -> tuple
 
 
 def check_log(robot: RobotDescription, log: Log) -> None:
-    """Raise InputError unless a log has torque for exactly the robot's joints."""
+    """Raise InputError unless a log has torque, not all of it zero, for exactly the robot's joints."""
     if log.joint_names != robot.joint_names:
         raise InputError(
             f"{log.path}: its joints are {', '.join(log.joint_names)}; those of {robot.name} are "
@@ -158,3 +158,5 @@ def check_log(robot: RobotDescription, log: Log) -> None:
     if log.effort is None:
         whose = f" of {', '.join(log.without_effort)}" if 0 < len(log.without_effort) < len(log.joint_names) else ""
         raise InputError(f"{log.path}: no torque (effort){whose} was recorded, so nothing can be estimated or compared")
+    if not any(log.effort[part].any() for part in log.scratch.parts(len(log.effort))):
+        raise InputError(f"{log.path}: the torque is zero throughout; is its channel recorded, is its map right?")

@@ -182,8 +182,6 @@ def _check_motion(logs: Sequence[Log]) -> None:
     names = ", ".join(str(log.path) for log in logs)
     if not any(_differs(log, log.position, log.position[0]) for log in logs):
         raise InputError(f"{names}: no joint moves, so there is nothing to estimate from; record a motion")
-    if all(log.effort is not None and not _differs(log, log.effort, 0.0) for log in logs):
-        raise InputError(f"{names}: the torque is zero throughout; is its channel recorded, is its map right?")
 
 
 def _check_twice(logs: Sequence[Log]) -> None:

@@ -118,25 +118,30 @@ def check_plausible(
 
     `described`: the robot's name is that of a description, and not what somebody called a simulator. What a `model`
     predicts needs no other reason: on a few seconds, or while somebody pushes, a refit with a mistake in it may do
-    better.
+    better. Torques of the size that it predicts are in no other unit, whatever the description's masses.
 
     Raises:
         RejectedError: with the likeliest reason first.
     """
-    from agent.estimation import plausibility_warnings
+    from agent.data_quality import check_quality
 
-    found = plausibility_warnings(robot, logs, beside)
-    if found and model is not None:
-        from agent.validation import predicts
+    findings = check_quality(robot, logs, beside)
+    found = [str(finding) for finding in findings if finding.refuses]
+    if findings and model is not None:
+        from agent.validation import predicts, same_scale
 
-        found = [] if predicts(model, logs) else found
+        if found and predicts(model, logs):
+            found = []
+        elif same_scale(model, logs):
+            findings = [finding for finding in findings if not finding.scale]
+            found = [str(finding) for finding in findings if finding.refuses]
         found = found or list(_flipped(model, logs))
     others = sorted({log.metadata.get("robot", "") for log in logs} - {"", robot.name}) if described else []
     named = [f"the logs say that they are of robot {' and '.join(others)}, not of {robot.name}"] if others else []
     if found and not force:
         names = ", ".join(log.name for log in logs)
         raise RejectedError(f"{names}: {'; '.join([*named, *found])}. {advice}")
-    for warning in (*named, *found):
+    for warning in (*named, *found, *(str(finding) for finding in findings if not finding.refuses)):
         console.warn(warning)
 
 
@@ -163,6 +168,14 @@ def check_run(robot: Any, logs: Sequence[Any], model: Any, console: Console, bes
         "`agent estimate --force` fits the logs of this one all the same"
     )
     check_plausible(robot, logs, False, console, advice, beside=beside)
+
+
+def say_spoiled(robot: RobotDescription, logs: Sequence[Log], console: Console) -> None:
+    """Warn of samples whose torque cannot be used."""
+    from agent.data_quality import spoiled
+
+    for finding in spoiled(robot, logs):
+        console.warn(str(finding))
 
 
 def say_used(logs: Sequence[Any], cutoff: float, order: int, console: Console) -> None:
@@ -219,6 +232,7 @@ def fit_files(
     topic: str | None = None,
 ) -> tuple[IdentifiedModel, list[Log]]:
     """The model that `estimate_files` writes, and the logs it was fitted to, without their velocities."""
+    from agent.data_quality import fitted_doubts
     from agent.estimation import EstimationSettings, estimate
 
     check_structure(structure)
@@ -226,6 +240,7 @@ def fit_files(
     logs = read_logs(paths, description, console, topic)
     check_one_machine(logs, None, allow_mixed)
     check_plausible(description, logs, force, console)
+    say_spoiled(description, logs, console)
     # no fit looks at these, and twenty minutes of them are many
     logs = [replace(log, velocity=None, planned_position=None) for log in logs]
     model = estimate(description, logs, EstimationSettings.create(cutoff=cutoff, method=method))
@@ -234,6 +249,8 @@ def fit_files(
 
         console.step("searching for structure beyond bodies and friction")
         model = with_structure(description, logs, model, console.progress)
+    for finding in fitted_doubts(model, logs):
+        console.warn(str(finding))
     say_used(logs, model.cutoff, model.order, console)
     return model, logs
 
@@ -275,6 +292,7 @@ def validate_files(
     model = IdentifiedModel.load(model_path)
     logs = read_logs(paths, model.robot, console, topic)
     check_one_machine(logs, model, allow_mixed)
+    say_spoiled(model.robot, logs, console)
     predictions = [predict_log(model, log, cutoff) for log in logs]
     result = summary(predictions)
     say_used(logs, result.cutoff_hz, model.order, console)
@@ -292,9 +310,9 @@ def _comments(model: IdentifiedModel, logs: Sequence[Log], result: Validation) -
         yield f"the model was fitted to {', '.join(known)}: its error there says little about other motions"
     error = result.overall.relative_error_all_joints
     if error is not None and error > 1:
-        from agent.estimation import plausibility_warnings
+        from agent.data_quality import check_quality
 
-        reasons = plausibility_warnings(model.robot, logs) or [
+        reasons = [finding.text for finding in check_quality(model.robot, logs)] or [
             "the model is of another robot, tool or unit than the logs"
         ]
         yield (

@@ -96,6 +96,7 @@ def read_log(path: str | Path, robot: RobotDescription | None = None, topic: str
         reference_position=references,
         planned_position=planned,
         sample_rate=spacing.rate,
+        even=spacing.even,
         stamp=int(stamp[0]) / _NANO,
         segments=_cut(spacing.segments, cuts),
         cycle_starts=_cycle_starts(run, (int(stamp[0]) - table.first) / _NANO, duration, repairs),

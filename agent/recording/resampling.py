@@ -37,6 +37,7 @@ def resampled(log: Log, rate: float | None = None) -> Log:
         effort=None if log.effort is None else _on(log.t, log.effort, grids, monotone=True),
         t=t - t[0],
         sample_rate=rate,
+        even=True,
         stamp=log.stamp + t[0],
         segments=tuple(segments),
         breaks=tuple(time - t[0] for time in log.breaks),

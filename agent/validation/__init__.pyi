@@ -7,6 +7,7 @@ from .torque import (
     pooled_rmse as pooled_rmse,
     predict_log as predict_log,
     predicts as predicts,
+    same_scale as same_scale,
     summary as summary,
     validate as validate,
 )

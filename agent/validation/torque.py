@@ -18,6 +18,7 @@ SCHEMA = "validation/1"
 _MOVING = 1e-3  # of a joint's highest speed by the robot description
 _TRAVELS = 0.01  # rad or m, from where on a joint says something of its channels
 _PREDICTED = 0.35  # of how a joint's torque varies: the median error of a model that predicts it
+_SAME_UNIT = 4.0  # times, at most, that measured torque is larger or smaller than predicted
 _USUAL = 2.0  # times its held-out error, as motions differ
 
 
@@ -192,6 +193,19 @@ def predicts(model: IdentifiedModel, logs: Sequence[Log]) -> bool:
     most = np.maximum(_PREDICTED * np.std(measured, axis=0), _USUAL * model.held_out_rmse)
     typical = np.array([np.median(np.abs(error[moving[:, k], k])) for k in np.flatnonzero(moves)])
     return bool(moves.any() and np.all(typical < most[moves]))
+
+
+def same_scale(model: IdentifiedModel, logs: Sequence[Log]) -> bool:
+    """Whether measured torques are of about the size that a model predicts, so that they are of the same unit."""
+    try:
+        found = [predict_log(model, log) for log in logs]
+    except InputError:
+        return False
+    measured, predicted = (
+        np.concatenate([np.abs(getattr(each, part)) for each in found]) for part in ("measured", "predicted")
+    )
+    times = np.median(measured, axis=0) / np.maximum(np.median(predicted, axis=0), 1e-300)
+    return bool(1 / _SAME_UNIT < np.median(times) < _SAME_UNIT)
 
 
 def flipped_joints(model: IdentifiedModel, log: Log) -> list[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from agent.estimation.rigid_fit import FOLDS, Bodies, FitSamples, overfitted, solved
+from agent.data_quality.rigid_fit import FOLDS, Bodies, FitSamples, overfitted, solved
 
 
 @pytest.mark.parametrize(("count", "expected"), [(16, True), (400, False)])

@@ -74,6 +74,22 @@ def test_uneven_sampling_is_kept_and_said(log_at):
     assert repair(log, "uneven intervals").count > 1000
 
 
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("rate", [250.0, 800.0, 2000.0])
+def test_plausible_uneven_stamps_are_believed_where_positions_are_rounded(log_at, rate, seed):
+    """Correlated intervals of 0.7 to 2.1 periods, counted in tenths, keep no grid though they vary about one value."""
+    rng = np.random.default_rng(seed)
+    slow = np.convolve(rng.normal(size=8010), [0.5, 0.3, 0.2], "valid")[:8000]
+    interval = np.round(np.clip(1 + 0.35 * slow + rng.exponential(0.1, 8000), 0.7, 2.1), 1) / rate
+    times = np.cumsum(interval)
+    log = log_at(1 + times, np.round(0.5 * np.sin(0.005 * rate * times), 4))
+    assert log.sample_rate == pytest.approx(1 / np.median(interval))
+    assert not [r for r in log.repairs if "missing" in r.kind]
+    (motion,) = motions(log, FilterSettings(0.01 * rate), reduce=False)
+    true = -0.5 * (0.005 * rate) ** 2 * np.sin(0.005 * rate * (motion.time[motion.kept] + times[0]))
+    assert np.std(motion.low_pass(motion.qdd)[:, 0] - true) < 0.01 * np.std(true)
+
+
 def test_stamps_rounded_to_milliseconds_are_no_gaps(log_at):
     log = log_at(np.round(np.arange(2000) / 700, 3))
     assert log.sample_rate == pytest.approx(700, rel=1e-3)

@@ -14,6 +14,7 @@ _LOOKED_AT = 20_000  # samples that tell its rate
 _SEARCHED = 0.25  # of the rate, to either side
 _FINE = 16  # parts of a period that stamps are counted in
 _NOISE = 4.0  # times what samples of any phase would have: by chance one rate in a million has as much
+_ABOUT, _FEWEST = 50, 100  # part of the rate, and frequencies at least, to either side that tell what is usual there
 #: Rows by which the place of a missing sample may be wrong, rows that tell, and rounds over all of them.
 _DOUBT, _AROUND, _ROUNDS = 4, 9, 2
 _DEGREE = 5
@@ -21,20 +22,24 @@ _FAR = 8  # rows by which it may be wrong where the rows around stay rough
 _ROUGH = 10.0  # mean squared distance from the quintic, in noise: more is no noise
 
 
-def grid_rate(stamps: np.ndarray, rate: float) -> float:
-    """Rate [Hz] of the grid that jittering stamps (S,) [s] were sampled on, near `rate`; that itself where none shows.
+def grid_rate(stamps: np.ndarray, rate: float) -> float | None:
+    """Rate [Hz], near `rate`, of the even grid that jittering stamps (S,) [s] were sampled on; None without one.
 
     It is the one with which the stamps are most in phase: |mean exp(2πj f t)| has its peak there (Rayleigh's test).
+    Intervals that vary freely add up and keep no phase. They too make a hump about their mean rate, so a grid has to
+    stand out of the frequencies next to it.
     """
     stamps = stamps[:_LOOKED_AT] - stamps[0]
     size = 4 * int(_FINE * rate * stamps[-1] + 1)
     if size > 400 * _FINE * len(stamps):
-        return rate  # mostly gaps
+        return None  # mostly gaps
     counts = np.bincount((stamps * rate * _FINE).astype(int), minlength=size)
-    phase = np.abs(np.fft.rfft(counts)) / len(stamps)
+    power = np.abs(np.fft.rfft(counts) / len(stamps)) ** 2
     first, stop = (int(factor * size / _FINE) for factor in (1 - _SEARCHED, 1 + _SEARCHED))
-    best = first + int(np.argmax(phase[first:stop]))
-    return best * _FINE * rate / size if phase[best] > _NOISE / np.sqrt(len(stamps)) else rate
+    best = first + int(np.argmax(power[first:stop]))
+    about = max(size // _FINE // _ABOUT, _FEWEST)
+    noise = max(float(np.median(power[max(best - about, 1) : best + about])) / np.log(2), 1 / len(stamps))
+    return best * _FINE * rate / size if power[best] > _NOISE**2 * noise else None
 
 
 def sample_numbers(stamps: np.ndarray, rate: float) -> np.ndarray:

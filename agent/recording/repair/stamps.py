@@ -40,11 +40,13 @@ class Order:
 
 @dataclass(frozen=True, eq=False)
 class Spacing:
-    """Sampling rate [Hz] and the [start, stop) ranges of samples without a gap."""
+    """Sampling rate [Hz], the [start, stop) ranges of samples without a gap, and whether samples were taken on an even
+    grid."""
 
     rate: float
     segments: tuple[tuple[int, int], ...]
     repairs: tuple[Repair, ...]
+    even: bool = True
 
 
 def put_in_order(stamp: np.ndarray, values: Sequence[np.ndarray], name: str) -> Order:
@@ -126,11 +128,18 @@ def spacing_of(stamp: np.ndarray, nominal_rate: float | None = None) -> Spacing:
     period = float(np.mean(interval[~hole]))
     missing = np.maximum(np.rint(interval / period) - 1, 1).astype(int)
     jitter = ~hole & (np.abs(interval - period) > _JITTER * period)
+    even = True
     if np.count_nonzero(jitter) > _JITTERING * len(interval):
-        number = sample_numbers(time, grid_rate(time, 1 / period))
-        period, _ = line(number, time)
-        missing = np.diff(number).astype(int) - 1
-        hole = missing > 0
+        grid = grid_rate(time, 1 / period)
+        even = grid is not None
+        if grid is not None:
+            number = sample_numbers(time, grid)
+            period, _ = line(number, time)
+            missing = np.diff(number).astype(int) - 1
+            hole = missing > 0
+        else:  # the intervals vary as they like, so none but a gap says that a sample is missing
+            period = float(np.median(interval))
+            hole = _gaps(interval, period, usual)
         jitter = ~hole & (np.abs(interval - period) > _JITTER * period)
     rate, repairs = 1.0 / period, []
     if nominal_rate is not None:
@@ -140,13 +149,18 @@ def spacing_of(stamp: np.ndarray, nominal_rate: float | None = None) -> Spacing:
             repairs.append(
                 Repair(f"stamps say {rate:.6g} Hz, the log says {nominal_rate:.6g} Hz; samples", 0.0, len(stamp))
             )
-    gap = hole & (interval > max(BRIDGED * (1 + 1e-9), 3.5 * period, 2.5 * usual))
+    gap = hole & _gaps(interval, period, usual)
     repairs += _listed("gap, missing samples", time[:-1][gap], missing[gap])
     repairs += _listed("missing samples, short enough to interpolate", time[:-1][hole & ~gap], missing[hole & ~gap])
     repairs += _summed("uneven intervals, kept", time[:-1], jitter)
     cuts = np.flatnonzero(gap) + 1
     edges = [0, *cuts.tolist(), len(stamp)]
-    return Spacing(rate, tuple(pairwise(edges)), tuple(repairs))
+    return Spacing(rate, tuple(pairwise(edges)), tuple(repairs), even)
+
+
+def _gaps(interval: np.ndarray, period: float, usual: float) -> np.ndarray:
+    """Which intervals [s] are too long to be interpolated."""
+    return interval > max(BRIDGED * (1 + 1e-9), 3.5 * period, 2.5 * usual)
 
 
 def match(stamp: np.ndarray, others: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray]:

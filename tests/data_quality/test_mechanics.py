@@ -11,8 +11,8 @@ import pytest
 
 from agent.core.console import Console
 from agent.core.errors import InputError, RejectedError
+from agent.data_quality import QualityFinding, check_quality
 from agent.estimation import estimate
-from agent.estimation.plausible import plausibility_warnings
 from agent.pipeline.identify import check_plausible, estimate_files, validate_files
 from agent.recording import read_log, write_log
 from agent.robot import load_robot
@@ -21,6 +21,11 @@ from tests.arms import Bar, serial_arm
 from tests.small_arms import make_arm, record
 
 JOINT = 1
+
+
+def plausibility_warnings(robot, logs, others=()) -> list[str]:
+    """Why these logs are refused."""
+    return [finding.text for finding in check_quality(robot, logs, others) if finding.refuses]
 
 
 def turned(values: np.ndarray, joint: int = JOINT) -> np.ndarray:
@@ -164,8 +169,6 @@ def test_an_arm_whose_tip_is_where_its_axes_meet_is_as_long_as_its_joints_are_ap
     ("folder", "robot", "name", "others", "start", "stop"),
     [
         ("kr300", "robot_real.yaml", "A_se", ("B_se", "C_se"), 5.0, 10.0),
-        ("kr300", "robot_real.yaml", "B_se", ("A_se", "C_se"), 0.0, 5.0),
-        ("tiago", "robot.yaml", "fit", ("held",), 16.0, 24.0),
     ],
 )
 def test_seconds_of_a_real_arm_that_alone_fit_better_with_a_mistake_are_cleared_by_its_other_motions(
@@ -179,6 +182,16 @@ def test_seconds_of_a_real_arm_that_alone_fit_better_with_a_mistake_are_cleared_
     assert plausibility_warnings(description, [short], beside) == []
     wrong, *with_it = (replace(one, effort=turned(one.effort)) for one in (log, *beside))
     assert plausibility_warnings(description, [wrong], with_it)
+
+
+@pytest.mark.parametrize(
+    ("folder", "robot", "name", "start"),
+    [("kr300", "robot_real.yaml", "B_se", 0.0), ("tiago", "robot.yaml", "fit", 16.0)],
+)
+def test_joints_of_a_real_arm_that_move_alike_for_some_seconds_are_not_swapped(shared_data, folder, robot, name, start):
+    description = load_robot(str(shared_data / "real-dev" / folder / robot))
+    log = read_log(shared_data / "real-dev" / folder / f"{name}.mcap", description)
+    assert plausibility_warnings(description, [log.between(start, start + (5.0 if folder == "kr300" else 8.0))]) == []
 
 
 def test_other_motions_clear_nothing_that_is_wrong_for_itself(healthy):
@@ -396,7 +409,8 @@ def test_what_a_model_predicts_is_not_refused(healthy, monkeypatch):
     """On a few seconds a refit with a mistake in it may do better; logs that the model predicts have none."""
     robot, log = healthy
     model = estimate(robot, [record(Plant(robot, seed=3), name, seed) for name, seed in (("one", 11), ("two", 12))])
-    monkeypatch.setattr("agent.estimation.plausibility_warnings", lambda *_: ["joint_1 and joint_5 look swapped"])
+    swapped = QualityFinding("joint_1 and joint_5 look swapped", ("joint_1", "joint_5"))
+    monkeypatch.setattr("agent.data_quality.check_quality", lambda *_: [swapped])
     quiet = Console(-1)
     with pytest.raises(RejectedError, match="look swapped"):
         check_plausible(robot, [log], False, quiet)

@@ -8,12 +8,19 @@ scatter between them, say whether that is chance.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 
+from agent.core import InputError
+from agent.estimation import FilterSettings, motions, resolve_cutoff
+from agent.recording import Log
 from agent.robot import RobotDescription
 
+_CUTOFF = 10.0  # Hz
+_SAMPLES = 600  # of all logs together
 FOLDS = 8  #: parts of every log that are held out in turn
 _ROUNDS = 3  # of weights from residuals
 _PRIOR_WEIGHT = 10.0  # independent samples that the sizes of parameters count for
@@ -35,6 +42,39 @@ class FitSamples:
     direction: np.ndarray
     fold: np.ndarray
     independent: float
+
+
+def fit_samples(logs: Sequence[Log]) -> FitSamples | None:
+    """Samples of all logs that are long enough to be filtered; None where that leaves too few."""
+    parts, folds, independent = [], [], 0.0
+    for log in logs:
+        cutoff = min(_CUTOFF, resolve_cutoff(log, FilterSettings()))
+        try:
+            found = list(motions(log, FilterSettings(cutoff)))
+        except InputError:
+            continue
+        for motion in found:
+            assert motion.torque is not None
+            still = 0.01 * np.maximum(np.abs(motion.qd).max(axis=0), 1e-9)
+            signals = (motion.q, motion.qd, motion.qdd, motion.torque, np.tanh(motion.qd / still))
+            parts.append(motion.low_pass(np.hstack(signals)))
+            folds.append(np.arange(len(parts[-1])) * FOLDS // max(len(parts[-1]), 1))
+            independent += 2 * cutoff * float(np.ptp(motion.time[motion.kept]))
+    rows = np.concatenate(parts) if parts else np.empty((0, 5))
+    every = max(1, -(-len(rows) // _SAMPLES))
+    rows, fold = rows[::every], np.concatenate([*folds, np.empty(0, dtype=int)])[::every]
+    if len(rows) * rows.shape[1] // 5 < 100:
+        return None
+    q, qd, qdd, torque, direction = np.split(rows, 5, axis=1)
+    return FitSamples(q, qd, qdd, torque, direction, fold, independent)
+
+
+def torque_noise(log: Log, cutoff: float) -> np.ndarray:
+    """(n,) standard deviation of white noise on the torque, from sample to sample, as a filter at `cutoff` [Hz] leaves
+    it."""
+    assert log.effort is not None
+    fourth = np.median(np.abs(np.diff(log.effort, 4, axis=0)), axis=0) / (0.6745 * np.sqrt(70))
+    return np.asarray(fourth * np.sqrt(min(1.0, 2 * cutoff / log.sample_rate)))
 
 
 class Bodies:
@@ -179,6 +219,49 @@ def solved(bodies: Bodies, s: FitSamples) -> Solved:
     error = s.torque - columns @ solution
     joints = np.linalg.norm(error, axis=0) / (scale * np.sqrt(count))
     return Solved(columns, scale, length, sizes, directions, known, solution, error, joints)
+
+
+def fitted_gravity(bodies: Bodies, s: FitSamples) -> np.ndarray:
+    """(3,) gravity [m/s²] in the base frame of the described size, in the direction with which the samples fit best.
+
+    Columns are linear in gravity, so that moments with each component of it serve all directions. These are tried
+    about a sphere, then nearer and nearer to the best.
+    """
+    count, n = s.q.shape
+    robot, rest = bodies.robot, np.zeros((count, n))
+    size = float(np.linalg.norm(robot.gravity)) or 9.80665
+    x = Bodies(replace(robot, gravity=(0.0, 0.0, 0.0))).columns(s)
+    parts = [x]
+    for axis in size * np.eye(3):
+        part = np.zeros_like(x)
+        part[:, :, : 11 * n] = Bodies(replace(robot, gravity=tuple(axis.tolist()))).regressor(s.q, rest, rest)
+        parts.append(part)
+    by_joint = [np.array([part[:, k] for part in parts]) for k in range(n)]  # (4, S, p) each
+    own_each = np.array([np.einsum("isa,jsb->ijab", a, a, optimize=True) for a in by_joint])
+    cross_each = np.array([a.transpose(0, 2, 1) @ s.torque[:, k] for k, a in enumerate(by_joint)])
+    prior, left = np.diag(bodies.precision(s)), np.sum(s.torque**2, axis=0)
+    corners = [d / np.linalg.norm(d) for d in np.array(list(product((-1.0, 0.0, 1.0), repeat=3))) if d.any()]
+    best = np.zeros(3)
+    for _ in range(_ROUNDS):
+        weights = count / np.maximum(left, 1e-12 * np.sum(s.torque**2, axis=0) + 1e-300)
+        own, cross = (np.tensordot(weights, each, axes=1) for each in (own_each, cross_each))
+
+        def solution(direction: np.ndarray, own: np.ndarray = own, cross: np.ndarray = cross) -> np.ndarray:
+            along = np.append(1.0, direction)
+            return np.linalg.solve(np.tensordot(np.outer(along, along), own, axes=2) + prior, along @ cross)
+
+        def explained(direction: np.ndarray, cross: np.ndarray = cross) -> float:
+            return float(np.append(1.0, direction) @ cross @ solution(direction))
+
+        best = best if best.any() else max(corners, key=explained)
+        for reach in 0.4 * 0.5 ** np.arange(8):
+            for d in corners:
+                near = best + reach * d
+                best = max((best, near / np.linalg.norm(near)), key=explained)
+        fit = solution(best)
+        along = np.append(1.0, best)
+        left = np.array([np.sum((s.torque[:, k] - along @ (a @ fit)) ** 2) for k, a in enumerate(by_joint)])
+    return np.asarray(size * best)
 
 
 def overfitted(robot: RobotDescription, s: FitSamples, joints: np.ndarray) -> bool:

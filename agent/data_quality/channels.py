@@ -1,0 +1,264 @@
+"""Checks of single channels: order, dead, stuck and unsigned signals, velocities, samples that are spoiled."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from agent.data_quality.finding import MOVING, QualityFinding, Recordings
+from agent.model import SERVO_STIFFNESS
+from agent.recording import Log
+from agent.robot import RobotDescription
+
+_NOTHING = 1e-12  # N·m or N by which no torque changes that is one
+_MAX_LAG = 0.2  # rad or m that a joint that is asked to go does not stay behind, however weak its servo
+_SLOW, _NOISE = 0.005, 0.1  # of a joint's highest speed, and of a velocity's square: below and above it none moves
+_RATES = (0.7, 1.4)  # velocity over derivative of position: between them filters and lag
+_DEGREE = 180 / np.pi
+_TIMES, _LATE = 5.0, 0.010  # of the highest speed, and s: as the reader allows for stamps that are late
+_JUMPS = 0.01  # of the samples; fewer are repaired by the reader
+_ROUGH = 0.5  # of a step, by which it differs from the one before: a motion that is only too fast differs less
+_RUN = 4  # equal samples in a row
+_STEPS = 3  # of the resolution that a torque jumps by where it was held
+_HELD = 0.02  # of the samples in such runs, from where on it is said
+_ZERO = 0.1  # of a torque's root mean square, to which it returns after a dropout
+_SPOILED = 0.002  # of the samples, at the largest torque or dropped out, from where on it is said
+_LEVELS = 50  # of a torque, or it is in coarse steps, which stand at zero and at their largest anyway
+_OFTEN = 3  # times as many samples at the largest torque as at any of the three values below
+
+
+def discontinuous_positions(of: Recordings) -> Iterator[QualityFinding]:
+    """Positions that go to and fro by more than the arm can move: two motions in one topic, or rows out of order."""
+    for log in of.logs:
+        step, time = np.diff(log.position, axis=0), np.diff(log.t)[:, None]
+        jumps = np.abs(step) > of.robot.max_velocity * (_TIMES * time + _LATE)
+        back = jumps[1:] & (np.abs(np.diff(step, axis=0)) > _ROUGH * np.abs(step[1:]))
+        places, whose = np.flatnonzero(back.any(axis=1)) + 2, of.named(np.flatnonzero(back.any(axis=0)))
+        if len(places) <= _JUMPS * len(log.t):
+            continue
+        where = f"{log.name}: " if len(of.logs) > 1 else ""
+        jumping = f"positions of {', '.join(whose)} jump to and fro {len(places)} times (first at"
+        jumping += f" {log.t[places[0]]:.3f} s) by more than they can move"
+        second = _second_motion(log, of.robot)
+        if second is None:
+            text = f"{where}{jumping}: rows are out of order, or their stamps belong to other rows"
+            advice = "sort the rows by the controller's own time, or export the log again"
+            yield QualityFinding(text, whose, len(places) / len(log.t), advice)
+            continue
+        at = "zero" if not log.position[second].any() else "another motion"
+        yield QualityFinding(
+            f"{where}two publishers write to one topic: {second.sum()} of {len(log.t)} samples "
+            f"({100 * second.mean():.1f} %) are {at}, and {jumping}",
+            whose,
+            float(second.mean()),
+            "find them (`ros2 topic info -v TOPIC`), stop or rename one, or give each arm its namespace; record again",
+        )
+
+
+def _second_motion(log: Log, robot: RobotDescription) -> np.ndarray | None:
+    """(S,) samples of the rarer of two motions that alternate, each within what the arm can do; None where there are
+    no such two."""
+    rows = log.position / robot.max_velocity  # s at the highest speed
+    last, at = [rows[0], None], [log.t[0], 0.0]
+    track, lost = np.zeros(len(rows), int), 0
+    for k in range(1, len(rows)):
+        away = [np.inf if p is None else np.max(np.abs(rows[k] - p)) for p in last]
+        allowed = [_TIMES * (log.t[k] - since) + _LATE for since in at]
+        nearest = int(away[1] < away[0])
+        if away[nearest] > allowed[nearest]:
+            lost += last[1] is not None
+            nearest = 1 if last[1] is None else nearest
+        track[k], last[nearest], at[nearest] = nearest, rows[k], log.t[k]
+    second = track == int(2 * track.sum() <= len(track))
+    return second if lost <= _JUMPS * len(rows) and second.any() else None
+
+
+def dead_channels(of: Recordings) -> Iterator[QualityFinding]:
+    """Torque that never changes while its joint moves."""
+    dead = of.named(of.moving & (of.strongest - of.weakest <= _NOTHING))
+    if dead:
+        text = f"the torque of {', '.join(dead)} never changes while it moves: its channel is dead"
+        yield QualityFinding(text, dead, advice="check the topic, the map or the driver's configuration")
+
+
+def unsigned_channels(of: Recordings) -> Iterator[QualityFinding]:
+    """Torque that is an amount without a sign."""
+    if unsigned := of.named(unsigned_torque(of.logs)):
+        text = (
+            f"the torque of {', '.join(unsigned)} is never negative, whichever way it moves: it is an amount "
+            "without a sign, as some drives report their current"
+        )
+        yield QualityFinding(text, unsigned)
+
+
+def unsigned_torque(logs: Sequence[Log]) -> np.ndarray:
+    """(n,) joints whose torque is an amount without a sign; all of the logs have torque."""
+    low, high = (np.array([f(log.position, axis=0) for log in logs]) for f in (np.min, np.max))
+    efforts = [log.effort for log in logs if log.effort is not None]
+    weakest, strongest = (np.array([f(e, axis=0) for e in efforts]) for f in (np.min, np.max))
+    live = (high.max(axis=0) - low.min(axis=0) > MOVING) & (strongest.max(axis=0) - weakest.min(axis=0) > _NOTHING)
+    unsigned = live & (weakest.min(axis=0) >= 0)
+    # one joint of several that carries its load one way may come near zero; one that turns back at it does not
+    least, near = (0.05, 0.1) if unsigned.sum() == live.sum() else (0.02, 0.02)
+    reaches_zero = [_reaches_zero(logs, efforts, k, least, near) for k in range(len(unsigned))]
+    return np.asarray(unsigned & reaches_zero, dtype=bool)
+
+
+def _reaches_zero(logs: Sequence[Log], efforts: Sequence[np.ndarray], joint: int, least: float, near: float) -> bool:
+    """Whether a joint that moves both ways has the quantile `least` of its torque below the part `near` of its largest:
+    then carrying a load one way is no explanation."""
+    way = np.concatenate([np.diff(log.position[:, joint]) for log in logs])
+    both = min(way[way > 0].sum(), -way[way < 0].sum()) > 0.2 * np.abs(way).sum()
+    values = np.concatenate([effort[:, joint] for effort in efforts])
+    return bool(both and np.quantile(values, least) < near * np.quantile(values, 0.99))
+
+
+def stuck_joints(of: Recordings) -> Iterator[QualityFinding]:
+    """Positions that never change while set-points or velocities say that the joint moves."""
+    for k, name in enumerate(of.robot.joint_names):
+        if any(np.ptp(log.position[:, k]) > 0 for log in of.logs):
+            continue
+        asked = (log.reference_position for log in of.logs)
+        if any(values is not None and _travel(values[:, k]) > _MAX_LAG for values in asked):
+            while_ = "its set-points move"
+        elif any(_moves(of.robot, log, k) and _travel(_path(log, k)) > _MAX_LAG for log in of.logs):
+            while_ = "its velocity says it moves"
+        else:
+            continue
+        text = f"{name} is stuck, or its position is not recorded: it never changes while {while_}"
+        yield QualityFinding(text, (name,))
+
+
+def _moves(robot: RobotDescription, log: Log, joint: int) -> bool:
+    """Whether a velocity is that of a motion: neither noise, which changes from sample to sample, nor a bias of it."""
+    if log.velocity is None:
+        return False
+    speed = log.velocity[:, joint]
+    slowest = _SLOW * robot.max_velocity[joint]
+    return bool(np.mean(np.diff(speed) ** 2) < _NOISE * np.mean(speed**2) and np.abs(speed).max() > slowest)
+
+
+def _path(log: Log, joint: int) -> np.ndarray:
+    """(S,) [rad or m] travelled by the velocity since the first sample of each part without gaps."""
+    assert log.velocity is not None
+    parts = []
+    for first, stop in log.segments:
+        t, speed = log.t[first:stop], log.velocity[first:stop, joint]
+        parts.append(np.append(0.0, np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(t))))
+    return np.concatenate(parts)
+
+
+def _travel(values: np.ndarray) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.ptp(known)) if len(known) else 0.0
+
+
+def velocity_mismatch(of: Recordings) -> Iterator[QualityFinding]:
+    """Velocities that are not the derivative of their position, with the likeliest reason."""
+    for log in of.logs:
+        if log.velocity is None:
+            continue
+        ratios = {name: _velocity_ratio(log, k) for k, name in enumerate(log.joint_names)}
+        wrong = {name: r for name, r in ratios.items() if r is not None and not _RATES[0] <= r <= _RATES[1]}
+        if wrong:
+            ratio = float(np.median(list(wrong.values())))
+            slides = {joint.name for joint in of.robot.joints if joint.prismatic}
+            where = f"{log.name}: " if len(of.logs) > 1 else ""
+            yield QualityFinding(
+                f"{where}the velocity of {', '.join(wrong)} is {ratio:.3g} times the derivative of its position: "
+                f"{_velocity_reason(ratio, slides.isdisjoint(wrong), slides.issuperset(wrong))}",
+                tuple(wrong),
+            )
+            return
+
+
+def _velocity_reason(ratio: float, turning: bool, slides: bool) -> str:
+    inverse = 1 / ratio if ratio else np.inf
+    if ratio < 0:
+        return "one of the two is flipped"
+    for kind, low, high, unit, name in (
+        (turning, _DEGREE / 1.4, 1.4 * _DEGREE, "deg/s", "degrees"),
+        (slides, 700.0, 1400.0, "mm/s", "mm"),
+    ):
+        if kind and low < ratio < high:
+            return f"is its unit {unit}?"
+        if kind and low < inverse < high:
+            return f"is the position in {name}?"
+    return "the stamps, or the rate it was made with, are wrong"
+
+
+def _velocity_ratio(log: Log, joint: int) -> float | None:
+    """Displacement by velocity over displacement by position, over tenths of a second; None where they disagree in
+    shape or nothing moves."""
+    assert log.velocity is not None
+    window = max(2, int(0.1 * log.sample_rate))
+    path = _path(log, joint)
+    travelled: list[np.ndarray] = []
+    by_velocity: list[np.ndarray] = []
+    for first, stop in log.segments:
+        for values, parts in ((log.position[first:stop, joint], travelled), (path[first:stop], by_velocity)):
+            parts.append(values[window::window] - values[:-window:window][: len(values[window::window])])
+    x, y = np.concatenate(travelled), np.concatenate(by_velocity)
+    if len(x) < 10 or np.abs(x).sum() < 10 * MOVING or not y.any():
+        return None
+    slope = float(x @ y / (x @ x))
+    y /= np.abs(y).max()  # the square of a tiny value would be zero
+    correlation = float(x @ y / np.sqrt((x @ x) * (y @ y)))
+    return slope if abs(correlation) > 0.95 else None
+
+
+def spoiled_samples(of: Recordings) -> Iterator[QualityFinding]:
+    """Torque that drops to zero, holds its value or is clipped for part of the samples."""
+    for log in (log for log in of.logs if SERVO_STIFFNESS not in log.metadata):
+        assert log.effort is not None
+        found: dict[tuple[str, str, str], list[int]] = {}
+        for joint in range(of.robot.dof):
+            for share, least, text, advice in _spoiled(log.effort[:, joint], log.position[:, joint]):
+                if share > least:
+                    found.setdefault((f"{100 * share:.1f}", text, advice), []).append(joint)
+        for (percent, text, advice), joints in found.items():
+            whose = of.named(np.array(joints))
+            said = f"{log.name}: the torque of {', '.join(whose)} {text.format(f'{percent} % of the samples')}"
+            yield QualityFinding(said, whose, float(percent) / 100, advice, refuses=False)
+
+
+def _spoiled(torque: np.ndarray, position: np.ndarray) -> Iterator[tuple[float, float, str, str]]:
+    """Share of the samples, least share that is said, what it is and what to do, of a torque (S,) and position (S,)."""
+    levels = np.unique(torque)
+    if len(levels) < 3 or len(torque) < 2 * _RUN:
+        return
+    fine = len(levels) > _LEVELS
+    gaps = np.diff(levels)
+    resolution = float(np.min(gaps[gaps > 1e-6 * (levels[-1] - levels[0])]))
+    starts = np.flatnonzero(np.append(True, np.diff(torque) != 0))
+    length = np.diff(np.append(starts, len(torque)))
+    value, jump = torque[starts], np.abs(np.diff(torque[starts]))
+    before, after = np.append(jump[:1], jump), np.append(jump, jump[-1:])
+    away = np.minimum(before, after)
+    ends = starts + length - 1
+    size = float(np.sqrt(np.mean(torque**2)))
+    sides = np.where(length >= _RUN, np.maximum(before, after), away)  # a friction step is no dropout
+    dropped = fine & (value == 0) & (sides > max(_STEPS * resolution, _ZERO * size))
+    held = ~dropped & (length >= _RUN) & (away > _STEPS * resolution) & (position[starts] != position[ends])
+    yield (
+        float(length[dropped].sum()) / len(torque),
+        _SPOILED,
+        "is exactly zero for {} between values that are not: the recorder drops out, or another publisher writes zeros",
+        "leave those rows out, or record again",
+    )
+    largest, rows = np.unique(np.abs(torque), return_counts=True)
+    clipped = fine and rows[-1] > _OFTEN * rows[-4:-1].max(initial=0)
+    yield (
+        rows[-1] / len(torque) if clipped else 0.0,
+        _SPOILED,
+        "stays at its largest value for {}: it looks clipped, and what happens there is not seen",
+        "record slower motions, or raise the limit of the channel",
+    )
+    at_limit = np.abs(value) == largest[-1]
+    yield (
+        float(length[held & ~(clipped & at_limit)].sum()) / len(torque),
+        _HELD,
+        "holds its value for {} while the joint moves: it is updated more slowly than it is recorded",
+        "record at the rate at which the controller updates torque",
+    )

@@ -1,0 +1,60 @@
+"""The one list of checks of recorded data, which `estimate`, `validate` and `diagnose` share.
+
+Checks run in stages, the surest first: signals for themselves, then signals against each other and the description,
+then fits of a rigid arm. What one stage refuses would mislead the next.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from agent.data_quality.channels import (
+    dead_channels,
+    discontinuous_positions,
+    spoiled_samples,
+    stuck_joints,
+    unsigned_channels,
+    velocity_mismatch,
+)
+from agent.data_quality.described import described_weight
+from agent.data_quality.finding import Check, QualityFinding, Recordings
+from agent.data_quality.mechanics import implausible_mechanics
+from agent.data_quality.ranges import excessive_torque, excessive_weight, position_units, slide_ranges
+from agent.recording import Log
+from agent.robot import RobotDescription
+
+#: Every check in stages. One that refuses, or finds another unit, ends the list.
+CHECKS: tuple[tuple[Check, ...], ...] = (
+    (discontinuous_positions,),
+    (dead_channels, position_units, excessive_torque, unsigned_channels),
+    (velocity_mismatch,),
+    (stuck_joints,),
+    (slide_ranges,),
+    (described_weight,),
+    (implausible_mechanics,),
+    (excessive_weight,),
+)
+
+
+def check_quality(robot: RobotDescription, logs: Sequence[Log], others: Sequence[Log] = ()) -> list[QualityFinding]:
+    """What is wrong with logs, the likeliest reason first; empty where nothing speaks against them.
+
+    Parameters
+    ----------
+    robot : description that the logs are read with
+    logs : recorded motions; those without torque are ignored
+    others : further motions of the same recorder. A mistake that only fits better has to do so with them as well: a few
+        seconds of slow motion do not distinguish it from chance.
+    """
+    found: list[QualityFinding] = []
+    recordings = Recordings(robot, [log for log in logs if log.effort is not None], others)
+    for stage in CHECKS if recordings.logs else ():
+        found += [finding for check in stage for finding in check(recordings)]
+        if any(finding.refuses or finding.scale for finding in found):
+            break
+    return found
+
+
+def spoiled(robot: RobotDescription, logs: Sequence[Log]) -> list[QualityFinding]:
+    """Samples whose torque cannot be used, joint by joint; none of it refuses a log."""
+    return list(spoiled_samples(Recordings(robot, [log for log in logs if log.effort is not None])))

@@ -1,0 +1,155 @@
+"""What the described masses say of torques that fit a rigid arm: direction and presence of gravity, unit of torque.
+
+A pendulum's torque fits gravity in any direction of its plane of motion, as its centre of mass is free; so do slow
+motions of an arm with gravity upside down, or torques without any. The gravity torque of the fit is known all the same,
+but for a constant, and can be compared with that of the description. A description whose inertials were never measured
+says nothing here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from agent.data_quality.finding import QualityFinding, Recordings
+from agent.data_quality.ranges import drive_torque, excessive_weight
+from agent.data_quality.rigid_fit import Bodies, FitSamples
+from agent.estimation import placeholders
+from agent.robot import RobotDescription
+
+_REFUTED = 0.9  # of the gravity torque, root mean square, that the description leaves at least, and
+_FITS = 0.5  # at most, with one thing undone
+_THOUSAND = 100.0  # times the described gravity torque, from where on no unit but N·mm is likely
+_SEEN = 0.2  # of a torque, and of the heaviest joint's described gravity, that gravity must make up to be judged
+_SCALES = (0.25, 4.0)  # times the described gravity torque: beyond them another unit is likely
+_ALIKE = 0.8  # of what friction and inertia leave of a torque, that described gravity of any size explains
+_ABSENT, _VISIBLE = 0.1, 3.0  # times described gravity and share that it explains, times what is left: it is absent
+_UNIT = 1.35  # times, on average, that torques in a part of nominal torque differ from what that makes of them
+_LIGHTEST = 1.0  # kg for each square metre of reach: a description of less holds placeholders
+MEND_GRAVITY = "set `gravity` in the robot description to this (it follows from how the base is mounted)"
+WITH_GRAVITY = (
+    "record joint torque that includes gravity: take the controller's total torque or the motor currents instead of "
+    "the gravity-compensated effort (UR's ROS 2 driver takes gravity off by default; libfranka's tau_J includes it)"
+)
+
+
+def gravity_axes(robot: RobotDescription) -> Iterator[RobotDescription]:
+    """The robot with gravity along each axis of its base, downwards first, but not as it is."""
+    size = float(np.linalg.norm(robot.gravity)) or 9.80665
+    for direction in (*-np.eye(3)[::-1], *np.eye(3)):
+        gravity = size * direction + 0.0
+        if not np.allclose(gravity, robot.gravity, atol=1e-3 * size):
+            yield with_gravity(robot, gravity)
+
+
+def with_gravity(robot: RobotDescription, gravity: np.ndarray) -> RobotDescription:
+    """The robot with gravity (3,) [m/s²] in the base frame."""
+    x, y, z = map(float, gravity)
+    return replace(robot, gravity=(x, y, z))
+
+
+def gravity_text(robot: RobotDescription, found: RobotDescription) -> str:
+    """Its direction as a user writes it, and how far it is from the described one."""
+    a, b = np.array(robot.gravity), np.array(found.gravity)
+    angle = np.degrees(np.arccos(np.clip(a @ b / max(np.linalg.norm(a) * np.linalg.norm(b), 1e-12), -1, 1)))
+    return f"gravity in the base frame looks like ({', '.join(f'{x:.4g}' for x in b)}), {angle:.0f}° from the described"
+
+
+def described_gravity(robot: RobotDescription, s: FitSamples, fitted: np.ndarray) -> Iterator[QualityFinding]:
+    """The direction of gravity that the described masses need for a fit's gravity torque `fitted` (S, n)."""
+    masses, turning = _measured_masses(robot), ~np.array([joint.prismatic for joint in robot.joints])
+    if masses is None:
+        return
+
+    def described(of: RobotDescription) -> np.ndarray:
+        gravity = (Bodies(of).dynamics.regressor(s.q, 0 * s.q, 0 * s.q) @ masses)[:, turning]
+        return gravity - gravity.mean(axis=0)
+
+    fitted = (fitted - fitted.mean(axis=0))[:, turning]
+    length = float(np.linalg.norm(fitted))
+    torque = (s.torque - s.torque.mean(axis=0))[:, turning]
+    if length < _SEEN * np.linalg.norm(torque) or np.linalg.norm(fitted - described(robot)) < _REFUTED * length:
+        return
+    left, other = min(
+        ((float(np.linalg.norm(fitted - described(other))), other) for other in gravity_axes(robot)),
+        key=lambda pair: pair[0],
+    )
+    if left < _FITS * length:
+        yield QualityFinding(
+            f"{gravity_text(robot, other)}, or the described centres of mass are wrong: of the gravity torque, the "
+            f"described masses explain {100 * (1 - left / length):.0f} % so, and none as given",
+            robot.joint_names,
+            advice=MEND_GRAVITY,
+        )
+
+
+def described_weight(of: Recordings) -> Iterator[QualityFinding]:
+    """Torque that carries no gravity, or is like the described gravity in all but its size, joint by joint."""
+    robot, s, masses = of.robot, of.samples, _measured_masses(of.robot)
+    if s is None or masses is None:
+        return
+    dynamics = Bodies(robot).dynamics
+    weight, whole = (dynamics.regressor(s.q, *rest) @ masses for rest in ((0 * s.q, 0 * s.q), (s.qd, s.qdd)))
+    heavy = np.flatnonzero(of.turning & (np.std(weight, axis=0) > _SEEN * np.std(weight * of.turning, axis=0).max()))
+    times, alike, absent = [], [], []
+    for k in heavy:
+        others = np.column_stack(
+            [whole[:, k] - weight[:, k], s.direction[:, k], s.qd[:, k], s.qdd[:, k], np.ones(len(s.q))]
+        )
+        own, torque = (v - others @ np.linalg.lstsq(others, v, rcond=None)[0] for v in (weight[:, k], s.torque[:, k]))
+        times.append(float(own @ torque / max(own @ own, 1e-300)))
+        left = float(np.linalg.norm(torque - times[-1] * own))
+        share = 1 - left**2 / max(float(torque @ torque), 1e-300)
+        alike.append(share > _ALIKE and times[-1] > 0)
+        absent.append(abs(times[-1]) < _ABSENT and share < _ABSENT and np.linalg.norm(own) > _VISIBLE * left)
+    if len(heavy) and all(absent):
+        whose = of.named(heavy)
+        yield QualityFinding(
+            f"these torques carry no gravity: the described masses need {np.std(weight[:, heavy], axis=0).max():.3g} "
+            f"N·m of it, root mean square, and {', '.join(whose)} show next to none",
+            whose,
+            advice=WITH_GRAVITY,
+            scale=True,
+        )
+    elif any(alike):
+        yield from _other_unit(of, heavy[alike], np.array(times)[alike], len(heavy))
+
+
+def _other_unit(of: Recordings, joints: np.ndarray, times: np.ndarray, judged: int) -> Iterator[QualityFinding]:
+    """Torque of `joints` (k,) that is so many `times` (k,) what the described masses weigh; `judged` joints have weight
+    enough to be judged at all."""
+    robot = of.robot
+    off = (times < _SCALES[0]) | (times > _SCALES[1])
+    size = float(np.exp(np.mean(np.log(times))))
+    if size > _THOUSAND:
+        weighed = f"torques look like N·mm: gravity on the joints is {size:.3g} times what the described masses weigh"
+        yield from [*excessive_weight(of), QualityFinding(weighed, robot.joint_names, scale=True)][:1]
+        return
+    unit = "motor currents, or % or ‰ of a nominal torque"
+    parts = np.log(times * drive_torque(robot)[joints])
+    for name, whole in (("%", 100.0), ("‰", 1000.0)):
+        wrong = np.mean(np.abs(parts - np.log(whole)))
+        if wrong < np.log(_UNIT) < np.mean(np.abs(np.log(times))) / 2:
+            unit, off = f"{name} of nominal torque", np.ones(len(joints), bool)
+    if not off.any():
+        return
+    whose = robot.joint_names if off.sum() == judged else of.named(joints[off])
+    sizes = ", ".join(f"{robot.joint_names[k]} {x:.2g}" for k, x in zip(joints[off], times[off], strict=True))
+    yield QualityFinding(
+        f"the torques of {', '.join(whose)} look like another unit ({unit}) in 100 % of the samples: as multiples of "
+        f"what the described masses weigh, their gravity is {sizes}",
+        whose,
+        advice="scale them by torque constant and gear ratio, or by nominal torque, when you import them",
+        refuses=False,
+        scale=True,
+    )
+
+
+def _measured_masses(robot: RobotDescription) -> np.ndarray | None:
+    """(10 n,) standard parameters of the description; None where nobody measured them."""
+    bodies = Bodies(robot)
+    masses = bodies.dynamics.standard_parameters()
+    too_light = masses[::10].sum() < _LIGHTEST * bodies.reach() ** 2
+    return None if placeholders(masses) or too_light else masses

@@ -1,0 +1,345 @@
+"""What is wrong with recorded data is named, with joints and share of samples; healthy data is accepted."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from agent.core.console import Console
+from agent.core.errors import InputError, RejectedError
+from agent.data_quality import check_quality, fitted_doubts, spoiled
+from agent.estimation import estimate
+from agent.pipeline.identify import check_plausible, estimate_files, validate_files
+from agent.recording import read_log, write_log
+from agent.robot import Dynamics, load_robot
+from tests.estimation.conftest import _arm, _log, _multisine
+
+FRICTION = np.array([3.0, 2.0, 1.0, 0.5, 0.3])
+
+
+def motion(robot, seed=1, rate=200.0, seconds=18.0, gravity=None, name="a.mcap", noise=0.01, carried=True):
+    """A log of a healthy arm: bodies as described, Coulomb and viscous friction, rotors; `gravity` (3,) is the real one
+    and `carried` says whether the torques have it in them."""
+    n = robot.dof
+    q, qd, qdd = _multisine(n, np.arange(0, seconds, 1 / rate), seed)
+    real = robot if gravity is None else replace(robot, gravity=tuple(gravity))
+    dynamics = Dynamics(real)
+    bodies = dynamics.standard_parameters()
+    torque = dynamics.regressor(q, qd, qdd) @ bodies
+    if not carried:
+        torque -= dynamics.regressor(q, 0 * q, 0 * q) @ bodies
+    torque = torque + FRICTION[:n] * np.tanh(qd / 0.01) + 0.8 * FRICTION[:n] * qd + 0.3 * FRICTION[:n] * qdd / 5
+    torque += noise * np.std(torque, axis=0) * np.random.default_rng(seed + 50).normal(size=torque.shape)
+    return _log(robot, np.arange(len(q)) / rate, q, torque, name)
+
+
+def refusals(robot, *logs):
+    return [finding for finding in check_quality(robot, list(logs)) if finding.refuses]
+
+
+@pytest.fixture(scope="module")
+def robot():
+    return _arm(4, seed=3)
+
+
+@pytest.mark.parametrize(("seed", "rate", "seconds"), [(1, 200.0, 18.0), (2, 100.0, 30.0), (3, 333.0, 12.0)])
+def test_healthy_logs_are_accepted_without_a_word(robot, seed, rate, seconds):
+    log = motion(robot, seed, rate, seconds)
+    assert check_quality(robot, [log]) == []
+    assert spoiled(robot, [log]) == []
+
+
+@pytest.mark.parametrize(("dof", "seed", "seconds"), [(3, 4, 15.0), (4, 5, 10.0), (5, 6, 25.0)])
+def test_torque_without_gravity_is_refused_with_what_to_record(dof, seed, seconds):
+    arm = _arm(dof, seed=seed)
+    (found,) = refusals(arm, motion(arm, seed, seconds=seconds, carried=False))
+    assert "carry no gravity" in found.text
+    assert "gravity-compensated effort" in found.advice
+    assert found.joints
+
+
+def test_slow_torque_without_gravity_is_told_by_the_described_masses(robot):
+    """Without inertia in it nothing but friction is left, which any mass moments near zero fit."""
+    log = motion(robot, 7)
+    t = log.t * 6
+    q, qd, _ = _multisine(4, log.t / 6, 7)
+    torque = FRICTION[:4] * np.tanh(qd / 6 / 0.01) + 0.02 * np.random.default_rng(0).normal(size=q.shape)
+    slow = _log(robot, t, q, torque)
+    (found,) = refusals(robot, slow)
+    assert "carry no gravity" in found.text
+
+
+@pytest.mark.parametrize(("angle", "about"), [(12.0, 0.7), (33.0, 2.5), (58.0, 4.0), (77.0, 5.5)])
+def test_the_mounting_is_found_at_any_angle(robot, angle, about):
+    a = np.radians(angle)
+    true = 9.80665 * np.array([np.sin(a) * np.cos(about), np.sin(a) * np.sin(about), -np.cos(a)])
+    log = motion(robot, 8, gravity=true)
+    (found,) = refusals(robot, log)
+    named = np.array([float(x) for x in re.search(r"looks like \((.*?)\)", found.text)[1].split(",")])
+    assert np.linalg.norm(named - true) < 0.02 * 9.80665
+    assert f"{angle:.0f}°"[:-2] in found.text
+    assert "gravity" in found.advice
+    assert refusals(replace(robot, gravity=tuple(named)), log) == []
+
+
+def interleaved(first, second, every):
+    """Samples of a second publisher after each `every`-th one of the first."""
+    rows = np.arange(0, len(first.t), every)
+    t = np.concatenate([first.t, first.t[rows] + 0.4 / first.sample_rate])
+    order = np.argsort(t, kind="stable")
+    position, effort = (
+        np.concatenate([getattr(first, key), getattr(second, key)[rows]])[order] for key in ("position", "effort")
+    )
+    return _log(first_robot(first), t[order], position, effort)
+
+
+def first_robot(log):
+    return _arm(log.position.shape[1], seed=3)
+
+
+@pytest.mark.parametrize(("every", "share"), [(1, 0.5), (4, 0.2), (15, 0.0625)])
+@pytest.mark.parametrize("kind", ["zero", "another motion"])
+def test_two_publishers_on_one_topic_are_named(robot, every, share, kind):
+    first, second = motion(robot, 9), motion(robot, 10)
+    apart = replace(first, position=first.position + 0.9)
+    if kind == "zero":
+        second = replace(first, position=0 * first.position, effort=0 * first.effort)
+    (found,) = refusals(robot, interleaved(apart, second, every))
+    assert "two publishers" in found.text
+    assert kind in found.text
+    assert found.share == pytest.approx(share, abs=0.01)
+
+
+def test_rows_out_of_order_are_no_degrees(robot):
+    log = motion(robot, 11)
+    order = np.random.default_rng(2).permutation(len(log.t))
+    (found,) = refusals(robot, replace(log, position=log.position[order], effort=log.effort[order]))
+    assert "rows are out of order" in found.text
+
+
+def test_fast_motion_below_pi_is_not_taken_for_degrees(robot):
+    """The description's speed may be wrong; whoever means degrees has some beyond 3.14."""
+    slow = replace(robot, joints=tuple(replace(joint, max_velocity=0.02) for joint in robot.joints))
+    assert not any("degrees" in finding.text for finding in check_quality(slow, [motion(robot, 12)]))
+    beyond = replace(motion(robot, 12), position=np.degrees(motion(robot, 12).position))
+    assert "positions look like degrees" in refusals(robot, beyond)[0].text
+
+
+def bad(log, change):
+    effort = log.effort.copy()
+    change(effort)
+    return replace(log, effort=effort)
+
+
+def held(effort, joint=1, start=600, stop=1800, count=9):
+    for row in range(start, stop, count):
+        effort[row : row + count, joint] = effort[row, joint]
+
+
+def clipped(effort, joint=2, share=0.15):
+    level = np.quantile(np.abs(effort[:, joint]), 1 - share)
+    effort[:, joint] = np.clip(effort[:, joint], -level, level)
+
+
+def zeroed(effort, joint=1):
+    for row in range(100, 3400, 300):
+        effort[row : row + 25, joint] = 0.0
+
+
+@pytest.mark.parametrize(
+    ("change", "joint", "share", "says"),
+    [
+        (held, "joint_2", 1200 / 3600, "holds its value"),
+        (clipped, "joint_3", 0.15, "looks clipped"),
+        (zeroed, "joint_2", 11 * 25 / 3600, "exactly zero"),
+    ],
+)
+def test_samples_that_are_spoiled_are_counted_by_joint(robot, change, joint, share, says):
+    (found,) = spoiled(robot, [bad(motion(robot, 13), change)])
+    assert found.joints == (joint,)
+    assert says in found.text
+    assert found.share == pytest.approx(share, rel=0.05)
+    assert f"{100 * found.share:.1f} % of the samples" in found.text
+    assert not found.refuses
+
+
+def test_coarse_steps_and_a_standing_joint_are_not_spoiled(robot):
+    log = motion(robot, 14, noise=0.002)
+    still = log.position.copy()
+    still[:, 3] = still[0, 3]
+    coarse = replace(log, position=np.round(still, 4), effort=np.round(log.effort))
+    coarse.effort[:, 3] = coarse.effort[0, 3]
+    assert spoiled(robot, [coarse]) == []
+
+
+@pytest.mark.parametrize(
+    ("scale", "unit"),
+    [
+        (lambda nominal: 1 / np.array([11.0, 9.0, 14.0, 12.0]), "motor currents"),
+        (lambda nominal: 1000 / nominal, "‰ of nominal torque"),
+        (lambda nominal: 100 / nominal, "% of nominal torque"),
+    ],
+)
+def test_torques_in_another_unit_are_named_by_the_described_masses(robot, scale, unit):
+    nominal = np.array([700.0, 450.0, 240.0, 30.0])
+    joints = tuple(replace(joint, max_torque=value) for joint, value in zip(robot.joints, nominal, strict=True))
+    described = replace(robot, joints=joints)
+    log = motion(described, 15)
+    assert check_quality(described, [log]) == []
+    (found,) = check_quality(described, [replace(log, effort=log.effort * scale(nominal))])
+    assert not found.refuses
+    assert unit in found.text
+    assert found.joints == robot.joint_names
+
+
+@pytest.mark.parametrize(("joint", "times"), [(2, 1.4), (2, 0.7)])
+def test_a_wrong_length_in_the_description_is_said(robot, joint, times):
+    old = '<child link="link_3"/><origin xyz="0.05 0.02 0.3"/>'
+    new = f'<child link="link_3"/><origin xyz="{0.05 * times} {0.02 * times} {0.3 * times}"/>'
+    assert old in robot.urdf
+    wrong = replace(robot, urdf=robot.urdf.replace(old, new))
+    (found,) = check_quality(wrong, [motion(robot, 16, noise=0.005)])
+    assert found.joints == ("joint_2", "joint_3")
+    assert not found.refuses
+    assert float(re.search(r"about ([\d.]+) times", found.text)[1]) == pytest.approx(1 / times, rel=0.1)
+
+
+def test_joints_that_move_alike_are_not_said_to_be_swapped_or_flipped(robot):
+    """As in a routine that moves them together: nothing tells one from the other."""
+    log = motion(robot, 17)
+    q, qd, qdd = (values.copy() for values in _multisine(4, log.t, 17))
+    for values in (q, qd, qdd):
+        values[:, 2] = 0.8 * values[:, 1]
+    q[:, 2] += 0.01 * np.sin(0.3 * log.t)
+    torque = Dynamics(robot).regressor(q, qd, qdd) @ Dynamics(robot).standard_parameters()
+    friction = FRICTION[:4] * np.tanh(qd / 0.01)
+    friction[:, [1, 2]] = friction[:, [2, 1]] * -0.3  # the file's friction is off
+    alike = _log(robot, log.t, q, torque + friction)
+    texts = [finding.text for finding in check_quality(robot, [alike])]
+    assert not [text for text in texts if re.search("joint_[23].*(swapped|flipped)", text)]
+
+
+def test_what_a_model_predicts_is_no_unit_error(robot):
+    """A description with tiny masses in it, as some URDFs have, and somebody who pushes."""
+    mass = re.sub(r'mass value="([\d.]+)"', lambda m: f'mass value="{float(m[1]) / 900:.6f}"', robot.urdf)
+    centred = replace(robot, urdf=mass)
+    model = estimate(robot, [motion(robot, 18)])
+    pushed = motion(robot, 19)
+    effort = pushed.effort.copy()
+    for row in range(200, 3200, 600):
+        effort[row : row + 400, 1:] += 5 * np.std(effort[:, 1:], axis=0)
+    pushed = replace(pushed, effort=effort)
+    drives = replace(centred, joints=tuple(replace(joint, max_torque=0.4) for joint in centred.joints))
+    assert any("N·mm" in finding.text for finding in check_quality(drives, [pushed]))
+    check_plausible(drives, [pushed], False, Console(-1), model=model)
+    with pytest.raises(RejectedError, match="N·mm"):
+        check_plausible(drives, [pushed], False, Console(-1))
+
+
+def test_zero_effort_is_refused_by_estimate_and_validate(robot, tmp_path, shared_robot):
+    path, out = tmp_path / "zero.mcap", tmp_path / "model.json"
+    arm, description = shared_robot
+    good = motion(arm, 20)
+    write_log(path, replace(good, effort=0 * good.effort))
+    write_log(tmp_path / "good.mcap", good)
+    estimate_files(description, [tmp_path / "good.mcap"], out, 10.0, "weighted", Console(-1))
+    for refused in (
+        lambda: validate_files(out, [path], None, Console(-1)),
+        lambda: estimate_files(description, [path], tmp_path / "new.json", 10.0, "weighted", Console(-1)),
+    ):
+        with pytest.raises((InputError, RejectedError), match=r"torque is zero throughout|never changes"):
+            refused()
+
+
+def test_estimate_and_validate_warn_of_spoiled_samples(tmp_path, shared_robot, capsys):
+    arm, description = shared_robot
+    log = bad(motion(arm, 21), zeroed)
+    write_log(tmp_path / "log.mcap", log)
+    estimate_files(description, [tmp_path / "log.mcap"], tmp_path / "m.json", 10.0, "weighted", Console(-1))
+    assert "the torque of joint_2 is exactly zero for 7.6 % of the samples" in capsys.readouterr().err
+    validate_files(tmp_path / "m.json", [tmp_path / "log.mcap"], None, Console(-1))
+    assert "the torque of joint_2 is exactly zero for 7.6 % of the samples" in capsys.readouterr().err
+
+
+def test_a_rotor_with_a_negative_inertia_and_an_error_far_above_the_noise_are_said(robot):
+    log = motion(robot, 22, noise=0.002)
+    q, _, qdd = _multisine(4, log.t, 22)
+    wrong = log.effort.copy()
+    wrong[:, 3] -= 5.0 * qdd[:, 3]
+    doubts = fitted_doubts(estimate(robot, [log]), [log])
+    assert doubts == []
+    (rotor,) = fitted_doubts(estimate(robot, [replace(log, effort=wrong)]), [replace(log, effort=wrong)])
+    assert rotor.joints == ("joint_4",)
+    assert "negative inertia" in rotor.text
+    wrong = log.effort.copy()
+    wrong[:, 2] += 0.5 * np.std(wrong[:, 2]) * np.sin(40 * np.sin(q[:, 0]))
+    (error,) = fitted_doubts(estimate(robot, [replace(log, effort=wrong)]), [replace(log, effort=wrong)])
+    assert error.joints == ("joint_3",)
+    assert "more of the torque than its noise" in error.text
+
+
+@pytest.fixture(scope="module")
+def shared_robot(tmp_path_factory):
+    """An arm, and the file that describes it."""
+    arm = _arm(3, seed=3)
+    folder = tmp_path_factory.mktemp("arm")
+    (folder / "arm.urdf").write_text(arm.urdf, encoding="utf-8")
+    joints = "".join(
+        f"  - {{name: {joint.name}, gear_ratio: {joint.gear_ratio}, max_velocity: 3.0, max_acceleration: 20.0}}\n"
+        for joint in arm.joints
+    )
+    path = folder / "robot.yaml"
+    path.write_text(f"name: arm\nurdf: arm.urdf\ntip_frame: {arm.tip_frame}\njoints:\n{joints}", encoding="utf-8")
+    return load_robot(str(path)), str(path)
+
+
+GRAVITY_FREE, TILTED, PUBLISHERS = "carry no gravity", "gravity in the base frame looks like", "two publishers"
+#: Logs, and what is said of them: a refusal, and parts of warnings.
+FOLDERS = [
+    (("lib/base1", "lib/base2"), None, ()),
+    (("lib/base1",), None, ()),
+    (("01-gravity-free-effort/F_short",), GRAVITY_FREE, ()),
+    (("01-gravity-free-effort/F_nograv1", "01-gravity-free-effort/F_nograv2"), GRAVITY_FREE, ()),
+    (("02-tilted-mount/tilt20_1", "02-tilted-mount/tilt20_2"), TILTED, ()),
+    (("02-tilted-mount/tilt45_1", "02-tilted-mount/tilt45_2"), TILTED, ()),
+    (("07-two-publishers-one-topic/A3_zero_full",), PUBLISHERS, ()),
+    (("07-two-publishers-one-topic/A3_zero_full10",), PUBLISHERS, ()),
+    (("07-two-publishers-one-topic/E4_same_topic_same_names",), PUBLISHERS, ()),
+    (("20-currents-and-bad-effort/U_cur1", "20-currents-and-bad-effort/U_cur2"), None, ("another unit", "100 %")),
+    (("20-currents-and-bad-effort/U_hold1",), None, ("holds its value for 100.0 %",)),
+    (("20-currents-and-bad-effort/U_sat1",), None, ("shoulder_lift_joint stays at its largest value for 34.8 %",)),
+    (("20-currents-and-bad-effort/Z_drop2_1",), None, ("shoulder_lift_joint is exactly zero for 9.0 %",)),
+]
+
+
+@pytest.mark.parametrize(("logs", "refused", "warned"), FOLDERS, ids=[logs[0] for logs, *_ in FOLDERS])
+def test_files_that_peoples_tools_write_get_the_right_reason(shared_data, logs, refused, warned):
+    folder = shared_data / "files-dev"
+    description = load_robot(str(folder / "lib/arm_with_masses/robot.yaml"))
+    read = [read_log(folder / f"{name}.mcap", description) for name in logs]
+    found = check_quality(description, read)
+    if refused is None:
+        assert [finding.text for finding in found if finding.refuses] == []
+    else:
+        assert refused in next(finding.text for finding in found if finding.refuses)
+    texts = " ".join(map(str, [*found, *(spoiled(description, read) if refused is None else [])]))
+    assert bool(texts) == bool(refused or warned), texts
+    assert all(part in texts for part in warned), texts
+
+
+def test_uneven_kilohertz_stamps_give_the_accelerations_of_an_even_clock(shared_data):
+    from agent.estimation.filtering import FilterSettings, motions
+
+    folder = shared_data / "files-dev/23-uneven-kilohertz"
+    (even,), (uneven,) = (
+        motions(read_log(folder / f"{name}.mcap"), FilterSettings(10.0), reduce=False)
+        for name in ("even_2", "jitter_2")
+    )
+    a, b = (each.low_pass(each.qdd) for each in (even, uneven))
+    times = uneven.time[uneven.kept]
+    inside = (times > even.time[even.kept][0]) & (times < even.time[even.kept][-1])
+    expected = np.column_stack([np.interp(times[inside], even.time[even.kept], column) for column in a.T])
+    assert np.all(np.std(b[inside] - expected, axis=0) < 0.01 * np.std(expected, axis=0))
