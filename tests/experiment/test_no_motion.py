@@ -165,8 +165,9 @@ def asked(arm, logs, tmp_path: Path, monkeypatch):
         shown: list[dict] = []
         with pytest.raises(type(why)):
             diagnose_files(arm, paths, question, Console(-1), shown.append)
-        (one,) = shown
-        return question, one
+        assert shown[0]["verdict"] == shown[-1]["verdict"]
+        assert not any("found out" in text for text in shown[0]["warnings"]), "the verdict comes before the planning"
+        return question, shown[-1]
 
     return run
 
