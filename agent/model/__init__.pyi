@@ -13,6 +13,7 @@ from .friction_terms import (
 from .identified import (
     IdentifiedModel as IdentifiedModel,
     condition_text as condition_text,
+    judged_condition as judged_condition,
 )
 from .known_load import (
     PAYLOAD as PAYLOAD,

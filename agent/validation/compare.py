@@ -59,7 +59,7 @@ class TorqueChange:
 class Comparison:
     """Two models of one robot.
 
-    `machines` are their serials where these differ: then the differences are between two machines, and no change of one.
+    `machines` are their serials where these differ: the differences are between two machines then, no change of one.
     `parameters` are those that both have and that were estimated in between; `only_before`, `only_after` name those
     that one alone has.
     """

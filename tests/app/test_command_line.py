@@ -217,3 +217,16 @@ def test_progress_tells_the_time_left_and_paths_are_links_on_a_terminal(monkeypa
     monkeypatch.setenv("TERM", "xterm")
     print_path(tmp_path)
     assert capsys.readouterr().out == f"\033]8;;{tmp_path.as_uri()}\033\\{tmp_path}\033]8;;\033\\\n"
+
+
+def test_a_new_recipe_lies_where_the_arm_works(run_agent, tmp_path: Path):
+    """Of a small arm as of the built-in one: `agent check` finds nothing out of reach."""
+    from agent.excitation import check_sub_region
+    from agent.pipeline.planning import loop_problem
+    from agent.recipe import load_recipe
+
+    for robot in ("comau_ns16", str(ROOT / "recipes/examples/tx40/robot.yaml")):
+        name = f"{Path(robot).parent.name}.yaml"
+        assert run_agent("init", name, "--robot", robot).returncode == 0
+        recipe = load_recipe(tmp_path / name)
+        assert not check_sub_region(loop_problem(recipe, recipe.motion.speed))
