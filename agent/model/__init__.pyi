@@ -11,6 +11,7 @@ from .friction_terms import (
     steady_columns as steady_columns,
 )
 from .identified import (
+    USUAL_CONDITION as USUAL_CONDITION,
     IdentifiedModel as IdentifiedModel,
     condition_text as condition_text,
     judged_condition as judged_condition,

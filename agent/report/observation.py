@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from agent.core import counted
+from agent.model import USUAL_CONDITION
 from agent.report.page import Section, Table
 from agent.report.plots import Panel, Plot, Series
 
@@ -56,7 +57,7 @@ def _direction(parts: dict[str, float]) -> str:
 
 def _singular_values(values: np.ndarray) -> Plot:
     decades = np.log10(np.maximum(values / values[0], 1e-9))
-    marks = {f"a condition number of {_USUAL_LIMIT}": -np.log10(_USUAL_LIMIT)}
+    marks = {f"a condition number of {USUAL_CONDITION}": -np.log10(USUAL_CONDITION)}
     panel = Panel("singular values", "log10 of value / largest", (Series("value / largest", decades),), marks=marks)
     number = np.arange(1.0, len(values) + 1)
     return Plot("singular-values", "Singular values of the observation matrix.", "number", (panel,), number)
