@@ -27,6 +27,7 @@ def diagnosis_text(result: dict[str, Any]) -> str:
             sizes[-1].append(f"in log {value + 1:g}" if log else f"{key} {size_text(cause, key, value)}")
         lines += [f"{cause['effect']} on {place(cause)}", *(f"  {'  '.join(line)}" for line in sizes)]
     gap = result["gap"]
+    width = max(12, *map(len, gap["joints"]))
     by_servos = result.get("torque_of") == "servos"
     if by_servos:
         lines += _forward_lines(result)
@@ -34,7 +35,7 @@ def diagnosis_text(result: dict[str, Any]) -> str:
     lines.append(
         "torque error on held-out motion, in % of nominal torque where there is one; floor: what no cycle repeats"
     )
-    lines.append(f"{'joint':12} {'before':>11} {'after':>11} {'floor':>11} {'share':>7}   mostly in")
+    lines.append(f"{'joint':{width}} {'before':>11} {'after':>11} {'floor':>11} {'share':>7}   mostly in")
     shares = {entry["joint"]: entry for entry in result["where"]}
     somewhere = torque_gap(result)
     for k, name in enumerate(gap["joints"]):
@@ -44,7 +45,7 @@ def diagnosis_text(result: dict[str, Any]) -> str:
         )
         regimes = [r["name"] for r in shares[name]["regimes"] if somewhere and r["share"] > 1.5 * r["of_samples"]][:2]
         share = f"{100 * shares[name]['share']:6.1f}%" if somewhere else f"{'-':>7}"
-        lines.append(f"{name:12} {before:>11} {after:>11} {floor:>11} {share}   {', '.join(regimes)}".rstrip())
+        lines.append(f"{name:{width}} {before:>11} {after:>11} {floor:>11} {share}   {', '.join(regimes)}".rstrip())
     if result["closure"] is not None and somewhere:
         lines.append(f"closed: {100 * result['closure']:.1f} % of the gap in torque")
     lines += list(_waterfall_lines(result.get("waterfall", [])))

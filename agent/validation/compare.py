@@ -101,7 +101,7 @@ class Comparison:
         if moved:
             lines.append(f"{len(moved)} of {len(self.parameters)} parameters moved by more than their uncertainty:")
             lines += [
-                f"  {c.name:14} {c.before:10.4g} -> {c.after:10.4g} {c.unit:10} {c.deviations:+6.1f} deviations"
+                f"  {c.name:{max(len(one.name) for one in moved)}} {c.before:10.4g} -> {c.after:10.4g} {c.unit:10} {c.deviations:+6.1f} deviations"
                 for c in moved
             ]
         else:
@@ -114,7 +114,7 @@ class Comparison:
             share = self.torque.normalised_rmse[k]
             normalised = f" ({100 * share:.2f} % of nominal)" if np.isfinite(share) else ""
             lines.append(
-                f"  {joint:12} differs by {self.torque.rmse[k]:.3g} N·m RMS{normalised}, at most "
+                f"  {joint:{max(map(len, self.torque.joints))}} differs by {self.torque.rmse[k]:.3g} N·m RMS{normalised}, at most "
                 f"{self.torque.largest[k]:.3g} N·m; uncertainty explains {self.torque.standard_deviation[k]:.2g} N·m"
             )
         return "\n".join(lines)
