@@ -9,6 +9,7 @@ from agent.core import package_version
 from agent.diagnosis import Diagnosis
 from agent.model import PAYLOAD
 from agent.recording import Log, machines_of
+from agent.report.arm import arm_picture
 from agent.report.page import About, NextStep
 from agent.report.phrasing import FOUR, measures, summary
 
@@ -23,7 +24,10 @@ def about_diagnosis(diagnosis: Diagnosis, next_steps: Sequence[NextStep], result
     )
     said = summary(result)
     facts = [(title, said[key]) for key, title in FOUR.items() if key != "next"]
-    return About(asked, facts, [*measures(result), *next_steps], _identity(diagnosis))
+    marked = result["causes"][0]["joints"] if result["causes"] else []
+    first = dataset.logs[0].position
+    picture = arm_picture(dataset.robot, first[len(first) // 2], marked) if marked else ""
+    return About(asked, facts, [*measures(result), *next_steps], _identity(diagnosis), picture)
 
 
 def _recorded(logs: Sequence[Log]) -> str:

@@ -52,13 +52,14 @@ class About:
     """The first screen beside the answer.
 
     What was `asked`, `facts` that the answer rests on and the `identity` of what the page is about, both as (what,
-    value), and what comes `next`.
+    value), what comes `next`, and a `picture` (SVG text).
     """
 
     asked: str = ""
     facts: Sequence[tuple[str, str]] = ()
     next: Sequence[NextStep] = ()
     identity: Sequence[tuple[str, str]] = ()
+    picture: str = ""
 
 
 @dataclass(frozen=True)

@@ -99,9 +99,10 @@ class Comparison:
         moved = sorted((c for c in self.parameters if c.moved), key=lambda c: -abs(c.deviations))
         lines = [f"{self.before} -> {self.after}", *([self.between_machines] if self.machines else [])]
         if moved:
+            width = max(len(change.name) for change in moved)
             lines.append(f"{len(moved)} of {len(self.parameters)} parameters moved by more than their uncertainty:")
             lines += [
-                f"  {c.name:{max(len(one.name) for one in moved)}} {c.before:10.4g} -> {c.after:10.4g} {c.unit:10} {c.deviations:+6.1f} deviations"
+                f"  {c.name:{width}} {c.before:10.4g} -> {c.after:10.4g} {c.unit:10} {c.deviations:+6.1f} deviations"
                 for c in moved
             ]
         else:
@@ -109,12 +110,13 @@ class Comparison:
         for title, names in (("before", self.only_before), ("after", self.only_after)):
             if names:
                 lines.append(f"only {title}: {', '.join(names)}")
+        width = max(map(len, self.torque.joints))
         lines.append(f"predicted torque along {self.torque.motion}:")
         for k, joint in enumerate(self.torque.joints):
             share = self.torque.normalised_rmse[k]
             normalised = f" ({100 * share:.2f} % of nominal)" if np.isfinite(share) else ""
             lines.append(
-                f"  {joint:{max(map(len, self.torque.joints))}} differs by {self.torque.rmse[k]:.3g} N·m RMS{normalised}, at most "
+                f"  {joint:{width}} differs by {self.torque.rmse[k]:.3g} N·m RMS{normalised}, at most "
                 f"{self.torque.largest[k]:.3g} N·m; uncertainty explains {self.torque.standard_deviation[k]:.2g} N·m"
             )
         return "\n".join(lines)
