@@ -16,7 +16,7 @@ from agent.robot import Kinematics, KinematicsError, RobotDescription, kinematic
 #: Where in a via-point's region it is asked: the middle, the corners of its position and the ends of its orientation.
 _PLACES = {**MIDDLE, **CORNERS, **TURNED}
 #: Boxes that are tried for an arm, as parts of its reach: distance and height of the centre, and edges.
-_AHEAD, _HEIGHT, _EDGES = (0.5, 0.6, 0.4, 0.7, 0.3), (0.3, 0.45, 0.15, 0.6, 0.0), np.array([0.2, 0.3, 0.15])
+_AHEAD, _HEIGHT, _EDGES = (0.5, 0.6, 0.4, 0.7, 0.3), (0.3, 0.45, 0.15, 0.6, 0.0), (0.2, 0.3, 0.15)
 #: Tool orientations (Euler ZYZ, deg) that point down: of a z axis along the last axis, and of an x axis.
 _DOWN = ((0.0, 180.0, 0.0), (0.0, 90.0, 0.0))
 
@@ -81,12 +81,13 @@ def working_box(robot: RobotDescription) -> WorkingBox | None:
     reach = float(np.linalg.norm(kinematics.forward(postures)[:, :3, 3], axis=1).max())
     for shrink, cone in ((1.0, 30.0), (0.5, 10.0)):
         for orientation, height, ahead in product(_DOWN, _HEIGHT, _AHEAD):
-            centre = np.round([ahead * reach, 0.0, height * reach], 2)
-            size = np.maximum(np.round(shrink * reach * _EDGES, 2), 0.01)
-            regions = ViaRegions.from_box(1, centre, size, np.radians(orientation), np.radians(cone))
+            centre = tuple(round(part * reach, 2) for part in (ahead, 0.0, height))
+            size = tuple(max(round(float(shrink * reach * edge), 2), 0.01) for edge in _EDGES)
+            turn = [float(np.radians(angle)) for angle in orientation]
+            regions = ViaRegions.from_box(1, centre, size, turn, float(np.radians(cone)))
             poses = (regions.poses(genes)[0] for genes in _PLACES.values())
             if all(_complaint(kinematics, pose) is None for pose in poses):
-                return WorkingBox(tuple(centre.tolist()), tuple(size.tolist()), orientation, cone)
+                return WorkingBox(centre, size, orientation, cone)
     return None
 
 

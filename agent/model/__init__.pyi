@@ -23,6 +23,7 @@ from .known_load import (
     payload_of as payload_of,
     payload_text as payload_text,
 )
+from .nearest_bodies import possible_model as possible_model
 from .regimes import REGIMES as REGIMES, regime_masks as regime_masks, standstill_speed as standstill_speed
 from .rigid_friction import ModelEffect as ModelEffect, ParameterPrior as ParameterPrior
 from .signals import MotionSignals as MotionSignals, NominalModel as NominalModel
