@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+import agent.diagnosis
 import agent.experiment
 from agent.core import Console, InputError, RejectedError, write_atomically
 from agent.diagnosis.evidence import null_gains
@@ -170,6 +171,18 @@ def asked(arm, logs, tmp_path: Path, monkeypatch):
         return question, shown[-1]
 
     return run
+
+
+def test_a_forward_simulation_that_fails_costs_no_verdict(arm, logs, tmp_path: Path, monkeypatch):
+    learn(arm).save(tmp_path / "model.json")
+    for log in logs:
+        write_log(tmp_path / log.name, log)
+    question = GapQuestion(tmp_path / "model.json", report=tmp_path / "page.html")
+    monkeypatch.setattr(agent.diagnosis, "simulate", fails(InputError("the effect gives no finite torque")))
+    result = diagnose_files(arm, [tmp_path / log.name for log in logs], question, Console(-1))
+    assert (result["verdict"], result["simulation"]) == ("no_gap", None)
+    assert any("the forward simulation failed" in text and "finite torque" in text for text in result["warnings"])
+    assert "the forward simulation failed" in question.report.read_text(encoding="utf-8")
 
 
 STOPS = [KeyboardInterrupt(), InputError("a box that nothing keeps clear of")]
