@@ -13,7 +13,7 @@ class OutOfTime(Exception):
 
 @dataclass(frozen=True)
 class Deadline:
-    """`seconds` from `begun` on; called with what is being done, it says so with the time left, or that there is none.
+    """`seconds` from `begun` on, of `whole` seconds; called with what is being done, it says so with the time left.
 
     Parameters
     ----------
@@ -29,6 +29,7 @@ class Deadline:
     seconds: float = float("inf")
     clock: Callable[[], float] = time.monotonic
     begun: float | None = field(default=None)
+    whole: float | None = field(default=None)
 
     def __post_init__(self) -> None:
         if self.begun is None:
@@ -42,7 +43,7 @@ class Deadline:
 
     def share(self, part: float) -> Deadline:
         """A deadline that ends when this `part` of the time is used up."""
-        return replace(self, seconds=part * self.seconds)
+        return replace(self, seconds=part * self.seconds, whole=self.whole or self.seconds)
 
     def rest(self) -> Deadline:
         """A deadline that begins now and ends with this one."""
@@ -56,7 +57,7 @@ class Deadline:
         OutOfTime
             No time is left.
         """
-        left = self.left
-        if left <= 0:
+        if self.left <= 0:
             raise OutOfTime
-        self.progress(text if left == float("inf") else f"{text}, at most {left:.0f} s left")
+        left = replace(self, seconds=self.whole or self.seconds).left
+        self.progress(text if left == float("inf") else f"{text}, at most {left:.0f} s of planning left")

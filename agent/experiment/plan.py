@@ -57,11 +57,13 @@ class Expected:
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
-    """A motion as pieces, and what it is expected to tell. No pieces: no motion in the sub-region tells more."""
+    """A motion as pieces, and what it is expected to tell. No pieces: no motion in the sub-region tells more, as far as
+    it was searched: `cut_short` says that there was no time to weigh all."""
 
     pieces: tuple[Piece, ...]
     expected: tuple[Expected, ...]
     weighed: int
+    cut_short: bool = False
 
     @property
     def duration(self) -> float:
@@ -91,11 +93,13 @@ def plan_experiment(  # noqa: C901
     pieces = Pieces(problem, _joints(found, pairs), (1 - _WAYS) * seconds, np.random.default_rng(seed))
     pool: list[tuple[Piece, Told]] = []
     deadline = deadline or Deadline()
+    cut_short = True
     with suppress(OutOfTime):
         for number in range(_POOL):
             deadline.share(_DRAWN_BY)(f"motions that would tell more: {number + 1} of {_POOL} weighed")
             if (piece := pieces.draw()) is not None:
                 pool.append((piece, outlook.told(piece.motion)))
+        cut_short = False
     before_if = outlook.chances(outlook.nothing)
     at_best = _at_best(outlook, pool, (1 - _WAYS) * seconds)
     least_known = _KNOWN if np.any(before_if <= _KNOWN) else 1.0
@@ -104,7 +108,7 @@ def plan_experiment(  # noqa: C901
     sides = wanted & (at_best > np.maximum(before_if, _WITHIN_REACH))
     asked = sides.any(axis=1) | doubtful
     if not asked.any():
-        return Experiment((), (), len(pool))
+        return Experiment((), (), len(pool), cut_short)
     longest = (1 - _WAYS) * seconds
 
     def designed(wanted: np.ndarray, longest: float) -> list[Piece]:
@@ -153,7 +157,7 @@ def plan_experiment(  # noqa: C901
         )
         for k in map(int, np.flatnonzero(asked | _named(found, pairs)))
     )
-    return Experiment(tuple(best), expected, len(pool))
+    return Experiment(tuple(best), expected, len(pool), cut_short)
 
 
 def _named(found: Diagnosis, pairs: Sequence[OpenPair]) -> np.ndarray:

@@ -161,10 +161,10 @@ def plan_next(
             names,
         )
     where = f"the sub-region of {recipe.path}"
-    if deadline.left <= 0:
+    if experiment.cut_short:
         return NoMotion(
-            f"no motion in {where} that would settle it was found within the planning time, in which "
-            f"{experiment.weighed} motions were weighed: allow more with --planning-budget",
+            f"no motion in {where} that would settle it was found in the time for planning ({experiment.weighed} "
+            "pieces were weighed): allow more with --planning-budget",
             names,
         )
     if not experiment.weighed:

@@ -22,7 +22,7 @@ def test_the_time_left_is_shown_until_there_is_none():
     deadline("weighing")
     clock.now += 20
     deadline.share(0.5)("varying")
-    assert said == ["weighing, at most 60 s left", "varying, at most 10 s left"]
+    assert said == ["weighing, at most 60 s of planning left", "varying, at most 40 s of planning left"]
     clock.now += 10
     with pytest.raises(OutOfTime):
         deadline.share(0.5)("varying")

@@ -64,6 +64,9 @@ def ask(tmp_path: Path, monkeypatch):
 
 
 def test_it_says_what_no_motion_would_tell_and_where_to_look(ask):
+    in_time = ask([replace(NOTHING, weighed=2, cut_short=True)]).text
+    assert "in the time for planning (2 pieces were weighed): allow more with --planning-budget" in in_time
+    assert "What may" not in in_time, "nobody knows that no motion would"
     said = ask([replace(NOTHING, weighed=200), NOTHING])
     assert "would tell stribeck on joint_2 from presliding on joint_2. What may: another posture" in said.text
     assert said.separates == ("presliding", "stribeck")
