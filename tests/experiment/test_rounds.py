@@ -86,7 +86,7 @@ def ask(tmp_path: Path, monkeypatch):
         plans = iter(motions or [Motion(), Motion(), NONE])
         made.clear()
 
-        def plan(found, recipe, console, seconds, name):
+        def plan(found, recipe, console, seconds, name, **_):
             made.append((recipe.motion.speed, seconds))
             motion = next(plans)
             if isinstance(motion, BaseException):
