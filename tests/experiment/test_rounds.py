@@ -121,7 +121,7 @@ def test_rounds_end_when_it_is_settled_and_all_logs_count(ask):
         "what was run, not what a person was not asked"
     )
     assert found.end == "settled: explained"
-    assert found.said == "explained: stribeck on joint_2"
+    assert found.said == "explained: friction rises as the joint slows down (stribeck) on joint_2"
     assert found.cut_short is None
 
 
