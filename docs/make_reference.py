@@ -19,6 +19,7 @@ def reference() -> str:
     lines += ["## Exit codes", "", "| code | class | what |", "| --- | --- | --- |", *_exit_codes(), ""]
     lines += ["## Recipe keys", "", "| key | type | default |", "| --- | --- | --- |", *_keys(), ""]
     lines += ["## Effects", "", *_effects(), ""]
+    lines += ["## Effects of the emulator", "", *_simulated(), ""]
     lines += ["## Limits of the diagnosis", "", *_limits(), ""]
     return "\n".join(lines)
 
@@ -132,6 +133,21 @@ def _effects() -> Iterator[str]:
             f"{100 * effect.practical:g} %",
             effect.source,
         )
+        yield "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+
+
+def _simulated() -> Iterator[str]:
+    from fake_controller.effects_list import listed_effects
+
+    yield "`agent emulator --list-effects` prints them. Joints go by their names, as in `joint_4`."
+    yield ""
+    yield "| effect | joints | parameters: unit, default | what it does |"
+    yield "| --- | --- | --- | --- |"
+    for effect in listed_effects():
+        parameters = "; ".join(
+            f"`{name}`: {', '.join(filter(None, (unit, default)))}" for name, unit, default in effect.parameters
+        )
+        cells = (f"`{effect.name}`", effect.joints, parameters, effect.words)
         yield "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
 
 

@@ -26,6 +26,11 @@ SWITCH_INTERVAL = 0.0005
 def main(arguments: list[str] | None = None) -> int:
     """Serve until SIGTERM or SIGINT; returns the exit code."""
     options = _parser().parse_args(arguments)
+    if options.list_effects:
+        from fake_controller.effects_list import effects_text
+
+        print(effects_text())
+        return 0
     sys.setswitchinterval(SWITCH_INTERVAL)
     done = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
@@ -102,7 +107,7 @@ def _controller(options: argparse.Namespace) -> Controller:
         setup.seed if options.seed is None else options.seed,
         options.clock,
         [*setup.effects, *(_effects(options.effects) if options.effects else ())],
-        [] if scenario is None else scenario.build_faults(),
+        [] if scenario is None else scenario.build_faults(options.robot),
         options.model,
         options.interpolator,
     )
@@ -159,6 +164,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--scenario", type=Path, help="what is set up and what goes wrong; docs/scenarios.md")
     parser.add_argument("--effects", type=Path, help="JSON list of effects to build into the arm")
+    parser.add_argument("--list-effects", action="store_true", help="print the effects and their parameters, and end")
     parser.add_argument("--model", type=Path, help="model file that the arm is to be like, effects included")
     parser.add_argument(
         "--interpolator",

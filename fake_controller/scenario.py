@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
-from agent.core import load_document
+from agent.core import InputError, load_document
 from agent.recipe import Time
+from agent.robot import load_robot
 from fake_controller.faults import NOT_ON, Fault
 from fake_controller.servers import WIRES
 
@@ -49,22 +51,29 @@ class FaultSection(_Section):
     phase: str
     after: Time = 0.0
     value: Annotated[float, Field(ge=0)] = 0.0
-    joint: Annotated[int, Field(ge=1)] = 1
+    joint: Annotated[int, Field(ge=1)] | str = 1
 
     @model_validator(mode="after")
     def _makes_sense(self) -> FaultSection:
-        self.build()
+        self.build(() if isinstance(self.joint, int) else (self.joint,))
         return self
 
-    def build(self) -> Fault:
-        """The fault itself."""
-        return Fault(self.fault, self.phase, self.after, self.value, self.joint)
+    def build(self, joints: Sequence[str] = ()) -> Fault:
+        """The fault itself; `joints` are the robot's, where this one is named.
+
+        Raises:
+            InputError: the robot has no joint of that name.
+        """
+        if isinstance(self.joint, str) and self.joint not in joints:
+            raise InputError(f"faults: joint: there is no {self.joint!r}; there are {', '.join(joints)}")
+        joint = self.joint if isinstance(self.joint, int) else 1 + list(joints).index(self.joint)
+        return Fault(self.fault, self.phase, self.after, self.value, joint)
 
 
 class ExpectSection(_Section):
     """How `agent record` must end: its exit code, how often the arm was set in motion, and what is left."""
 
-    exit_code: int
+    exit_code: int = 0
     motions: Annotated[int, Field(ge=0)] = 1
     controlled_stop: bool = True
     log_readable: bool = True
@@ -73,14 +82,15 @@ class ExpectSection(_Section):
 class Scenario(_Section):
     """The whole file. `interrupt`: Ctrl-C after so much motion, where the fault strikes on the stop.
 
-    `elsewhere` has the wires, by name, on which it ends in another way than on most.
+    `expect` is for the tests; by hand it may be left out. `elsewhere` has the wires, by name, on which it ends in
+    another way than on most.
     """
 
     title: str
     setup: SetupSection = SetupSection()
     faults: tuple[FaultSection, ...] = ()
     interrupt: Time | None = None
-    expect: ExpectSection
+    expect: ExpectSection = ExpectSection()
     elsewhere: dict[str, ExpectSection] = {}
 
     @field_validator("elsewhere")
@@ -100,9 +110,11 @@ class Scenario(_Section):
         """How it must end on this wire."""
         return self.elsewhere.get(wire, self.expect)
 
-    def build_faults(self) -> list[Fault]:
-        """The faults themselves."""
-        return [section.build() for section in self.faults]
+    def build_faults(self, robot: str | None = None) -> list[Fault]:
+        """The faults themselves, of the `robot` where another one is named than in the file."""
+        named = any(isinstance(section.joint, str) for section in self.faults)
+        joints = load_robot(robot or self.setup.robot).joint_names if named else ()
+        return [section.build(joints) for section in self.faults]
 
 
 def load_scenario(path: Path) -> Scenario:

@@ -6,7 +6,7 @@ import os
 import sys
 from contextlib import nullcontext
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -215,22 +215,31 @@ def diagnose(
     drives_off: opt.DrivesOff = None,
     until_sure: opt.UntilSure = False,
     budget: opt.Budget = None,
+    planning_budget: opt.PlanningBudget = "60 s",
     runs: opt.RunsFolder = Path("logs"),
     yes: opt.Yes = False,
     messages: opt.Messages = None,
 ) -> None:
     """The gap between model and robot: where it lies, which effect causes it, how far it shrinks."""
-    from agent.pipeline import GapQuestion, diagnose_files, diagnose_recording, diagnosis_text
+    from agent.pipeline import BUDGET, GapQuestion, budget_of, diagnose_files, diagnose_recording, planning_time
 
-    left_out = tuple(without or ())
+    left_out, planning = tuple(without or ()), planning_time(planning_budget)
     question = GapQuestion(
-        model, joint_map, cutoff, left_out, report, out, allow_mixed, force, next_recipe, load, drives_off, topic
+        model,
+        joint_map,
+        cutoff,
+        left_out,
+        report,
+        out,
+        allow_mixed,
+        force,
+        next_recipe,
+        load,
+        drives_off,
+        topic,
+        planning,
     )
     console = opt.console_for(messages)
-
-    def show(found: dict[str, Any]) -> None:
-        opt.print_found(as_json, found, diagnosis_text(found))
-
     if budget is not None and not until_sure:
         raise InputError("diagnose: --budget is of the further motions of --until-sure: give that too, or leave it out")
     if until_sure and next_recipe is not None:
@@ -238,10 +247,9 @@ def diagnose(
     if record is not None:
         if logs or robot:
             raise InputError("diagnose: --record records its own logs of the recipe's robot: leave out LOG and --robot")
-        from agent.pipeline import BUDGET, budget_of
-
         motion = budget_of(BUDGET if budget is None else budget) if until_sure else None
-        result = diagnose_recording(record, question, console, runs, yes, motion, show)
+        with opt.diagnosis_shown(as_json) as show:
+            diagnose_recording(record, question, console, runs, yes, motion, show)
     elif until_sure:
         raise InputError("diagnose: --until-sure moves the robot: name the recipe to record with --record RECIPE")
     elif not logs or not (robot or model):
@@ -250,8 +258,8 @@ def diagnose(
             "to record (--record)"
         )
     else:
-        result = diagnose_files(robot, logs, question, console, show)
-    show(result)
+        with opt.diagnosis_shown(as_json) as show:
+            diagnose_files(robot, logs, question, console, show)
 
 
 @app.command("blind-check")

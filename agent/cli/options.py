@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -55,8 +57,9 @@ UntilSure = Annotated[bool, typer.Option("--until-sure", help="with --record: fu
 Budget = Annotated[
     str | None, typer.Option("--budget", metavar="TIME", help="of motion for --until-sure; 10 min if absent")
 ]
-
-
+PlanningBudget = Annotated[
+    str, typer.Option("--planning-budget", metavar="TIME", help="for planning a further motion, after the verdict")
+]
 Scheduler = Annotated[
     str | None, typer.Option("--scheduler", metavar="ADDRESS", help="of a Dask cluster, tcp://…; else this machine")
 ]
@@ -88,3 +91,28 @@ def print_found(as_json: bool, found: Any, text: str | None = None) -> None:
         print_json(found if isinstance(found, dict) else found.to_dict())
     else:
         print_text(found.text() if text is None else text)
+
+
+@contextmanager
+def diagnosis_shown(as_json: bool) -> Iterator[Callable[[dict[str, Any]], None]]:
+    """Show a diagnosis as often as there is more of it: for people at once, first the verdict, then what was planned.
+
+    As JSON it is one object on stdout: the last one, also where the work ends with an error.
+    """
+    from agent.core import print_json, print_text
+    from agent.pipeline import diagnosis_text, planned_text
+
+    last: dict[str, Any] = {}
+
+    def show(found: dict[str, Any]) -> None:
+        if not as_json and not last:
+            print_text(diagnosis_text(found))
+        elif not as_json and found["next_experiment"] != last["next_experiment"]:
+            print_text(planned_text(found))
+        last.update(found)
+
+    try:
+        yield show
+    finally:
+        if as_json and last:
+            print_json(last)

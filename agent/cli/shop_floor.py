@@ -157,11 +157,19 @@ def export(
     table: Annotated[bool, typer.Option("--csv", help="the table of parameters alone; of any model")] = False,
 ) -> None:
     """Write a model for other programs: URDF, MuJoCo model, SDF, friction, CSV, Foxglove layout. Prints the paths."""
-    from agent.model import IdentifiedModel, export_model, export_table
+    from agent.model import IdentifiedModel, export_model, export_table, possible_model
 
     if out.exists() and not out.is_dir():
         raise InputError(f"{out}: is a file; name a folder to write to")
-    for path in (export_table if table else export_model)(IdentifiedModel.load(model), out):
+    loaded = IdentifiedModel.load(model)
+    if table:
+        paths = export_table(loaded, out)
+    else:
+        loaded, note = possible_model(loaded)
+        if note:
+            print(f"agent: {note}", file=sys.stderr)
+        paths = export_model(loaded, out)
+    for path in paths:
         print(path)
 
 

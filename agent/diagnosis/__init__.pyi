@@ -15,17 +15,7 @@ from .forward_windows import (
     forward_warning as forward_warning,
 )
 from .isolability import best_by_place as best_by_place, complexity as complexity, plausible as plausible
-from .labels import (
-    REGIMES as REGIMES,
-    closes as closes,
-    confidence_phrase as confidence_phrase,
-    in_torque as in_torque,
-    look_at as look_at,
-    name as name,
-    phrase as phrase,
-    place as place,
-    torque_gap as torque_gap,
-)
+from .labels import in_torque as in_torque, torque_gap as torque_gap
 from .limits import DecisionLimits as DecisionLimits
 from .needs import Excursions as Excursions
 from .procedure import Search as Search
@@ -36,7 +26,6 @@ from .rivals import exact_in_both as exact_in_both
 from .servo_torque import with_servo_torque as with_servo_torque
 from .sizes import (
     amplitude as amplitude,
-    intervals as intervals,
     leading_parameter as leading_parameter,
     reported_parameters as reported_parameters,
     size_text as size_text,

@@ -28,6 +28,7 @@ _EQUAL = 0.9  # of the best gain, from where on the plainer group is taken
 _MOVED = 100  # standard deviations in the file, from where on a base parameter has moved
 _DRAWS = 200  # of blocks of motion, for an interval
 _INTERVAL = (5, 95)  # per cent
+_HELD = 1e-6  # of the stored covariance: the model's parameters stay where they are
 _UNLOADED = 0.1  # of a joint's torque, that holding its load makes at most
 #: What is left, as the last step.
 REMAINDER = "remainder"
@@ -151,8 +152,8 @@ def _released(dataset: Dataset, groups: Sequence[Group]) -> Fit:
 def waterfall(found: ReleasedSimulator, finding: Finding, gap: HeldOutGap) -> tuple[WaterfallStep, ...]:
     """What each released group, then each effect, closes of the held-out gap: alone, and in the order found.
 
-    Of a model that nothing is released of, what its own parameters take away comes first: they may move as far as
-    their stored uncertainty allows, also on joints where no effect is.
+    Of a model that nothing is released of, the effects come first, with its numbers as they are. What its own
+    parameters close after that, within their stored uncertainty and also on other joints, is a step of its own.
 
     `gap` is that of the simulator as given, with everything found; empty where there is nothing to close.
     """
@@ -162,14 +163,20 @@ def waterfall(found: ReleasedSimulator, finding: Finding, gap: HeldOutGap) -> tu
     fits = [_released(dataset, found.groups[: k + 1]) for k in range(len(found.groups))]
     alone = [_released(dataset, [group]).out_of_fold() for group in found.groups]
     texts = [group.text(names) for group in found.groups]
-    last = fits[-1] if fits else dataset.fit
-    own = replace(gap, after=rms(gap.beyond(last.out_of_fold())) / gap.unit)
-    if not fits and own.absorbed >= dataset.limits.least_share:
-        fits, alone, texts = [last], [last.out_of_fold()], [OWN_PARAMETERS]
+    plain, moved = dataset.fit, dataset.fit.with_chosen(finding.causes)
+    if not found.groups:
+        held = plain.with_prior(precision_of(_HELD * dataset.model.covariance))
+        by_effects, by_both = (_absorbed(gap, fit) for fit in (held.with_chosen(finding.causes), moved))
+        plain = held if by_both - by_effects >= dataset.limits.least_share else plain
+    last = fits[-1] if fits else plain
     for k, candidate in enumerate(finding.causes):
         fits.append(last.with_chosen(finding.causes[: k + 1]))
-        alone.append(dataset.fit.with_chosen((candidate,)).out_of_fold(candidate.once))
+        alone.append(plain.with_chosen((candidate,)).out_of_fold(candidate.once))
         texts.append(candidate.text(names))
+    if plain is not dataset.fit:
+        fits.append(moved)
+        alone.append(dataset.fit.out_of_fold())
+        texts.append(OWN_PARAMETERS)
     stages = [fit.out_of_fold(fit.once) for fit in fits]
     errors = [gap.raw, *(gap.beyond(stage) for stage in (*stages, *alone))]
     energy = np.stack([_energy(error / gap.unit, dataset.fit.block) for error in errors])
@@ -197,6 +204,10 @@ def waterfall(found: ReleasedSimulator, finding: Finding, gap: HeldOutGap) -> tu
         )
         for k, text in enumerate([*texts, REMAINDER])
     )
+
+
+def _absorbed(gap: HeldOutGap, fit: Fit) -> float:
+    return replace(gap, after=rms(gap.beyond(fit.out_of_fold(fit.once))) / gap.unit).absorbed
 
 
 def _energy(rows: np.ndarray, block: np.ndarray) -> np.ndarray:

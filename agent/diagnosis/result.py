@@ -28,6 +28,7 @@ from agent.diagnosis.held_torque import HeldTorque
 from agent.diagnosis.motion_gap import MotionGap
 from agent.diagnosis.procedure import Search
 from agent.diagnosis.regimes import regimes
+from agent.diagnosis.sizes import intervals
 from agent.diagnosis.testability import effects_of_path, not_testable
 from agent.diagnosis.verdict import causes_of, settle, with_path
 from agent.model import CATALOGUE, PAYLOAD, servo_stiffness
@@ -60,8 +61,8 @@ class Diagnosis:
 
     @cached_property
     def result(self) -> dict[str, Any]:
-        """The answer as plain data."""
-        return self.answer.to_dict()
+        """The answer as plain data, with the 95 % intervals of every cause's parameters."""
+        return {**self.answer.to_dict(), "intervals": intervals(self.finding)}
 
 
 def build(

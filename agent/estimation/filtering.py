@@ -32,6 +32,7 @@ DEFAULT_CUTOFF = 30.0
 #: Gaps of at most so many periods of the cut-off are bridged: little of what passes the filter turns within one.
 _Responses = Callable[[np.ndarray], list[np.ndarray]]  # over frequency [Hz]
 _BRIDGED = 1.0
+_FAR = 1e9  # of the cut-off: beyond it nothing passes, and a power of it would overflow
 _HALF_BAND = 4.0  # half of a transition band, in standard deviations of the Gaussian that makes it
 _PIECE = 30_000  # samples worked on at a time
 _TOGETHER = 16  # signals transformed at a time, so that they stay in the cache
@@ -84,7 +85,7 @@ class Motion:
 
         def response(frequency: np.ndarray) -> list[np.ndarray]:
             warped = np.tan(np.pi * np.minimum(frequency / self.rate, 0.5)) / np.tan(np.pi * self.cutoff / self.rate)
-            return [1 / (1 + warped ** (2 * self.order))]
+            return [1 / (1 + np.minimum(warped, _FAR) ** (2 * self.order))]
 
         first, stop = self.edge // every, -(-(len(self.time) - self.edge - self.edge % every) // every)
         return _respond(signals, self.rate / every, response, slice(first, stop, self.step // every))[0]

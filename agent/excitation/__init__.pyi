@@ -5,4 +5,4 @@ from .criterion import (
 )
 from .loop_search import search as search
 from .scoring import LoopScore as LoopScore, ranking as ranking
-from .sub_region import check_sub_region as check_sub_region
+from .sub_region import check_sub_region as check_sub_region, working_box as working_box

@@ -10,11 +10,15 @@ import numpy as np
 
 from agent.core import InputError
 from agent.excitation.candidates import CORNERS, MIDDLE, TURNED, LoopProblem
-from agent.motion import pose_to_pos
-from agent.robot import Kinematics, KinematicsError, kinematics_for
+from agent.motion import ViaRegions, pose_to_pos
+from agent.robot import Kinematics, KinematicsError, RobotDescription, kinematics_for
 
 #: Where in a via-point's region it is asked: the middle, the corners of its position and the ends of its orientation.
 _PLACES = {**MIDDLE, **CORNERS, **TURNED}
+#: Boxes that are tried for an arm, as parts of its reach: distance and height of the centre, and edges.
+_AHEAD, _HEIGHT, _EDGES = (0.5, 0.6, 0.4, 0.7, 0.3), (0.3, 0.45, 0.15, 0.6, 0.0), (0.2, 0.3, 0.15)
+#: Tool orientations (Euler ZYZ, deg) that point down: of a z axis along the last axis, and of an x axis.
+_DOWN = ((0.0, 180.0, 0.0), (0.0, 90.0, 0.0))
 
 
 @dataclass(frozen=True)
@@ -57,6 +61,34 @@ def check_sub_region(problem: LoopProblem) -> list[OutOfReach]:
                 f"move or shrink motion.via_points{_turned(kinematics, middle)}"
             )
     return missed
+
+
+@dataclass(frozen=True)
+class WorkingBox:
+    """A sub-region in the base frame: centre and size (3,) [m], orientation (3,) Euler ZYZ and cone [deg]."""
+
+    centre: tuple[float, ...]
+    size: tuple[float, ...]
+    orientation: tuple[float, ...]
+    cone: float
+
+
+def working_box(robot: RobotDescription) -> WorkingBox | None:
+    """A box in front of an arm all of which it reaches, as large and with as much tilt as may be; None: none found."""
+    kinematics = kinematics_for(robot, None)
+    lower, upper = (np.clip(limit, -np.pi, np.pi) for limit in robot.position_limits)
+    postures = np.random.default_rng(0).uniform(lower, upper, (200, robot.dof))
+    reach = float(np.linalg.norm(kinematics.forward(postures)[:, :3, 3], axis=1).max())
+    for shrink, cone in ((1.0, 30.0), (0.5, 10.0)):
+        for orientation, height, ahead in product(_DOWN, _HEIGHT, _AHEAD):
+            centre = tuple(round(part * reach, 2) for part in (ahead, 0.0, height))
+            size = tuple(max(round(float(shrink * reach * edge), 2), 0.01) for edge in _EDGES)
+            turn = [float(np.radians(angle)) for angle in orientation]
+            regions = ViaRegions.from_box(1, centre, size, turn, float(np.radians(cone)))
+            poses = (regions.poses(genes)[0] for genes in _PLACES.values())
+            if all(_complaint(kinematics, pose) is None for pose in poses):
+                return WorkingBox(centre, size, orientation, cone)
+    return None
 
 
 def _turned(kinematics: Kinematics, pose: np.ndarray) -> str:

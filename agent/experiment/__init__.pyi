@@ -1,3 +1,4 @@
+from .deadline import Deadline as Deadline, OutOfTime as OutOfTime
 from .otherwise import (
     Pick as Pick,
     as_drawn as as_drawn,

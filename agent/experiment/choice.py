@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 
 import numpy as np
 
 from agent.diagnosis import Diagnosis
 from agent.excitation import LoopProblem
+from agent.experiment.deadline import OutOfTime
 from agent.experiment.pieces import Piece
 from agent.experiment.questions import OpenPair
 from agent.experiment.rehearsal import Rehearsal, said_by
@@ -37,6 +39,20 @@ def best_rehearsed(
     the highest of many has been lucky (successive halving: Karnin, Koren and Somekh, ICML 2013).
     """
     worth = np.zeros(len(designs))
+    try:
+        return _raced(designs, worth, settled, seed, progress)
+    except OutOfTime:
+        return list(designs[int(np.argmax(worth))])
+
+
+def _raced(
+    designs: Sequence[list[Piece]],
+    worth: np.ndarray,
+    settled: Callable[[Sequence[Piece], int, int], float],
+    seed: int,
+    progress: Callable[[str], None],
+) -> list[Piece]:
+    """The best design; what is known of each is in `worth` (designs,) from then on."""
     for number, design in enumerate(designs):
         progress(f"motion {number + 1} of {len(designs)} is rehearsed")
         worth[number] = settled(design, _TRIAL_DRAWS, seed)
@@ -60,20 +76,27 @@ def _shortened(
 
     For a motion that is nearly sure to tell: of others a few rehearsals do not say what less of it would cost.
     """
-    for piece in sorted(design, key=lambda piece: -piece.duration)[:_LEFT_OUT]:
-        without = [other for other in design if other is not piece]
-        progress(f"the motion is rehearsed without {piece.duration:.0f} s of it")
-        if without and settled(without) >= worth:
-            design = without
+    with suppress(OutOfTime):
+        for piece in sorted(design, key=lambda piece: -piece.duration)[:_LEFT_OUT]:
+            without = [other for other in design if other is not piece]
+            progress(f"the motion is rehearsed without {piece.duration:.0f} s of it")
+            if without and settled(without) >= worth:
+                design = without
     return design
 
 
 def settled(
-    found: Diagnosis, pairs: Sequence[OpenPair], problem: LoopProblem, design: Sequence[Piece], draws: int, seed: int
+    found: Diagnosis,
+    pairs: Sequence[OpenPair],
+    problem: LoopProblem,
+    progress: Callable[[str], None],
+    design: Sequence[Piece],
+    draws: int,
+    seed: int,
 ) -> float:
     """Share of rehearsals that name what is true alone, and with less weight of pairs that are told apart."""
     names = found.dataset.robot.joint_names
-    said = Rehearsal(found, pairs, [piece.motion for piece in design], problem.load).said(draws, seed, _TRIED)
+    said = Rehearsal(found, pairs, [piece.motion for piece in design], problem.load, progress).said(draws, seed, _TRIED)
     alone = [one.settles(place) for place, answers in said.items() for one in answers]
     open_pairs = [
         (a.place(names), b.place(names)) for p in pairs for a, b in ((p.first, p.second), (p.second, p.first))

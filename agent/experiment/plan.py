@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 
@@ -11,6 +12,7 @@ import numpy as np
 from agent.diagnosis import Diagnosis
 from agent.excitation import LoopProblem
 from agent.experiment.choice import best_rehearsed, rehearsed, settled
+from agent.experiment.deadline import Deadline, OutOfTime
 from agent.experiment.otherwise import Pick, d_optimal, together
 from agent.experiment.outlook import Outlook, Told
 from agent.experiment.pieces import Piece, Pieces
@@ -32,6 +34,9 @@ _KNOWN = 0.9
 #: Of the time so much asks what is open, where there are rivals, and the rest says most of everything: rehearsals know
 #: neither laws that nobody thought of nor how a model errs at speeds that it was not seen at.
 _ASKED = 0.5
+#: Parts of the time for planning by which pieces are drawn, varied, and the motions rehearsed; the rest says what is
+#: expected of the best.
+_DRAWN_BY, _VARIED_BY, _REHEARSED_BY = 0.3, 0.45, 0.8
 #: A further piece raises what is expected by at least so much.
 _LEAST_IMPROVEMENT = 0.01
 
@@ -52,11 +57,13 @@ class Expected:
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
-    """A motion as pieces, and what it is expected to tell. No pieces: no motion in the sub-region tells more."""
+    """A motion as pieces, and what it is expected to tell. No pieces: no motion in the sub-region tells more, as far as
+    it was searched: `cut_short` says that there was no time to weigh all."""
 
     pieces: tuple[Piece, ...]
     expected: tuple[Expected, ...]
     weighed: int
+    cut_short: bool = False
 
     @property
     def duration(self) -> float:
@@ -70,13 +77,14 @@ def plan_experiment(  # noqa: C901
     problem: LoopProblem,
     seconds: float = 60.0,
     seed: int = 1,
-    progress: Callable[[str], None] = lambda text: None,
+    deadline: Deadline | None = None,
     runnable: Callable[[Sequence[Piece]], bool] = lambda pieces: True,
 ) -> Experiment:
     """The motion of at most `seconds` in the problem's sub-region that settles most of what is open (`pairs`).
 
-    The worst pair counts first. The same seed gives the same motion. `runnable` says whether pieces can be run one
-    after the other: while they cannot, the last one is left out.
+    The worst pair counts first. The same seed gives the same motion, where the `deadline` does not end the search
+    before: then it is the best of what was weighed. `runnable` says whether pieces can be run one after the other:
+    while they cannot, the last one is left out.
 
     Raises:
         InputError: as `agent.excitation.Candidates`.
@@ -84,10 +92,14 @@ def plan_experiment(  # noqa: C901
     outlook = Outlook(found.dataset, pairs, problem.load)
     pieces = Pieces(problem, _joints(found, pairs), (1 - _WAYS) * seconds, np.random.default_rng(seed))
     pool: list[tuple[Piece, Told]] = []
-    for number in range(_POOL):
-        progress(f"motions that would tell more: {number + 1} of {_POOL} weighed")
-        if (piece := pieces.draw()) is not None:
-            pool.append((piece, outlook.told(piece.motion)))
+    deadline = deadline or Deadline()
+    cut_short = True
+    with suppress(OutOfTime):
+        for number in range(_POOL):
+            deadline.share(_DRAWN_BY)(f"motions that would tell more: {number + 1} of {_POOL} weighed")
+            if (piece := pieces.draw()) is not None:
+                pool.append((piece, outlook.told(piece.motion)))
+        cut_short = False
     before_if = outlook.chances(outlook.nothing)
     at_best = _at_best(outlook, pool, (1 - _WAYS) * seconds)
     least_known = _KNOWN if np.any(before_if <= _KNOWN) else 1.0
@@ -96,14 +108,14 @@ def plan_experiment(  # noqa: C901
     sides = wanted & (at_best > np.maximum(before_if, _WITHIN_REACH))
     asked = sides.any(axis=1) | doubtful
     if not asked.any():
-        return Experiment((), (), len(pool))
+        return Experiment((), (), len(pool), cut_short)
     longest = (1 - _WAYS) * seconds
 
     def designed(wanted: np.ndarray, longest: float) -> list[Piece]:
         chosen = _greedy(outlook, pool, longest, wanted)
-        for number in range(len(chosen)):
-            for _ in range(_NEIGHBOURS):
-                progress(f"piece {number + 1} of {len(chosen)} is varied")
+        with suppress(OutOfTime):
+            for number in np.repeat(range(len(chosen)), _NEIGHBOURS):
+                deadline.share(_VARIED_BY)(f"piece {number + 1} of {len(chosen)} is varied")
                 other = pieces.vary(chosen[number][0])
                 if other is None:
                     continue
@@ -128,7 +140,8 @@ def plan_experiment(  # noqa: C901
     designs = [design for design in map(partial(_runnable, runnable), designs) if design]
     best: list[Piece] = []
     if rivals.any() and designs:
-        best = best_rehearsed(designs, partial(settled, found, pairs, problem), seed, progress)
+        rehearsing = deadline.share(_REHEARSED_BY)
+        best = best_rehearsed(designs, partial(settled, found, pairs, problem, rehearsing), seed, rehearsing)
     elif designs:  # what fills the time may hide what is asked about, as all of it counts
         best = next((one for one in designs if np.any(chances_after(one)[sides] > _WITHIN_REACH)), designs[-1])
     while best and not runnable(best):  # what runs last is what is taken
@@ -136,14 +149,15 @@ def plan_experiment(  # noqa: C901
     added = sum((outlook.told(piece.motion) for piece in best), outlook.nothing)
     after_if, detectable = outlook.chances(added), outlook.minimum_detectable_sizes(added)
     if best and rivals.any():
-        before_if, after_if = rehearsed(found, pairs, best, problem, seed + 2, progress)
+        with suppress(OutOfTime):  # else what is expected is what the criterion says of it
+            before_if, after_if = rehearsed(found, pairs, best, problem, seed + 2, deadline)
     expected = tuple(
         Expected(
             pairs[k], _mean(before_if[k]), _mean(after_if[k]), _known(before_if[k]), _known(after_if[k]), detectable[k]
         )
         for k in map(int, np.flatnonzero(asked | _named(found, pairs)))
     )
-    return Experiment(tuple(best), expected, len(pool))
+    return Experiment(tuple(best), expected, len(pool), cut_short)
 
 
 def _named(found: Diagnosis, pairs: Sequence[OpenPair]) -> np.ndarray:

@@ -104,9 +104,10 @@ class Rehearsal:
         beside = {side.place(names): pair.fit.chosen for pair in self._pairs for side in (pair.second, pair.first)}
         found: dict[Place, list[Said]] = {}
         for k, (place, chosen) in enumerate(list(beside.items())[:most]):
-            self._progress(f"the motion is rehearsed with {place[0]} taken for true")
-            drawn = self._drawn(place, chosen, draws, np.random.default_rng([seed, k]))
-            found[place] = [self._answer(left) for left in drawn]
+            found[place] = []
+            for left in self._drawn(place, chosen, draws, np.random.default_rng([seed, k])):
+                self._progress(f"the motion is rehearsed with {place[0]} taken for true")
+                found[place].append(self._answer(left))
         return found
 
     def _answer(self, left: np.ndarray) -> Said:

@@ -11,8 +11,10 @@ from .friction_terms import (
     steady_columns as steady_columns,
 )
 from .identified import (
+    USUAL_CONDITION as USUAL_CONDITION,
     IdentifiedModel as IdentifiedModel,
     condition_text as condition_text,
+    judged_condition as judged_condition,
 )
 from .known_load import (
     PAYLOAD as PAYLOAD,
@@ -21,6 +23,7 @@ from .known_load import (
     payload_of as payload_of,
     payload_text as payload_text,
 )
+from .nearest_bodies import possible_model as possible_model
 from .regimes import REGIMES as REGIMES, regime_masks as regime_masks, standstill_speed as standstill_speed
 from .rigid_friction import ModelEffect as ModelEffect, ParameterPrior as ParameterPrior
 from .signals import MotionSignals as MotionSignals, NominalModel as NominalModel

@@ -18,6 +18,10 @@ from agent.robot import RobotDescription
 SCHEMA = "model/1"
 
 
+#: Rule of thumb for exciting trajectories (Gautier and Khalil 1992).
+USUAL_CONDITION = 100
+
+
 @dataclass(frozen=True, eq=False)
 class IdentifiedModel(RigidFrictionModel):
     """A fitted model of one robot, self-contained: its data, and what can be asked of them."""
@@ -104,7 +108,7 @@ class IdentifiedModel(RigidFrictionModel):
         rows = [row[:5] for row in self.rows()]
         widths = [max(len(row[k]) for row in rows) for k in range(5)]
         lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) for row in rows]
-        lines.append(f"condition number of the scaled observation matrix: {condition_text(self.condition_number)}")
+        lines.append(f"condition number of the scaled observation matrix: {judged_condition(self.condition_number)}")
         errors = "  ".join(
             f"{joint.name} {error:.3g} {'N' if joint.prismatic else 'N·m'}"
             for joint, error in zip(self.robot.joints, self.held_out_rmse, strict=True)
@@ -276,6 +280,16 @@ def _axle(robot: RobotDescription, joint: str) -> int:
 def condition_text(number: float) -> str:
     """A condition number as every page and summary shows it."""
     return f"{number:.0f}" if np.isfinite(number) else "beyond 1e7"
+
+
+def judged_condition(number: float) -> str:
+    """A condition number and whether it matters: it says how well single parameters are known, not predictions."""
+    if number < USUAL_CONDITION:
+        return f"{condition_text(number)} (below {USUAL_CONDITION}: single parameters are well known)"
+    return (
+        f"{condition_text(number)} (above {USUAL_CONDITION}: some parameters are known in combination only; "
+        "predicted torque does not suffer)"
+    )
 
 
 def _standard_unit(name: str) -> str:

@@ -94,7 +94,7 @@ def from_pseudo_inertia(matrix: np.ndarray) -> np.ndarray:
 def _nearest(model: RigidFrictionModel) -> np.ndarray | None:
     """(11 n,) nearest to the URDF, or None where there is none."""
     layout = ParameterLayout.of(model.robot)
-    start = _reference(model)
+    start = reference_parameters(model)
     slope = log_det_gradient(start, layout)
     # in units of the curvature at the start, and with rows of unit length
     scale = 1 / np.sqrt(np.diag(log_det_hessian(start, layout)))
@@ -115,7 +115,7 @@ def _nearest(model: RigidFrictionModel) -> np.ndarray | None:
         kkt[:size, size:], kkt[size:, :size] = rows.T, rows
         step = np.linalg.solve(kkt, -left)
         share = 1.0
-        while not _inside(scale * (unknown + share * step[:size]), layout) or np.linalg.norm(
+        while not is_inside(scale * (unknown + share * step[:size]), layout) or np.linalg.norm(
             new := residual(unknown + share * step[:size], dual + share * step[size:])
         ) > (1 - 0.01 * share) * np.linalg.norm(left):
             share /= 2
@@ -130,7 +130,7 @@ def _nearest(model: RigidFrictionModel) -> np.ndarray | None:
     # the last digits: the shortest correction onto P π = β
     found = found + scale * (np.linalg.pinv(rows) @ (target - rows @ (found / scale)))
     fits = np.linalg.norm(rows @ unknown - target) <= 1e-8 * np.linalg.norm(target)
-    return found if fits and _inside(found, layout) else None
+    return found if fits and is_inside(found, layout) else None
 
 
 def log_det_gradient(standard: np.ndarray, layout: ParameterLayout) -> np.ndarray:
@@ -150,7 +150,8 @@ def log_det_hessian(standard: np.ndarray, layout: ParameterLayout) -> np.ndarray
     return hessian
 
 
-def _inside(standard: np.ndarray, layout: ParameterLayout) -> bool:
+def is_inside(standard: np.ndarray, layout: ParameterLayout) -> bool:
+    """Whether (11 n,) are bodies that could exist, and rotors above zero."""
     if np.any(standard[layout.rotors] <= 0) or np.any(layout.blocks(standard)[:, 0] <= 0):
         return False
     try:
@@ -161,7 +162,7 @@ def _inside(standard: np.ndarray, layout: ParameterLayout) -> bool:
     return True
 
 
-def _reference(model: RigidFrictionModel) -> np.ndarray:
+def reference_parameters(model: RigidFrictionModel) -> np.ndarray:
     """(11 n,) of the URDF and the description, made physical where they are not."""
     robot, dynamics = model.robot, model.rigid.dynamics
     n = robot.dof

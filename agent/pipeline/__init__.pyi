@@ -21,9 +21,9 @@ from .identify import (
 from .init import write_recipe as write_recipe
 from .learn import learn_files as learn_files
 from .plan import PlanFiles as PlanFiles, plan_recipe as plan_recipe
-from .printed_diagnosis import diagnosis_text as diagnosis_text
+from .printed_diagnosis import diagnosis_text as diagnosis_text, planned_text as planned_text
 from .rebuilt_report import rebuild_report as rebuild_report
 from .recalibrate import run_recalibration as run_recalibration
 from .reports import write_index as write_index
 from .schedule import install as install, make_schedule as make_schedule, next_steps as next_steps
-from .until_sure import BUDGET as BUDGET, budget_of as budget_of
+from .until_sure import BUDGET as BUDGET, budget_of as budget_of, planning_time as planning_time

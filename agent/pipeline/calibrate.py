@@ -39,7 +39,7 @@ class CalibrationOutcome:
 
     def summary(self) -> str:
         """One screen."""
-        from agent.model import condition_text
+        from agent.model import judged_condition
 
         result, validation = self.result, self.result.validation
         axes = "  ".join(
@@ -58,7 +58,7 @@ class CalibrationOutcome:
             [
                 "",
                 f"fitness             {result.search.fitness:.2f}  (log10 det(HᵀH/M), higher is better)",
-                f"condition number    {condition_text(result.estimation.condition_number)}  (below 100 is good)",
+                f"condition number    {judged_condition(result.estimation.condition_number)}",
                 f"prediction error    {axes}",
                 f"                    {of}, {counted(validation.motions, 'unseen motion')} at {validation.speed:g} m/s",
                 "result              "

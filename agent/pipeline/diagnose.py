@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from agent.model import IdentifiedModel, Simulator
     from agent.pipeline.until_sure import Found, Rounds
     from agent.recording import Log
-    from agent.report import NextStep
 
 
 #: The model that was the simulator, as a run folder keeps it: the file that was named may be another one later.
@@ -35,20 +34,20 @@ def diagnose_files(
     paths: Sequence[Path],
     question: GapQuestion,
     console: Console,
-    unfinished: Callable[[dict[str, Any]], None] = lambda result: None,
+    told: Callable[[dict[str, Any]], None] = lambda result: None,
 ) -> dict[str, Any]:
     """Diagnose logs; returns the result of docs/diagnosis.md, and writes what is asked for.
 
-    Without a `robot` the model says what the arm is. Where the planning of a further motion fails or is stopped,
-    `unfinished` is called with what was found until then, and the page is there.
+    Without a `robot` the model says what the arm is. `told` is called with the result, once the page is written: before
+    a further motion is planned, after that, and where the planning fails or is stopped.
 
     Raises:
         InputError: a robot, model or log that cannot be used, an unknown effect, or an output that cannot be written.
     """
     if robot is None or isinstance(robot, str):
         there = None if robot is None else load_arm(robot, paths, question.topic)
-        return _diagnose(there, paths, question, console, robot, unfinished=unfinished)
-    return _diagnose(robot, paths, question, console, robot.name, unfinished=unfinished)
+        return _diagnose(there, paths, question, console, robot, told=told)
+    return _diagnose(robot, paths, question, console, robot.name, told=told)
 
 
 def diagnose_recording(
@@ -58,12 +57,12 @@ def diagnose_recording(
     runs: Path,
     yes: bool,
     budget: float | None = None,
-    unfinished: Callable[[dict[str, Any]], None] = lambda result: None,
+    told: Callable[[dict[str, Any]], None] = lambda result: None,
 ) -> dict[str, Any]:
     """Record the recipe's motions into a run folder, then diagnose them; result and report are in the folder too.
 
     With a `budget` [s of motion], what is left open is asked of further motions until it is settled (`until_sure`).
-    Where that is cut short, `unfinished` is called with what was found until then.
+    `told` is called as by `diagnose_files`, once the result is in the run folder; also where rounds are cut short.
 
     Raises:
         AgentError, DriverError: as in `agent calibrate`, before anything moves or after a controlled stop.
@@ -106,24 +105,28 @@ def diagnose_recording(
             """Result and page in the run folder, of all motions that there are."""
             report = run.file("report.html")
             here = replace(question, report=report)
-            result = _diagnose(loaded.robot, paths, here, console, loaded.robot_source, simulator, rounds)
-            run.write_json("result.json", result)
-            if question.report is not None:
-                write_atomically(question.report, report.read_text(encoding="utf-8"))
-            return result
+
+            def keep(result: dict[str, Any]) -> None:
+                run.write_json("result.json", result)
+                if question.report is not None:
+                    write_atomically(question.report, report.read_text(encoding="utf-8"))
+                told(result)
+
+            return _diagnose(loaded.robot, paths, here, console, loaded.robot_source, simulator, rounds, keep)
 
         if budget is not None:
             with step(run, "rounds", console):
                 rounds = until_sure(
                     lambda logs: _find(loaded.robot, logs, question, console),
                     paths, loaded, run, console, runs, yes, budget - sum(one.duration for one in recordings),
+                    planning=question.planning_budget,
                 )  # fmt: skip
                 paths += rounds.logs
                 if rounds.cut_short is not None:
                     more = rounds.uncounted and f"; {rounds.uncounted.name} is recorded, and is not counted"
                     console.say(f"the motions until then say: {rounds.said}{more or ''}")
                     try:
-                        unfinished(answer())
+                        answer()
                         console.say(f"all that they say is in {run.path}")
                     except AgentError as error:  # what cut the round short may be what forbids to write
                         console.warn(f"it could not be kept: {error}")
@@ -132,7 +135,7 @@ def diagnose_recording(
             result = answer()
         run.complete(True)
         refresh_index(runs, console)
-    console.say(ending_text(run, loaded))
+    console.say(f"{'page':20}{run.file('report.html')}\n{ending_text(run, loaded)}")
     return result
 
 
@@ -159,7 +162,7 @@ def diagnose_again(run: Path, robot: RobotDescription, source: str, console: Con
     return diagnosis_report(found, simulated, steps, recorded)
 
 
-def _diagnose(  # noqa: C901
+def _diagnose(
     robot: RobotDescription | None,
     paths: Sequence[Path],
     question: GapQuestion,
@@ -167,7 +170,7 @@ def _diagnose(  # noqa: C901
     source: str | None,
     simulator: Simulator | None = None,
     rounds: Rounds | None = None,
-    unfinished: Callable[[dict[str, Any]], None] = lambda result: None,
+    told: Callable[[dict[str, Any]], None] = lambda result: None,
 ) -> dict[str, Any]:
     """`source` names the robot for whoever asks again; `simulator` is the file that was read, and checked, before;
     `rounds` are those of these very logs, which say already what they were found to say."""
@@ -183,46 +186,51 @@ def _diagnose(  # noqa: C901
     result |= rounds.to_dict() if rounds is not None else {}
     if simulator is not None:
         result |= run_forward(found, simulator, console)
+    uncounted = [rounds.uncounted] if rounds is not None and rounds.uncounted else []
+    recipe = question.next_recipe if rounds is None else rounds.recipe
 
-    def steps() -> list[NextStep]:
+    def tell() -> None:
         from agent.pipeline.first_screen import after_diagnosis
+        from agent.report import diagnosis_report, summary
 
-        uncounted = rounds.uncounted if rounds is not None else None
-        recipe = question.next_recipe if rounds is None else rounds.recipe
-        return after_diagnosis(result, source, [*paths, *([uncounted] if uncounted else [])], question, recipe)
-
-    def write_page() -> None:
+        steps = after_diagnosis(result, source, [*paths, *uncounted], question, recipe)
+        result["summary"] = summary(result, steps)
         if question.report is not None:
             from agent.core import write_atomically
-            from agent.report import diagnosis_report
 
-            write_atomically(question.report, diagnosis_report(found, simulated, steps(), result))
+            write_atomically(question.report, diagnosis_report(found, simulated, steps, result))
+        told(dict(result))
 
-    write_page()
+    tell()
     if question.next_recipe is not None:
-        try:
-            for said in _next(found, question, console):
-                result["next_experiment"] = said
-                write_page()
-        except BaseException as error:
-            planned = (result["next_experiment"] or {}).get("program")
-            left = "whether a known mass would tell more" if planned else "what to run next"
-            result["warnings"] = [*result["warnings"], f"{left} was not found out: {words_of(error)}"]
-            unfinished(result)
-            raise
-        for step in steps():
-            console.say(f"next: {step.what} {step.command}".rstrip())
-    if question.out is not None and question.next_recipe is None:
-        if simulator is not None:
-            write_simulator(found, simulator, question.out, console)
-        else:
-            _write_model(found, question.out, console)
+        _plan(found, question, console, result, tell)
+    elif question.out is not None and simulator is not None:
+        write_simulator(found, simulator, question.out, console)
+    elif question.out is not None:
+        _write_model(found, question.out, console)
     return result
+
+
+def _plan(
+    found: Diagnosis, question: GapQuestion, console: Console, result: dict[str, Any], tell: Callable[[], None]
+) -> None:
+    """Plan the motion that tells more, and tell the result with it; also with what stopped the planning."""
+    try:
+        for said in _next(found, question, console):
+            result["next_experiment"] = said
+            tell()
+    except BaseException as error:
+        planned = (result["next_experiment"] or {}).get("program")
+        left = "whether a known mass would tell more" if planned else "what to run next"
+        result["warnings"] = [*result["warnings"], f"{left} was not found out: {words_of(error)}"]
+        tell()
+        raise
 
 
 def _next(found: Diagnosis, question: GapQuestion, console: Console) -> Iterator[dict[str, Any] | None]:
     """The motion that tells more, written into its folder, or what else may; None where nothing is open. Once more with
     the mass that would tell more, where one would: that takes as long again."""
+    from agent.experiment import Deadline
     from agent.model import payload_of
     from agent.pipeline.next_experiment import NoMotion, mass_beside, plan_next, write_next
     from agent.recipe import load_recipe
@@ -231,14 +239,15 @@ def _next(found: Diagnosis, question: GapQuestion, console: Console) -> Iterator
     assert question.out is not None
     load = None if question.next_payload is None else payload_of(question.next_payload)
     recipe = load_recipe(question.next_recipe)
-    motion = plan_next(found, recipe, console, load=load)
+    deadline = Deadline(console.progress, question.planning_budget)
+    motion = plan_next(found, recipe, console, load=load, deadline=deadline)
     if isinstance(motion, NoMotion):
         if not motion.separates:
             console.warn(f"{motion.text}, and nothing is written to {question.out}")
         yield motion.to_dict()
         return
     yield (planned := write_next(motion, question.out))
-    if (mass := mass_beside(found, recipe, motion, console)) is not None:
+    if (mass := mass_beside(found, recipe, motion, console, deadline)) is not None:
         yield {**planned, "with_a_mass": mass.to_dict()}
 
 
@@ -281,7 +290,12 @@ def _find(robot: RobotDescription | None, paths: Sequence[Path], question: GapQu
     found = replace(found, answer=replace(found.answer, warnings=(*said, *found.answer.warnings)))
     say_used(logs, found.dataset.cutoff, found.dataset.model.order, console)
     console.step("simulating with and without it")
-    return found, simulate(found), simulator
+    try:
+        return found, simulate(found), simulator
+    except (AgentError, ArithmeticError, ValueError) as error:  # that the verdict needs nothing of
+        unsimulated = f"the forward simulation failed, the verdict does not depend on it: {error}"
+        answer = replace(found.answer, warnings=(*found.answer.warnings, unsimulated))
+        return replace(found, answer=answer), [], simulator
 
 
 def _at_rest(

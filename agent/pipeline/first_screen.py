@@ -9,11 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from agent.pipeline.ending import next_steps, whose
-from agent.pipeline.gap_question import GapQuestion
-from agent.pipeline.other_tests import BRAKES
+from agent.pipeline.gap_question import PLANNING_BUDGET, GapQuestion
+from agent.pipeline.other_tests import BRAKES, DRIVES_OFF
 from agent.recipe import Recipe
 from agent.report import About, NextStep
 
+#: Names for logs that are still to be recorded, in commands that are copied.
+_NEW_LOG, _BRAKES_LOG = "new.mcap", "brakes.mcap"
 _ASKED = {
     "calibrate": "How well does a model of this arm, made from its own motion, predict its torque in the sub-region?",
     "recalibrate": "Is the model still true, and if not, what changed?",
@@ -57,11 +59,14 @@ def after_diagnosis(
     """What may come after a diagnosis of these logs: commands that take what was found further; `recipe` is where
     further motions may lie, if anybody said."""
     model = question.model
-    asked = replace(question, report=None, out=None, next_recipe=None, next_payload=None)
+    asked = replace(
+        question, report=None, out=None, next_recipe=None, next_payload=None, planning_budget=PLANNING_BUDGET
+    )
     named = ["--robot", robot] if robot else []
-    again = shlex.join(["agent", "diagnose", *named, *asked.options(), *map(str, logs)])
+    words = ["agent", "diagnose", *named, *asked.options()]
+    again = shlex.join([*words, *map(str, logs)])
     if result["verdict"] == "no_gap":
-        return [NextStep("nothing to mend; the model can stay as it is.")]
+        return [NextStep("nothing to do: the model can stay as it is.")]
     from agent.model import CATALOGUE, PAYLOAD, is_simulator
 
     experiment = result["next_experiment"] or {}
@@ -69,9 +74,9 @@ def after_diagnosis(
     if "with_a_mass" in experiment and recipe is not None:
         mass = experiment["with_a_mass"][PAYLOAD]
         folder = f"{question.out or 'next'}_with_a_mass"
-        words = ["agent", "diagnose", *named, *asked.options(), "--next", str(recipe), "--payload", mass, "-o", folder]
+        planned = [*words, "--next", str(recipe), "--payload", mass, "-o", folder, *map(str, logs)]
         what = f"or, as it would tell more, mount {mass} at the flange, or what you have, and plan for that:"
-        loaded = [NextStep(what, shlex.join([*words, *map(str, logs)]))]
+        loaded = [NextStep(what, shlex.join(planned))]
     if question.next_recipe is not None and experiment.get("program"):
         program = Path(experiment["program"])
         mounted = ["--payload", experiment[PAYLOAD]] if PAYLOAD in experiment else []
@@ -81,13 +86,16 @@ def after_diagnosis(
         on_brakes = BRAKES in experiment["motion"] and ", and --drives-off LOG where it was recorded on its brakes"
         return [
             NextStep(f"{first}run the motion that was planned:", shlex.join(record)),
-            NextStep(f"then ask again with its log added{on_brakes or ''}:", with_it),
+            NextStep(f"ask again with its log added{on_brakes or ''}:", with_it),
             *loaded,
         ]
     if not result["causes"] or result["verdict"] == "ambiguous":
-        return [NextStep("then ask again, with what was recorded added:", again), *loaded]
+        if DRIVES_OFF in experiment.get("motion", "") and question.drives_off is None:
+            again = shlex.join([*words, DRIVES_OFF, _BRAKES_LOG, *map(str, logs)])
+            return [NextStep(f"record a second with the drives off as {_BRAKES_LOG}, then ask again:", again), *loaded]
+        return [NextStep(f"record that as {_NEW_LOG}, then ask again:", f"{again} {_NEW_LOG}"), *loaded]
     if all(CATALOGUE[cause["effect"]].once for cause in result["causes"]):
-        return [NextStep("it happened once and is no part of the model: record again where nothing touches the arm.")]
+        return [NextStep("record again where nothing touches the arm: this happened once and is no part of a model.")]
     if model is not None and is_simulator(model):
-        return [NextStep("or take what was found into the simulator:", f"{again} -o fixed{model.suffix}")]
-    return [NextStep("or take what was found into the model:", f"{again} -o model_with_effects.json")]
+        return [NextStep("take what was found into the simulator:", f"{again} -o fixed{model.suffix}")]
+    return [NextStep("take what was found into the model:", f"{again} -o model_with_effects.json")]

@@ -10,6 +10,9 @@ from agent.core import InputError
 from agent.pipeline.corrected_simulator import check_simulator_out
 from agent.pipeline.identify import check_output
 
+#: Time for planning a further motion [s], where nobody says how much.
+PLANNING_BUDGET = 60.0
+
 
 @dataclass(frozen=True)
 class GapQuestion:
@@ -20,7 +23,8 @@ class GapQuestion:
     format); None: neither. `allow_mixed`: logs and
     model may be of several machines or tools; `force`: go on although a log is implausible. `next_recipe`: where the
     motion that tells more may lie; then `out` is the folder for it, and `next_payload` a known mass for it.
-    `drives_off` is a log of the arm at rest with its drives off. `topic` holds the joint states of the logs.
+    `drives_off` is a log of the arm at rest with its drives off. `topic` holds the joint states of the logs. Planning
+    takes at most `planning_budget` [s].
     """
 
     model: Path | None = None
@@ -35,6 +39,7 @@ class GapQuestion:
     next_payload: str | None = None
     drives_off: Path | None = None
     topic: str | None = None
+    planning_budget: float = PLANNING_BUDGET
 
     def options(self) -> list[str]:
         """The words of `agent diagnose` that ask the same; with which logs, or what to record, comes beside them."""
@@ -50,6 +55,8 @@ class GapQuestion:
             "--topic": self.topic,
         }
         words = [word for option, value in named.items() if value is not None for word in (option, str(value))]
+        if self.planning_budget != PLANNING_BUDGET:
+            words += ["--planning-budget", f"{self.planning_budget:g} s"]
         words += [word for effect in self.without for word in ("--without", effect)]
         flags = {"--allow-mixed": self.allow_mixed, "--force": self.force}
         return [*words, *(flag for flag, given in flags.items() if given)]

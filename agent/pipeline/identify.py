@@ -324,10 +324,11 @@ def _comments(model: IdentifiedModel, logs: Sequence[Log], result: Validation) -
 def validation_text(result: Validation) -> str:
     """A validation as a table for people."""
     overall = result.overall
-    lines = [f"{'joint':12} {'RMSE':>10} {'of nominal':>11} {'relative':>9}"]
+    width = max(12, *map(len, result.joints))
+    lines = [f"{'joint':{width}} {'RMSE':>10} {'of nominal':>11} {'relative':>9}"]
     for k, name in enumerate(result.joints):
         nominal, relative = (_percent(of[k]) for of in (overall.normalised_rmse, overall.relative_error))
-        lines.append(f"{name:12} {overall.rmse[k]:10.4g} {nominal:>11} {relative:>9}")
+        lines.append(f"{name:{width}} {overall.rmse[k]:10.4g} {nominal:>11} {relative:>9}")
     logs = ", ".join(log.log for log in result.logs)
     lines.append(f"all joints: {_percent(overall.relative_error_all_joints)} at {result.cutoff_hz:g} Hz ({logs})")
     return "\n".join(lines)

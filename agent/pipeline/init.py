@@ -6,7 +6,8 @@ import json
 import os
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 
 from agent.core import Bare, Dimension, InputError, parse_quantity, write_atomically
@@ -16,6 +17,9 @@ from agent.robot import builtin_robots, load_robot
 
 #: Beside the recipe; editors with a YAML language server read it.
 SCHEMA = "recipe.schema.json"
+#: The robot whose sub-region the usual answers have, and the questions about the sub-region.
+_USUAL = "comau_ns16"
+_BOX = ("centre", "size", "orientation", "cone")
 
 
 @dataclass(frozen=True)
@@ -41,11 +45,13 @@ def write_recipe(path: Path, given: dict[str, str | None]) -> Path:
         raise InputError(f"{path}: exists already; name another file, or move it away")
     check_output(path, ())
     asked = sys.stdin.isatty() and sys.stderr.isatty()
-    answers = {}
+    answers: dict[str, str] = {}
     for question in questions():
         value = given.get(question.name)
         if value is not None:
             _valid(question, value)
+        if question.name in _BOX:
+            question = replace(question, default=_box_of(answers["robot"]).get(question.name, question.default))
         answers[question.name] = value or (_ask(question) if asked else question.default)
     robot = answers["robot"]
     named = robot if robot in builtin_robots() else os.path.relpath(robot, path.parent)
@@ -95,7 +101,7 @@ def questions() -> list[InitQuestion]:
         _quantity(text, Dimension.ANGLE, BARE_LEAN)
 
     return [
-        InitQuestion("robot", "robot: built-in name, or path of a robot.yaml", "comau_ns16", robot),
+        InitQuestion("robot", "robot: built-in name, or path of a robot.yaml", _USUAL, robot),
         InitQuestion("driver", "driver of the controller link", "tcp", driver),
         InitQuestion("controller", "address of the controller", "127.0.0.1:9100", address),
         InitQuestion("centre", "centre of the sub-region, base frame: x, y, z", "1.0 m, 0 m, 0.8 m", places),
@@ -103,6 +109,30 @@ def questions() -> list[InitQuestion]:
         InitQuestion("orientation", "tool orientation: Euler ZYZ a, e, r", "0 deg, 180 deg, 0 deg", angles),
         InitQuestion("cone", "how far the tool may lean from it", "30 deg", lean),
     ]
+
+
+@cache
+def _box_of(robot: str) -> dict[str, str]:
+    """A sub-region that the arm reaches, as answers; none for the robot that the usual answers are of.
+
+    Where no such box is found it says so: an arm of fewer than six joints does not reach most poses.
+    """
+    from agent.excitation import working_box
+
+    if robot == _USUAL:
+        return {}
+    box = working_box(load_robot(robot))
+    if box is None:
+        print(
+            f"no box was found all of which {robot} reaches: change motion.via_points to where your arm works",
+            file=sys.stderr,
+        )
+        return {}
+    texts = (
+        ", ".join(f"{value:g} {unit}" for value in values)
+        for values, unit in ((box.centre, "m"), (box.size, "m"), (box.orientation, "deg"), ((box.cone,), "deg"))
+    )
+    return dict(zip(_BOX, texts, strict=True))
 
 
 def _ask(question: InitQuestion) -> str:

@@ -20,12 +20,14 @@ from agent.runs import make_folder, write_json
 if TYPE_CHECKING:
     from agent.diagnosis import Diagnosis
     from agent.excitation import LoopProblem
-    from agent.experiment import Experiment, Pick, Piece
+    from agent.experiment import Deadline, Experiment, Pick, Piece
     from agent.motion import Trajectory
     from agent.robot import RobotDescription, Tool, TorqueLimits
 
 #: Longest motion that is planned [s].
 LONGEST = 60.0
+#: Part of the time for planning that the motion of the bare arm gets; the rest asks whether a known mass tells more.
+_BARE = 0.7
 #: So many loops are asked which limit they break, where none keeps all.
 _ASKED_WHY = 20
 #: At so much of its joint speeds the arm goes from piece to piece, or at half of it, and so on, where the tool would be
@@ -116,15 +118,17 @@ def plan_next(
     seconds: float = LONGEST,
     name: str = "experiment",
     load: Tool | None = None,
+    deadline: Deadline | None = None,
 ) -> NextMotion | NoMotion:
     """The motion that settles most of what a diagnosis leaves open, or why there is none and what else may settle it.
 
-    `load` is a known mass that somebody will mount at the flange for it; it is never assumed.
+    `load` is a known mass that somebody will mount at the flange for it; it is never assumed. Planning ends with the
+    `deadline`.
 
     Raises:
         InputError: the recipe is of another robot, or a keep-out box that no motion of it can keep clear of.
     """
-    from agent.experiment import open_pairs, plan_experiment
+    from agent.experiment import Deadline, open_pairs, plan_experiment
 
     check_arm(recipe, found.dataset.robot)
     pairs = open_pairs(found)
@@ -135,11 +139,12 @@ def plan_next(
     names = tuple(sorted({name for pair in pairs for name in pair.names if name != "none"}))
     if found.held is not None:
         return NoMotion(found.held.motion, names)
+    deadline = deadline or Deadline(console.progress)
     problem = _where_known(replace(loop_problem(recipe, recipe.motion.speed), load=load), found)
     limits = None if load is None else torque_limits(recipe, load, console)
     console.step(f"searching for a motion of at most {seconds:.0f} s that tells more")
     runs = _Runs(recipe, name, seconds, load, limits)
-    experiment = plan_experiment(found, pairs, problem, seconds, recipe.search.seed, console.progress, runs)
+    experiment = plan_experiment(found, pairs, problem, seconds, recipe.search.seed, deadline.share(_BARE), runs)
     if runs.motion is not None:
         asked = [e.pair for e in experiment.expected]
         motion = NextMotion(experiment, *runs.motion, recipe.robot, load, brakes_tell(found, asked))
@@ -147,7 +152,7 @@ def plan_next(
             return motion
     if seconds < LONGEST:
         console.step(f"no motion of {seconds:.0f} s would settle it; whether a longer one would is what is asked now")
-        longer = plan_next(found, recipe, console, LONGEST, name, load)
+        longer = plan_next(found, recipe, console, LONGEST, name, load, deadline.rest())
         if isinstance(longer, NoMotion):
             return longer
         return NoMotion(
@@ -156,11 +161,20 @@ def plan_next(
             names,
         )
     where = f"the sub-region of {recipe.path}"
+    if experiment.cut_short:
+        return NoMotion(
+            f"no motion in {where} that would settle it was found in the time for planning ({experiment.weighed} "
+            "pieces were weighed): allow more with --planning-budget",
+            names,
+        )
     if not experiment.weighed:
         why = _refused(problem)
         return NoMotion(f"no motion was found that keeps all limits in {where} ({why}): agent check says more", names)
     why = f" ({runs.refused})" if runs.refused else ""
-    mass = None if load is not None else with_a_mass(found, pairs, problem, seconds, recipe.search.seed, console)
+    mass = None
+    if load is None:
+        seed = recipe.search.seed
+        mass = with_a_mass(found, pairs, problem, seconds, seed, console, deadline=deadline.rest())
     loads = "" if mass is None else f". {mass.text()}"
     asked_of = pairs[0]
     what = (
@@ -171,7 +185,9 @@ def plan_next(
     return NoMotion(f"no motion in {where} would {what}{why}. {other_test(found, pairs)}{loads}", names, mass)
 
 
-def mass_beside(found: Diagnosis, recipe: Recipe, motion: NextMotion, console: Console) -> WithMass | None:
+def mass_beside(
+    found: Diagnosis, recipe: Recipe, motion: NextMotion, console: Console, deadline: Deadline | None = None
+) -> WithMass | None:
     """A known mass with which a motion as long would tell what this one of the bare arm tells with much doubt.
 
     Raises:
@@ -181,7 +197,9 @@ def mass_beside(found: Diagnosis, recipe: Recipe, motion: NextMotion, console: C
         return None
     pairs = [expected.pair for expected in motion.experiment.expected]
     problem = _where_known(loop_problem(recipe, recipe.motion.speed), found)
-    return with_a_mass(found, pairs, problem, LONGEST, recipe.search.seed, console, motion.experiment)
+    return with_a_mass(
+        found, pairs, problem, LONGEST, recipe.search.seed, console, motion.experiment, deadline and deadline.rest()
+    )
 
 
 def _where_known(problem: LoopProblem, found: Diagnosis) -> LoopProblem:

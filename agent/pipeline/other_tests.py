@@ -13,7 +13,7 @@ from agent.core import Console
 if TYPE_CHECKING:
     from agent.diagnosis import Diagnosis
     from agent.excitation import LoopProblem
-    from agent.experiment import Expected, Experiment, OpenPair
+    from agent.experiment import Deadline, Expected, Experiment, OpenPair
     from agent.robot import Tool
 
 #: A motion that makes the right answer no likelier than this, whichever of a pair is true, settles nothing.
@@ -23,7 +23,8 @@ _TRIAL_LOAD = 0.1
 #: A person is asked for a mass beside a motion of the bare arm where that makes the right answer no likelier than the
 #: first, and one with the mass by the second more.
 _LIKELY, _WORTH_MOUNTING = 0.8, 0.2
-BRAKES = "seconds of the arm on its brakes with the drives off, which tell an offset (--drives-off LOG)"
+DRIVES_OFF = "--drives-off"
+BRAKES = f"seconds of the arm on its brakes with the drives off, which tell an offset ({DRIVES_OFF} LOG)"
 
 
 def helped(expected: Expected) -> bool:
@@ -106,10 +107,11 @@ def with_a_mass(
     seed: int,
     console: Console,
     bare: Experiment | None = None,
+    deadline: Deadline | None = None,
 ) -> WithMass | None:
     """A light known mass that would make a motion tell what none of the bare arm does, or what the motion that was
     planned for it (`bare`) tells of the named cause with much doubt; None where none would."""
-    from agent.experiment import plan_experiment, tells_apart_by_load
+    from agent.experiment import Deadline, plan_experiment, tells_apart_by_load
 
     doubtful = {id(e.pair): e.after for e in (bare.expected if bare else ()) if _doubted(found, e)}
     load = _trial_load(found, problem)
@@ -120,7 +122,9 @@ def with_a_mass(
         if not tells_apart_by_load(found.dataset, asked, [piece.motion for piece in bare.pieces], load):
             return None
     console.step("a motion of the bare arm would hardly settle it; whether one with a mass would is what is asked now")
-    tried = plan_experiment(found, pairs, replace(problem, load=load), seconds, seed, console.progress)
+    tried = plan_experiment(
+        found, pairs, replace(problem, load=load), seconds, seed, deadline or Deadline(console.progress)
+    )
     asked_for = [e for e in tried.expected if (id(e.pair) in doubtful if bare else helped(e))]
     better = [e for e in asked_for if e.after >= doubtful.get(id(e.pair), -np.inf) + _WORTH_MOUNTING]
     if not better:

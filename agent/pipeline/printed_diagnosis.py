@@ -9,33 +9,33 @@ from agent.core import counted
 
 
 def diagnosis_text(result: dict[str, Any]) -> str:
-    """A diagnosis for people."""
-    from agent.diagnosis import closes, reported_parameters, size_text, torque_gap
-    from agent.report import verdict_text
+    """A diagnosis for people: the four things of the page's first screen, then the figures."""
+    from agent.diagnosis import reported_parameters, size_text, torque_gap
+    from agent.report import FOUR, place, summary
     from agent.robot import SHARE, figure_text
 
-    verdict = result["verdict"]
-    lines = [": ".join(part for part in (verdict.replace("_", " "), verdict_text(result)) if part)]
+    said = result.get("summary") or summary(result)
+    lines = [f"{'Verdict':10}{result['verdict'].replace('_', ' ')}"]
+    lines += [f"{title:10}{said[key]}" for key, title in FOUR.items() if key != "next"]
+    lines += [*_next_lines(said), ""]
     for cause in result["causes"]:
-        joints = ", ".join(cause["joints"]) or "the whole arm"
-        closed = f", {closes(cause, result['closure'])}" if closes(cause) else ""
-        lines.append(f"  {cause['effect']} on {joints}{closed}, probability {cause['probability']:.2f}")
         sizes: list[list[str]] = []
         for key in reported_parameters(cause):
             sizes += [[]] if not sizes or key.startswith("link_") else []  # a line for every push of a contact
             value = cause["parameters"][key]
             log = key.split("_")[0] == "log"
             sizes[-1].append(f"in log {value + 1:g}" if log else f"{key} {size_text(cause, key, value)}")
-        lines += [f"    {'  '.join(line)}" for line in sizes]
-        for other in cause["equivalent_to"]:
-            lines.append(f"    as good: {other['effect']} on {', '.join(other['joints']) or 'the whole arm'}")
+        lines += [f"{cause['effect']} on {place(cause)}", *(f"  {'  '.join(line)}" for line in sizes)]
     gap = result["gap"]
+    width = max(12, *map(len, gap["joints"]))
     by_servos = result.get("torque_of") == "servos"
     if by_servos:
         lines += _forward_lines(result)
-        lines.append("torque below is no measured one, but that of the file's servos at the recorded set-points")
-    lines.append("torque error held out, in % of nominal torque where there is one; floor: what no cycle repeats")
-    lines.append(f"{'joint':12} {'before':>11} {'after':>11} {'floor':>11} {'share':>7}   mostly in")
+        lines.append("the torque below was not measured: it is that of the file's servos at the recorded set-points")
+    lines.append(
+        "torque error on held-out motion, in % of nominal torque where there is one; floor: what no cycle repeats"
+    )
+    lines.append(f"{'joint':{width}} {'before':>11} {'after':>11} {'floor':>11} {'share':>7}   mostly in")
     shares = {entry["joint"]: entry for entry in result["where"]}
     somewhere = torque_gap(result)
     for k, name in enumerate(gap["joints"]):
@@ -45,13 +45,14 @@ def diagnosis_text(result: dict[str, Any]) -> str:
         )
         regimes = [r["name"] for r in shares[name]["regimes"] if somewhere and r["share"] > 1.5 * r["of_samples"]][:2]
         share = f"{100 * shares[name]['share']:6.1f}%" if somewhere else f"{'-':>7}"
-        lines.append(f"{name:12} {before:>11} {after:>11} {floor:>11} {share}   {', '.join(regimes)}".rstrip())
+        lines.append(f"{name:{width}} {before:>11} {after:>11} {floor:>11} {share}   {', '.join(regimes)}".rstrip())
     if result["closure"] is not None and somewhere:
         lines.append(f"closed: {100 * result['closure']:.1f} % of the gap in torque")
     lines += list(_waterfall_lines(result.get("waterfall", [])))
     if result.get("simulation"):
         torque, units = result["simulation"]["torque"], gap["units"]
-        worst = max(range(len(units)), key=lambda k: (units[k] == SHARE, torque["before"][k]))
+        own = [gap["joints"].index(joint) for cause in result["causes"][:1] for joint in cause["joints"]]
+        worst = max(own or range(len(units)), key=lambda k: (units[k] == SHARE, torque["before"][k]))
         before, after = (figure_text(torque[side][worst], units[worst]) for side in ("before", "after"))
         lines.append(f"torque error of {gap['joints'][worst]} in forward simulation: {before}, then {after}")
     if not by_servos:
@@ -64,12 +65,28 @@ def diagnosis_text(result: dict[str, Any]) -> str:
 
 
 def _further_lines(result: dict[str, Any]) -> Iterator[str]:
-    """What further motions came to, and what to run next or why there is nothing to run."""
-    from agent.report import chances_text, next_text, said_by_rounds
-
-    end, experiment = result.get("rounds_end"), result["next_experiment"]
+    """What further motions came to, and what a motion that was planned is expected to tell."""
+    end = result.get("rounds_end")
     if end:
         yield f"after {counted(len(result['rounds']), 'further motion')}: {end}"
+    yield from _planned_lines(result)
+
+
+def planned_text(result: dict[str, Any]) -> str:
+    """What was planned after the verdict, and the commands that come next."""
+    return "\n".join([*_planned_lines(result), *_next_lines(result["summary"])])
+
+
+def _next_lines(said: dict[str, Any]) -> Iterator[str]:
+    for number, step in enumerate(said["next"]):
+        yield f"{'' if number else 'Next':10}{step}"
+
+
+def _planned_lines(result: dict[str, Any]) -> Iterator[str]:
+    """What to run next or why there is nothing to run, and what it is expected to tell."""
+    from agent.report import chances_text, next_text, said_by_rounds
+
+    experiment = result["next_experiment"]
     if experiment is None or said_by_rounds(result):
         return
     text = next_text(experiment)
@@ -94,7 +111,7 @@ def _waterfall_lines(steps: Sequence[dict[str, Any]]) -> Iterator[str]:
     """A bar for what each step closes of the held-out gap, in the order found."""
     if not steps:
         return
-    yield "what closes the gap, in the order found, held out (90 % interval), and alone"
+    yield "what closes the gap on held-out motion, in this order (90 % interval), and alone"
     width = max(len(entry["step"]) for entry in steps)
     for entry in steps:
         closes, (low, high) = 100 * entry["closes"], entry["interval"]

@@ -29,18 +29,39 @@ _SHORTEST = 10.0
 _LONGEST = 4 * 3600.0
 
 
+def time_of(option: str, text: str, bare: Bare) -> float:
+    """Seconds, from what an option says.
+
+    Raises:
+        InputError: not a time.
+    """
+    try:
+        return parse_quantity(text, Dimension.TIME, bare)
+    except InputError as error:
+        raise InputError(f"{option}: {error}") from None
+
+
 def budget_of(text: str) -> float:
     """Seconds of motion, from what `--budget` says.
 
     Raises:
         InputError: not a time, or too short for a motion.
     """
-    try:
-        seconds = parse_quantity(text, Dimension.TIME, Bare("min", least=60.0))
-    except InputError as error:
-        raise InputError(f"--budget: {error}") from None
+    seconds = time_of("--budget", text, Bare("min", least=60.0))
     if not _SHORTEST <= seconds <= _LONGEST:
         raise InputError(f"--budget {text}: {_SHORTEST:g} s to {_LONGEST / 3600:g} h of motion are allowed")
+    return seconds
+
+
+def planning_time(text: str) -> float:
+    """Seconds of planning, from what `--planning-budget` says.
+
+    Raises:
+        InputError: not a time, or less than a second.
+    """
+    seconds = time_of("--planning-budget", text, Bare("s", least=1.0))
+    if seconds < 1:
+        raise InputError(f"--planning-budget {text}: at least 1 s is needed")
     return seconds
 
 
@@ -68,9 +89,9 @@ class Rounds:
     @property
     def said(self) -> str:
         """The verdict of all that counts, and its causes, in a line."""
-        result = self.last[0].result
-        causes = [" on ".join(filter(None, (c["effect"], ", ".join(c["joints"])))) for c in result["causes"]]
-        return ": ".join(filter(None, (result["verdict"], "; ".join(causes))))
+        from agent.report import in_short
+
+        return in_short(self.last[0].result)
 
     def to_dict(self) -> dict[str, Any]:
         """Keys of a result: `rounds`, `rounds_end`, and `next_experiment` where something else may settle it."""
@@ -88,6 +109,7 @@ def until_sure(
     yes: bool,
     budget: float,
     allowed: Authorisation | None = None,
+    planning: float = float("inf"),
 ) -> Rounds:
     """Record further motions into the run folder as `experiment_01.mcap`, … until what is open is settled.
 
@@ -98,10 +120,12 @@ def until_sure(
         find: the diagnosis of logs; all earlier ones count in every round.
         budget: further motion that is allowed [s].
         allowed: a person's word, where nobody is there; motions are then as slow as a first run.
+        planning: time for planning each of them [s].
 
     Raises:
         AgentError: first logs that cannot be diagnosed, or a recipe that leaves no room.
     """
+    from agent.experiment import Deadline
     from agent.recording import PARTS, PLANNED_PARTS
 
     rounds, moved, slow = Rounds([], [], find(logs), recipe.path), 0.0, recipe
@@ -127,7 +151,9 @@ def until_sure(
         name = f"experiment_{len(rounds.asked) + 1:02d}"
         recording: Recording | None = None
         try:
-            motion = plan_next(rounds.last[0], slow, console, min(LONGEST, budget - moved), name)
+            deadline = Deadline(console.progress, planning)
+            seconds = min(LONGEST, budget - moved)
+            motion = plan_next(rounds.last[0], slow, console, seconds, name, deadline=deadline)
             if isinstance(motion, NoMotion):
                 rounds.end, rounds.other = motion.text, motion
                 break

@@ -1,7 +1,9 @@
-"""Where the arm is along a motion, for the 3-D view."""
+"""Where the arm is along a motion, for the 3-D view; and a picture of it in one posture, with joints marked."""
 
 from __future__ import annotations
 
+from collections.abc import Collection
+from html import escape
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,6 +14,8 @@ if TYPE_CHECKING:
     from agent.robot import RobotDescription
 
 _MOST_POSTURES = 120
+#: Edge of the picture of one posture, and what is free around it [pt].
+_PICTURE, _MARGIN = 200.0, 14.0
 _THIN = 0.012  # of the arm's length: radius of a link whose body the description does not have
 
 
@@ -38,3 +42,33 @@ def arm_along(robot: RobotDescription, time: np.ndarray, q: np.ndarray, tool: np
             ends.append(np.einsum("sij,pj->spi", poses, points)[..., :3])
             radii.append(capsule.radius)
     return ArmPoses(time[chosen], np.stack(ends, axis=1), np.array(radii))
+
+
+def arm_picture(robot: RobotDescription, q: np.ndarray, marked: Collection[str]) -> str:
+    """SVG text of the arm at (n,) joint positions, seen from the side that shows most of it, with joints `marked`."""
+    from agent.robot import chain_of
+
+    points = np.vstack([np.zeros(3), chain_of(robot, None).origins(q[None])[0]])
+    if not np.ptp(points, axis=0).max() > 0:
+        return ""
+    across = points[:, int(np.ptp(points[:, 1]) > np.ptp(points[:, 0]))]
+    flat = np.column_stack([across - across.min(), points[:, 2].max() - points[:, 2]])
+    flat = _MARGIN + flat * (_PICTURE - 2 * _MARGIN) / np.ptp(points, axis=0).max()
+    wide, high = flat.max(axis=0) + _MARGIN
+    shapes = [
+        f'<polyline points="{" ".join(f"{x:.1f},{y:.1f}" for x, y in flat)}" fill="none" stroke="currentColor" '
+        'stroke-width="6" stroke-opacity="0.45" stroke-linecap="round" stroke-linejoin="round"/>'
+    ]
+    for name, (x, y) in zip(robot.joint_names, flat[1:], strict=False):
+        fill = "var(--bad)" if name in marked else "var(--paper)"
+        shapes.append(
+            f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{9 if name in marked else 4}" fill="{fill}" stroke="currentColor">'
+            f"<title>{escape(name)}</title></circle>"
+        )
+        if name in marked:
+            shapes.append(f'<text x="{x + 13:.1f}" y="{y + 4:.1f}" fill="currentColor">{escape(name)}</text>')
+    label = f"the arm, with {' and '.join(marked)} marked" if marked else "the arm"
+    return (
+        f'<svg viewBox="0 0 {wide + 70:.0f} {high:.0f}" role="img" aria-label="{escape(label)}" font-size="13" '
+        f'font-family="sans-serif">{"".join(shapes)}</svg>'
+    )

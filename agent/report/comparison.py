@@ -45,10 +45,12 @@ def comparison_page(
             f" Predicted torque differs most on {last.torque.joints[worst]}: {100 * shares[worst]:.2f} % of nominal."
         )
     title = f"{robot.name}: {', '.join(names[:-1])} and {names[-1]}"
+    others = next((one.between_machines for one in reversed(comparisons) if one.machines), "")
+    headline = f"{others} {headline}".lstrip()
     about = About(
-        "What changed between these runs, and is it more than chance?",
+        "How do these machines differ?" if others else "What changed between these runs, and is it more than chance?",
         (),
-        [NextStep("makes the latest of them the current model:", f"agent apply {names[-1]}")],
+        [] if others else [NextStep("make the latest of them the current model:", f"agent apply {names[-1]}")],
         [("robot", robot.name), ("runs", ", ".join(names)), ("motion", last.torque.motion)],
     )
     sections = [

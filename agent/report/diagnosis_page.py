@@ -5,32 +5,22 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from agent.diagnosis import (
-    Diagnosis,
-    Simulated,
-    Step,
-    closes,
-    look_at,
-    name,
-    phrase,
-    place,
-    reported_parameters,
-    simulation_part,
-    torque_gap,
-)
+from agent.diagnosis import Diagnosis, Simulated, Step, reported_parameters, simulation_part, torque_gap
 from agent.model import CATALOGUE
 from agent.report.diagnosis_figures import band_map, before_and_after, regime_map, simulated_torque, timeline
-from agent.report.first_screen import (
+from agent.report.first_screen import about_diagnosis
+from agent.report.page import NextStep, Page, Section, Table, render
+from agent.report.phrasing import (
     NOT_TESTABLE,
-    about_diagnosis,
+    closes,
     headline,
+    look_at,
     parameter_text,
-    sentence,
+    place,
     share_text,
-    sized,
+    what,
     where_sentences,
 )
-from agent.report.page import NextStep, Page, Section, Table, render
 from agent.report.rounds_section import next_text, planned_sections, rounds_sections, said_by_rounds
 from agent.report.simulator_section import motion_first, simulator_sections, waterfall_parts
 from agent.robot import figure_text
@@ -78,20 +68,19 @@ def diagnosis_report(
     ]
     colour = {"no_gap": "good", "explained": "bad"}.get(verdict, "plain")
     title = f"Gap between model and {diagnosis.dataset.robot.name}"
-    about = about_diagnosis(diagnosis, next_steps, result["next_experiment"])
-    return render(Page(title, headline(diagnosis.result, sized(diagnosis)), colour, sections, about))
+    return render(Page(title, headline(result), colour, sections, about_diagnosis(diagnosis, next_steps, result)))
 
 
 def _cause_section(diagnosis: Diagnosis, next_experiment: Mapping[str, Any] | None) -> Section:
     result = diagnosis.result
     text = [sentence for cause in result["causes"] for sentence in _about_cause(cause, result)]
     if result["verdict"] == "unknown":
-        text.append(f"No effect that was tried closes it; how far the nearest fall short stands under {REJECTED}.")
+        text.append(f"No effect that was tried explains it. How far the nearest fall short: {REJECTED}.")
     if next_experiment is not None:
         text.append(f"{next_text(next_experiment)}.")
-    text += [f"Mind: {warning}." for warning in diagnosis.warnings]
+    text += [f"Warning: {warning}." for warning in diagnosis.warnings]
     rows = [
-        (f"{name(cause['effect'])}, {place(cause)}", key.replace("_", " "), parameter_text(diagnosis, number, key))
+        (f"{cause['effect']}, {place(cause)}", key.replace("_", " "), parameter_text(result, number, key))
         for number, cause in enumerate(result["causes"])
         for key in reported_parameters(cause)
         if not CATALOGUE[cause["effect"]].once
@@ -99,9 +88,9 @@ def _cause_section(diagnosis: Diagnosis, next_experiment: Mapping[str, Any] | No
     pushes = list(_push_rows(diagnosis))
     if rows or pushes:
         text.append(
-            "Intervals come from leaving motions out one at a time. What is chosen from a grid (a fading speed, a "
-            "travel, an order) has none and is held, so that what trades with it may be off by more."
-            + (" Those of a push leave short segments of it out, which is narrower." if pushes else "")
+            "Intervals come from leaving out one motion at a time. Values marked 'about' have no interval: they are "
+            "chosen from a grid, and values fitted with them may be off by more."
+            + (" Intervals of a push leave out short segments of it, and are narrower." if pushes else "")
         )
     tables = [Table("parameters", ("cause", "parameter", "value, 95 % interval"), rows)] if rows else []
     tables += [Table("pushes", ("push", *_OF_PUSH, "in log"), pushes)] if pushes else []
@@ -115,7 +104,7 @@ def _push_rows(diagnosis: Diagnosis) -> Iterator[tuple[str, ...]]:
         pushes = sum(key.startswith("link") for key in parameters)
         for push in range(1, pushes + 1):
             end = "" if push == 1 else f"_{push}"
-            link, *shown = (parameter_text(diagnosis, number, key + end) for key in _OF_PUSH.values())
+            link, *shown = (parameter_text(diagnosis.result, number, key + end) for key in _OF_PUSH.values())
             place = [parameters[key] for axis in "xyz" if (key := f"at_{axis}{end}") in parameters]
             if place:
                 link += f" at ({', '.join(f'{round(value, 2) + 0.0:.2f}' for value in place)}) m from its far end"
@@ -123,19 +112,14 @@ def _push_rows(diagnosis: Diagnosis) -> Iterator[tuple[str, ...]]:
 
 
 def _about_cause(cause: Mapping[str, Any], result: Mapping[str, Any]) -> Iterator[str]:
-    effect, whole = CATALOGUE[cause["effect"]], result["closure"]
-    closed = f" On motion that it was not fitted to: {closes(cause, whole)}." if closes(cause) else ""
-    together = " for it and what cannot be told from it" if cause["equivalent_to"] else ""
-    opening = f"{place(cause)}, {name(effect.name)}: {phrase(effect.name, result)}. "
-    yield f"{sentence(opening)}Probability {cause['probability']:.2f}{together}.{closed}"
-    yield f"Look at: {look_at(effect.name, result)}."
-    yield f"It shows as: {effect.signature}."
+    closed = f" On held-out motion it {closes(cause, result)}." if closes(cause, result) else ""
+    together = " for it and what cannot be distinguished from it" if cause["equivalent_to"] else ""
+    yield f"{place(cause)}: {what(cause['effect'], result)}. Probability {cause['probability']:.2f}{together}.{closed}"
+    yield f"Look at: {look_at(cause['effect'], result)}."
+    yield f"It shows as: {CATALOGUE[cause['effect']].signature}."
     if cause["equivalent_to"]:
-        others = "; ".join(
-            f"{name(other['effect'])} on {place(other)} ({phrase(other['effect'], result)})"
-            for other in cause["equivalent_to"]
-        )
-        yield f"These logs cannot tell it from: {others}."
+        others = "; ".join(f"{what(other['effect'], result)} on {place(other)}" for other in cause["equivalent_to"])
+        yield f"These logs cannot distinguish it from: {others}."
 
 
 def _where_section(diagnosis: Diagnosis) -> Section:
@@ -238,7 +222,7 @@ def _rejected_section(diagnosis: Diagnosis) -> Section:
         if id(score) not in could:
             why = "its size, or its motion here, does not let it be named"
         where = ", ".join(names[j] for j in candidate.joints) or "arm"
-        rows.append((name(candidate.effect.name), where, f"{100 * max(score.gain, 0) / best:.0f} %", why))
+        rows.append((candidate.effect.name, where, f"{100 * max(score.gain, 0) / best:.0f} %", why))
     text = [
         "What each would take away of the error alone, over what the best does. Beside a cause, most of it is gone."
     ]
@@ -263,8 +247,7 @@ def _steps_section(diagnosis: Diagnosis) -> Section:
         text.append(
             "Share of the draws in which anything anywhere gains as much as a cause: "
             + ", ".join(
-                f"{name(cause.effect.name)} {share:.3f}"
-                for cause, share in zip(finding.causes, finding.p_value, strict=True)
+                f"{cause.effect.name} {share:.3f}" for cause, share in zip(finding.causes, finding.p_value, strict=True)
             )
         )
     tables = [_step_table(number, step, rows, names) for number, step in enumerate(steps)]
@@ -274,11 +257,11 @@ def _steps_section(diagnosis: Diagnosis) -> Section:
 
 
 def _step_table(number: int, step: Step, rows: float, names: tuple[str, ...]) -> Table:
-    chosen = " + ".join(name(c.effect.name) for c in step.chosen) or "model alone"
+    chosen = " + ".join(c.effect.name for c in step.chosen) or "model alone"
     could = {id(score) for score in step.eligible}
     lines = [
         (
-            name(score.candidate.effect.name),
+            score.candidate.effect.name,
             ", ".join(names[j] for j in score.candidate.joints) or "arm",
             f"{score.gain / rows:.3f}",
             "yes" if id(score) in could else "no",
@@ -293,7 +276,7 @@ def _testability_section(diagnosis: Diagnosis) -> Section:
     where: dict[tuple[str, str], list[str]] = {}
     for entry in diagnosis.result["not_testable"]:
         where.setdefault((entry["effect"], entry["why"]), []).append(entry["joint"] or "arm")
-    rows = [(name(effect), ", ".join(joints), why) for (effect, why), joints in where.items()]
+    rows = [(effect, ", ".join(joints), why) for (effect, why), joints in where.items()]
     text = [
         "An effect stands here where its smallest size that matters would not have been found on these motions. That "
         "it was not named says nothing about it."

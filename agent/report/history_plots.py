@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
 _MOST_RUNS = 1000
 _MOST_PARAMETERS = 24
+#: A gate this much above all errors would flatten them.
+_GATE_SHOWN = 2.0
 
 
 def machine_plot(
@@ -66,15 +68,16 @@ def _temperatures(runs: Sequence[PastRun]) -> Panel | None:
 
 
 def error_plot(past: Sequence[PastRun], current: Collection[str], robot: str, serial: str, number: int) -> Plot | None:
-    """Error of the worst axis of every run of one machine; None where no run tells it."""
+    """Error of the worst axis of every run of one machine; None where fewer than two runs tell it."""
     runs = [run for run in past if (run.robot, run.serial) == (robot, serial)]
     shares = any(run.worst is not None for run in runs)
     known = [run for run in runs if (run.worst if shares else run.worst_torque) is not None][-_MOST_RUNS:]
-    if not known:
+    if len(known) < 2:
         return None
     worst = np.array([run.worst if shares else run.worst_torque for run in known], dtype=float) * (100 if shares else 1)
     accepted = np.array([run.accepted for run in known], dtype=bool)
     marked = np.array([run.run in current for run in known], dtype=bool)
+    high = ""
     series = [
         Series("accepted", np.where(accepted, worst, np.nan), "points", SERIES[2]),
         Series("rejected", np.where(accepted, np.nan, worst), "points", SERIES[1]),
@@ -83,8 +86,12 @@ def error_plot(past: Sequence[PastRun], current: Collection[str], robot: str, se
         series.append(Series("current model", np.where(marked, worst, np.nan), "points", SERIES[0]))
     if shares:
         gates = np.array([np.nan if run.data["gate"] is None else 100 * run.data["gate"] for run in known])
-        series.append(Series("gate", gates, "dashed", SERIES[3]))
+        lowest = np.nanmin(gates, initial=np.inf)
+        if lowest <= _GATE_SHOWN * worst.max():
+            series.append(Series("gate", gates, "dashed", SERIES[3]))
+        elif np.isfinite(lowest):
+            high = f" The gate, {lowest:g} %, is above the plot."
     panel = Panel(f"{robot} {serial}".strip(), "% of nominal" if shares else "N·m", series, from_zero=True)
-    caption = f"Prediction error of the worst axis of every run of {robot} {serial}".rstrip() + "; dates in UTC."
+    caption = f"Prediction error of the worst axis of every run of {robot} {serial}".rstrip() + "; dates in UTC." + high
     x = np.array([run.time.timestamp() for run in known])
     return Plot(f"errors-{number}", caption, "date", (panel,), x, dates=True)

@@ -10,6 +10,7 @@ from urllib.parse import quote
 
 import numpy as np
 
+from agent.core import counted
 from agent.report.history_plots import error_plot, machine_plot
 from agent.report.page import About, NextStep, Page, Section, Table, render
 from agent.report.plots import Plot
@@ -41,13 +42,17 @@ def index_page(data: IndexData) -> str:
     elif data.watched:
         headline, verdict = "No axle's friction drifts, and no limit comes near.", "good"
     else:
-        headline, verdict = f"{len(data.runs)} runs; trends need at least eight runs of one program.", "plain"
+        headline, verdict = (
+            f"{counted(len(data.runs), 'run')}; trends need at least eight runs of one program.",
+            "plain",
+        )
     sections = [
         _machine(one, parameters, number, data)
         for number, (one, parameters) in enumerate(zip(data.watched, data.parameters, strict=True))
     ]
     errors = [error_plot(data.runs, data.current, *machine, number) for number, machine in enumerate(machines)]
-    sections.append(Section("Prediction error", (), [plot for plot in errors if plot is not None]))
+    if plots := [plot for plot in errors if plot is not None]:
+        sections.append(Section("Prediction error", (), plots))
     sections.append(_all_runs(data))
     return render(Page(f"Calibrations of {names}", headline, verdict, sections, _about(data, alarms)))
 
@@ -85,8 +90,8 @@ def _all_runs(data: IndexData) -> Section:
     ]
     links = [f"{quote(run.run)}/report.html" if run.complete else "" for run in reversed(runs)]
     accepted = sum(run.accepted for run in runs)
-    text = (f"{len(runs)} runs, {accepted} accepted; the newest first.",)
-    header = ("run", "result", "worst axis", "kind", "serial", "cycles", "reason")
+    text = (f"{counted(len(runs), 'run')}, {accepted} accepted; the newest first.",)
+    header = ("run", "result", "worst axis", "kind", "serial", "cycles", "cause or reason")
     return Section("Runs", text, (Table("runs", header, rows, links),))
 
 

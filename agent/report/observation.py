@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from agent.core import counted
+from agent.model import USUAL_CONDITION
 from agent.report.page import Section, Table
 from agent.report.plots import Panel, Plot, Series
 
@@ -15,20 +16,18 @@ if TYPE_CHECKING:
     from agent.recording import Log
     from agent.validation import Observability
 
-_USUAL_LIMIT = 100  # Gautier and Khalil's rule of thumb for exciting trajectories
-
 
 def observation_section(model: IdentifiedModel, log: Log) -> Section:
     """What a model's own motion shows of its parameters: condition number of the fit, singular values, the directions
     seen least, and what is not identifiable."""
-    from agent.model import condition_text
+    from agent.model import judged_condition
     from agent.validation import observability
 
-    found, condition_number = observability(model, log), condition_text(model.condition_number)
+    found, condition_number = observability(model, log), judged_condition(model.condition_number)
     text = [
-        f"{found.parameters} parameters; condition number {condition_number}, of the weighted observation matrix that "
-        "the model was estimated from, columns scaled to unit length. The rule of thumb for a good excitation is below "
-        f"{_USUAL_LIMIT}. Singular values and directions are those along one cycle, rows weighted by the residuals.",
+        f"{found.parameters} parameters. Condition number {condition_number}.",
+        "It is that of the weighted observation matrix that the model was estimated from, columns scaled to unit "
+        "length. Singular values and directions are those along one cycle, rows weighted by the residuals.",
         _unidentifiable(found),
     ]
     if found.within_noise:
@@ -58,7 +57,7 @@ def _direction(parts: dict[str, float]) -> str:
 
 def _singular_values(values: np.ndarray) -> Plot:
     decades = np.log10(np.maximum(values / values[0], 1e-9))
-    marks = {f"a condition number of {_USUAL_LIMIT}": -np.log10(_USUAL_LIMIT)}
+    marks = {f"a condition number of {USUAL_CONDITION}": -np.log10(USUAL_CONDITION)}
     panel = Panel("singular values", "log10 of value / largest", (Series("value / largest", decades),), marks=marks)
     number = np.arange(1.0, len(values) + 1)
     return Plot("singular-values", "Singular values of the observation matrix.", "number", (panel,), number)

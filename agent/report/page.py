@@ -50,14 +50,15 @@ class NextStep:
 class About:
     """The first screen beside the answer.
 
-    What was `asked`, `facts` that the answer rests on, what comes `next`, and the `identity` of what the page is about
-    as (what, value).
+    What was `asked`, `facts` that the answer rests on and the `identity` of what the page is about, both as (what,
+    value), what comes `next`, and a `picture` (SVG text).
     """
 
     asked: str = ""
-    facts: Sequence[str] = ()
+    facts: Sequence[tuple[str, str]] = ()
     next: Sequence[NextStep] = ()
     identity: Sequence[tuple[str, str]] = ()
+    picture: str = ""
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from agent.diagnosis import name, place
 from agent.report.page import Section, Table
+from agent.report.phrasing import place
 
 
 def next_text(experiment: Mapping[str, Any]) -> str:
@@ -82,5 +82,5 @@ def _chance(one: Mapping[str, Any]) -> str:
 def _answer(one: Mapping[str, Any]) -> str:
     if not one.get("verdict"):
         return "none: it was cut short"
-    causes = [f"{name(cause['effect'])} on {place(cause)}" for cause in one["causes"]]
+    causes = [f"{cause['effect']} on {place(cause)}" for cause in one["causes"]]
     return f"{one['verdict']}: {', '.join(causes)}" if causes else str(one["verdict"])

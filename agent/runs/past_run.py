@@ -170,7 +170,7 @@ def _read_run(path: Path) -> tuple[PastRun, list[PastParameter]]:
         loop=_text(state, "loop"),
         program=_text(state, "program"),
         reference=_text(state, "reference"),
-        reason=_one_line(result.get("reason", "") or state.get("stopped", {}).get("reason", "")),
+        reason=_one_line(result.get("reason", "") or _named(result) or state.get("stopped", {}).get("reason", "")),
         worst=max(known, default=None),
         data=data,
     )
@@ -227,6 +227,15 @@ def read_object(path: Path) -> dict[str, Any]:
     if not isinstance(data, dict):
         raise ValueError(f"{path.name} holds no object")
     return data
+
+
+def _named(result: dict[str, Any]) -> str:
+    """What a diagnosis named, and where; empty of any other run, or where the file has it in another form."""
+    causes = result.get("causes", ())
+    try:
+        return "; ".join(f"{cause['effect']} on {', '.join(cause['joints']) or 'the whole arm'}" for cause in causes)
+    except (TypeError, KeyError):
+        return ""
 
 
 def _text(data: dict[str, Any], key: str, otherwise: str = "") -> str:

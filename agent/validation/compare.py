@@ -59,6 +59,7 @@ class TorqueChange:
 class Comparison:
     """Two models of one robot.
 
+    `machines` are their serials where these differ: the differences are between two machines then, no change of one.
     `parameters` are those that both have and that were estimated in between; `only_before`, `only_after` name those
     that one alone has.
     """
@@ -69,6 +70,13 @@ class Comparison:
     only_before: tuple[str, ...]
     only_after: tuple[str, ...]
     torque: TorqueChange
+    machines: tuple[str, ...] = ()
+
+    @property
+    def between_machines(self) -> str:
+        """What two machines make of a comparison, in a sentence; empty for one."""
+        named = " and ".join(self.machines)
+        return f"These are two machines ({named}): the figures say how they differ, not what changed." if named else ""
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data and arrays."""
@@ -83,16 +91,18 @@ class Comparison:
         kept = [field.name for field in fields(ParameterChange)]
         parameters = tuple(ParameterChange(**{key: entry[key] for key in kept}) for entry in data["parameters"])
         only_before, only_after = tuple(data["only_before"]), tuple(data["only_after"])
-        return cls(data["before"], data["after"], parameters, only_before, only_after, torque)
+        machines = tuple(data.get("machines", ()))
+        return cls(data["before"], data["after"], parameters, only_before, only_after, torque, machines)
 
     def text(self) -> str:
         """For people: what moved, then the torque."""
         moved = sorted((c for c in self.parameters if c.moved), key=lambda c: -abs(c.deviations))
-        lines = [f"{self.before} -> {self.after}"]
+        lines = [f"{self.before} -> {self.after}", *([self.between_machines] if self.machines else [])]
         if moved:
+            width = max(len(change.name) for change in moved)
             lines.append(f"{len(moved)} of {len(self.parameters)} parameters moved by more than their uncertainty:")
             lines += [
-                f"  {c.name:14} {c.before:10.4g} -> {c.after:10.4g} {c.unit:10} {c.deviations:+6.1f} deviations"
+                f"  {c.name:{width}} {c.before:10.4g} -> {c.after:10.4g} {c.unit:10} {c.deviations:+6.1f} deviations"
                 for c in moved
             ]
         else:
@@ -100,12 +110,13 @@ class Comparison:
         for title, names in (("before", self.only_before), ("after", self.only_after)):
             if names:
                 lines.append(f"only {title}: {', '.join(names)}")
+        width = max(map(len, self.torque.joints))
         lines.append(f"predicted torque along {self.torque.motion}:")
         for k, joint in enumerate(self.torque.joints):
             share = self.torque.normalised_rmse[k]
             normalised = f" ({100 * share:.2f} % of nominal)" if np.isfinite(share) else ""
             lines.append(
-                f"  {joint:12} differs by {self.torque.rmse[k]:.3g} N·m RMS{normalised}, at most "
+                f"  {joint:{width}} differs by {self.torque.rmse[k]:.3g} N·m RMS{normalised}, at most "
                 f"{self.torque.largest[k]:.3g} N·m; uncertainty explains {self.torque.standard_deviation[k]:.2g} N·m"
             )
         return "\n".join(lines)
@@ -137,7 +148,9 @@ def compare_models(
     only_before, only_after = (
         tuple(name for name in own if name not in other) for own, other in (places, places[::-1])
     )
-    return Comparison(before_name, after_name, changes, only_before, only_after, torque)
+    first, second = (tuple(model.provenance.get("serial", ())) for model in (before, after))
+    machines = first + second if first and second and first != second else ()
+    return Comparison(before_name, after_name, changes, only_before, only_after, torque, machines)
 
 
 def _change_deviations(before: IdentifiedModel, after: IdentifiedModel) -> dict[str, float]:

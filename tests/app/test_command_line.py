@@ -250,3 +250,16 @@ def test_a_topic_is_named_on_the_command_line(run_agent, tmp_path: Path):
         assert "--topic" in run.stderr
         run = run_agent(words[0], "--robot", "comau_ns16", *words[1:], "--topic", "/c", log)
         assert "no joint states on the topic /c" in run.stderr
+
+
+def test_a_new_recipe_lies_where_the_arm_works(run_agent, tmp_path: Path):
+    """Of a small arm as of the built-in one: `agent check` finds nothing out of reach."""
+    from agent.excitation import check_sub_region
+    from agent.pipeline.planning import loop_problem
+    from agent.recipe import load_recipe
+
+    for robot in ("comau_ns16", str(ROOT / "recipes/examples/tx40/robot.yaml")):
+        name = f"{Path(robot).parent.name}.yaml"
+        assert run_agent("init", name, "--robot", robot).returncode == 0
+        recipe = load_recipe(tmp_path / name)
+        assert not check_sub_region(loop_problem(recipe, recipe.motion.speed))

@@ -108,7 +108,11 @@ def test_the_gap_is_in_motion_first_and_the_torque_is_said_to_be_the_servos(soft
     assert result["torque_of"] == "servos"
     assert "no torque was measured" in result["warnings"][0]
     text, page = diagnosis_text(result), (folder / "page.html").read_text()
-    assert text.index("position error of") < text.index("that of the file's servos") < text.index("torque error held")
+    assert (
+        text.index("position error of")
+        < text.index("that of the file's servos")
+        < text.index("torque error on held-out")
+    )
     assert page.index("How far it drifts") < page.index("Where it is")
     assert "its servo has another gain" in page
 

@@ -9,7 +9,8 @@ from hypothesis import given, strategies as st
 
 from agent.core.figures import plus_minus
 from agent.diagnosis.sizes import amplitude, leading_parameter, reported_parameters, size_text, unit_of
-from agent.report.first_screen import headline
+from agent.report import closes, headline, summary
+from agent.robot import SHARE
 
 NUMBER = re.compile(r"-?[\d.]+(?:e[-+]?\d+)?")
 
@@ -38,6 +39,9 @@ def test_figures_have_their_units():
     assert unit_of("contact", "force_x_2") == "N"
 
 
+GAP = {"joints": ["elbow"], "units": [SHARE], "before": [0.04], "after": [0.01]}
+
+
 def test_the_leading_figure_and_what_is_not_told():
     payload = {"effect": "payload", "parameters": {"m0": 3.9, "hx0": 0.1, "mass": 4.0, "moment_x": 0.4}}
     assert leading_parameter(payload) == "mass"
@@ -64,11 +68,34 @@ def test_a_change_has_its_sign_and_a_sum_of_harmonics_its_amplitude():
 def test_the_headline_of_what_cannot_be_told_apart_names_all_of_it():
     other = {"effect": "torque_offset", "joints": ["elbow"]}
     cause = {"effect": "asymmetric_friction", "joints": ["elbow"], "closure": 1.04, "probability": 0.95}
+    cause["parameters"] = {"coulomb_asymmetry": -3.3}
     result = {"verdict": "ambiguous", "closure": 0.98, "causes": [cause | {"equivalent_to": [other]}]}
-    assert headline(result, "level -3.3 N·m") == (
-        "elbow: asymmetric friction or torque offset; these logs do not tell which "
-        "(as asymmetric friction: level -3.3 N·m, closes 98 % of the gap, probability 0.95 together)."
+    result |= {"where": [], "next_experiment": None, "gap": GAP}
+    assert headline(result) == (
+        "elbow: friction differs between the two directions (asymmetric_friction), or the measured torque is shifted "
+        "by a constant (torque_offset)."
     )
+    said = summary(result)
+    error = "4.00 % of nominal torque; 1.00 % with what was found"
+    assert said["where"] == f"elbow. Torque error of elbow on held-out motion: {error}."
+    assert said["what"].endswith("The first closes 98 % of the gap, coulomb asymmetry about -3.3 N·m.")
+    assert said["how_sure"] == "These logs cannot distinguish them: together probability 0.95."
+    assert said["next"] == ["Look at one-sided bearing load, seals, preload of a screw or belt."]
     elsewhere = [{"effect": "payload", "joints": []}, other, other, other]
     result["causes"][0]["equivalent_to"] = elsewhere
-    assert "asymmetric friction or payload on the whole arm or torque offset or 2 others;" in headline(result)
+    assert "mass than in the model (payload) on the whole arm, or the measured" in headline(result)
+    assert headline(result).endswith("(torque_offset), or one of 2 others.")
+
+
+def test_a_cause_closes_what_its_step_of_the_attribution_closes():
+    cause = {"effect": "torque_offset", "joints": ["elbow"], "closure": 0.98, "parameters": {"offset": 2.0}}
+    cause |= {"probability": 0.9, "equivalent_to": []}
+    steps = [("torque_offset of elbow", 0.61), ("the model's own parameters", 0.38), ("remainder", 0.01)]
+    result = {"verdict": "explained", "closure": 0.99, "causes": [cause], "where": [], "next_experiment": None}
+    result["gap"] = GAP
+    result["waterfall"] = [{"step": step, "closes": part} for step, part in steps]
+    assert closes(cause, result) == "closes 61 % of the gap"
+    assert (
+        "It closes 61 % of the gap, offset 2 N·m. Most of the gap closes with: torque_offset of elbow (61 %)"
+        in (summary(result)["what"])
+    )

@@ -18,6 +18,7 @@ from agent.core.errors import RejectedError
 from agent.model import IdentifiedModel
 from agent.model.export import export_model
 from agent.model.friction_terms import FrictionTerm, Reversal
+from agent.model.nearest_bodies import possible_model
 from agent.model.standard_parameters import check_physical, full_parameters, pseudo_inertia
 from agent.robot import RobotDescription, load_robot
 from agent.robot.bodies import rigid_bodies
@@ -360,3 +361,26 @@ def test_the_table_is_exported_of_a_model_without_possible_links(ns16, tmp_path)
     found = CliRunner().invoke(app, ["export", str(tmp_path / "model.json"), "-o", str(out), "--csv"])
     assert (found.exit_code, found.output) == (0, f"{out / 'parameters.csv'}\n")
     assert [path.name for path in out.iterdir()] == ["parameters.csv"]
+
+
+def test_a_fit_that_no_bodies_have_is_exported_as_the_nearest_that_could_exist(ns16: RobotDescription, tmp_path: Path):
+    model = model_of(ns16, bodies(ns16), known=False)
+    values = model.values.copy()
+    rotor = model.names.index("J6")
+    values[rotor] = -1e-4  # a little below zero, and known to much less
+    deviations = np.full(len(values), 1e-3)
+    deviations[rotor] = 1e-4
+    impossible = replace(model, values=values, covariance=np.diag(deviations**2))
+    impossible.save(tmp_path / "model.json")
+    found, said = possible_model(impossible)
+    check_physical(ns16, full_parameters(found))
+    apart = np.abs(found.values - impossible.values) / deviations
+    assert np.max(apart) == pytest.approx(apart[rotor]), "what has to move moves most"
+    assert apart[rotor] < 2
+    assert np.sum(apart**2) < 1.2 * (1e-4 / deviations[rotor]) ** 2 + 0.5, "no further than it has to"
+    shown = CliRunner().invoke(app, ["export", str(tmp_path / "model.json"), "-o", str(tmp_path / "out")])
+    assert shown.exit_code == 0, shown.output
+    assert said.startswith("no bodies that could exist have exactly the parameters")
+    assert said in shown.output
+    assert (tmp_path / "out" / f"{ns16.name}.urdf").exists()
+    assert possible_model(model) == (model, "")

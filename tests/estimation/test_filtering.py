@@ -56,6 +56,16 @@ def test_it_halves_the_amplitude_at_the_cutoff_without_moving_it(arm, make_log):
     assert np.abs(motion.low_pass(wave) - 0.5 * wave[motion.kept]).max() < 1e-3
 
 
+def test_a_cutoff_far_below_the_sampling_rate_overflows_nothing(arm, make_log):
+    """Twice the order of 8 as a power of the warped frequency, at 1/7000 of the rate."""
+    t = np.arange(160_000) / 20_000
+    wave = np.sin(2 * np.pi * 0.3 * t)[:, None]
+    motion = _motions(make_log(arm(1), t, wave, wave), 3.0, reduce=False)[0]
+    with np.errstate(over="raise", invalid="raise"):
+        found = motion.low_pass(wave)
+    assert np.abs(found - wave[motion.kept]).max() < 0.01
+
+
 @settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 1000), columns=st.integers(1, 12))
 def test_filtering_commutes_with_a_linear_model(arm, make_log, seed, columns):

@@ -31,6 +31,7 @@ ASKED = GapQuestion(
     next_recipe=Path("next.yaml"),
     next_payload="2 kg, 0 mm, 0 mm, -30 mm",
     drives_off=Path("zero.mcap"),
+    planning_budget=90.0,
 )
 #: Parameters of the command that the question does not have, and what the test's command line says of them.
 BESIDE = {"as_json": False, "yes": False, "messages": None, "robot": None}
@@ -69,7 +70,8 @@ def test_a_diagnosis_is_started_again_with_the_command_that_started_it(run: RunF
         "until_sure": True,
         "budget": "600 s",
         "load": ASKED.next_payload,
-        **{key: value for key, value in vars(ASKED).items() if key != "next_payload"},
+        "planning_budget": "90 s",
+        **{key: value for key, value in vars(ASKED).items() if key not in ("next_payload", "planning_budget")},
     }
     assert {**found, "without": tuple(found["without"])} == {**BESIDE, **question}
     recorded = read(said.partition("ask the same of them with: ")[2].partition("; or start again")[0])
@@ -85,10 +87,21 @@ def test_a_diagnosis_of_further_logs_asks_the_same_and_writes_nothing_over():
     found = read(step.command)
     same = replace(ASKED, report=None, out=None, next_recipe=None, next_payload=None)
     wanted = {**vars(same), "without": list(same.without)}
-    del wanted["next_payload"]
+    del wanted["next_payload"], wanted["planning_budget"]
     assert {key: found[key] for key in wanted} == wanted
     assert found["load"] is None
-    assert (found["robot"], found["logs"]) == ("my robot.yaml", [Path("a b.mcap")])
+    assert (found["robot"], found["logs"]) == ("my robot.yaml", [Path("a b.mcap"), Path("new.mcap")])
+    assert "new.mcap" in step.what, "what is recorded has the name that the command reads"
+
+
+@pytest.mark.parametrize("known", [None, Path("zero.mcap")])
+def test_seconds_on_the_brakes_are_asked_for_by_the_option_that_takes_their_log(known):
+    experiment = {"motion": f"What may: {BRAKES}", "program": None}
+    result = {"verdict": "ambiguous", "causes": [{"effect": "torque_offset"}], "next_experiment": experiment}
+    (step,) = after_diagnosis(result, "my robot.yaml", [Path("a.mcap")], replace(ASKED, drives_off=known))
+    found = read(step.command)
+    assert found["drives_off"] == (known or Path("brakes.mcap"))
+    assert found["logs"] == [Path("a.mcap"), *([Path("new.mcap")] if known else [])]
 
 
 def test_after_a_planned_motion_comes_its_recording_and_the_same_question_with_its_log():

@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+import agent.diagnosis
 import agent.experiment
 from agent.core import Console, InputError, RejectedError, write_atomically
 from agent.diagnosis.evidence import null_gains
@@ -63,6 +64,9 @@ def ask(tmp_path: Path, monkeypatch):
 
 
 def test_it_says_what_no_motion_would_tell_and_where_to_look(ask):
+    in_time = ask([replace(NOTHING, weighed=2, cut_short=True)]).text
+    assert "in the time for planning (2 pieces were weighed): allow more with --planning-budget" in in_time
+    assert "What may" not in in_time, "nobody knows that no motion would"
     said = ask([replace(NOTHING, weighed=200), NOTHING])
     assert "would tell stribeck on joint_2 from presliding on joint_2. What may: another posture" in said.text
     assert said.separates == ("presliding", "stribeck")
@@ -165,10 +169,23 @@ def asked(arm, logs, tmp_path: Path, monkeypatch):
         shown: list[dict] = []
         with pytest.raises(type(why)):
             diagnose_files(arm, paths, question, Console(-1), shown.append)
-        (one,) = shown
-        return question, one
+        assert shown[0]["verdict"] == shown[-1]["verdict"]
+        assert not any("found out" in text for text in shown[0]["warnings"]), "the verdict comes before the planning"
+        return question, shown[-1]
 
     return run
+
+
+def test_a_forward_simulation_that_fails_costs_no_verdict(arm, logs, tmp_path: Path, monkeypatch):
+    learn(arm).save(tmp_path / "model.json")
+    for log in logs:
+        write_log(tmp_path / log.name, log)
+    question = GapQuestion(tmp_path / "model.json", report=tmp_path / "page.html")
+    monkeypatch.setattr(agent.diagnosis, "simulate", fails(InputError("the effect gives no finite torque")))
+    result = diagnose_files(arm, [tmp_path / log.name for log in logs], question, Console(-1))
+    assert (result["verdict"], result["simulation"]) == ("no_gap", None)
+    assert any("the forward simulation failed" in text and "finite torque" in text for text in result["warnings"])
+    assert "the forward simulation failed" in question.report.read_text(encoding="utf-8")
 
 
 STOPS = [KeyboardInterrupt(), InputError("a box that nothing keeps clear of")]

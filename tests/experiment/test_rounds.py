@@ -86,7 +86,7 @@ def ask(tmp_path: Path, monkeypatch):
         plans = iter(motions or [Motion(), Motion(), NONE])
         made.clear()
 
-        def plan(found, recipe, console, seconds, name):
+        def plan(found, recipe, console, seconds, name, **_):
             made.append((recipe.motion.speed, seconds))
             motion = next(plans)
             if isinstance(motion, BaseException):
@@ -121,7 +121,7 @@ def test_rounds_end_when_it_is_settled_and_all_logs_count(ask):
         "what was run, not what a person was not asked"
     )
     assert found.end == "settled: explained"
-    assert found.said == "explained: stribeck on joint_2"
+    assert found.said == "explained: friction rises as the joint slows down (stribeck) on joint_2"
     assert found.cut_short is None
 
 

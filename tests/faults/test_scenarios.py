@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import json
+import re
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -9,10 +13,13 @@ import pytest
 
 from agent.core.errors import InputError
 from drivers.wire.reasons import EndReason
+from fake_controller.actuation import EFFECTS, OUTSIDE, load_effect
 from fake_controller.build import build_controller
 from fake_controller.faults import FAULTS, PHASES, Fault
 from fake_controller.scenario import builtin_scenarios, load_scenario
 from fake_controller.servers import open_server
+
+ROOT = Path(__file__).parents[2]
 
 #: In the quick tests; each fault on its own is there already.
 QUICK = {
@@ -87,3 +94,25 @@ def test_a_fault_that_makes_no_sense_on_a_wire_is_refused(arm):
     controller = build_controller(arm, 3, "fast", faults=[Fault("reorder", "streaming")])
     with pytest.raises(ValueError, match="reorder makes no sense on modbus: it sends one answer at a time"):
         open_server("modbus", controller)
+
+
+def test_all_that_can_be_built_in_is_listed_with_units_and_an_entry_that_works(arm):
+    command = [sys.executable, "-m", "fake_controller", "--list-effects"]
+    listed = subprocess.run(command, capture_output=True, text=True, check=True, cwd=ROOT).stdout
+    for effect in [*EFFECTS, *OUTSIDE]:
+        assert f"{effect} (joints: " in listed
+    assert re.search(r"rise +\[N·m\] +required", listed)
+    assert re.search(r"encoder_offset \(joints: one or more\)\n.*\n +offset +\[rad\]", listed)
+    assert load_effect(json.loads(listed.splitlines()[1])).joints == ("joint_4",)
+
+
+def test_a_joint_of_a_fault_goes_by_its_name_or_its_number_and_nothing_need_be_expected(tmp_path: Path):
+    path = tmp_path / "by_hand.yaml"
+    named = "{fault: servo_error, phase: streaming, joint: joint_3}"
+    path.write_text(f"title: by hand\nfaults: [{named}]\n", encoding="utf-8")
+    (fault,) = load_scenario(path).build_faults()
+    assert fault.joint == 3
+    path.write_text(path.read_text().replace("joint_3", "elbow"), encoding="utf-8")
+    with pytest.raises(InputError, match="there is no 'elbow'; there are joint_1, "):
+        load_scenario(path).build_faults()
+    assert all("expect" in load_scenario(path).model_fields_set for path in builtin_scenarios())

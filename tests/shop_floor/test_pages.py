@@ -241,7 +241,28 @@ def test_runs_side_by_side(shop: Path, browse):
     assert "1 of" in text.split("</header>")[0]
     assert "f0_2 by" in text.split("</header>")[0]
     assert "Friction curves" in _titles(text)
+    assert "agent apply" in text
     _check_shown(browse, page)
+
+
+def test_runs_of_two_machines_side_by_side_are_no_change_of_one(shop: Path):
+    from agent.core.console import Console
+    from agent.pipeline.compare import compare_runs
+
+    first = min(path.parent for path in shop.glob("logs/*/model.json"))
+    other = first.with_name("20300103T000000Z_comau_ns16")
+    shutil.copytree(first, other)
+    model = json.loads((other / "model.json").read_text(encoding="utf-8"))
+    model["provenance"]["serial"] = ["ANOTHER-8"]
+    (other / "model.json").write_text(json.dumps(model), encoding="utf-8")
+    page = shop / "machines.html"
+    (found,) = compare_runs([first, other], Console(-1), page)
+    shutil.rmtree(other)
+    assert "and ANOTHER-8): the figures say how they differ" in found.text()
+    assert found.to_dict()["machines"][1] == "ANOTHER-8"
+    text = page.read_text(encoding="utf-8")
+    assert "These are two machines" in text.split("</header>")[0]
+    assert "agent apply" not in text
 
 
 def test_a_run_refreshes_the_page_over_all_runs(calibrated: Path, monkeypatch):

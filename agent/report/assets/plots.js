@@ -111,7 +111,7 @@
           const pad = 0.06 * (high - low || Math.abs(high) || 1);
           return [panel.zero && low >= 0 ? 0 : low - pad, high + pad];
         } } },
-        axes: [{ ...axis, size: 46, ...(!spec.unit && this.x.every(Number.isInteger) ? { incrs: [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000] } : {}), label: spec.unit ? `${spec.label} [${spec.unit}]` : spec.label, labelSize: 18, labelFont: "12px system-ui, sans-serif", ...(spec.dates ? { space: 90, values: (u, ticks, axis, space, step) => ticks.map(t => step >= 86400 ? stamp(t).slice(0, 10) : stamp(t).slice(5)) } : {}) },
+        axes: [{ ...axis, size: 46, ...(!spec.unit && this.x.every(Number.isInteger) ? { incrs: [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000] } : {}), label: spec.unit ? `${spec.label} [${spec.unit}]` : spec.label, labelSize: 18, labelFont: "12px system-ui, sans-serif", ...(spec.dates ? { space: 90, values: (u, ticks, axis, space, step) => ticks.map(t => step >= 86400 ? stamp(t).slice(0, 10) : step >= 60 ? stamp(t).slice(5) : new Date(t * 1000).toISOString().slice(11, 19)) } : {}) },
           { ...axis, size: 62, label: panel.unit ? `[${panel.unit}]` : undefined, labelSize: 16, labelFont: "12px system-ui, sans-serif", values: (u, ticks) => ticks.map(v => Math.abs(v) >= 1e5 || (v !== 0 && Math.abs(v) < 1e-3) ? v.toExponential(0) : String(+v.toPrecision(6))) }],
         cursor: { y: false, drag: { x: true, y: false }, points: { size: 6 } },
         legend: { show: false },

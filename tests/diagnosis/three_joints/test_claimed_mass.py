@@ -31,4 +31,4 @@ def test_it_is_named_where_nothing_explains_the_gap(found):
 
 
 def test_the_page_says_it_on_its_head(found):
-    assert ("mass at the flange", f"{CLAIMED} (two.mcap)") in about_diagnosis(found, [], None).identity
+    assert ("mass at the flange", f"{CLAIMED} (two.mcap)") in about_diagnosis(found, [], found.result).identity

@@ -190,7 +190,7 @@ def test_the_page_says_what_where_and_what_to_do(diagnosed):
     for words in (
         "the flange carries another mass than in the model",
         "Look at: what hangs on the flange",
-        "On motion that it was not fitted to: closes ",
+        "On held-out motion it closes ",
         "Forward simulation",
         "Steps of the procedure",
         "Not testable here",

@@ -1,0 +1,276 @@
+"""People's words for a diagnosis: terminal, page and JSON say the same four things.
+
+What an effect is and where to look is data of the effect's class. A result is plain data of schema diagnosis/1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from agent.diagnosis import amplitude, in_torque, leading_parameter, size_text, torque_gap
+from agent.model import CATALOGUE
+from agent.report.page import NextStep
+from agent.robot import SHARE, figure_text
+
+REGIMES = {
+    "standstill": "standing still",
+    "reversal": "around reversals",
+    "low_speed": "at low speed",
+    "high_speed": "at high speed",
+    "high_load": "under high load",
+    "acceleration": "while accelerating",
+    "position_low": "in the lower third of its range",
+    "position_middle": "in the middle of its range",
+    "position_high": "in the upper third of its range",
+    "motor_phase": "with the motor's angle",
+}
+#: The four things, by their key in a result's `summary`.
+FOUR = {"where": "Where", "what": "What", "how_sure": "How sure", "next": "Next"}
+#: Title of the page's section on what these motions cannot show.
+NOT_TESTABLE = "Not testable here"
+_VERDICTS = {
+    "no_gap": "no gap: model and robot agree within the model's own prediction error",
+    "unknown": "there is a gap, and no effect of the catalogue explains it",
+}
+#: Equivalents of a cause that are named, regimes and steps of an attribution, at most.
+_MOST_OTHERS, _MOST_REGIMES, _MOST_STEPS = 2, 2, 3
+#: Shares of the gap from which a joint carries much of it, is described, and a step of the attribution is named.
+_MUCH, _SOME, _STEP = 0.25, 0.15, 0.05
+_LIKELY = 0.7  # probability from which a cause is called likely
+
+
+def place(entry: Mapping[str, Any]) -> str:
+    """Where a cause of a result, or one of its equivalents, sits."""
+    return " and ".join(entry["joints"]) or "the whole arm"
+
+
+def what(effect: str, result: Mapping[str, Any]) -> str:
+    """What an effect is, with its name in brackets."""
+    return f"{_words(effect, result)[0]} ({effect})"
+
+
+def look_at(effect: str, result: Mapping[str, Any]) -> str:
+    """What to check on the arm."""
+    return _words(effect, result)[1]
+
+
+def _words(effect: str, result: Mapping[str, Any]) -> tuple[str, str]:
+    known = CATALOGUE[effect]
+    by_servos = known.of_servos if result.get("torque_of") == "servos" else None
+    return by_servos or (known.phrase, known.look_at)
+
+
+def verdict_text(result: Mapping[str, Any]) -> str:
+    """What a verdict without causes means; the causes in a line where it has any.
+
+    Adjusted numbers of a simulator may close nearly all of a gap though no effect of the catalogue was found.
+    """
+    if result["causes"]:
+        return "; ".join(f"{what(cause['effect'], result)} on {place(cause)}" for cause in result["causes"])
+    closed = sum(step["closes"] for step in result.get("waterfall", ())[:-1])
+    if result["verdict"] == "unknown" and closed > 0:
+        return (
+            f"adjusted numbers of the simulator close {100 * closed:.1f} % of the gap; no effect of the catalogue "
+            "explains the rest"
+        )
+    return _VERDICTS[result["verdict"]]
+
+
+def in_short(result: Mapping[str, Any]) -> str:
+    """Verdict and causes in a line."""
+    verdict = result["verdict"].replace("_", " ")
+    text = verdict_text(result)
+    return text if text.startswith(verdict) else f"{verdict}: {text}"
+
+
+def headline(result: Mapping[str, Any]) -> str:
+    """The verdict in one sentence: which joint, and what it is."""
+    if not result["causes"]:
+        on = f", on {worst_joints(result)}" if result["verdict"] == "unknown" and result["where"] else ""
+        return capital(f"{verdict_text(result)}{on}.")
+    cause = result["causes"][0]
+    sure = "" if cause["equivalent_to"] else ", most likely" if cause["probability"] >= _LIKELY else ", perhaps"
+    agrees = "" if torque_gap(result) else " In torque, model and robot agree."
+    return f"{_opening(cause)}{sure}: {_one_of(cause, result)}.{agrees}"
+
+
+def capital(text: str) -> str:
+    """Begun with a capital."""
+    return text[:1].upper() + text[1:]
+
+
+def _opening(cause: Mapping[str, Any]) -> str:
+    """Where a cause sits, at the beginning of a sentence: the name of a joint stays as it is."""
+    return place(cause) if cause["joints"] else capital(place(cause))
+
+
+def _one_of(cause: Mapping[str, Any], result: Mapping[str, Any]) -> str:
+    """A cause and what these logs cannot distinguish from it, with their places where these differ."""
+    others = [
+        what(other["effect"], result) + ("" if other["joints"] == cause["joints"] else f" on {place(other)}")
+        for other in cause["equivalent_to"]
+    ]
+    more = [f"one of {len(others) - _MOST_OTHERS} others"] if len(others) > _MOST_OTHERS + 1 else others[_MOST_OTHERS:]
+    return ", or ".join([what(cause["effect"], result), *others[:_MOST_OTHERS], *more])
+
+
+def closes(cause: Mapping[str, Any], result: Mapping[str, Any]) -> str:
+    """What a cause closes of which gap: its step in the attribution, where there is one; empty where it is unknown."""
+    called = " of ".join(part for part in (cause["effect"], ", ".join(cause["joints"])) if part)
+    step = next((step["closes"] for step in result.get("waterfall", ()) if step["step"] == called), cause["closure"])
+    if step is None:
+        return ""
+    closure = step if result["closure"] is None else min(step, result["closure"])
+    part = "all" if closure > 0.995 else "less than 1 %" if 0 <= closure < 0.005 else f"{100 * closure:.0f} %"
+    if not in_torque(cause):
+        return f"closes {part} of the gap between planned and executed path"
+    own = cause.get("closure_of_joints") if closure < _STEP else None  # named for what it closes of its own joints
+    on_its_own = "" if own is None else f" and {100 * own:.0f} % of what all else leaves on {place(cause)}"
+    return f"closes {part} of the gap{on_its_own}"
+
+
+def sized(result: Mapping[str, Any], number: int = 0) -> str:
+    """How large a cause is, with its interval; empty where no one figure says it."""
+    cause = result["causes"][number]
+    key = leading_parameter(cause)
+    if key is None:
+        return ""
+    swing = amplitude(cause["parameters"], _intervals(result, number))
+    if key in ("cosine_1", "sine_1") and swing is not None:
+        return f"amplitude {size_text(cause, key, *swing)}"
+    return f"{key.rstrip('0123456789').replace('_', ' ').strip()} {parameter_text(result, number, key)}"
+
+
+def parameter_text(result: Mapping[str, Any], number: int, key: str) -> str:
+    """A parameter of a cause with interval and unit; of one without an interval two digits, except for times."""
+    cause = result["causes"][number]
+    interval = _intervals(result, number).get(key)
+    value, about = float(cause["parameters"][key]), ""
+    if interval is None and not value.is_integer() and not CATALOGUE[cause["effect"]].once:
+        value, about = float(f"{value:.2g}"), "about "
+    return about + size_text(cause, key, value, interval)
+
+
+def _intervals(result: Mapping[str, Any], number: int) -> Mapping[str, tuple[float, float]]:
+    known = result.get("intervals", ())
+    return known[number] if number < len(known) else {}
+
+
+def worst_joints(result: Mapping[str, Any]) -> str:
+    """The joints that carry the gap, in words."""
+    largest = [entry["joint"] for entry in result["where"] if entry["share"] > _MUCH]
+    return " and ".join(largest or [result["where"][0]["joint"]])
+
+
+def share_text(entry: Mapping[str, Any]) -> str:
+    """A share of the gap, with its interval where that says more."""
+    text = f"{100 * entry['share']:.0f} %"
+    interval = entry.get("interval")
+    within = "" if interval is None else f"{100 * interval[0]:.0f} to {100 * interval[1]:.0f}"
+    return text if within in ("", f"{text[:-2]} to {text[:-2]}") else f"{text} ({within})"
+
+
+def where_sentences(result: Mapping[str, Any]) -> Iterator[str]:
+    """The joints that carry the gap, each with the regimes in which more of it lies than time is spent there."""
+    if not torque_gap(result):
+        return
+    for entry in result["where"]:
+        if entry["share"] < _SOME:
+            continue
+        marked = [r for r in entry["regimes"] if r["name"] in REGIMES and r["share"] > 1.4 * r["of_samples"]]
+        marked += [r for r in entry["regimes"] if r["name"] == "motor_phase" and r["share"] > 0.3]
+        named = ", ".join(f"{100 * r['share']:.0f} % of that {REGIMES[r['name']]}" for r in marked[:_MOST_REGIMES])
+        yield f"{entry['joint']} has {share_text(entry)} of the gap{f': {named}' if named else ''}."
+
+
+def summary(result: Mapping[str, Any], steps: Sequence[NextStep] = ()) -> dict[str, Any]:
+    """The first screen of page and terminal: which joint, what, how sure, and (a list of lines) what comes next.
+
+    `steps` are commands that whoever asked can run.
+    """
+    return {
+        "where": " ".join(_where(result)),
+        "what": " ".join(_what(result)),
+        "how_sure": " ".join(_how_sure(result)),
+        "next": [f"{capital(step.what)} {step.command}".rstrip() for step in (*measures(result), *steps)],
+    }
+
+
+def _where(result: Mapping[str, Any]) -> Iterator[str]:
+    worst = result["where"][0]["joint"] if result["where"] else ""
+    sentences = list(where_sentences(result))
+    if result["causes"] and not any(said.startswith(f"{place(result['causes'][0])} has") for said in sentences):
+        yield f"{_opening(result['causes'][0])}."
+    if not torque_gap(result):
+        yield "In torque, model and robot agree."
+        if worst:
+            yield f"The largest torque error on held-out motion is {_error(result, worst)}, on {worst}."
+        return
+    yield from sentences
+    own = result["causes"][0]["joints"] if result["causes"] else []
+    shown = [worst] if worst in own or len(own) != 1 else [own[0], worst]
+    for joint in filter(None, shown):
+        yield f"Torque error of {joint} on held-out motion: {_error(result, joint)}."
+
+
+def _error(result: Mapping[str, Any], joint: str) -> str:
+    gap, k = result["gap"], result["gap"]["joints"].index(joint)
+    before, after = (figure_text(gap[side][k], gap["units"][k]) for side in ("before", "after"))
+    if gap["units"][k] == SHARE:
+        before += " of nominal torque"
+    return before + (f"; {after} with what was found" if result["causes"] and torque_gap(result) else "")
+
+
+def _what(result: Mapping[str, Any]) -> Iterator[str]:
+    if not result["causes"]:
+        yield capital(f"{verdict_text(result)}.")
+    for number, cause in enumerate(result["causes"]):
+        figures = ", ".join(part for part in (closes(cause, result), sized(result, number)) if part)
+        if number == 0:
+            yield capital(f"{_one_of(cause, result)}.")
+            if figures:
+                yield f"{'The first' if cause['equivalent_to'] else 'It'} {figures}."
+        else:
+            yield f"Also on {place(cause)}: {what(cause['effect'], result)}{f', which {figures}' if figures else ''}."
+    if result.get("torque_of") == "servos":
+        yield "Torque was not measured: it is what the simulator's servos would give at the set-points."
+    steps = [step for step in result.get("waterfall", ())[:-1] if step["closes"] >= _STEP]
+    if len(steps) > 1 or (steps and not result["causes"]):
+        largest = sorted(steps, key=lambda step: -step["closes"])[:_MOST_STEPS]
+        closing = ", ".join(f"{step['step']} ({100 * step['closes']:.0f} %)" for step in largest)
+        yield f"Most of the gap closes with: {closing}."
+
+
+def _how_sure(result: Mapping[str, Any]) -> Iterator[str]:
+    if not result["causes"]:
+        open_cause = "The gap is sure; its cause is open."
+        yield _found_if_there(result) if result["verdict"] == "no_gap" else open_cause
+        return
+    cause = result["causes"][0]
+    probability = f"probability {cause['probability']:.2f}"
+    if cause["equivalent_to"]:
+        yield f"These logs cannot distinguish them: together {probability}."
+    else:
+        yield f"{'Likely' if cause['probability'] >= _LIKELY else 'Not sure'}: {probability}."
+
+
+def _found_if_there(result: Mapping[str, Any]) -> str:
+    """How far "no gap" can be trusted: what would have been found."""
+    open_ = {entry["effect"] for entry in result["not_testable"]}
+    usual = "would have been found at the size from which it matters (80 % power)"
+    if not open_:
+        return f"Every effect of the catalogue {usual}."
+    return (
+        f"{len(CATALOGUE) - len(open_)} of {len(CATALOGUE)} effects {usual} on every joint. The rest: {NOT_TESTABLE}."
+    )
+
+
+def measures(result: Mapping[str, Any]) -> list[NextStep]:
+    """What to look at on the arm, and what to run where no motion was planned for it."""
+    steps = [NextStep(f"look at {look_at(cause['effect'], result)}.") for cause in result["causes"][:1]]
+    experiment = result["next_experiment"]
+    if experiment is not None and not experiment.get("program"):  # one that was planned has a command of its own
+        motion = experiment["motion"]
+        steps.append(NextStep(f"{motion}." if "program" in experiment else f"run {motion}."))
+    return steps
