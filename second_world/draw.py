@@ -10,8 +10,6 @@ import numpy as np
 from second_world.arms import Arm, draw_arm
 from second_world.faults import OUTSIDE
 
-#: Runs that share one machine, its description and its recorder.
-GROUP = 4
 #: Share of each kind; the rest has one effect.
 SHARES = {"none": 0.25, "two": 0.1, "outside": 0.1}
 _NAMES = (
@@ -53,8 +51,7 @@ def draw_cases(count: int, seed: int, mix: Mapping[str, Any] | None = None) -> l
     names, outside = _deck([name for name in _NAMES if name in mix["names"]], rng), _deck(OUTSIDE, rng)
     cases = []
     for number, kind in enumerate(kinds):
-        # Short draws of other seeds begin with other builds and recorders.
-        machine = 1000 * (seed % 1_000_000) + seed % 8 + number // GROUP
+        machine, motion = (int(part) for part in rng.integers(2**62, size=2))  # too many to try
         arm = draw_arm(machine)
         strength = float(np.exp(rng.uniform(*np.log(mix["strengths"]))))
         if kind == "outside":
@@ -72,7 +69,7 @@ def draw_cases(count: int, seed: int, mix: Mapping[str, Any] | None = None) -> l
                 "number": number,
                 "kind": kind,
                 "machine": machine,
-                "motion": 1_000_000_000 + 1000 * (seed % 1_000_000) + number,
+                "motion": motion,
                 "strength": strength,
                 "effects": effects,
                 "recorder": recorder(machine),

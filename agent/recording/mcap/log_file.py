@@ -177,8 +177,8 @@ class LogFile:
         """Hand over to the operating system what is still in memory."""
         self._out.flush()
 
-    def finish(self) -> None:
-        """Write the final record `run` and the index, and wait for the disk."""
+    def finish(self, padding: int = 0) -> None:
+        """Write the final record `run`, bytes of padding if asked for, and the index, and wait for the disk."""
         run = dict(self._run)
         if self._cycle_starts:
             first = (self._first or 0) / _NANO
@@ -186,6 +186,8 @@ class LogFile:
         run["lost_samples"], run["repeated_samples"] = str(self.lost), str(self.repeated)
         self._out.add_metadata(RUN, run)
         self._out.add_attachment(LAYOUT_NAME, "application/json", foxglove_layout(self._names).encode())
+        if padding:
+            self._out.add_attachment("padding", "application/octet-stream", bytes(padding))
         self._out.finish()
         self._out.sync()
 
