@@ -72,6 +72,11 @@ class Gap:
             [read_log(path, robot) for path in sorted((folder / session).glob("*.mcap"))]
             for session in ("baseline", "logs")
         )
+        return cls.between(robot, baseline, logs)
+
+    @classmethod
+    def between(cls, robot: RobotDescription, baseline: Sequence[Log], logs: Sequence[Log]) -> Gap:
+        """Of logs against a model of the baseline."""
         model = fitted(robot, baseline)
         return cls(robot, logs, model, errors([(model, log) for log in logs]), errors(held_out(robot, baseline)))
 
@@ -155,9 +160,7 @@ def groups(model: IdentifiedModel) -> Mapping[tuple[str, tuple[str, ...]], list[
 
 def changed(model: IdentifiedModel, other: IdentifiedModel, names: Sequence[str]) -> IdentifiedModel:
     """The model with some parameters as in another one."""
-    values = np.where(np.isin(model.names, names), other.values, model.values)
-    base = len(model.base_values)
-    return replace(model, base_values=values[:base], friction_values=values[base:])
+    return replace(model, values=np.where(np.isin(model.names, names), other.values, model.values))
 
 
 METHODS = {"ranking": ranking, "refit": refit}

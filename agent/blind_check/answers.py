@@ -75,19 +75,15 @@ def read_answers(path: Path) -> list[dict[str, Any]]:
 
 def answer_line(run: str, result: Mapping[str, Any], without: list[str]) -> str:
     """A diagnosis of this agent as an answer."""
-    answer: dict[str, Any] = {"run": run, "verdict": result["verdict"], "closure": _short(result["closure"])}
+    answer: dict[str, Any] = {"run": run, "verdict": result["verdict"]}
     answer["causes"] = [
         {
             "effect": cause["effect"],
             "joints": cause["joints"],
-            "probability": _short(cause["probability"]),
+            "probability": round(cause["probability"], 4),
             "equivalent_to": [{"effect": one["effect"], "joints": one["joints"]} for one in cause["equivalent_to"]],
         }
         for cause in result["causes"]
     ]
-    answer["where"] = [{"joint": one["joint"], "share": _short(one["share"])} for one in result["where"]]
+    answer["where"] = [{"joint": one["joint"], "share": round(one["share"], 4)} for one in result["where"]]
     return json.dumps({**answer, "without": without} if without else answer)
-
-
-def _short(value: float | None) -> float | None:
-    return None if value is None else round(value, 4)

@@ -7,7 +7,7 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -72,13 +72,7 @@ class BlindCheck:
                 raise InputError(f"{self.folder}: is a file, or lies below one; name a folder with -o") from None
             export = self.folder / "export"
             return export_runs(self.world, export, self.key_file, self.count, self.seed, console, engine)
-        key = Key.load(self.key_file)
-        if (key.world, key.count) != (self.world.name, self.count) or self.seed not in (None, key.seed):
-            raise InputError(
-                f"{self.folder}: holds a blind check of {key.count} runs of world {key.world}; name another folder "
-                "with -o"
-            )
-        return key
+        return Key.load(self.key_file, (self.world.name, self.count, self.seed))
 
     def _answer(self, questions: Sequence[Question], path: Path, console: Console, engine: TaskEngine) -> None:
         """Append answers to questions that have none; a run that could not be diagnosed has none in the end."""
@@ -127,16 +121,14 @@ def _answered(folder: Path, questions: Sequence[Question]) -> list[str]:
     done = subprocess.run(command, input=jobs, stdout=subprocess.PIPE, text=True, env=environment)
     if done.returncode:
         raise AgentError("the diagnosing process of the blind check has died; its message is above")
-    return list(_lines(questions, done.stdout.splitlines()))
-
-
-def _lines(questions: Sequence[Question], said: Sequence[str]) -> Iterator[str]:
-    for (run, without), line in zip(questions, said, strict=True):
+    answers = []
+    for (run, without), line in zip(questions, done.stdout.splitlines(), strict=True):
         found = json.loads(line)
         if "result" in found:
-            yield answer_line(run, found["result"], without)
+            answers.append(answer_line(run, found["result"], without))
         else:
             print(f"agent: run {run}: {found['error']}", file=sys.stderr)
+    return answers
 
 
 def hidden_from(command: Sequence[str], folder: Path) -> list[str]:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 import shutil
-from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -15,7 +15,7 @@ import numpy as np
 
 from agent.blind_check.key import NAME, VERSION, Key
 from agent.blind_check.worlds import Truth, World
-from agent.core import AgentError, Console, InProcess, InputError, TaskEngine, write_atomically
+from agent.core import AgentError, Console, InProcess, InputError, TaskEngine, read_yaml, write_atomically
 from drivers.errors import DriverError
 
 #: Describes the runs of a folder; written last, so a folder with it is complete.
@@ -61,6 +61,22 @@ def export_runs(
     key = _begun(world, folder, key_file, count, seed)
     staging = key_file.with_name(f"{key_file.name}.parts")
     staging.mkdir(0o700, parents=True, exist_ok=True)
+    lock = os.open(staging, os.O_RDONLY)
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        key = _filled(key, world, staging, folder, key_file, console, engine)
+    except BlockingIOError:
+        raise InputError(f"{key_file}: another export is recording these runs; wait for it") from None
+    finally:
+        os.close(lock)
+    shutil.rmtree(staging)
+    return key
+
+
+def _filled(
+    key: Key, world: World, staging: Path, folder: Path, key_file: Path, console: Console, engine: TaskEngine
+) -> Key:
+    """Record what is missing, publish all runs, and save the key with them."""
     truths = world.draw(key.count, key.entropy)
     rng = np.random.default_rng([key.entropy, 1])
     labels = _labels(rng, 2 * len(truths))
@@ -69,10 +85,13 @@ def export_runs(
         if done.answer is None:
             raise AgentError(f"blind check: {done.lost}")
         console.progress(f"{count} of {len(tasks)} runs recorded", count / len(tasks))
-    runs, failed = [], []
+    runs: list[dict[str, Any]] = []
+    failed: list[dict[str, Any]] = []
     for (truth, place), run, serial in zip(tasks, labels[::2], labels[1::2], strict=True):
         said = json.loads((place / "truth.json").read_text(encoding="utf-8"))
-        (failed if "error" in said else runs).append({"run": run, "serial": f"SN-{serial}", **truth, **said})
+        (failed if "error" in said else runs).append(
+            {"run": run, "serial": f"SN-{serial}", **truth, **said, "number": int(place.name)}
+        )
     runs.sort(key=lambda run: run["run"])  # in an order that is none of the draw
     for run in runs:
         _publish(staging / f"{run['number']:04d}", folder / "runs" / run["run"], run["serial"], rng)
@@ -82,7 +101,6 @@ def export_runs(
     write_atomically(folder / INDEX, json.dumps(about, indent=1) + "\n")
     for path in (folder, *folder.rglob("*")):
         os.utime(path, (_SESSIONS["logs"],) * 2)
-    shutil.rmtree(staging)
     return key
 
 
@@ -104,13 +122,7 @@ def _begun(world: World, folder: Path, key_file: Path, count: int, seed: int | N
         key = Key.fresh(world.name, count, seed)
         key.save(key_file)
         return key
-    key = Key.load(key_file)
-    if (key.world, key.count) != (world.name, count) or seed not in (None, key.seed):
-        raise InputError(
-            f"{key_file}: is the key of {key.count} runs of world {key.world}, seed {key.seed}; repeat these options "
-            "to draw them again, or name another --key"
-        )
-    return key
+    return Key.load(key_file, (world.name, count, seed))
 
 
 def _labels(rng: np.random.Generator, count: int) -> list[str]:
@@ -148,13 +160,5 @@ def _publish(source: Path, target: Path, serial: str, rng: np.random.Generator) 
         for log in sorted((source / session).glob("*.mcap"), key=first_stamp):
             padding = int(rng.uniform(0, _PADDING) * log.stat().st_size)
             at = _PAUSE + relabelled(log, target / session / log.name, at, {"serial": serial}, padding)
-    for path in _description(source):
-        shutil.copyfile(path, target / path.name)
-
-
-def _description(source: Path) -> Iterator[Path]:
-    """`robot.yaml` and the URDF it names."""
-    from agent.core import read_yaml
-
-    yield source / "robot.yaml"
-    yield source / read_yaml(source / "robot.yaml")["urdf"]
+    for name in ("robot.yaml", str(read_yaml(source / "robot.yaml")["urdf"])):
+        shutil.copyfile(source / name, target / name)

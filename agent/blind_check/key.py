@@ -42,11 +42,11 @@ class Key:
         return int.from_bytes(hashlib.sha256(f"{self.salt} {self.seed}".encode()).digest())
 
     @classmethod
-    def load(cls, path: Path) -> Key:
-        """Read a key.
+    def load(cls, path: Path, draw: tuple[str, int, int | None] | None = None) -> Key:
+        """Read a key, which has to be of this `draw`: world, number of runs and, unless None, seed.
 
         Raises:
-            InputError: it is missing, or no key of this version.
+            InputError: it is missing, no key of this version, or of another draw.
         """
         data = read_json(path)
         if not isinstance(data, dict) or data.pop("schema", None) != _SCHEMA:
@@ -54,9 +54,15 @@ class Key:
         if (benchmark := data.pop("benchmark", None)) != f"{NAME} {VERSION}":
             raise InputError(f"{path}: a key of {benchmark}; this version scores {NAME} {VERSION}")
         try:
-            return cls(**data)
+            key = cls(**data)
         except TypeError as error:
             raise InputError(f"{path}: not a whole key: {error}") from None
+        if draw is not None and draw not in [(key.world, key.count, seed) for seed in (None, key.seed)]:
+            raise InputError(
+                f"{path}: is the key of {key.count} runs of world {key.world}, seed {key.seed}; repeat these options "
+                "to continue or to draw them again, or name another folder and key"
+            )
+        return key
 
     def save(self, path: Path) -> str:
         """Write the key, readable by its owner only; returns its SHA-256.

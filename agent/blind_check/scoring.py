@@ -119,6 +119,7 @@ def score(results: Sequence[Result]) -> dict[str, Any]:
 
 def _scores(results: Sequence[Result]) -> dict[str, Any]:
     of = {kind: [one for one in results if one["kind"] == kind] for kind in ("none", "one", "two", "outside")}
+    single = of["one"] + of["outside"]
     located = [one for one in results if one["joint"] is not None]
     asked = [one for one in results if one["withheld"] is not None]
     sizes = Counter(one["causes"][0][2] for one in results if one["outcome"] == "in class")
@@ -136,7 +137,10 @@ def _scores(results: Sequence[Result]) -> dict[str, Any]:
             for name in _distinct(of["one"], "recorder")
         },
         "calibration": _calibration([one for one in results if one["probability"] is not None]),
-        "effects": {name: counts(some) for name, some in sorted(_by_effect(of["one"] + of["outside"]).items())},
+        "effects": {
+            name: counts([one for one in single if one["effects"][0][0] == name])
+            for name in sorted({one["effects"][0][0] for one in single})
+        },
     }
 
 
@@ -158,13 +162,6 @@ def share(results: Sequence[Result], holds: Callable[[Result], bool]) -> dict[st
 
 def _distinct(results: Sequence[Result], name: str) -> list[str]:
     return list(dict.fromkeys(one[name] for one in results))
-
-
-def _by_effect(results: Sequence[Result]) -> dict[str, list[Result]]:
-    found: dict[str, list[Result]] = {}
-    for one in results:
-        found.setdefault(one["effects"][0][0], []).append(one)
-    return found
 
 
 def _power(results: Sequence[Result]) -> list[dict[str, Any]]:

@@ -55,11 +55,10 @@ class EmulatorWorld:
     _process = ("-m", "fake_controller.withheld")
 
     def draw(self, count: int, seed: int) -> list[dict[str, Any]]:
-        return list(_asked([*self._process, "draw", str(count), str(seed), json.dumps(self.options)]))
+        return list(ask_world([*self._process, "draw", str(count), str(seed), json.dumps(self.options)]))
 
     def write(self, truth: Truth, folder: Path) -> float | None:
-        size: float | None = _asked([*self._process, "write"], {"truth": truth, "folder": str(folder)})["size"]
-        return size
+        return ask_world([*self._process, "write"], {"truth": truth, "folder": str(folder)})["size"]
 
 
 @dataclass(frozen=True)
@@ -68,17 +67,17 @@ class SecondWorld:
 
     cycle: float = 10.0
     name = "mujoco"
+    _process = ("-m", "second_world")
 
     def draw(self, count: int, seed: int) -> list[dict[str, Any]]:
-        return list(second_world("draw", str(count), str(seed)))
+        return list(ask_world([*self._process, "draw", str(count), str(seed)]))
 
     def write(self, truth: Truth, folder: Path) -> float | None:
         machine = {"machine": truth["machine"], "cycle": self.cycle}
         baseline = {"motion": truth["machine"], "effects": [], "describe": str(folder)}
-        second_world("run", given={**machine, **baseline, "folder": str(folder / "baseline")})
+        ask_world([*self._process, "run"], {**machine, **baseline, "folder": str(folder / "baseline")})
         logs = {"motion": truth["motion"], "effects": truth["effects"], "folder": str(folder / "logs")}
-        size: float | None = second_world("run", given={**machine, **logs})["size"]
-        return size
+        return ask_world([*self._process, "run"], {**machine, **logs})["size"]
 
 
 def world_of(name: str) -> World:
@@ -93,17 +92,13 @@ def world_of(name: str) -> World:
     return worlds[name]
 
 
-def second_world(*arguments: str, given: Any = None) -> Any:
-    """What the second world answers to a command with arguments, and an object on its stdin.
+def ask_world(arguments: Sequence[str], given: Any = None) -> Any:
+    """What the process of a world answers to arguments of Python, and to an object on its stdin.
 
     Raises:
-        InputError: MuJoCo is missing.
+        InputError: something it needs is not installed.
         ControllerError: it failed.
     """
-    return _asked(["-m", "second_world", *arguments], given)
-
-
-def _asked(arguments: Sequence[str], given: Any = None) -> Any:
     done = subprocess.run([sys.executable, *arguments], input=json.dumps(given), capture_output=True, text=True)
     if done.returncode == 2:
         raise InputError(f"blind check: {done.stderr.strip()}")

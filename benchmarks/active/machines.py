@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from agent.blind_check import second_world
+from agent.blind_check import ask_world
 from agent.core import Console, InputError
 from agent.model import CATALOGUE
 from agent.pipeline.planning import checked_chains
@@ -119,7 +119,7 @@ class MujocoMachines:
     title = "MuJoCo"
 
     def draw(self, count: int, seed: int) -> list[Case]:
-        drawn = second_world("draw", str(count), str(seed), json.dumps(asdict(OPEN)))
+        drawn = ask_world(["-m", "second_world", "draw", str(count), str(seed), json.dumps(asdict(OPEN))])
         names = {field.name for field in fields(Case)}
         kept = [{name: value for name, value in case.items() if name in names} for case in drawn]
         return [Case(**{**case, "effects": tuple(case["effects"])}) for case in kept]
@@ -128,7 +128,7 @@ class MujocoMachines:
         robot = machine / "robot.yaml"
         if not robot.exists():
             job = {"machine": case.machine, "motion": 0, "effects": [], "set_points": {}}
-            second_world("run", given={**job, "describe": str(machine), "folder": str(machine)})
+            ask_world(["-m", "second_world", "run"], {**job, "describe": str(machine), "folder": str(machine)})
         return _written(machine, _region_text(robot))
 
     def run(self, job: Job) -> None:
@@ -139,7 +139,9 @@ class MujocoMachines:
             np.save(files[name], points)
         machine = {"machine": job.case.machine, "motion": job.case.motion, "effects": list(job.effects)}
         paths = {name: str(path) for name, path in files.items()}
-        second_world("run", given={**machine, "folder": str(job.folder), "set_points": paths, "cycles": cycles})
+        ask_world(
+            ["-m", "second_world", "run"], {**machine, "folder": str(job.folder), "set_points": paths, "cycles": cycles}
+        )
         for name, path in files.items():
             path.unlink()
             if name not in job.keep:

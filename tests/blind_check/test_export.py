@@ -167,6 +167,18 @@ def test_an_interrupted_export_goes_on(tmp_path: Path, monkeypatch):
     assert not (tmp_path / "key.json.parts").exists()
 
 
+def test_two_exports_of_one_key_do_not_run_at_once(tmp_path: Path, monkeypatch):
+    world, whole = TinyWorld(), TinyWorld.write
+
+    def meanwhile(self, truth, folder):
+        with pytest.raises(InputError, match="another export is recording these runs"):
+            export_runs(TinyWorld(), tmp_path / "out", tmp_path / "key.json", 2)
+        return whole(self, truth, folder)
+
+    monkeypatch.setattr(TinyWorld, "write", meanwhile)
+    assert len(export_runs(world, tmp_path / "out", tmp_path / "key.json", 2).runs) == 2
+
+
 def test_a_run_that_cannot_be_recorded_is_left_out_and_listed_in_the_key(tmp_path: Path):
     key = export_runs(TinyWorld(fails=[1]), tmp_path / "out", tmp_path / "key.json", 3)
     assert [run["number"] for run in key.not_recorded] == [1]

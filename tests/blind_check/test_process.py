@@ -107,7 +107,7 @@ def test_a_rerun_asks_nothing_twice_and_answers_alike(check):
 
 
 def test_a_folder_of_another_check_is_refused(check, tmp_path: Path):
-    with pytest.raises(InputError, match="holds a blind check of 5 runs of world emulator; name another folder"):
+    with pytest.raises(InputError, match="is the key of 5 runs of world emulator"):
         BlindCheck(check.world, 6, check.folder).run(QUIET)
     with pytest.raises(InputError, match="at least one run"):
         BlindCheck(check.world, 0, tmp_path / "none").run(QUIET)
