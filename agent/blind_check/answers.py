@@ -75,8 +75,7 @@ def read_answers(path: Path) -> list[dict[str, Any]]:
 
 def answer_line(run: str, result: Mapping[str, Any], without: list[str]) -> str:
     """A diagnosis of this agent as an answer."""
-    answer: dict[str, Any] = {"run": run, "verdict": result["verdict"]}
-    answer["causes"] = [
+    causes = [
         {
             "effect": cause["effect"],
             "joints": cause["joints"],
@@ -85,5 +84,6 @@ def answer_line(run: str, result: Mapping[str, Any], without: list[str]) -> str:
         }
         for cause in result["causes"]
     ]
-    answer["where"] = [{"joint": one["joint"], "share": round(one["share"], 4)} for one in result["where"]]
-    return json.dumps({**answer, "without": without} if without else answer)
+    where = [{"joint": one["joint"], "share": round(one["share"], 4)} for one in result["where"]]
+    answer = {"run": run, "verdict": result["verdict"], "causes": causes, "where": where}
+    return json.dumps(answer | ({"without": without} if without else {}))

@@ -24,8 +24,7 @@ from agent.core import AgentError, Console, InProcess, InputError, TaskEngine, w
 TOOL = "agent diagnose"
 _AT_ONCE = 4  # runs that one diagnosing process answers
 
-#: A run, and the effects that are left out of the catalogue.
-Question = tuple[str, list[str]]
+Question = tuple[str, list[str]]  # a run, and the effects that are left out of the catalogue
 
 
 @dataclass(frozen=True)

@@ -87,7 +87,7 @@ def _filled(
         console.progress(f"{count} of {len(tasks)} runs recorded", count / len(tasks))
     runs: list[dict[str, Any]] = []
     failed: list[dict[str, Any]] = []
-    for (truth, place), run, serial in zip(tasks, labels[::2], labels[1::2], strict=True):
+    for (truth, place), label, serial in zip(tasks, labels[::2], labels[1::2], strict=True):
         said = json.loads((place / "truth.json").read_text(encoding="utf-8"))
         (failed if "error" in said else runs).append(
             {"run": run, "serial": f"SN-{serial}", **truth, **said, "number": int(place.name)}
