@@ -89,9 +89,8 @@ def _filled(
     failed: list[dict[str, Any]] = []
     for (truth, place), label, serial in zip(tasks, labels[::2], labels[1::2], strict=True):
         said = json.loads((place / "truth.json").read_text(encoding="utf-8"))
-        (failed if "error" in said else runs).append(
-            {"run": run, "serial": f"SN-{serial}", **truth, **said, "number": int(place.name)}
-        )
+        made = {"run": label, "serial": f"SN-{serial}", **truth, **said, "number": int(place.name)}
+        (failed if "error" in said else runs).append(made)
     runs.sort(key=lambda run: run["run"])  # in an order that is none of the draw
     for run in runs:
         _publish(staging / f"{run['number']:04d}", folder / "runs" / run["run"], run["serial"], rng)
