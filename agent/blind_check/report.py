@@ -60,9 +60,9 @@ def read_results(path: Path) -> list[dict[str, Any]]:
 def page(results: Sequence[Result]) -> str:
     """Markdown."""
     scores = score(results)
-    runs = len({one["run"] for one in results})
-    head = [f"# {NAME} {VERSION}: results", "", f"{runs} runs, answered by {', '.join(scores)}. {_INTERVALS}", ""]
-    return "\n".join([*head, *_sections(scores)]) + "\n"
+    runs, worlds = len({one["run"] for one in results}), " and ".join(sorted({one["world"] for one in results}))
+    said = f"{runs} runs of the world {worlds}, answered by {', '.join(scores)}. {_INTERVALS}"
+    return "\n".join([f"# {NAME} {VERSION}: results", "", said, "", *_sections(scores)]) + "\n"
 
 
 def summary_of(scores: Mapping[str, Any]) -> str:

@@ -59,7 +59,7 @@ def results_of(key: Key, answers: Mapping[str, Sequence[Mapping[str, Any]]]) -> 
         plain = {answer["run"]: answer for answer in given if not answer["without"]}
         withheld = {answer["run"]: answer for answer in given if answer["without"]}
         for run in key.runs:
-            yield _result(tool, run, plain.get(run["run"]), withheld.get(run["run"]))
+            yield {"world": key.world, **_result(tool, run, plain.get(run["run"]), withheld.get(run["run"]))}
 
 
 def _result(

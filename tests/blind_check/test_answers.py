@@ -188,7 +188,15 @@ def test_the_page_is_made_of_the_results_and_defines_what_each_table_counts(tmp_
     for name in OUTCOMES:
         assert f"`{name}`" in text
     assert "changed between draws" in text
+    assert "2 runs of the world tiny" in text
     assert "| tool, clean | 1 | 0 |" in text
+
+
+def test_the_published_page_is_made_of_the_published_results():
+    docs = Path(__file__).resolve().parents[2] / "docs"
+    results = read_results(docs / "blind-check-results.jsonl")
+    assert len({one["run"] for one in results}) >= 30
+    assert (docs / "blind-check-results.md").read_text(encoding="utf-8") == page(results)
 
 
 @given(st.integers(1, 400).flatmap(lambda n: st.tuples(st.integers(0, n), st.just(n))))
