@@ -81,14 +81,8 @@ def test_runs_are_recorded_diagnosed_and_scored(check):
 def test_every_run_has_the_same_files_and_a_plan_for_every_sample(check):
     folders = sorted((check.folder / "export" / "runs").iterdir())
     names = [sorted(path.relative_to(run).as_posix() for path in run.rglob("*.*")) for run in folders]
-    assert (
-        names
-        == [
-            ["baseline/excite.mcap", "baseline/moves.mcap", "baseline/slow.mcap", "bars.urdf"]
-            + ["logs/excite.mcap", "logs/moves.mcap", "logs/slow.mcap", "robot.yaml"]
-        ]
-        * 5
-    )
+    sessions = [f"{session}/{name}.mcap" for session in ("baseline", "logs") for name in ("excite", "moves", "slow")]
+    assert names == [sorted(["bars.urdf", "robot.yaml", *sessions])] * 5
     for run in folders:
         logs = [read_log(path) for path in sorted((run / "logs").glob("*.mcap"))]
         assert all(np.isfinite(log.planned_position).all() for log in logs)
