@@ -22,7 +22,6 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import workers
 
-from agent.blind_check.cases import draw_effect
 from agent.core.errors import AgentError
 from agent.diagnosis import diagnose
 from agent.estimation import estimate
@@ -30,6 +29,7 @@ from agent.model import CATALOGUE, IdentifiedModel
 from agent.recording.log import Log
 from agent.robot import RobotDescription, load_robot
 from fake_controller.plant import Plant
+from fake_controller.withheld.cases import draw_effect
 
 PERIOD = 0.002
 CYCLE = 10.0

@@ -3,8 +3,9 @@
 `python benchmarks/fit_decision_limits.py --keep FOLDER [--robot R] [--cases N] [--seed S] [--seconds T]
 [--only LIMIT…] [--every]`
 
-Runs are drawn as the blind check draws them (`agent.blind_check.cases`), followed by the fake controller's plant, and
-diagnosed with the limits as they are, and with each tuned limit a step down and up. A limit moves where the cost of
+Runs are drawn as the blind check draws them (`fake_controller.withheld.cases`), followed by the fake controller's
+plant, and diagnosed with the limits as they are, and with each tuned limit a step down and up. A limit moves where the
+cost of
 what comes out falls; those moved are then tried together on draws of the next seed, beside the limits as they are. How
 often an outcome changes is the limit's sensitivity; with --every that is all that is done, for every limit that these
 runs meet. Every diagnosis is kept in FOLDER, so a rerun goes on where the last one stopped; with --seconds it stops by
@@ -24,8 +25,7 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from agent.blind_check.cases import Case, draw_cases
-from agent.blind_check.scoring import outcome
+from agent.blind_check import outcome
 from agent.diagnosis.dataset import Dataset, assemble
 from agent.diagnosis.limits import LIMITS, TUNED, DecisionLimits, described
 from agent.diagnosis.motion_gap import motion_gap
@@ -35,11 +35,14 @@ from agent.diagnosis.verdict import judge
 from agent.estimation import estimate
 from agent.robot import RobotDescription, load_robot
 from benchmarks.diagnosis_matrix import MOTIONS, cached, record
+from fake_controller.withheld.cases import Case, draw_cases
 from tests.small_arms import make_arm
 
 STEP = 1.25
 #: Of an outcome: a false alarm sends somebody to a healthy arm, a wrong name to the wrong part of it.
-COST = {"right": 0.0, "in class": 0.25, "unknown": 1.0, "missed": 1.0, "no class": 1.0, "wrong name": 2.0}
+COST = {"named": 0.0, "in class": 0.25, "unknown": 1.0, "no gap": 1.0, "wrong class": 1.0, "wrong name": 2.0}
+#: The right answer where no name is.
+RIGHT = {"none": "no gap", "outside": "unknown"}
 FALSE_ALARM = 4.0
 AS_IS, FITTED = "as they are", "fitted"
 #: Limits by which the data are put together, so that a run with another one starts from its logs.
@@ -115,7 +118,7 @@ class Draws:
         return assemble(robot, model, logs, None)
 
     def _note(self, case: Case, name: str, result: dict[str, Any]) -> None:
-        came = outcome({**case.to_dict(), "result": result})
+        came = outcome(case.effects, result)
         first = [f"{cause['effect']} {' '.join(cause['joints'])}" for cause in result["causes"][:1]]
         entry = {"run": case.number, "limits": name, "kind": case.kind, "outcome": came, "first": first}
         self.known[case.number, name] = entry
@@ -124,13 +127,19 @@ class Draws:
 
     def cost(self, name: str) -> float:
         """Mean over the runs."""
-        told = [self.known[case.number, name]["outcome"] for case in self.cases]
-        return sum(COST.get(came, FALSE_ALARM) for came in told) / len(told)
+        return sum(_cost(self.known[case.number, name]) for case in self.cases) / len(self.cases)
 
     def changed(self, name: str) -> int:
         """Runs with another outcome or first cause than with the limits as they are."""
         pairs = [(self.known[case.number, AS_IS], self.known[case.number, name]) for case in self.cases]
         return sum((a["outcome"], a["first"]) != (b["outcome"], b["first"]) for a, b in pairs)
+
+
+def _cost(entry: Mapping[str, Any]) -> float:
+    """Of one answer."""
+    if entry["outcome"] == RIGHT.get(entry["kind"]):
+        return 0.0
+    return FALSE_ALARM if entry["kind"] == "none" else COST[entry["outcome"]]
 
 
 def fitted(draws: Draws, wanted: Mapping[str, DecisionLimits]) -> DecisionLimits:

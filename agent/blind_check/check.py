@@ -1,241 +1,139 @@
-"""The whole blind check: draw, seal, record and diagnose, open the key, judge. A rerun goes on where it stopped."""
+"""This agent's own blind check: export, diagnose without the key, score. A rerun continues where it stopped."""
 
 from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from itertools import groupby
-from operator import itemgetter
+from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
-from agent.blind_check.cases import Case
-from agent.blind_check.key import key_text, open_key, seal
-from agent.blind_check.scoring import outcome, score
-from agent.blind_check.worlds import EmulatorWorld, MujocoWorld, World
+from agent.blind_check.answers import answer_line, read_answers
+from agent.blind_check.export import INDEX, export_runs
+from agent.blind_check.key import NAME, VERSION, Key
+from agent.blind_check.report import write_results
+from agent.blind_check.scoring import results_of, score
+from agent.blind_check.worlds import World
 from agent.core import AgentError, Console, InProcess, InputError, TaskEngine, write_atomically
-from drivers.errors import DriverError
 
-Found = TypeVar("Found")
-#: A log of the first two motions is about this long [s], two cycles and the way to where they start.
-CYCLE = 10.0
-WORLDS = ("emulator", "mujoco")
+TOOL = "agent diagnose"
+_AT_ONCE = 4  # runs that one diagnosing process answers
+
+Question = tuple[str, list[str]]  # a run, and the effects that are left out of the catalogue
 
 
 @dataclass(frozen=True)
 class BlindCheck:
-    """What to do: runs, seed, folder, the emulator's robot, the duration of one cycle of every motion [s], and the
-    world the runs come from, of WORLDS."""
+    """`count` runs of a world with a `seed`, from the operating system if None, in a folder that all workers see.
 
+    The runs lie in `export/`, the key in `withheld/`, the answers in `answers.jsonl`.
+    """
+
+    world: World
     count: int
-    seed: int
     folder: Path
-    robot: str = "comau_ns16"
-    cycle: float = CYCLE
-    world: str = "emulator"
+    seed: int | None = None
 
-    @cached_property
-    def _world(self) -> World:
-        if self.world == "mujoco":
-            return MujocoWorld(self.cycle)
-        return EmulatorWorld(self.robot, self.cycle)
+    @property
+    def key_file(self) -> Path:
+        """Of the key."""
+        return self.folder / "withheld" / "key.json"
 
     def run(self, console: Console, engine: TaskEngine | None = None) -> dict[str, Any]:
-        """Do what is not done yet; returns the scores, which are also in `blind_check.json` and `blind_check.md`.
-
-        Runs that share a machine are one task of the `engine`, in this process without one; all see the same folder.
+        """Do what is not done yet; returns the scores, and keeps results and page in the folder.
 
         Raises:
             InputError: no runs, or a folder with another check in it.
             AgentError: a task was lost.
         """
-        from agent.blind_check.report import report_text
-
-        if self.count < 1:
-            raise InputError(f"blind check: --cases {self.count}: at least one run is needed")
-        if self.world not in WORLDS:
-            raise InputError(f"blind check: --world {self.world}: there is no such world; one of {', '.join(WORLDS)}")
-        cases = self._world.draw(self.count, self.seed)
-        text = key_text(self.seed, self._world.arms, cases)
-        digest = seal(self.folder, text)
-        console.step(f"{self.count} runs; SHA-256 of the key, which stays closed until the last diagnosis: {digest}")
         engine = engine or InProcess()
-        groups = [list(group) for _, group in groupby(cases, self._machine)]
-        for _ in self._each(self.diagnose_group, groups, engine, console, "diagnosed"):
-            pass
-        open_key(self.folder, text)
-        console.step(f"the key is open: {self.folder / 'key.json'}")
-        judged = self._each(self.judge_group, groups, engine, console, "judged")
-        entries = [entry for _, entries in sorted(judged, key=itemgetter(0)) for entry in entries]
-        scores = {
-            "schema": "blind-check/1",
-            "key_sha256": digest,
-            "world": self._world.title,
-            "robot": self._world.arms,
-        }
-        scores |= score(entries)
-        write_atomically(self.folder / "blind_check.json", json.dumps(scores, indent=1) + "\n")
-        write_atomically(self.folder / "blind_check.md", report_text(scores))
-        return scores
+        key = self._exported(console, engine)
+        console.step(f"{len(key.runs)} runs in {self.folder / 'export'}; the key is {self.key_file}")
+        said = self.folder / "answers.jsonl"
+        self._answer([(run["run"], []) for run in key.runs], said, console, engine)
+        named = [run for run in key.runs if run["kind"] in ("one", "two")]
+        withheld = [(run["run"], sorted({effect["effect"] for effect in run["effects"]})) for run in named]
+        console.step("again, each run without its true effects in the catalogue")
+        self._answer(withheld, said, console, engine)
+        return _scored(key, {TOOL: read_answers(said)}, self.folder)
 
-    def _each(
-        self,
-        work: Callable[[list[Case]], Found],
-        groups: list[list[Case]],
-        engine: TaskEngine,
-        console: Console,
-        what: str,
-    ) -> Iterator[tuple[int, Found]]:
-        """What the work gives for each group, with its number, as it comes."""
-        count, total = 0, sum(len(group) for group in groups)
-        for done in engine.map(work, groups):
+    def _exported(self, console: Console, engine: TaskEngine) -> Key:
+        if not (self.folder / "export" / INDEX).exists():
+            try:
+                self.folder.mkdir(parents=True, exist_ok=True)
+                self.key_file.parent.mkdir(0o700, exist_ok=True)
+            except (FileExistsError, NotADirectoryError):
+                raise InputError(f"{self.folder}: is a file, or lies below one; name a folder with -o") from None
+            export = self.folder / "export"
+            return export_runs(self.world, export, self.key_file, self.count, self.seed, console, engine)
+        return Key.load(self.key_file, (self.world.name, self.count, self.seed))
+
+    def _answer(self, questions: Sequence[Question], path: Path, console: Console, engine: TaskEngine) -> None:
+        """Append answers to questions that have none; a run that could not be diagnosed has none in the end."""
+        lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
+        known = {(one["run"], tuple(one.get("without", ()))) for one in map(json.loads, lines)}
+        left = [(run, without) for run, without in questions if (run, tuple(without)) not in known]
+        groups = [left[at : at + _AT_ONCE] for at in range(0, len(left), _AT_ONCE)]
+        work = partial(_answered, self.folder)
+        for count, done in enumerate(engine.map(work, groups), start=1):
             if done.answer is None:
                 raise AgentError(f"blind check: {done.lost}")
-            count += len(groups[done.number])
-            console.progress(f"{count} of {total} runs {what}", count / total)
-            yield done.number, done.answer
-
-    def diagnose_group(self, cases: Sequence[Case]) -> bool:
-        """Record and diagnose those of a machine that are not diagnosed yet."""
-        with _Diagnosing(self.folder) as diagnosing:
-            for case in cases:
-                answer = self._folder(case) / "diagnosis.json"
-                if answer.exists():
-                    continue
-                job, reason = self._record(case)
-                found = {"error": reason} if reason else diagnosing.ask(job)
-                answer.parent.mkdir(parents=True, exist_ok=True)  # without a model nothing is recorded into it
-                write_atomically(answer, json.dumps(found) + "\n")
-        return True
-
-    def judge_group(self, cases: Sequence[Case]) -> list[dict[str, Any]]:
-        """Entries of the runs of a machine, judged by the key."""
-        return [self._judge(case) for case in cases]
-
-    def _record(self, case: Case) -> tuple[dict[str, Any], str]:
-        """What a diagnosis is given of a run, or why there is nothing; its machine's model is made where missing."""
-        try:
-            self._make_model(case)
-            _, planned = self._world.record(case, self._folder(case))
-            return self._job(case, planned), ""
-        except (AgentError, DriverError) as error:
-            return {}, str(error)
-
-    def _make_model(self, case: Case) -> None:
-        """Estimate from effect-free motions of the same machine, other ones than those of its runs."""
-        from agent.estimation import estimate
-        from agent.recording import read_log
-        from agent.robot import load_robot
-
-        path = self._model(case)
-        if path.exists():
-            return
-        logs = self._world.reference(case, path.with_suffix(""))
-        robot = load_robot(self._robot(case))
-        model = estimate(robot, [read_log(log, robot) for log in logs])
-        for log in logs:
-            log.unlink()
-        model.save(path)
-
-    def _judge(self, case: Case) -> dict[str, Any]:
-        """The case with its diagnosis, the one without its effect, and the oracle. Logs of clear cases are let go."""
-        from agent.blind_check.size import kind_by_size
-
-        folder = self._folder(case)
-        kept = folder / "judged.json"
-        if kept.exists():
-            return json.loads(kept.read_text(encoding="utf-8"))
-        found = json.loads((folder / "diagnosis.json").read_text(encoding="utf-8"))
-        entry = {**case.to_dict(), **found}
-        logs = sorted(folder.glob("*.mcap"))
-        if case.effects and "error" not in found:
-            entry["size"] = self._world.size(case, folder, self._model(case).with_suffix(""))
-            entry["kind"] = kind_by_size(case.kind, entry["size"])
-        if case.kind in ("one", "two") and "error" not in found:
-            entry.update(self._second_opinions(case))
-        entry["outcome"] = outcome(entry)
-        write_atomically(kept, json.dumps(entry) + "\n")
-        if entry["outcome"] in ("right", "in class"):
-            for log in logs:
-                log.unlink()
-            self._world.tidy(folder)
-        return entry
-
-    def _second_opinions(self, case: Case) -> dict[str, Any]:
-        from agent.blind_check.oracle import reference_closures
-        from agent.blind_check.worker import diagnose_job
-        from agent.core import finite
-
-        names = sorted({effect["effect"] for effect in case.effects})
-        planned = sorted(self._folder(case).glob("*.npy"))
-        withheld = diagnose_job(self._job(case, planned), without=names)
-        closures = reference_closures(withheld, case.effects, case.number)
-        return finite({"withheld": withheld.result, "closures": closures})
-
-    def _folder(self, case: Case) -> Path:
-        return self.folder / "runs" / f"{case.number:04d}"
-
-    def _machine(self, case: Case) -> int:
-        """Machines are numbered as they come: their seed would tell of the key."""
-        return case.number // self._world.group
-
-    def _model(self, case: Case) -> Path:
-        return self.folder / "machines" / f"{self._machine(case):04d}.json"
-
-    def _robot(self, case: Case) -> str:
-        return self._world.robot(self._model(case).with_suffix(""))
-
-    def _job(self, case: Case, planned: Sequence[Path]) -> dict[str, Any]:
-        """All that a diagnosis is given."""
-        description = self._model(case).with_suffix("").glob("*")
-        return {
-            "robot": self._robot(case),
-            "description": [str(path) for path in description],
-            "model": str(self._model(case)),
-            "logs": [str(log) for log in sorted(self._folder(case).glob("*.mcap"))],
-            "planned": [str(path) for path in sorted(planned)],
-        }
+            lines += done.answer
+            write_atomically(path, "".join(f"{line}\n" for line in lines))
+            console.progress(f"{count} of {len(groups)} groups diagnosed", count / len(groups))
 
 
-class _Diagnosing:
-    """The diagnosing process; started with the first job."""
+def score_answers(key_file: Path, files: Sequence[Path], out: Path | None = None) -> dict[str, Any]:
+    """Scores of files of answers, each a tool by the file's name; with `out`, results and page are kept there.
 
-    def __init__(self, folder: Path):
-        self._folder = folder
-        self._process: subprocess.Popen[str] | None = None
+    Raises:
+        InputError: no whole key, or a file that cannot be scored.
+    """
+    key = Key.load(key_file)
+    if not key.runs:
+        raise InputError(f"{key_file}: its runs are not recorded yet; repeat the export with this key")
+    if len({file.stem for file in files}) < len(files):
+        raise InputError("blind check: two files of answers have one name, which names the tool; rename one")
+    return _scored(key, {file.stem: read_answers(file) for file in files}, out)
 
-    def __enter__(self) -> _Diagnosing:
-        return self
 
-    def __exit__(self, *_: object) -> None:
-        if self._process is not None:
-            assert self._process.stdin is not None
-            self._process.stdin.close()
-            self._process.terminate()
-            self._process.wait()
+def _scored(key: Key, answers: Mapping[str, Sequence[Mapping[str, Any]]], out: Path | None) -> dict[str, Any]:
+    results = list(results_of(key, answers))
+    if out is not None:
+        write_results(out, results)
+    return {"schema": "blind-score/1", "benchmark": f"{NAME} {VERSION}", "world": key.world, "tools": score(results)}
 
-    def ask(self, job: dict[str, Any]) -> dict[str, Any]:
-        """Its answer to one job.
 
-        Raises:
-            RuntimeError: the process died.
-        """
-        if self._process is None:
-            command = [sys.executable, "-m", "agent.blind_check.worker", str(self._folder)]
-            environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
-            self._process = subprocess.Popen(
-                command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment
-            )
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
-        self._process.stdin.write(json.dumps(job) + "\n")
-        self._process.stdin.flush()
-        answer = self._process.stdout.readline()
-        if not answer:
-            raise RuntimeError("the diagnosing process of the blind check has died; its message is above")
-        return json.loads(answer)
+def _answered(folder: Path, questions: Sequence[Question]) -> list[str]:
+    """Lines of answers by a diagnosing process that cannot see the key."""
+    jobs = "".join(
+        json.dumps({"folder": str(folder / "export" / "runs" / run), "without": without}) + "\n"
+        for run, without in questions
+    )
+    command = hidden_from([sys.executable, "-m", "agent.blind_check.worker"], folder / "withheld")
+    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
+    done = subprocess.run(command, input=jobs, stdout=subprocess.PIPE, text=True, env=environment)
+    if done.returncode:
+        raise AgentError("the diagnosing process of the blind check has died; its message is above")
+    answers = []
+    for (run, without), line in zip(questions, done.stdout.splitlines(), strict=True):
+        found = json.loads(line)
+        if "result" in found:
+            answers.append(answer_line(run, found["result"], without))
+        else:
+            print(f"agent: run {run}: {found['error']}", file=sys.stderr)
+    return answers
+
+
+def hidden_from(command: Sequence[str], folder: Path) -> list[str]:
+    """The command in a mount namespace in which a folder is empty; as it is where the system has no namespaces."""
+    script = 'mount -t tmpfs none "$0" && exec "$@"'
+    prefix = ["unshare", "--user", "--map-root-user", "--mount", "sh", "-c", script, str(folder)]
+    if shutil.which("unshare") and subprocess.run([*prefix, "true"], capture_output=True).returncode == 0:
+        return [*prefix, *command]
+    return list(command)

@@ -1,47 +1,81 @@
-"""The key: what was built into every run, fixed by its hash before the first diagnosis."""
+"""The key of a benchmark: what every run holds. It lies outside the runs and only its owner may read it."""
 
 from __future__ import annotations
 
+import hashlib
 import json
-from collections.abc import Sequence
+import secrets
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Any
 
-from agent.blind_check.cases import Case
-from agent.core import InputError, sha256_text, write_atomically
+from agent.core import AgentError, InputError, read_json, sha256_file, written_whole
 
-#: The hash, there from the start; and the key itself, there after the last diagnosis.
-SEAL, KEY = "key.sha256", "key.json"
-
-
-def key_text(seed: int, robot: str, cases: Sequence[Case]) -> str:
-    """The whole key as text, the same for the same draw."""
-    data = {"seed": seed, "robot": robot, "cases": [case.to_dict() for case in cases]}
-    return json.dumps(data, indent=1, sort_keys=True) + "\n"
+#: Of the benchmark, and of what its runs, key and answers mean.
+NAME, VERSION = "WEDGE", "1.0"
+_SCHEMA = "blind-key/1"
 
 
-def seal(folder: Path, text: str) -> str:
-    """Note the key's SHA-256 in a folder, where it is not noted yet; returns it.
+@dataclass(frozen=True)
+class Key:
+    """A draw and, once it is recorded, its runs.
 
-    Raises:
-        InputError: the folder is that of a check with another key.
+    `salt` is drawn from the operating system and stands here only. All that is random about the runs is a digest of it
+    and of `seed`: nobody can try seeds, and the key is all that is needed to draw the same runs again.
     """
-    digest = sha256_text(text)
-    path = folder / SEAL
-    if path.exists():
-        if path.read_text(encoding="utf-8").split()[:1] != [digest]:
-            raise InputError(
-                f"{folder}: holds a blind check with another seed or number of cases, or of another version; name "
-                "another folder with -o"
-            )
-    else:
+
+    world: str
+    count: int
+    seed: int
+    salt: str
+    runs: list[dict[str, Any]] = field(default_factory=list)
+    not_recorded: list[dict[str, Any]] = field(default_factory=list)
+
+    @classmethod
+    def fresh(cls, world: str, count: int, seed: int | None) -> Key:
+        """Of runs that are yet to be recorded; without a `seed` that comes from the operating system, too."""
+        return cls(world, count, secrets.randbits(32) if seed is None else seed, secrets.token_hex(16))
+
+    @property
+    def entropy(self) -> int:
+        """Seed of everything that is drawn."""
+        return int.from_bytes(hashlib.sha256(f"{self.salt} {self.seed}".encode()).digest())
+
+    @classmethod
+    def load(cls, path: Path, draw: tuple[str, int, int | None] | None = None) -> Key:
+        """Read a key, which has to be of this `draw`: world, number of runs and, unless None, seed.
+
+        Raises:
+            InputError: it is missing, no key of this version, or of another draw.
+        """
+        data = read_json(path)
+        if not isinstance(data, dict) or data.pop("schema", None) != _SCHEMA:
+            raise InputError(f"{path}: not a key of a blind check (schema {_SCHEMA!r} is expected)")
+        if (benchmark := data.pop("benchmark", None)) != f"{NAME} {VERSION}":
+            raise InputError(f"{path}: a key of {benchmark}; this version scores {NAME} {VERSION}")
         try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except (FileExistsError, NotADirectoryError):
-            raise InputError(f"{folder}: is a file, or lies below one; name a folder with -o") from None
-        write_atomically(path, f"{digest}  {KEY}\n")
-    return digest
+            key = cls(**data)
+        except TypeError as error:
+            raise InputError(f"{path}: not a whole key: {error}") from None
+        if draw is not None and draw not in [(key.world, key.count, seed) for seed in (None, key.seed)]:
+            raise InputError(
+                f"{path}: is the key of {key.count} runs of world {key.world}, seed {key.seed}; repeat these options "
+                "to continue or to draw them again, or name another folder and key"
+            )
+        return key
 
+    def save(self, path: Path) -> str:
+        """Write the key, readable by its owner only; returns its SHA-256.
 
-def open_key(folder: Path, text: str) -> None:
-    """Write the key in clear; nothing is diagnosed any more."""
-    write_atomically(folder / KEY, text)
+        Raises:
+            AgentError: it cannot be written.
+        """
+        data = {"schema": _SCHEMA, "benchmark": f"{NAME} {VERSION}", **asdict(self)}
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with written_whole(path) as beside:
+                beside.touch(0o600)
+                beside.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
+        except OSError as error:
+            raise AgentError(f"{path}: the key cannot be written: {error.strerror}; free space or rights?") from None
+        return sha256_file(path)

@@ -1,192 +1,163 @@
-"""A blind check in words: weak spots first, then figures as measured, then what was said of every run."""
+"""Results as a page: every table with its definitions above it, everything counted from the results alone."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
-Scores = Mapping[str, Any]
+from agent.blind_check.key import NAME, VERSION
+from agent.blind_check.scoring import OUTCOMES, PRACTICAL, Result, score
+from agent.core import AgentError, InputError, write_atomically
 
-#: Figure, what it is called, which share is wanted, and whether more is better.
-_TARGETS = (
-    ("top_1", "first cause right (or in a class of at most three)", 0.9, True),
-    ("joint", "right joint", 0.95, True),
-    ("unknowns_recognised", "effects outside the catalogue called unknown", 0.8, True),
+RESULTS, PAGE = "results.jsonl", "blind_check.md"
+
+_INTERVALS = (
+    "Brackets hold the exact 95 % interval (Clopper and Pearson), as if all runs were one sample. The rules of a tool "
+    "that were changed between draws, with earlier runs of the same world at hand, make the interval too favourable."
 )
-_BY_RECORDER = ("top_1", "false_alarms", "unknowns_recognised", "wrong_names")
+_OUTCOMES = (
+    "Every run is counted in one column. `named`: the verdict is `explained` and the first cause is a true effect on "
+    "its true joints. `in class`: the verdict is `ambiguous` and the first cause or one of its equals is. `wrong name` "
+    "and `wrong class`: the same verdicts without a true effect there. `unknown` and `no gap`: verdicts without a "
+    "cause. `no answer`: the tool left the run out."
+)
+_KINDS = {
+    "none": ("healthy", "No effect is built in: `no gap` is right."),
+    "one": ("one effect", "One effect of the catalogue, of any size: `named` is right, `in class` is half an answer."),
+    "two": ("two effects", "Two effects of the catalogue; the columns judge the first cause."),
+    "outside": ("outside", "An effect that the catalogue has no name for: `unknown` is right."),
+}
 
 
-def weak_spots(scores: Scores) -> list[str]:
-    """What misses its mark, and every effect that was not always named."""
-    spots = []
-    alarms = scores["false_alarms"]
-    if alarms["count"] > max(1, round(alarms["of"] / 150)):
-        spots.append(f"{alarms['count']} false alarms in {alarms['of']} effect-free runs; one in 150 is wanted")
-    for key, what, wanted, _ in _TARGETS:
-        if scores[key]["of"] and scores[key]["share"] < wanted:
-            spots.append(f"{what}: {_share(scores[key])}; at least {100 * wanted:.0f} % is wanted")
-    withheld = scores["withheld"]["confident_wrong_names"]
-    if withheld["of"] and withheld["share"] > 0.1:
-        spots.append(f"confident wrong names with the true effect withheld: {_share(withheld)}; at most 10 % is wanted")
-    closure = scores["closure"]["of_oracle"]
-    if closure is not None and closure < 0.9:
-        spots.append(f"median closure is {closure:.3f} of the oracle's; at least 0.9 is wanted")
-    if scores["not_recorded"]:
-        spots.append(f"{len(scores['not_recorded'])} of {scores['runs']} runs could not be recorded or diagnosed")
-    for effect, said in scores["confusion"].items():
-        total = sum(said.values())
-        others = {name: times for name, times in said.items() if name != _right(effect)}
-        if others:
-            told = ", ".join(f"{name} ({times})" for name, times in sorted(others.items(), key=lambda x: -x[1]))
-            spots.append(f"{effect}: {sum(others.values())} of {total} named as {told}")
-    return spots
+def write_results(folder: Path, results: Sequence[Result]) -> None:
+    """Keep results as JSON Lines, and the page that is made of them.
+
+    Raises:
+        AgentError: the folder cannot be written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise AgentError(f"{folder}: cannot be made: {error.strerror}") from None
+    write_atomically(folder / RESULTS, "".join(json.dumps(one) + "\n" for one in results))
+    write_atomically(folder / PAGE, page(read_results(folder / RESULTS)))
 
 
-def _right(effect: str) -> str:
-    from agent.model import CATALOGUE
+def read_results(path: Path) -> list[dict[str, Any]]:
+    """Results as `write_results` keeps them.
 
-    return "no_gap" if effect == "nothing" else effect if effect in CATALOGUE else "unknown"
-
-
-def summary_text(scores: Scores) -> str:
-    """Figures for a terminal."""
-    recorders = [*_recorders(scores), ""] if scores["recorders"] else []
-    return "\n".join([*_figures(scores), "", *recorders, *_matrix(scores)])
-
-
-def _recorders(scores: Scores) -> Iterator[str]:
-    """A table of the main figures by how the logs were kept."""
-    yield "| logs | runs | first cause right | false alarms | outside: unknown | wrong name | of the oracle's | Brier |"
-    yield "| --- | --- | --- | --- | --- | --- | --- | --- |"
-    for name, row in scores["recorders"].items():
-        counts = (f"{row[key]['count']} of {row[key]['of']}" for key in _BY_RECORDER)
-        closure, brier = (_plain(row[key]) for key in ("of_oracle", "brier"))
-        yield f"| {name} | {row['runs']} | {' | '.join(counts)} | {closure} | {brier} |"
+    Raises:
+        InputError: the file is missing or damaged.
+    """
+    try:
+        return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: no results of a blind check: {error}") from None
 
 
-def _plain(value: float | None) -> str:
-    return "-" if value is None else f"{value:.3f}"
-
-
-def report_text(scores: Scores) -> str:
+def page(results: Sequence[Result]) -> str:
     """Markdown."""
-    lines = [
-        "# Blind check",
-        "",
-        f"{scores['runs']} runs of {scores['world']} ({scores['robot']}), diagnosed against a model of the same "
-        "machine without the effect.",
-        "Written by `agent blind-check`; results as measured.",
-        f"SHA-256 of the key, noted before the first diagnosis: `{scores['key_sha256']}`.",
-        "",
-        "## Weak spots",
-        "",
-    ]
-    lines += [f"- {spot}" for spot in weak_spots(scores)] or ["None in what was run."]
-    lines += ["", "## Figures", "", "```", *_figures(scores), "```", ""]
-    if scores["recorders"]:
-        lines += ["## By recorder", "", *_recorders(scores), ""]
-    lines += ["## Confusion", ""]
-    lines += ["Rows: what was there. First the number of runs, then what was said, most often first.", ""]
-    lines += ["```", *_matrix(scores), "```", "", "## Power", ""]
-    lines += [
-        "Size: root mean square change of the worst joint's torque against the same motion without the effect.",
-        "",
-    ]
-    lines += ["| size, % of nominal | found | named |", "| --- | --- | --- |"]
-    for row in scores["power"]:
-        upper = "more" if row["to"] is None else f"{100 * row['to']:.1f}"
-        lines.append(f"| {100 * row['from']:.1f} to {upper} | {_share(row['found'])} | {_share(row['named'])} |")
-    lines += ["", "## Calibration of `probability`", "", "| said | runs | mean | true |", "| --- | --- | --- | --- |"]
-    for row in scores["calibration"]["bins"]:
-        lines.append(
-            f"| {row['from']:.2f} to {row['to']:.2f} | {row['runs']} | {row['mean_probability']:.2f} "
-            f"| {row['share_true']:.2f} |"
-        )
-    lines += ["", "## Runs that went wrong", ""]
-    wrong = [line for line in scores["cases"] if line["outcome"] not in ("right", "in class")]
-    lines += [f"- {case_text(line)}" for line in wrong] or ["None."]
-    lines += ["", "## Confident wrong names with the effect withheld", ""]
-    lines += [f"- {name}: {times}" for name, times in scores["withheld"]["names"].items()] or ["None."]
-    return "\n".join(lines) + "\n"
+    scores = score(results)
+    runs, worlds = len({one["run"] for one in results}), " and ".join(sorted({one["world"] for one in results}))
+    said = f"{runs} runs of the world {worlds}, answered by {', '.join(scores)}. {_INTERVALS}"
+    return "\n".join([f"# {NAME} {VERSION}: results", "", said, "", *_sections(scores)]) + "\n"
 
 
-def case_text(line: Mapping[str, Any]) -> str:
-    """One run: what was there, what was said."""
-    there = " + ".join(_effect(effect) for effect in line["effects"]) or "nothing"
-    size = "" if line.get("size") is None else f", torque changed by {100 * line['size']:.1f} %"
-    text = f"run {line['number']} ({line['kind']}), {there}{size}: {line['outcome']}"
-    if "said" not in line:
-        return text
-    said = line["said"]
-    causes = " + ".join(
-        f"{_place(c)} p {c['probability']:.2f}" + "".join(f" ~ {_place(e)}" for e in c["equivalent_to"])
-        for c in said["causes"]
+def summary_of(scores: Mapping[str, Any]) -> str:
+    """The main counts for a terminal, with the definitions."""
+    return "\n".join([*_outcome_tables(scores["tools"]), *_further(scores["tools"])]).rstrip()
+
+
+def _sections(scores: Mapping[str, Any]) -> Iterator[str]:
+    yield from ("## Verdicts by kind of run", "", *_outcome_tables(scores))
+    yield from ("## Further counts", "", *_further(scores))
+    for tool, one in scores.items():
+        yield from (f"## {tool}: power by size", "", *_power(one["power"]))
+        yield from (f"## {tool}: effects", "", _OUTCOMES, "")
+        yield from _table(["effect", *OUTCOMES], _rows(one["effects"]))
+        if one["calibration"]["runs"]:
+            yield from (f"## {tool}: calibration", "", *_calibration(one["calibration"]))
+
+
+def _outcome_tables(scores: Mapping[str, Any]) -> Iterator[str]:
+    yield from (_OUTCOMES, "")
+    for kind, (title, meaning) in _KINDS.items():
+        yield from (f"**{title}.** {meaning}", "")
+        yield from _table(["tool", *OUTCOMES], _rows({tool: one["outcomes"][kind] for tool, one in scores.items()}))
+    recorders = {
+        f"{tool}, {name}": row for tool, one in scores.items() for name, row in one["recorders"].items() if name
+    }
+    if recorders:
+        yield from ("**one effect, by recorder.** How the logs are kept; columns as above.", "")
+        yield from _table(["tool, logs", *OUTCOMES], _rows(recorders))
+
+
+def _rows(counts: Mapping[str, Mapping[str, int]]) -> list[list[str]]:
+    return [[name, *(str(row[column]) for column in OUTCOMES)] for name, row in counts.items()]
+
+
+def _further(scores: Mapping[str, Any]) -> Iterator[str]:
+    yield from (
+        "`both of two`: each of two effects is a cause or an equal of one. `joint`: the first cause's joints, or the "
+        "joint with the largest share where there is no cause, are among those of the true effects; runs whose effect "
+        "is of the whole arm are left out. `further cause wrong`: of answers with more than one cause, those where a "
+        "later one holds no true effect. `class sizes`: members of the first cause's class, itself included, and how "
+        "many `in class` answers have that size. `withheld`: the tool answers again with the true effects taken out of "
+        "its catalogue, so `unknown` is right and any name is wrong.",
+        "",
     )
-    largest = max(said["before"])
-    closure = "-" if said["closure"] is None else f"{said['closure']:.2f}"
-    text += f"; said {said['verdict']} {causes}, closure {closure}, largest gap {100 * largest:.2f} %"
-    where = sorted(said["where"].items(), key=lambda entry: -entry[1])[:2]
-    text += " (" + ", ".join(f"{joint} {100 * share:.0f} %" for joint, share in where) + ")"
-    oracle = line.get("closures", {}).get("oracle")
-    return text + (f", oracle {oracle:.2f}" if oracle is not None else "")
+    head = ["tool", "both of two", "joint", "further cause wrong", "class sizes", "withheld", "Brier", "ECE"]
+    rows = []
+    for tool, one in scores.items():
+        shares = [_share(one[name]) for name in ("all_of_two", "joint", "further_wrong")]
+        listed = [", ".join(f"{what}: {n}" for what, n in one[name].items()) or "-" for name in ("classes", "withheld")]
+        fit = [_number(one["calibration"][name]) for name in ("brier", "ece")]
+        rows.append([tool, *shares, *listed, *fit])
+    yield from _table(head, rows)
 
 
-def _place(cause: Mapping[str, Any]) -> str:
-    return f"{cause['effect']}@{','.join(cause['joints']) or 'arm'}"
+def _power(rows: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    yield from (
+        "Runs with one effect. Size: largest root mean square change of a joint's torque against the same motion of "
+        f"the same machine without the effect, in % of nominal torque. Effects below {100 * PRACTICAL:g} % are too "
+        "small to matter, and count all the same: a wrong name is a wrong name. `found`: any verdict but `no gap`. "
+        "`right`: `named` or `in class`. `wrong`: `wrong name` or `wrong class`.",
+        "",
+    )
+    columns = ("found", "right", "wrong")
+    table = [[_band(row, 100), *(_share(row[name]) for name in columns), str(row["in class"])] for row in rows]
+    yield from _table(["size, %", *columns, "of right: in class"], table)
 
 
-def _effect(effect: Mapping[str, Any]) -> str:
-    values = ", ".join(f"{name} {_value(value)}" for name, value in effect["parameters"].items() if name != "seed")
-    return f"{_place(effect)} ({values})"
+def _calibration(found: Mapping[str, Any]) -> Iterator[str]:
+    yield from (
+        "All answers whose first cause has a probability, on healthy runs and effects outside the catalogue too. "
+        "`said`: its mean. `came`: share of answers that are `named` or `in class`. Brier score: mean squared "
+        "difference of probability and truth. ECE: mean of |said − came| over the rows, weighted by runs.",
+        "",
+    )
+    rows = [[_band(row, 1), str(row["runs"]), f"{row['said']:.2f}", f"{row['came']:.2f}"] for row in found["bins"]]
+    yield from _table(["probability", "runs", "said", "came"], rows)
+    yield from (f"Brier score {_number(found['brier'])}, ECE {_number(found['ece'])} ({found['runs']} answers).", "")
 
 
-def _value(value: Any) -> str:
-    if isinstance(value, list):
-        return "[" + " ".join(_value(entry) for entry in value) + "]"
-    return f"{value:.3g}"
+def _band(row: Mapping[str, Any], factor: float) -> str:
+    upper = "more" if row["to"] is None else f"{factor * row['to']:g}"
+    return f"{factor * row['from']:g} to {upper}"
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.3f}"
 
 
 def _share(figure: Mapping[str, Any]) -> str:
     if not figure["of"]:
-        return "no such run"
+        return "-"
     low, high = figure["interval"]
-    return f"{figure['count']} of {figure['of']} ({100 * figure['share']:.0f} %, {100 * low:.0f} to {100 * high:.0f} %)"
+    return f"{figure['count']} of {figure['of']} [{100 * low:.0f} to {100 * high:.0f} %]"
 
 
-def _figures(scores: Scores) -> Iterator[str]:
-    """Intervals are Clopper and Pearson's, 95 %."""
-    rows = (
-        ("false alarms on effect-free runs", "false_alarms"),
-        ("first cause right", "top_1"),
-        ("truth among the first three", "top_3"),
-        ("both effects of two named", "both_of_two"),
-        ("right joint", "joint"),
-        ("confident wrong name", "wrong_names"),
-        ("outside the catalogue: called unknown", "unknowns_recognised"),
-        ("outside the catalogue: given a name", "unknowns_named"),
-        ("too small to matter: left alone", "too_small_left_alone"),
-    )
-    yield f"{'runs':42} {scores['runs']} ({', '.join(f'{n} {kind}' for kind, n in sorted(scores['kinds'].items()))})"
-    for what, key in rows:
-        yield f"{what:42} {_share(scores[key])}"
-    withheld = scores["withheld"]
-    yield f"{'true effect withheld: confident wrong name':42} {_share(withheld['confident_wrong_names'])}"
-    closure = scores["closure"]
-    for what, key in (
-        ("median closure", "diagnosis"),
-        ("  of the oracle's", "of_oracle"),
-        ("  oracle", "oracle"),
-        ("  wrong effect, as many parameters", "wrong_effect"),
-        ("  black box, as many parameters", "black_box"),
-    ):
-        yield f"{what:42} {_plain(closure[key])}"
-    brier = scores["calibration"]["brier"]
-    yield f"{'Brier score of probability':42} {_plain(brier)}"
-    if scores["diagnosis_cpu_seconds"] is not None:
-        yield f"{'CPU time of a diagnosis':42} {scores['diagnosis_cpu_seconds']:.1f} s (median)"
-
-
-def _matrix(scores: Scores) -> Iterator[str]:
-    for effect, said in scores["confusion"].items():
-        told = ", ".join(f"{name} {times}" for name, times in sorted(said.items(), key=lambda x: -x[1]))
-        yield f"{effect:24} {sum(said.values()):3}   {told}"
+def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    return [f"| {' | '.join(cells)} |" for cells in (head, ["---"] * len(head), *rows)] + [""]

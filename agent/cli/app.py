@@ -264,37 +264,52 @@ def diagnose(
 
 @app.command("blind-check")
 def blind_check(
+    answers: Annotated[
+        list[Path] | None, typer.Argument(metavar="[ANSWERS.jsonl]...", help="with --score: answers of tools")
+    ] = None,
     cases: Annotated[int, typer.Option("--cases", metavar="N", help="runs to make")] = 400,
-    seed: opt.Seed = 1,
+    seed: Annotated[
+        int | None,
+        typer.Option("--seed", metavar="S", min=0, help="of the draw, mixed with a secret salt; random if absent"),
+    ] = None,
     world: Annotated[
         str, typer.Option("--world", metavar="WORLD", help="emulator (the fake controller) or mujoco (arms in MuJoCo)")
     ] = "emulator",
     out: Annotated[
-        Path, typer.Option("-o", "--out", metavar="DIR", help="folder, gone on with; all workers see it")
-    ] = Path("blind_check"),
-    active: Annotated[
-        bool, typer.Option("--active", help="with up to two further motions a run, against other uses of the time")
-    ] = False,
+        Path | None, typer.Option("-o", "--out", metavar="DIR", help="folder of the results; blind_check if absent")
+    ] = None,
+    export: Annotated[
+        Path | None, typer.Option("--export", metavar="DIR", help="only write the runs, for any tool; needs --key")
+    ] = None,
+    key: Annotated[Path | None, typer.Option("--key", metavar="KEY.json", help="key to write, outside DIR")] = None,
+    score: Annotated[
+        Path | None, typer.Option("--score", metavar="KEY.json", help="only judge answers by this key")
+    ] = None,
     scheduler: opt.Scheduler = None,
     workers: opt.Workers = None,
     as_json: opt.AsJson = False,
     messages: opt.Messages = None,
 ) -> None:
-    """Simulated runs with a withheld effect, diagnosed without the key, then scored."""
-    from agent.blind_check import BlindCheck, active_text, summary_text
+    """Simulated runs with a withheld effect, diagnosed without the key, then scored; also for other tools."""
+    from agent.blind_check import BlindCheck, export_runs, score_answers, summary_of, world_of
 
     console = opt.console_for(messages)
-    if active:
-        from agent.pipeline import ActiveCheck
-
-        if scheduler or workers:
-            raise InputError("blind check: --active runs in this process: leave out --scheduler and --workers")
-        found = ActiveCheck(cases, seed, out.absolute(), world).run(console)
-        opt.print_found(as_json, found, active_text(found))
+    if score is not None:
+        if export is not None or key is not None or not answers:
+            raise InputError("blind check: --score KEY.json takes files of answers, and neither --export nor --key")
+        scores = score_answers(score, answers, out)
+        opt.print_found(as_json, scores, summary_of(scores))
         return
+    if answers or (export is None) != (key is None):
+        raise InputError("blind check: --export DIR and --key KEY.json go together; answers need --score KEY.json")
     with opt.engine_for(scheduler, workers, console) as engine:
-        scores = BlindCheck(cases, seed, out.absolute(), world=world).run(console, engine)
-    opt.print_found(as_json, scores, summary_text(scores))
+        if export is not None and key is not None:
+            made = export_runs(world_of(world), export.absolute(), key.absolute(), cases, seed, console, engine)
+            opt.print_found(as_json, {"schema": "blind-export/1", "runs": len(made.runs)}, str(export))
+            return
+        check = BlindCheck(world_of(world), cases, (out or Path("blind_check")).absolute(), seed)
+        scores = check.run(console, engine)
+    opt.print_found(as_json, scores, summary_of(scores))
 
 
 @app.command()

@@ -1,4 +1,3 @@
-from .active_check import ActiveCheck as ActiveCheck
 from .calibrate import CalibrationOutcome as CalibrationOutcome, run_calibration as run_calibration
 from .check import check_recipe as check_recipe
 from .compare import compare_runs as compare_runs

@@ -8,6 +8,7 @@ from .description import (
     Joint as Joint,
     RobotDescription as RobotDescription,
     builtin_robots as builtin_robots,
+    description_file as description_file,
     load_robot as load_robot,
 )
 from .drivetrain import (

@@ -257,8 +257,18 @@ def load_robot(name_or_path: str | Path) -> RobotDescription:
     Raises:
         InputError: unknown name, or a file that breaks the format; names file, line and key.
     """
+    path = description_file(name_or_path)
+    return _load_builtin(path) if str(name_or_path) in builtin_robots() else _load_file(path)
+
+
+def description_file(name_or_path: str | Path) -> Path:
+    """The file of a built-in robot, or of a description that is named by its path or folder.
+
+    Raises:
+        InputError: neither.
+    """
     if str(name_or_path) in builtin_robots():
-        return _load_builtin(str(name_or_path))
+        return Path(str(files("agent.robot") / "catalogue" / str(name_or_path) / "robot.yaml"))
     path = Path(name_or_path)
     if path.is_dir():
         path = path / "robot.yaml"
@@ -271,12 +281,12 @@ def load_robot(name_or_path: str | Path) -> RobotDescription:
             f"{path}: a URDF or MJCF alone does not say enough of the drives here: write a robot.yaml for it "
             "(docs/how-to-robot.md)"
         )
-    return _load_file(path)
+    return path
 
 
 @cache
-def _load_builtin(name: str) -> RobotDescription:
-    return _load_file(Path(str(files("agent.robot") / "catalogue" / name / "robot.yaml")))
+def _load_builtin(path: Path) -> RobotDescription:
+    return _load_file(path)
 
 
 def _load_file(path: Path) -> RobotDescription:

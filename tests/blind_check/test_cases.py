@@ -1,23 +1,19 @@
-"""Which runs are drawn, and the key that holds them."""
+"""Which runs the emulator's world draws."""
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 
 import numpy as np
-import pytest
 
-from agent.blind_check.cases import OUTSIDE, draw_cases, draw_effect
-from agent.blind_check.key import key_text, open_key, seal
-from agent.blind_check.motions import draw_programs
-from agent.blind_check.runs import link_recipe
-from agent.core import sha256_text
-from agent.core.errors import InputError
 from agent.model import CATALOGUE
 from agent.robot import load_robot
 from fake_controller import actuation
+from fake_controller.build import build_controller
 from fake_controller.plant import Plant
+from fake_controller.withheld.cases import OUTSIDE, draw_cases, draw_effect
+from fake_controller.withheld.motions import draw_programs
+from fake_controller.withheld.runs import link_recipe
 
 ROBOT = load_robot("comau_ns16")
 
@@ -25,8 +21,8 @@ ROBOT = load_robot("comau_ns16")
 def test_kinds_and_effects_are_spread_evenly():
     cases = draw_cases(400, 1, ROBOT)
     kinds = Counter(case.kind for case in cases)
-    assert kinds["none"] == 150
-    assert set(kinds) == {"none", "one", "two", "outside", "small"}
+    assert kinds["none"] == 140
+    assert set(kinds) == {"none", "one", "two", "outside"}
     assert all(len(case.effects) == {"none": 0, "two": 2}.get(case.kind, 1) for case in cases)
     named = Counter(e["effect"] for case in cases if case.kind != "outside" for e in case.effects)
     assert set(named) == set(CATALOGUE)
@@ -37,7 +33,16 @@ def test_kinds_and_effects_are_spread_evenly():
 
 
 def test_a_dozen_has_some_of_every_kind():
-    assert {case.kind for case in draw_cases(12, 5, ROBOT)} == {"none", "one", "two", "outside", "small"}
+    assert {case.kind for case in draw_cases(12, 5, ROBOT)} == {"none", "one", "two", "outside"}
+
+
+def test_gears_and_zero_positions_are_changed_on_every_joint_and_friction_both_ways():
+    cases = draw_cases(2000, 1, ROBOT)
+    drawn = [effect for case in cases for effect in case.effects]
+    for name in ("joint_elasticity", "backlash", "encoder_offset"):
+        assert {e["joints"][0] for e in drawn if e["effect"] == name} == set(ROBOT.joint_names)
+    for name, value in (("friction_change", "coulomb"), ("inertial_mismatch", "scale"), ("torque_constant", "scale")):
+        assert {e["parameters"][value] > 1 for e in drawn if e["effect"] == name} == {True, False}
 
 
 def test_the_seed_decides():
@@ -54,19 +59,13 @@ def test_the_fake_controller_takes_every_effect():
             Plant(ROBOT, effects=[draw_effect(name, ROBOT, strength, rng)])
 
 
-def test_the_key_is_fixed_before_it_is_opened(tmp_path):
-    cases = draw_cases(12, 5, ROBOT)
-    text = key_text(5, ROBOT.name, cases)
-    digest = seal(tmp_path, text)
-    assert not (tmp_path / "key.json").exists()
-    assert "stribeck" not in "".join(path.read_text() for path in tmp_path.iterdir())
-    assert seal(tmp_path, text) == digest
-    with pytest.raises(InputError, match="another seed or number"):
-        seal(tmp_path, key_text(6, ROBOT.name, draw_cases(12, 6, ROBOT)))
-    open_key(tmp_path, text)
-    opened = (tmp_path / "key.json").read_text()
-    assert sha256_text(opened) == digest
-    assert [case["kind"] for case in json.loads(opened)["cases"]] == [case.kind for case in cases]
+def test_the_serial_of_a_machine_does_not_hold_its_seed():
+    """Whoever knew it could run the machine again without its effect."""
+    (case,) = draw_cases(1, 3, ROBOT)
+    assert case.machine > 2**40
+    secret, known = (build_controller(ROBOT.name, seed, "fast").serial for seed in (case.machine, 7))
+    assert known == "FAKE-0007"
+    assert not any(str(case.machine)[at : at + 6] in secret for at in range(13))
 
 
 def test_a_program_says_with_which_tool_its_corners_are_flown():

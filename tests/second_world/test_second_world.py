@@ -12,14 +12,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.blind_check import BlindCheck, Case
-from agent.blind_check.worlds import MujocoWorld
+from agent.blind_check import BlindCheck
+from agent.blind_check.worlds import SecondWorld
 from agent.core.console import Console
-from agent.core.errors import InputError
 from agent.model import CATALOGUE
-from agent.pipeline.active_worlds import MujocoMachines
 from agent.recording import read_log
 from agent.robot import load_robot
+from benchmarks.active.machines import MujocoMachines
+from fake_controller.withheld.cases import Case
 
 pytest.importorskip("mujoco", reason="mujoco is not installed: pip install calibration-agent[mujoco]")
 
@@ -190,22 +190,18 @@ def test_a_truth_inside_the_runs_is_refused(tmp_path: Path, capsys) -> None:
 
 
 def test_the_blind_check_draws_from_it_and_the_logs_do_not_tell(tmp_path: Path) -> None:
-    world = MujocoWorld(0.5)
-    case = next(case for case in world.draw(12, 2) if case.kind == "one")
-    world.reference(case, tmp_path / "machine")
-    logs, planned = world.record(case, tmp_path / "run")
-    assert [log.name for log in logs] == ["moves.mcap", "slow.mcap", "wide.mcap"]
-    assert planned == []
-    assert world.size(case, tmp_path / "run", tmp_path / "machine") > 0
-    robot = load_robot(world.robot(tmp_path / "machine"))
+    world = SecondWorld(0.5)
+    drawn = world.draw(12, 2)
+    truth = next(truth for truth in drawn if truth["kind"] == "one")
+    assert min(truth["machine"] for truth in drawn) > 2**32
+    assert world.write(truth, tmp_path) > 0
+    names = ["moves.mcap", "slow.mcap", "wide.mcap"]
+    assert {path.name for path in (tmp_path / "baseline").iterdir()} >= set(names)
+    logs = sorted((tmp_path / "logs").iterdir())
+    assert [log.name for log in logs] == names
+    robot = load_robot(str(tmp_path / "robot.yaml"))
     assert read_log(logs[0], robot).joint_names == tuple(robot.joint_names)
-    assert not any(case.effects[0]["effect"].encode() in log.read_bytes() for log in logs)
-
-
-def test_an_unknown_world_is_refused_by_name(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="--world moon: there is no such world; one of emulator, mujoco"):
-        BlindCheck(1, 1, tmp_path / "check", world="moon").run(Console(verbosity=-1))
-    assert not (tmp_path / "check").exists()
+    assert not any(truth["effects"][0]["effect"].encode() in log.read_bytes() for log in logs)
 
 
 def test_without_mujoco_it_says_what_to_install(monkeypatch, capsys) -> None:
@@ -223,10 +219,9 @@ def test_without_mujoco_it_says_what_to_install(monkeypatch, capsys) -> None:
 
 @pytest.mark.verify
 def test_eight_runs_are_diagnosed_and_scored_by_recorder(tmp_path: Path) -> None:
-    scores = BlindCheck(8, 101, tmp_path, world="mujoco").run(Console(verbosity=-1))
-    assert scores["not_recorded"] == []
-    assert sum(row["runs"] for row in scores["recorders"].values()) == 8
-    assert "By recorder" in (tmp_path / "blind_check.md").read_text()
+    scores = BlindCheck(SecondWorld(), 8, tmp_path).run(Console(verbosity=-1))["tools"]["agent diagnose"]
+    assert scores["runs"] == 8
+    assert scores["recorders"]
 
 
 def test_set_points_that_are_given_are_followed_one_after_the_other(tmp_path: Path) -> None:

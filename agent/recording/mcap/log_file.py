@@ -178,8 +178,8 @@ class LogFile:
         self._out.flush()
         self._out.check_kept()
 
-    def finish(self) -> None:
-        """Write the final record `run` and the index, and wait for the disk."""
+    def finish(self, padding: int = 0) -> None:
+        """Write the final record `run`, bytes of padding if asked for, and the index, and wait for the disk."""
         run = dict(self._run)
         if self._cycle_starts:
             first = (self._first or 0) / _NANO
@@ -187,6 +187,8 @@ class LogFile:
         run["lost_samples"], run["repeated_samples"] = str(self.lost), str(self.repeated)
         self._out.add_metadata(RUN, run)
         self._out.add_attachment(LAYOUT_NAME, "application/json", foxglove_layout(self._names).encode())
+        if padding:
+            self._out.add_attachment("padding", "application/octet-stream", bytes(padding))
         self._out.finish()
         self._out.sync()
         self._out.check_kept()

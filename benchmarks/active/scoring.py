@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from agent.blind_check.scoring import Entry, class_of, clopper_pearson, outcome
+from agent.blind_check import class_of, clopper_pearson, outcome
 
+Entry = Mapping[str, Any]
 #: The motion that is planned for what is open, and other ways to spend the same time: the excitation loop again, loops
 #: of the sub-region at random, the D-optimal ones, and both of these with pieces of all the kinds that a plan has.
 WAYS = ("planned", "loop_again", "random_loops", "d_optimal_loops", "random_pieces", "d_optimal_pieces")
@@ -97,7 +98,10 @@ def _with_tests(entry: Entry, way: str) -> Mapping[str, Any]:
 
 
 def _outcome(entry: Entry, result: Mapping[str, Any]) -> str:
-    return outcome({**entry, "result": result})
+    came = outcome(entry["effects"], result)
+    if entry["kind"] == "none":
+        return "right" if came == "no gap" else "false alarm"
+    return {"named": "right", "no gap": "missed", "wrong class": "no class"}.get(came, came)
 
 
 def _share(hits: Iterable[bool]) -> dict[str, Any]:

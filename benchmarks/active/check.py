@@ -24,8 +24,10 @@ from pathlib import Path
 from typing import Any
 
 from agent.core import Console, InputError, write_atomically
-from agent.pipeline.active_run import ROUNDS, ActiveRun
-from agent.pipeline.active_worlds import ActiveWorld, ControllerMachines, MujocoMachines
+from benchmarks.active.key import key_text, open_key, seal
+from benchmarks.active.machines import ActiveWorld, ControllerMachines, MujocoMachines
+from benchmarks.active.run import ROUNDS, ActiveRun
+from benchmarks.active.scoring import active_scores
 
 WORLDS = ("emulator", "mujoco")
 
@@ -50,8 +52,6 @@ class ActiveCheck:
         Raises:
             InputError: no runs, no such world, or a folder with another check in it.
         """
-        from agent.blind_check import active_scores, key_text, open_key, seal
-
         if self.count < 1:
             raise InputError(f"blind check: --cases {self.count}: at least one run is needed")
         if self.world not in WORLDS:

@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
-from agent.blind_check import WAYS
-from agent.blind_check.cases import OPEN, draw_cases
 from agent.core import Console, InputError
 from agent.model import CATALOGUE
-from agent.pipeline.active_check import ActiveCheck
-from agent.pipeline.active_run import ActiveRun, WayMotion
-from agent.pipeline.active_worlds import ControllerMachines
 from agent.robot import load_robot
+from benchmarks.active.check import ActiveCheck
+from benchmarks.active.machines import OPEN, ControllerMachines
+from benchmarks.active.run import ActiveRun, WayMotion
+from benchmarks.active.scoring import WAYS
 from drivers.errors import DriverError
+from fake_controller.withheld.cases import draw_cases
 
 QUIET = Console(verbosity=-1)
 BEGIN = ("excite",)
@@ -231,12 +229,3 @@ def test_weak_effects_of_every_kind_that_comes_again_are_drawn():
     names = {effect["effect"] for case in cases for effect in case.effects}
     assert names == set(OPEN.names or ())
     assert set(CATALOGUE) - names == {"contact", "interpolator_mismatch"}, "neither is met again in torque"
-
-
-def test_other_processes_are_refused(tmp_path):
-    out = tmp_path / "x"
-    command = [sys.executable, "-m", "agent", "blind-check", "--active", "--workers", "2", "-o", str(out)]
-    run = subprocess.run(command, capture_output=True, text=True)
-    assert run.returncode == 2
-    assert "leave out --scheduler and --workers" in run.stderr
-    assert not out.exists()

@@ -73,7 +73,6 @@ def record_motions(
     effects: Sequence[Mapping[str, Any]],
     programs: Mapping[str, str],
     folder: Path,
-    console: Console,
 ) -> list[Path]:
     """Start a controller, run the programs one after the other, and record a log of each; returns their paths.
 
@@ -87,7 +86,7 @@ def record_motions(
     logs = []
     with fake_controller(robot, machine, effects) as address:
         recipe = link_recipe(robot, address)
-        with open_link(recipe, console, True, folder) as link:
+        with open_link(recipe, Console(verbosity=-1), True, folder) as link:
             for name, text in programs.items():
                 log = folder / f"{name}.mcap"
                 log.unlink(missing_ok=True)  # of a check that was stopped in the middle of it

@@ -20,7 +20,7 @@ def test_the_planned_motion_names_no_fewer_than_the_d_optimal_pieces(measured):
     """Bounded: where the time is not enough it is skipped, and goes on at the same commit when it is called again."""
     commit = subprocess.run(["git", "rev-parse", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=True).stdout
     folder = ROOT / ".verify" / f"active_{commit.strip()[:12]}"
-    command = [sys.executable, "-m", "agent", "blind-check", "--active", "--cases", str(_RUNS), "--seed", str(_SEED)]
+    command = [sys.executable, "-m", "benchmarks.active", "--cases", str(_RUNS), "--seed", str(_SEED)]
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
     with subprocess.Popen([*command, "-o", str(folder)], cwd=ROOT, env=environment) as run:
         try:

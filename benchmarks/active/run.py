@@ -11,18 +11,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from agent.core import AgentError, Console, finite, write_atomically
-from agent.pipeline.active_worlds import ActiveWorld, Job, on_brakes
 from agent.pipeline.next_experiment import LONGEST, NextMotion, mass_beside, plan_next, run_otherwise
 from agent.pipeline.planning import Plan, make_plan, program_text
 from agent.recipe import Recipe
+from benchmarks.active.machines import ActiveWorld, Job, mounted, on_brakes
+from benchmarks.active.scoring import WAYS, class_of
 from drivers.errors import DriverError
 
 if TYPE_CHECKING:
-    from agent.blind_check import Case
     from agent.diagnosis import Diagnosis
     from agent.pipeline.other_tests import WithMass
     from agent.recording import Log
     from agent.robot import Tool
+    from fake_controller.withheld.cases import Case
 
 _QUIET = Console(verbosity=-1)
 #: Further motions of a run.
@@ -46,8 +47,7 @@ class ActiveRun:
     def __init__(self, world: ActiveWorld, case: Case, folder: Path):
         self._world, self._case = world, case
         self._folder = folder / "runs" / f"{case.number:04d}"
-        #: Machines are numbered as they come: their seed would tell of the key.
-        self._machine = folder / "machines" / f"{case.number // world.group:04d}"
+        self._machine = folder / "machines" / f"{case.number:04d}"
         self._found: dict[tuple[tuple[Path, ...], bool], Diagnosis] = {}
 
     @property
@@ -62,8 +62,6 @@ class ActiveRun:
 
     def go_on(self, rounds: int) -> None:
         """Whatever is missing of the first motions and so many further ones of each way."""
-        from agent.blind_check import WAYS
-
         first = self._kept("first", self._begin)
         for way in WAYS if first.get("verdict") not in (None, "explained") else ():
             if way != "planned":
@@ -87,8 +85,6 @@ class ActiveRun:
 
     def entry(self) -> dict[str, Any]:
         """The case with everything that was said."""
-        from agent.blind_check import WAYS
-
         first = self._read("first")
         if "error" in first:
             return {**self._case.to_dict(), **first}
@@ -155,8 +151,6 @@ class ActiveRun:
         `name` is that of the answer, `before` are the folders of its further motions until then, by name, `load` a mass
         at the flange.
         """
-        from agent.blind_check import mounted
-
         logs = [self._folder / f"{program}.mcap" for program in self._texts]
         logs += [folder / f"{program}.mcap" for program, folder in before.items()]
         found, number = self._diagnose(logs, brakes), len(before) + 1
@@ -293,7 +287,6 @@ def _text_of(mass: WithMass | None) -> str | None:
 
 def _may_be_of_channel(said: Mapping[str, Any]) -> bool:
     """Whether an answer has an offset of a torque channel in it."""
-    from agent.blind_check import class_of
     from agent.model import CATALOGUE
 
     return any(CATALOGUE[place["effect"]].adds_to_report for cause in said["causes"] for place in class_of(cause))

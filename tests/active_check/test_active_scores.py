@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from agent.blind_check import WAYS, active_scores, active_text
+from benchmarks.active.scoring import WAYS, active_scores, active_text
 
 TRUE = {"effect": "stribeck", "joints": ["joint_2"], "parameters": {}}
 

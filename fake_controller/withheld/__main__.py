@@ -1,0 +1,103 @@
+"""`… draw N SEED [OPTIONS]` prints the truth of N runs; `… write` records one, given as JSON on stdin.
+
+OPTIONS is JSON: `robot` (comau_ns16 if absent) and `cycle`, the duration of one cycle of every motion [s]. `write` is
+given the `truth` of a run and a `folder`, and prints how large the effects are.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from agent.core import AgentError, read_yaml, write_atomically
+from agent.link import moving_segments
+from agent.recording import Log, read_log, write_log
+from agent.robot import description_file, load_robot
+from drivers.errors import DriverError
+from fake_controller.withheld.cases import draw_cases
+from fake_controller.withheld.motions import draw_programs
+from fake_controller.withheld.runs import link_recipe, record_motions
+from fake_controller.withheld.size import REST, torque_change
+
+#: One robot, and about 20 s of each of three motions.
+_USUAL = {"robot": "comau_ns16", "cycle": 10.0}
+_NOWHERE = "127.0.0.1:9"  # plans are drawn without a controller
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Returns the exit code: 0, or 1 with a message where a run cannot be recorded."""
+    if arguments[0] == "draw":
+        options = _USUAL | (json.loads(arguments[3]) if len(arguments) > 3 else {})
+        drawn = draw_cases(int(arguments[1]), int(arguments[2]), load_robot(options["robot"]))
+        print(json.dumps([{**case.to_dict(), **options} for case in drawn]))
+        return 0
+    job = json.load(sys.stdin)
+    try:
+        print(json.dumps({"size": write(job["truth"], Path(job["folder"]))}))
+    except (AgentError, DriverError) as error:
+        print(error, file=sys.stderr)
+        return 1
+    return 0
+
+
+def write(truth: Mapping[str, Any], folder: Path) -> float | None:
+    """Record a run: description, `baseline/` of the healthy machine, `logs/`; returns the size of its effects.
+
+    The controller's interpolator differs from ours, so our plan is not what a run should be like. The planned
+    set-points of a log are those that this controller executes for the same programs without an effect.
+    """
+    _describe(truth["robot"], folder)
+    for log in _run(truth, truth["machine"], (), folder / "baseline"):
+        write_log(log.path, replace(log, planned_position=None))
+    logs = plain = _run(truth, truth["motion"], truth["effects"], folder / "logs")
+    size = None
+    if truth["effects"]:
+        plain = _run(truth, truth["motion"], (), folder / "without")
+        size = torque_change(load_robot(truth["robot"]), logs, plain)
+    for log, other in zip(logs, plain, strict=True):
+        assert other.reference_position is not None
+        write_log(log.path, planned_as(log, other.reference_position))
+    return size
+
+
+def _run(truth: Mapping[str, Any], motion: int, effects: Sequence[Mapping[str, Any]], folder: Path) -> list[Log]:
+    robot = load_robot(truth["robot"])
+    programs = draw_programs(link_recipe(truth["robot"], _NOWHERE), motion, truth["cycle"])
+    return [
+        read_log(path, robot) for path in record_motions(truth["robot"], truth["machine"], effects, programs, folder)
+    ]
+
+
+def _describe(robot: str, folder: Path) -> None:
+    """Copy the description of a robot and its URDF."""
+    folder.mkdir(parents=True, exist_ok=True)
+    source = description_file(robot)
+    for path in (source, source.parent / read_yaml(source)["urdf"]):
+        write_atomically(folder / path.name, path.read_text(encoding="utf-8"))
+
+
+def planned_as(log: Log, set_points: np.ndarray) -> Log:
+    """The log with the set-points (T, n) of another run as its plan, for every sample.
+
+    Both are aligned from stop to stop, and a stop holds the last set-point. Where the stops differ in number, the
+    plan begins with the log and is not aligned again.
+    """
+    assert log.reference_position is not None
+    here, there = (moving_segments(points, REST) for points in (log.reference_position, set_points))
+    planned = set_points[np.minimum(np.arange(len(log.t)), len(set_points) - 1)]
+    if len(here) == len(there):
+        for (start, _), (first, last) in zip(here, there, strict=True):
+            part = set_points[first:last][: len(planned) - start]
+            planned[start : start + len(part)] = part
+            planned[start + len(part) :] = set_points[last - 1]
+    return replace(log, planned_position=planned)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
