@@ -19,7 +19,7 @@ import numpy as np
 
 from drivers.errors import ConfigurationError, DriverError, RefusedError
 from drivers.protocol import Identity, Status
-from drivers.transports.base import LinkDriver
+from drivers.transports.base import WATCHDOG, LinkDriver
 from drivers.transports.cnr.address import CnrAddress
 from drivers.transports.cnr.broker import BrokerLink
 from drivers.transports.cnr.commands import command_start, insist_on_stop, wait_for_a_person
@@ -72,6 +72,11 @@ class CnrDriver(LinkDriver[Sockets, CnrMotion]):
             facts["motion_start_s"] = f"{motion.begun_at:.6f}"
         alignment = motion.match.alignment()
         return facts if alignment is None else facts | alignment.facts
+
+    @property
+    def watchdog(self) -> float:
+        """By the identity file [s]."""
+        return WATCHDOG if self._machine is None else self._machine.watchdog
 
     def connect(self) -> None:
         """Open the sockets, read who is there, and listen to the broker."""
