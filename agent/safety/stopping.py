@@ -66,6 +66,7 @@ class Stopping:
         self._by_state = False
         self._seen_at = clock()  # when the last sample came
         self._newest = -np.inf  # its controller time
+        self._state_at = -np.inf  # when the state was read last
         self._ended = False
         #: Whether there is nothing left to follow.
         self.over = False
@@ -161,8 +162,8 @@ class Stopping:
                     )
 
     def _let_go(self, when: str) -> None:
-        speed = self._braking.speed
-        if speed is None:
+        speed, known = self._braking.speed, self._shown or not self._clock() - self._state_at > AGAIN
+        if speed is None or not known:
             self._give_up(f"{when} nothing shows what the arm does; the link was closed, which stops it. Go and look")
             return
         self.disobeyed = True
@@ -196,4 +197,5 @@ class Stopping:
             if not self._by_state:
                 self._braking.forget()
                 self._by_state = True
-            self._braking.take(np.array([self._clock()]), position[None])
+            self._state_at = self._clock()
+            self._braking.take(np.array([self._state_at]), position[None])

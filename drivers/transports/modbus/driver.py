@@ -269,7 +269,7 @@ class ModbusDriver(LinkDriver[ModbusLink, MotionStream]):
         self._silence = 0.0
         self._turned = time.monotonic()
         self._guarded = True
-        link.timeout = min(self._timeout, self._agreed)
+        link.timeout = min(self._timeout, self._agreed, WATCHDOG)  # an answer that is lost must not cost more
         self._beat()  # from now on the ring shows samples from 0 on
 
     def _not_begun(self) -> None:
