@@ -51,7 +51,7 @@ MACHINE = {
     "no_end": frozenset({"streaming"}),  # that the motion is over is never said
     "clock_back": frozenset({"streaming"}),  # stamps go back by `value` seconds
     "no_numbers": frozenset({"streaming"}),  # torques that are none
-    "columns": frozenset({"streaming"}),  # samples with one joint less
+    "columns": frozenset({"start", "streaming"}),  # samples with one joint less
     "other_motion": frozenset({"start"}),  # a joint makes `value` times its way, under the name of the program
     "wrong_program": frozenset({"upload", "start"}),  # the stored text is another
     "wrong_robot": frozenset({"connect"}),

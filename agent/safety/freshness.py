@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-#: No sample is older than this when it is judged [s], or than the watchdog of its link where that is shorter.
+#: No sample is older than this when it is judged [s], or than the watchdog of its link where that is shorter;
 LATE = 0.5
-#: Samples come together: a link hands out so many at once.
-BATCH = 10
+#: but for what a busy computer keeps a process waiting [s], and the samples that a link hands out at once.
+WAITS, BATCH = 0.2, 10
 #: The first samples of a motion may come later than the others by this [s]: the controller was still planning.
 HELD_UP = 0.3
 #: Two clocks that are both right differ by no more than this part of the time that passes.
@@ -28,8 +28,8 @@ class Freshness:
     """
 
     def __init__(self, period: float, watchdog: float, clock: Callable[[], float]) -> None:
-        self.oldest = min(watchdog, LATE) + BATCH * period
-        self.silence = watchdog + BATCH * period
+        more = max(WAITS, BATCH * period)
+        self.oldest, self.silence = min(watchdog, LATE) + more, watchdog + more
         self._clock = clock
         self._since = clock()
         self._newest: float | None = None  # controller time of the newest judged sample

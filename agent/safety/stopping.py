@@ -104,10 +104,10 @@ class Stopping:
                 self._look_at_state()
             if self._braking.stands:
                 self._end_without_a_word(passed)
+            elif len(self._sent) == 1 and not (passed < AGAIN or self._braking.brakes):
+                self._send()
             elif not passed < (STANDS if self._braking.brakes else LET_GO):
                 self._let_go(f"{passed:.1f} s after the stop")
-            elif not passed < AGAIN and not self._braking.brakes and len(self._sent) == 1:
-                self._send()
 
     def finish(self, failed: bool) -> None:
         """The samples have ended; `failed`: with the link. The state tells whether the arm stands where they do not."""
