@@ -62,12 +62,11 @@ class Freshness:
             return f"no sample came within {silent:.1f} s of the start"
         if self._newest is None:
             return None
-        if not silent <= self.silence:
-            return f"no sample came for {silent:.1f} s; {self.silence:.2g} s are allowed"
         age = self.controller_time(now) - self._newest
-        if not age <= self.oldest:
+        if not (silent <= self.silence and age <= self.oldest):
+            what = "no sample came for" if not silent < WAITS else "samples were late by"
             return (
-                f"the newest sample was {age:.2f} s old; {self.oldest:.2g} s are allowed. The link is slower than the "
+                f"{what} {max(silent, age):.2f} s, {self.oldest:.2g} s are allowed. The link is slower than the "
                 "controller samples, or this computer has too much else to do"
             )
         return None

@@ -55,6 +55,7 @@ class ModbusDriver(LinkDriver[ModbusLink, MotionStream]):
         self._watchdog = watchdog
         self._unit = unit
         self._closed = threading.Event()
+        self._stopping = threading.Lock()
 
     @property
     def watchdog(self) -> float:
@@ -183,7 +184,8 @@ class ModbusDriver(LinkDriver[ModbusLink, MotionStream]):
             return
         if motion is not None:
             motion.stopping = True
-        self._command(wire.Command.STOP, self._timeout, "stop")
+        with self._stopping:  # a second one would take the answer of the first
+            self._command(wire.Command.STOP, self._timeout, "stop")
         until = time.monotonic() + self._start_timeout
         while link.read(wire.PROGRESS)["state"] == wire.MotionState.RUNNING:
             if time.monotonic() > until:
