@@ -1,8 +1,8 @@
 """The only way from the pipeline to a moving arm: every condition before motion, and the watch while it moves.
 
 A program is sent once and started once. Whatever ends the motion early - an error, any signal (`agent.core.signals`),
-a full disk, the consumer leaving - asks the controller for a stop on the path first. Where that is not confirmed, or the
-arm is not seen to stand, the link is closed, and the controller's own watchdog stops the arm.
+a full disk, the consumer leaving - asks the controller for a stop on the path first. Where that is not confirmed, or
+the arm is not seen to stand, the link is closed, and the controller's own watchdog stops the arm.
 """
 
 from __future__ import annotations

@@ -202,9 +202,9 @@ class MotionWatch:
     def _raise_fault(self, dropped: DriverError | None) -> None:
         """Why the motion did not end as planned, if it did not."""
         fault = self._fault
-        if dropped is not None and not self.stopping.seen:
-            if not isinstance(fault, SafetyError) or isinstance(dropped, MotionStopped):
-                raise dropped
+        known = isinstance(fault, SafetyError) and not isinstance(dropped, MotionStopped)
+        if dropped is not None and not (known or self.stopping.seen):
+            raise dropped
         if fault is None and (reason := self._adherence.judge() or self._early(self._last)) is not None:
             fault = SafetyError(f"{self._address}: {reason}")
         if self.stopping.disobeyed:

@@ -10,7 +10,6 @@ from drivers.errors import DriverError, ProtocolError
 from drivers.protocol import Gap, SampleBlock
 from drivers.transports.motion import MotionStream
 
-
 #: Silence [s] after which either end takes the other for gone, where the controller grants what is asked for. A busy
 #: machine keeps a process waiting for up to 0.3 s.
 WATCHDOG = 0.5

@@ -1,7 +1,7 @@
 """The serial driver: frames over a line (docs/wire-serial.md), or Modbus RTU over the registers of docs/wire-modbus.md.
 
-A line may be slower than the arm. The controller keeps what it cannot send yet, and the driver goes on reading after the
-motion; whoever wants to watch the arm asks for the `throughput` first.
+A line may be slower than the arm. The controller keeps what it cannot send yet, and the driver goes on reading after
+the motion; whoever wants to watch the arm asks for the `throughput` first.
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ _RTU_PAUSE = 0.001  # s, at least
 _BUFFERED = 8192  # bytes that may be on their way, in buffers that nobody can look into
 _PATIENCE = 0.25  # s, beyond what is on its way
 _REST_POLL = 0.05  # s
+_FEWEST, _BAUD_PER_QUESTION = 8, 8000  # questions that measure a line: their answers take a quarter of a second or so
 
 
 def create(address: str, **options: Any) -> SerialDriver | RtuDriver:
@@ -53,11 +54,11 @@ class SerialDriver(FrameDriver):
 
     READ_ATTEMPTS = 3
     UPLOAD_BLOCK = UPLOAD_BLOCK
-    BURST = 8
 
     def __init__(self, address: str, **options: Any) -> None:
         self._line = parse_port(address)
         super().__init__(address, **options)
+        self.BURST = min(max(_FEWEST, self._line.baud // _BAUD_PER_QUESTION), self.BURST)
         self._watchdog = max(self._watchdog, _FRAMES_IN_WATCHDOG * frame_time(self._line.baud))
         self._progress = self._fetched = 0.0
         self._fetching: tuple[int, int] | None = None

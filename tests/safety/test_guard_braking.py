@@ -243,9 +243,14 @@ def test_samples_of_the_stop_are_kept_and_disobedience_is_told(bench, program, e
     bench.controller.moves = lambda times: at(chain, (times / 2) % 1.0)
     guard, kept = bench.open(), []
     guard.send(slow)
-    with pytest.raises(SafetyError, match="does not obey"), guard.motion(slow, kept.append) as samples:
-        next(samples)
-        raise error("ended")
+
+    def ended() -> None:
+        with guard.motion(slow, kept.append) as samples:
+            next(samples)
+            raise error("ended")
+
+    with pytest.raises(SafetyError, match="does not obey"):
+        ended()
     assert kept
     assert bench.controller.stops >= 2
     assert bench.controller.starts == 1

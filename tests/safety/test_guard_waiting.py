@@ -157,11 +157,16 @@ def test_a_taker_who_is_slow_leaves_the_arm_unwatched(bench, program):
     clock = Held()
     guard, chosen = bench.open(clock=clock), program()
     guard.send(chosen)
-    with pytest.raises(ControllerError, match="no sample came for"), guard.motion(chosen) as samples:
-        for _ in samples:
-            if not stopped.is_set():
-                clock.now += 60.0
-                assert stopped.wait(30.0)
+
+    def take_slowly() -> None:
+        with guard.motion(chosen) as samples:
+            for _ in samples:
+                if not stopped.is_set():
+                    clock.now += 60.0
+                    assert stopped.wait(30.0)
+
+    with pytest.raises(ControllerError, match="no sample came for"):
+        take_slowly()
 
 
 class Slow(TcpDriver):
