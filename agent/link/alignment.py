@@ -36,6 +36,8 @@ class Aligner:
         self.cycle_starts: list[float] = []
 
     def take(self, time: np.ndarray, reference: np.ndarray | None) -> None:
+        if self.samples and time[0] <= self._last:
+            return  # they came before
         self._first = float(time[0]) if self.samples == 0 else self._first
         self._last = float(time[-1])
         self.samples += len(time)

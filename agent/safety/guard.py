@@ -316,13 +316,9 @@ class GuardedLink:
         with undisturbed():
             watch.stopping.request()
             given.close()
-            kept = True
             for block in () if watch.stopping.over else watch.rest():
-                try:
-                    if kept:
-                        keep(block)
-                except Exception:  # a disk that is full, most likely: the arm is followed all the same
-                    kept = False
+                with suppress(Exception):  # a disk that is full, most likely: the arm is followed all the same
+                    keep(block)
         if watch.stopping.disobeyed and not isinstance(error, SafetyError):
             raise SafetyError(f"{self.address}: {watch.stopping.seen}") from error
         if not (error is None or isinstance(error, Exception) or watch.stopping.seen):  # somebody ended the program

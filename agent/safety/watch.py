@@ -115,7 +115,9 @@ class MotionWatch:
         with self._watched():
             try:
                 for block in self._driver.samples():
-                    if self._broken(block) is None:
+                    if int(block.sequence[-1]) <= self._last:
+                        yield block  # once more: whoever was interrupted may not have taken it
+                    elif self._broken(block) is None:
                         self._note(block)
                         yield block
             except Exception as error:  # whatever it is, the arm is followed to its end
