@@ -119,7 +119,9 @@ class FrameLink(LinkThread):
                 try:
                     answer = answers.get(timeout=max(0.0, until - time.monotonic()))
                 except queue.Empty:
-                    raise self._silent(what, timeout) from None
+                    if number == 0:
+                        raise self._silent(what, timeout) from None
+                    break  # the line has not carried more in all that time
                 reply = self._checked(answer, object, timeout, what)
                 first, size = (time.monotonic(), 0) if number == 0 else (first, size + len(encode(reply)))
             return size, time.monotonic() - first

@@ -30,7 +30,7 @@ _RTU_PAUSE = 0.001  # s, at least
 _BUFFERED = 8192  # bytes that may be on their way, in buffers that nobody can look into
 _PATIENCE = 0.25  # s, beyond what is on its way
 _REST_POLL = 0.05  # s
-_FEWEST, _BAUD_PER_QUESTION = 8, 8000  # questions that measure a line: their answers take a quarter of a second or so
+_FEWEST, _MOST, _BAUD_PER_QUESTION = 8, 32, 8000  # that measure a line: their answers take a moment on any
 
 
 def create(address: str, **options: Any) -> SerialDriver | RtuDriver:
@@ -58,7 +58,7 @@ class SerialDriver(FrameDriver):
     def __init__(self, address: str, **options: Any) -> None:
         self._line = parse_port(address)
         super().__init__(address, **options)
-        self.BURST = min(max(_FEWEST, self._line.baud // _BAUD_PER_QUESTION), self.BURST)
+        self.BURST = min(max(_FEWEST, self._line.baud // _BAUD_PER_QUESTION), _MOST)
         self._watchdog = max(self._watchdog, _FRAMES_IN_WATCHDOG * frame_time(self._line.baud))
         self._progress = self._fetched = 0.0
         self._fetching: tuple[int, int] | None = None

@@ -32,6 +32,7 @@ from drivers.wire.reasons import EndReason
 
 #: The feedback program rests so long between two messages [s].
 FEEDBACK_PERIOD = 0.02
+_BURSTS = 0.5  # samples come in bursts: a pace from here on is the whole one
 _SAMPLE_PATIENCE = 1.0  # s without a sample, at least
 
 _log = logging.getLogger(__name__)
@@ -142,6 +143,12 @@ class CnrDriver(LinkDriver[Sockets, CnrMotion]):
             emulator=self._machine.emulator,
             override_known=False,
         )
+
+    def throughput(self) -> float:
+        """`MeasuresThroughput`: by the samples at rest; feedbacks are the whole link where there is no broker."""
+        period = self.identify().period
+        pace = 1.0 if self._broker is None else self._broker.pace()
+        return (pace if pace < _BURSTS else 1.0) / period
 
     def frames(self) -> dict[str, np.ndarray]:
         """`ReportsFrames`: as the last feedback has them."""
