@@ -63,12 +63,15 @@ _ONE_ANSWER = "it sends one answer at a time, so none can overtake another"
 _WITHOUT_BROKER = dict.fromkeys(
     ("tcp", "modbus", "serial", "rtu"), "samples come by no broker there, points in no queue"
 )
-_REGISTERS = "its registers have their number of joints"
 #: What becomes of the samples alone.
 LIES = ("mute", "no_end", "clock_back", "no_numbers", "columns")
 #: Faults that make no sense on a wire, and why.
 NOT_ON = {
-    "columns": {"modbus": _REGISTERS, "rtu": _REGISTERS, "cnr_comau": "its messages have ten axes"},
+    "columns": {
+        **dict.fromkeys(("modbus", "rtu"), "its registers have their number of joints"),
+        "serial": "it packs samples anew, by its number of joints",
+        "cnr_comau": "its messages have ten axes",
+    },
     "clock_back": {"cnr_comau": "its node counts time by itself"},
     "no_numbers": {"cnr_comau": "a message without numbers is damage there, as if it was lost"},
     "reorder": dict.fromkeys(("modbus", "rtu", "cnr_comau"), _ONE_ANSWER),
