@@ -107,6 +107,7 @@ ALWAYS_NUMBERS: dict[str, dict[str, str]] = {
     "watch.py": {
         "self._now - self._looked < WATCH_INTERVAL": "of times that the driver has checked",
         "self._clock() - self._looked_at < WATCH_INTERVAL": "of this machine's clock",
+        "int(block.sequence[-1]) <= self._last": "counts",
         "left <= EARLY": "of a plan that was checked",
         "left <= EARLY + lost": "the same, and counts",
         "gap.first > last": "counts",
