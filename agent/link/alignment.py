@@ -28,7 +28,7 @@ class Aligner:
 
     def __init__(self, chains: Sequence[Trajectory], period: float):
         self._chains = chains
-        self._segments = Segments(round(self.REST / period))
+        self._segments = MovingSegments(round(self.REST / period))
         self._stamps = Stamps()
         self._seen = True  # set-points, with every block
         self._first = self._last = 0.0  # time [s] of samples
@@ -76,7 +76,7 @@ class Aligner:
         return starts
 
 
-class Segments:
+class MovingSegments:
     """[start, stop) ranges of set-points between rests of at least `rest` samples, as the set-points come.
 
     A range starts at the last sample before the first change and ends after the last change.
@@ -105,8 +105,8 @@ class Segments:
 
 
 def moving_segments(reference: np.ndarray, rest: int) -> list[tuple[int, int]]:
-    """The `Segments` of (S, n) set-points."""
-    segments = Segments(rest)
+    """The `MovingSegments` of (S, n) set-points."""
+    segments = MovingSegments(rest)
     if len(reference):
         segments.add(reference)
     return segments.found

@@ -1,7 +1,7 @@
 """A stop that is followed until the arm is seen to stand: sent, sent again, and at last by closing the link.
 
 A controller's word that it stopped the arm is no proof. Where the arm does not brake, a second stop is sent and then
-the link is closed: the controller's own watchdog stops the arm. A second stop can do no harm; a start is never repeated.
+the link is closed: the controller's own watchdog stops the arm. A second stop does no harm; no start is repeated.
 """
 
 from __future__ import annotations
@@ -168,8 +168,9 @@ class Stopping:
             return
         self.disobeyed = True
         self._give_up(
-            f"the arm does not obey: {when} it still moves, at {100 * speed:.0f} % of a joint's limit. The stop was "
-            "sent again and the link closed, so that the controller's watchdog stops the arm. PRESS THE EMERGENCY STOP NOW"
+            f"the arm does not obey: {when} it still moves, at {100 * speed:.0f} % of a joint's limit. The stop "
+            "was sent again and the link closed, so that the controller's watchdog stops the arm. PRESS THE "
+            "EMERGENCY STOP NOW"
         )
 
     def _give_up(self, seen: str) -> None:

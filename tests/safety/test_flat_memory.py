@@ -8,7 +8,7 @@ import tracemalloc
 import numpy as np
 from hypothesis import given, strategies as st
 
-from agent.link.alignment import Aligner, Segments, Stamps, moving_segments
+from agent.link.alignment import Aligner, MovingSegments, Stamps, moving_segments
 from agent.recording import LogWriter
 from agent.safety.braking import Braking
 from agent.safety.freshness import Freshness
@@ -49,7 +49,7 @@ def test_a_recording_does_not_grow_with_its_length(tmp_path):
 @given(st.lists(st.integers(0, 30), max_size=60), st.integers(0, 12), st.integers(1, 9))
 def test_segments_are_the_same_however_the_set_points_come(stays, rest, chunk):
     reference = np.array([value for value, stay in enumerate(stays) for _ in range(stay)], dtype=float)[:, None]
-    segments = Segments(rest)
+    segments = MovingSegments(rest)
     for first in range(0, len(reference), chunk):
         segments.add(reference[first : first + chunk])
     assert segments.found == moving_segments(reference, rest)

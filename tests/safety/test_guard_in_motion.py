@@ -79,7 +79,7 @@ def test_a_controller_whose_time_stands_still_is_looked_at_all_the_same(bench, p
     ticks = iter(range(10**6))
     guard = bench.open(clock=lambda: 0.1 * next(ticks))
     before = bench.controller.asked.count("AskStatus") + 2
-    with pytest.raises((ControllerError, SafetyError), match="samples were late|no sample came|before the end of its"):
+    with pytest.raises((ControllerError, SafetyError), match=r"samples were late|no sample came|before the end of its"):
         bench.run(program(), guard)
     assert bench.controller.asked.count("AskStatus") - before >= 10
 
