@@ -135,11 +135,11 @@ class Adherence:
         seen = [one.reference_position for one in blocks if one.reference_position is not None]
         given = np.concatenate(seen) if len(seen) == len(blocks) else None
         if not np.isfinite(time).all():
-            return "the controller sent times that are no numbers; look for the fault there, then try again"
+            return f"the controller sent times that are no numbers; {_FAULT}"
         for name, what in _COLUMNS.items():
             sent = [values for one in blocks if (values := getattr(one, name)) is not None]
             if not all(bool(np.all(np.abs(values) < FARTHEST)) for values in sent):
-                return f"the controller sent {what} that are no numbers; look for the fault there, then try again"
+                return f"the controller sent {what} that are no numbers; {_FAULT}"
         if np.isnan(self._began):
             self._began = self._last = float(time[0]) - self._period * float(blocks[0].sequence[0])
         lost = np.flatnonzero(np.diff(time, prepend=self._last) > GAP)  # each of these has a long way to be on
@@ -290,6 +290,7 @@ class Adherence:
         return "m" if self._robot.joints[joint].prismatic else "rad"
 
 
+_FAULT = "look for the fault there, then run the command again"
 _LAW = "the controller has an interpolator of its own: agent learn-interpolator finds it from a motion before"
 _LOOK = (
     "what moves is not what was planned and checked. Look at the program that "
