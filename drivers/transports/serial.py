@@ -30,7 +30,7 @@ _RTU_PAUSE = 0.001  # s, at least
 _BUFFERED = 8192  # bytes that may be on their way, in buffers that nobody can look into
 _PATIENCE = 0.25  # s, beyond what is on its way
 _REST_POLL = 0.05  # s
-_FEWEST, _MOST, _BAUD_PER_QUESTION = 8, 32, 8000  # that measure a line: their answers take a moment on any
+_FEWEST, _MOST, _BAUD_PER_QUESTION = 8, 48, 8000  # questions that measure a line; a controller keeps some 64 answers
 
 
 def create(address: str, **options: Any) -> SerialDriver | RtuDriver:

@@ -256,3 +256,21 @@ def test_samples_of_the_stop_are_kept_and_disobedience_is_told(bench, program, e
     assert bench.controller.starts == 1
     with pytest.raises(DriverError, match="connect first"):
         guard.position()
+
+
+def test_positions_from_another_clock_begin_anew():
+    """Or the way between two clocks would be a speed."""
+    braking = Braking(ROBOT.max_velocity)
+    braking.take(10.0 + PERIOD * np.arange(100), np.tile(HOME, (100, 1)))
+    assert braking.stands
+    braking.take(500.0 + PERIOD * np.arange(10), np.tile(HOME + 1.0, (10, 1)))
+    assert (braking.stands, braking.speed, braking.rested) == (False, None, 0.0)
+
+
+def test_an_arm_that_moved_before_anybody_knew_its_speed_does_not_brake():
+    braking = Braking(ROBOT.max_velocity)
+    way = np.outer(PERIOD * np.arange(100), ROBOT.max_velocity)
+    braking.take(PERIOD * np.arange(100), way)
+    assert not braking.brakes
+    braking.take(PERIOD * np.arange(100, 200), np.repeat(way[-1:], 100, axis=0))
+    assert braking.brakes
