@@ -9,13 +9,14 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import time
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from typing import Protocol
 
 import numpy as np
 
 from drivers.errors import DriverError, ProtocolError, RefusedError
-from drivers.protocol import Driver, Identity, SampleBlock
+from drivers.protocol import Driver, Identity, MeasuresThroughput, SampleBlock
 
 _PATIENCE = 60.0  # s for something that must come
 _NAME = "p"
@@ -145,6 +146,36 @@ class DriverConformance:
             assert not driver.status().moving
             assert _run(driver, bench.short)
 
+    def test_two_stops_at_once_stop_the_arm(self, bench: Bench) -> None:
+        """Whoever sees no braking sends a second one while the first is still waited for."""
+        with _moving(bench) as (driver, received):
+            next(received)
+            with ThreadPoolExecutor(2) as two:
+                for stopped in [two.submit(driver.stop) for _ in range(2)]:
+                    stopped.result(_PATIENCE)
+            list(received)
+            assert not bench.moving()
+            assert bench.motions_started() == 1
+
+    def test_who_was_interrupted_goes_on_with_the_next_sample(self, bench: Bench) -> None:
+        """The samples of a stop follow what was handed out before, and none is left out."""
+        with _moving(bench) as (driver, received):
+            blocks = [next(received)]
+            received.close()
+            driver.stop()
+            blocks += driver.samples()
+            sequence = np.unique(np.concatenate([block.sequence for block in blocks]))
+            np.testing.assert_array_equal(sequence, np.arange(len(sequence)))
+            assert len(sequence) > len(blocks[0])
+
+    def test_says_how_long_it_may_be_silent_and_what_it_carries(self, bench: Bench) -> None:
+        """The age that samples may have follows from the one, the rate from the other."""
+        with _connected(bench) as driver:
+            assert 0 < driver.watchdog <= 60
+            if isinstance(driver, MeasuresThroughput):
+                assert driver.throughput() > 0
+            assert _run(driver, bench.short), "measuring the link is no harm"
+
     def test_a_stop_at_rest_is_no_harm(self, bench: Bench) -> None:
         with _connected(bench) as driver:
             driver.stop()
@@ -249,10 +280,10 @@ def _connected(bench: Bench) -> Iterator[Driver]:
 
 
 @contextlib.contextmanager
-def _moving(bench: Bench) -> Iterator[tuple[Driver, Iterator[SampleBlock]]]:
+def _moving(bench: Bench) -> Iterator[tuple[Driver, Generator[SampleBlock, None, None]]]:
     with _connected(bench) as driver:
         driver.start(_NAME, driver.upload(_NAME, bench.long))
-        yield driver, iter(driver.samples())
+        yield driver, (block for block in driver.samples())
 
 
 def _connect_when_free(driver: Driver) -> None:

@@ -126,6 +126,10 @@ class Driver(Protocol):
     def gaps(self) -> tuple[Gap, ...]:
         """What is missing from the samples of the last motion, once the driver has tried to get it again."""
 
+    @property
+    def watchdog(self) -> float:
+        """Silence [s] after which the controller takes this end for gone and stops the arm."""
+
     def connect(self) -> None:
         """Open the link and agree on the protocol's version."""
 
@@ -143,6 +147,8 @@ class Driver(Protocol):
 
     def samples(self) -> Iterator[SampleBlock]:
         """Samples of the motion that `start` began, in order, until the arm rests again.
+
+        A second call goes on with the samples that the first has not handed out.
 
         Returns where the program ended by itself or was stopped by `stop`. Everything that arrived is yielded first.
 
@@ -168,6 +174,14 @@ class ViaPoint:
     position: np.ndarray
     fly_tolerance: float
     linear_speed: float
+
+
+@runtime_checkable
+class MeasuresThroughput(Protocol):
+    """A driver that can measure how many samples its link carries."""
+
+    def throughput(self) -> float:
+        """Samples a second that the link carries, measured now while the arm rests."""
 
 
 @runtime_checkable

@@ -7,6 +7,7 @@ import time
 import traceback
 from collections import OrderedDict
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from itertools import chain
 from typing import Protocol
 
@@ -17,7 +18,7 @@ from agent.robot import RobotDescription
 from drivers.wire.reasons import EndReason, Refusal
 from fake_controller.clock import Clock
 from fake_controller.execution import CannotMove, Chain, Execution, Planner, Slice, StopSwitch
-from fake_controller.faults import Fault, Faults
+from fake_controller.faults import LIES, Fault, Faults
 from fake_controller.frames import tool_point
 from fake_controller.interpreter import FACTORY, Interpreter
 from fake_controller.plant import Plant
@@ -81,6 +82,8 @@ class Controller:
         self.ends: list[EndReason] = []
         self.when_restarting: list[Callable[[], object]] = []
         self._slowness = 1.0
+        self._lies: dict[str, Fault] = {}
+        self._obeys = True
         self._counter_zero = 0
         self._count = 0
         self._planner = Planner(interpolator)
@@ -222,7 +225,7 @@ class Controller:
         if reason is EndReason.STOPPED:
             self.reach("stop")
         switch = self._switch
-        if switch is not None:
+        if switch is not None and (self._obeys or reason is not EndReason.STOPPED):
             switch.request(reason, message)
 
     def fetch(self, first: int, count: int) -> tuple[int, np.ndarray, Slice]:
@@ -252,7 +255,11 @@ class Controller:
         stop = self.state.apply_fault(fault.name)
         if stop is not None:
             self.stop(*stop)
+        if fault.name in LIES:
+            self._lies[fault.name] = fault
         match fault.name:
+            case "disobey":
+                self._obeys = False
             case "override":
                 self.state.override = fault.amount
                 if self._switch is not None:
@@ -316,7 +323,7 @@ class Controller:
                     self._ring.append(Recorded(first, time_ns, samples))
                     self.position, self.torque = samples.position[-1], samples.torque[-1]
                     self.reference = samples.reference_position[-1]
-                listener.on_samples(first, time_ns, samples)
+                self._tell(listener, first, time_ns, samples)
                 self._count = count + len(samples)
                 self.reach("streaming", self._count * PERIOD)
         except (CannotMove, Pdl2Error) as error:
@@ -330,6 +337,19 @@ class Controller:
             self._switch = None
             self.ends.append(reason)
         try:
-            listener.on_end(reason, self._count - self._counter_zero, message)
+            if "no_end" not in self._lies:
+                listener.on_end(reason, self._count - self._counter_zero, message)
         finally:
             self._rests.set()
+
+    def _tell(self, listener: Listener, first: int, time_ns: np.ndarray, samples: Slice) -> None:
+        """Tell of samples what is so, but for what faults make of it."""
+        if "mute" in self._lies:
+            return
+        if "clock_back" in self._lies:
+            time_ns = time_ns - round(1e9 * self._lies["clock_back"].amount)
+        if "no_numbers" in self._lies:
+            samples = replace(samples, torque=np.full_like(samples.torque, np.nan))
+        if "columns" in self._lies:
+            samples = Slice(*(column[:, :-1] for column in samples.columns))
+        listener.on_samples(first, time_ns, samples)

@@ -46,6 +46,12 @@ MACHINE = {
     "off_path": frozenset({"streaming"}),  # the set-points of a joint go off by `value` rad
     "off_speed": frozenset({"streaming"}),  # `value` times the planned speed, and it says nothing of that
     "servo_error": frozenset({"streaming"}),  # a joint goes off its set-points by `value` rad
+    "mute": frozenset({"streaming"}),  # samples stop, state and heartbeat go on
+    "disobey": frozenset({"streaming"}),  # a stop on command is confirmed, and the arm goes on
+    "no_end": frozenset({"streaming"}),  # that the motion is over is never said
+    "clock_back": frozenset({"streaming"}),  # stamps go back by `value` seconds
+    "no_numbers": frozenset({"streaming"}),  # torques that are none
+    "columns": frozenset({"start", "streaming"}),  # samples with one joint less
     "other_motion": frozenset({"start"}),  # a joint makes `value` times its way, under the name of the program
     "wrong_program": frozenset({"upload", "start"}),  # the stored text is another
     "wrong_robot": frozenset({"connect"}),
@@ -57,8 +63,17 @@ _ONE_ANSWER = "it sends one answer at a time, so none can overtake another"
 _WITHOUT_BROKER = dict.fromkeys(
     ("tcp", "modbus", "serial", "rtu"), "samples come by no broker there, points in no queue"
 )
+#: What becomes of the samples alone.
+LIES = ("mute", "no_end", "clock_back", "no_numbers", "columns")
 #: Faults that make no sense on a wire, and why.
 NOT_ON = {
+    "columns": {
+        **dict.fromkeys(("modbus", "rtu"), "its registers have their number of joints"),
+        "serial": "it packs samples anew, by its number of joints",
+        "cnr_comau": "its messages have ten axes",
+    },
+    "clock_back": {"cnr_comau": "its node counts time by itself"},
+    "no_numbers": {"cnr_comau": "a message without numbers is damage there, as if it was lost"},
     "reorder": dict.fromkeys(("modbus", "rtu", "cnr_comau"), _ONE_ANSWER),
     **dict.fromkeys(_LASTING, _WITHOUT_BROKER),
 }
@@ -66,6 +81,7 @@ _DEFAULT_VALUE = {
     "delay": 0.1,
     "override": 0.5,
     "slow": 3.0,
+    "clock_back": 3600.0,
     "off_path": 0.3,
     "off_speed": 0.5,
     "servo_error": 0.3,

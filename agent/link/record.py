@@ -17,7 +17,7 @@ from agent.link.controller import create_driver, torque_facts
 from agent.recipe import Recipe
 from agent.runs import robot_lock
 from agent.safety import FILE, CheckedPrograms, GuardedLink, PlannedProgram, pauses
-from drivers.protocol import Identity
+from drivers.protocol import Identity, SampleBlock
 
 if TYPE_CHECKING:
     from agent.motion import Trajectory
@@ -175,11 +175,15 @@ class RobotLink:
                 sample_rate=1.0 / self.identity.period,
                 facts={**self._machine, **self._facts, **limits},
             ) as writer:
+
+                def keep(block: SampleBlock) -> None:
+                    writer.write(block)
+                    aligner.take(block.time, block.reference_position)
+
                 try:
-                    with guard.motion(program) as samples:
+                    with guard.motion(program, keep) as samples:
                         for block in samples:
-                            writer.write(block)
-                            aligner.take(block.time, block.reference_position)
+                            keep(block)
                             self._console.progress(
                                 f"{place.text}{motion}: {aligner.elapsed:6.1f} of about {total:.0f} s of motion, "
                                 f"{max(0.0, total - aligner.elapsed) + place.after:.0f} s left in all"

@@ -126,13 +126,14 @@ def _feasible(recipe: Recipe, speed: float, seed: int, console: Console) -> str:
 def _controller(recipe: Recipe, _: Console) -> str:
     from agent.link import answering
     from agent.motion import tool_frame
-    from agent.safety import PlannedProgram, check_frames, check_period, frames_text
+    from agent.safety import PlannedProgram, check_frames, check_period, check_throughput, frames_text
     from drivers.protocol import AcceptsViaPoints, ReportsFrames
 
     address = recipe.controller.place
     with answering(recipe) as (driver, identity):
         if not identity.watch_only:
             check_period(identity, recipe.record.rate, address)
+        check_throughput(driver, identity, address)
         status = driver.status()
         frames = driver.frames() if isinstance(driver, ReportsFrames) else {}
         if isinstance(driver, AcceptsViaPoints):

@@ -6,4 +6,8 @@ from .first_run import FIRST_SPEED as FIRST_SPEED, slow_version as slow_version
 from .frames import check_frames as check_frames, frames_text as frames_text
 from .guard import GuardedLink as GuardedLink
 from .motion import PlannedProgram as PlannedProgram, is_there as is_there, pauses as pauses
-from .preconditions import check_identity as check_identity, check_period as check_period
+from .preconditions import (
+    check_identity as check_identity,
+    check_period as check_period,
+    check_throughput as check_throughput,
+)

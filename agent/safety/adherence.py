@@ -39,8 +39,16 @@ LAG, LEAD = 0.15, 0.05
 SHARE, ALLOWANCE, WAY = 0.2, 0.7, 4.0
 #: Samples that are so long [s] apart say nothing of the time between them.
 GAP = 0.1
-#: No joint is farther than this [rad, m].
+#: No joint is farther than this [rad, m] or faster, and no torque is larger [N·m, N].
 FARTHEST = 1e6
+_COLUMNS = {
+    "position": "measured positions",
+    "velocity": "velocities",
+    "torque": "torques",
+    "current": "currents",
+    "reference_position": "set-points",
+    "reference_velocity": "speeds of set-points",
+}
 #: Samples are judged together until so long [s] has passed: a link may hand them out one by one.
 TOGETHER = 0.016
 _BLOCKS, _ROWS = 16, 64  # at once
@@ -126,13 +134,12 @@ class Adherence:
         time, measured = (np.concatenate([getattr(one, name) for one in blocks]) for name in ("time", "position"))
         seen = [one.reference_position for one in blocks if one.reference_position is not None]
         given = np.concatenate(seen) if len(seen) == len(blocks) else None
-        for what, broken in (
-            ("times", ~np.isfinite(time)),
-            ("measured positions", ~(np.abs(measured) < FARTHEST)),
-            ("set-points", ~(np.abs(measured if given is None else given) < FARTHEST)),
-        ):
-            if broken.any():
-                return f"the controller sent {what} that are no numbers; look for the fault there"
+        if not np.isfinite(time).all():
+            return f"the controller sent times that are no numbers; {_FAULT}"
+        for name, what in _COLUMNS.items():
+            sent = [values for one in blocks if (values := getattr(one, name)) is not None]
+            if not all(bool(np.all(np.abs(values) < FARTHEST)) for values in sent):
+                return f"the controller sent {what} that are no numbers; {_FAULT}"
         if np.isnan(self._began):
             self._began = self._last = float(time[0]) - self._period * float(blocks[0].sequence[0])
         lost = np.flatnonzero(np.diff(time, prepend=self._last) > GAP)  # each of these has a long way to be on
@@ -283,6 +290,7 @@ class Adherence:
         return "m" if self._robot.joints[joint].prismatic else "rad"
 
 
+_FAULT = "look for the fault there, then run the command again"
 _LAW = "the controller has an interpolator of its own: agent learn-interpolator finds it from a motion before"
 _LOOK = (
     "what moves is not what was planned and checked. Look at the program that "

@@ -16,16 +16,14 @@ class BackgroundPoll:
 
     Args:
         ask: with the controller's time [s]; says why the arm has to stop, if it has to.
-        stop: asks for a stop; called in that thread as soon as there is a reason.
+        blame: takes that reason; called in that thread.
     """
 
-    def __init__(self, ask: Callable[[float], AgentError | None], stop: Callable[[], object]) -> None:
+    def __init__(self, ask: Callable[[float], AgentError | None], blame: Callable[[AgentError], object]) -> None:
         self._ask = ask
-        self._stop = stop
+        self._blame = blame
         self._thread = ThreadPoolExecutor(1, "poll")
         self._last: Future[None] = self._thread.submit(lambda: None)
-        #: Why the arm had to stop.
-        self.found: AgentError | None = None
 
     def poll(self, now: float) -> None:
         """Ask, unless an answer is still to come; raises what was raised by the last question."""
@@ -34,13 +32,11 @@ class BackgroundPoll:
             self._last = self._thread.submit(self._run, now)
             wait([self._last], PROMPT)
 
-    def result(self) -> AgentError | None:
-        """Why the arm had to stop, once the last answer has come; raises what was raised by that question."""
+    def result(self) -> None:
+        """Wait for the last answer; raises what was raised by that question."""
         self._last.result()
-        return self.found
 
     def _run(self, now: float) -> None:
         reason = self._ask(now)
         if reason is not None:
-            self.found = reason
-            self._stop()
+            self._blame(reason)

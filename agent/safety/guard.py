@@ -1,13 +1,13 @@
 """The only way from the pipeline to a moving arm: every condition before motion, and the watch while it moves.
 
 A program is sent once and started once. Whatever ends the motion early - an error, any signal (`agent.core.signals`),
-a full disk, the consumer leaving - asks the controller for a stop on the path first; where that is
-not confirmed the link is closed, and the controller's own watchdog stops the arm.
+a full disk, the consumer leaving - asks the controller for a stop on the path first. Where that is not confirmed, or
+the arm is not seen to stand, the link is closed, and the controller's own watchdog stops the arm.
 """
 
 from __future__ import annotations
 
-import threading
+import gc
 import time
 from collections.abc import Callable, Generator, Iterator
 from contextlib import closing, contextmanager, suppress
@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from agent.core import ControllerError, InputError, stop_to_come, undisturbed
+from agent.core import ControllerError, InputError, SafetyError, stop_to_come, undisturbed
 from agent.robot import RobotDescription
 from agent.safety.adherence import Adherence
 from agent.safety.checked import CheckedPrograms
@@ -27,9 +27,11 @@ from agent.safety.preconditions import (
     check_period,
     check_plan,
     check_ready,
+    check_throughput,
     confirm_clear_cell,
     standing,
 )
+from agent.safety.stopping import LET_GO
 from agent.safety.watch import MotionWatch
 from drivers.errors import DriverError, RefusedError
 from drivers.protocol import (
@@ -95,8 +97,7 @@ class GuardedLink:
         self._margin = margin
         self._identity: Identity | None = None
         self._emulator = False
-        self._to_stop = False  # the arm may be in motion, and nobody has asked it to stop yet
-        self._stopping = threading.Lock()  # one stop after the other: a command between would hide its answer
+        self._watch: MotionWatch | None = None  # of a motion in which the arm may still move
         #: (controller time [s], (n,) [°C]) of the last motion, where the controller measures temperatures.
         self.temperatures: list[tuple[float, np.ndarray]] = []
 
@@ -123,6 +124,7 @@ class GuardedLink:
         with self._advice("check that the controller is on and reachable, then run the command again"):
             self._driver.connect()
             identity, status = self._driver.identify(), self._driver.status()
+        gc.freeze()  # all that is here stays: to look through it again takes up to a second, in which nobody watches
         check_identity(identity, self.robot, self.address)
         if not identity.watch_only:
             check_period(identity, self._rate, self.address)
@@ -130,6 +132,7 @@ class GuardedLink:
             raise ControllerError(f"{self.address}: {identity.watch_only}; agent record can watch as it is")
         else:
             self._warn(f"{self.address}: {identity.watch_only}")
+        check_throughput(self._driver, identity, self.address)
         if identity.unguarded and self._authorisation is not None:
             raise ControllerError(f"{self.address}: {identity.unguarded}; till then, somebody has to stand by")
         if identity.unguarded:
@@ -191,21 +194,25 @@ class GuardedLink:
         self._check(program)
 
     @contextmanager
-    def motion(self, program: PlannedProgram) -> Iterator[Iterator[SampleBlock]]:
+    def motion(
+        self, program: PlannedProgram, keep: Callable[[SampleBlock], object] = lambda block: None
+    ) -> Iterator[Iterator[SampleBlock]]:
         """Start the program that was sent, once, and hand out its samples until the arm rests.
 
-        Leaving the block before the samples end stops the arm.
+        Leaving the block before the samples end stops the arm; `keep` takes the samples of that stop.
 
         Raises:
-            SafetyError: as in `send`, or the state changed while the arm moved.
-            ControllerError, InputError: as in `send`; nothing has moved.
+            SafetyError: as in `send`, or the state changed while the arm moved, or it did not obey a stop.
+            ControllerError, InputError: as in `send`; nothing has moved. Or the link is too slow to watch the arm.
             DriverError: refused, or the link failed; what was received has been handed out.
         """
         position = self._check(program)
         plan = program.chains or (rest_at(position),)
         period = self.identity.period
         adherence = Adherence(plan, self.robot, self._tool, self._margin, period)
-        watch = MotionWatch(self._driver, self.address, period, adherence, program.longest, self._clock, self._stop)
+        watch = MotionWatch(
+            self._driver, self.robot, self.address, period, adherence, program.longest, self._clock, self._warn
+        )
         self.temperatures = watch.temperatures
         over = False
         lost: DriverError | None = None
@@ -219,10 +226,11 @@ class GuardedLink:
             over = True
 
         given = samples()
+        gc.freeze()
         # Closed last, after any stop, and here: whoever keeps an error keeps what is left of the samples with it, and
         # a watch that ends with the interpreter would wait for a thread that is gone.
         with closing(given), stop_to_come():
-            self._to_stop = True
+            self._watch = watch
             try:
                 with self._advice("make sure that the arm rests, put that right, then run the command again"):
                     try:
@@ -231,20 +239,20 @@ class GuardedLink:
                         raise
                     except DriverError as error:  # the arm may be moving: what came of that is kept, and judged
                         lost, watch.stopped = error, True
-                        self._stop()
+                        watch.stopping.request()
+                        watch.stopping.wait(LET_GO)
                     yield given
             except RefusedError:
-                self._to_stop = False
                 raise
             except BaseException as error:
-                if not over and self._stop() and not isinstance(error, Exception):  # somebody ended the program
-                    self._warn(f"{self.address}: the arm was stopped and stands; the log of this motion ends here")
+                if not over:
+                    self._settle(watch, given, keep, error)
                 raise
+            else:
+                if not over:
+                    self._settle(watch, given, keep)
             finally:
-                if over:
-                    self._to_stop = False
-            if not over:
-                self._stop()
+                self._watch = None
         if over and not self._emulator and not self._unseen:  # it was slow, or known before
             self._checked.add(self.identity.serial, program.stands_for or program.checksum)
 
@@ -260,9 +268,12 @@ class GuardedLink:
 
     def close(self) -> None:
         """Close the link; the arm is stopped first, where something has kept that from happening. Never raises."""
-        if self._to_stop:
-            self._stop()
+        watch, self._watch = self._watch, None
+        if watch is not None:
+            for _ in watch.rest():
+                pass
         self._driver.close()
+        gc.unfreeze()
 
     def _hand_over(self, program: PlannedProgram) -> str:
         """The checksum (SHA-256, hex) of what the controller would run."""
@@ -290,24 +301,28 @@ class GuardedLink:
             check_frames(program, self._driver, self.address)
         return position
 
-    def _stop(self) -> bool:
-        """Ask for a stop; where it is not confirmed, let go of the link, so that the controller stops by itself.
+    def _settle(
+        self,
+        watch: MotionWatch,
+        given: Generator[SampleBlock, None, None],
+        keep: Callable[[SampleBlock], object],
+        error: BaseException | None = None,
+    ) -> None:
+        """Stop the arm and follow it until it stands, or the link is closed.
 
-        Returns whether it was confirmed.
+        Raises:
+            SafetyError: it did not obey.
         """
-        confirmed = False
-        with undisturbed(), self._stopping:
-            try:
-                self._driver.stop()
-                confirmed = True
-            except Exception as error:  # whatever it is: the other way to a stop is left
-                self._driver.close()
-                self._warn(
-                    f"{self.address}: the stop was not confirmed ({error}); the link was closed, which stops the arm. "
-                    "Go and look at it"
-                )
-            self._to_stop = False
-        return confirmed
+        with undisturbed():
+            watch.stopping.request()
+            given.close()
+            for block in () if watch.stopping.over else watch.rest():
+                with suppress(Exception):  # a disk that is full, most likely: the arm is followed all the same
+                    keep(block)
+        if watch.stopping.disobeyed and not isinstance(error, SafetyError):
+            raise SafetyError(f"{self.address}: {watch.stopping.seen}") from error
+        if not (error is None or isinstance(error, Exception) or watch.stopping.seen):  # somebody ended the program
+            self._warn(f"{self.address}: the arm was stopped and stands; the log of this motion ends here")
 
     @contextmanager
     def _advice(self, what: str) -> Iterator[None]:

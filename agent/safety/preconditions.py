@@ -10,7 +10,7 @@ import numpy as np
 from agent.core import ControllerError, InputError, MismatchError, SafetyError
 from agent.robot import RobotDescription
 from agent.safety.motion import PlannedProgram
-from drivers.protocol import Identity, Status
+from drivers.protocol import Driver, Identity, MeasuresThroughput, Status
 
 #: The arm may stand so far from where its plan begins: servo error and sag, not a jog [rad, or m].
 START_TOLERANCE = 0.02
@@ -48,6 +48,22 @@ def check_period(identity: Identity, rate: float, address: str) -> None:
         raise MismatchError(
             f"{address}: the controller samples every {1000 * identity.period:g} ms, the recipe asks for {rate:g} Hz: "
             "change record.rate"
+        )
+
+
+def check_throughput(driver: Driver, identity: Identity, address: str) -> None:
+    """The link carries the samples as fast as the controller makes them: what comes late, nobody can watch.
+
+    Raises:
+        ControllerError: it does not.
+    """
+    if not isinstance(driver, MeasuresThroughput):
+        return
+    carried, made = driver.throughput(), 1.0 / identity.period
+    if not carried >= made:
+        raise ControllerError(
+            f"{address}: this link carries {carried:.0f} samples/s now, the controller makes {made:.0f}: the arm would "
+            "move unwatched. Use a faster link (a higher baud rate, TCP, fewer hops), then run the command again"
         )
 
 

@@ -1,28 +1,34 @@
-"""The watch over an arm in motion: its samples, its state, its temperatures, and how long it may take."""
+"""The watch over an arm in motion: its samples and how old they are, its state, its temperatures, its end."""
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from agent.core import AgentError, ControllerError, SafetyError
 from agent.safety.adherence import Adherence
 from agent.safety.background_poll import BackgroundPoll
-from agent.safety.patience import Patience
+from agent.safety.freshness import Freshness
 from agent.safety.preconditions import unsafe_in_motion
+from agent.safety.stopping import Stopping
 from drivers.errors import DriverError, MotionStopped
 from drivers.protocol import Driver, ReportsTemperatures, SampleBlock, Status
 
+if TYPE_CHECKING:
+    from agent.robot import RobotDescription
+
 #: The controller's state is looked at so often while the arm moves [s], of its time and of ours.
 WATCH_INTERVAL = 0.2
-#: No sample for so long [s] while the arm may move: nobody watches it then.
-SILENCE = 10.0
 #: A motion may end so long [s] before its plan, where it does not wait for the arm to arrive.
 EARLY = 0.25
 #: Motors warm up slowly: their temperatures are asked for so often [s].
 TEMPERATURE_INTERVAL = 5.0
+#: Age and stop are looked at so often [s], by a thread that nobody keeps waiting.
+TURN = 0.05
 
 
 class MotionWatch:
@@ -30,80 +36,183 @@ class MotionWatch:
 
     Args:
         driver: the motion's.
+        robot: who moves.
         address: for messages.
         period: of samples [s].
         adherence: whether the arm does what was planned.
         longest: the motion may last so long [s], of controller time.
         clock: seconds.
-        stop: asks for a stop.
+        warn: tells what a person should know at once.
     """
 
     def __init__(
         self,
         driver: Driver,
+        robot: RobotDescription,
         address: str,
         period: float,
         adherence: Adherence,
         longest: float,
         clock: Callable[[], float],
-        stop: Callable[[], object],
+        warn: Callable[[str], None],
     ) -> None:
         self._driver = driver
+        self._robot = robot
         self._address = address
         self._period = period
         self._adherence = adherence
         self._longest = longest
         self._clock = clock
-        self._stop = stop
+        self._fault: AgentError | None = None
+        self._lock = threading.Lock()
+        self._began: float | None = None  # controller time of the first sample
+        self._now, self._last = -np.inf, -1  # time and number of the last one
+        self._looked, self._looked_at = -np.inf, clock()
+        self._turned = clock()
         #: The end was asked for, so it comes before that of the plan.
         self.stopped = False
         #: (controller time [s], (n,) [°C]), where the controller measures temperatures.
         self.temperatures: list[tuple[float, np.ndarray]] = []
+        self._freshness = Freshness(period, driver.watchdog, clock)
+        #: The stop of this motion.
+        self.stopping = Stopping(driver, robot, address, self._freshness, clock, warn)
 
     def samples(self) -> Iterator[SampleBlock]:
         """The samples, with a look at the controller's state now and then; what is left after a stop comes too.
 
         Raises:
-            SafetyError: why the arm was stopped.
-            ControllerError: the state cannot be read any more.
+            SafetyError: why the arm was stopped, or that it did not obey.
+            ControllerError: the link is too slow or silent, or sends what is no sample of this arm.
             DriverError: the link failed, or the controller ended the motion.
         """
-        fault: AgentError | None = None
-        began: float | None = None
-        patience = Patience(SILENCE, self._clock, self._stop)
-        looked, looked_at = -np.inf, self._clock()
-        now, last = np.nan, -1
-        polling = BackgroundPoll(self._poll_status, self._stop)
+        polling = BackgroundPoll(self._poll_status, self._blame)
+        dropped: DriverError | None = None
+        self._freshness.begin()
         try:
-            for block in patience.each(self._driver.samples()):
-                began = float(block.time[0]) if began is None else began
-                fault = fault or polling.found
-                reason = self._overdue(block, began) or self._adherence.take(block) if fault is None else None
-                if reason is not None:
-                    fault = SafetyError(f"{self._address}: the arm was stopped: {reason}")
-                    self._stop()
-                yield block
-                now, last = float(block.time[-1]), int(block.sequence[-1])
-                recently = now - looked < WATCH_INTERVAL and self._clock() - looked_at < WATCH_INTERVAL
-                if not recently:
-                    polling.poll(now)
-                    looked, looked_at = now, self._clock()
-            fault = fault or polling.result()
+            with self._watched():
+                for block in self._driver.samples():
+                    if not self._judge(block):
+                        continue
+                    yield block
+                    recently = self._now - self._looked < WATCH_INTERVAL
+                    if not (recently and self._clock() - self._looked_at < WATCH_INTERVAL):
+                        polling.poll(self._now)
+                        self._looked, self._looked_at = self._now, self._clock()
+                polling.result()
+                self._finish(failed=False)
         except DriverError as error:
-            fault = fault or polling.result()
-            if not patience.lost and (not isinstance(fault, SafetyError) or isinstance(error, MotionStopped)):
-                raise
-        if patience.lost and fault is None:
-            fault = SafetyError(
-                f"{self._address}: the arm was stopped: no sample came for {SILENCE:g} s while it may have moved; "
-                "check the link, then run the command again"
-            )
-        if fault is None and (reason := self._adherence.judge() or self._early(last)) is not None:
-            fault = SafetyError(f"{self._address}: {reason}")
-        if fault is not None:
-            raise fault
+            dropped = error
+            polling.result()
+            self._finish(failed=not isinstance(error, MotionStopped))
+        self._raise_fault(dropped)
         with suppress(DriverError):  # the motion is over and recorded
-            self._read_temperatures(now, 0.0)
+            self._read_temperatures(self._now, 0.0)
+
+    def rest(self) -> Iterator[SampleBlock]:
+        """What is left of the samples after a stop, until the arm stands or the link is closed. Never raises."""
+        self.stopping.request()
+        failed = False
+        with self._watched():
+            try:
+                for block in self._driver.samples():
+                    if int(block.sequence[-1]) <= self._last:
+                        yield block  # once more: whoever was interrupted may not have taken it
+                    elif self._broken(block) is None:
+                        self._note(block)
+                        yield block
+            except Exception as error:  # whatever it is, the arm is followed to its end
+                failed = not isinstance(error, MotionStopped)
+            self._finish(failed)
+
+    @contextmanager
+    def _watched(self) -> Iterator[None]:
+        """A thread looks at the age of the samples, and at an arm that was told to stop."""
+        over = threading.Event()
+
+        def watch() -> None:
+            while not over.wait(TURN):
+                self.turn()
+
+        thread = threading.Thread(target=watch, name="watch", daemon=True)
+        thread.start()
+        try:
+            yield
+        finally:
+            over.set()
+            thread.join()
+
+    def turn(self) -> None:
+        """One look of that thread."""
+        now = self._clock()
+        # A stall of this whole process is no delay of the link: what came meanwhile is judged first.
+        stalled, self._turned = max(0.0, now - self._turned - 2 * TURN), now
+        if self.stopping.since is not None:
+            self.stopping.turn()
+        elif (reason := self._freshness.fault(stalled)) is not None:
+            self._blame(
+                ControllerError(
+                    f"{self._address}: the arm was stopped, as nobody could watch it: {reason}; check the link, then "
+                    "run the command again"
+                )
+            )
+
+    def _judge(self, block: SampleBlock) -> bool:
+        """Judge a block; whether it belongs into the log."""
+        if (broken := self._broken(block)) is not None:
+            self._blame(
+                ControllerError(
+                    f"{self._address}: the arm was stopped: the controller {broken}; look for the fault there, then "
+                    "run the command again"
+                )
+            )
+            return False
+        self._began = float(block.time[0]) if self._began is None else self._began
+        if self._fault is None:
+            reason = self._overdue(block, self._began) or self._adherence.take(block)
+            if reason is not None:
+                self._blame(SafetyError(f"{self._address}: the arm was stopped: {reason}"))
+        self._note(block)
+        return True
+
+    def _note(self, block: SampleBlock) -> None:
+        self._now, self._last = float(block.time[-1]), int(block.sequence[-1])
+        self.stopping.take(block)
+        self._freshness.judged(self._now)
+
+    def _broken(self, block: SampleBlock) -> str | None:
+        """What makes a block no samples of this arm that could be judged or recorded."""
+        joints = self._robot.dof
+        arrays = [values for values in vars(block).values() if isinstance(values, np.ndarray) and values.ndim != 1]
+        for values in arrays:
+            if values.shape != (len(block.time), joints):
+                return f"sent samples of {values.shape[-1]} joints, {self._robot.name} has {joints}"
+        back = np.diff(block.time, prepend=self._now)
+        if not np.all(back >= 0.0):
+            return f"set its clock back by {-back.min():.3g} s while the arm moved"
+        return None
+
+    def _blame(self, fault: AgentError) -> None:
+        """Stop the arm for this reason; the first one counts."""
+        with self._lock:
+            self._fault = self._fault or fault
+        self.stopping.request()
+
+    def _finish(self, failed: bool) -> None:
+        if self.stopping.since is not None:
+            self.stopping.finish(failed)
+
+    def _raise_fault(self, dropped: DriverError | None) -> None:
+        """Why the motion did not end as planned, if it did not."""
+        fault = self._fault
+        known = isinstance(fault, SafetyError) and not isinstance(dropped, MotionStopped)
+        if dropped is not None and not (known or self.stopping.seen):
+            raise dropped
+        if fault is None and (reason := self._adherence.judge() or self._early(self._last)) is not None:
+            fault = SafetyError(f"{self._address}: {reason}")
+        if self.stopping.disobeyed:
+            raise SafetyError(f"{fault or self._address}; {self.stopping.seen}")
+        if fault is not None:
+            raise type(fault)(f"{fault}; {self.stopping.seen}" if self.stopping.seen else str(fault))
 
     def _overdue(self, block: SampleBlock, began: float) -> str | None:
         """Why to stop, where the motion has lasted too long: by the stamps of its samples, or by their number."""

@@ -11,6 +11,10 @@ from drivers.protocol import Gap, SampleBlock
 from drivers.texts import place_of
 from drivers.transports.motion import MotionStream
 
+#: Silence [s] after which either end takes the other for gone, where the controller grants what is asked for. A busy
+#: machine keeps a process waiting for up to 0.3 s.
+WATCHDOG = 0.5
+
 
 def dropped(peer: str, error: OSError) -> DriverError:
     """What an error of the operating system says of a link."""

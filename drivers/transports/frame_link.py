@@ -102,6 +102,33 @@ class FrameLink(LinkThread):
                 break
         return self._checked(answer, reply, timeout, what)
 
+    def burst(self, message: Any, count: int, timeout: float, what: str) -> tuple[int, float]:
+        """Ask `count` times at once; bytes of the answers after the first, and the seconds that those took.
+
+        Raises:
+            DriverError: as of `request`.
+        """
+        answers: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        asked = [next(self._ids) for _ in range(count)]
+        self._waiting |= dict.fromkeys(asked, answers)
+        size, first, until = 0, 0.0, time.monotonic() + timeout
+        try:
+            for request in asked:
+                self._send(message, request)
+            for number in range(count):
+                try:
+                    answer = answers.get(timeout=max(0.0, until - time.monotonic()))
+                except queue.Empty:
+                    if number == 0:
+                        raise self._silent(what, timeout) from None
+                    break  # the line has not carried more in all that time
+                reply = self._checked(answer, object, timeout, what)
+                first, size = (time.monotonic(), 0) if number == 0 else (first, size + len(encode(reply)))
+            return size, time.monotonic() - first
+        finally:
+            for request in asked:
+                self._waiting.pop(request, None)
+
     def command(
         self, message: Any, reply: type[Reply], timeout: float, what: str, acts: Callable[[], bool]
     ) -> Reply | None:

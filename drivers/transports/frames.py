@@ -12,7 +12,7 @@ import numpy as np
 
 from drivers.errors import ProtocolError, RefusedError
 from drivers.protocol import Identity, SampleBlock, Status
-from drivers.transports.base import LinkDriver
+from drivers.transports.base import WATCHDOG, LinkDriver
 from drivers.transports.frame_link import Channel, FrameLink, Reply
 from drivers.transports.motion import MotionStream
 from drivers.transports.poses import pose_of_frame
@@ -58,8 +58,9 @@ class FrameDriver(LinkDriver[FrameLink, MotionStream]):
 
     READ_ATTEMPTS = 1  # of requests that change nothing
     UPLOAD_BLOCK = UPLOAD_BLOCK
+    BURST = 256  # questions at once that measure the link: their answers take several times what it delays any
 
-    def __init__(self, address: str, *, watchdog: float = 0.2, **options: Any) -> None:
+    def __init__(self, address: str, *, watchdog: float = WATCHDOG, **options: Any) -> None:
         super().__init__(address, **options)
         self._watchdog = watchdog
         self._measures_temperatures = True
@@ -104,6 +105,12 @@ class FrameDriver(LinkDriver[FrameLink, MotionStream]):
         """Ask for the state."""
         reply = self._read(AskStatus(), StatusReply, "status")
         return Status(**{**vars(reply), "position": np.array(reply.position)})
+
+    def throughput(self) -> float:
+        """`MeasuresThroughput`: samples as large as the answers to many questions that were asked at once."""
+        joints = len(self.identify().joint_names)
+        size, seconds = self._connected().burst(Identify(), self.BURST, self._timeout, "the measurement of the link")
+        return size / max(seconds, 1e-6) / self._sample_bytes(joints)
 
     def temperatures(self) -> np.ndarray | None:
         """(n,) of the motors [°C], or None where this controller measures none; it is asked again only if it does."""
@@ -196,6 +203,10 @@ class FrameDriver(LinkDriver[FrameLink, MotionStream]):
 
     def _read(self, question: Any, reply: type[Reply], what: str) -> Reply:
         return self._connected().request(question, reply, self._timeout, what, self.READ_ATTEMPTS)
+
+    def _sample_bytes(self, joints: int) -> float:
+        """Bytes that one of many samples takes on the wire."""
+        return Samples.size(1, joints) - Samples.size(0, joints)
 
     def _rests(self, motion: MotionStream) -> bool:
         """Wait until the arm rests; False if it takes too long."""

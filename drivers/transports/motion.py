@@ -53,7 +53,7 @@ class MotionStream:
         return self.over or self.size > 0
 
     def blocks(self) -> Iterator[SampleBlock]:
-        """Consumer's side."""
+        """Consumer's side. A block is taken off once the next one is asked for: who is interrupted loses none."""
         while True:
             with self._changed:
                 while not self._ready and not self.over:
@@ -62,9 +62,11 @@ class MotionStream:
                     if self._error is not None:
                         raise self._error
                     return
-                block = self._ready.popleft()
-                self.size -= _bytes(block)
+                block = self._ready[0]
             yield block
+            with self._changed:
+                self._ready.popleft()
+                self.size -= _bytes(block)
 
     def wait(self, timeout: float) -> bool:
         """Wait for the end; False if it does not come in time."""

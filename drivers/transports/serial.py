@@ -1,12 +1,11 @@
 """The serial driver: frames over a line (docs/wire-serial.md), or Modbus RTU over the registers of docs/wire-modbus.md.
 
-A line is slower than the arm. The controller keeps what it cannot send yet, and the driver goes on reading after the
-motion; it says so when a motion is started.
+A line may be slower than the arm. The controller keeps what it cannot send yet, and the driver goes on reading after
+the motion; whoever wants to watch the arm asks for the `throughput` first.
 """
 
 from __future__ import annotations
 
-import logging
 import time
 from collections.abc import Callable
 from typing import Any
@@ -20,21 +19,18 @@ from drivers.transports.modbus.driver import MakeClient, ModbusDriver
 from drivers.transports.modbus.link import Client
 from drivers.transports.motion import MotionStream
 from drivers.transports.serial_port import SerialChannel, open_port, parse_port
-from drivers.wire import modbus as registers
 from drivers.wire.rtu import without_strays
-from drivers.wire.serial import UPLOAD_BLOCK, HuntingDecoder, decode, frame_time, samples_per_second
-from drivers.wire.tcp import MAX_BATCH, End, Fetch, Samples
+from drivers.wire.serial import UPLOAD_BLOCK, HuntingDecoder, LeanSamples, decode, frame_time, samples_per_frame
+from drivers.wire.tcp import MAX_BATCH, End, Fetch, Samples, frame_bytes
 
 _FRAMES_IN_WATCHDOG = 3
 _RTU_EXCHANGE = 8 + 255  # bytes of the longest request and its answer
-_RTU_WATCHDOG = 0.5  # s: nothing is sent unasked, so a busy machine wakes both ends for each of many short exchanges
 _RTU_TOGETHER = 4  # bytes: where none comes for the time of so many, the answer is over
 _RTU_PAUSE = 0.001  # s, at least
 _BUFFERED = 8192  # bytes that may be on their way, in buffers that nobody can look into
 _PATIENCE = 0.25  # s, beyond what is on its way
 _REST_POLL = 0.05  # s
-
-_log = logging.getLogger(__name__)
+_FEWEST, _MOST, _BAUD_PER_QUESTION = 8, 48, 8000  # questions that measure a line; a controller keeps some 64 answers
 
 
 def create(address: str, **options: Any) -> SerialDriver | RtuDriver:
@@ -62,6 +58,7 @@ class SerialDriver(FrameDriver):
     def __init__(self, address: str, **options: Any) -> None:
         self._line = parse_port(address)
         super().__init__(address, **options)
+        self.BURST = min(max(_FEWEST, self._line.baud // _BAUD_PER_QUESTION), _MOST)
         self._watchdog = max(self._watchdog, _FRAMES_IN_WATCHDOG * frame_time(self._line.baud))
         self._progress = self._fetched = 0.0
         self._fetching: tuple[int, int] | None = None
@@ -69,10 +66,7 @@ class SerialDriver(FrameDriver):
         self._moved: float | None = None  # when the first message of a motion came whose start is not answered yet
 
     def start(self, name: str, checksum: str) -> None:
-        """Run the stored program once; tells where its samples will come later than the motion."""
-        identity = self.identify()
-        carried = samples_per_second(self._line.baud, len(identity.joint_names))
-        _say_if_slow(self._line.baud, carried, identity.period)
+        """Run the stored program once."""
         self._progress = time.monotonic()
         self._moved, self._starting = None, True
         try:
@@ -83,6 +77,10 @@ class SerialDriver(FrameDriver):
     def _open(self) -> FrameLink:
         channel = SerialChannel(open_port(self._line, self._timeout))
         return self._link_over(channel, self._line.port, HuntingDecoder(), decode)
+
+    def _sample_bytes(self, joints: int) -> float:
+        count = samples_per_frame(joints)
+        return frame_bytes(LeanSamples.size(count, joints)) / count
 
     def _rests(self, motion: MotionStream) -> bool:
         """Not until all samples have come, which may take much longer."""
@@ -141,17 +139,6 @@ class _RtuClient(ModbusSerialClient):
 class RtuDriver(ModbusDriver):
     """`drivers.protocol.Driver` over Modbus RTU; the address is `port,baud,rtu`."""
 
-    def __init__(self, address: str, *, watchdog: float = _RTU_WATCHDOG, **options: Any) -> None:
-        super().__init__(address, watchdog=watchdog, **options)
-
-    def start(self, name: str, checksum: str) -> None:
-        """Run the stored program once; tells where its samples will come later than the motion."""
-        identity = self.identify()
-        joints = len(identity.joint_names)
-        size = 2 * registers.slot_registers(joints) * (1 + 13 / 250)  # a read of 250 bytes needs 13 more
-        _say_if_slow(self._port.baud, 1 / frame_time(self._port.baud, round(size)), identity.period)
-        super().start(name, checksum)
-
     def _check_address(self, address: str) -> None:
         self._port = parse_port(address)
 
@@ -179,14 +166,3 @@ class RtuDriver(ModbusDriver):
             return client
 
         return make
-
-
-def _say_if_slow(baud: int, carried: float, period: float) -> None:
-    if carried * period < 1.0:
-        _log.warning(
-            "a line at %d baud carries about %.0f samples/s, the controller records %.0f: it keeps the rest, and they "
-            "are read after the motion",
-            baud,
-            carried,
-            1 / period,
-        )

@@ -17,7 +17,6 @@ UPLOAD_BLOCK = 512
 LONGEST_FRAME = 1024  # bytes: of samples and upload blocks; the watchdog is reckoned with it
 MAX_PAYLOAD = 16 * 1024  # of any other frame
 BITS_PER_BYTE = 10  # start bit, eight, stop bit
-_AROUND = tcp.HEADER.size + tcp.TRAILER.size  # bytes of a frame around its payload
 
 
 def frame_time(baud: int, size: int = LONGEST_FRAME) -> float:
@@ -28,12 +27,12 @@ def frame_time(baud: int, size: int = LONGEST_FRAME) -> float:
 def samples_per_second(baud: int, joints: int) -> float:
     """Samples that a line carries with frames as full as they may be."""
     count = samples_per_frame(joints)
-    return count / frame_time(baud, _AROUND + LeanSamples.size(count, joints))
+    return count / frame_time(baud, tcp.frame_bytes(LeanSamples.size(count, joints)))
 
 
 def samples_per_frame(joints: int) -> int:
     """How many samples fit into the longest frame."""
-    room = LONGEST_FRAME - _AROUND - LeanSamples.size(0, joints)
+    room = LONGEST_FRAME - tcp.frame_bytes(LeanSamples.size(0, joints))
     return max(1, room // (LeanSamples.size(1, joints) - LeanSamples.size(0, joints)))
 
 

@@ -302,6 +302,11 @@ def decode(frame: Frame) -> Any:
     return codec.unpack(frame.payload)
 
 
+def frame_bytes(payload: int) -> int:
+    """Bytes of a frame with so many bytes of payload."""
+    return HEADER.size + payload + TRAILER.size
+
+
 class FrameDecoder(StreamDecoder[Frame]):
     """Frames of at most `max_payload` bytes."""
 

@@ -106,10 +106,10 @@ def _wait_for(controller: Controller, recorded: int) -> None:
         os.sched_yield()
 
 
-def _assert_nothing_lost(bench, controller, until: int | None = None) -> None:
-    """`until` so many samples were recorded, where somebody ended the program: then at most a second is missing."""
+def _assert_nothing_lost(bench, controller) -> None:
+    """The samples of the stop are in the log, to the last."""
     log = read_log(bench.log)
-    assert (controller.recorded if until is None else until - 500) <= len(log.t) <= controller.recorded
+    assert len(log.t) == controller.recorded
     assert log.metadata["lost_samples"] == "0"
 
 
@@ -175,14 +175,13 @@ def test_a_pipe_that_nobody_reads_delays_no_stop(bench, tmp_path, assert_at_rest
 )
 def test_every_signal_ends_in_a_stop_and_says_so(bench, moving, assert_at_rest, number, code, said):
     controller, terminal = moving
-    until = controller.recorded
     terminal.process.send_signal(number)
     os.close(terminal.slave)
     assert f"agent: {said}" in terminal.read_to_the_end()
     assert terminal.process.wait(30) == code
     assert [end.name for end in controller.ends] == ["STOPPED"]
     assert_at_rest(controller, 1)
-    _assert_nothing_lost(bench, controller, until)  # what comes while the arm stops is nobody's
+    _assert_nothing_lost(bench, controller)
 
 
 SIGNALS = {signal.SIGHUP: 129, signal.SIGINT: 130, signal.SIGQUIT: 131, signal.SIGTERM: 143}
@@ -208,13 +207,12 @@ def test_who_waits_for_an_answer_can_be_ended(bench, on_terminal, assert_at_rest
 
 def test_a_terminal_that_is_closed_ends_in_a_stop(bench, moving, assert_at_rest):
     controller, terminal = moving
-    until = controller.recorded
     os.close(terminal.slave)
     terminal.hang_up()
     assert terminal.process.wait(30) == 129
     assert [end.name for end in controller.ends] == ["STOPPED"]
     assert_at_rest(controller, 1)
-    _assert_nothing_lost(bench, controller, until)
+    _assert_nothing_lost(bench, controller)
 
 
 def test_a_session_without_a_terminal_that_drops_ends_in_a_stop(bench, tmp_path, assert_at_rest):
@@ -340,10 +338,9 @@ def test_a_disk_that_takes_nothing_ends_in_a_stop(bench, assert_at_rest, monkeyp
     monkeypatch.setattr(module, "LogFile", Stuck)
     quick = {**module.LogWriter.__init__.__kwdefaults__, "stall_limit": 0.3}
     monkeypatch.setattr(module.LogWriter.__init__, "__kwdefaults__", quick)
-    end, until = controller.stop, []
+    end = controller.stop
 
     def stop(*arguments):
-        until.append(controller.recorded)
         end(*arguments)
         awake.set()
 
@@ -353,7 +350,7 @@ def test_a_disk_that_takes_nothing_ends_in_a_stop(bench, assert_at_rest, monkeyp
     assert "the disk is too slow" in ended.errors
     assert [end.name for end in controller.ends] == ["STOPPED"]
     assert_at_rest(controller, 1)
-    _assert_nothing_lost(bench, controller, until[0])
+    _assert_nothing_lost(bench, controller)
 
 
 def _delete(log: Path) -> None:

@@ -9,8 +9,8 @@ from drivers.wire.reasons import EndReason
 from fake_controller.faults import FAULTS, NOT_ON, PHASES, Fault
 from fake_controller.servers import WIRES
 
-#: Faults of the wire that lose nothing.
-HARMLESS = ("delay", "reorder", "duplicate", "slow")
+#: Faults of the wire that lose nothing; and of a controller that obeys no stop, where nobody asks for one.
+HARMLESS = ("delay", "reorder", "duplicate", "slow", "disobey")
 #: What would be harmless elsewhere, but FTP takes an answer that comes twice for that to the next command.
 MISLEADING = {("cnr_comau", "duplicate", "upload")}
 #: What a wire makes good by asking again; or does not notice, where a frame has no checksum of its own.
@@ -23,7 +23,7 @@ POLLED = ("modbus", "rtu")
 #: What the controller refuses a start for.
 STATES = ("emergency_stop", "drive_fault", "alarm", "protective_stop", "teach_mode")
 #: Of these the agent has to notice in time, so the arm moves in real time.
-SLOW_TO_SHOW = ("silent", "lost_client", "override")
+SLOW_TO_SHOW = ("silent", "lost_client", "override", "mute", "no_numbers", "no_end")
 #: Motions that are not the planned ones; nothing but their samples tells of them.
 ASTRAY = ("off_path", "off_speed", "servo_error", "other_motion")
 #: One of each, in the phase where it is worst; and on the other wires what they meet in their own way.
@@ -62,7 +62,7 @@ def expected(wire: str, name: str, phase: str) -> tuple[int, int, bool]:
         return 0, 1, True
     if name == "emergency_stop":
         return 5, int(phase == "streaming"), phase == "streaming"
-    if name in ASTRAY:
+    if name in (*ASTRAY, "no_numbers"):
         return 5, 1, True
     if name in STATES:
         return (5, 1, True) if phase == "streaming" else (4, 0, False)
@@ -91,7 +91,7 @@ def test_fault(bench, assert_at_rest, assert_readable, wire, name, phase):
     assert "Traceback" not in ended.errors
     assert_at_rest(controller, motions, *((np.inf,) if name in ASTRAY else ()))
     if motions:
-        assert (controller.ends == [EndReason.DONE]) is (code == 0)
+        assert (controller.ends == [EndReason.DONE]) is (code == 0 or name == "no_end")
     assert bench.log.exists() is logged
     if logged:
         assert assert_readable(bench.log) >= (1000 if code == 0 else 1)

@@ -243,7 +243,7 @@ def test_a_controller_that_is_late_with_an_answer_hears_of_its_client_meanwhile(
             return b""
         return data
 
-    with closing(ModbusDriver(tampered(server.port, lose), watchdog=patience(0.4))) as driver:
+    with closing(ModbusDriver(tampered(server.port, lose), watchdog=0.5)) as driver:
         driver.connect()
         driver.start("p", driver.upload("p", SHORT))
         list(driver.samples())

@@ -88,7 +88,7 @@ def test_what_a_line_carries():
         row = re.search(rf"\| {baud:,} \| (\d+) \| (\d+) ms \|".replace(",", " "), text)
         assert row is not None, baud
         assert int(row[1]) == int(wire.samples_per_second(baud, 6))
-        assert int(row[2]) == max(200, round(3000 * wire.frame_time(baud)))
+        assert int(row[2]) == max(500, round(3000 * wire.frame_time(baud)))
 
 
 @pytest.mark.parametrize(

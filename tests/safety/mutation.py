@@ -105,8 +105,9 @@ ALWAYS_NUMBERS: dict[str, dict[str, str]] = {
         "np.abs(np.radians(position) - program.chains[0].q[0]) <= START_TOLERANCE": "chooses the words",
     },
     "watch.py": {
-        "now - looked < WATCH_INTERVAL": "of times that the driver has checked",
-        "self._clock() - looked_at < WATCH_INTERVAL": "of this machine's clock",
+        "self._now - self._looked < WATCH_INTERVAL": "of times that the driver has checked",
+        "self._clock() - self._looked_at < WATCH_INTERVAL": "of this machine's clock",
+        "int(block.sequence[-1]) <= self._last": "counts",
         "left <= EARLY": "of a plan that was checked",
         "left <= EARLY + lost": "the same, and counts",
         "gap.first > last": "counts",

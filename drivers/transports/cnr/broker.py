@@ -20,6 +20,7 @@ from drivers.wire import cnr as wire
 _LOOK = 0.5  # s in which topics have to come that a motion can be recorded without
 #: Channels without which nothing can be recorded; velocities follow from positions.
 _NEEDED = {wire.CHANNELS.index(name) for name in (wire.POSITIONS, wire.TARGET_POSITIONS, wire.CURRENTS)}
+_MEASURED = 0.6  # s in which the pace of the samples is measured
 _KEEP_ALIVE = 60  # s: a broker's sign of life waits behind its samples, and samples that stop are noticed earlier
 
 _log = logging.getLogger(__name__)
@@ -103,6 +104,13 @@ class BrokerLink:
             raise self._fault
         if not came:
             raise DriverError(f"no whole sample came within {timeout:g} s: {self.silent()}")
+
+    def pace(self) -> float:
+        """Seconds of samples that come in a second; it takes a moment to see."""
+        began, first = time.monotonic(), self.joiner.newest
+        while time.monotonic() - began < _MEASURED and self.joiner.wait(_MEASURED):
+            pass
+        return (self.joiner.newest - first) * 1e-6 / (time.monotonic() - began)
 
     def begin(self) -> None:
         """A motion is about to start: count anew from here on; says so where rows are not the controller's samples."""

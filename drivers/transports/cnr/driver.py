@@ -19,7 +19,7 @@ import numpy as np
 
 from drivers.errors import ConfigurationError, DriverError, RefusedError
 from drivers.protocol import Identity, Status
-from drivers.transports.base import LinkDriver
+from drivers.transports.base import WATCHDOG, LinkDriver
 from drivers.transports.cnr.address import CnrAddress
 from drivers.transports.cnr.broker import BrokerLink
 from drivers.transports.cnr.commands import command_start, insist_on_stop, wait_for_a_person
@@ -32,6 +32,7 @@ from drivers.wire.reasons import EndReason
 
 #: The feedback program rests so long between two messages [s].
 FEEDBACK_PERIOD = 0.02
+_BURSTS = 0.5  # samples come in bursts: a pace from here on is the whole one
 _SAMPLE_PATIENCE = 1.0  # s without a sample, at least
 
 _log = logging.getLogger(__name__)
@@ -72,6 +73,11 @@ class CnrDriver(LinkDriver[Sockets, CnrMotion]):
             facts["motion_start_s"] = f"{motion.begun_at:.6f}"
         alignment = motion.match.alignment()
         return facts if alignment is None else facts | alignment.facts
+
+    @property
+    def watchdog(self) -> float:
+        """By the identity file [s]."""
+        return WATCHDOG if self._machine is None else self._machine.watchdog
 
     def connect(self) -> None:
         """Open the sockets, read who is there, and listen to the broker."""
@@ -137,6 +143,12 @@ class CnrDriver(LinkDriver[Sockets, CnrMotion]):
             emulator=self._machine.emulator,
             override_known=False,
         )
+
+    def throughput(self) -> float:
+        """`MeasuresThroughput`: by the samples at rest; feedbacks are the whole link where there is no broker."""
+        period = self.identify().period
+        pace = 1.0 if self._broker is None else self._broker.pace()
+        return (pace if pace < _BURSTS else 1.0) / period
 
     def frames(self) -> dict[str, np.ndarray]:
         """`ReportsFrames`: as the last feedback has them."""

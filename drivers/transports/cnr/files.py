@@ -14,11 +14,10 @@ from dataclasses import dataclass
 from drivers.errors import DriverError, ProtocolError, RefusedError
 from drivers.protocol import Identity
 from drivers.secrets import read_secret
+from drivers.transports.base import WATCHDOG
 from drivers.transports.cnr.address import CnrAddress
 from drivers.wire import cnr as wire
 
-#: How long either end waits for the other while the arm moves, where the identity file says nothing [s].
-WATCHDOG = 0.5
 _UNGUARDED = (
     f"nothing says that this controller stops the arm where the agent is gone: the published programs run on. Have "
     f"agent_watch of docs/controller-programs.md active, try it, and write its time into {wire.IDENTITY_FILE}"

@@ -16,12 +16,10 @@ from drivers.transports.motion import MotionStream
 from drivers.wire.cnr import Feedback, Mode, StatusMessage
 from drivers.wire.reasons import EndReason
 
-#: Rest that is kept before the set-points begin to change and after they have changed for the last time [s].
-_BEFORE, _AFTER = 0.1, 0.1
+#: Rest that is kept before the motion [s].
+_BEFORE = 0.1
 #: Periods without a sample in it that cut that rest off.
 _HOLE = 4.5
-#: Rest on the way that is longer [s] is handed on before the motion continues.
-_LONGEST = 5.0
 #: Set-points that change by less rest [rad, or m].
 _STILL = np.radians(1e-4)
 #: An arm that rests is seen to rest within this [rad, or m].
@@ -36,6 +34,7 @@ _BELIEVED = 10
 HAND_REST = 2.0
 #: Samples of the end that do not come within this [s] of silence do not come any more.
 _DRAIN = 1.0
+_LONGEST_DRAIN = 5.0  # s
 _TURN = 0.05  # s: no turn counts for more, so that a stall of this process is nobody's silence
 
 #: Positions, velocities, target positions, target velocities, currents: as `wire.CHANNELS` has them.
@@ -85,8 +84,8 @@ class CnrMotion(MotionStream):
         self._quiet = 0
         self._time = -np.inf  # controller time of the last feedback [s]
         self._rest: tuple[float, np.ndarray] | None = None  # since when the arm rests, and where
-        self._held: list[tuple[np.ndarray, np.ndarray]] = []
-        self._changed_at = 0.0  # sample time [s] of the last change of the set-points
+        self._held: list[tuple[np.ndarray, np.ndarray]] = []  # rest before the motion
+        self._giving = False
         self._seen = -np.inf  # sample time [s] of the last sample that came
         self._target: np.ndarray | None = None
         self._sequence = 0
@@ -154,14 +153,13 @@ class CnrMotion(MotionStream):
         self.match.samples(times, values[:, _POSITION])
         self._seen = float(times[-1])
         changed = self._changes(values[:, _TARGET])
-        if self.begun_at is None:
-            self._wait_for_motion(times, values, changed)
-        else:
+        if self.begun_at is None and len(changed):
+            self.begun_at = float(times[changed[0]])
+        if not self._giving:
             self._held.append((times, values))
-        if len(changed):
-            self._changed_at = float(times[changed[-1]])
-        if self.begun_at is not None:
-            self._give_but_rest()
+            self._wait_for_motion()
+        else:
+            self._give(times, values)
 
     def turn(self) -> DriverError | None:
         """Called all the time: ends the motion where it is over; returns what is wrong, if anything is, for `fail`."""
@@ -199,7 +197,7 @@ class CnrMotion(MotionStream):
     def _finish_failed(self, error: DriverError) -> None:
         """End the motion with an error once its samples are there, or none of them comes any more."""
         lacking = 0.0 if self.match is None or self._cut else self._lacking(self.match)
-        if lacking <= 0.0 or self._silence > _DRAIN or self._drained > _LONGEST:
+        if lacking <= 0.0 or self._silence > _DRAIN or self._drained > _LONGEST_DRAIN:
             self.finish(error)
 
     def _lacking(self, match: ClockMatch) -> float:
@@ -260,29 +258,23 @@ class CnrMotion(MotionStream):
         self._target = targets[-1]
         return np.flatnonzero(np.abs(np.diff(np.concatenate([before, targets]), axis=0)).max(axis=1) > _STILL)
 
-    def _wait_for_motion(self, times: np.ndarray, values: np.ndarray, changed: np.ndarray) -> None:
-        """Keep a little rest until the set-points change; then it is a part of the motion."""
-        self._held.append((times, values))
-        if len(changed) == 0:
-            while len(self._held) > 1 and self._held[1][0][0] < times[-1] - _BEFORE:
+    def _wait_for_motion(self) -> None:
+        """Keep a little rest until the motion is started; then it is a part of it, and everything is handed on.
+
+        Where a person starts it, the set-points tell when.
+        """
+        latest = self._held[-1][0]
+        began = float(latest[0]) if self.begun_at is None else self.begun_at
+        if self.begun_at is None and (self._is_over is None or not self.started):
+            while len(self._held) > 1 and self._held[1][0][0] < latest[-1] - _BEFORE:
                 del self._held[0]
             return
-        self.begun_at = float(times[changed[0]])
-        times, values = self._take_held()
-        holes = np.flatnonzero(np.diff(times[times <= self.begun_at]) > _HOLE * self._arm.period)
-        first = max(int(np.searchsorted(times, self.begun_at - _BEFORE)), int(holes[-1]) + 1 if len(holes) else 0)
-        self._held.append((times[first:], values[first:]))
-
-    def _take_held(self) -> tuple[np.ndarray, np.ndarray]:
-        held, self._held = self._held, []
-        return np.concatenate([times for times, _ in held]), np.concatenate([values for _, values in held])
-
-    def _give_but_rest(self) -> None:
-        """Hand on what is held back, but for rest that may be the end of the motion."""
-        times, values = self._take_held()
-        last = int(np.searchsorted(times, max(self._changed_at + _AFTER, times[-1] - _LONGEST), side="right"))
-        self._held.append((times[last:], values[last:]))
-        self._give(times[:last], values[:last])
+        times = np.concatenate([times for times, _ in self._held])
+        values = np.concatenate([values for _, values in self._held])
+        self._held, self._giving = [], True
+        holes = np.flatnonzero(np.diff(times[times <= began]) > _HOLE * self._arm.period)
+        first = max(int(np.searchsorted(times, began - _BEFORE)), int(holes[-1]) + 1 if len(holes) else 0)
+        self._give(times[first:], values[first:])
 
     def _give(self, times: np.ndarray, values: np.ndarray) -> None:
         if len(times) == 0:

@@ -108,6 +108,11 @@ class Joiner:
         times, late = (np.array([row[k] for row in whole], np.int64) for k in (0, 1))
         return Rows(times, late, np.array([row[2] for row in whole]).reshape(-1, len(self._channels), wire.AXES))
 
+    @property
+    def newest(self) -> int:
+        """Time of the newest whole sample [µs]."""
+        return self._newest
+
     def forget_counts(self) -> None:
         """Count anew from here on."""
         with self._lock:

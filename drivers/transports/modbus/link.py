@@ -141,6 +141,11 @@ class ModbusLink(LinkThread):
             with contextlib.suppress(queue.Empty):
                 self._do(self._jobs.get(timeout=wait) if wait > 0 else self._jobs.get_nowait())
 
+    def carry_out_waiting(self) -> None:
+        """Do the next thing that somebody waits for, if any: a stop must not wait for a whole turn (in the thread)."""
+        with contextlib.suppress(queue.Empty):
+            self._do(self._jobs.get_nowait())
+
     def _end(self, failure: DriverError) -> None:
         self.failure = failure
         with contextlib.suppress(Exception):  # whoever waits must hear of it all the same

@@ -100,6 +100,7 @@ class RingReader:
         registers: list[int] = []
         for at in range(begin, end, wire.MAX_READ):
             self._beat_if_due()
+            self._link.carry_out_waiting()
             registers += self._link.read_registers(at, min(wire.MAX_READ, end - at))
         slots = wire.unpack_slots(np.array(registers, np.uint16), self._joints, self.expected)
         taken = len(slots.sequence)

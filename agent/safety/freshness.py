@@ -1,0 +1,72 @@
+"""How old the newest sample is that was judged: an arm is watched only as far as that."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+#: No sample is older than this when it is judged [s], or than the watchdog of its link where that is shorter;
+LATE = 0.5
+#: but for what a busy computer keeps a process waiting [s], and the samples that a link hands out at once.
+WAITS, BATCH = 0.2, 10
+#: The first samples of a motion may come later than the others by this [s]: the controller was still planning.
+HELD_UP = 0.3
+#: Two clocks that are both right differ by no more than this part of the time that passes.
+DRIFT = 2e-4
+
+
+class Freshness:
+    """Compares the controller's time of the newest judged sample with what it must be now.
+
+    The offset between the two clocks is the smallest that was seen, but for the drift of clocks. So a delay that is
+    always the same counts for nothing, one that grows counts in full, and a controller whose time runs faster than
+    ours is never late.
+
+    Args:
+        period: of samples [s].
+        watchdog: of the link [s].
+        clock: our time [s].
+    """
+
+    def __init__(self, period: float, watchdog: float, clock: Callable[[], float]) -> None:
+        more = max(WAITS, BATCH * period)
+        self.oldest, self.silence = min(watchdog, LATE) + more, watchdog + more
+        self._clock = clock
+        self._since = clock()
+        self._newest: float | None = None  # controller time of the newest judged sample
+        self._offset = self._least = 0.0  # of our clock to the controller's, and what it is at least
+
+    def begin(self) -> None:
+        """The motion has started: from now on samples have to come."""
+        self._since = self._clock()
+
+    def judged(self, newest: float) -> None:
+        """A block was judged; `newest` is the controller time [s] of its last sample."""
+        now = self._clock()
+        if self._newest is None:
+            self._offset, self._least = now - newest, now - newest - HELD_UP
+        else:
+            drift = DRIFT * (now - self._since)
+            self._least += drift
+            self._offset = max(min(self._offset + drift, now - newest), self._least)
+        self._since, self._newest = now, newest
+
+    def controller_time(self, now: float) -> float:
+        """What the controller's clock shows when ours shows `now` [s]."""
+        return now - self._offset
+
+    def fault(self, excused: float = 0.0) -> str | None:
+        """Why the arm has to stop now, if it has to; `excused` seconds passed while nobody could look at anything."""
+        now = self._clock() - excused
+        silent = now - self._since
+        if self._newest is None and not silent <= 2 * self.silence:
+            return f"no sample came within {silent:.1f} s of the start"
+        if self._newest is None:
+            return None
+        age = self.controller_time(now) - self._newest
+        if not (silent <= self.silence and age <= self.oldest):
+            what = "no sample came for" if not silent < WAITS else "samples were late by"
+            return (
+                f"{what} {max(silent, age):.2f} s, {self.oldest:.2g} s are allowed. The link is slower than the "
+                "controller samples, or this computer has too much else to do"
+            )
+        return None

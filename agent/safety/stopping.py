@@ -1,0 +1,202 @@
+"""A stop that is followed until the arm is seen to stand: sent, sent again, and at last by closing the link.
+
+A controller's word that it stopped the arm is no proof. Where the arm does not brake, a second stop is sent and then
+the link is closed: the controller's own watchdog stops the arm. A second stop does no harm; no start is repeated.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from agent.safety.braking import SPAN, Braking
+from agent.safety.freshness import Freshness
+from drivers.errors import DriverError
+from drivers.protocol import Driver, SampleBlock
+
+if TYPE_CHECKING:
+    from agent.robot import RobotDescription
+
+#: An arm that does not brake so long [s] after a stop gets a second one, and a closed link.
+AGAIN, LET_GO = 0.5, 1.0
+#: So long [s] after a stop the arm stands, or the link is closed.
+STANDS = 4.0
+#: An arm that has stood for so long [s] is at rest, though the controller never reports the end of its motion.
+NO_END = 2.0
+#: The state tells where the arm is after so long [s] without a sample.
+BLIND = 0.2
+_LOOKS = 20  # at the state, once the samples have ended
+
+
+class Stopping:
+    """The stop of one motion.
+
+    Args:
+        driver: the motion's.
+        robot: who moves.
+        address: for messages.
+        freshness: of the samples.
+        clock: our time [s].
+        warn: tells what a person should know at once.
+    """
+
+    def __init__(
+        self,
+        driver: Driver,
+        robot: RobotDescription,
+        address: str,
+        freshness: Freshness,
+        clock: Callable[[], float],
+        warn: Callable[[str], None],
+    ) -> None:
+        self._driver = driver
+        self._address = address
+        self._freshness = freshness
+        self._clock = clock
+        self._warn = warn
+        self._braking = Braking(robot.max_velocity)
+        self._lock = threading.RLock()
+        self._sent: list[threading.Thread] = []
+        self._eyes = ThreadPoolExecutor(1, "eyes")
+        self._look: Future[None] = self._eyes.submit(lambda: None)
+        self._by_state = False
+        self._seen_at = clock()  # when the last sample came
+        self._newest = -np.inf  # its controller time
+        self._state_at = -np.inf  # when the state was read last
+        self._ended = False
+        #: Whether there is nothing left to follow.
+        self.over = False
+        #: When the stop was asked for, by our clock [s]; None before.
+        self.since: float | None = None
+        #: What was seen of the arm where it is not known to stand; the link is closed then.
+        self.seen = ""
+        #: Whether the arm was seen to move on.
+        self.disobeyed = False
+
+    def request(self) -> None:
+        """Ask for a stop, once; returns at once."""
+        with self._lock:
+            if self.since is None and not self.over:
+                self._braking.before = self._braking.speed
+                self.since = self._clock()
+                self._send()
+
+    def take(self, block: SampleBlock) -> None:
+        """Samples of the motion, before the stop and after it."""
+        with self._lock:
+            if self._by_state:
+                self._braking.forget()
+                self._by_state = False
+            self._braking.take(block.time, block.position)
+            self._seen_at, self._newest = self._clock(), float(block.time[-1])
+
+    def turn(self) -> None:
+        """Look at the arm, some times a second from the request on."""
+        if self.since is None or self.over or self.seen:
+            return
+        with self._lock:
+            passed = self._clock() - self.since
+            if not self._shown:
+                self._look_at_state()
+            if self._braking.stands:
+                self._end_without_a_word(passed)
+            elif len(self._sent) == 1 and not (passed < AGAIN or self._braking.brakes):
+                self._send()
+            elif not passed < (STANDS if self._braking.brakes else LET_GO):
+                self._let_go(f"{passed:.1f} s after the stop")
+
+    def finish(self, failed: bool) -> None:
+        """The samples have ended; `failed`: with the link. The state tells whether the arm stands where they do not."""
+        self._ended = True
+        self.over = bool(self.seen) or (self._braking.stands and not self._by_state)
+        for _ in range(0 if self.over or failed else _LOOKS):
+            with self._lock:
+                self._look_at_state()
+            self._look.exception()
+            if self._braking.stands or self.seen:
+                break
+            threading.Event().wait(SPAN / 2)
+        with self._lock:
+            if not (self.over or failed or self._braking.stands or self.seen):
+                self._let_go("after the controller reported the end of the motion")
+            self.over = True
+        self.wait(LET_GO)
+        self._eyes.shutdown(wait=False)
+
+    def wait(self, limit: float) -> None:
+        """Wait until the stop was carried out, for so long [s] at most."""
+        for sent in self._sent:
+            sent.join(limit)
+
+    @property
+    def _shown(self) -> bool:
+        """Whether samples tell what the arm does now, and not what it did before the stop could act."""
+        assert self.since is not None
+        now = self._clock()
+        recent = not now - self._seen_at > BLIND and not self._freshness.controller_time(now) - self._newest > AGAIN
+        return recent and not self._ended
+
+    def _end_without_a_word(self, passed: float) -> None:
+        if not self._braking.rested < NO_END and (self._shown or not self._clock() - self._seen_at < LET_GO):
+            self.seen = "the arm stands, but the controller does not report the end of the motion; the link was closed"
+            self._close()
+
+    def _send(self) -> None:
+        number = len(self._sent) + 1
+        self._sent.append(threading.Thread(target=self._carry_out, args=(number,), name="stop", daemon=True))
+        self._sent[-1].start()
+
+    def _carry_out(self, number: int) -> None:
+        try:
+            self._driver.stop()
+        except Exception as error:  # whatever it is: the other way to a stop is left
+            with self._lock:
+                if number == len(self._sent) and not self.seen:
+                    self._give_up(
+                        f"the stop was not confirmed ({error}); the link was closed, which stops the arm. Go and look "
+                        "at it"
+                    )
+
+    def _let_go(self, when: str) -> None:
+        speed, known = self._braking.speed, self._shown or not self._clock() - self._state_at > AGAIN
+        if speed is None or not known:
+            self._give_up(f"{when} nothing shows what the arm does; the link was closed, which stops it. Go and look")
+            return
+        self.disobeyed = True
+        self._give_up(
+            f"the arm does not obey: {when} it still moves, at {100 * speed:.0f} % of a joint's limit. The stop "
+            "was sent again and the link closed, so that the controller's watchdog stops the arm. PRESS THE "
+            "EMERGENCY STOP NOW"
+        )
+
+    def _give_up(self, seen: str) -> None:
+        self.seen = seen
+        self._warn(f"{self._address}: {seen}")
+        self._close()
+
+    def _close(self) -> None:
+        threading.Thread(target=self._driver.close, name="let go", daemon=True).start()
+
+    def _look_at_state(self) -> None:
+        """Ask for the state, one question at a time."""
+        if self._look.done():
+            self._look = self._eyes.submit(self._take_state)
+
+    def _take_state(self) -> None:
+        try:
+            position = np.asarray(self._driver.status().position, dtype=float)
+        except DriverError:
+            return
+        with self._lock:
+            known = position.shape == self._braking.shape and bool(np.isfinite(position).all())
+            if not known or (self.since is not None and self._shown):
+                return
+            if not self._by_state:
+                self._braking.forget()
+                self._by_state = True
+            self._state_at = self._clock()
+            self._braking.take(np.array([self._state_at]), position[None])

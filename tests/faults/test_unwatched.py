@@ -1,0 +1,244 @@
+"""Late, silent and disobedient links, on every wire and over real sockets: the arm never moves unwatched.
+
+A relay in front of the controller delays each answer. Where the link cannot carry the samples then, nothing moves.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import pytest
+
+from agent.recording import read_log
+from drivers.wire.reasons import EndReason
+from fake_controller.controller import PERIOD, Controller
+from fake_controller.faults import Fault, Faults
+from fake_controller.servers import WIRES, open_server
+from fake_controller.servers.cable import Cable
+from tests.faults.conftest import LONG
+
+BAUD = 4_000_000
+STRIKES = 0.6  # s of motion before the fault
+ATTACKS = {
+    "off the plan": (Fault("off_path", "streaming", STRIKES, 0.3),),
+    "silence": (Fault("mute", "streaming", STRIKES),),
+    "silence from the start on": (Fault("mute", "streaming", 0.0),),
+    "lag": (Fault("slow", "streaming", STRIKES, 6.0),),
+    "disobedience": (Fault("disobey", "streaming", STRIKES), Fault("off_path", "streaming", STRIKES, 0.3)),
+}
+DELAYS = (0.0, 0.02, 0.04, 0.1)
+
+
+class Watched(Faults):
+    """Notes how long the arm had moved [s] when a fault struck it, and when a stop was obeyed."""
+
+    def __init__(self, faults: Sequence[Fault]) -> None:
+        super().__init__(faults)
+        self.struck = self.stopped = -1.0
+        self.reasons: list[EndReason] = []
+
+    def strike(self, phase: str, motion_time: float = 0.0) -> list[Fault]:
+        due = super().strike(phase, motion_time)
+        if due and self.struck < 0:
+            self.struck = motion_time
+        return due
+
+    def listen_to(self, controller: Controller, disobeys: bool) -> None:
+        stop = controller.stop
+
+        def noted(reason: EndReason, message: str) -> None:
+            self.reasons.append(reason)
+            if self.stopped < 0 and controller.moving and not (disobeys and reason is EndReason.STOPPED):
+                self.stopped = controller._count * PERIOD
+            stop(reason, message)
+
+        controller.stop = noted
+
+
+class SlowRelay:
+    """Passes on what a client says, and each answer late."""
+
+    def __init__(self, target: tuple[str, int], delay: float) -> None:
+        self._target, self._delay = target, delay
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.port = self._listener.getsockname()[1]
+        self._open = [self._listener]
+        threading.Thread(target=self._accept, daemon=True).start()
+
+    def close(self) -> None:
+        for handle in self._open:
+            with contextlib.suppress(OSError):
+                handle.shutdown(socket.SHUT_RDWR)
+            handle.close()
+
+    def _accept(self) -> None:
+        with contextlib.suppress(OSError):
+            while True:
+                client, _ = self._listener.accept()
+                server = socket.create_connection(self._target)
+                for one in (client, server):
+                    one.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                    self._open.append(one)
+                threading.Thread(target=self._pass, args=(client, server, 0.0), daemon=True).start()
+                threading.Thread(target=self._pass, args=(server, client, self._delay), daemon=True).start()
+
+    def _pass(self, source: socket.socket, target: socket.socket, delay: float) -> None:
+        with contextlib.suppress(OSError):
+            while data := source.recv(65536):
+                time.sleep(delay)
+                target.sendall(data)
+        for handle in (source, target):
+            with contextlib.suppress(OSError):
+                handle.shutdown(socket.SHUT_RDWR)
+
+
+@dataclass
+class Attacked:
+    """What came of one run: the agent's exit code and words, and the arm's side of it."""
+
+    code: int
+    errors: str
+    controller: Controller
+    faults: Watched
+
+
+@contextlib.contextmanager
+def relayed(wire: str, controller: Controller, delay: float, watchdog: float, broker) -> Iterator[str]:
+    """The address of a controller whose answers come late."""
+    with contextlib.ExitStack() as undo:
+
+        def relay(port: int) -> int:
+            made = SlowRelay(("127.0.0.1", port), delay)
+            undo.callback(made.close)
+            return made.port
+
+        if wire in ("serial", "rtu"):
+            cable = Cable(BAUD)
+            undo.callback(cable.close)
+
+            def late(end: str, data: bytes) -> bytes:
+                time.sleep(delay if end == "near" else 0.0)
+                return data
+
+            cable.tamper = late
+            server = open_server(wire, controller, baud=BAUD, serial_port=cable.near, watchdog=watchdog)
+            address = f"{cable.far},{BAUD},{'rtu' if wire == 'rtu' else 'frames'}"
+        elif wire == "cnr_comau":
+            server = open_server(wire, controller, broker=broker().address, watchdog=watchdog)
+            ports = dict(zip(("trajectory", "feedback", "status", "ftp"), server.ports, strict=True))
+            slow = [f"{name}={port if name == 'ftp' else relay(port)}" for name, port in ports.items()]
+            address = ",".join(["127.0.0.1", *slow, f"mqtt=127.0.0.1:{relay(broker().address[1])}"])
+        else:
+            server = open_server(wire, controller, watchdog=watchdog)
+            address = f"127.0.0.1:{relay(server.port)}"
+        undo.callback(server.close)
+        yield address
+
+
+@pytest.fixture
+def attack(bench, request):
+    """`attack(wire, faults, delay)`: a real-time controller of minutes of motion, and `agent record`."""
+    from fake_controller.build import build_controller
+
+    def run(wire: str, faults: Sequence[Fault], delay: float, program: str = LONG) -> Attacked:
+        controller = build_controller(bench._arm, 3, "real")
+        controller.faults = watched = Watched(faults)
+        watched.listen_to(controller, any(fault.name == "disobey" for fault in faults))
+        with relayed(wire, controller, delay, 0.5, lambda: request.getfixturevalue("broker")) as address:
+            bench.write_for(wire, address)
+            bench.program.write_text(program, encoding="utf-8")
+            bench.log.unlink(missing_ok=True)
+            ended = bench.record("--yes")
+            controller.wait(10.0)
+        return Attacked(ended.code, ended.errors, controller, watched)
+
+    return run
+
+
+def assert_stopped(one: Attacked, name: str) -> None:
+    assert one.code in (4, 5), one.errors
+    assert "Traceback" not in one.errors
+    if one.controller.motions_started == 0:
+        assert "samples/s now, the controller makes 500" in one.errors
+        return
+    assert one.controller.motions_started == 1
+    assert one.controller.ends != [EndReason.DONE], one.errors
+    assert not one.controller.moving
+    if name == "disobedience":
+        assert one.code == 5
+        assert "PRESS THE EMERGENCY STOP" in one.errors or "nothing shows what the arm does" in one.errors
+        assert one.faults.reasons.count(EndReason.STOPPED) >= 2, "a second stop is sent before the link is closed"
+        assert EndReason.WATCHDOG in one.faults.reasons
+
+
+@pytest.mark.parametrize("wire", WIRES)
+@pytest.mark.parametrize("name", ["silence", "lag", "disobedience"])
+def test_an_arm_that_nobody_can_watch_is_stopped(attack, wire, name):
+    assert_stopped(attack(wire, ATTACKS[name], 0.0), name)
+
+
+def test_a_link_that_is_too_slow_moves_nothing(attack):
+    """Modbus with 40 ms an answer carries less than a tenth of the samples."""
+    one = attack("modbus", (), 0.04)
+    assert one.code == 4
+    assert one.controller.motions_started == 0
+    assert "samples/s now, the controller makes 500" in one.errors
+
+
+def test_samples_of_another_number_of_joints_are_one_message(attack, bench):
+    one = attack("tcp", (Fault("columns", "start"),), 0.0)
+    assert one.code == 4
+    assert "sent samples of 1 joints, small_arm has 2" in one.errors
+    assert "Traceback" not in one.errors
+    assert one.controller.ends == [EndReason.STOPPED]
+
+
+def test_a_clock_that_goes_back_ends_in_a_stop(attack, bench):
+    one = attack("tcp", (Fault("clock_back", "streaming", STRIKES),), 0.0)
+    assert one.code == 4
+    assert "set its clock back by 3.6e+03 s" in one.errors
+    assert one.controller.ends == [EndReason.STOPPED]
+    assert read_log(bench.log).t[-1] < 10.0
+
+
+def test_an_end_that_never_comes_holds_nobody_up(attack, bench):
+    short = LONG.replace("200", "1")
+    one = attack("tcp", (Fault("no_end", "streaming"),), 0.0, short)
+    assert one.code == 4
+    assert "does not report the end" in one.errors
+    assert len(read_log(bench.log).t) == one.controller.recorded
+
+
+@pytest.mark.verify
+@pytest.mark.parametrize("wire", WIRES)
+def test_every_attack_at_every_delay(attack, wire, measured):
+    late, took, refused = [], [], 0
+    for name, faults in ATTACKS.items():
+        for delay in DELAYS:
+            one = attack(wire, faults, delay)
+            assert_stopped(one, name)
+            refused += one.controller.motions_started == 0
+            if one.controller.motions_started:
+                allowed = 2.0 if name == "disobedience" else 1.0  # its first stop comes within one as well
+                took.append(one.faults.stopped - max(0.0, one.faults.struck))
+                late += [f"{name} at {1000 * delay:.0f} ms: {took[-1]:.2f} s"] * (took[-1] > allowed)
+    what = f"{wire}: attacks at 0 to 100 ms an answer: stopped, refused before motion, slowest"
+    measured(what, f"{len(took)}, {refused}, {max(took, default=0):.2f} s", "", "all within 1 s", not late)
+    assert not late
+
+
+@pytest.mark.verify
+@pytest.mark.parametrize("wire", WIRES)
+def test_healthy_motions_at_every_delay(attack, wire, measured):
+    codes = {delay: attack(wire, (), delay, LONG.replace("200", "2")) for delay in DELAYS}
+    moved = [one for one in codes.values() if one.controller.motions_started]
+    stopped = [one.errors for one in moved if one.code != 0]
+    what = f"{wire}: healthy motions at 0 to 100 ms an answer: stopped"
+    measured(what, f"{len(stopped)} of {len(moved)}", "", "none", not stopped)
+    assert all(one.code in (0, 4) for one in codes.values())
+    assert not stopped

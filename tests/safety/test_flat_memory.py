@@ -1,0 +1,68 @@
+"""A recording takes the same memory after an hour as after a minute."""
+
+from __future__ import annotations
+
+import itertools
+import tracemalloc
+
+import numpy as np
+from hypothesis import given, strategies as st
+
+from agent.link.alignment import Aligner, MovingSegments, Stamps, moving_segments
+from agent.recording import LogWriter
+from agent.safety.braking import Braking
+from agent.safety.freshness import Freshness
+from drivers.protocol import SampleBlock
+from tests.safety.following import HOME, PERIOD, ROBOT
+
+#: Of a sample that was recorded [bytes]; a sample has 250 on the wire.
+LEAST = 20
+
+
+def block(first: int, count: int = 10) -> SampleBlock:
+    """As a driver makes it: views of one message."""
+    values = np.tile(HOME, (5, count, 1)) + 0.1 * np.sin(np.arange(first, first + count) / 300)[:, None]
+    sequence = np.arange(first, first + count)
+    return SampleBlock(sequence, 5.0 + PERIOD * sequence, *values, received=1.0)
+
+
+def test_a_recording_does_not_grow_with_its_length(tmp_path):
+    aligner, braking = Aligner((), PERIOD), Braking(ROBOT.max_velocity)
+    freshness = Freshness(PERIOD, 0.5, lambda: 0.0)
+    held = []
+    with LogWriter(tmp_path / "long.mcap", ROBOT.joint_names, robot="r", motion="m") as writer:
+        tracemalloc.start()
+        for k in range(6000):
+            samples = block(10 * k)
+            writer.write(samples)
+            aligner.take(samples.time, samples.reference_position)
+            braking.take(samples.time, samples.position)
+            freshness.judged(float(samples.time[-1]))
+            if k in (2000, 5999):
+                while writer.backlog:
+                    pass
+                held.append(tracemalloc.get_traced_memory()[0])
+        tracemalloc.stop()
+    assert (held[1] - held[0]) / 40_000 < LEAST
+
+
+@given(st.lists(st.integers(0, 30), max_size=60), st.integers(0, 12), st.integers(1, 9))
+def test_segments_are_the_same_however_the_set_points_come(stays, rest, chunk):
+    reference = np.array([value for value, stay in enumerate(stays) for _ in range(stay)], dtype=float)[:, None]
+    segments = MovingSegments(rest)
+    for first in range(0, len(reference), chunk):
+        segments.add(reference[first : first + chunk])
+    assert segments.found == moving_segments(reference, rest)
+    moves = np.flatnonzero(np.diff(reference[:, 0], axis=0)) if len(reference) else []
+    inside = [any(start <= move < stop - 1 for start, stop in segments.found) for move in moves]
+    assert all(inside)
+    assert all(after[0] - (before[1] - 2) > rest for before, after in itertools.pairwise(segments.found))
+
+
+@given(st.lists(st.integers(1, 10**10), min_size=1, max_size=50), st.integers(1, 7))
+def test_stamps_come_back_to_the_nanosecond(steps, chunk):
+    times = 1e-9 * np.cumsum(steps)
+    stamps = Stamps()
+    for first in range(0, len(times), chunk):
+        stamps.add(times[first : first + chunk])
+    np.testing.assert_array_equal(np.rint(1e9 * np.concatenate(list(stamps.parts()))), np.rint(1e9 * times))

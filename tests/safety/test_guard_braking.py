@@ -1,0 +1,276 @@
+"""Whether an arm that was told to stop does so is what its samples say, not what its controller answers."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, strategies as st
+
+from agent.core.errors import SafetyError
+from agent.robot import load_robot
+from agent.safety.braking import SPAN, STILL, Braking
+from agent.safety.freshness import Freshness
+from agent.safety.stopping import AGAIN, LET_GO, NO_END, STANDS, Stopping
+from drivers.errors import DriverError
+from drivers.protocol import SampleBlock, Status
+from drivers.transports.tcp import TcpDriver
+from tests.safety.following import HOME, at
+
+ROBOT = load_robot("comau_ns16")
+PERIOD = 0.002
+
+
+class Clock:
+    """Our time, by hand."""
+
+    def __init__(self) -> None:
+        self.now = 50.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+class Arm:
+    """A driver whose arm goes at `speed` [part of a limit] and brakes within `brakes` [s] of the first stop, or never.
+
+    `answers`: whether a stop is confirmed; `state`: what its state says of its position, None where it says nothing.
+    """
+
+    watchdog = 0.5
+    gaps = ()
+
+    def __init__(self, brakes: float | None, speed: float = 0.5, answers: bool = True) -> None:
+        self.clock, self.warned = Clock(), []
+        self.stops, self.closed = 0, threading.Event()
+        self.brakes, self.speed, self.answers = brakes, speed, answers
+        self.state = lambda: None
+        self._asked = threading.Event()
+        self._position, self._stopped_at, self._sequence = 0.0, None, 0
+        self._time = 3.0
+        self.freshness = Freshness(PERIOD, self.watchdog, self.clock)
+        self.stopping = Stopping(self, ROBOT, "here", self.freshness, self.clock, self.warned.append)
+
+    def stop(self) -> None:
+        self.stops += 1
+        self._asked.set()
+        if not self.answers:
+            raise DriverError("no answer")
+
+    def status(self) -> Status:
+        position = self.state()
+        if position is None:
+            raise DriverError("no state")
+        return Status(True, "auto", False, (), 1.0, True, False, "p", "", position)
+
+    def close(self) -> None:
+        self.closed.set()
+
+    def request(self) -> None:
+        self.stopping.request()
+        assert self._asked.wait(10.0)
+        self._stopped_at = self._time
+
+    def run(self, seconds: float, seen: bool = True) -> None:
+        """Let time pass, with a block of samples each 20 ms where they are `seen`, and turns of the watch."""
+        for _ in range(round(seconds / 0.02)):
+            times = self._time + PERIOD * np.arange(1, 11)
+            part = np.zeros(10)
+            if self.brakes is not None and self._stopped_at is not None:
+                part = np.clip((times - self._stopped_at) / self.brakes, 0.0, 1.0)
+            way = self._position + np.cumsum(PERIOD * self.speed * (1 - part))
+            self._time, self._position = float(times[-1]), float(way[-1])
+            self.clock.now += 0.02
+            if seen:
+                positions = np.outer(way, np.eye(6)[1] * ROBOT.max_velocity[1])
+                nothing = np.zeros_like(positions)
+                numbers = self._sequence + np.arange(10)
+                self.stopping.take(SampleBlock(numbers, times, positions, None, nothing, None, None))
+                self.freshness.judged(self._time)
+            self._sequence += 10
+            self.stopping.turn()
+
+
+def test_an_arm_that_brakes_is_stopped_once_and_its_link_stays_open():
+    arm = Arm(brakes=0.6)
+    arm.run(0.3)
+    arm.request()
+    arm.run(1.5)
+    arm.stopping.finish(failed=False)
+    assert (arm.stops, arm.stopping.seen, arm.warned) == (1, "", [])
+    assert not arm.closed.is_set()
+
+
+@pytest.mark.parametrize("brakes", [None, 20.0])
+def test_an_arm_that_does_not_brake_is_told_again_and_let_go(brakes):
+    arm = Arm(brakes)
+    arm.run(0.3)
+    arm.request()
+    arm.run(AGAIN - 0.06)
+    assert arm.stops == 1
+    arm.run(0.1)
+    assert not arm.closed.is_set()
+    arm.run(LET_GO - AGAIN)
+    assert arm.closed.wait(10.0)
+    assert arm.stops == 2
+    assert arm.stopping.disobeyed
+    assert "PRESS THE EMERGENCY STOP NOW" in arm.warned[0]
+    arm.run(1.0)
+    assert (arm.stops, len(arm.warned)) == (2, 1), "said once"
+
+
+def test_an_arm_that_brakes_for_ever_is_let_go():
+    arm = Arm(brakes=2 * STANDS)
+    arm.run(0.3)
+    arm.request()
+    for _ in range(10):
+        arm.run(STANDS / 10)
+    assert arm.closed.wait(10.0)
+    assert arm.stopping.disobeyed
+
+
+def test_an_arm_that_rests_and_whose_end_never_comes_is_let_go():
+    arm = Arm(brakes=0.3)
+    arm.run(0.3)
+    arm.request()
+    arm.run(NO_END)
+    assert not arm.closed.is_set()
+    arm.run(0.5)
+    assert arm.closed.wait(10.0)
+    assert "does not report the end" in arm.stopping.seen
+    assert (arm.stopping.disobeyed, arm.warned) == (False, [])
+
+
+def test_a_stop_that_is_refused_closes_the_link():
+    arm = Arm(brakes=None, answers=False)
+    arm.run(0.3)
+    arm.request()
+    assert arm.closed.wait(10.0)
+    assert "not confirmed (no answer)" in arm.warned[0]
+    assert not arm.stopping.disobeyed
+
+
+@pytest.mark.parametrize(("moves", "said"), [(True, "still moves"), (False, ""), (None, "nothing shows")])
+def test_where_no_samples_come_the_state_tells(moves, said):
+    arm = Arm(brakes=None if moves else 0.2)
+    if moves is not None:
+        arm.state = lambda: HOME + (2.0 * arm.clock.now if moves else 0.0)
+    arm.run(0.3)
+    arm.request()
+    for _ in range(60):
+        arm.run(0.02, seen=False)
+        arm.stopping._look.exception()
+    assert said in arm.stopping.seen
+    assert arm.stopping.disobeyed is (moves is True)
+    assert arm.closed.wait(10.0) if said else not arm.closed.is_set()
+
+
+@pytest.mark.parametrize("state", [HOME[:5], np.full(6, np.nan)])
+def test_a_state_without_a_position_shows_nothing(state):
+    arm = Arm(brakes=None)
+    arm.state = lambda: state
+    arm.run(0.3)
+    arm.request()
+    for _ in range(60):
+        arm.run(0.02, seen=False)
+        arm.stopping._look.exception()
+    assert "nothing shows" in arm.stopping.seen
+
+
+def test_samples_from_before_the_stop_show_nothing():
+    """A link that lags shows what the arm did then."""
+    arm = Arm(brakes=None)
+    arm.run(0.3)
+    arm.request()
+    arm.clock.now += 2.0
+    arm.run(0.1)
+    assert "nothing shows" in arm.stopping.seen
+    assert not arm.stopping.disobeyed
+
+
+@pytest.mark.parametrize("moves", [True, False])
+def test_an_end_is_no_rest_before_the_arm_is_seen_to_stand(moves):
+    arm = Arm(brakes=None)
+    arm.run(0.3)
+    arm.request()
+    began = arm.clock.now
+
+    def state():
+        arm.clock.now += SPAN
+        return HOME + (arm.clock.now - began if moves else 0.0)
+
+    arm.state = state
+    arm.stopping.finish(failed=False)
+    assert arm.stopping.disobeyed is moves
+    assert arm.closed.wait(10.0) if moves else not arm.closed.is_set()
+    assert ("after the controller reported the end" in arm.stopping.seen) is moves
+
+
+@given(st.floats(0.02, 1.0), st.integers(1, 40))
+def test_speed_is_that_of_the_fastest_joint(speed, chunk):
+    braking = Braking(ROBOT.max_velocity)
+    times = PERIOD * np.arange(200)
+    way = np.outer(times, ROBOT.max_velocity * np.linspace(0.2, 1.0, 6) * speed)
+    for first in range(0, 200, chunk):
+        braking.take(times[first : first + chunk], way[first : first + chunk])
+    assert braking.speed == pytest.approx(speed, rel=1e-6)
+    assert braking.stands is (speed <= STILL)
+
+
+@pytest.mark.parametrize("times", [[1.0, np.nan], [1.0, 0.5]])
+def test_times_that_are_none_show_no_rest(times):
+    braking = Braking(ROBOT.max_velocity)
+    for time in times:
+        braking.take(np.array([time]), HOME[None])
+    assert not braking.stands
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, OSError])
+def test_samples_of_the_stop_are_kept_and_disobedience_is_told(bench, program, error):
+    """Whoever ends the motion: the log gets what came after the stop, and the exit code tells what was seen."""
+    chosen = program()
+    (chain,) = chosen.chains
+
+    class Deaf(TcpDriver):
+        def stop(self):
+            bench.controller.stops += 1
+
+    bench.driver = Deaf
+    slow = replace(chosen, chains=(replace(chain, t=20 * chain.t, qd=chain.qd / 20),))
+    bench.controller = replace(bench.controller, blocks=10**6)
+    bench.controller.moves = lambda times: at(chain, (times / 2) % 1.0)
+    guard, kept = bench.open(), []
+    guard.send(slow)
+
+    def ended() -> None:
+        with guard.motion(slow, kept.append) as samples:
+            next(samples)
+            raise error("ended")
+
+    with pytest.raises(SafetyError, match="does not obey"):
+        ended()
+    assert kept
+    assert bench.controller.stops >= 2
+    assert bench.controller.starts == 1
+    with pytest.raises(DriverError, match="connect first"):
+        guard.position()
+
+
+def test_positions_from_another_clock_begin_anew():
+    """Or the way between two clocks would be a speed."""
+    braking = Braking(ROBOT.max_velocity)
+    braking.take(10.0 + PERIOD * np.arange(100), np.tile(HOME, (100, 1)))
+    assert braking.stands
+    braking.take(500.0 + PERIOD * np.arange(10), np.tile(HOME + 1.0, (10, 1)))
+    assert (braking.stands, braking.speed, braking.rested) == (False, None, 0.0)
+
+
+def test_an_arm_that_moved_before_anybody_knew_its_speed_does_not_brake():
+    braking = Braking(ROBOT.max_velocity)
+    way = np.outer(PERIOD * np.arange(100), ROBOT.max_velocity)
+    braking.take(PERIOD * np.arange(100), way)
+    assert not braking.brakes
+    braking.take(PERIOD * np.arange(100, 200), np.repeat(way[-1:], 100, axis=0))
+    assert braking.brakes
