@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-#: No sample is older than this when it is judged [s], or than the watchdog of its link where that is shorter;
-LATE = 0.5
-#: but for what a busy computer keeps a process waiting [s], and the samples that a link hands out at once.
+#: No sample is older when it is judged than the watchdog of its link, but for what a busy computer keeps a process
+#: waiting [s], and the samples that a link hands out at once.
 WAITS, BATCH = 0.2, 10
 #: The first samples of a motion may come later than the others by this [s]: the controller was still planning.
 HELD_UP = 0.3
@@ -28,8 +27,7 @@ class Freshness:
     """
 
     def __init__(self, period: float, watchdog: float, clock: Callable[[], float]) -> None:
-        more = max(WAITS, BATCH * period)
-        self.oldest, self.silence = min(watchdog, LATE) + more, watchdog + more
+        self.oldest = watchdog + max(WAITS, BATCH * period)
         self._clock = clock
         self._since = clock()
         self._newest: float | None = None  # controller time of the newest judged sample
@@ -58,12 +56,12 @@ class Freshness:
         """Why the arm has to stop now, if it has to; `excused` seconds passed while nobody could look at anything."""
         now = self._clock() - excused
         silent = now - self._since
-        if self._newest is None and not silent <= 2 * self.silence:
+        if self._newest is None and not silent <= 2 * self.oldest:
             return f"no sample came within {silent:.1f} s of the start"
         if self._newest is None:
             return None
         age = self.controller_time(now) - self._newest
-        if not (silent <= self.silence and age <= self.oldest):
+        if not (silent <= self.oldest and age <= self.oldest):
             what = "no sample came for" if not silent < WAITS else "samples were late by"
             return (
                 f"{what} {max(silent, age):.2f} s, {self.oldest:.2g} s are allowed. The link is slower than the "

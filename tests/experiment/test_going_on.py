@@ -31,6 +31,7 @@ ASKED = GapQuestion(
     next_recipe=Path("next.yaml"),
     next_payload="2 kg, 0 mm, 0 mm, -30 mm",
     drives_off=Path("zero.mcap"),
+    topic="/arm/joint_states",
     planning_budget=90.0,
 )
 #: Parameters of the command that the question does not have, and what the test's command line says of them.
