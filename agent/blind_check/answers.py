@@ -77,7 +77,9 @@ def read_answers(path: Path) -> list[dict[str, Any]]:
         except ValidationError as error:
             first = error.errors()[0]
             at = ".".join(map(str, first["loc"]))
-            raise InputError(f"{path}:{number}: {f'{at}: ' if at else ''}{first['msg'].removeprefix('Value error, ')}") from None
+            raise InputError(
+                f"{path}:{number}: {f'{at}: ' if at else ''}{first['msg'].removeprefix('Value error, ')}"
+            ) from None
         if found.setdefault((answer["run"], bool(answer["without"])), answer) is not answer:
             raise InputError(f"{path}:{number}: a second answer for run {answer['run']}; one a run is scored")
     return list(found.values())

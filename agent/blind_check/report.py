@@ -79,7 +79,12 @@ def _sections(scores: Mapping[str, Any]) -> Iterator[str]:
     yield from ("### Further counts", "", *_further(scores))
     for tool, one in scores.items():
         yield from (f"### {tool}: power by size", "", *_power(one["power"]))
-        yield from (f"### {tool}: effects", "", f"Runs with one effect, of the catalogue or outside of it. {_OUTCOMES}", "")
+        yield from (
+            f"### {tool}: effects",
+            "",
+            f"Runs with one effect, of the catalogue or outside of it. {_OUTCOMES}",
+            "",
+        )
         yield from _table(["effect", *OUTCOMES], _rows(one["effects"]))
         if one["calibration"]["runs"]:
             yield from (f"### {tool}: calibration", "", *_calibration(one["calibration"]))
@@ -106,10 +111,10 @@ def _rows(counts: Mapping[str, Mapping[str, int]]) -> list[list[str]]:
 
 def _further(scores: Mapping[str, Any]) -> Iterator[str]:
     yield from (
-        "`both of two`, `all of three`: each of the effects is a cause or an equal of one. `joint`: the first cause's joints, or the "
-        "joint with the largest share where there is no cause, are among those of the true effects; runs whose effect "
-        "is of the whole arm are left out. `further cause wrong`: of answers with more than one cause, those where a "
-        "later one holds no true effect. `class sizes`: members of the first cause's class, itself included, and how "
+        "`both of two`, `all of three`: each of the effects is a cause or an equal of one. `joint`: the first cause's "
+        "joints, or the joint with the largest share where there is no cause, are among those of the true effects; "
+        "runs whose effect is of the whole arm are left out. `further cause wrong`: of answers with "
+        "more than one cause, those where a later one holds no true effect. `class sizes`: members of the first cause's class, itself included, and how "
         "many `in class` answers have that size. `withheld`: the tool answers again with the true effects taken out of "
         "its catalogue, so `unknown` is right and any name is wrong.",
         "",
@@ -130,8 +135,8 @@ def _power(rows: Sequence[Mapping[str, Any]]) -> Iterator[str]:
         "Runs with one effect. Size: largest root mean square change of a joint's torque against the same motion of "
         f"the same machine without the effect, in % of nominal torque. Effects below {100 * PRACTICAL:g} % are too "
         "small to matter, and count all the same: a wrong name is a wrong name. `found`: any verdict but `no gap`. "
-        "`right`: `named` or `in class`. `wrong`: `wrong name` or `wrong class`. An `interpolator_mismatch` of the world "
-        "mujoco has no size in torque and is left out.",
+        "`right`: `named` or `in class`. `wrong`: `wrong name` or `wrong class`. An `interpolator_mismatch` of "
+        "the world mujoco has no size in torque and is left out.",
         "",
     )
     columns = ("found", "right", "wrong")

@@ -1,7 +1,8 @@
 """`… draw` prints the truth of runs, `… write` records one; both take an object on stdin, as JSON.
 
-That of `draw` holds `count`, `seed` and `options`: `robot` (comau_ns16 if absent) and `cycle`, the duration of one cycle
-of every motion [s]. That of `write` holds the `truth` of a run and a `folder`; it prints how large the effects are.
+That of `draw` holds `count`, `seed` and `options`: `robot` (comau_ns16 if absent) and `cycle`, the duration of one
+cycle of every motion [s]. That of `write` holds the `truth` of a run and a `folder`; it prints how large the effects
+are.
 """
 
 from __future__ import annotations

@@ -156,7 +156,10 @@ def test_a_tool_without_probabilities_has_no_calibration(tmp_path: Path):
         (json.dumps(answer("z", "no_gap")), "no run z"),
         ("[1]", "Input should be an object"),
         (json.dumps(answer("a", "explained", cause("payload", probability=float("nan")))), "a finite number"),
-        (json.dumps(answer("a", "unknown") | {"where": [{"joint": "joint_1", "share": float("inf")}]}), "finite number"),
+        (
+            json.dumps(answer("a", "unknown") | {"where": [{"joint": "joint_1", "share": float("inf")}]}),
+            "finite number",
+        ),
         (json.dumps(answer("a", "explained", cause("rust"))), "no effect 'rust' in the catalogue"),
         (json.dumps(answer("a", "explained", cause("payload", equal=[("rust", [])]))), "no effect 'rust'"),
         (json.dumps(answer("a", "unknown", without=["rust"])), "no effect 'rust'"),

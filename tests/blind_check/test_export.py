@@ -190,7 +190,10 @@ def test_the_second_world_is_drawn_from_the_family_and_the_truth_stands_in_the_k
     for run in key.runs:
         held = folder / "out" / "runs" / run["run"]
         rate = read_log(held / "logs" / "wide.mcap").sample_rate
-        assert (f"name: {run['world']['arm']}" in (held / "robot.yaml").read_text(), rate) == (True, run["world"]["rate"])
+        assert (f"name: {run['world']['arm']}" in (held / "robot.yaml").read_text(), rate) == (
+            True,
+            run["world"]["rate"],
+        )
         assert [path.stem for path in sorted((held / "baseline").iterdir())] == ["moves", "slow", "wide", "wide_2"]
         assert all(effect["parameters"]["amount"] for effect in run["effects"])
         secrets = [run["motion"], run["machine"], *(value for effect in run["effects"] for value in effect.values())]
