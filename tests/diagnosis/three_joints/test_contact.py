@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.diagnosis import diagnose, intervals, simulate
+from agent.diagnosis import diagnose, simulate
+from agent.diagnosis.sizes import intervals
 from agent.diagnosis.dataset import assemble
 from agent.model.effects import CATALOGUE
 from agent.pipeline import GapQuestion
