@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from agent.diagnosis import diagnose, simulate
-from agent.diagnosis.sizes import intervals
 from agent.diagnosis.dataset import assemble
+from agent.diagnosis.sizes import intervals
 from agent.model.effects import CATALOGUE
 from agent.pipeline import GapQuestion
 from agent.pipeline.first_screen import after_diagnosis
