@@ -17,13 +17,8 @@ Card = TypeVar("Card")
 SHARES = {"none": 1 / 3, "two": 0.12, "three": 0.05, "outside": 0.13}
 #: Lowest and highest size: largest rms change of torque over nominal.
 SIZES = (0.003, 0.05)
-#: Size of an effect of strength 1 in the draws for `agent blind-check`, and their shares and strengths.
+#: Size of an effect of strength 1 in draws with a mix of their own.
 USUAL_SIZE = 0.015
-USUAL: Mapping[str, Any] = {
-    "shares": {"none": 0.25, "two": 0.1, "outside": 0.1},
-    "strengths": (0.3, 3.0),
-    "names": None,
-}
 
 _GEARS = ("joint_elasticity", "backlash", "lopsided_backlash")
 _COUNTS = {"none": 0, "two": 2, "three": 3}
@@ -79,33 +74,26 @@ def draw_runs(count: int, seed: int, laws: str, mix: Mix | None = None) -> list[
             effect = _place(deck.draw(), world, size, rng)
             if not _collide(effect, effects, world):
                 effects.append(effect)
-        runs.append(Run(kind, machine, 2 * int(rng.integers(2**40)) + SETS.index(laws), size, tuple(effects)))
+        runs.append(Run(kind, machine, 2 * int(rng.integers(2**61)) + SETS.index(laws), size, tuple(effects)))
     return runs
 
 
-def draw_cases(count: int, seed: int, mix: Mapping[str, Any] | None = None) -> list[dict[str, Any]]:
-    """Runs as `agent blind-check` takes them, by laws of development.
+def draw_cases(count: int, seed: int, laws: str, mix: Mapping[str, Any] | None = None) -> list[dict[str, Any]]:
+    """Runs as plain data: of the whole family, each with a machine of its own, which `world` describes.
 
-    `mix`: other `shares`, `strengths` (lowest, highest) and `names` of effects than usual.
+    `mix`: other `shares`, `strengths` (lowest, highest) and `names` of effects, four runs a machine.
     """
-    mix = mix or USUAL
-    names = [name for name in LAWS if name in (mix["names"] or LAWS) and name != "interpolator_mismatch"]
-    low, high = mix["strengths"]
-    runs = draw_runs(
-        count, seed, "development", Mix(mix["shares"], (USUAL_SIZE * low, USUAL_SIZE * high), names, group=4)
-    )
-    return [
-        {
-            "number": number,
-            "kind": run.kind,
-            "machine": run.machine,
-            "motion": run.motion,
-            "strength": run.size / USUAL_SIZE,
-            "effects": list(run.effects),
-            "recorder": draw_world(run.machine).recorder,
-        }
-        for number, run in enumerate(runs)
-    ]
+    drawn = Mix(SHARES, SIZES, tuple(LAWS), group=1)
+    if mix is not None:
+        low, high = mix["strengths"]
+        drawn = Mix(mix["shares"], (USUAL_SIZE * low, USUAL_SIZE * high), mix["names"], group=4)
+    cases = []
+    for number, run in enumerate(draw_runs(count, seed, laws, drawn)):
+        world = draw_world(run.machine)
+        about = {"machine": run.machine, "motion": run.motion, "strength": run.size / USUAL_SIZE}
+        case = {"number": number, "kind": run.kind, **about, "effects": list(run.effects)}
+        cases.append({**case, "recorder": world.recorder, "world": world.to_dict()})
+    return cases
 
 
 class _Deck:

@@ -563,8 +563,8 @@ def _belt(m: Machine, joints: tuple[int, ...], amount: float, rng: np.random.Gen
 
 
 def _other_path(how: str) -> Build:
-    """Set-points that are not the planned ones, by about `amount` of the speed: faster, corners rounded, or late by
-    joint."""
+    """Set-points that are not the planned ones, by about `amount` of the speed: faster or slower, corners rounded, or
+    late by joint. They take as long as the plan, so that the duration of a log tells nothing."""
 
     def build(m: Machine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
         rate = 1 + amount * float(rng.choice([-1, 1]))
@@ -573,7 +573,7 @@ def _other_path(how: str) -> Build:
         def path(points: np.ndarray) -> np.ndarray:
             at = np.arange(len(points), dtype=float)
             if how == "faster":
-                there = np.minimum(np.arange(int(len(points) / rate)) * rate, len(points) - 1)
+                there = np.minimum(at * rate, len(points) - 1)
                 return np.stack([np.interp(there, at, column) for column in points.T], axis=1)
             if how == "late":
                 return np.stack(

@@ -112,7 +112,7 @@ class Machine:
         return reported
 
     def executed(self, set_points: np.ndarray) -> np.ndarray:
-        """(S, n) set-points that are really executed."""
+        """(S, n) set-points that are really executed, as many as are planned."""
         return set_points if self.path is None else self.path(set_points)
 
 

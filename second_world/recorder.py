@@ -28,22 +28,20 @@ class Take:
     planned: np.ndarray
     cycles: tuple[float, ...]
     stamp: float
-    serial: str
 
 
 def write_take(path: Path, world: World, take: Take, seed: int) -> None:
     """One log, with noise, by the world's sensors and recorder."""
     rng = np.random.default_rng(np.random.SeedSequence([seed, 8]))
     arm, every = world.arm, round(RATE / world.rate)
-    length = min(len(take.executed), take.signals.shape[1])
-    position, velocity, effort = (values[:length:every] for values in take.signals)
+    position, velocity, effort = (values[::every] for values in take.signals)
     t = np.arange(len(position)) / world.rate
     position = np.round(position / world.encoder) * world.encoder
     effort = effort + world.noise * arm.torque * rng.normal(size=effort.shape)
     effort = np.round(effort / world.servo_rows[:, 5]) * world.servo_rows[:, 5]
     speeds: np.ndarray | None = velocity + 5e-4 * arm.speed * rng.normal(size=velocity.shape)
     if world.velocity == "lagged":
-        speeds = _behind(take.signals[1][:length])[::every]
+        speeds = _behind(take.signals[1])[::every]
     elif world.velocity == "missing":
         speeds = None
     if "rounded" in world.faults:
@@ -59,7 +57,7 @@ def write_take(path: Path, world: World, take: Take, seed: int) -> None:
     if "duplicated" in world.faults:
         rows = np.sort(np.concatenate([rows, rows[rng.random(len(rows)) < _TWICE]]))
     start = t[rows[0]]
-    executed, planned = take.executed[:length:every][rows], _as_long(take.planned, length)[::every][rows]
+    executed, planned = (points[::every][rows] for points in (take.executed, take.planned))
     log = Log(
         path=path,
         joint_names=tuple(arm.joint_names),
@@ -73,7 +71,7 @@ def write_take(path: Path, world: World, take: Take, seed: int) -> None:
         stamp=take.stamp + start,
         segments=((0, len(rows)),),
         cycle_starts=take.cycles,
-        metadata={"robot": arm.kind.name, "motion": take.name, "serial": take.serial},
+        metadata={"robot": arm.kind.name, "motion": take.name},
     )
     path.parent.mkdir(parents=True, exist_ok=True)
     write_log(path, log)
@@ -87,8 +85,3 @@ def _behind(values: np.ndarray) -> np.ndarray:
         now = now + share * (value - now)
         slow[k] = now
     return slow
-
-
-def _as_long(points: np.ndarray, length: int) -> np.ndarray:
-    """The first `length` rows; the last one again where there are fewer."""
-    return points[np.minimum(np.arange(length), len(points) - 1)]

@@ -89,6 +89,5 @@ def _path_change(machine: Machine, motions: Motions) -> float:
     largest = 0.0
     for points, _ in motions.values():
         executed = machine.executed(points)
-        length = min(len(points), len(executed))
-        largest = max(largest, float(np.sqrt(np.mean((executed[:length] - points[:length]) ** 2, axis=0)).max()))
+        largest = max(largest, float(np.sqrt(np.mean((executed - points) ** 2, axis=0)).max()))
     return largest

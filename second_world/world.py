@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -49,15 +50,22 @@ class World:
         """How the logs are kept."""
         return "as recorded" if self.faults else "clean"
 
+    def to_dict(self) -> dict[str, Any]:
+        """What was drawn, in words and as plain data."""
+        names = ("laws", "friction", "servo", "velocity", "rate", "tracking", "motions")
+        drawn = {name: getattr(self, name) for name in names}
+        return {"arm": self.arm.kind.name, **drawn, "faults": list(self.faults)}
+
 
 def machine_number(seed: int, group: int, laws: str) -> int:
     """Number of the machine of a group of runs; development and judgement never share one.
 
-    The lowest bit says for which of LAWS it is drawn, the next two which class of arm comes first.
+    The lowest bit says for which of LAWS it is drawn, the next two the class of the arm, which all take turns. The rest
+    are 60 random bits, too many to try: whoever knew them could run the machine again without its effect.
     """
-    rng = np.random.default_rng(np.random.SeedSequence([LAWS.index(laws), seed, 1]))
-    first, root = int(rng.integers(4)), int(rng.integers(2**40))
-    return 2 * (4 * (root + group // 4) + (first + group) % 4) + LAWS.index(laws)
+    first = int(np.random.default_rng(np.random.SeedSequence([LAWS.index(laws), seed, 1])).integers(4))
+    rng = np.random.default_rng(np.random.SeedSequence([LAWS.index(laws), seed, 1, group]))
+    return 2 * (4 * int(rng.integers(2**60)) + (first + group) % 4) + LAWS.index(laws)
 
 
 def draw_world(machine: int) -> World:

@@ -5,21 +5,31 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from agent.core import InputError
+from agent.model import CATALOGUE
 
 
 class _Lenient(BaseModel):
     """Keys that the score does not need are a tool's own."""
 
-    model_config = ConfigDict(extra="ignore", strict=True)
+    model_config = ConfigDict(extra="ignore", strict=True, allow_inf_nan=False)
+
+
+def _known(effect: str) -> str:
+    if effect not in CATALOGUE:
+        raise ValueError(f"no effect {effect!r} in the catalogue; one of {', '.join(CATALOGUE)}")
+    return effect
+
+
+Effect = Annotated[str, AfterValidator(_known)]
 
 
 class _Place(_Lenient):
-    effect: str
+    effect: Effect
     joints: list[str]
 
 
@@ -39,7 +49,7 @@ class _Answer(_Lenient):
     causes: list[_Cause] = []
     where: list[_Share] = []
     #: Effects that the tool was told to forget for this answer.
-    without: list[str] = []
+    without: list[Effect] = []
 
     @model_validator(mode="after")
     def _names_what_it_explains(self) -> _Answer:
@@ -55,7 +65,7 @@ def read_answers(path: Path) -> list[dict[str, Any]]:
         InputError: a line that is no answer, or two for one run; names file and line.
     """
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
+        lines = path.read_text(encoding="utf-8-sig").split("\n")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: cannot be read: {error}") from None
     found: dict[tuple[str, bool], dict[str, Any]] = {}
@@ -67,7 +77,9 @@ def read_answers(path: Path) -> list[dict[str, Any]]:
         except ValidationError as error:
             first = error.errors()[0]
             at = ".".join(map(str, first["loc"]))
-            raise InputError(f"{path}:{number}: {f'{at}: ' if at else ''}{first['msg']}") from None
+            raise InputError(
+                f"{path}:{number}: {f'{at}: ' if at else ''}{first['msg'].removeprefix('Value error, ')}"
+            ) from None
         if found.setdefault((answer["run"], bool(answer["without"])), answer) is not answer:
             raise InputError(f"{path}:{number}: a second answer for run {answer['run']}; one a run is scored")
     return list(found.values())

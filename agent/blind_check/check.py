@@ -56,7 +56,7 @@ class BlindCheck:
         console.step(f"{len(key.runs)} runs in {self.folder / 'export'}; the key is {self.key_file}")
         said = self.folder / "answers.jsonl"
         self._answer([(run["run"], []) for run in key.runs], said, console, engine)
-        named = [run for run in key.runs if run["kind"] in ("one", "two")]
+        named = [run for run in key.runs if run["kind"] not in ("none", "outside")]
         withheld = [(run["run"], sorted({effect["effect"] for effect in run["effects"]})) for run in named]
         console.step("again, each run without its true effects in the catalogue")
         self._answer(withheld, said, console, engine)

@@ -48,7 +48,7 @@ def export_runs(
     count : int
         Runs to make.
     seed : int, optional
-        Of the draw; from the operating system if absent.
+        Of a draw by laws of development; from the operating system if absent, for a draw by laws of judgement.
     console, engine : optional
         What to tell a person, and who does the recordings.
 
@@ -77,7 +77,7 @@ def _filled(
     key: Key, world: World, staging: Path, folder: Path, key_file: Path, console: Console, engine: TaskEngine
 ) -> Key:
     """Record what is missing, publish all runs, and save the key with them."""
-    truths = world.draw(key.count, key.entropy)
+    truths = world.draw(key.count, key.entropy, key.laws)
     rng = np.random.default_rng([key.entropy, 1])
     labels = _labels(rng, 2 * len(truths))
     tasks = [(truth, staging / f"{number:04d}") for number, truth in enumerate(truths)]
@@ -95,8 +95,8 @@ def _filled(
     for run in runs:
         _publish(staging / f"{run['number']:04d}", folder / "runs" / run["run"], run["serial"], rng)
     key = replace(key, runs=runs, not_recorded=failed)
-    about = {"schema": "blind-benchmark/1", "name": NAME, "version": VERSION, "world": world.name, "runs": len(runs)}
-    about["key_sha256"] = key.save(key_file)
+    about = {"schema": "blind-benchmark/1", "name": NAME, "version": VERSION, "world": world.name, "laws": key.laws}
+    about |= {"runs": len(runs), "key_sha256": key.save(key_file)}
     write_atomically(folder / INDEX, json.dumps(about, indent=1) + "\n")
     for path in (folder, *folder.rglob("*")):
         os.utime(path, (_SESSIONS["logs"],) * 2)
@@ -141,7 +141,7 @@ def _recorded(world: World, task: tuple[Truth, Path]) -> bool:
         place.mkdir(parents=True)
         said: dict[str, Any]
         try:
-            said = {"size": world.write(truth, place)}
+            said = world.write(truth, place)
         except (AgentError, DriverError) as error:
             said = {"error": str(error)}
         write_atomically(note, json.dumps(said))

@@ -13,6 +13,8 @@ from agent.core import AgentError, InputError, read_json, sha256_file, written_w
 
 #: Of the benchmark, and of what its runs, key and answers mean.
 NAME, VERSION = "WEDGE", "1.0"
+#: Kinds of runs: without an effect, with one, two or three of the catalogue, with one that it has no name for.
+KINDS = ("none", "one", "two", "three", "outside")
 _SCHEMA = "blind-key/1"
 
 
@@ -21,7 +23,8 @@ class Key:
     """A draw and, once it is recorded, its runs.
 
     `salt` is drawn from the operating system and stands here only. All that is random about the runs is a digest of it
-    and of `seed`: nobody can try seeds, and the key is all that is needed to draw the same runs again.
+    and of `seed`: nobody can try seeds, and the key is all that is needed to draw the same runs again. `laws` are those
+    of "judgement", or of "development" where somebody chose the seed; the two never share what is random.
     """
 
     world: str
@@ -30,16 +33,18 @@ class Key:
     salt: str
     runs: list[dict[str, Any]] = field(default_factory=list)
     not_recorded: list[dict[str, Any]] = field(default_factory=list)
+    laws: str = "judgement"
 
     @classmethod
     def fresh(cls, world: str, count: int, seed: int | None) -> Key:
         """Of runs that are yet to be recorded; without a `seed` that comes from the operating system, too."""
-        return cls(world, count, secrets.randbits(32) if seed is None else seed, secrets.token_hex(16))
+        laws = "judgement" if seed is None else "development"
+        return cls(world, count, secrets.randbits(32) if seed is None else seed, secrets.token_hex(16), laws=laws)
 
     @property
     def entropy(self) -> int:
         """Seed of everything that is drawn."""
-        return int.from_bytes(hashlib.sha256(f"{self.salt} {self.seed}".encode()).digest())
+        return int.from_bytes(hashlib.sha256(f"{self.salt} {self.laws} {self.seed}".encode()).digest())
 
     @classmethod
     def load(cls, path: Path, draw: tuple[str, int, int | None] | None = None) -> Key:
@@ -57,6 +62,8 @@ class Key:
             key = cls(**data)
         except TypeError as error:
             raise InputError(f"{path}: not a whole key: {error}") from None
+        if not isinstance(key.runs, list) or not all(map(_whole, key.runs)):
+            raise InputError(f"{path}: not a whole key: a run lacks its id, kind, effects or size")
         if draw is not None and draw not in [(key.world, key.count, seed) for seed in (None, key.seed)]:
             raise InputError(
                 f"{path}: is the key of {key.count} runs of world {key.world}, seed {key.seed}; repeat these options "
@@ -79,3 +86,10 @@ class Key:
         except OSError as error:
             raise AgentError(f"{path}: the key cannot be written: {error.strerror}; free space or rights?") from None
         return sha256_file(path)
+
+
+def _whole(run: Any) -> bool:
+    """Whether a run of a key can be scored."""
+    if not isinstance(run, dict) or run.get("kind") not in KINDS or not {"run", "size"} <= run.keys():
+        return False
+    return all({"effect", "joints"} <= effect.keys() for effect in run.get("effects", ({},)))

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from agent.blind_check.key import NAME, VERSION
+from agent.blind_check.key import KINDS, NAME, VERSION
 from agent.blind_check.scoring import OUTCOMES, PRACTICAL, Result, score
 from agent.core import AgentError, InputError, write_atomically
 
@@ -27,6 +27,7 @@ _KINDS = {
     "none": ("healthy", "No effect is built in: `no gap` is right."),
     "one": ("one effect", "One effect of the catalogue, of any size: `named` is right, `in class` is half an answer."),
     "two": ("two effects", "Two effects of the catalogue; the columns judge the first cause."),
+    "three": ("three effects", "Three effects of the catalogue; the columns judge the first cause."),
     "outside": ("outside", "An effect that the catalogue has no name for: `unknown` is right."),
 }
 
@@ -59,10 +60,13 @@ def read_results(path: Path) -> list[dict[str, Any]]:
 
 def page(results: Sequence[Result]) -> str:
     """Markdown."""
-    scores = score(results)
-    runs, worlds = len({one["run"] for one in results}), " and ".join(sorted({one["world"] for one in results}))
-    said = f"{runs} runs of the world {worlds}, answered by {', '.join(scores)}. {_INTERVALS}"
-    return "\n".join([f"# {NAME} {VERSION}: results", "", said, "", *_sections(scores)]) + "\n"
+    lines = [f"# {NAME} {VERSION}: results", "", _INTERVALS, ""]
+    for world in dict.fromkeys(one["world"] for one in results):
+        here = [one for one in results if one["world"] == world]
+        scores = score(here)
+        said = f"{len({one['run'] for one in here})} runs, answered by {', '.join(scores)}."
+        lines += [f"## World {world}", "", said, "", *_sections(scores)]
+    return "\n".join(lines).rstrip() + "\n"
 
 
 def summary_of(scores: Mapping[str, Any]) -> str:
@@ -71,21 +75,28 @@ def summary_of(scores: Mapping[str, Any]) -> str:
 
 
 def _sections(scores: Mapping[str, Any]) -> Iterator[str]:
-    yield from ("## Verdicts by kind of run", "", *_outcome_tables(scores))
-    yield from ("## Further counts", "", *_further(scores))
+    yield from ("### Verdicts by kind of run", "", *_outcome_tables(scores))
+    yield from ("### Further counts", "", *_further(scores))
     for tool, one in scores.items():
-        yield from (f"## {tool}: power by size", "", *_power(one["power"]))
-        yield from (f"## {tool}: effects", "", _OUTCOMES, "")
+        yield from (f"### {tool}: power by size", "", *_power(one["power"]))
+        yield from (
+            f"### {tool}: effects",
+            "",
+            f"Runs with one effect, of the catalogue or outside of it. {_OUTCOMES}",
+            "",
+        )
         yield from _table(["effect", *OUTCOMES], _rows(one["effects"]))
         if one["calibration"]["runs"]:
-            yield from (f"## {tool}: calibration", "", *_calibration(one["calibration"]))
+            yield from (f"### {tool}: calibration", "", *_calibration(one["calibration"]))
 
 
 def _outcome_tables(scores: Mapping[str, Any]) -> Iterator[str]:
     yield from (_OUTCOMES, "")
-    for kind, (title, meaning) in _KINDS.items():
-        yield from (f"**{title}.** {meaning}", "")
-        yield from _table(["tool", *OUTCOMES], _rows({tool: one["outcomes"][kind] for tool, one in scores.items()}))
+    for kind in KINDS:
+        counted = {tool: one["outcomes"][kind] for tool, one in scores.items()}
+        if any(sum(row.values()) for row in counted.values()):
+            title, meaning = _KINDS[kind]
+            yield from (f"**{title}.** {meaning}", "", *_table(["tool", *OUTCOMES], _rows(counted)))
     recorders = {
         f"{tool}, {name}": row for tool, one in scores.items() for name, row in one["recorders"].items() if name
     }
@@ -100,18 +111,20 @@ def _rows(counts: Mapping[str, Mapping[str, int]]) -> list[list[str]]:
 
 def _further(scores: Mapping[str, Any]) -> Iterator[str]:
     yield from (
-        "`both of two`: each of two effects is a cause or an equal of one. `joint`: the first cause's joints, or the "
-        "joint with the largest share where there is no cause, are among those of the true effects; runs whose effect "
-        "is of the whole arm are left out. `further cause wrong`: of answers with more than one cause, those where a "
-        "later one holds no true effect. `class sizes`: members of the first cause's class, itself included, and how "
-        "many `in class` answers have that size. `withheld`: the tool answers again with the true effects taken out of "
+        "`both of two`, `all of three`: each of the effects is a cause or an equal of one. `joint`: the first cause's "
+        "joints, or the joint with the largest share where there is no cause, are among those of the true effects; "
+        "runs whose effect is of the whole arm are left out. `further cause wrong`: of answers with "
+        "more than one cause, those where a later one holds no true effect. `class sizes`: members of the first "
+        "cause's class, itself included, and how many `in class` answers have that size. `withheld`: the tool answers "
+        "again with the true effects taken out of "
         "its catalogue, so `unknown` is right and any name is wrong.",
         "",
     )
-    head = ["tool", "both of two", "joint", "further cause wrong", "class sizes", "withheld", "Brier", "ECE"]
+    head = ["tool", "both of two", "all of three", "joint", "further cause wrong", "class sizes", "withheld"]
+    head += ["Brier", "ECE"]
     rows = []
     for tool, one in scores.items():
-        shares = [_share(one[name]) for name in ("all_of_two", "joint", "further_wrong")]
+        shares = [_share(one[name]) for name in ("all_of_two", "all_of_three", "joint", "further_wrong")]
         listed = [", ".join(f"{what}: {n}" for what, n in one[name].items()) or "-" for name in ("classes", "withheld")]
         fit = [_number(one["calibration"][name]) for name in ("brier", "ece")]
         rows.append([tool, *shares, *listed, *fit])
@@ -123,7 +136,8 @@ def _power(rows: Sequence[Mapping[str, Any]]) -> Iterator[str]:
         "Runs with one effect. Size: largest root mean square change of a joint's torque against the same motion of "
         f"the same machine without the effect, in % of nominal torque. Effects below {100 * PRACTICAL:g} % are too "
         "small to matter, and count all the same: a wrong name is a wrong name. `found`: any verdict but `no gap`. "
-        "`right`: `named` or `in class`. `wrong`: `wrong name` or `wrong class`.",
+        "`right`: `named` or `in class`. `wrong`: `wrong name` or `wrong class`. An `interpolator_mismatch` of "
+        "the world mujoco has no size in torque and is left out.",
         "",
     )
     columns = ("found", "right", "wrong")

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from agent.blind_check.key import Key
+from agent.blind_check.key import KINDS, Key
 from agent.core import InputError
 
 Result = Mapping[str, Any]
@@ -84,6 +84,8 @@ def _result(
         "withheld": None,
     }
     if withheld is not None:
+        if run["kind"] in ("none", "outside"):
+            raise InputError(f"{tool}: run {run['run']}: it has no effect to be `without`; leave this answer out")
         if missing := {effect["effect"] for effect in effects} - set(withheld["without"]):
             raise InputError(f"{tool}: run {run['run']}: `without` lacks a true effect: {', '.join(sorted(missing))}")
         result["withheld"] = outcome((), withheld)
@@ -118,7 +120,7 @@ def score(results: Sequence[Result]) -> dict[str, Any]:
 
 
 def _scores(results: Sequence[Result]) -> dict[str, Any]:
-    of = {kind: [one for one in results if one["kind"] == kind] for kind in ("none", "one", "two", "outside")}
+    of = {kind: [one for one in results if one["kind"] == kind] for kind in KINDS}
     single = of["one"] + of["outside"]
     located = [one for one in results if one["joint"] is not None]
     asked = [one for one in results if one["withheld"] is not None]
@@ -127,11 +129,12 @@ def _scores(results: Sequence[Result]) -> dict[str, Any]:
         "runs": len(results),
         "outcomes": {kind: counts(some) for kind, some in of.items()},
         "all_of_two": share(of["two"], lambda one: one["all_named"]),
+        "all_of_three": share(of["three"], lambda one: one["all_named"]),
         "further_wrong": share([one for one in results if len(one["causes"]) > 1], lambda one: one["more_wrong"] > 0),
         "joint": share(located, lambda one: one["joint"]),
         "classes": {str(size): times for size, times in sorted(sizes.items())},
         "withheld": dict(Counter(one["withheld"] for one in asked)),
-        "power": _power(of["one"]),
+        "power": _power([one for one in of["one"] if one["size"] is not None]),
         "recorders": {
             name: counts([one for one in of["one"] if one["recorder"] == name])
             for name in _distinct(of["one"], "recorder")

@@ -28,16 +28,20 @@ class World(Protocol):
     def name(self) -> str:
         """As `--world` and the key call it."""
 
-    def draw(self, count: int, seed: int) -> list[dict[str, Any]]:
-        """The truth of every run. The seed is large and secret: nothing a run shows may allow anybody to guess it."""
+    def draw(self, count: int, seed: int, laws: str) -> list[dict[str, Any]]:
+        """The truth of every run, by laws of `development` or `judgement` where a world has laws for both.
 
-    def write(self, truth: Truth, folder: Path) -> float | None:
+        The seed is large and secret: nothing a run shows may allow anybody to guess it.
+        """
+
+    def write(self, truth: Truth, folder: Path) -> dict[str, Any]:
         """Record one run: `robot.yaml` with its URDF, `baseline/*.mcap` and `logs/*.mcap`, the same names every time.
 
         Returns
         -------
-        float or None
-            Largest root mean square change of a joint's torque by the effects, over nominal; None without an effect.
+        dict
+            What is known of the run now. `size`: largest root mean square change of a joint's torque by the effects,
+            over nominal; None where no effect changes torques.
 
         Raises
         ------
@@ -54,30 +58,31 @@ class EmulatorWorld:
     name = "emulator"
     _process = ("-m", "fake_controller.withheld")
 
-    def draw(self, count: int, seed: int) -> list[dict[str, Any]]:
-        return list(ask_world([*self._process, "draw", str(count), str(seed), json.dumps(self.options)]))
+    def draw(self, count: int, seed: int, laws: str) -> list[dict[str, Any]]:
+        return list(ask_world([*self._process, "draw"], {"count": count, "seed": seed, "options": self.options}))
 
-    def write(self, truth: Truth, folder: Path) -> float | None:
-        return ask_world([*self._process, "write"], {"truth": truth, "folder": str(folder)})["size"]
+    def write(self, truth: Truth, folder: Path) -> dict[str, Any]:
+        return dict(ask_world([*self._process, "write"], {"truth": truth, "folder": str(folder)}))
 
 
 @dataclass(frozen=True)
 class SecondWorld:
-    """Simulated arms that share no physics with the diagnosis; `cycle` [s] is one cycle of every motion."""
+    """A family of simulated arms that share no physics with the diagnosis; `cycle` [s] is one cycle of every motion."""
 
     cycle: float = 10.0
     name = "mujoco"
     _process = ("-m", "second_world")
 
-    def draw(self, count: int, seed: int) -> list[dict[str, Any]]:
-        return list(ask_world([*self._process, "draw", str(count), str(seed)]))
+    def draw(self, count: int, seed: int, laws: str) -> list[dict[str, Any]]:
+        return list(ask_world([*self._process, "draw"], {"count": count, "seed": seed, "laws": laws}))
 
-    def write(self, truth: Truth, folder: Path) -> float | None:
+    def write(self, truth: Truth, folder: Path) -> dict[str, Any]:
         machine = {"machine": truth["machine"], "cycle": self.cycle}
         baseline = {"motion": truth["machine"], "effects": [], "describe": str(folder)}
         ask_world([*self._process, "run"], {**machine, **baseline, "folder": str(folder / "baseline")})
         logs = {"motion": truth["motion"], "effects": truth["effects"], "folder": str(folder / "logs")}
-        return ask_world([*self._process, "run"], {**machine, **logs})["size"]
+        found = ask_world([*self._process, "run"], {**machine, **logs})
+        return {"size": found["size"], "effects": found["effects"]}
 
 
 def world_of(name: str) -> World:

@@ -270,7 +270,9 @@ def blind_check(
     cases: Annotated[int, typer.Option("--cases", metavar="N", help="runs to make")] = 400,
     seed: Annotated[
         int | None,
-        typer.Option("--seed", metavar="S", min=0, help="of the draw, mixed with a secret salt; random if absent"),
+        typer.Option(
+            "--seed", metavar="S", min=0, help="draw by laws of development; without it, by laws of judgement"
+        ),
     ] = None,
     world: Annotated[
         str, typer.Option("--world", metavar="WORLD", help="emulator (the fake controller) or mujoco (arms in MuJoCo)")

@@ -6,7 +6,6 @@ programs were planned to.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
@@ -119,7 +118,8 @@ class MujocoMachines:
     title = "MuJoCo"
 
     def draw(self, count: int, seed: int) -> list[Case]:
-        drawn = ask_world(["-m", "second_world", "draw", str(count), str(seed), json.dumps(asdict(OPEN))])
+        asked = {"count": count, "seed": seed, "laws": "development", "mix": asdict(OPEN)}
+        drawn = ask_world(["-m", "second_world", "draw"], asked)
         names = {field.name for field in fields(Case)}
         kept = [{name: value for name, value in case.items() if name in names} for case in drawn]
         return [Case(**{**case, "effects": tuple(case["effects"])}) for case in kept]

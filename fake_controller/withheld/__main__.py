@@ -1,7 +1,8 @@
-"""`… draw N SEED [OPTIONS]` prints the truth of N runs; `… write` records one, given as JSON on stdin.
+"""`… draw` prints the truth of runs, `… write` records one; both take an object on stdin, as JSON.
 
-OPTIONS is JSON: `robot` (comau_ns16 if absent) and `cycle`, the duration of one cycle of every motion [s]. `write` is
-given the `truth` of a run and a `folder`, and prints how large the effects are.
+That of `draw` holds `count`, `seed` and `options`: `robot` (comau_ns16 if absent) and `cycle`, the duration of one
+cycle of every motion [s]. That of `write` holds the `truth` of a run and a `folder`; it prints how large the effects
+are.
 """
 
 from __future__ import annotations
@@ -32,12 +33,12 @@ _NOWHERE = "127.0.0.1:9"  # plans are drawn without a controller
 
 def main(arguments: Sequence[str]) -> int:
     """Returns the exit code: 0, or 1 with a message where a run cannot be recorded."""
+    job = json.load(sys.stdin)
     if arguments[0] == "draw":
-        options = _USUAL | (json.loads(arguments[3]) if len(arguments) > 3 else {})
-        drawn = draw_cases(int(arguments[1]), int(arguments[2]), load_robot(options["robot"]))
+        options = _USUAL | job["options"]
+        drawn = draw_cases(job["count"], job["seed"], load_robot(options["robot"]))
         print(json.dumps([{**case.to_dict(), **options} for case in drawn]))
         return 0
-    job = json.load(sys.stdin)
     try:
         print(json.dumps({"size": write(job["truth"], Path(job["folder"]))}))
     except (AgentError, DriverError) as error:

@@ -90,6 +90,7 @@ def test_every_run_counts_once_under_its_kind(tmp_path: Path):
         "one": {"named": 1, "in class": 1, "no answer": 1},
         "outside": {"unknown": 1},
         "two": {"named": 1},
+        "three": {},
     }
     assert (found["all_of_two"]["count"], found["all_of_two"]["of"]) == (1, 1)
     assert (found["further_wrong"]["count"], found["further_wrong"]["of"]) == (1, 2)
@@ -153,11 +154,21 @@ def test_a_tool_without_probabilities_has_no_calibration(tmp_path: Path):
         (json.dumps(answer("a", "explained", cause("payload", probability=7))), "less than or equal to 1"),
         (json.dumps(answer("a", "no_gap")) + "\n" + json.dumps(answer("a", "unknown")), "second answer for run a"),
         (json.dumps(answer("z", "no_gap")), "no run z"),
+        ("[1]", "Input should be an object"),
+        (json.dumps(answer("a", "explained", cause("payload", probability=float("nan")))), "a finite number"),
+        (
+            json.dumps(answer("a", "unknown") | {"where": [{"joint": "joint_1", "share": float("inf")}]}),
+            "finite number",
+        ),
+        (json.dumps(answer("a", "explained", cause("rust"))), "no effect 'rust' in the catalogue"),
+        (json.dumps(answer("a", "explained", cause("payload", equal=[("rust", [])]))), "no effect 'rust'"),
+        (json.dumps(answer("a", "unknown", without=["rust"])), "no effect 'rust'"),
+        (json.dumps(answer("b", "unknown", without=["stribeck"])), "run b: it has no effect to be `without`"),
     ],
 )
 def test_what_is_no_answer_is_refused_with_file_and_reason(tmp_path: Path, line: str, message: str):
     (tmp_path / "tool.jsonl").write_text(line + "\n")
-    Key("tiny", 1, 1, "salt", [truth("a")]).save(tmp_path / "key.json")
+    Key("tiny", 2, 1, "salt", [truth("a"), truth("b", "none", ())]).save(tmp_path / "key.json")
     with pytest.raises(InputError, match=message) as caught:
         score_answers(tmp_path / "key.json", [tmp_path / "tool.jsonl"])
     assert "tool" in str(caught.value)
@@ -175,6 +186,44 @@ def test_a_key_without_runs_and_tools_of_one_name_are_refused(tmp_path: Path):
         read_answers(tmp_path / "missing.jsonl")
 
 
+def test_a_mark_at_the_start_and_line_separators_inside_a_text_are_no_ends_of_lines(tmp_path: Path):
+    line = json.dumps(answer("a", "unknown") | {"note": "one\u2028two"}, ensure_ascii=False)
+    (tmp_path / "tool.jsonl").write_text(f"\ufeff{line}\r\n\n", encoding="utf-8")
+    assert [one["run"] for one in read_answers(tmp_path / "tool.jsonl")] == ["a"]
+
+
+@pytest.mark.parametrize(
+    "runs",
+    [5, [{}], [truth("a", "several")], [{**truth("a"), "effects": [{}]}], [{"run": "a", "kind": "one", "effects": []}]],
+)
+def test_a_key_whose_runs_are_damaged_is_refused(tmp_path: Path, runs):
+    Key("tiny", 1, 1, "salt", runs).save(tmp_path / "key.json")
+    (tmp_path / "tool.jsonl").write_text("")
+    with pytest.raises(InputError, match=r"key\.json: not a whole key: a run lacks"):
+        score_answers(tmp_path / "key.json", [tmp_path / "tool.jsonl"])
+
+
+def test_three_effects_count_apart_and_a_path_has_no_size(tmp_path: Path):
+    three = [*STRIBECK, ("payload", []), ("backlash", ["joint_2"])]
+    runs = [truth("a", "three", three), truth("b", effects=[("interpolator_mismatch", [])], size=None)]
+    runs[1]["size"] = None
+    causes = [cause("payload"), cause("stribeck", "joint_1"), cause("presliding", "joint_2", equal=three[2:])]
+    answers = [answer("a", "explained", *causes), answer("b", "explained", cause("interpolator_mismatch"))]
+    found = scored(tmp_path, runs, answers)
+    assert (found["outcomes"]["three"]["named"], found["outcomes"]["one"]["named"]) == (1, 1)
+    assert (found["all_of_three"]["count"], found["all_of_two"]["of"]) == (1, 0)
+    assert sum(row["found"]["of"] for row in found["power"]) == 0
+
+
+def test_a_page_counts_worlds_apart(tmp_path: Path):
+    scored(tmp_path, [truth("a")], [answer("a", "unknown")], out=tmp_path / "out")
+    (result,) = read_results(tmp_path / "out" / "results.jsonl")
+    text = page([result, {**result, "world": "other"}, {**result, "world": "other", "run": "b"}])
+    assert "## World tiny\n\n1 runs" in text
+    assert "## World other\n\n2 runs" in text
+    assert text.count("| tool | 0 | 0 | 0 | 0 | 1 | 0 | 0 |") == text.count("| tool | 0 | 0 | 0 | 0 | 2 | 0 | 0 |") == 1
+
+
 def test_the_page_is_made_of_the_results_and_defines_what_each_table_counts(tmp_path: Path):
     runs = [truth("a", recorder="clean"), truth("b", "none", (), recorder="as recorded")]
     scored(tmp_path, runs, [answer("a", "explained", cause("stribeck", "joint_1"))], out=tmp_path / "out")
@@ -182,13 +231,13 @@ def test_the_page_is_made_of_the_results_and_defines_what_each_table_counts(tmp_
     assert [one["outcome"] for one in results] == ["named", "no answer"]
     text = page(results)
     assert text == (tmp_path / "out" / "blind_check.md").read_text()
-    for number, section in enumerate(text.split("\n## ")[1:]):
+    for number, section in enumerate(text.split("\n### ")[1:]):
         prose = section.partition("\n|")[0].partition("\n")[2]
         assert len(prose.split()) > 20, f"section {number} has a table without a definition above it"
     for name in OUTCOMES:
         assert f"`{name}`" in text
     assert "changed between draws" in text
-    assert "2 runs of the world tiny" in text
+    assert "## World tiny\n\n2 runs, answered by tool" in text
     assert "| tool, clean | 1 | 0 |" in text
 
 

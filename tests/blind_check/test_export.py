@@ -7,6 +7,7 @@ import json
 import os
 import shutil
 import stat
+import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
@@ -109,7 +110,7 @@ def test_what_a_world_says_of_itself_does_not_reach_the_runs(tiny):
 def test_the_samples_are_copied_as_they_are(tmp_path: Path):
     world, key = TinyWorld(), Key("tiny", 1, 3, "salt")
     key.save(tmp_path / "key.json")
-    (truth,) = world.draw(1, key.entropy)
+    (truth,) = world.draw(1, key.entropy, key.laws)
     (tmp_path / "as_recorded").mkdir()
     world.write(truth, tmp_path / "as_recorded")
     (run,) = export_runs(world, tmp_path / "out", tmp_path / "key.json", 1).runs
@@ -146,6 +147,67 @@ def test_the_key_draws_the_same_runs_again(tmp_path: Path):
     assert len(files) == 5 * 4 + 1
     for file in files:
         assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes(), file
+
+
+def test_a_draw_without_a_seed_is_for_judgement_and_shares_nothing_with_one_for_development(tmp_path: Path):
+    keys = [export_runs(TinyWorld(), tmp_path / f"{seed}", tmp_path / f"{seed}.json", 1, seed) for seed in (None, 1)]
+    assert [key.laws for key in keys] == ["judgement", "development"]
+    told = [json.loads((tmp_path / name / "benchmark.json").read_text())["laws"] for name in ("None", "1")]
+    assert told == ["judgement", "development"]
+    assert len({Key("tiny", 1, 1, "salt", laws=laws).entropy for laws in told}) == 2
+
+
+@pytest.mark.parametrize("world", [EmulatorWorld(), SecondWorld()], ids=lambda world: world.name)
+def test_no_secret_stands_in_the_arguments_of_a_process(world, monkeypatch):
+    """Everybody on a machine can read them."""
+    known: list[list[str]] = []
+
+    def noted(command, **options):
+        known.append(command)
+        return subprocess.CompletedProcess(command, 0, "[]", "")
+
+    monkeypatch.setattr(subprocess, "run", noted)
+    world.draw(3, 123456789, "judgement")
+    assert known
+    assert not any("123456789" in word for command in known for word in command)
+
+
+@pytest.fixture(scope="module")
+def family(tmp_path_factory) -> tuple[Path, Key]:
+    """Three short runs of the second world, by laws of judgement: a healthy one and a path that is not the planned one
+    among them."""
+    pytest.importorskip("mujoco", reason="mujoco is not installed: pip install calibration-agent[mujoco]")
+    folder = tmp_path_factory.mktemp("family")
+    Key("mujoco", 3, 1, "salt 9").save(folder / "key.json")
+    return folder, export_runs(SecondWorld(0.4), folder / "out", folder / "key.json", 3)
+
+
+def test_the_second_world_is_drawn_from_the_family_and_the_truth_stands_in_the_key_alone(family):
+    folder, key = family
+    assert key.laws == "judgement"
+    assert len({run["machine"] for run in key.runs}) == 3
+    assert {run["machine"] % 2 for run in key.runs} == {run["motion"] % 2 for run in key.runs} == {1}
+    for run in key.runs:
+        held = folder / "out" / "runs" / run["run"]
+        rate = read_log(held / "logs" / "wide.mcap").sample_rate
+        assert (f"name: {run['world']['arm']}" in (held / "robot.yaml").read_text(), rate) == (
+            True,
+            run["world"]["rate"],
+        )
+        assert [path.stem for path in sorted((held / "baseline").iterdir())] == ["moves", "slow", "wide", "wide_2"]
+        assert all(effect["parameters"]["amount"] for effect in run["effects"])
+        secrets = [run["motion"], run["machine"], *(value for effect in run["effects"] for value in effect.values())]
+        written = b"".join(path.read_bytes() for path in held.rglob("*.*") if path.is_file())
+        assert not any(str(secret).encode() in written for secret in secrets if len(str(secret)) > 7)
+
+
+def test_the_key_draws_the_family_again_bit_by_bit(family, tmp_path: Path):
+    folder, key = family
+    assert export_runs(SecondWorld(0.4), tmp_path / "out", folder / "key.json", 3) == key
+    files = [path.relative_to(tmp_path) for path in (tmp_path / "out").rglob("*") if path.is_file()]
+    assert len(files) == 3 * 9 + 1
+    for file in files:
+        assert (folder / file).read_bytes() == (tmp_path / file).read_bytes(), file
 
 
 def test_an_interrupted_export_goes_on(tmp_path: Path, monkeypatch):

@@ -26,7 +26,7 @@ class TinyWorld:
     def __init__(self, fails: Sequence[int] = ()):
         self.fails, self.wrote = set(fails), []
 
-    def draw(self, count: int, seed: int) -> list[dict[str, Any]]:
+    def draw(self, count: int, seed: int, laws: str) -> list[dict[str, Any]]:
         rng = np.random.default_rng([seed, 5])
         return [self._truth(number, rng) for number in range(count)]
 
@@ -36,7 +36,7 @@ class TinyWorld:
         seeds = {"machine": int(rng.integers(2**62)), "motion": int(rng.integers(2**62))}
         return {"number": number, "kind": kind, "effects": [effect] if kind == "one" else [], **seeds}
 
-    def write(self, truth: Mapping[str, Any], folder: Path) -> float | None:
+    def write(self, truth: Mapping[str, Any], folder: Path) -> dict[str, Any]:
         if truth["number"] in self.fails:
             raise ControllerError("the tool is 302 mm off")
         self.wrote.append(truth["number"])
@@ -48,7 +48,7 @@ class TinyWorld:
             self._log(folder / session / "excite.mcap", told, seed)
         if truth["effects"]:
             (folder / "without").mkdir()
-        return 0.02 if truth["effects"] else None
+        return {"size": 0.02 if truth["effects"] else None}
 
     def _log(self, path: Path, told: str, seed: int) -> None:
         """Stamps, serial, further metadata and a topic all say what is built in."""

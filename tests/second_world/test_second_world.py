@@ -23,7 +23,7 @@ from fake_controller.withheld.cases import Case
 
 pytest.importorskip("mujoco", reason="mujoco is not installed: pip install calibration-agent[mujoco]")
 
-from second_world.__main__ import main, run, write_draw
+from second_world.__main__ import main, run
 from second_world.arms import CLASSES, write_description
 from second_world.draw import draw_cases, draw_runs
 from second_world.laws import LAWS, OUTSIDE
@@ -166,35 +166,35 @@ def test_placeholder_masses_are_equal(tmp_path: Path) -> None:
     assert len(set(re.findall('mass value="(.*?)"', (tmp_path / "arm.urdf").read_text()))) == 1
 
 
-def test_a_draw_writes_runs_and_keeps_the_truth_apart(tmp_path: Path) -> None:
-    out, truth = tmp_path / "out", tmp_path / "truth.jsonl"
-    write_draw(4, 8, "development", out, truth, 0.8)
-    lines = [json.loads(line) for line in truth.read_text().splitlines()]
-    assert {line["run"] for line in lines} == {folder.name for folder in (out / "runs").iterdir()}
-    for line in lines:
-        folder = out / "runs" / line["run"]
-        files = {str(path.relative_to(folder)) for path in folder.rglob("*.*")}
-        baseline = {f"baseline/{name}.mcap" for name in ("moves", "slow", "wide", "wide_2")}
-        assert files == {"robot.yaml", "arm.urdf", "logs/moves.mcap", "logs/slow.mcap", "logs/wide.mcap"} | baseline
-        assert {path.stat().st_mtime for path in folder.rglob("*.*")} == {1.7e9}
-        told = [effect["effect"] for effect in line["effects"]]
-        assert not any(name.encode() in path.read_bytes() for name in told for path in folder.rglob("*.*"))
-        assert [effect["found"] > 0 for effect in line["effects"]] == [True] * len(told)
+@pytest.mark.parametrize("law", LAWS["interpolator_mismatch"].values(), ids=lambda law: law.name)
+def test_another_path_takes_as_long_as_its_plan_and_has_no_size_in_torque(law, tmp_path: Path) -> None:
+    machine = next(m for m in (machine_number(seed, 0, "development") for seed in range(99)) if draw_world(m).tracking)
+    effects = [_effect(law, draw_world(machine), 0.02)]
+    job = {"machine": machine, "motion": 4, "cycle": 0.8}
+    healthy = run({**job, "effects": [], "folder": tmp_path / "healthy"})
+    other = run({**job, "effects": effects, "folder": tmp_path / "other"})
+    assert other["size"] is None
+    for plain, changed in zip(healthy["logs"], other["logs"], strict=True):
+        here, there = read_log(Path(changed)), read_log(Path(plain))
+        assert len(here.t) == len(there.t)
+        assert here.planned_position == pytest.approx(there.planned_position)
+        assert here.reference_position != pytest.approx(here.planned_position)
 
 
-def test_a_truth_inside_the_runs_is_refused(tmp_path: Path, capsys) -> None:
-    with pytest.raises(SystemExit) as ended:
-        main(["draw", "--cases", "1", "--out", str(tmp_path), "--truth", str(tmp_path / "truth.jsonl")])
-    assert ended.value.code == 2
-    assert "where a diagnosis would see it" in capsys.readouterr().err
+@pytest.mark.parametrize("command", [[], ["draw", "1", "1"], ["paint"]])
+def test_another_command_is_refused(command: list[str], capsys) -> None:
+    assert main(command) == 2
+    assert "draw or run" in capsys.readouterr().err
 
 
 def test_the_blind_check_draws_from_it_and_the_logs_do_not_tell(tmp_path: Path) -> None:
     world = SecondWorld(0.5)
-    drawn = world.draw(12, 2)
+    drawn = world.draw(12, 2, "development")
     truth = next(truth for truth in drawn if truth["kind"] == "one")
     assert min(truth["machine"] for truth in drawn) > 2**32
-    assert world.write(truth, tmp_path) > 0
+    said = world.write(truth, tmp_path)
+    assert said["size"] > 0
+    assert [effect["found"] for effect in said["effects"]] == [pytest.approx(said["size"])]
     names = ["moves.mcap", "slow.mcap", "wide.mcap"]
     assert {path.name for path in (tmp_path / "baseline").iterdir()} >= set(names)
     logs = sorted((tmp_path / "logs").iterdir())
@@ -213,7 +213,7 @@ def test_without_mujoco_it_says_what_to_install(monkeypatch, capsys) -> None:
         return known(name, *rest)
 
     monkeypatch.setattr(builtins, "__import__", missing)
-    assert main(["draw", "1", "1"]) == 2
+    assert main(["draw"]) == 2
     assert "pip install 'calibration-agent[mujoco]'" in capsys.readouterr().err
 
 
@@ -239,11 +239,20 @@ def test_set_points_that_are_given_are_followed_one_after_the_other(tmp_path: Pa
     assert [len(read_log(Path(log)).cycle_starts) for log in answer["logs"]] == [0, 2]
 
 
-def test_cases_of_the_blind_check_keep_their_form() -> None:
-    cases = draw_cases(40, 2)
+def test_cases_of_the_blind_check_have_a_machine_each_and_say_what_was_drawn() -> None:
+    cases = draw_cases(40, 2, "judgement")
     assert [case["number"] for case in cases] == list(range(40))
-    assert Counter(case["kind"] for case in cases) == {"none": 10, "two": 4, "outside": 4, "one": 22}
-    for case in (Case(**{**case, "effects": tuple(case["effects"])}) for case in cases):
+    assert Counter(case["kind"] for case in cases) == {"none": 13, "two": 5, "three": 2, "outside": 5, "one": 15}
+    assert len({case["machine"] for case in cases}) == 40
+    assert min(case["machine"] for case in cases) > 2**50, "too many to try"
+    assert {case["world"]["laws"] for case in cases} == {"judgement"}
+    assert json.loads(json.dumps(cases)) == cases
+
+
+def test_a_mix_of_its_own_keeps_the_form_of_the_active_check() -> None:
+    cases = MujocoMachines().draw(40, 2)
+    assert len({case.machine for case in cases}) == 10
+    for case in cases:
         assert json.loads(json.dumps(case.to_dict())) == case.to_dict()
 
 
