@@ -54,7 +54,7 @@ def test_the_whole_job(controller, write_recipe, run_agent, tmp_path: Path):
     assert f"agent recalibrate {recipe}" in run.stderr
     page = (folder / "report.html").read_text(encoding="utf-8")
     (condition,) = re.findall(r"condition number +([0-9]+) ", run.stderr)
-    assert f"condition number {condition}, of the" in page, "one number in the summary and on the page"
+    assert f"Condition number {condition} " in page, "one number in the summary and on the page"
     assert "current model is that of this run" in page
 
     model = IdentifiedModel.load(folder / "model.json")

@@ -56,7 +56,9 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ),
         Section("Scene", (), (scene, Table("table", ("joint", "value"), [("joint_1", "1.0"), ("joint_2", "2.0")]))),
     )
-    about = About("What is it?", (("Where", "A fact."),), (NextStep("do", "agent check recipe.yaml"),), (("robot", "arm"),))
+    about = About(
+        "What is it?", (("Where", "A fact."),), (NextStep("do", "agent check recipe.yaml"),), (("robot", "arm"),)
+    )
     path = tmp_path_factory.mktemp("page") / "page.html"
     path.write_text(render(Page("Title", "An answer.", "good", sections, about)), encoding="utf-8")
     return path
