@@ -58,7 +58,7 @@ class Stopping:
         self._freshness = freshness
         self._clock = clock
         self._warn = warn
-        self._braking = Braking(robot.max_velocity)
+        self._sampled, self._stated = Braking(robot.max_velocity), Braking(robot.max_velocity)
         self._lock = threading.RLock()
         self._sent: list[threading.Thread] = []
         self._eyes = ThreadPoolExecutor(1, "eyes")
@@ -81,17 +81,15 @@ class Stopping:
         """Ask for a stop, once; returns at once."""
         with self._lock:
             if self.since is None and not self.over:
-                self._braking.before = self._braking.speed
+                self._sampled.before = self._stated.before = self._sampled.speed
                 self.since = self._clock()
                 self._send()
 
     def take(self, block: SampleBlock) -> None:
         """Samples of the motion, before the stop and after it."""
         with self._lock:
-            if self._by_state:
-                self._braking.forget()
-                self._by_state = False
-            self._braking.take(block.time, block.position)
+            self._by_state = False
+            self._sampled.take(block.time, block.position)
             self._seen_at, self._newest = self._clock(), float(block.time[-1])
 
     def turn(self) -> None:
@@ -131,6 +129,11 @@ class Stopping:
         """Wait until the stop was carried out, for so long [s] at most."""
         for sent in self._sent:
             sent.join(limit)
+
+    @property
+    def _braking(self) -> Braking:
+        """By the state once it has been read twice in place of samples; one position has no speed."""
+        return self._stated if self._by_state and self._stated.speed is not None else self._sampled
 
     @property
     def _shown(self) -> bool:
@@ -192,11 +195,11 @@ class Stopping:
         except DriverError:
             return
         with self._lock:
-            known = position.shape == self._braking.shape and bool(np.isfinite(position).all())
+            known = position.shape == self._stated.shape and bool(np.isfinite(position).all())
             if not known or (self.since is not None and self._shown):
                 return
             if not self._by_state:
-                self._braking.forget()
+                self._stated.forget()
                 self._by_state = True
             self._state_at = self._clock()
-            self._braking.take(np.array([self._state_at]), position[None])
+            self._stated.take(np.array([self._state_at]), position[None])

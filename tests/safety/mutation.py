@@ -349,10 +349,14 @@ def ready() -> None:
 
 def main(chosen: list[str]) -> int:
     """0 if every change is noticed."""
+    modules = [name for name in MODULES if not chosen or Path(name).stem in {Path(one).stem for one in chosen}]
+    if len(modules) < len(chosen):
+        print(f"not all of {' '.join(chosen)} are modules of the safety layer")
+        return 2
     ready()
     reach = Reach()
     survivors, count = 0, 0
-    for mutant in mutants([name for name in MODULES if not chosen or Path(name).stem in chosen]):
+    for mutant in mutants(modules):
         count += 1
         noticed = reach.notices(mutant)
         survivors += not noticed

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -46,6 +47,7 @@ class Arm:
         self.clock, self.warned = Clock(), []
         self.stops, self.closed = 0, threading.Event()
         self.brakes, self.speed, self.answers = brakes, speed, answers
+        self.corner = None  # s between two corners of its path
         self.state = lambda: None
         self._asked = threading.Event()
         self._position, self._stopped_at, self._sequence = 0.0, None, 0
@@ -80,6 +82,8 @@ class Arm:
             part = np.zeros(10)
             if self.brakes is not None and self._stopped_at is not None:
                 part = np.clip((times - self._stopped_at) / self.brakes, 0.0, 1.0)
+            if self.corner is not None and self._stopped_at is not None:
+                part = 0.4 - 0.4 * np.cos(2 * np.pi * (times - self._stopped_at) / self.corner)
             way = self._position + np.cumsum(PERIOD * self.speed * (1 - part))
             self._time, self._position = float(times[-1]), float(way[-1])
             self.clock.now += 0.02
@@ -119,6 +123,18 @@ def test_an_arm_that_does_not_brake_is_told_again_and_let_go(brakes):
     assert "PRESS THE EMERGENCY STOP NOW" in arm.warned[0]
     arm.run(1.0)
     assert (arm.stops, len(arm.warned)) == (2, 1), "said once"
+
+
+def test_an_arm_that_slows_down_for_a_corner_only_is_let_go():
+    arm = Arm(brakes=None)
+    arm.corner = 2.0
+    arm.run(0.3)
+    arm.request()
+    arm.run(1.2)
+    assert (arm.stops, arm.closed.is_set()) == (1, False), "it slows down until then"
+    arm.run(0.36)
+    assert arm.closed.wait(10.0)
+    assert (arm.stops, arm.stopping.disobeyed) == (2, True)
 
 
 def test_an_arm_that_brakes_for_ever_is_let_go():
@@ -222,8 +238,8 @@ def test_speed_is_that_of_the_fastest_joint(speed, chunk):
 @pytest.mark.parametrize("times", [[1.0, np.nan], [1.0, 0.5]])
 def test_times_that_are_none_show_no_rest(times):
     braking = Braking(ROBOT.max_velocity)
-    for time in times:
-        braking.take(np.array([time]), HOME[None])
+    for when in times:
+        braking.take(np.array([when]), HOME[None])
     assert not braking.stands
 
 
@@ -236,6 +252,11 @@ def test_samples_of_the_stop_are_kept_and_disobedience_is_told(bench, program, e
     class Deaf(TcpDriver):
         def stop(self):
             bench.controller.stops += 1
+
+        def status(self):
+            told = super().status()
+            moves = bench.controller.stops > 0
+            return replace(told, position=at(chain, np.array([time.monotonic() / 2 % 1.0]))[0]) if moves else told
 
     bench.driver = Deaf
     slow = replace(chosen, chains=(replace(chain, t=20 * chain.t, qd=chain.qd / 20),))
