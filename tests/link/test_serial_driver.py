@@ -139,7 +139,7 @@ def test_a_damaged_answer_is_not_waited_for_to_its_limit(line, monkeypatch):
         if end == "far" or damaged:
             return data
         damaged.append(len(slept))
-        return data[:9] + bytes([data[9] ^ 16]) + data[10:]
+        return data[:-1] + bytes([data[-1] ^ 16])
 
     def count(seconds):
         slept.append(seconds)
