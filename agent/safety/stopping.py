@@ -63,7 +63,6 @@ class Stopping:
         self._sent: list[threading.Thread] = []
         self._eyes = ThreadPoolExecutor(1, "eyes")
         self._look: Future[None] = self._eyes.submit(lambda: None)
-        self._by_state = False
         self._seen_at = clock()  # when the last sample came
         self._newest = -np.inf  # its controller time
         self._state_at = -np.inf  # when the state was read last
@@ -88,7 +87,6 @@ class Stopping:
     def take(self, block: SampleBlock) -> None:
         """Samples of the motion, before the stop and after it."""
         with self._lock:
-            self._by_state = False
             self._sampled.take(block.time, block.position)
             self._seen_at, self._newest = self._clock(), float(block.time[-1])
 
@@ -109,8 +107,8 @@ class Stopping:
 
     def finish(self, failed: bool) -> None:
         """The samples have ended; `failed`: with the link. The state tells whether the arm stands where they do not."""
+        self.over = bool(self.seen) or (self._shown and self._sampled.stands)
         self._ended = True
-        self.over = bool(self.seen) or (self._braking.stands and not self._by_state)
         for _ in range(0 if self.over or failed else _LOOKS):
             with self._lock:
                 self._look_at_state()
@@ -132,8 +130,7 @@ class Stopping:
 
     @property
     def _braking(self) -> Braking:
-        """By the state once it has been read twice in place of samples; one position has no speed."""
-        return self._stated if self._by_state and self._stated.speed is not None else self._sampled
+        return self._sampled if self._shown else self._stated
 
     @property
     def _shown(self) -> bool:
@@ -198,8 +195,5 @@ class Stopping:
             known = position.shape == self._stated.shape and bool(np.isfinite(position).all())
             if not known or (self.since is not None and self._shown):
                 return
-            if not self._by_state:
-                self._stated.forget()
-                self._by_state = True
             self._state_at = self._clock()
             self._stated.take(np.array([self._state_at]), position[None])

@@ -183,6 +183,20 @@ def test_where_no_samples_come_the_state_tells(moves, said):
     assert arm.closed.wait(10.0) if said else not arm.closed.is_set()
 
 
+def test_late_samples_hide_nothing_of_what_the_state_tells():
+    """On a link that lags they still show the motion when the arm stands."""
+    arm = Arm(brakes=None)
+    arm.run(0.3)
+    arm.clock.now += 0.8
+    arm.state = lambda: HOME
+    arm.request()
+    for _ in range(60):
+        arm.run(0.02)
+        arm.stopping._look.exception()
+    assert (arm.stopping.seen, arm.warned, arm.stops) == ("", [], 1)
+    assert not arm.closed.is_set()
+
+
 @pytest.mark.parametrize("state", [HOME[:5], np.full(6, np.nan)])
 def test_a_state_without_a_position_shows_nothing(state):
     arm = Arm(brakes=None)
