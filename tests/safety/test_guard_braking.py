@@ -302,6 +302,13 @@ def test_positions_from_another_clock_begin_anew():
     assert (braking.stands, braking.speed, braking.rested) == (False, None, 0.0)
 
 
+def test_positions_that_are_none_show_no_braking():
+    braking = Braking(ROBOT.max_velocity)
+    braking.before = 0.5
+    braking.take(PERIOD * np.arange(100), np.full((100, 6), np.nan))
+    assert not braking.brakes
+
+
 def test_an_arm_that_moved_before_anybody_knew_its_speed_does_not_brake():
     braking = Braking(ROBOT.max_velocity)
     way = np.outer(PERIOD * np.arange(100), ROBOT.max_velocity)
