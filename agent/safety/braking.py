@@ -42,7 +42,7 @@ class Braking:
         first = max(0, int(np.searchsorted(self._times, self._times[-1] - SPAN, side="right")) - 1)
         self._times, self._positions = self._times[first:], self._positions[first:]
         passed = float(self._times[-1] - self._times[0])
-        if not passed < SPAN / 2:
+        if passed >= SPAN / 2:
             way = np.ptp(self._positions, axis=0)
             self.speed = float(np.max(way / self._limit)) / passed
             if self.before is not None:
@@ -74,7 +74,7 @@ class Braking:
 
     @property
     def brakes(self) -> bool:
-        """Whether the arm is clearly slower than when the stop was asked for and does not speed up, or stands."""
-        if self.stands or self.speed is None or self.before is None:
-            return self.stands
+        """Whether the arm is clearly slower than when the stop was asked for, and does not speed up again."""
+        if self.speed is None or self.before is None:
+            return False
         return self.speed < min(BRAKING * self.before, self._least + REGAINED * self.before)

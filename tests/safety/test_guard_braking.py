@@ -254,7 +254,7 @@ def test_times_that_are_none_show_no_rest(times):
     braking = Braking(ROBOT.max_velocity)
     for when in times:
         braking.take(np.array([when]), HOME[None])
-    assert not braking.stands
+    assert (braking.stands, braking.speed) == (False, None)
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, OSError])
@@ -315,4 +315,4 @@ def test_an_arm_that_moved_before_anybody_knew_its_speed_does_not_brake():
     braking.take(PERIOD * np.arange(100), way)
     assert not braking.brakes
     braking.take(PERIOD * np.arange(100, 200), np.repeat(way[-1:], 100, axis=0))
-    assert braking.brakes
+    assert braking.stands
