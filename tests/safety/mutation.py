@@ -80,6 +80,7 @@ ALWAYS_NUMBERS: dict[str, dict[str, str]] = {
         "document.expires <= latest": "dates",
         "(now or datetime.now(UTC)).date() <= document.expires": "dates",
     },
+    "braking.py": {"0.0 <= times[0] - self._times[-1] <= 10 * SPAN": "of times that are numbers"},
     "cell.py": {"widest < 0": "of distances that were found to be numbers"},
     "clearance.py": {"self.margin > 0": "a margin that was found to be a number"},
     "clearance_search.py": {
@@ -91,6 +92,11 @@ ALWAYS_NUMBERS: dict[str, dict[str, str]] = {
         "bounds < target": "of distances that were found to be numbers",
         "bounds < self.margin - self.tolerance": "of distances that were found to be numbers",
         "short.min(axis=1) >= 0": "of distances that were found to be numbers",
+    },
+    "freshness.py": {
+        "silent <= self.silence": "the other one tells of a clock that shows no time",
+        "age <= self.oldest": "the same",
+        "silent < WAITS": "chooses the words",
     },
     "motion.py": {"np.ptp(chain.q, axis=0).max() < THERE": "of a plan that was checked"},
     "planned_path.py": {

@@ -107,6 +107,29 @@ def test_an_arm_that_brakes_is_stopped_once_and_its_link_stays_open():
     assert not arm.closed.is_set()
 
 
+def test_a_stop_that_is_being_carried_out_is_waited_for_and_nothing_is_left_of_it():
+    """Or it would be taken for one that failed, once the link is closed."""
+    before = set(threading.enumerate())
+    arm = Arm(brakes=0.2)
+    goes_on, stop, done = threading.Event(), arm.stop, []
+
+    def slowly() -> None:
+        stop()
+        assert goes_on.wait(10.0)
+        done.append(None)
+
+    arm.stop = slowly
+    arm.run(0.3)
+    arm.request()
+    arm.run(0.4)
+    threading.Timer(0.1, goes_on.set).start()
+    arm.stopping.finish(failed=False)
+    assert done
+    for thread in set(threading.enumerate()) - before:
+        thread.join(10.0)
+        assert not thread.is_alive()
+
+
 @pytest.mark.parametrize("brakes", [None, 20.0])
 def test_an_arm_that_does_not_brake_is_told_again_and_let_go(brakes):
     arm = Arm(brakes)
