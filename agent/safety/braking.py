@@ -20,10 +20,12 @@ class Braking:
 
     Args:
         max_velocity: (n,) of its joints [rad/s].
+        regained: as `REGAINED`; positions that are renewed now and then only need more.
     """
 
-    def __init__(self, max_velocity: np.ndarray) -> None:
+    def __init__(self, max_velocity: np.ndarray, regained: float = REGAINED) -> None:
         self._limit = max_velocity
+        self._regained = regained
         self._times = np.empty(0)
         self._positions = np.empty((0, len(max_velocity)))
         self._still_since: float | None = None
@@ -77,4 +79,4 @@ class Braking:
         """Whether the arm is clearly slower than when the stop was asked for, and does not speed up again."""
         if self.speed is None or self.before is None:
             return False
-        return self.speed < min(BRAKING * self.before, self._least + REGAINED * self.before)
+        return self.speed < min(BRAKING * self.before, self._least + self._regained * self.before)

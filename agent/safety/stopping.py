@@ -58,7 +58,7 @@ class Stopping:
         self._freshness = freshness
         self._clock = clock
         self._warn = warn
-        self._sampled, self._stated = Braking(robot.max_velocity), Braking(robot.max_velocity)
+        self._sampled, self._stated = Braking(robot.max_velocity), Braking(robot.max_velocity, np.inf)
         self._lock = threading.RLock()
         self._sent: list[threading.Thread] = []
         self._eyes = ThreadPoolExecutor(1, "eyes")

@@ -206,6 +206,23 @@ def test_where_no_samples_come_the_state_tells(moves, said):
     assert arm.closed.wait(10.0) if said else not arm.closed.is_set()
 
 
+def test_a_state_that_is_renewed_now_and_then_shows_braking_all_the_same():
+    arm = Arm(brakes=None)
+    arm.run(0.3)
+    arm.request()
+    began = arm.clock.now
+
+    def state():
+        passed = np.floor((arm.clock.now - began) / 0.12) * 0.12
+        return HOME + 0.5 * (passed - passed**2 / 5.0) * np.eye(6)[1] * ROBOT.max_velocity[1]
+
+    arm.state = state
+    for _ in range(75):
+        arm.run(0.02, seen=False)
+        arm.stopping._look.exception()
+    assert (arm.stopping.seen, arm.warned) == ("", [])
+
+
 def test_late_samples_hide_nothing_of_what_the_state_tells():
     """On a link that lags they still show the motion when the arm stands."""
     arm = Arm(brakes=None)
@@ -325,11 +342,12 @@ def test_positions_from_another_clock_begin_anew():
     assert (braking.stands, braking.speed, braking.rested) == (False, None, 0.0)
 
 
-def test_positions_that_are_none_show_no_braking():
+def test_positions_that_are_none_show_neither_braking_nor_rest():
     braking = Braking(ROBOT.max_velocity)
     braking.before = 0.5
     braking.take(PERIOD * np.arange(100), np.full((100, 6), np.nan))
     assert not braking.brakes
+    assert not braking.stands
 
 
 def test_an_arm_that_moved_before_anybody_knew_its_speed_does_not_brake():

@@ -33,7 +33,7 @@ FALSE_STOPS = {
     },
     "braking.py": {
         "passed >= SPAN / 2": "true is a speed that is known",
-        "self.speed < min(BRAKING * self.before, self._least + REGAINED * self.before)": "true waits for the arm",
+        "self.speed < min(BRAKING * self.before, self._least + self._regained * self.before)": "true waits for the arm",
     },
     "first_run.py": {"peak <= FIRST_SPEED": "true is slow enough, anything else is planned again or refused"},
     "watch.py": {
