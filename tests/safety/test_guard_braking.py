@@ -103,6 +103,8 @@ def test_an_arm_that_brakes_is_stopped_once_and_its_link_stays_open():
     arm.request()
     arm.run(1.5)
     arm.stopping.finish(failed=False)
+    arm.clock.now += STANDS
+    arm.stopping.turn()
     assert (arm.stops, arm.stopping.seen, arm.warned) == (1, "", [])
     assert not arm.closed.is_set()
 
@@ -146,6 +148,9 @@ def test_an_arm_that_does_not_brake_is_told_again_and_let_go(brakes):
     assert "PRESS THE EMERGENCY STOP NOW" in arm.warned[0]
     arm.run(1.0)
     assert (arm.stops, len(arm.warned)) == (2, 1), "said once"
+    arm.state = lambda: pytest.fail("nobody answers at a closed link")
+    arm.stopping.finish(failed=False)
+    assert arm.stopping._look.exception() is None
 
 
 def test_an_arm_that_slows_down_for_a_corner_only_is_let_go():
@@ -267,12 +272,16 @@ def test_an_end_is_no_rest_before_the_arm_is_seen_to_stand(moves):
     arm.request()
     began = arm.clock.now
 
+    looks = []
+
     def state():
         arm.clock.now += SPAN
+        looks.append(None)
         return HOME + (arm.clock.now - began if moves else 0.0)
 
     arm.state = state
     arm.stopping.finish(failed=False)
+    assert moves or len(looks) < 5, "it was seen to stand"
     assert arm.stopping.disobeyed is moves
     assert arm.closed.wait(10.0) if moves else not arm.closed.is_set()
     assert ("after the controller reported the end" in arm.stopping.seen) is moves
