@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ipaddress
 import os
+import re
 import socket
 import stat
 from collections.abc import Iterator
@@ -25,7 +26,7 @@ def endpoints(driver: str, address: str) -> tuple[str, ...]:
     head, _, options = address.partition(",")
     try:
         if driver == "serial":
-            return (_device(parse_port(address).port),)
+            return tuple(sorted(set(_line(parse_port(address).port))))
         if driver == "cnr_comau":
             where = parse_cnr(address)
             return tuple(sorted(set(_ports(where.host, where.trajectory))))
@@ -57,6 +58,18 @@ def _is_here(family: int, place: tuple[Any, ...]) -> bool:
     except OSError:
         return False
     return True
+
+
+def _line(port: str) -> Iterator[str]:
+    """Of a serial port as pyserial names it: a device, or a URL of one or of an adapter in the network."""
+    scheme, url, rest = port.lower().rpartition("://")
+    where = re.fullmatch(r"\[?(.*?)\]?:(\d+)", re.split("[/?]", rest, maxsplit=1)[0])
+    if not url:
+        yield _device(port)
+    elif scheme in ("socket", "rfc2217") and where is not None:
+        yield from _ports(where[1], int(where[2]))
+    else:
+        yield _device(port[-len(rest) :].partition("?")[0]) if scheme in ("spy", "alt") else f"port|{port}"
 
 
 def _device(port: str) -> str:

@@ -56,7 +56,7 @@ class Freshness:
         """Why the arm has to stop now, if it has to; `excused` seconds passed while nobody could look at anything."""
         now = self._clock() - excused
         silent = now - self._since
-        if self._newest is None and not silent <= 2 * self.oldest:
+        if self._newest is None and not silent <= self.oldest + HELD_UP:
             return f"no sample came within {silent:.1f} s of the start"
         if self._newest is None:
             return None

@@ -58,12 +58,11 @@ class Stopping:
         self._freshness = freshness
         self._clock = clock
         self._warn = warn
-        self._braking = Braking(robot.max_velocity)
+        self._sampled, self._stated = Braking(robot.max_velocity), Braking(robot.max_velocity, np.inf)
         self._lock = threading.RLock()
         self._sent: list[threading.Thread] = []
         self._eyes = ThreadPoolExecutor(1, "eyes")
         self._look: Future[None] = self._eyes.submit(lambda: None)
-        self._by_state = False
         self._seen_at = clock()  # when the last sample came
         self._newest = -np.inf  # its controller time
         self._state_at = -np.inf  # when the state was read last
@@ -81,17 +80,14 @@ class Stopping:
         """Ask for a stop, once; returns at once."""
         with self._lock:
             if self.since is None and not self.over:
-                self._braking.before = self._braking.speed
+                self._sampled.before = self._stated.before = self._sampled.speed
                 self.since = self._clock()
                 self._send()
 
     def take(self, block: SampleBlock) -> None:
         """Samples of the motion, before the stop and after it."""
         with self._lock:
-            if self._by_state:
-                self._braking.forget()
-                self._by_state = False
-            self._braking.take(block.time, block.position)
+            self._sampled.take(block.time, block.position)
             self._seen_at, self._newest = self._clock(), float(block.time[-1])
 
     def turn(self) -> None:
@@ -111,8 +107,8 @@ class Stopping:
 
     def finish(self, failed: bool) -> None:
         """The samples have ended; `failed`: with the link. The state tells whether the arm stands where they do not."""
+        self.over = bool(self.seen) or (self._shown and self._sampled.stands)
         self._ended = True
-        self.over = bool(self.seen) or (self._braking.stands and not self._by_state)
         for _ in range(0 if self.over or failed else _LOOKS):
             with self._lock:
                 self._look_at_state()
@@ -131,6 +127,10 @@ class Stopping:
         """Wait until the stop was carried out, for so long [s] at most."""
         for sent in self._sent:
             sent.join(limit)
+
+    @property
+    def _braking(self) -> Braking:
+        return self._sampled if self._shown else self._stated
 
     @property
     def _shown(self) -> bool:
@@ -192,11 +192,8 @@ class Stopping:
         except DriverError:
             return
         with self._lock:
-            known = position.shape == self._braking.shape and bool(np.isfinite(position).all())
+            known = position.shape == self._stated.shape and bool(np.isfinite(position).all())
             if not known or (self.since is not None and self._shown):
                 return
-            if not self._by_state:
-                self._braking.forget()
-                self._by_state = True
             self._state_at = self._clock()
-            self._braking.take(np.array([self._state_at]), position[None])
+            self._stated.take(np.array([self._state_at]), position[None])

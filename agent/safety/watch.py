@@ -29,6 +29,8 @@ EARLY = 0.25
 TEMPERATURE_INTERVAL = 5.0
 #: Age and stop are looked at so often [s], by a thread that nobody keeps waiting.
 TURN = 0.05
+#: No more than this [s] of the time in which this process stood still is excused; it counts again as time passes.
+EXCUSED = 0.5
 
 
 class MotionWatch:
@@ -68,7 +70,7 @@ class MotionWatch:
         self._began: float | None = None  # controller time of the first sample
         self._now, self._last = -np.inf, -1  # time and number of the last one
         self._looked, self._looked_at = -np.inf, clock()
-        self._turned = clock()
+        self._turned, self._excused = clock(), 0.0
         #: The end was asked for, so it comes before that of the plan.
         self.stopped = False
         #: (controller time [s], (n,) [°C]), where the controller measures temperatures.
@@ -144,11 +146,13 @@ class MotionWatch:
     def turn(self) -> None:
         """One look of that thread."""
         now = self._clock()
-        # A stall of this whole process is no delay of the link: what came meanwhile is judged first.
-        stalled, self._turned = max(0.0, now - self._turned - 2 * TURN), now
+        # A stall of this whole process is no delay of the link: what came meanwhile is judged first, which takes time.
+        passed, self._turned = now - self._turned, now
+        stalled = max(0.0, passed - 2 * TURN)
+        self._excused = min(self._excused + stalled, EXCUSED) if stalled else max(0.0, self._excused - passed)
         if self.stopping.since is not None:
             self.stopping.turn()
-        elif (reason := self._freshness.fault(stalled)) is not None:
+        elif (reason := self._freshness.fault(self._excused)) is not None:
             self._blame(
                 ControllerError(
                     f"{self._address}: the arm was stopped, as nobody could watch it: {reason}; check the link, then "

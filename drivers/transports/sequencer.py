@@ -102,15 +102,17 @@ class Sequencer:
         return ready
 
     def _check_step(self, block: SampleBlock) -> None:
-        """A counter that was reset and has caught up since shows in the times only."""
-        if not self._released:
-            self._step = float(block.time[-1] - block.time[0]) / (len(block) - 1) if len(block) > 1 else None
+        """A counter that was reset and has caught up since shows in the times only, as a clock that was set does."""
+        apart, steps = np.diff(block.time), np.ones(len(block) - 1)
+        if self._released:
+            apart = np.append(float(block.time[0]) - self._latest, apart)
+            steps = np.append(self.expected + 1 - self._released, steps)
+        if self._step is None and len(apart):
+            self._step = float(np.median(apart / steps) or np.mean(apart / steps))
+        if self._step is None or not (far := apart > _JITTER * self._step * steps).any():
             return
-        steps, apart = self.expected + 1 - self._released, float(block.time[0]) - self._latest
-        if self._step is None:
-            self._step = apart / steps
-        elif apart > _JITTER * self._step * steps:
-            raise ProtocolError(
-                f"the controller's samples {self._released - 1} and {self.expected} are {apart:.3g} s apart: its "
-                "counter was reset in mid-motion"
-            )
+        number = self.expected + int(np.argmax(far)) + (not self._released)
+        raise ProtocolError(
+            f"the controller's samples {number - int(steps[np.argmax(far)])} and {number} are {apart[far][0]:.3g} s "
+            "apart: its clock was set forward, or its counter reset in mid-motion"
+        )

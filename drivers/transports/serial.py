@@ -27,6 +27,7 @@ _FRAMES_IN_WATCHDOG = 3
 _RTU_EXCHANGE = 8 + 255  # bytes of the longest request and its answer
 _RTU_TOGETHER = 4  # bytes: where none comes for the time of so many, the answer is over
 _RTU_PAUSE = 0.001  # s, at least
+_RTU_REST = 0.1  # s: what has not come of an answer by then, once it has begun, was damaged
 _BUFFERED = 8192  # bytes that may be on their way, in buffers that nobody can look into
 _PATIENCE = 0.25  # s, beyond what is on its way
 _REST_POLL = 0.05  # s
@@ -123,16 +124,25 @@ class SerialDriver(FrameDriver):
 class _RtuClient(ModbusSerialClient):
     """Waits by a clock that nobody sets; the library's is that on the wall."""
 
+    _begun = False  # the answer
+
+    def send(self, request: bytes, addr: tuple[Any, ...] | None = None) -> int:
+        """Send a request."""
+        self._begun = False
+        return super().send(request, addr)
+
     def recv(self, size: int | None) -> bytes:
         """What has come, once no more follows, or nothing within the timeout."""
         port = self.socket
         assert port is not None  # it was written to just now
-        until = time.monotonic() + self.comm_params.timeout_connect
+        limit = self.comm_params.timeout_connect
+        until = time.monotonic() + (min(limit, _RTU_REST) if self._begun else limit)
         pause = max(_RTU_PAUSE, frame_time(self.comm_params.baudrate, _RTU_TOGETHER))
         came, before = 0, 0
         while time.monotonic() < until and (came == 0 or came != before):
             time.sleep(pause)
             before, came = came, port.in_waiting
+        self._begun = came > 0
         return bytes(port.read(came))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import re
 from dataclasses import dataclass
 
@@ -57,7 +58,10 @@ def open_port(address: PortAddress, timeout: float) -> serial.SerialBase:
     except (serial.SerialException, OSError, ValueError) as error:
         if "exclusively lock" in str(error) or getattr(error, "errno", None) in (11, 16):
             raise DriverError(f"{place} is busy: another program has the serial port; close it first") from None
-        reason = str(getattr(error, "strerror", None) or error).replace(address.port, place)
+        reason = str(getattr(error, "strerror", None) or error)
+        if place != address.port:  # the library repeats what it does not know
+            number = getattr(error, "errno", None)
+            reason = os.strerror(number) if number else "it cannot be opened"
         raise DriverError(
             f"no controller at {place}: {reason}; is the adapter plugged in, is its name right?"
         ) from None

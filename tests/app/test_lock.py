@@ -214,6 +214,15 @@ def test_options_and_this_machines_own_address_make_no_second_robot():
         assert _in_a_fork(lambda: _attempt(("cnr_comau", f"localhost,mode=points,trajectory={port}"))) == "busy"
 
 
+def test_a_serial_adapter_in_the_network_is_one_robot_from_every_folder(tmp_path, monkeypatch):
+    port = 40000 + os.getpid() % 20000
+    with robot_lock("serial", f"socket://127.0.0.1:{port}"):
+        monkeypatch.chdir(tmp_path)
+        for other in (f"socket://127.0.0.1:{port}", f"socket://LOCALHOST:0{port}/,9600", f"rfc2217://[::1]:{port}?x"):
+            assert _in_a_fork(lambda: _attempt(("serial", other))) == "busy"  # noqa: B023  called at once
+        assert _in_a_fork(lambda: _attempt(("serial", f"socket://127.0.0.1:{port + 1}"))) == "held"
+
+
 def test_a_serial_port_by_another_name_is_the_same_robot(tmp_path):
     import pty
 
@@ -225,6 +234,7 @@ def test_a_serial_port_by_another_name_is_the_same_robot(tmp_path):
             for other in (
                 f"{tmp_path}/link",
                 f"{name},115200",
+                f"spy://{name}?file=wire.txt,115200",
                 f"//{name}",
                 f"{tmp_path}/../{tmp_path.name}/link,9600,rtu",
             ):

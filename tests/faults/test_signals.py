@@ -8,6 +8,7 @@ import resource
 import signal
 import subprocess
 import sys
+import threading
 
 import pytest
 
@@ -36,6 +37,37 @@ def test_a_signal_that_ends_programs_is_raised(number: int):
     code = 130 if isinstance(end.value, KeyboardInterrupt) else end.value.exit_code
     assert code == 128 + number
     assert number == signal.SIGINT or str(end.value), "it is said what ended the program"
+
+
+def _niceness() -> set[int]:
+    found = set()
+    for thread in os.listdir("/proc/self/task"):
+        with contextlib.suppress(OSError):  # it has ended
+            found.add(os.getpriority(os.PRIO_PROCESS, int(thread)))
+    return found
+
+
+def test_whoever_watches_an_arm_runs_before_the_other_work_of_the_computer():
+    if not _may_be_first():
+        pytest.skip("this user may not raise a priority")
+    (before,), over = _niceness(), threading.Event()
+    threading.Thread(target=over.wait).start()
+    try:
+        with stop_to_come():
+            assert _niceness() == {before - 10}
+        assert _niceness() == {before}
+    finally:
+        over.set()
+
+
+def _may_be_first() -> bool:
+    child = os.fork()
+    if child == 0:
+        with contextlib.suppress(OSError):
+            os.nice(-1)
+            os._exit(0)
+        os._exit(1)
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
 
 
 @pytest.mark.parametrize("number", [signal.SIGUSR1, signal.SIGHUP])

@@ -50,8 +50,30 @@ def test_a_counter_that_was_reset_and_has_caught_up_is_noticed(seen, unseen):
     """So many samples went by unseen before it counted from 0 again: the numbers fit, the times do not."""
     sequencer = Sequencer()
     sequencer.accept(block(0, seen))
-    with pytest.raises(ProtocolError, match="its counter was reset in mid-motion"):
+    with pytest.raises(ProtocolError, match=f"samples {seen - 1} and {seen} .* its counter reset in mid-motion"):
         sequencer.accept(block(seen, 10, late=PERIOD * unseen))
+
+
+@given(st.integers(0, 60), st.integers(3, 60), st.integers(1, 2), st.floats(0.06, 1e8))
+def test_a_clock_that_is_set_forward_is_noticed_within_a_block_too(seen, before, after, by):
+    """A wire that is polled hands out what came before and after it at once."""
+    sequencer = Sequencer()
+    if seen:
+        sequencer.accept(block(0, seen))
+    parts = block(seen, before), block(seen + before, after, late=by)
+    times = np.concatenate([part.time for part in parts])
+    at = seen + before
+    values = np.zeros((len(times), 2))
+    with pytest.raises(ProtocolError, match=f"samples {at - 1} and {at} .* its clock was set forward"):
+        sequencer.accept(SampleBlock(seen + np.arange(len(times)), times, *[values] * 5))
+
+
+def test_stamps_of_a_coarse_clock_are_no_jump():
+    sequencer = Sequencer()
+    for first in range(0, 1000, 20):
+        part = block(first, 20)
+        times = np.floor(part.time / 0.01) * 0.01
+        assert sequencer.accept(SampleBlock(part.sequence, times, *[np.zeros((20, 2))] * 5))
 
 
 def test_old_numbers_with_new_times_are_a_reset():

@@ -130,6 +130,27 @@ def test_an_answer_that_comes_again_is_not_taken_for_the_next_one(line):
     assert len(before) > 20
 
 
+def test_a_damaged_answer_is_not_waited_for_to_its_limit(line, monkeypatch):
+    """Nobody sees the arm meanwhile."""
+    cable, _, driver = line("rtu", timeout=10.0)
+    slept, damaged, sleep = [], [], time.sleep
+
+    def damage(end, data):
+        if end == "far" or damaged:
+            return data
+        damaged.append(len(slept))
+        return data[:-1] + bytes([data[-1] ^ 16])
+
+    def count(seconds):
+        slept.append(seconds)
+        sleep(seconds)
+
+    cable.tamper = damage
+    monkeypatch.setattr("drivers.transports.serial.time.sleep", count)
+    assert not driver.status().moving
+    assert sum(slept[damaged[0] :]) < 0.5
+
+
 def frame(*data):
     return FramerRTU(DecodePDU(False)).encode(bytes(data[1:]), data[0], 0)
 

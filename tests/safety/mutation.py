@@ -80,6 +80,7 @@ ALWAYS_NUMBERS: dict[str, dict[str, str]] = {
         "document.expires <= latest": "dates",
         "(now or datetime.now(UTC)).date() <= document.expires": "dates",
     },
+    "braking.py": {"0.0 <= times[0] - self._times[-1] <= 10 * SPAN": "of times that are numbers"},
     "cell.py": {"widest < 0": "of distances that were found to be numbers"},
     "clearance.py": {"self.margin > 0": "a margin that was found to be a number"},
     "clearance_search.py": {
@@ -91,6 +92,11 @@ ALWAYS_NUMBERS: dict[str, dict[str, str]] = {
         "bounds < target": "of distances that were found to be numbers",
         "bounds < self.margin - self.tolerance": "of distances that were found to be numbers",
         "short.min(axis=1) >= 0": "of distances that were found to be numbers",
+    },
+    "freshness.py": {
+        "silent <= self.silence": "the other one tells of a clock that shows no time",
+        "age <= self.oldest": "the same",
+        "silent < WAITS": "chooses the words",
     },
     "motion.py": {"np.ptp(chain.q, axis=0).max() < THERE": "of a plan that was checked"},
     "planned_path.py": {
@@ -349,10 +355,14 @@ def ready() -> None:
 
 def main(chosen: list[str]) -> int:
     """0 if every change is noticed."""
+    modules = [name for name in MODULES if not chosen or Path(name).stem in {Path(one).stem for one in chosen}]
+    if len(modules) < len(chosen):
+        print(f"not all of {' '.join(chosen)} are modules of the safety layer")
+        return 2
     ready()
     reach = Reach()
     survivors, count = 0, 0
-    for mutant in mutants([name for name in MODULES if not chosen or Path(name).stem in chosen]):
+    for mutant in mutants(modules):
         count += 1
         noticed = reach.notices(mutant)
         survivors += not noticed

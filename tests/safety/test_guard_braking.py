@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -46,6 +47,7 @@ class Arm:
         self.clock, self.warned = Clock(), []
         self.stops, self.closed = 0, threading.Event()
         self.brakes, self.speed, self.answers = brakes, speed, answers
+        self.corner = None  # s between two corners of its path
         self.state = lambda: None
         self._asked = threading.Event()
         self._position, self._stopped_at, self._sequence = 0.0, None, 0
@@ -80,6 +82,8 @@ class Arm:
             part = np.zeros(10)
             if self.brakes is not None and self._stopped_at is not None:
                 part = np.clip((times - self._stopped_at) / self.brakes, 0.0, 1.0)
+            if self.corner is not None and self._stopped_at is not None:
+                part = 0.4 - 0.4 * np.cos(2 * np.pi * (times - self._stopped_at) / self.corner)
             way = self._position + np.cumsum(PERIOD * self.speed * (1 - part))
             self._time, self._position = float(times[-1]), float(way[-1])
             self.clock.now += 0.02
@@ -99,8 +103,33 @@ def test_an_arm_that_brakes_is_stopped_once_and_its_link_stays_open():
     arm.request()
     arm.run(1.5)
     arm.stopping.finish(failed=False)
+    arm.clock.now += STANDS
+    arm.stopping.turn()
     assert (arm.stops, arm.stopping.seen, arm.warned) == (1, "", [])
     assert not arm.closed.is_set()
+
+
+def test_a_stop_that_is_being_carried_out_is_waited_for_and_nothing_is_left_of_it():
+    """Or it would be taken for one that failed, once the link is closed."""
+    before = set(threading.enumerate())
+    arm = Arm(brakes=0.2)
+    goes_on, stop, done = threading.Event(), arm.stop, []
+
+    def slowly() -> None:
+        stop()
+        assert goes_on.wait(10.0)
+        done.append(None)
+
+    arm.stop = slowly
+    arm.run(0.3)
+    arm.request()
+    arm.run(0.4)
+    threading.Timer(0.1, goes_on.set).start()
+    arm.stopping.finish(failed=False)
+    assert done
+    for thread in set(threading.enumerate()) - before:
+        thread.join(10.0)
+        assert not thread.is_alive()
 
 
 @pytest.mark.parametrize("brakes", [None, 20.0])
@@ -119,6 +148,21 @@ def test_an_arm_that_does_not_brake_is_told_again_and_let_go(brakes):
     assert "PRESS THE EMERGENCY STOP NOW" in arm.warned[0]
     arm.run(1.0)
     assert (arm.stops, len(arm.warned)) == (2, 1), "said once"
+    arm.state = lambda: pytest.fail("nobody answers at a closed link")
+    arm.stopping.finish(failed=False)
+    assert arm.stopping._look.exception() is None
+
+
+def test_an_arm_that_slows_down_for_a_corner_only_is_let_go():
+    arm = Arm(brakes=None)
+    arm.corner = 2.0
+    arm.run(0.3)
+    arm.request()
+    arm.run(1.2)
+    assert (arm.stops, arm.closed.is_set()) == (1, False), "it slows down until then"
+    arm.run(0.36)
+    assert arm.closed.wait(10.0)
+    assert (arm.stops, arm.stopping.disobeyed) == (2, True)
 
 
 def test_an_arm_that_brakes_for_ever_is_let_go():
@@ -167,6 +211,37 @@ def test_where_no_samples_come_the_state_tells(moves, said):
     assert arm.closed.wait(10.0) if said else not arm.closed.is_set()
 
 
+def test_a_state_that_is_renewed_now_and_then_shows_braking_all_the_same():
+    arm = Arm(brakes=None)
+    arm.run(0.3)
+    arm.request()
+    began = arm.clock.now
+
+    def state():
+        passed = np.floor((arm.clock.now - began) / 0.12) * 0.12
+        return HOME + 0.5 * (passed - passed**2 / 5.0) * np.eye(6)[1] * ROBOT.max_velocity[1]
+
+    arm.state = state
+    for _ in range(75):
+        arm.run(0.02, seen=False)
+        arm.stopping._look.exception()
+    assert (arm.stopping.seen, arm.warned) == ("", [])
+
+
+def test_late_samples_hide_nothing_of_what_the_state_tells():
+    """On a link that lags they still show the motion when the arm stands."""
+    arm = Arm(brakes=None)
+    arm.run(0.3)
+    arm.clock.now += 0.8
+    arm.state = lambda: HOME
+    arm.request()
+    for _ in range(60):
+        arm.run(0.02)
+        arm.stopping._look.exception()
+    assert (arm.stopping.seen, arm.warned, arm.stops) == ("", [], 1)
+    assert not arm.closed.is_set()
+
+
 @pytest.mark.parametrize("state", [HOME[:5], np.full(6, np.nan)])
 def test_a_state_without_a_position_shows_nothing(state):
     arm = Arm(brakes=None)
@@ -197,12 +272,16 @@ def test_an_end_is_no_rest_before_the_arm_is_seen_to_stand(moves):
     arm.request()
     began = arm.clock.now
 
+    looks = []
+
     def state():
         arm.clock.now += SPAN
+        looks.append(None)
         return HOME + (arm.clock.now - began if moves else 0.0)
 
     arm.state = state
     arm.stopping.finish(failed=False)
+    assert moves or len(looks) < 5, "it was seen to stand"
     assert arm.stopping.disobeyed is moves
     assert arm.closed.wait(10.0) if moves else not arm.closed.is_set()
     assert ("after the controller reported the end" in arm.stopping.seen) is moves
@@ -222,9 +301,9 @@ def test_speed_is_that_of_the_fastest_joint(speed, chunk):
 @pytest.mark.parametrize("times", [[1.0, np.nan], [1.0, 0.5]])
 def test_times_that_are_none_show_no_rest(times):
     braking = Braking(ROBOT.max_velocity)
-    for time in times:
-        braking.take(np.array([time]), HOME[None])
-    assert not braking.stands
+    for when in times:
+        braking.take(np.array([when]), HOME[None])
+    assert (braking.stands, braking.speed) == (False, None)
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, OSError])
@@ -236,6 +315,11 @@ def test_samples_of_the_stop_are_kept_and_disobedience_is_told(bench, program, e
     class Deaf(TcpDriver):
         def stop(self):
             bench.controller.stops += 1
+
+        def status(self):
+            told = super().status()
+            moves = bench.controller.stops > 0
+            return replace(told, position=at(chain, np.array([time.monotonic() / 2 % 1.0]))[0]) if moves else told
 
     bench.driver = Deaf
     slow = replace(chosen, chains=(replace(chain, t=20 * chain.t, qd=chain.qd / 20),))
@@ -267,10 +351,18 @@ def test_positions_from_another_clock_begin_anew():
     assert (braking.stands, braking.speed, braking.rested) == (False, None, 0.0)
 
 
+def test_positions_that_are_none_show_neither_braking_nor_rest():
+    braking = Braking(ROBOT.max_velocity)
+    braking.before = 0.5
+    braking.take(PERIOD * np.arange(100), np.full((100, 6), np.nan))
+    assert not braking.brakes
+    assert not braking.stands
+
+
 def test_an_arm_that_moved_before_anybody_knew_its_speed_does_not_brake():
     braking = Braking(ROBOT.max_velocity)
     way = np.outer(PERIOD * np.arange(100), ROBOT.max_velocity)
     braking.take(PERIOD * np.arange(100), way)
     assert not braking.brakes
     braking.take(PERIOD * np.arange(100, 200), np.repeat(way[-1:], 100, axis=0))
-    assert braking.brakes
+    assert braking.stands

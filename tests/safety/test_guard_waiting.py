@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,9 +12,11 @@ from hypothesis import given, strategies as st
 
 from agent.core.errors import ControllerError, SafetyError
 from agent.motion.program import Delay
+from agent.robot import load_robot
 from agent.safety.freshness import DRIFT, HELD_UP, LATE, WAITS, Freshness
 from agent.safety.motion import SETTLING, pauses
 from agent.safety.preconditions import check_throughput
+from agent.safety.watch import TURN, MotionWatch
 from drivers.errors import DriverError
 from drivers.protocol import Identity
 from drivers.transports.tcp import TcpDriver
@@ -108,9 +111,32 @@ def test_silence_is_as_long_as_the_watchdog_allows(samples):
         freshness.judged(1000.0)  # a controller whose time runs faster is never late, but may fall silent
     clock.now += 2.0
     assert freshness.fault() is None
-    clock.now += 2.5 if samples == 0 else 0.3
+    clock.now += WAITS - 0.01 + (HELD_UP if samples == 0 else 0.0)
+    assert freshness.fault() is None
+    clock.now += 0.02
     assert "no sample came" in freshness.fault()
     assert freshness.fault(excused=3.0) is None, "nobody could look for so long"
+
+
+@pytest.mark.parametrize(("stall", "stopped_after"), [(0.6, 0.25), (3.0, 0.0)])
+def test_after_a_stall_of_this_process_there_is_time_to_judge_what_came(stall, stopped_after):
+    """But no more of it than half a second, or a computer that stalls all the time would watch nothing."""
+    clock, stopped = Held(), threading.Event()
+    driver = SimpleNamespace(watchdog=WATCHDOG, stop=stopped.set)
+    watch = MotionWatch(driver, load_robot("comau_ns16"), "here", PERIOD, None, 100.0, clock, print)
+
+    def turns(seconds):
+        for _ in range(round(seconds / TURN)):
+            clock.now += TURN
+            watch.turn()
+
+    turns(0.3)
+    clock.now += stall + 2 * TURN
+    watch.turn()
+    turns(stopped_after - TURN)
+    assert (watch.stopping.since is None) is (stopped_after > 0)
+    turns(3 * TURN)
+    assert stopped.wait(10.0)
 
 
 def test_a_clock_that_shows_no_time_is_none_to_wait_by():
