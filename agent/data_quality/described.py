@@ -111,7 +111,6 @@ def described_weight(of: Recordings) -> Iterator[QualityFinding]:
             f"N·m of it, root mean square, and {', '.join(whose)} show next to none",
             whose,
             advice=WITH_GRAVITY,
-            scale=True,
         )
     elif any(alike):
         yield from _other_unit(of, heavy[alike], np.array(times)[alike], len(heavy))

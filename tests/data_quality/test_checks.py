@@ -12,6 +12,7 @@ from agent.core.console import Console
 from agent.core.errors import InputError, RejectedError
 from agent.data_quality import check_quality, fitted_doubts, spoiled
 from agent.estimation import estimate
+from agent.model import load_simulator
 from agent.pipeline.identify import check_plausible, estimate_files, validate_files
 from agent.recording import read_log, write_log
 from agent.robot import Dynamics, load_robot
@@ -237,6 +238,30 @@ def test_what_a_model_predicts_is_no_unit_error(robot):
     check_plausible(drives, [pushed], False, Console(-1), model=model)
     with pytest.raises(RejectedError, match="N·mm"):
         check_plausible(drives, [pushed], False, Console(-1))
+
+
+def test_the_described_masses_are_no_evidence_against_what_they_say(robot, tmp_path):
+    """A simulator made of the same URDF predicts torques of the right size on joints that carry little only."""
+    path = tmp_path / "arm.urdf"
+    path.write_text(robot.urdf, encoding="utf-8")
+    model = load_simulator(path, robot, robot.joint_names).model
+    weightless = motion(robot, 1, carried=False)
+    with pytest.raises(RejectedError, match="carry no gravity"):
+        check_plausible(robot, [weightless], False, Console(-1), model=model)
+
+
+def test_currents_of_a_simulated_arm_are_said(robot, tmp_path, capsys):
+    """A simulator without friction predicts next to nothing on some joints, of which currents are no smaller."""
+    path = tmp_path / "arm.urdf"
+    path.write_text(robot.urdf, encoding="utf-8")
+    model = load_simulator(path, robot, robot.joint_names).model
+    log = motion(robot, 1)
+    dynamics, rest = Dynamics(robot), 0 * log.position
+    carried = np.median(np.abs(dynamics.regressor(log.position, rest, rest) @ dynamics.standard_parameters()), axis=0)
+    rubbing = np.where(np.arange(4) == np.argmax(carried), 0.0, 8 * carried)
+    effort = log.effort + rubbing * np.tanh(np.gradient(log.position, log.t, axis=0) / 0.01)
+    check_plausible(robot, [replace(log, effort=effort / 9)], False, Console(0), model=model)
+    assert "look like another unit" in capsys.readouterr().err
 
 
 def test_zero_effort_is_refused_by_estimate_and_validate(robot, tmp_path, shared_robot):
