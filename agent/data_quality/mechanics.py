@@ -112,7 +112,7 @@ def _mechanics(robot: RobotDescription, samples: FitSamples, more: Sequence[Log]
     elif likeliest and not _refuted(robot, more):
         yield replace(likeliest, text=f"{likeliest.text}: much more of the torque would be explained")
     else:
-        yield from described_gravity(robot, samples, plain.gravity)
+        yield from described_gravity(robot, samples, plain.gravity, plain.unexplained)
         yield from _wrong_lengths(robot, samples)
 
 
