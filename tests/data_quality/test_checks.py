@@ -86,6 +86,14 @@ def test_the_mounting_is_found_at_any_angle(robot, angle, about):
     assert refusals(replace(robot, gravity=tuple(named)), log) == []
 
 
+def test_gravity_upside_down_is_found_in_clean_torques_that_are_mostly_friction(robot):
+    log = motion(robot, 8, gravity=(0, 0, 9.80665), noise=0.0005)
+    speed = np.gradient(log.position, log.t, axis=0)
+    rubbing = replace(log, effort=log.effort + 8 * np.std(log.effort, axis=0) / np.std(speed, axis=0) * speed)
+    (found,) = refusals(robot, rubbing)
+    assert "looks like (0, 0, 9.807), 180°" in found.text
+
+
 def interleaved(first, second, every):
     """Samples of a second publisher after each `every`-th one of the first."""
     rows = np.arange(0, len(first.t), every)
