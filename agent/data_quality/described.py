@@ -29,7 +29,10 @@ _ALIKE = 0.8  # of what friction and inertia leave of a torque, that described g
 _ABSENT, _VISIBLE = 0.1, 3.0  # times described gravity and share that it explains, times what is left: it is absent
 _UNIT = 1.35  # times, on average, that torques in a part of nominal torque differ from what that makes of them
 _LIGHTEST = 1.0  # kg for each square metre of reach: a description of less holds placeholders
-MEND_GRAVITY = "set `gravity` in the robot description to this (it follows from how the base is mounted)"
+MEND_GRAVITY = (
+    "set `gravity` in robot.yaml to this, or turn the base of the URDF by a fixed joint to a new root link "
+    "(it follows from how the base is mounted)"
+)
 WITH_GRAVITY = (
     "record joint torque that includes gravity: take the controller's total torque or the motor currents instead of "
     "the gravity-compensated effort (UR's ROS 2 driver takes gravity off by default; libfranka's tau_J includes it)"
