@@ -43,7 +43,7 @@ def agent(
 @app.command()
 def init(
     recipe: Annotated[Path, typer.Argument(metavar="[RECIPE]", help="file to write")] = Path("recipe.yaml"),
-    robot: opt.AnyRobot = None,
+    robot: opt.AnyDescribedRobot = None,
     driver: Annotated[str | None, typer.Option("--driver", metavar="NAME", help="driver of the link")] = None,
     controller: Annotated[str | None, typer.Option("--controller", metavar="ADDRESS", help="of the controller")] = None,
     centre: Annotated[str | None, typer.Option("--centre", metavar="X,Y,Z", help="of the sub-region")] = None,

@@ -23,6 +23,9 @@ Topic = Annotated[
 ]
 RunsFolder = Annotated[Path, typer.Option("--logs", metavar="DIR", help="where runs are kept")]
 AnyRobot = Annotated[str | None, typer.Option("--robot", metavar="R", help="built-in robot, robot.yaml, URDF or MJCF")]
+_DRIVES = "built-in robot, or robot.yaml"
+DescribedRobot = Annotated[str, typer.Option("--robot", metavar="R", help=_DRIVES)]
+AnyDescribedRobot = Annotated[str | None, typer.Option("--robot", metavar="R", help=_DRIVES)]
 Serial = Annotated[str | None, typer.Option("--serial", metavar="S", help="serial of one machine")]
 Authorised = Annotated[
     Path | None, typer.Option("--authorisation", metavar="FILE", help="a person's word that allows unattended motion")

@@ -176,7 +176,7 @@ def export(
 @app.command("learn-interpolator")
 def learn_interpolator(
     logs: opt.Logs,
-    robot: opt.RobotOption,
+    robot: opt.DescribedRobot,
     out: Annotated[Path, typer.Option("-o", "--out", metavar="FILE", help="YAML file to write")],
     as_json: opt.AsJson = False,
     messages: opt.Messages = None,

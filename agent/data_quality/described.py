@@ -22,13 +22,17 @@ from agent.robot import RobotDescription
 _REFUTED = 0.9  # of the gravity torque, root mean square, that the description leaves at least, and
 _FITS = 0.5  # at most, with one thing undone
 _THOUSAND = 100.0  # times the described gravity torque, from where on no unit but N·mm is likely
-_SEEN = 0.2  # of a torque, and of the heaviest joint's described gravity, that gravity must make up to be judged
+_SEEN = 0.2  # of a torque, and of the heaviest joint's described gravity, that gravity must make up to be judged, or
+_TIMES_LEFT = 10.0  # times what a fit leaves of the torque
 _SCALES = (0.25, 4.0)  # times the described gravity torque: beyond them another unit is likely
 _ALIKE = 0.8  # of what friction and inertia leave of a torque, that described gravity of any size explains
 _ABSENT, _VISIBLE = 0.1, 3.0  # times described gravity and share that it explains, times what is left: it is absent
 _UNIT = 1.35  # times, on average, that torques in a part of nominal torque differ from what that makes of them
 _LIGHTEST = 1.0  # kg for each square metre of reach: a description of less holds placeholders
-MEND_GRAVITY = "set `gravity` in the robot description to this (it follows from how the base is mounted)"
+MEND_GRAVITY = (
+    "set `gravity` in robot.yaml to this, or turn the base of the URDF by a fixed joint to a new root link "
+    "(it follows from how the base is mounted)"
+)
 WITH_GRAVITY = (
     "record joint torque that includes gravity: take the controller's total torque or the motor currents instead of "
     "the gravity-compensated effort (UR's ROS 2 driver takes gravity off by default; libfranka's tau_J includes it)"
@@ -57,8 +61,18 @@ def gravity_text(robot: RobotDescription, found: RobotDescription) -> str:
     return f"gravity in the base frame looks like ({', '.join(f'{x:.4g}' for x in b)}), {angle:.0f}° from the described"
 
 
-def described_gravity(robot: RobotDescription, s: FitSamples, fitted: np.ndarray) -> Iterator[QualityFinding]:
-    """The direction of gravity that the described masses need for a fit's gravity torque `fitted` (S, n)."""
+def described_gravity(
+    robot: RobotDescription, s: FitSamples, fitted: np.ndarray, unexplained: float
+) -> Iterator[QualityFinding]:
+    """The direction of gravity that the described masses need for a fit's gravity torque.
+
+    Parameters
+    ----------
+    robot : description with the masses
+    s : samples of the fit
+    fitted : (S, n) gravity torque of the fit [N·m or N]
+    unexplained : part of the torque that the fit leaves
+    """
     masses, turning = _measured_masses(robot), ~np.array([joint.prismatic for joint in robot.joints])
     if masses is None:
         return
@@ -70,7 +84,8 @@ def described_gravity(robot: RobotDescription, s: FitSamples, fitted: np.ndarray
     fitted = (fitted - fitted.mean(axis=0))[:, turning]
     length = float(np.linalg.norm(fitted))
     torque = (s.torque - s.torque.mean(axis=0))[:, turning]
-    if length < _SEEN * np.linalg.norm(torque) or np.linalg.norm(fitted - described(robot)) < _REFUTED * length:
+    least = min(_SEEN, _TIMES_LEFT * unexplained) * float(np.linalg.norm(torque))
+    if length < least or np.linalg.norm(fitted - described(robot)) < _REFUTED * length:
         return
     left, other = min(
         ((float(np.linalg.norm(fitted - described(other))), other) for other in gravity_axes(robot)),
@@ -111,7 +126,6 @@ def described_weight(of: Recordings) -> Iterator[QualityFinding]:
             f"N·m of it, root mean square, and {', '.join(whose)} show next to none",
             whose,
             advice=WITH_GRAVITY,
-            scale=True,
         )
     elif any(alike):
         yield from _other_unit(of, heavy[alike], np.array(times)[alike], len(heavy))

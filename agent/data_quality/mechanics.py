@@ -80,7 +80,12 @@ def implausible_mechanics(of: Recordings) -> Iterator[QualityFinding]:
     samples = of.samples
     if samples is not None:
         more = [*of.logs, *(log for log in of.others if log.effort is not None)] if of.others else []
-        yield from _mechanics(of.robot, samples, more)
+        found = list(_mechanics(of.robot, samples, more))
+        yield from found
+        if not any(finding.refuses for finding in found):
+            together = list(_wrong_lengths(of.robot, samples))
+            clearest = None if together or len(of.logs) == 1 else _clearest(of)
+            yield from together if clearest is None else _wrong_lengths(of.robot, clearest)
 
 
 def _mechanics(robot: RobotDescription, samples: FitSamples, more: Sequence[Log]) -> Iterator[QualityFinding]:
@@ -112,8 +117,7 @@ def _mechanics(robot: RobotDescription, samples: FitSamples, more: Sequence[Log]
     elif likeliest and not _refuted(robot, more):
         yield replace(likeliest, text=f"{likeliest.text}: much more of the torque would be explained")
     else:
-        yield from described_gravity(robot, samples, plain.gravity)
-        yield from _wrong_lengths(robot, samples)
+        yield from described_gravity(robot, samples, plain.gravity, plain.unexplained)
 
 
 def _refuted(robot: RobotDescription, more: Sequence[Log]) -> bool:
@@ -122,8 +126,26 @@ def _refuted(robot: RobotDescription, more: Sequence[Log]) -> bool:
     return samples is not None and not any(f.refuses for f in _mechanics(robot, samples, ()))
 
 
+def _clearest(of: Recordings) -> FitSamples | None:
+    """Samples of the log whose accelerations are largest relative to what a rigid arm leaves of its torque.
+
+    Lengths of links show in accelerations, and what is not modelled in another log would hide them.
+    """
+    each = [samples for log in of.logs if (samples := fit_samples([log])) is not None]
+    largest = of.robot.max_acceleration
+
+    def clarity(samples: FitSamples) -> float:
+        left = max(float(_fit(of.robot, samples).joints.mean()), _EXACT)
+        return float(np.sqrt(np.mean((samples.qdd / largest) ** 2))) / left
+
+    return max(each, key=clarity, default=None)
+
+
 def _wrong_lengths(robot: RobotDescription, samples: FitSamples) -> Iterator[QualityFinding]:
     """The distance between two joints that explains clearly more with another length than the description has."""
+    plain = _fit(robot, samples)
+    if not plain.enough or overfitted(robot, samples, plain.joints):
+        return
     bodies = Bodies(robot)
     precision = bodies.precision(samples)
     order, sign = np.arange(robot.dof), np.ones(robot.dof)

@@ -121,12 +121,16 @@ def _box_of(robot: str) -> dict[str, str]:
 
     if robot == _USUAL:
         return {}
-    box = working_box(load_robot(robot))
+    arm = load_robot(robot)
+    box = working_box(arm)
     if box is None:
-        print(
-            f"no box was found all of which {robot} reaches: change motion.via_points to where your arm works",
-            file=sys.stderr,
-        )
+        what = "change motion.via_points to where your arm works"
+        if arm.dof < 6:
+            what = (
+                f"its {arm.dof} joints cannot turn the tool every way. Give motion.via_points.points with ranges that it "
+                "reaches, or record a motion of your own: `agent estimate` needs no recipe"
+            )
+        print(f"no box was found all of which {robot} reaches: {what}", file=sys.stderr)
         return {}
     texts = (
         ", ".join(f"{value:g} {unit}" for value in values)

@@ -390,8 +390,9 @@ class _Source:
             assert column is not None
             if len(column) >= 2 > np.count_nonzero(np.isfinite(column)):
                 word = table.words.get(table.name(name) or "")
-                like = "" if word is None else f" ({word[:_SHOWN]!r} is none)"
-                what = f"{table.path}: column {name} is not of numbers{like}"
+                if word is None:
+                    self._mapping.fault(key, f"{table.path}: column {name} is empty: nothing was recorded in it")
+                what = f"{table.path}: column {name} is not of numbers ({word[:_SHOWN]!r} is none)"
                 self._mapping.fault(key, f"{what}; numbers are written like 1234.5, times in seconds or another unit")
             found.append(column)
         return found

@@ -196,7 +196,10 @@ def predicts(model: IdentifiedModel, logs: Sequence[Log]) -> bool:
 
 
 def same_scale(model: IdentifiedModel, logs: Sequence[Log]) -> bool:
-    """Whether measured torques are of about the size that a model predicts, so that they are of the same unit."""
+    """Whether the torque of the joint that carries most is of about the size that a model predicts: it is of that unit.
+
+    A joint that carries little shows its friction, which a simulator may leave out.
+    """
     try:
         found = [predict_log(model, log) for log in logs]
     except InputError:
@@ -204,8 +207,9 @@ def same_scale(model: IdentifiedModel, logs: Sequence[Log]) -> bool:
     measured, predicted = (
         np.concatenate([np.abs(getattr(each, part)) for each in found]) for part in ("measured", "predicted")
     )
-    times = np.median(measured, axis=0) / np.maximum(np.median(predicted, axis=0), 1e-300)
-    return bool(1 / _SAME_UNIT < np.median(times) < _SAME_UNIT)
+    size, expected = np.median(measured, axis=0), np.median(predicted, axis=0)
+    most = int(np.argmax(expected))
+    return bool(size[most] < _SAME_UNIT * expected[most] and expected[most] < _SAME_UNIT * size[most])
 
 
 def flipped_joints(model: IdentifiedModel, log: Log) -> list[str]:

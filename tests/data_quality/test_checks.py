@@ -12,6 +12,7 @@ from agent.core.console import Console
 from agent.core.errors import InputError, RejectedError
 from agent.data_quality import check_quality, fitted_doubts, spoiled
 from agent.estimation import estimate
+from agent.model import load_simulator
 from agent.pipeline.identify import check_plausible, estimate_files, validate_files
 from agent.recording import read_log, write_log
 from agent.robot import Dynamics, load_robot
@@ -83,6 +84,14 @@ def test_the_mounting_is_found_at_any_angle(robot, angle, about):
     assert f"{angle:.0f}°"[:-2] in found.text
     assert "gravity" in found.advice
     assert refusals(replace(robot, gravity=tuple(named)), log) == []
+
+
+def test_gravity_upside_down_is_found_in_clean_torques_that_are_mostly_friction(robot):
+    log = motion(robot, 8, gravity=(0, 0, 9.80665), noise=0.0005)
+    speed = np.gradient(log.position, log.t, axis=0)
+    rubbing = replace(log, effort=log.effort + 8 * np.std(log.effort, axis=0) / np.std(speed, axis=0) * speed)
+    (found,) = refusals(robot, rubbing)
+    assert "looks like (0, 0, 9.807), 180°" in found.text
 
 
 def interleaved(first, second, every):
@@ -207,6 +216,17 @@ def test_a_wrong_length_in_the_description_is_said(robot, joint, times):
     assert float(re.search(r"about ([\d.]+) times", found.text)[1]) == pytest.approx(1 / times, rel=0.1)
 
 
+def test_what_is_not_modelled_in_another_log_hides_no_wrong_length(robot):
+    old = '<child link="link_3"/><origin xyz="0.05 0.02 0.3"/>'
+    wrong = replace(robot, urdf=robot.urdf.replace(old, '<child link="link_3"/><origin xyz="0.06 0.024 0.36"/>'))
+    clear, other = motion(robot, 16, noise=0.005), motion(robot, 17, noise=0.005, name="b.mcap")
+    unmodelled = 0.6 * np.std(other.effort, axis=0) * np.sin(25 * other.position[:, ::-1])
+    logs = [clear, replace(other, effort=other.effort + unmodelled)]
+    assert check_quality(robot, logs) == []
+    (found,) = check_quality(wrong, logs)
+    assert found.joints == ("joint_2", "joint_3")
+
+
 def test_joints_that_move_alike_are_not_said_to_be_swapped_or_flipped(robot):
     """As in a routine that moves them together: nothing tells one from the other."""
     log = motion(robot, 17)
@@ -237,6 +257,30 @@ def test_what_a_model_predicts_is_no_unit_error(robot):
     check_plausible(drives, [pushed], False, Console(-1), model=model)
     with pytest.raises(RejectedError, match="N·mm"):
         check_plausible(drives, [pushed], False, Console(-1))
+
+
+def test_the_described_masses_are_no_evidence_against_what_they_say(robot, tmp_path):
+    """A simulator made of the same URDF predicts torques of the right size on joints that carry little only."""
+    path = tmp_path / "arm.urdf"
+    path.write_text(robot.urdf, encoding="utf-8")
+    model = load_simulator(path, robot, robot.joint_names).model
+    weightless = motion(robot, 1, carried=False)
+    with pytest.raises(RejectedError, match="carry no gravity"):
+        check_plausible(robot, [weightless], False, Console(-1), model=model)
+
+
+def test_currents_of_a_simulated_arm_are_said(robot, tmp_path, capsys):
+    """A simulator without friction predicts next to nothing on some joints, of which currents are no smaller."""
+    path = tmp_path / "arm.urdf"
+    path.write_text(robot.urdf, encoding="utf-8")
+    model = load_simulator(path, robot, robot.joint_names).model
+    log = motion(robot, 1)
+    dynamics, rest = Dynamics(robot), 0 * log.position
+    carried = np.median(np.abs(dynamics.regressor(log.position, rest, rest) @ dynamics.standard_parameters()), axis=0)
+    rubbing = np.where(np.arange(4) == np.argmax(carried), 0.0, 8 * carried)
+    effort = log.effort + rubbing * np.tanh(np.gradient(log.position, log.t, axis=0) / 0.01)
+    check_plausible(robot, [replace(log, effort=effort / 9)], False, Console(0), model=model)
+    assert "look like another unit" in capsys.readouterr().err
 
 
 def test_zero_effort_is_refused_by_estimate_and_validate(robot, tmp_path, shared_robot):

@@ -205,6 +205,7 @@ def test_tables_with_a_byte_order_mark(convert, tmp_path, encoding):
         (["1.0;{k};2"] * 300, r"map.yaml:1: time.column: .*data.csv: column t stands still at 1 s \(300 rows\)"),
         (["at {k};1;2"] * 60, r"time.column: .*data.csv: column t is not of numbers \('at 0'"),
         (["{k};1,234.5;2"] * 9, r"map.yaml:2: position.columns: .*data.csv: column a is not of numbers \('1,234.5' is"),
+        (["{k};nan;2"] * 9, r"map.yaml:2: position.columns: .*data.csv: column a is empty"),
         (["{k};2;0x1F"] * 9, r"map.yaml:2: position.columns: .*data.csv: column 3 is not of numbers"),
     ],
 )
