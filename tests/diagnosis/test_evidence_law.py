@@ -1,0 +1,96 @@
+"""Decisions by log evidence: what stands in the logs is named, and what the healthy arm has already is not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from agent.diagnosis.dataset import assemble
+from agent.estimation import EstimationSettings, estimate
+from benchmarks.evidence_law.evidence import Evidence
+from benchmarks.evidence_law.healthy import on, usual_effects
+from benchmarks.evidence_law.search import Search
+from fake_controller.plant import Plant
+from tests.small_arms import make_arm, record
+
+OFFSET = {"effect": "torque_offset", "joints": ["joint_2"], "parameters": {"offset": 6.0}}
+
+
+@pytest.fixture(scope="module")
+def robot():
+    return make_arm("RR")
+
+
+@pytest.fixture(scope="module")
+def baseline(robot):
+    return [record(Plant(robot, seed=3), f"healthy_{seed}", seed) for seed in (11, 12, 13)]
+
+
+@pytest.fixture(scope="module")
+def model(robot, baseline):
+    return estimate(robot, baseline, EstimationSettings.create())
+
+
+def fit_of(robot, model, effects=(), seeds=(21, 22)):
+    logs = [record(Plant(robot, seed=3, effects=effects), f"judged_{seed}", seed) for seed in seeds]
+    return assemble(robot, model, logs, None).fit
+
+
+def test_a_healthy_arm_has_no_gap(robot, model):
+    assert Search(fit_of(robot, model)).run().verdict == "no_gap"
+
+
+def test_an_offset_is_named_or_one_of_its_class(robot, model):
+    decision = Search(fit_of(robot, model, [OFFSET])).run()
+    place, rivals, probability = decision.causes[0]
+    assert ("torque_offset", (1,)) in (place, *rivals)
+    assert probability > 0.6
+    assert sum(h.probability for h in decision.hypotheses) == pytest.approx(1.0, abs=1e-6)
+
+
+def test_what_the_healthy_arm_has_as_well_is_not_named(robot, model):
+    fit = fit_of(robot, model, [OFFSET])
+    found = Search(fit).run().causes
+    assert found
+    usual = [(form, 10 * 0.02) for place, *_ in found for form in Search(fit).forms() if form.place == place]
+    again = Search(fit, healthy=usual).run()
+    assert not {place for place, *_ in again.causes} & {place for place, *_ in found}
+
+
+def test_a_gain_is_the_ratio_of_two_normal_densities_of_all_rows(robot, model):
+    """By second moments and Schur complements, against the covariance of all rows written out."""
+    fit = fit_of(robot, model, [OFFSET], seeds=(21,))
+    (form,) = [form for form in Search(fit).forms() if form.place == ("torque_offset", (1,))]
+    evidence = Evidence(fit, [form])
+    base, law = evidence.nothing, evidence.law
+    rows, joints = evidence.rows, evidence.joints
+    residual = np.concatenate([evidence.known[j][:, -1] for j in range(joints)]).astype(float)
+    noise = np.repeat(base.scales / evidence.weight, rows)
+    model_columns = np.zeros((joints * rows, len(fit.precision)))
+    covariance = np.diag(noise)
+    for j, index in enumerate(fit.index):
+        here = slice(j * rows, (j + 1) * rows)
+        columns = evidence.known[j].astype(float)
+        model_columns[here, index] = columns[:, : len(index)]
+        free = columns[:, len(index) : -1]
+        variance = base.scales[j] * law.systematic**2 + (law.drift * evidence.unit[j]) ** 2
+        covariance[here, here] += variance * free @ free.T
+    covariance += model_columns @ np.linalg.solve(fit.precision, model_columns.T)
+    effect = np.zeros(joints * rows)
+    effect[rows:] = evidence.thinned(form, 1)[:, 0]
+    torque = np.sqrt(np.mean((effect[rows:] * evidence.sigma[:, 1] / evidence.nominal[1]) ** 2))
+
+    def log_density(matrix):
+        lower = np.linalg.cholesky(matrix)
+        return -0.5 * np.sum(np.linalg.solve(lower, residual) ** 2) - np.log(np.diag(lower)).sum()
+
+    alone = log_density(covariance)
+    ratios = [log_density(covariance + (size / torque) ** 2 * np.outer(effect, effect)) - alone for size in law.sizes]
+    gains, _ = evidence.gains(base)
+    assert gains[0] == pytest.approx(max(ratios), rel=1e-3, abs=1e-3)
+
+
+def test_a_baseline_without_effects_teaches_little(robot, baseline, model):
+    usual = usual_effects(robot, baseline, model.cutoff)
+    assert max((one.size for one in usual), default=0.0) < 0.01
+    assert len(on(fit_of(robot, model), usual)) >= len(usual)
