@@ -127,8 +127,8 @@ def _box_of(robot: str) -> dict[str, str]:
         what = "change motion.via_points to where your arm works"
         if arm.dof < 6:
             what = (
-                f"its {arm.dof} joints cannot turn the tool every way. Give motion.via_points.points with ranges that it "
-                "reaches, or record a motion of your own: `agent estimate` needs no recipe"
+                f"its {arm.dof} joints cannot turn the tool every way. Give motion.via_points.points with ranges that "
+                "it reaches, or record a motion of your own: `agent estimate` needs no recipe"
             )
         print(f"no box was found all of which {robot} reaches: {what}", file=sys.stderr)
         return {}
