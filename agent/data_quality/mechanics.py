@@ -85,7 +85,7 @@ def implausible_mechanics(of: Recordings) -> Iterator[QualityFinding]:
         if not any(finding.refuses for finding in found):
             together = list(_wrong_lengths(of.robot, samples))
             clearest = None if together or len(of.logs) == 1 else _clearest(of)
-            yield from together if clearest is None else _wrong_lengths(of.robot, clearest)
+            yield from together if clearest is None else _wrong_lengths(of.robot, clearest, samples)
 
 
 def _mechanics(robot: RobotDescription, samples: FitSamples, more: Sequence[Log]) -> Iterator[QualityFinding]:
@@ -141,26 +141,22 @@ def _clearest(of: Recordings) -> FitSamples | None:
     return max(each, key=clarity, default=None)
 
 
-def _wrong_lengths(robot: RobotDescription, samples: FitSamples) -> Iterator[QualityFinding]:
-    """The distance between two joints that explains clearly more with another length than the description has."""
+def _wrong_lengths(
+    robot: RobotDescription, samples: FitSamples, together: FitSamples | None = None
+) -> Iterator[QualityFinding]:
+    """The distance between two joints that explains clearly more with another length than the description has.
+
+    Where `samples` are of one log, that length must not explain less of all logs `together`: one motion alone excites
+    little, and another length may stand for its friction.
+    """
     plain = _fit(robot, samples)
     if not plain.enough or overfitted(robot, samples, plain.joints):
         return
-    bodies = Bodies(robot)
-    precision = bodies.precision(samples)
-    order, sign = np.arange(robot.dof), np.ones(robot.dof)
-    before = HeldOutFit(bodies, samples, precision).errors(order, sign)
-
-    def gain(joint: int, times: float) -> tuple[float, float]:
-        """Mean over the folds, and its standard error."""
-        other = _with_length(robot, joint, times)
-        if other is None:
-            return -np.inf, 0.0
-        gains = np.log(before / HeldOutFit(Bodies(other), samples, precision).errors(order, sign)).sum(axis=1)
-        return float(gains.mean()), float(gains.std(ddof=1) / np.sqrt(FOLDS))
-
-    tried = [(*gain(joint, times), joint) for joint in range(1, robot.dof) for times in _LENGTHS[:2]]
-    better = [(mean, joint) for mean, error, joint in tried if mean > max(_LENGTH_GAIN, _CERTAIN * error)]
+    gain = _gain_by_length(robot, samples)
+    of_all = None if together is None else _gain_by_length(robot, together)
+    tried = [(*gain(joint, times), joint, times) for joint in range(1, robot.dof) for times in _LENGTHS[:2]]
+    better = [(mean, joint, times) for mean, error, joint, times in tried if mean > max(_LENGTH_GAIN, _CERTAIN * error)]
+    better = [entry for entry in better if of_all is None or of_all(*entry[1:])[0] > 0]
     if better:
         joint = max(better)[1]
         times = max(_LENGTHS, key=lambda times: gain(joint, times)[0])
@@ -172,6 +168,23 @@ def _wrong_lengths(robot: RobotDescription, samples: FitSamples) -> Iterator[Qua
             advice="compare the joint origins of the URDF with the data sheet",
             refuses=False,
         )
+
+
+def _gain_by_length(robot: RobotDescription, samples: FitSamples) -> Callable[[int, float], tuple[float, float]]:
+    """What a joint (from 0) so many times as far from the one before gains: mean over folds, and its standard error."""
+    bodies = Bodies(robot)
+    precision = bodies.precision(samples)
+    order, sign = np.arange(robot.dof), np.ones(robot.dof)
+    before = HeldOutFit(bodies, samples, precision).errors(order, sign)
+
+    def gain(joint: int, times: float) -> tuple[float, float]:
+        other = _with_length(robot, joint, times)
+        if other is None:
+            return -np.inf, 0.0
+        gains = np.log(before / HeldOutFit(Bodies(other), samples, precision).errors(order, sign)).sum(axis=1)
+        return float(gains.mean()), float(gains.std(ddof=1) / np.sqrt(FOLDS))
+
+    return gain
 
 
 def _with_length(robot: RobotDescription, joint: int, times: float) -> RobotDescription | None:
