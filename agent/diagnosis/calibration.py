@@ -164,7 +164,7 @@ def waterfall(found: ReleasedSimulator, finding: Finding, gap: HeldOutGap) -> tu
     alone = [_released(dataset, [group]).out_of_fold() for group in found.groups]
     texts = [group.text(names) for group in found.groups]
     plain, moved = dataset.fit, dataset.fit.with_chosen(finding.causes)
-    if not found.groups:
+    if not found.groups and dataset.given:  # a model of these very logs has no numbers of its own to hold
         held = plain.with_prior(precision_of(_HELD * dataset.model.covariance))
         by_effects, by_both = (_absorbed(gap, fit) for fit in (held.with_chosen(finding.causes), moved))
         plain = held if by_both - by_effects >= dataset.limits.least_share else plain

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
-from agent.core import Bare, Dimension, InputError, parse_quantity, write_atomically
+from agent.core import Bare, Dimension, InputError, counted, parse_quantity, write_atomically
 from agent.pipeline.identify import check_output
 from agent.recipe import BARE_ANGLE, BARE_LEAN, BARE_PLACE, BARE_REACH, load_recipe, recipe_schema, template
 from agent.robot import builtin_robots, load_robot
@@ -127,8 +127,8 @@ def _box_of(robot: str) -> dict[str, str]:
         what = "change motion.via_points to where your arm works"
         if arm.dof < 6:
             what = (
-                f"its {arm.dof} joints cannot turn the tool every way. Give motion.via_points.points with ranges that "
-                "it reaches, or record a motion of your own: `agent estimate` needs no recipe"
+                f"{counted(arm.dof, 'joint')} cannot turn the tool every way. Give motion.via_points.points with "
+                "ranges that it reaches, or record a motion of your own: `agent estimate` needs no recipe"
             )
         print(f"no box was found all of which {robot} reaches: {what}", file=sys.stderr)
         return {}

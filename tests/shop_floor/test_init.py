@@ -95,3 +95,11 @@ def test_the_schema_is_beside_the_recipe_and_named_in_it(tmp_path: Path):
 
 def test_the_schema_in_the_documentation_is_this_one():
     assert (ROOT / "docs" / "recipe.schema.json").read_text(encoding="utf-8") == schema_text()
+
+
+def test_an_arm_of_few_joints_is_told_what_it_can_do_without_a_box(tmp_path: Path):
+    robot = ROOT / "recipes/examples/emps/robot.yaml"
+    run = _agent(tmp_path, "init", "slide.yaml", "--robot", str(robot))
+    assert run.returncode == 0
+    assert "1 joint cannot turn the tool every way" in run.stderr
+    assert "`agent estimate` needs no recipe" in run.stderr
