@@ -95,7 +95,13 @@ def _filled(
     for run in runs:
         _publish(staging / f"{run['number']:04d}", folder / "runs" / run["run"], run["serial"], rng)
     key = replace(key, runs=runs, not_recorded=failed)
-    about = {"schema": "blind-benchmark/1", "name": NAME, "version": VERSION, "world": world.name, "laws": key.laws}
+    about: dict[str, Any] = {
+        "schema": "blind-benchmark/1",
+        "name": NAME,
+        "version": VERSION,
+        "world": world.name,
+        "laws": key.laws,
+    }
     about |= {"runs": len(runs), "key_sha256": key.save(key_file)}
     write_atomically(folder / INDEX, json.dumps(about, indent=1) + "\n")
     for path in (folder, *folder.rglob("*")):
