@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from second_world.laws import LAWS, OUTSIDE, Law
-from second_world.world import LAWS as SETS, World, draw_world, machine_number
+from second_world.world import LAWS as SETS, DrawnWorld, draw_world, machine_number
 
 Card = TypeVar("Card")
 
@@ -25,7 +25,7 @@ _COUNTS = {"none": 0, "two": 2, "three": 3}
 
 
 @dataclass(frozen=True)
-class Mix:
+class DrawMix:
     """What is drawn: `shares` of each kind of run, lowest and highest `sizes`, `names` of effects, `group` of runs that
     share a machine."""
 
@@ -36,7 +36,7 @@ class Mix:
 
 
 @dataclass(frozen=True)
-class Run:
+class DrawnRun:
     """One run: its kind, the numbers of its machine and its motions, and its effects as plain data.
 
     An effect is {"effect", "law", "joints", "size", "seed", "parameters"}; `size` is what is asked for, and
@@ -50,7 +50,7 @@ class Run:
     effects: tuple[dict[str, Any], ...]
 
 
-def draw_runs(count: int, seed: int, laws: str, mix: Mix | None = None) -> list[Run]:
+def draw_runs(count: int, seed: int, laws: str, mix: DrawMix | None = None) -> list[DrawnRun]:
     """`count` runs in random order; effects and their laws come up equally often.
 
     Raises:
@@ -58,11 +58,11 @@ def draw_runs(count: int, seed: int, laws: str, mix: Mix | None = None) -> list[
     """
     if laws not in SETS:
         raise ValueError(f"laws: {laws!r} is not known; one of {', '.join(SETS)}")
-    mix = mix or Mix(SHARES, SIZES, tuple(LAWS), 3)
+    mix = mix or DrawMix(SHARES, SIZES, tuple(LAWS), 3)
     rng = np.random.default_rng(np.random.SeedSequence([SETS.index(laws), seed, 0]))
     kinds = [kind for kind, share in mix.shares.items() if kind != "one" for _ in range(round(share * count))]
     kinds = [str(kind) for kind in rng.permutation([*kinds, *["one"] * (count - len(kinds))])]
-    inside, beyond = _Deck({name: LAWS[name] for name in mix.names}, laws, rng), _Deck(OUTSIDE, laws, rng)
+    inside, beyond = _LawDeck({name: LAWS[name] for name in mix.names}, laws, rng), _LawDeck(OUTSIDE, laws, rng)
     runs = []
     for number, kind in enumerate(kinds):
         machine = machine_number(seed, number // mix.group, laws)
@@ -74,7 +74,7 @@ def draw_runs(count: int, seed: int, laws: str, mix: Mix | None = None) -> list[
             effect = _place(deck.draw(), world, size, rng)
             if not _collide(effect, effects, world):
                 effects.append(effect)
-        runs.append(Run(kind, machine, 2 * int(rng.integers(2**61)) + SETS.index(laws), size, tuple(effects)))
+        runs.append(DrawnRun(kind, machine, 2 * int(rng.integers(2**61)) + SETS.index(laws), size, tuple(effects)))
     return runs
 
 
@@ -83,10 +83,10 @@ def draw_cases(count: int, seed: int, laws: str, mix: Mapping[str, Any] | None =
 
     `mix`: other `shares`, `strengths` (lowest, highest) and `names` of effects, four runs a machine.
     """
-    drawn = Mix(SHARES, SIZES, tuple(LAWS), group=1)
+    drawn = DrawMix(SHARES, SIZES, tuple(LAWS), group=1)
     if mix is not None:
         low, high = mix["strengths"]
-        drawn = Mix(mix["shares"], (USUAL_SIZE * low, USUAL_SIZE * high), mix["names"], group=4)
+        drawn = DrawMix(mix["shares"], (USUAL_SIZE * low, USUAL_SIZE * high), mix["names"], group=4)
     cases = []
     for number, run in enumerate(draw_runs(count, seed, laws, drawn)):
         world = draw_world(run.machine)
@@ -96,7 +96,7 @@ def draw_cases(count: int, seed: int, laws: str, mix: Mapping[str, Any] | None =
     return cases
 
 
-class _Deck:
+class _LawDeck:
     """Effects in random order, each once before any comes again; the same of the laws of each."""
 
     def __init__(self, effects: Mapping[str, Mapping[str, Law]], laws: str, rng: np.random.Generator):
@@ -116,7 +116,7 @@ class _Deck:
         return next(self._laws[next(self._names)])
 
 
-def _place(law: Law, world: World, size: float, rng: np.random.Generator) -> dict[str, Any]:
+def _place(law: Law, world: DrawnWorld, size: float, rng: np.random.Generator) -> dict[str, Any]:
     n = world.arm.n
     first = 1 if law.where == "lifting" else 0
     joints = {"arm": [], "wrist": [n - 2, n - 1]}.get(law.where, [int(rng.integers(first, n))])
@@ -133,7 +133,7 @@ def _place(law: Law, world: World, size: float, rng: np.random.Generator) -> dic
     }
 
 
-def _collide(effect: Mapping[str, Any], others: Sequence[Mapping[str, Any]], world: World) -> bool:
+def _collide(effect: Mapping[str, Any], others: Sequence[Mapping[str, Any]], world: DrawnWorld) -> bool:
     """The same effect twice, two gears in one joint, or a path that nobody could see."""
     if effect["effect"] == "interpolator_mismatch" and not world.tracking:
         return True

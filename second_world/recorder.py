@@ -9,7 +9,7 @@ import numpy as np
 
 from agent.recording import Log, write_log
 from second_world.motions import RATE
-from second_world.world import World
+from second_world.world import DrawnWorld
 
 _LAG = 0.008  # s, of a velocity channel behind the motion
 _ROUNDED = 1e-4  # rad
@@ -30,7 +30,7 @@ class Take:
     stamp: float
 
 
-def write_take(path: Path, world: World, take: Take, seed: int) -> None:
+def write_take(path: Path, world: DrawnWorld, take: Take, seed: int) -> None:
     """One log, with noise, by the world's sensors and recorder."""
     rng = np.random.default_rng(np.random.SeedSequence([seed, 8]))
     arm, every = world.arm, round(RATE / world.rate)

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from second_world.laws import LAWS, OUTSIDE, Law
-from second_world.machine import Machine, largest_change
+from second_world.machine import DrawnMachine, largest_change
 from second_world.motions import Motions
-from second_world.world import World
+from second_world.world import DrawnWorld
 
 #: A size is met when it is reached within this ratio.
 TOLERANCE = 0.06
@@ -33,9 +33,9 @@ def known_law(effect: Mapping[str, Any]) -> Law:
     return laws[name]
 
 
-def build(world: World, effects: Sequence[Mapping[str, Any]], day: int) -> Machine:
+def build(world: DrawnWorld, effects: Sequence[Mapping[str, Any]], day: int) -> DrawnMachine:
     """The machine of a world on a day, with effects whose amounts are known."""
-    machine = Machine(world)
+    machine = DrawnMachine(world)
     machine.drift(day)
     for effect in effects:
         joints = tuple(world.arm.joint_names.index(joint) for joint in effect["joints"])
@@ -44,7 +44,7 @@ def build(world: World, effects: Sequence[Mapping[str, Any]], day: int) -> Machi
     return machine
 
 
-def sized(world: World, effect: Mapping[str, Any], day: int, motions: Motions) -> dict[str, Any]:
+def sized(world: DrawnWorld, effect: Mapping[str, Any], day: int, motions: Motions) -> dict[str, Any]:
     """The effect with its amount in `parameters`, and the size `found` with it along the motions, alone on the machine.
 
     The size is the largest rms change of torque over nominal, over motions and joints; that of a path, the largest rms
@@ -84,7 +84,7 @@ def _solved(error: Callable[[float], float], first: float, highest: float) -> fl
     return float(np.exp(min((abs(e), a) for a, e in tried)[1]))
 
 
-def _path_change(machine: Machine, motions: Motions) -> float:
+def _path_change(machine: DrawnMachine, motions: Motions) -> float:
     """[rad]."""
     largest = 0.0
     for points, _ in motions.values():

@@ -22,7 +22,7 @@ _STIFFEST = 2e5  # 1/s²: bristles over the rotor's inertia, which steps of half
 
 
 @dataclass(frozen=True, eq=False)
-class World:
+class DrawnWorld:
     """Everything that is drawn once per machine; n joints.
 
     `friction_rows` (n, 13), `servo_rows` (n, 14) and `terms` (T, 8) are as `second_world.kernel` takes them.
@@ -68,7 +68,7 @@ def machine_number(seed: int, group: int, laws: str) -> int:
     return 2 * (4 * int(rng.integers(2**60)) + (first + group) % 4) + LAWS.index(laws)
 
 
-def draw_world(machine: int) -> World:
+def draw_world(machine: int) -> DrawnWorld:
     """The world of a machine's number."""
     laws = LAWS[machine % 2]
     rng = np.random.default_rng(np.random.SeedSequence([machine, 5]))
@@ -85,7 +85,7 @@ def draw_world(machine: int) -> World:
             [51, 1, kind.balance * arm.torque[1] * rng.uniform(0.8, 1.1), 0.0, rng.uniform(0.2, 0.45), 0, 0, 0]
         )
     faults = tuple(str(name) for name in RECORDER_FAULTS if rng.random() < 0.5) if rng.random() < 0.5 else ()
-    return World(
+    return DrawnWorld(
         machine,
         laws,
         arm,

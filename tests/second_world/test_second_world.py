@@ -27,23 +27,23 @@ from second_world.__main__ import main, run
 from second_world.arms import CLASSES, write_description
 from second_world.draw import draw_cases, draw_runs
 from second_world.laws import LAWS, OUTSIDE
-from second_world.machine import Machine, largest_change
+from second_world.machine import DrawnMachine, largest_change
 from second_world.motions import RATE, draw_motions
 from second_world.sizing import build, sized
-from second_world.world import FRICTION, World, draw_world, machine_number
+from second_world.world import FRICTION, DrawnWorld, draw_world, machine_number
 
 EVERY_LAW = [law for known in (LAWS | OUTSIDE).values() for law in known.values()]
 
 
-def _world(seed: int, group: int = 0, laws: str = "development") -> World:
+def _world(seed: int, group: int = 0, laws: str = "development") -> DrawnWorld:
     return draw_world(machine_number(seed, group, laws))
 
 
-def _motions(world: World, cycle: float = 2.0):
+def _motions(world: DrawnWorld, cycle: float = 2.0):
     return draw_motions(world.motions, 1, world.arm.range, world.arm.speed, cycle)
 
 
-def _effect(law, world: World, size: float, seed: int = 7) -> dict:
+def _effect(law, world: DrawnWorld, size: float, seed: int = 7) -> dict:
     n = world.arm.n
     joints = {"arm": [], "wrist": [n - 2, n - 1]}.get(law.where, [2])
     names = [world.arm.joint_names[k] for k in joints]
@@ -62,7 +62,7 @@ def test_without_friction_the_torque_is_the_inverse_dynamics_of_another_library(
     servo[:, 6], servo[:, 5] = 1e9, 1e-9  # no lag, no counts
     world = replace(world, arm=arm, friction_rows=friction, servo_rows=servo, terms=np.zeros((0, 8)))
     robot = load_robot(str(write_description(arm, tmp_path)))
-    q, qd, torque = Machine(world).run({"wide": _motions(world, 8.0)["wide"]})["wide"]
+    q, qd, torque = DrawnMachine(world).run({"wide": _motions(world, 8.0)["wide"]})["wide"]
     qdd = np.gradient(qd, 1 / RATE, axis=0)
     expected = Dynamics(robot).inverse_dynamics(q, qd, qdd) + arm.rotor * qdd
     middle = slice(100, -100)
