@@ -25,7 +25,7 @@ _COUNTS = {"none": 0, "two": 2, "three": 3}
 
 
 @dataclass(frozen=True)
-class DrawnMix:
+class DrawMix:
     """What is drawn: `shares` of each kind of run, lowest and highest `sizes`, `names` of effects, `group` of runs that
     share a machine."""
 
@@ -50,7 +50,7 @@ class DrawnRun:
     effects: tuple[dict[str, Any], ...]
 
 
-def draw_runs(count: int, seed: int, laws: str, mix: DrawnMix | None = None) -> list[DrawnRun]:
+def draw_runs(count: int, seed: int, laws: str, mix: DrawMix | None = None) -> list[DrawnRun]:
     """`count` runs in random order; effects and their laws come up equally often.
 
     Raises:
@@ -58,7 +58,7 @@ def draw_runs(count: int, seed: int, laws: str, mix: DrawnMix | None = None) -> 
     """
     if laws not in SETS:
         raise ValueError(f"laws: {laws!r} is not known; one of {', '.join(SETS)}")
-    mix = mix or DrawnMix(SHARES, SIZES, tuple(LAWS), 3)
+    mix = mix or DrawMix(SHARES, SIZES, tuple(LAWS), 3)
     rng = np.random.default_rng(np.random.SeedSequence([SETS.index(laws), seed, 0]))
     kinds = [kind for kind, share in mix.shares.items() if kind != "one" for _ in range(round(share * count))]
     kinds = [str(kind) for kind in rng.permutation([*kinds, *["one"] * (count - len(kinds))])]
@@ -83,10 +83,10 @@ def draw_cases(count: int, seed: int, laws: str, mix: Mapping[str, Any] | None =
 
     `mix`: other `shares`, `strengths` (lowest, highest) and `names` of effects, four runs a machine.
     """
-    drawn = DrawnMix(SHARES, SIZES, tuple(LAWS), group=1)
+    drawn = DrawMix(SHARES, SIZES, tuple(LAWS), group=1)
     if mix is not None:
         low, high = mix["strengths"]
-        drawn = DrawnMix(mix["shares"], (USUAL_SIZE * low, USUAL_SIZE * high), mix["names"], group=4)
+        drawn = DrawMix(mix["shares"], (USUAL_SIZE * low, USUAL_SIZE * high), mix["names"], group=4)
     cases = []
     for number, run in enumerate(draw_runs(count, seed, laws, drawn)):
         world = draw_world(run.machine)

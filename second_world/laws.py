@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from second_world.kernel import Kind
-from second_world.machine import MovingBody, Push, SimulatedMachine
+from second_world.machine import AddedBody, DrawnMachine, Push
 
-Build = Callable[[SimulatedMachine, tuple[int, ...], float, np.random.Generator], None]
+Build = Callable[[DrawnMachine, tuple[int, ...], float, np.random.Generator], None]
 
 
 @dataclass(frozen=True)
@@ -66,11 +66,11 @@ def outside(
 
 
 def _term(
-    kind: Kind, numbers: Callable[[SimulatedMachine, int, np.random.Generator], tuple[float, ...]], signed: bool = False
+    kind: Kind, numbers: Callable[[DrawnMachine, int, np.random.Generator], tuple[float, ...]], signed: bool = False
 ) -> Build:
     """A law that is one term on its joint, `amount` of the nominal torque large, of either sign where `signed`."""
 
-    def build(machine: SimulatedMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
+    def build(machine: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
         joint = joints[0]
         sign = float(rng.choice([-1.0, 1.0])) if signed else 1.0
         size = sign * amount * float(machine.world.arm.torque[joint])
@@ -83,7 +83,7 @@ def _enter(
     effect: str,
     name: str,
     kind: Kind,
-    numbers: Callable[[SimulatedMachine, int, np.random.Generator], tuple[float, ...]],
+    numbers: Callable[[DrawnMachine, int, np.random.Generator], tuple[float, ...]],
     signed: bool = False,
     reserved: bool = False,
     where: str = "joint",
@@ -93,15 +93,15 @@ def _enter(
     law(effect, name, where, reserved=reserved, catalogue=catalogue, highest=highest)(_term(kind, numbers, signed))
 
 
-def _speed(m: SimulatedMachine, k: int) -> float:
+def _speed(m: DrawnMachine, k: int) -> float:
     return float(m.world.arm.speed[k])
 
 
-def _nominal(m: SimulatedMachine, k: int) -> float:
+def _nominal(m: DrawnMachine, k: int) -> float:
     return float(m.world.arm.torque[k])
 
 
-def _order(m: SimulatedMachine, k: int, rng: np.random.Generator) -> float:
+def _order(m: DrawnMachine, k: int, rng: np.random.Generator) -> float:
     """Periods a radian of the joint times 2 π: of the motor, or of a part of the gear."""
     return float(m.world.arm.kind.ratio * rng.choice([0.1, 0.25, 0.5, 1.0, 2.0]))
 
@@ -153,7 +153,7 @@ _enter("viscous_nonlinearity", "root", Kind.ROOT, lambda m, k, r: (_speed(m, k) 
 
 
 @law("thermal_friction", "cold_start")
-def _cold_start(m: SimulatedMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
+def _cold_start(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
     k, after = joints[0], rng.uniform(15, 60)
     m.add(Kind.COLD_TIME, k, amount * _nominal(m, k), after)
     m.add(Kind.COLD_VISCOUS, k, amount * _nominal(m, k), _speed(m, k), after)
@@ -174,7 +174,7 @@ _enter(
 def _presliding(kind: Kind, second: bool = False) -> Build:
     """A share of the level builds up over `amount` [rad] more than usual after a reversal; sliding is as it was."""
 
-    def build(m: SimulatedMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
+    def build(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
         k, share = joints[0], rng.uniform(0.5, 0.9)
         part, usual = share * m.friction[k, 1], m.friction[k, 1] / m.friction[k, 5]
         m.add(Kind.CONSTANT, k, -part)
@@ -190,26 +190,26 @@ law("presliding", "lopsided", first=0.02, highest=0.6, reserved=True)(_preslidin
 
 
 @law("friction_change", "coulomb")
-def _coulomb(m: SimulatedMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
+def _coulomb(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
     k = joints[0]
     change = amount * _nominal(m, k) / m.friction[k, 1]
     m.friction[k, 1:3] *= 1 + change if rng.random() < 0.6 else max(1 - change, 0.2)
 
 
 @law("friction_change", "viscous", highest=3.0)
-def _viscous(m: SimulatedMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
+def _viscous(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
     m.friction[joints[0], 4] += amount * _nominal(m, joints[0]) / _speed(m, joints[0])
 
 
 @law("friction_change", "both")
-def _both(m: SimulatedMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
+def _both(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
     k = joints[0]
     m.friction[k, 1:3] *= 1 + amount * _nominal(m, k) / m.friction[k, 1]
     m.friction[k, 4] += rng.uniform(0.5, 2.0) * amount * _nominal(m, k) / _speed(m, k)
 
 
 # Transmission.
-def _reduced(m: SimulatedMachine, k: int) -> float:
+def _reduced(m: DrawnMachine, k: int) -> float:
     """[kg·m²] of the rotor swinging against the arm."""
     rotor = float(m.world.arm.rotor[k])
     link = max(float(m.effective_inertia[k]) - rotor, 0.02 * rotor)
@@ -219,7 +219,7 @@ def _reduced(m: SimulatedMachine, k: int) -> float:
 def _soft(kind: int, shape: Callable[[np.random.Generator], float] = lambda r: 1.0) -> Build:
     """A gear that is `amount` times as soft as one that swings at 20 Hz, never stiffer than one at 70 Hz."""
 
-    def build(m: SimulatedMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
+    def build(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
         k = joints[0]
         inertia = _reduced(m, k)
         stiffness = inertia * (2 * np.pi) ** 2 * min(400.0 / amount, 4900.0)
@@ -232,7 +232,7 @@ def _soft(kind: int, shape: Callable[[np.random.Generator], float] = lambda r: 1
 def _play(kind: int) -> Build:
     """Teeth with a play of `amount` [rad]."""
 
-    def build(m: SimulatedMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
+    def build(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
         k = joints[0]
         inertia = _reduced(m, k)
         stiffness = inertia * (2 * np.pi * rng.uniform(90, 130)) ** 2
@@ -274,21 +274,21 @@ _enter(
 
 
 @law("wrist_coupling", "drag", "wrist")
-def _drag(m: SimulatedMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
+def _drag(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
     first, second = joints
     size, ratio = amount * _nominal(m, second), float(rng.choice([-1, 1]) * rng.uniform(0.4, 1.6))
     m.pairs.append([first, second, ratio, size, rng.uniform(0, 1) * size / _speed(m, second)])
 
 
 @law("wrist_coupling", "oil", "wrist", highest=3.0)
-def _oil(m: SimulatedMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
+def _oil(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
     first, second = joints
     ratio = float(rng.choice([-1, 1]) * rng.uniform(0.4, 1.6))
     m.pairs.append([first, second, ratio, 0.0, amount * _nominal(m, second) / _speed(m, second)])
 
 
 @law("wrist_coupling", "shaft", "wrist", highest=3.0)
-def _shaft(m: SimulatedMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
+def _shaft(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
     first, second = joints
     ratio = float(rng.choice([-1, 1]) * rng.uniform(0.4, 1.6))
     m.wrist_inertia = first, second, ratio, amount * float(m.world.arm.rotor[second])
@@ -296,7 +296,7 @@ def _shaft(m: SimulatedMachine, joints: tuple[int, ...], amount: float, rng: np.
 
 
 # Bodies and what acts on them.
-def _hanging(m: SimulatedMachine, k: int) -> float:
+def _hanging(m: DrawnMachine, k: int) -> float:
     """Mass [kg] that loads the shoulder with its nominal torque from a metre away."""
     return float(m.world.arm.torque[1]) / 9.81
 
@@ -307,18 +307,18 @@ def _direction(rng: np.random.Generator) -> np.ndarray:
 
 
 def _tool(shape: str) -> Build:
-    def build(m: SimulatedMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
+    def build(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
         mass, last = amount * _hanging(m, 0), m.world.arm.n - 1
         reach = float(np.abs(m.world.arm.origin).sum())
         place = reach * np.array([rng.uniform(-0.04, 0.04), rng.uniform(-0.04, 0.04), rng.uniform(0.0, 0.1)])
         radius = reach * {"point": 0.005, "ball": 0.05}.get(shape, 0.02)
-        m.bodies.append(MovingBody(last, mass, place, np.full(3, 0.4 * mass * radius**2)))
+        m.bodies.append(AddedBody(last, mass, place, np.full(3, 0.4 * mass * radius**2)))
         if shape == "pair":
             away = reach * rng.uniform(0.05, 0.15) * _direction(rng)
-            m.bodies.append(MovingBody(last, 0.5 * mass, place + away, np.full(3, 0.2 * mass * radius**2)))
+            m.bodies.append(AddedBody(last, 0.5 * mass, place + away, np.full(3, 0.2 * mass * radius**2)))
         if shape == "rod":
             length = reach * rng.uniform(0.1, 0.25)
-            m.bodies.append(MovingBody(last, 0.2 * mass, place, mass * length**2 / 12 * np.array([1.0, 1.0, 0.05])))
+            m.bodies.append(AddedBody(last, 0.2 * mass, place, mass * length**2 / 12 * np.array([1.0, 1.0, 0.05])))
 
     return build
 
@@ -328,27 +328,27 @@ for _shape, _reserved in (("point", False), ("ball", False), ("rod", False), ("p
 
 
 @law("inertial_mismatch", "denser", "arm", highest=3.0)
-def _denser(m: SimulatedMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
+def _denser(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
     link, change = int(rng.integers(1, m.world.arm.n - 1)), amount * float(rng.choice([-1, 1]))
     m.mass[link] *= max(1 + 2 * change, 0.3)
     m.inertia[link] *= max(1 + 2 * change, 0.3)
 
 
 @law("inertial_mismatch", "bolted_on", "arm", highest=1.0)
-def _bolted_on(m: SimulatedMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
+def _bolted_on(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
     link, mass = int(rng.integers(1, m.world.arm.n - 1)), amount * _hanging(m, 0)
     reach = float(np.abs(m.world.arm.origin).sum())
-    m.bodies.append(MovingBody(link, mass, 0.15 * reach * _direction(rng), np.full(3, 1e-3 * mass * reach**2)))
+    m.bodies.append(AddedBody(link, mass, 0.15 * reach * _direction(rng), np.full(3, 1e-3 * mass * reach**2)))
 
 
 @law("inertial_mismatch", "shifted", "arm", highest=1.0)
-def _shifted(m: SimulatedMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
+def _shifted(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
     link = int(rng.integers(1, m.world.arm.n - 1))
     m.centre[link] += amount * float(np.abs(m.world.arm.origin).sum()) * _direction(rng)
 
 
 def _leaning(how: str) -> Build:
-    def build(m: SimulatedMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
+    def build(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
         heading = rng.uniform(0, 2 * np.pi) if how == "wedge" else rng.integers(4) * np.pi / 2
         after = rng.uniform(10, 40)
 
@@ -369,7 +369,7 @@ law("base_tilt", "settling", "arm", highest=0.5)(_leaning("settling"))
 def _pushing(how: str) -> Build:
     """A force of `amount` nominal shoulder torques over a metre, on a link, over a stretch of every motion."""
 
-    def build(m: SimulatedMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
+    def build(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
         link, way = int(rng.integers(2, m.world.arm.n)), _direction(rng)
         size, start, duration = amount * _hanging(m, 0) * 9.81, rng.uniform(0.05, 0.6), rng.uniform(0.08, 0.3)
         began: dict[int, np.ndarray] = {}
@@ -419,7 +419,7 @@ _enter(
 
 
 def _rubbing_hose(kind: Kind, numbers: Callable[[np.random.Generator], tuple[float, ...]]) -> Build:
-    def build(m: SimulatedMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
+    def build(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
         k = joints[0]
         m.add(kind, k, amount * _nominal(m, k), *numbers(rng))
         m.add(Kind.DAHL, k, rng.uniform(0.05, 0.2) * amount * _nominal(m, k), rng.uniform(0.02, 0.1))
@@ -448,7 +448,7 @@ _enter(
 
 # Measurement.
 @law("torque_constant", "sensor")
-def _sensor(m: SimulatedMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
+def _sensor(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
     k, scale = joints[0], 1 + amount * float(rng.choice([-1, 1]))
 
     def report(signals: np.ndarray, began: float) -> np.ndarray:
@@ -459,12 +459,12 @@ def _sensor(m: SimulatedMachine, joints: tuple[int, ...], amount: float, rng: np
 
 
 @law("torque_constant", "magnets", highest=0.7)
-def _magnets(m: SimulatedMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
+def _magnets(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
     m.servo[joints[0], 8] = 1 + amount if rng.random() < 0.3 else 1 - amount
 
 
 @law("torque_constant", "saturating", highest=3.0)
-def _saturating(m: SimulatedMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
+def _saturating(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
     k, knee = joints[0], rng.uniform(0.7, 2.0) * _nominal(m, joints[0])
 
     def report(signals: np.ndarray, began: float) -> np.ndarray:
@@ -476,7 +476,7 @@ def _saturating(m: SimulatedMachine, joints: tuple[int, ...], amount: float, rng
 
 
 @law("torque_offset", "sensor")
-def _shift(m: SimulatedMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
+def _shift(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
     k = joints[0]
 
     def report(signals: np.ndarray, began: float) -> np.ndarray:
@@ -487,12 +487,12 @@ def _shift(m: SimulatedMachine, joints: tuple[int, ...], amount: float, rng: np.
 
 
 @law("torque_offset", "in_the_loop")
-def _in_the_loop(m: SimulatedMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
+def _in_the_loop(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
     m.servo[joints[0], 9] -= amount
 
 
 @law("torque_offset", "wandering")
-def _wandering(m: SimulatedMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
+def _wandering(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
     k, slow, phase = joints[0], rng.uniform(60, 200), rng.uniform(0, 6)
 
     def report(signals: np.ndarray, began: float) -> np.ndarray:
@@ -506,7 +506,7 @@ def _wandering(m: SimulatedMachine, joints: tuple[int, ...], amount: float, rng:
 def _late(how: str) -> Build:
     """Torques that are `amount` [s] late, by a shift, a filter or a mean, or early, as where positions are late."""
 
-    def build(m: SimulatedMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
+    def build(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
         samples = 1000.0 * amount
 
         def one(values: np.ndarray) -> np.ndarray:
@@ -532,12 +532,12 @@ for _how, _reserved in (("late", False), ("early", False), ("filtered", False), 
 
 
 @law("encoder_offset", "mounted", "lifting", highest=0.5)
-def _mounted(m: SimulatedMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
+def _mounted(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
     m.servo[joints[0], 7] += amount * float(rng.choice([-1, 1]))
 
 
 @law("encoder_offset", "eccentric", "lifting", highest=0.5)
-def _eccentric(m: SimulatedMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
+def _eccentric(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
     """The offset, and a scale that is off centre by a fifth of it."""
     k, sign, phase = joints[0], float(rng.choice([-1, 1])), rng.uniform(0, 6)
     m.servo[k, 7] += amount * sign
@@ -550,7 +550,7 @@ def _eccentric(m: SimulatedMachine, joints: tuple[int, ...], amount: float, rng:
 
 
 @law("encoder_offset", "belt", "lifting", highest=0.5)
-def _belt(m: SimulatedMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
+def _belt(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
     """The offset, and a belt in front of the encoder that stretches with the torque by up to a tenth of it."""
     k, sign = joints[0], float(rng.choice([-1, 1]))
     m.servo[k, 7] += amount * sign
@@ -566,7 +566,7 @@ def _other_path(how: str) -> Build:
     """Set-points that are not the planned ones, by about `amount` of the speed: faster or slower, corners rounded, or
     late by joint. They take as long as the plan, so that the duration of a log tells nothing."""
 
-    def build(m: SimulatedMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
+    def build(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
         rate = 1 + amount * float(rng.choice([-1, 1]))
         lags = rng.uniform(0.3, 1.5, m.world.arm.n)
 
@@ -595,7 +595,7 @@ law("interpolator_mismatch", "late", "arm", first=0.02, highest=0.3)(_other_path
 
 # What no catalogue has.
 @outside("flexible_base", "rocking", "arm", first=0.03, highest=1.0)
-def _flexible_base(m: SimulatedMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
+def _flexible_base(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
     stiffness = float(m.world.arm.torque[1]) / (0.02 * amount)
     damping = 0.05 * stiffness / (2 * np.pi * rng.uniform(6, 12))
     m.base = stiffness, damping
@@ -637,7 +637,7 @@ _enter(
 
 
 @outside("crosstalk", "linear")
-def _crosstalk(m: SimulatedMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
+def _crosstalk(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
     k, n = joints[0], m.world.arm.n
     other = (k + 1 + int(rng.integers(n - 1))) % n
     share = float(rng.choice([-1, 1])) * amount * _nominal(m, k) / _nominal(m, other)
@@ -650,7 +650,7 @@ def _crosstalk(m: SimulatedMachine, joints: tuple[int, ...], amount: float, rng:
 
 
 @outside("warm_magnets", "heated_by_current", highest=3.0)
-def _warm_magnets(m: SimulatedMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
+def _warm_magnets(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
     k, after = joints[0], rng.uniform(8, 30)
     heat = {"now": 0.0}
 
@@ -669,7 +669,7 @@ def _warm_magnets(m: SimulatedMachine, joints: tuple[int, ...], amount: float, r
 
 
 @outside("tool_drag", "square", "arm", first=0.1, highest=50.0)
-def _tool_drag(m: SimulatedMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
+def _tool_drag(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
     """A broad tool in air or in a liquid: −c |v| v, stronger across a direction of the base frame."""
     size, way = amount * _hanging(m, 0) * 9.81, _direction(rng)
 
@@ -680,7 +680,7 @@ def _tool_drag(m: SimulatedMachine, joints: tuple[int, ...], amount: float, rng:
 
 
 @outside("holding_sensor", "now_and_then", first=0.05, highest=1.5, reserved=True)
-def _holding(m: SimulatedMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
+def _holding(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
     k, starts = joints[0], np.cumsum(rng.exponential(1500.0, 200)).astype(int)
     lengths = rng.exponential(1.0, 200)
 
@@ -694,7 +694,7 @@ def _holding(m: SimulatedMachine, joints: tuple[int, ...], amount: float, rng: n
 
 
 @outside("clipped_torque", "converter", first=0.05, highest=1.0, reserved=True)
-def _clipped(m: SimulatedMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
+def _clipped(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
     k = joints[0]
 
     def report(signals: np.ndarray, began: float) -> np.ndarray:

@@ -23,7 +23,7 @@ Report = Callable[[np.ndarray, float], np.ndarray]
 
 
 @dataclass(frozen=True)
-class MovingBody:
+class AddedBody:
     """A mass bolted to a link: kg, m and principal moments [kg·m²] in the link's frame."""
 
     link: int
@@ -41,7 +41,7 @@ class Push:
 
 
 @dataclass(eq=False)
-class SimulatedMachine:
+class DrawnMachine:
     """What effects may change, from a world; n joints.
 
     `wrist_inertia` (first, second, ratio, inertia [kg·m²]) turns at the speed v[second] + ratio · v[first];
@@ -58,7 +58,7 @@ class SimulatedMachine:
     gears: np.ndarray = field(init=False)
     terms: list[list[float]] = field(init=False)
     pairs: list[list[float]] = field(default_factory=list)
-    bodies: list[MovingBody] = field(default_factory=list)
+    bodies: list[AddedBody] = field(default_factory=list)
     pushes: list[Push] = field(default_factory=list)
     reports: list[Report] = field(default_factory=list)
     wrist_inertia: tuple[int, int, float, float] | None = None
@@ -88,7 +88,7 @@ class SimulatedMachine:
     @property
     def effective_inertia(self) -> np.ndarray:
         """(n,) [kg·m²] that each joint sees at zero, all others held, rotor included."""
-        model = mujoco.MjModel.from_xml_string(_mjcf(SimulatedMachine(self.world)))
+        model = mujoco.MjModel.from_xml_string(_mjcf(DrawnMachine(self.world)))
         data = mujoco.MjData(model)
         mujoco.mj_forward(model, data)
         full = np.zeros((model.nv, model.nv))
@@ -117,7 +117,7 @@ class SimulatedMachine:
 
 
 class _Simulation:
-    def __init__(self, machine: SimulatedMachine):
+    def __init__(self, machine: DrawnMachine):
         self._machine = machine
         arm = machine.world.arm
         self._model = model = mujoco.MjModel.from_xml_string(_mjcf(machine))
@@ -200,7 +200,7 @@ class _Simulation:
             data.xfrc_applied[body, :3] = push.force(share, data.xipos[body], spin[3:])
 
 
-def _mjcf(machine: SimulatedMachine) -> str:
+def _mjcf(machine: DrawnMachine) -> str:
     arm = machine.world.arm
     parts = [
         f'<mujoco><option timestep="{_DT}" integrator="implicitfast" gravity="0 0 {-_STANDARD}">'

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from second_world.laws import LAWS, OUTSIDE, Law
-from second_world.machine import SimulatedMachine, largest_change
+from second_world.machine import DrawnMachine, largest_change
 from second_world.motions import Motions
 from second_world.world import DrawnWorld
 
@@ -33,9 +33,9 @@ def known_law(effect: Mapping[str, Any]) -> Law:
     return laws[name]
 
 
-def build(world: DrawnWorld, effects: Sequence[Mapping[str, Any]], day: int) -> SimulatedMachine:
+def build(world: DrawnWorld, effects: Sequence[Mapping[str, Any]], day: int) -> DrawnMachine:
     """The machine of a world on a day, with effects whose amounts are known."""
-    machine = SimulatedMachine(world)
+    machine = DrawnMachine(world)
     machine.drift(day)
     for effect in effects:
         joints = tuple(world.arm.joint_names.index(joint) for joint in effect["joints"])
@@ -84,7 +84,7 @@ def _solved(error: Callable[[float], float], first: float, highest: float) -> fl
     return float(np.exp(min((abs(e), a) for a, e in tried)[1]))
 
 
-def _path_change(machine: SimulatedMachine, motions: Motions) -> float:
+def _path_change(machine: DrawnMachine, motions: Motions) -> float:
     """[rad]."""
     largest = 0.0
     for points, _ in motions.values():

@@ -111,13 +111,13 @@ def _rows(counts: Mapping[str, Mapping[str, int]]) -> list[list[str]]:
 
 def _further(scores: Mapping[str, Any]) -> Iterator[str]:
     yield from (
-        "`both of two`, `all of three`: each of the effects is a cause or an equal of one. `joint`: the first cause's "
-        "joints, or the joint with the largest share where there is no cause, are among those of the true effects; "
-        "runs whose effect is of the whole arm are left out. `further cause wrong`: of answers with "
-        "more than one cause, those where a later one holds no true effect. `class sizes`: members of the first "
-        "cause's class, itself included, and how many `in class` answers have that size. `withheld`: the tool answers "
-        "again with the true effects taken out of "
-        "its catalogue, so `unknown` is right and any name is wrong.",
+        "`both of two`, `all of three`: each of the effects is a cause or an equal of one. `joint`: the first cause's"
+        " joints, or the joint with the largest share where there is no cause, are among those of the true effects; "
+        "`no gap` and `no answer` locate nothing; runs whose effect is of the whole arm are left out. `further cause "
+        "wrong`: of answers with more than one cause, those where a later one holds no true effect. `class sizes`: "
+        "members of the first cause's class, itself included, and how many `in class` answers have that size. "
+        "`withheld`: the tool answers again with the true effects taken out of its catalogue, so `unknown` is right "
+        "and any name is wrong.",
         "",
     )
     head = ["tool", "both of two", "all of three", "joint", "further cause wrong", "class sizes", "withheld"]

@@ -47,10 +47,10 @@ class SimulatedLoadDependentFriction(JointEffect):
     coefficient: float
 
     def install_on(self, machine: Machine, k: int) -> None:
-        machine.terms[k].append(_ToothWave(self.coefficient, 0.1 * float(machine.nominal[k])))
+        machine.terms[k].append(_RubbingTeeth(self.coefficient, 0.1 * float(machine.nominal[k])))
 
 
-class _ToothWave(FrictionModifier):
+class _RubbingTeeth(FrictionModifier):
     def __init__(self, coefficient: float, bearing: float):
         self._coefficient, self._bearing = coefficient, bearing
 

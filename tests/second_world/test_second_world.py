@@ -27,7 +27,7 @@ from second_world.__main__ import main, run
 from second_world.arms import CLASSES, write_description
 from second_world.draw import draw_cases, draw_runs
 from second_world.laws import LAWS, OUTSIDE
-from second_world.machine import SimulatedMachine, largest_change
+from second_world.machine import DrawnMachine, largest_change
 from second_world.motions import RATE, draw_motions
 from second_world.sizing import build, sized
 from second_world.world import FRICTION, DrawnWorld, draw_world, machine_number
@@ -62,7 +62,7 @@ def test_without_friction_the_torque_is_the_inverse_dynamics_of_another_library(
     servo[:, 6], servo[:, 5] = 1e9, 1e-9  # no lag, no counts
     world = replace(world, arm=arm, friction_rows=friction, servo_rows=servo, terms=np.zeros((0, 8)))
     robot = load_robot(str(write_description(arm, tmp_path)))
-    q, qd, torque = SimulatedMachine(world).run({"wide": _motions(world, 8.0)["wide"]})["wide"]
+    q, qd, torque = DrawnMachine(world).run({"wide": _motions(world, 8.0)["wide"]})["wide"]
     qdd = np.gradient(qd, 1 / RATE, axis=0)
     expected = Dynamics(robot).inverse_dynamics(q, qd, qdd) + arm.rotor * qdd
     middle = slice(100, -100)
