@@ -514,7 +514,8 @@ def _late(how: str) -> Build:
             if how in ("late", "early"):
                 return np.interp(at - (samples if how == "late" else -samples), at, values)
             memory = np.exp(-np.arange(max(int(12 * samples), 2)) / max(samples, 1e-3))
-            weights = memory if how == "filtered" else np.ones(max(int(2 * samples) + 1, 1))
+            whole = int(2 * samples)
+            weights = memory if how == "filtered" else np.append(np.ones(whole + 1), 2 * samples - whole)
             padded = np.concatenate([np.full(len(weights) - 1, values[0]), values])
             return np.convolve(padded, weights / weights.sum(), mode="valid")
 

@@ -230,7 +230,7 @@ def test_the_same_fleet_is_drawn_twice(tmp_path: Path):
     [
         (["--method", "wrong"], "choose one of"),
         (["--structure", "wrong"], "rigid or auto"),
-        (["--cutoff", -3], "above 0"),
+        (["--cutoff", -3], "at least 0.1 Hz"),
     ],
 )
 def test_what_no_run_can_answer_is_usage(command, plant: Path, tmp_path: Path, asked: list[str], said: str):

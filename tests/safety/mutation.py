@@ -94,7 +94,7 @@ ALWAYS_NUMBERS: dict[str, dict[str, str]] = {
         "short.min(axis=1) >= 0": "of distances that were found to be numbers",
     },
     "freshness.py": {
-        "silent <= self.silence": "the other one tells of a clock that shows no time",
+        "silent <= self.oldest": "the other one tells of a clock that shows no time",
         "age <= self.oldest": "the same",
         "silent < WAITS": "chooses the words",
     },

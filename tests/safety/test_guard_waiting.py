@@ -13,7 +13,7 @@ from hypothesis import given, strategies as st
 from agent.core.errors import ControllerError, SafetyError
 from agent.motion.program import Delay
 from agent.robot import load_robot
-from agent.safety.freshness import DRIFT, HELD_UP, LATE, WAITS, Freshness
+from agent.safety.freshness import DRIFT, HELD_UP, WAITS, Freshness
 from agent.safety.motion import SETTLING, pauses
 from agent.safety.preconditions import check_throughput
 from agent.safety.watch import TURN, MotionWatch
@@ -80,7 +80,7 @@ def test_a_delay_that_is_the_same_or_changes_little_stops_nothing(always, change
 @given(st.floats(0.01, 5.0))
 def test_a_delay_that_grows_stops_the_arm_when_it_is_too_long(growth):
     """At 1 % a second too slow as well."""
-    limit = LATE + WAITS
+    limit = WATCHDOG + WAITS
     stopped = watched([growth * 0.02 * k for k in range(int(50 * 2 * limit / growth) + 50)])
     assert stopped is not None
     assert 0.9 * limit < growth * stopped < 1.1 * limit + 0.05 * growth
@@ -99,7 +99,7 @@ def test_first_samples_that_were_held_up_hide_no_lag():
     held = [HELD_UP, HELD_UP / 2] + [0.0] * 50
     late = [0.02 * k for k in range(100)]
     stopped = watched(held + late)
-    assert stopped == pytest.approx(0.02 * len(held) + LATE + WAITS, abs=0.03)
+    assert stopped == pytest.approx(0.02 * len(held) + WATCHDOG + WAITS, abs=0.03)
 
 
 @pytest.mark.parametrize("samples", [0, 1])
