@@ -91,7 +91,7 @@ def _filled(
         said = json.loads((place / "truth.json").read_text(encoding="utf-8"))
         made = {"run": label, "serial": f"SN-{serial}", **truth, **said, "number": int(place.name)}
         (failed if "error" in said else runs).append(made)
-    runs.sort(key=lambda run: run["run"])  # in an order that is none of the draw
+    runs.sort(key=lambda run: run["run"])  # the order of the files says nothing about the draw
     for run in runs:
         _publish(staging / f"{run['number']:04d}", folder / "runs" / run["run"], run["serial"], rng)
     key = replace(key, runs=runs, not_recorded=failed)

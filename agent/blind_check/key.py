@@ -80,9 +80,9 @@ class Key:
         data = {"schema": _SCHEMA, "benchmark": f"{NAME} {VERSION}", **asdict(self)}
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            with written_whole(path) as beside:
-                beside.touch(0o600)
-                beside.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
+            with written_whole(path) as unfinished:
+                unfinished.touch(0o600)
+                unfinished.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
         except OSError as error:
             raise AgentError(f"{path}: the key cannot be written: {error.strerror}; free space or rights?") from None
         return sha256_file(path)

@@ -171,7 +171,7 @@ def _wrong_lengths(
 
 
 def _gain_by_length(robot: RobotDescription, samples: FitSamples) -> Callable[[int, float], tuple[float, float]]:
-    """What a joint (from 0) so many times as far from the one before gains: mean over folds, and its standard error."""
+    """Return what another distance of a joint (from 0) from the one before gains: mean over folds, standard error."""
     bodies = Bodies(robot)
     precision = bodies.precision(samples)
     order, sign = np.arange(robot.dof), np.ones(robot.dof)

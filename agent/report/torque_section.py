@@ -61,7 +61,7 @@ def worst_first(robot: RobotDescription, error: np.ndarray) -> list[int]:
 
 
 def torque_plot(data: TorqueData, caption: str) -> Plot:
-    """Measured over predicted torque with its parts stacked, and beside it what is left with its bounds."""
+    """Plot measured and predicted torque with its parts stacked, next to the residual with its bounds."""
     panels = []
     for k in data.order:
         joint, unit = data.joints[k], data.units[k]

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-#: Speed is taken over so long [s].
+#: Duration over which a speed is measured [s].
 SPAN = 0.1
 #: No joint of an arm that stands is faster than this part of its limit.
 STILL = 0.01
 #: An arm that brakes has less than this part of its speed left when that is asked, and has not regained that part of
 #: it: one that disobeys slows down too, where its path has a corner.
 BRAKING, REGAINED = 0.8, 0.25
-#: So long [s] it stands before it counts as at rest without the controller's word.
+#: Duration of standing [s] from which an arm is at rest without the controller's word.
 RESTING = 0.3
 
 

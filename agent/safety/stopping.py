@@ -21,13 +21,13 @@ from drivers.protocol import Driver, SampleBlock
 if TYPE_CHECKING:
     from agent.robot import RobotDescription
 
-#: An arm that does not brake so long [s] after a stop gets a second one, and a closed link.
+#: Time after a stop [s] at which an arm that does not brake gets a second one, and at which the link is closed.
 AGAIN, LET_GO = 0.5, 1.0
-#: So long [s] after a stop the arm stands, or the link is closed.
+#: Time after a stop [s] by which the arm has to stand, or the link is closed.
 STANDS = 4.0
-#: An arm that has stood for so long [s] is at rest, though the controller never reports the end of its motion.
+#: Duration of standing [s] from which a motion is over though the controller never reports its end.
 NO_END = 2.0
-#: The state tells where the arm is after so long [s] without a sample.
+#: Time without a sample [s] from which the state tells where the arm is.
 BLIND = 0.2
 _LOOKS = 20  # at the state, once the samples have ended
 
@@ -124,7 +124,7 @@ class Stopping:
         self._eyes.shutdown(wait=False)
 
     def wait(self, limit: float) -> None:
-        """Wait until the stop was carried out, for so long [s] at most."""
+        """Wait until the stop was carried out, `limit` seconds at most."""
         for sent in self._sent:
             sent.join(limit)
 

@@ -1,4 +1,4 @@
-"""The numbers of the decision: twelve, each with a source."""
+"""The numbers of the decision, all fifteen. Their sensitivity is not measured yet."""
 
 from __future__ import annotations
 
@@ -12,9 +12,10 @@ class Law:
     Shares of torque are root mean square over nominal joint torque.
     """
 
-    #: Time between independent errors [s]. Chosen: the correlation time of residuals of real arms is 0.1 to 1 s.
+    #: Time between independent errors [s]. Chosen; not measured on any arm.
     independent: float = 0.5
-    #: Systematic error of the model per background column, in units of its held-out error.
+    #: Systematic error of the model per background column, in units of its held-out error. It, `drift` and `form` come
+    #: from a trial on other simulated arms, where few values were compared.
     systematic: float = 0.4
     #: What an arm changes by itself per background column, of nominal torque.
     drift: float = 0.001
@@ -22,13 +23,13 @@ class Law:
     form: float = 0.05
     #: Usual sizes of effects, of nominal torque, one as likely as another. Chosen: half a decade apart.
     sizes: tuple[float, ...] = (0.007, 0.02, 0.06, 0.2)
-    #: How well the model's held-out error is known: degrees of freedom. Chosen: a handful of motions.
+    #: How well the model's held-out error is known: degrees of freedom. Chosen.
     nu: float = 6.0
     #: Prior probability of no effect, of an effect outside the catalogue, and of every further effect. Chosen.
     nothing: float = 0.5
     other: float = 0.1
     further: float = 0.1
-    #: Smallest torque worth a name, of nominal. Chosen: half of what technicians call a gap.
+    #: Smallest torque worth a name, of nominal. Chosen.
     practical: float = 0.004
     #: Share of the torque beyond the background that named causes close, or they do not explain it.
     adequate: float = 0.95
@@ -38,7 +39,7 @@ class Law:
     rival: float = 0.1
     #: Most effects in one hypothesis.
     most: int = 3
-    #: Highest probability of any class: one form in twenty is missing from every catalogue.
+    #: Highest probability of any class. Chosen: some form is missing from every catalogue.
     certain: float = 0.95
 
 

@@ -303,7 +303,7 @@ def decode(frame: Frame) -> Any:
 
 
 def frame_bytes(payload: int) -> int:
-    """Bytes of a frame with so many bytes of payload."""
+    """Bytes of a frame, from those of its payload."""
     return HEADER.size + payload + TRAILER.size
 
 

@@ -90,7 +90,14 @@ def test_a_gain_is_the_ratio_of_two_normal_densities_of_all_rows(robot, model):
     assert gains[0] == pytest.approx(max(ratios), rel=1e-3, abs=1e-3)
 
 
-def test_a_baseline_without_effects_teaches_little(robot, baseline, model):
-    usual = usual_effects(robot, baseline, model.cutoff)
-    assert max((one.size for one in usual), default=0.0) < 0.01
-    assert len(on(fit_of(robot, model), usual)) >= len(usual)
+def test_what_one_log_of_the_baseline_has_is_learned(robot, baseline, model):
+    """An offset on one day is part of what the arm has; a baseline without it teaches far less of it."""
+    logs = [*baseline[:2], record(Plant(robot, seed=3, effects=[OFFSET]), "odd_day", 13)]
+    learned, plain = (
+        {one.place: one.size for one in usual_effects(robot, known, model.cutoff)} for known in (logs, baseline)
+    )
+    offset = ("torque_offset", (1,))
+    assert learned[offset] > 5 * plain.get(offset, 0.0)
+    assert learned[offset] > 0.01
+    usual = usual_effects(robot, logs, model.cutoff)
+    assert {form.place for form, _ in on(fit_of(robot, model), usual)} == {one.place for one in usual}

@@ -145,7 +145,9 @@ def test_a_calibration_anew_of_a_machine_that_changed_opens_with_the_diagnosis(w
     titles = _titles(page)
     assert titles[0].startswith("Diagnosis")
     assert "Against the last accepted run" in titles
-    assert "(friction_change)" in page.split("</header>")[0]
+    head = page.split("</header>")[0]
+    assert "(friction_change)" in head
+    assert "joint_2, most likely" in head
     _check_shown(browse, folder / "report.html")
 
 
@@ -214,7 +216,9 @@ def test_a_diagnosis_opens_the_report_when_the_last_model_predicts_worse(worn: P
     assert found["causes"][0]["joints"] == ["joint_2"]
     page = (folder / "report.html").read_text(encoding="utf-8")
     assert page.index("Diagnosis against the last model <a") < page.index("Prediction <a")
-    assert "(friction_change)" in page.split("</header>")[0]
+    head = page.split("</header>")[0]
+    assert "(friction_change)" in head
+    assert "joint_2, most likely" in head
     compared = json.loads(run_agent("compare", result["reference"], folder.name, "--json").stdout)
     assert next(entry["name"] for entry in compared["parameters"] if entry["moved"]) == "f0_2"
 

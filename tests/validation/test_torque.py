@@ -11,6 +11,7 @@ import pytest
 from agent.core.errors import InputError
 from agent.estimation import EstimationSettings, estimate
 from agent.estimation.filtering import FilterSettings, motions
+from agent.pipeline import validation_text
 from agent.recording.log import Log
 from agent.robot import load_robot
 from agent.validation import pooled_rmse, predict_log, summary, validate
@@ -113,6 +114,18 @@ def test_figures_that_do_not_exist_are_null(case):
     assert result.overall.normalised_rmse == (None,) * 6
     assert [value is None for value in result.overall.relative_error] == [joint == 2 for joint in range(6)]
     assert np.all(np.isfinite(result.overall.rmse))
+
+
+def test_figures_of_torque_that_is_zero_throughout_are_null(case):
+    robot, model, logs = case
+    bare = replace(robot, joints=tuple(replace(joint, nominal_motor_torque=None) for joint in robot.joints))
+    prediction = predict_log(replace(model, robot=bare), logs[0])
+    result = summary([replace(prediction, measured=np.zeros_like(prediction.measured))])
+    assert result.overall.normalised_rmse == (None,) * 6
+    assert result.overall.relative_error == (None,) * 6
+    assert result.overall.relative_error_all_joints is None
+    assert np.all(np.isfinite(result.overall.rmse))
+    assert "all joints: - at" in validation_text(result)
 
 
 def test_torque_that_is_zero_throughout_is_refused(case):

@@ -27,7 +27,7 @@ from agent.core import InputError, needed, read_yaml
 METADATA = "metadata.yaml"
 #: First bytes of a sqlite3 file, of a ROS 1 bag, and of whatever zstd has compressed.
 SQLITE, ROS1, ZSTD = b"SQLite format 3\0", b"#ROSBAG V", b"\x28\xb5\x2f\xfd"
-#: A file may unpack to so many times its size: logs shrink to a tenth.
+#: Limit of the unpacked size, in times the size of the file: logs shrink to a tenth.
 MOST_TIMES = 500
 _COMPRESSED: dict[bytes, Callable[[IO[bytes]], Any]] = {
     ZSTD: lambda file: zstandard.ZstdDecompressor(max_window_size=2**27).stream_reader(file, read_across_frames=True),
@@ -79,9 +79,12 @@ def bag_files(folder: Path) -> list[Path]:
     return files
 
 
-def too_much(path: Path) -> str:
-    """What to say of a file that would fill memory or disk."""
-    return f"{path}: unpacks to more than {MOST_TIMES} times its size, as no recording of a motion does"
+def too_much(path: Path, most: int) -> str:
+    """What to say of a file that unpacks to more than the `most` bytes that are allowed."""
+    times = most / max(path.stat().st_size, 1)
+    return (
+        f"{path}: unpacks to more than {times:.0f} times its size ({most >> 20} MiB), as no recording of a motion does"
+    )
 
 
 @contextmanager
@@ -99,13 +102,13 @@ def unpacked(path: Path) -> Iterator[tuple[IO[bytes], str]]:
             yield file, str(path)
             return
         with NamedTemporaryFile() as plain:
-            most = MOST_TIMES * path.stat().st_size
+            most = max(MOST_TIMES * path.stat().st_size, _BLOCK)
             try:
                 with opener(file) as stream:
                     while block := stream.read(_BLOCK):
                         plain.write(block)
-                        if plain.tell() > max(most, _BLOCK):
-                            raise InputError(too_much(path))
+                        if plain.tell() > most:
+                            raise InputError(too_much(path, most))
             except (EOFError, zstandard.ZstdError, gzip.BadGzipFile, RuntimeError):
                 pass  # cut off: what is in it is read as far as it goes
             plain.flush()

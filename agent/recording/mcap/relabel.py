@@ -38,8 +38,8 @@ def relabelled(source: Path, target: Path, start: float, facts: Mapping[str, str
     first = min(int(group.stamp.min()) for group in states)
     last = max(int(group.stamp.max()) for group in states)
     rate = float(run["sample_rate_hz"]) if "sample_rate_hz" in run else None
-    with written_whole(target) as beside:
-        file = LogFile(beside, states[0].layout.names, run["robot"], run["motion"], rate, lambda: start, facts)
+    with written_whole(target) as unfinished:
+        file = LogFile(unfinished, states[0].layout.names, run["robot"], run["motion"], rate, lambda: start, facts)
         try:
             for topic in (STATES, REFERENCES, PLANNED):
                 for group in found.topics.get(topic, ()):

@@ -50,7 +50,7 @@ _MESSAGE_HEAD = 22
 _BATCH = 2**20
 #: Layouts of messages that one file may have; beyond, messages are not joint states of one robot.
 _MAX_LAYOUTS = 1000
-#: A chunk may hold so much before compression [bytes], and a message.
+#: Limits of a chunk before compression, and of a message [bytes].
 MOST_UNPACKED, _MOST_MESSAGE = 64 * 2**20, 2**20
 #: More than this in all [bytes] only where the file is large itself: a log shrinks to a thirtieth at the most.
 _MOST_OF_SMALL, _OF_LARGE = 2**30, 30
@@ -222,7 +222,7 @@ class _Scanner:
             )
         most = min(max(MOST_UNPACKED, MOST_TIMES * self._file_size), max(_MOST_OF_SMALL, _OF_LARGE * self._file_size))
         if self._unpacked > most:
-            raise InputError(too_much(self._path))
+            raise InputError(too_much(self._path, most))
 
     def _take_metadata(self, body: bytes) -> None:
         try:
