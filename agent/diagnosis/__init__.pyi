@@ -1,3 +1,4 @@
+from .background import smooth_columns as smooth_columns
 from .candidate import Candidate as Candidate
 from .correction import corrected as corrected
 from .dataset import Dataset as Dataset, background_of as background_of

@@ -1,8 +1,8 @@
 """What model and machine disagree in without any fault.
 
-"Nothing" is never literally true of an arm. A model errs a little everywhere, an arm changes from day to day, and every
-arm has a little of some effects. Hypotheses are compared on top of these columns, so an effect counts only for what they
-cannot take up (Kennedy and O'Hagan, J. R. Statist. Soc. B 63, 2001).
+"Nothing" is never literally true of an arm. A model errs a little everywhere, an arm changes from day to day, and
+every arm has a little of some effects. Hypotheses are compared on top of these columns, so an effect counts only for
+what they cannot take up (Kennedy and O'Hagan, J. R. Statist. Soc. B 63, 2001).
 """
 
 from __future__ import annotations

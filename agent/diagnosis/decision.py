@@ -1,6 +1,6 @@
 """From log evidence to a verdict: posterior probabilities, classes of what cannot be distinguished, least loss.
 
-- The posterior of a hypothesis is its evidence times a prior: none or some effect, which effect on which joint, how many.
+- The posterior of a hypothesis is its evidence times a prior: none or some, which effect on which joint, how many.
 - Hypotheses that differ by effects too small to matter are one answer; the likeliest answer is taken.
 - The class of a cause is what replaces it in other hypotheses with a tenth of its probability or more. What equals it
   by definition belongs to the class also where the catalogue lacks it.

@@ -332,7 +332,7 @@ class Evidence:
                 at = bank.first[which][:, None] + np.arange(width)
                 unit = 1 / (bank.rms[at] * np.sqrt(width))
                 information = np.maximum(np.einsum("nk,nkl,nl->n", unit, schur[width], unit), 1e-12)
-                cost = np.array([self._cost(bank.candidates[k]) + self._odds(bank.candidates[k]) for k in which])
+                cost = np.array([self._cost(bank.candidates[k]) + self.needed(True) for k in which])
                 log_det = (
                     0.5
                     * np.linalg.slogdet(
@@ -344,10 +344,63 @@ class Evidence:
             found += sizes.tolist()
         return found
 
-    def _odds(self, candidate: Candidate) -> float:
-        """Log evidence that a candidate needs to be surely named instead of nothing."""
+    def information(self, forms: Sequence[Candidate]) -> tuple[np.ndarray, np.ndarray]:
+        """Return the information (m, m) of the logs on the parameters of the model and of forms, beyond the background.
+
+        Also where the parameters of each form begin and end. The scales are those of the likeliest hypothesis so far.
+        """
+        numbers = self._numbers(forms)
+        ends = len(self._prior) + np.cumsum([0, *(len(form.names) for form in forms)])
+        total, scales = np.zeros((int(ends[-1]),) * 2), np.minimum(self.nothing.scales, 1.0)
+        for j in range(self.joints):
+            here = [place for place, form in enumerate(forms) if j in form.blocks]
+            at = np.concatenate([self._index[j], *(np.arange(ends[k], ends[k + 1]) for k in here)]).astype(int)
+            variance = self._variance(j, float(scales[j]), 0.0, {})
+            joint = self._joint(j, float(scales[j]), variance, tuple(numbers[k] for k in here), at)
+            total[np.ix_(at, at)] += joint.reduced[:-1, :-1]
+        return total, ends
+
+    def _numbers(self, forms: Sequence[Candidate]) -> list[int]:
+        """Numbers of candidates in the pool; those that are not in it are added."""
+        known = {id(self.candidate(k)): k for k in range(self.size)}
+        self.add([form for form in forms if id(form) not in known])
+        known = {id(self.candidate(k)): k for k in range(self.size)}
+        return [known[id(form)] for form in forms]
+
+    def priors(self, forms: Sequence[Candidate]) -> np.ndarray:
+        """(m, m) prior precision of the parameters of the model and of forms, these of a usual size."""
+        ends = len(self._prior) + np.cumsum([0, *(len(form.names) for form in forms)])
+        prior = np.zeros((int(ends[-1]),) * 2)
+        prior[: len(self._prior), : len(self._prior)] = self._prior
+        for number, (a, b) in zip(self._numbers(forms), pairwise(ends), strict=True):
+            prior[a:b, a:b] = self._ridge(number, self.law.sizes[-1])
+        return prior
+
+    def unit_torque(self, form: Candidate) -> np.ndarray:
+        """(k,) parameters at which a form has nominal torque, each of them as much."""
+        (number,) = self._numbers([form])
+        bank, k = self._where[number]
+        first = self._banks[bank].first
+        rms = self._banks[bank].rms[first[k] : first[k + 1]]
+        return np.asarray(1 / (np.maximum(rms, 1e-9) * np.sqrt(len(rms))))
+
+    def reduced(self, joint: int, rows: np.ndarray, free: np.ndarray, step: float) -> np.ndarray:
+        """(k, k) information that further rows (S, k) of a joint have beyond the background.
+
+        Rows are over σ and `step` [s] apart; `free` (S, m) are the background's columns on them, over σ.
+        """
+        scale, weight = min(float(self.nothing.scales[joint]), 1.0), step / self.law.independent
+        square = free.T @ free * weight
+        lower = np.linalg.cholesky(np.eye(len(square)) / self._variance(joint, scale, 0.0, {}) + square / scale)
+        half = solve_triangular(lower, free.T @ rows * weight, lower=True) / scale
+        return np.asarray(rows.T @ rows * weight / scale - half.T @ half)
+
+    def needed(self, against_nothing: bool) -> float:
+        """Log Bayes factor from which on a name stands alone: over a rival, or over nothing."""
         law = self.law
-        prior = (1 - law.nothing) * (1 - law.other) / len(CATALOGUE) / (self.joints if candidate.joints else 1)
+        if not against_nothing:
+            return float(-np.log(law.rival))
+        prior = (1 - law.nothing) * (1 - law.other) / len(CATALOGUE) / self.joints
         sure = law.sure / law.certain
         return float(np.log(law.nothing / prior) + np.log(sure / (1 - sure)))
 

@@ -7,33 +7,35 @@ import numpy as np
 from agent.diagnosis.answer import NotTestable
 from agent.diagnosis.candidate import Where
 from agent.diagnosis.dataset import Dataset
+from agent.diagnosis.evidence import Evidence
+from agent.diagnosis.needs import Excursions
 from agent.diagnosis.search import Search
 from agent.model import CATALOGUE, Effect
 
 
-def smallest_sizes(dataset: Dataset, search: Search) -> dict[Where, float]:
+def smallest_sizes(dataset: Dataset, evidence: Evidence) -> dict[Where, float]:
     """Return for every effect and place of torque the smallest detectable size, over its practical one.
 
     Four of five draws of that size would be named. It is infinite where the motions lack what the effect needs; what
     happens once has none.
     """
-    names = np.array(search.evidence.smallest_sizes())
+    excursions = Excursions.of(dataset.fit.signals)
     found: dict[Where, float] = {}
-    for number, size in enumerate(names.tolist()):
-        candidate = search.evidence.candidate(number)
+    for number, size in enumerate(evidence.smallest_sizes()):
+        candidate = evidence.candidate(number)
         if not candidate.once:
             place = candidate.place
             found[place] = min(found.get(place, np.inf), size / candidate.effect.practical)
     for effect in CATALOGUE.values():
         for joints in () if effect.once or effect.shows_in == "path" else effect.places(dataset.robot):
-            if (effect.name, joints) not in found and search.excursions.lacking(effect, joints):
+            if (effect.name, joints) not in found and excursions.lacking(effect, joints):
                 found[effect.name, joints] = np.inf
     return found
 
 
 def not_testable(dataset: Dataset, search: Search) -> list[NotTestable]:
     """Return the effects whose practical size would not be found on these motions, and why."""
-    robot, sizes = dataset.robot, smallest_sizes(dataset, search)
+    robot, sizes = dataset.robot, smallest_sizes(dataset, search.evidence)
     result = []
     for name, effect in CATALOGUE.items():
         if name not in search.allowed or effect.shows_in == "path":
