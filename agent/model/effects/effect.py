@@ -79,7 +79,8 @@ class Effect(ABC):
 
     A joint shows an effect only if it travels `needs_travel` [rad, or 0.1 m], reaches `needs_speed` [rad/s, or 0.1 m/s]
     and turns back `needs_reversals` times. One of `fast_torque` is named only where the torque that was measured
-    goes with the prediction that has it: fast torque may be noise of the positions.
+    goes with the prediction that has it: fast torque may be noise of the positions. Every arm has a little of one that
+    is `usual`.
 
     `units` are those of parameters whose name alone does not say them, `not_reported` settings that no page shows.
     `sizes` are parameters that are above zero, or the opposite of the effect was found: of a simulator's file, whose
@@ -118,6 +119,7 @@ class Effect(ABC):
     needs_speed: ClassVar[float] = 0.0
     needs_reversals: ClassVar[int] = 0
     fast_torque: ClassVar[bool] = False
+    usual: ClassVar[bool] = False
     units: ClassVar[Mapping[str, str]] = MappingProxyType({})
     not_reported: ClassVar[tuple[str, ...]] = ()
     sizes: ClassVar[tuple[str, ...]] = ()

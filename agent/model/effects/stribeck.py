@@ -20,6 +20,7 @@ class Stribeck(FrictionLevel):
 
     name = "stribeck"
     family = "friction"
+    usual = True
     formula = "a · s · exp(−(|w| / v)^δ)"
     source = "Armstrong-Hélouvry, Dupont, Canudas de Wit, Automatica 30 (1994)"
     signature = "residual with the sign of the speed, at low speed only"

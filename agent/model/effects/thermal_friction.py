@@ -28,6 +28,7 @@ class ThermalFriction(FrictionLevel):
 
     name = "thermal_friction"
     family = "friction"
+    usual = True
     formula = "(a + b · c) · s + (d + e · c) · w, c = exp(−t / T) or exp(−∫|w| dt / W)"
     source = "Bittencourt, Wernholt, Sander-Tavallaey, Brogårdh, IROS (2010)"
     signature = "residual with the sign of the speed that changes from cycle to cycle"

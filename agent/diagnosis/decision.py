@@ -1,0 +1,159 @@
+"""From log evidence to a verdict: posterior probabilities, classes of what cannot be distinguished, least loss.
+
+- The posterior of a hypothesis is its evidence times a prior: none or some, which effect on which joint, how many.
+- Hypotheses that differ by effects too small to matter are one answer; the likeliest answer is taken.
+- The class of a cause is what replaces it in other hypotheses with a tenth of its probability or more, and what equals
+  it by definition and explains about as much.
+- A class is named where a wrong name costs less than an abstention, and where the causes together explain what the
+  background does not; else the verdict is `unknown`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from agent.diagnosis.candidate import Where
+from agent.diagnosis.evidence import Evaluated, Evidence
+from agent.diagnosis.finding import Finding, Hypothesis
+from agent.diagnosis.fit import Fit
+from agent.diagnosis.law import Law
+from agent.model import CATALOGUE
+
+_LISTED = 100  # hypotheses that a finding keeps
+_RIVALS = 2  # that a class lists next to its cause
+_LARGE_SCALE = 6.0  # of σ²: a joint so far over its background has something, whatever it is
+
+
+#: Log likelihood of something else that was observed, given a hypothesis.
+Observed = Callable[[Evidence, Evaluated], float]
+
+
+def decide(fit: Fit, evidence: Evidence, found: Sequence[Evaluated], observed: Observed | None = None) -> Finding:
+    """Return the verdict over the hypotheses that were evaluated.
+
+    `fit` is the one without effects; `observed` counts with the evidence of the logs.
+    """
+    law = evidence.law
+    hypotheses = posterior(evidence, found, observed)
+    answers = _answers(hypotheses, law)
+    names, free = max(answers, key=lambda one: answers[one])
+    leader = next(h for h in hypotheses if _answer(h, law) == (names, free))
+
+    def finding(verdict: str, kept: Sequence[tuple[Where, tuple[Where, ...], float]] = ()) -> Finding:
+        causes = tuple(next(c for c in leader.effects if c.place == place) for place, *_ in kept)
+        return Finding(
+            verdict,
+            fit.with_chosen(causes) if causes else fit,
+            causes,
+            tuple(rivals for _, rivals, _ in kept),
+            tuple(probability for *_, probability in kept),
+            tuple(hypotheses[:_LISTED]),
+            evidence,
+        )
+
+    if not names and not free and leader.scale < _LARGE_SCALE:
+        return finding("no_gap")
+    size = dict(zip(leader.places, leader.torque, strict=True))
+    ordered = sorted(names, key=lambda place: -size[place])
+    classes = [
+        (place, *_class_of(place, names, answers, _equal_by_definition(place, leader, hypotheses, law), law))
+        for place in ordered
+    ]
+    kept = [one for one in classes if one[2] >= law.sure]
+    if not kept or leader.explained < law.adequate:
+        return finding("unknown")
+    return finding("ambiguous" if kept[0][1] else "explained", kept)
+
+
+def posterior(evidence: Evidence, found: Sequence[Evaluated], observed: Observed | None = None) -> list[Hypothesis]:
+    """Return hypotheses with their probabilities, likeliest first."""
+    nothing = evidence.nothing
+    log = np.array([e.log + _log_prior(evidence, e) for e in found])
+    if observed is not None:
+        log += [observed(evidence, e) for e in found]
+    weight = np.exp(log - log.max())
+    weight /= weight.sum()
+    before = max(float(nothing.left.sum()), 1e-12)
+    hypotheses = [
+        Hypothesis(
+            tuple(evidence.candidate(k) for k in e.effects),
+            tuple(sorted(e.free)),
+            e.log - nothing.log,
+            float(share),
+            e.largest,
+            1 - float(e.left.sum()) / before,
+            float(e.scales.max()),
+        )
+        for e, share in zip(found, weight, strict=True)
+    ]
+    return sorted(hypotheses, key=lambda h: -h.probability)
+
+
+def _log_prior(evidence: Evidence, hypothesis: Evaluated) -> float:
+    law, joints = evidence.law, evidence.joints
+    count = len(hypothesis.effects) + len(hypothesis.free)
+    if count == 0:
+        return float(np.log(law.nothing))
+    places = [np.log(joints) if evidence.candidate(k).joints else 0.0 for k in hypothesis.effects]
+    each = float(np.log((1 - law.other) / len(CATALOGUE)))
+    return float(
+        np.log(1 - law.nothing)
+        + (count - 1) * np.log(law.further)
+        + len(places) * each
+        - sum(places)
+        + len(hypothesis.free) * np.log(law.other / joints)
+    )
+
+
+Answer = tuple[frozenset[Where], frozenset[int]]
+
+
+def _answer(hypothesis: Hypothesis, law: Law) -> Answer:
+    large = (p for p, torque in zip(hypothesis.places, hypothesis.torque, strict=True) if torque >= law.practical)
+    return frozenset(large), frozenset(hypothesis.free)
+
+
+def _answers(hypotheses: Sequence[Hypothesis], law: Law) -> dict[Answer, float]:
+    """Probability of every set of effects that are large enough to matter."""
+    answers: dict[Answer, float] = {}
+    for hypothesis in hypotheses:
+        key = _answer(hypothesis, law)
+        answers[key] = answers.get(key, 0.0) + hypothesis.probability
+    return answers
+
+
+def _equal_by_definition(
+    place: Where, leader: Hypothesis, hypotheses: Sequence[Hypothesis], law: Law
+) -> tuple[Where, ...]:
+    """Forms that equal a cause unless the logs show otherwise, and explain as much as far as any form is trusted."""
+    known = CATALOGUE[place[0]].structurally_equivalent
+    found = {
+        other: None
+        for hypothesis in hypotheses
+        if hypothesis.gain >= (1 - law.form) * leader.gain and place not in hypothesis.places
+        for other in hypothesis.places
+        if other[0] in known and _near(place, other)
+    }
+    return tuple(found)
+
+
+def _class_of(
+    place: Where, names: frozenset[Where], answers: Mapping[Answer, float], equal: tuple[Where, ...], law: Law
+) -> tuple[tuple[Where, ...], float]:
+    """What these motions do not distinguish from a cause, and the probability of any of them."""
+    own = sum(share for (places, _), share in answers.items() if place in places)
+    instead: dict[Where, float] = {}
+    for (places, _), share in answers.items():
+        for other in places - names if place not in places else ():
+            instead[other] = instead.get(other, 0.0) + share
+    alike = [other for other, share in instead.items() if share >= law.rival * own and _near(place, other)]
+    alike = sorted(alike, key=lambda other: -instead[other])
+    alike = list(dict.fromkeys([*alike, *equal]))[:_RIVALS]
+    return tuple(alike), law.certain * min(1.0, own + sum(instead.get(other, 0.0) for other in alike))
+
+
+def _near(place: Where, other: Where) -> bool:
+    """Whether two places are on the same joints, or one of them on the whole arm."""
+    return place[1] == other[1] or not place[1] or not other[1]

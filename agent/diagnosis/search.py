@@ -1,0 +1,191 @@
+"""The search for causes: which hypotheses are worth evaluating, by forward selection from what leads."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+
+import numpy as np
+
+from agent.diagnosis.background import Healthy
+from agent.diagnosis.candidate import Candidate, Wanted, Where
+from agent.diagnosis.decision import Observed, decide
+from agent.diagnosis.evidence import Evaluated, Evidence
+from agent.diagnosis.finding import Finding
+from agent.diagnosis.fit import Fit
+from agent.diagnosis.law import LAW, Law
+from agent.diagnosis.needs import Excursions
+from agent.model import CATALOGUE
+
+_LEADERS = 8  # places whose nonlinear parameters are refined
+_FIRST, _THEN = 12, 6  # places that are evaluated after nothing, and after a hypothesis
+_FORMS = 3  # of a place
+_EXTENDED = (3, 2)  # hypotheses that one more effect is tried with, by how many they have
+_FACTORS = (1.25, 1.1, 1.04, 1.015)  # of nonlinear parameters, up and down
+
+Key = tuple[frozenset[Where], frozenset[int]]
+
+
+class Search:
+    """A catalogue tried on a fit.
+
+    Parameters
+    ----------
+    fit : Fit
+        Residual and columns of the model on the logs.
+    without : sequence of str, optional
+        Effects that are left out of the catalogue.
+    progress : callable, optional
+        Told how far the search has come.
+    only : collection of (effect, joints), optional
+        Places that are tried; all if None.
+    observed : callable, optional
+        Log likelihood of something else that was observed, given a hypothesis.
+    healthy : sequence of (Candidate, float), optional
+        Effects that the arm has already, and their torque over nominal.
+    law : Law, optional
+        The numbers of the decision.
+    """
+
+    def __init__(
+        self,
+        fit: Fit,
+        without: Sequence[str] = (),
+        progress: Callable[[str], None] = lambda text: None,
+        only: Collection[Where] | None = None,
+        observed: Observed | None = None,
+        healthy: Healthy = (),
+        law: Law = LAW,
+    ):
+        self.fit, self.law, self._progress, self._observed, self._healthy = fit, law, progress, observed, healthy
+        self.allowed = {name for name in CATALOGUE if name not in without}
+        self.excursions = Excursions.of(fit.signals)
+        self._places = [
+            (effect, joints)
+            for effect in CATALOGUE.values()
+            if effect.shows_in == "torque" and effect.name in self.allowed
+            for joints in effect.places(fit.reference.robot)
+            if (only is None or (effect.name, joints) in only) and not self.excursions.lacking(effect, joints)
+        ]
+        self._known: set[Candidate] = set()
+        self._found: dict[Key, Evaluated] = {}
+
+    def run(self) -> Finding:
+        """Evaluate what is worth it, and decide."""
+        tried = self.forms()
+        self.evidence = evidence = Evidence(self.fit, tried, self._healthy, self.law)
+        self._known.update(tried)
+        self._progress(f"{len(tried)} forms are compared")
+        self._keep(evidence.nothing)
+        self._extend(evidence.nothing, _FIRST)
+        for depth in range(1, self.law.most):
+            before = max(one.log for one in self._found.values())
+            for base in self._worth(depth)[: _EXTENDED[min(depth, 2) - 1]]:
+                self._progress(f"a further effect is tried with {self._text(base)}")
+                self._extend(base, _THEN)
+            deeper = [one.log for one in self._found.values() if len(one.effects) + len(one.free) > depth]
+            if max(deeper, default=-np.inf) < before:
+                break
+        return decide(self.fit, evidence, list(self._found.values()), self._observed)
+
+    def forms(self) -> list[Candidate]:
+        """Return every effect at every place, with the nonlinear parameters that it is tried with."""
+        wanted = [(effect, joints, s) for effect, joints in self._places for s in effect.settings(self.fit, joints)]
+        self._progress(f"{len(wanted)} forms of effects are made")
+        return self.fit.candidates(wanted)
+
+    def _text(self, base: Evaluated) -> str:
+        names = [self.evidence.candidate(k).effect.name for k in base.effects]
+        return " and ".join([*names, *["something else"] * len(base.free)])
+
+    def _worth(self, depth: int) -> list[Evaluated]:
+        """Hypotheses with as many effects, likelier than none, that matter; likeliest first."""
+        least, smallest = self.evidence.nothing.log, 0.5 * self.law.practical
+        level = [
+            one
+            for one in self._found.values()
+            if len(one.effects) + len(one.free) == depth and one.log > least
+            if min(one.largest, default=1.0) > smallest
+        ]
+        return sorted(level, key=lambda one: -one.log)
+
+    def _extend(self, base: Evaluated, count: int) -> None:
+        """Evaluate the most promising places added to a hypothesis, and something else on each joint."""
+        evidence = self.evidence
+        gains, values = self._refined(base)
+        for place, forms in self._promising(base, gains, values, count).items():
+            del place
+            for k in forms:
+                self._keep(evidence.evaluate([*base.effects, k], base.free, base.scales))
+        for joint in set(range(evidence.joints)) - set(base.free):
+            for size in self.law.sizes[:3]:
+                self._keep(evidence.evaluate(base.effects, {**base.free, joint: size}, base.scales))
+
+    def _refined(self, base: Evaluated) -> tuple[np.ndarray, list[np.ndarray]]:
+        """Gains over a hypothesis, with forms that follow what it leaves, and the leaders' parameters refined."""
+        evidence = self.evidence
+        if base.effects:
+            left = self.fit.with_chosen([evidence.candidate(k) for k in base.effects])
+            driven = [(e, joints) for e, joints in self._places if e.residual_driven]
+            self._add(left, [(e, joints, s) for e, joints in driven for s in e.settings(left, joints)])
+        gains, values = evidence.gains(base)
+        leading = self._promising(base, gains, values, _LEADERS)
+        best = {place: forms[0] for place, forms in leading.items()}
+        wanted = [
+            (e.effect, e.joints, s) for e in map(evidence.candidate, best.values())
+            for s in e.effect.reversing(self.fit, e.joints, e.settings)
+        ]  # fmt: skip
+        for factor in (None, *_FACTORS):
+            if factor is not None:
+                wanted = [
+                    (e.effect, e.joints, s) for e in map(evidence.candidate, best.values())
+                    for s in e.effect.nearby(e.settings, factor)
+                ]  # fmt: skip
+            before = evidence.size
+            self._add(self.fit, wanted)
+            if evidence.size == before:
+                continue
+            gains, values = evidence.gains(base)
+            for k in range(before, evidence.size):
+                place = evidence.candidate(k).place
+                if place in best and gains[k] > gains[best[place]] and evidence.possible(k, values[k]):
+                    best[place] = k
+        return gains, values
+
+    def _add(self, fit: Fit, wanted: Sequence[Wanted]) -> None:
+        new = [c for c in dict.fromkeys(fit.candidates(wanted)) if c not in self._known]
+        self._known.update(new)
+        self.evidence.add(new)
+
+    def _promising(
+        self, base: Evaluated, gains: np.ndarray, values: Sequence[np.ndarray], count: int
+    ) -> dict[Where, list[int]]:
+        """Of the places that gain most, the best forms that can be true."""
+        evidence = self.evidence
+        chosen = [evidence.candidate(k) for k in base.effects]
+        places: dict[Where, list[int]] = {}
+        for k in np.argsort(-gains).tolist():
+            place = evidence.candidate(k).place
+            forms = places.get(place, [])
+            if len(forms) >= _FORMS or (not forms and len(places) >= count):
+                continue
+            if not _imitates(evidence.candidate(k), chosen) and evidence.possible(k, values[k]):
+                places.setdefault(place, []).append(k)
+        return places
+
+    def _keep(self, evaluated: Evaluated) -> None:
+        """Keep a hypothesis whose parameters can be true, in its best form."""
+        evidence = self.evidence
+        if not all(map(evidence.possible, evaluated.effects, evaluated.values)):
+            return
+        key = frozenset(evidence.candidate(k).place for k in evaluated.effects), frozenset(evaluated.free)
+        if key not in self._found or self._found[key].log < evaluated.log:
+            self._found[key] = evaluated
+
+
+def _imitates(candidate: Candidate, chosen: Sequence[Candidate]) -> bool:
+    """Whether a law of the same argument sits on the same joint already: the two would be one law."""
+    shapes = set(candidate.effect.shapes)
+    return any(
+        candidate.place == other.place or (candidate.joints == other.joints and shapes & set(other.effect.shapes))
+        for other in chosen
+    )
