@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 
 from agent.diagnosis import Diagnosis
 from agent.excitation import LoopProblem
+from agent.experiment.deadline import Deadline, OutOfTime
 from agent.experiment.otherwise import d_optimal, together
 from agent.experiment.outlook import Outlook, Told
 from agent.experiment.pieces import Piece, Pieces
@@ -23,6 +25,8 @@ _MOST_PIECES, _SURE = 5, 0.97
 _WAYS, _ASKED = 0.15, 0.5
 #: A pair is asked about where all pieces together make the right answer likelier than this.
 _WITHIN_REACH = 0.3
+#: Part of the time for planning by which pieces are drawn.
+_DRAWN_BY = 0.6
 #: A further piece raises what is expected by at least so much.
 _LEAST_IMPROVEMENT = 0.01
 
@@ -84,17 +88,20 @@ def plan_experiment(
     longest = (1 - _WAYS) * seconds
     pieces = Pieces(problem, _joints(found, pairs), longest, np.random.default_rng(seed))
     pool: list[Weighed] = []
-    for number in range(_POOL):
-        progress(f"motions that would tell more: {number + 1} of {_POOL} weighed")
-        if (piece := pieces.draw()) is not None:
-            pool.append((piece, outlook.told(piece.motion)))
+    deadline, cut_short = deadline or Deadline(), True
+    with suppress(OutOfTime):
+        for number in range(_POOL):
+            deadline.share(_DRAWN_BY)(f"motions that would tell more: {number + 1} of {_POOL} weighed")
+            if (piece := pieces.draw()) is not None:
+                pool.append((piece, outlook.told(piece.motion)))
+        cut_short = False
     before = outlook.chances(outlook.nothing)
     at_best = outlook.chances(_sum(outlook, pool))
     asked = (at_best > np.maximum(np.nan_to_num(before), _WITHIN_REACH)) & (np.nan_to_num(before) < _SURE)
     if not asked.any():
-        return Experiment((), (), len(pool))
+        return Experiment((), (), len(pool), cut_short)
     chosen = _varied(
-        outlook, pieces, _greedy(outlook, pool, _ASKED * longest, asked), _ASKED * longest, asked, progress
+        outlook, pieces, _greedy(outlook, pool, _ASKED * longest, asked), _ASKED * longest, asked, deadline
     )
     design = together(
         d_optimal(found.dataset, outlook.model_information),
@@ -110,7 +117,7 @@ def plan_experiment(
         Expected(pairs[k], _mean(before[k]), _mean(after[k]), _known(before[k]), _known(after[k]), detectable[k])
         for k in map(int, np.flatnonzero(asked.any(axis=1)))
     )
-    return Experiment(tuple(design), expected, len(pool))
+    return Experiment(tuple(design), expected, len(pool), cut_short)
 
 
 def _varied(
@@ -119,12 +126,12 @@ def _varied(
     chosen: list[Weighed],
     longest: float,
     asked: np.ndarray,
-    progress: Callable[[str], None],
+    deadline: Deadline,
 ) -> list[Weighed]:
     """Neighbours of each chosen piece in its stead, where that tells more."""
-    for number in range(len(chosen)):
-        for _ in range(_NEIGHBOURS):
-            progress(f"piece {number + 1} of {len(chosen)} is varied")
+    with suppress(OutOfTime):
+        for number in np.repeat(range(len(chosen)), _NEIGHBOURS):
+            deadline(f"piece {number + 1} of {len(chosen)} is varied")
             if (other := pieces.vary(chosen[number][0])) is None:
                 continue
             varied = [*chosen[:number], (other, outlook.told(other.motion)), *chosen[number + 1 :]]

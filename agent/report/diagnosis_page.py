@@ -8,11 +8,6 @@ from typing import Any
 from agent.diagnosis import (
     Diagnosis,
     Simulated,
-    closes,
-    look_at,
-    name,
-    phrase,
-    place,
     reported_parameters,
     simulation_part,
     torque_gap,
@@ -225,7 +220,7 @@ def _rejected_section(diagnosis: Diagnosis) -> Section:
         if candidate.place not in named and len(rows) < _MOST_REJECTED:
             why = "as good: these logs do not distinguish it" if candidate.place in rivals else "explains less"
             where = ", ".join(names[j] for j in candidate.joints) or "arm"
-            rows.append((name(candidate.effect.name), where, f"{hypothesis.gain:.1f}", why))
+            rows.append((what(candidate.effect.name, diagnosis.result), where, f"{hypothesis.gain:.1f}", why))
     if not rows:
         return Section(REJECTED, ("Nothing was tried: there is nothing to explain.",))
     text = ["Log Bayes factor of each effect alone against none. Next to a named cause, most of it is gone."]
