@@ -14,6 +14,7 @@ from .forward_windows import (
     forward_or_reason as forward_or_reason,
     forward_warning as forward_warning,
 )
+from .healthy import with_healthy_effects as with_healthy_effects
 from .labels import in_torque as in_torque, torque_gap as torque_gap
 from .law import LAW as LAW, Law as Law
 from .limits import DecisionLimits as DecisionLimits

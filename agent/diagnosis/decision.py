@@ -16,7 +16,7 @@ import numpy as np
 
 from agent.diagnosis.candidate import Where
 from agent.diagnosis.evidence import Evaluated, Evidence
-from agent.diagnosis.finding import Finding, Hypothesis
+from agent.diagnosis.finding import Finding, Hypothesis, near
 from agent.diagnosis.fit import Fit
 from agent.diagnosis.law import Law
 from agent.model import CATALOGUE
@@ -134,7 +134,7 @@ def _equal_by_definition(
         for hypothesis in hypotheses
         if hypothesis.gain >= (1 - law.form) * leader.gain and place not in hypothesis.places
         for other in hypothesis.places
-        if other[0] in known and _near(place, other)
+        if other[0] in known and near(place, other)
     }
     return tuple(found)
 
@@ -148,12 +148,7 @@ def _class_of(
     for (places, _), share in answers.items():
         for other in places - names if place not in places else ():
             instead[other] = instead.get(other, 0.0) + share
-    alike = [other for other, share in instead.items() if share >= law.rival * own and _near(place, other)]
+    alike = [other for other, share in instead.items() if share >= law.rival * own and near(place, other)]
     alike = sorted(alike, key=lambda other: -instead[other])
     alike = list(dict.fromkeys([*alike, *equal]))[:_RIVALS]
     return tuple(alike), law.certain * min(1.0, own + sum(instead.get(other, 0.0) for other in alike))
-
-
-def _near(place: Where, other: Where) -> bool:
-    """Whether two places are on the same joints, or one of them on the whole arm."""
-    return place[1] == other[1] or not place[1] or not other[1]

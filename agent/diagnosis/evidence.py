@@ -60,7 +60,8 @@ class Evaluated:
 
     `effects` are numbers of the pool, `free` the joints with "something else" and its size. `log` is the log evidence,
     `values[k]` the posterior mean of effect k, `torque[k]` its torque per joint over nominal, root mean square while it
-    lasts, `left` (n,) the squared torque over nominal that remains beyond the background.
+    lasts in the log with most, fitted without the background, `left` (n,) the squared torque over nominal that remains
+    beyond the background.
     """
 
     effects: tuple[int, ...]
@@ -165,10 +166,11 @@ class Evidence:
         self.weight = self._step / rate / law.independent
         self.count = self.rows * self.weight
         self.reference = fit.reference
-        self._index, self._prior, self._pull = list(fit.index), fit.precision, fit.shift
+        self._index, self._pull = list(fit.index), fit.shift
+        self._prior = _of_another_day(fit, law.daily) if fit.given else fit.precision
         self._log_prior = float(np.linalg.slogdet(self._prior)[1])
         q, qd, qdd = (np.concatenate([getattr(s, x)[s.kept] for s in signals])[thin] for x in ("q", "qd", "qdd"))
-        log = np.concatenate([np.full(len(s.time[s.kept]), s.log_index) for s in signals])[thin]
+        self._log = log = np.concatenate([np.full(len(s.time[s.kept]), s.log_index) for s in signals])[thin]
         usual = {} if healthy else self._usual(candidates)
         self.known: list[np.ndarray] = []
         self._gram: list[np.ndarray] = []
@@ -271,19 +273,40 @@ class Evidence:
         log += 0.5 * (self._log_prior + sum(float(np.linalg.slogdet(ridge)[1]) for ridge in ridges))
         log -= 0.5 * float(np.sum((law.nu + 2) * np.log(scales) + law.nu / scales))
         log -= sum(self._cost(self.candidate(k)) for k in effects) + float(np.log(len(law.sizes) - 1)) * len(free)
-        lasting = [self._lasting(self.candidate(k)) for k in effects]
+        alone = self._without_background(effects, joints, scales, sizes, ends)
         return Evaluated(
             effects=tuple(effects),
             free=free,
             log=log,
             scales=scales,
             values=tuple(values),
-            torque=tuple({j: t / share for j, t in one.items()} for one, share in zip(torque, lasting, strict=True)),
+            torque=tuple(self._lasting_torque(k, v) for k, v in zip(effects, alone, strict=True)),
             left=np.array([self._left(j, joint, mean[joint.at]) for j, joint in enumerate(joints)]),
             joints=tuple(joints),
             precision=precision,
             mean=mean,
         )
+
+    def _without_background(
+        self,
+        effects: Sequence[int],
+        joints: Sequence[JointMoments],
+        scales: np.ndarray,
+        sizes: Sequence[float],
+        ends: np.ndarray,
+    ) -> list[np.ndarray]:
+        """Per effect its parameters (k,) in a fit without the background, which would take a part of any effect."""
+        base = len(self._prior)
+        matrix, side = np.zeros((int(ends[-1]),) * 2), np.zeros(int(ends[-1]))
+        matrix[:base, :base], side[:base] = self._prior, self._pull
+        for scale, joint in zip(scales, joints, strict=True):
+            own = joint.moments[0] / scale
+            matrix[np.ix_(joint.at, joint.at)] += own[:-1, :-1]
+            side[joint.at] += own[:-1, -1]
+        for k, size, (a, b) in zip(effects, sizes, pairwise(ends), strict=True):
+            matrix[a:b, a:b] += self._ridge(k, size)
+        values = _solved(matrix, side)[0] if effects else side
+        return [values[a:b] for a, b in pairwise(ends)]
 
     def gains(self, base: Evaluated) -> tuple[np.ndarray, list[np.ndarray]]:
         """Return what each candidate of the pool adds to the log evidence of a hypothesis, and its parameters.
@@ -537,12 +560,17 @@ class Evidence:
             for j in self.candidate(number).blocks
         }
 
-    def _lasting(self, candidate: Candidate) -> float:
-        """Root of the share of rows in which an effect acts: 1, but for what happens once."""
-        if not candidate.once:
-            return 1.0
-        acts = np.any([np.any(block != 0, axis=1) for block in candidate.blocks.values()], axis=0)
-        return max(float(np.mean(acts)), 1e-3) ** 0.5
+    def _lasting_torque(self, number: int, values: np.ndarray) -> dict[int, float]:
+        """Per joint the torque of an effect over nominal, root mean square: in the log with most, while it lasts."""
+        bank, k = self._where[number]
+        found = {}
+        for j in self.candidate(number).blocks:
+            torque = self._banks[bank].columns[j][:, self._banks[bank].block(k, j)] @ values
+            torque = (torque * self.sigma[:, j] / self.nominal[j]) ** 2
+            acts = torque > 0 if self.candidate(number).once else np.ones(len(torque), dtype=bool)
+            power = np.bincount(self._log[acts], torque[acts]) / np.maximum(np.bincount(self._log[acts]), 1)
+            found[j] = float(np.sqrt(power.max(initial=0.0)))
+        return found
 
     def _cost(self, candidate: Candidate) -> float:
         """Log evidence that nonlinear parameters chosen on the data cost (Schwarz, Ann. Statist. 6, 1978)."""
@@ -554,6 +582,15 @@ class Evidence:
         rest, square = np.append(mean, -1.0), joint.moments[2]
         usual = 1 + float(np.trace(square)) / self.count * self._variance(j, 1.0, 0.0, {})
         return max(float(rest @ joint.moments[0] @ rest) / self.count - usual, 0.0) / float(self.unit[j]) ** 2
+
+
+def _of_another_day(fit: Fit, daily: float) -> np.ndarray:
+    """(p, p) prior precision of the model's parameters, whose friction differs from day to day by a share of itself."""
+    friction = np.arange(len(fit.reference.model.independent), len(fit.precision))
+    some = friction[fit.reference.model.values[friction] != 0]
+    spread = np.diag((daily * fit.reference.model.values[some]) ** -2.0)
+    gain = np.linalg.solve(fit.precision[np.ix_(some, some)] + spread, fit.precision[some])
+    return np.asarray(fit.precision - fit.precision[:, some] @ gain)
 
 
 def _nearest(sizes: Sequence[float], size: float) -> float:

@@ -10,6 +10,11 @@ from agent.diagnosis.evidence import Evidence
 from agent.diagnosis.fit import Fit
 
 
+def near(place: Where, other: Where) -> bool:
+    """Whether two places are on the same joints, or one of them on the whole arm."""
+    return place[1] == other[1] or not place[1] or not other[1]
+
+
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
     """Effects that may be there together, and joints with something else that no effect of the catalogue is.
@@ -76,3 +81,10 @@ class Finding:
         """The same with one more place that equals a cause, by number."""
         rivals = tuple((place, *r) if k == number and place not in r else r for k, r in enumerate(self.rivals))
         return replace(self, verdict="ambiguous" if rivals[0] else self.verdict, rivals=rivals)
+
+    def with_runner_up(self) -> Finding:
+        """The same with the likeliest place that stands for the first cause in another hypothesis as its equal."""
+        place = self.causes[0].place
+        others = (other for h in self.hypotheses if place not in h.places for other in h.places)
+        likely = next((other for other in others if near(place, other)), None)
+        return self if likely is None else self.with_rival(0, likely)

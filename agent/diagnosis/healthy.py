@@ -6,11 +6,13 @@ the arm's: a balancer that no parameter stands for, a drive that is warmer on so
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 
+from agent.core import InputError
 from agent.diagnosis.background import Healthy
 from agent.diagnosis.candidate import Candidate, Where
 from agent.diagnosis.dataset import assemble
@@ -21,21 +23,23 @@ from agent.estimation import EstimationSettings, estimate
 from agent.model import CATALOGUE, HealthyEffect, IdentifiedModel
 from agent.recording import Log
 
+_LONGEST = 60.0  # s of a log that are looked at
 
-def with_healthy_effects(model: IdentifiedModel, baseline: Sequence[Log]) -> IdentifiedModel:
-    """Return the model with what the effects explain of its baseline, each log judged by a model of the others.
 
-    With one log nothing can be learned, and the model is returned as it is.
+def with_healthy_effects(
+    model: IdentifiedModel, baseline: Sequence[Log], held_out: Sequence[Log] = ()
+) -> IdentifiedModel:
+    """Return the model with what the effects explain of its error on motions that it was not fitted to.
+
+    Each log of the baseline is judged by a model of the others; logs that were `held_out` already by the model itself.
+    With one log alone nothing can be learned, and the model is returned as it is.
     """
-    if len(baseline) < 2:
-        return model
-    settings = EstimationSettings.create(cutoff=model.cutoff)
     power: dict[Where, float] = {}
     best: dict[Where, tuple[float, dict[str, float]]] = {}
-    for log in baseline:
-        others = estimate(model.robot, [other for other in baseline if other is not log], settings)
-        for place, gain, form, size in _explained(assemble(model.robot, others, [log], model.cutoff).fit):
-            power[place] = power.get(place, 0.0) + size**2 / len(baseline)
+    fits = list(_fits(model, [_first_minute(log) for log in baseline], [_first_minute(log) for log in held_out]))
+    for fit in fits:
+        for place, gain, form, size in _explained(fit):
+            power[place] = power.get(place, 0.0) + size**2 / len(fits)
             if gain > best.get(place, (0.0, {}))[0]:
                 best[place] = gain, form
     names = model.robot.joint_names
@@ -44,6 +48,21 @@ def with_healthy_effects(model: IdentifiedModel, baseline: Sequence[Log]) -> Ide
         for (effect, joints), total in power.items()
     )
     return replace(model, healthy=healthy)
+
+
+def _first_minute(log: Log) -> Log:
+    start = float(log.t[0])
+    return log if log.t[-1] - start <= _LONGEST else log.between(start, start + _LONGEST)
+
+
+def _fits(model: IdentifiedModel, baseline: Sequence[Log], held_out: Sequence[Log]) -> Iterator[Fit]:
+    if held_out:
+        yield assemble(model.robot, model, held_out, model.cutoff).fit
+    settings = EstimationSettings.create(cutoff=model.cutoff)
+    for log in baseline if len(baseline) > 1 else ():
+        with suppress(InputError):  # the others are too little for a model
+            others = estimate(model.robot, [other for other in baseline if other is not log], settings)
+            yield assemble(model.robot, others, [log], model.cutoff).fit
 
 
 def _explained(fit: Fit) -> list[tuple[Where, float, dict[str, float], float]]:

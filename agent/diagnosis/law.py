@@ -19,6 +19,9 @@ class Law:
     systematic: float = 0.4
     #: What an arm changes by itself per background column, of nominal torque.
     drift: float = 0.001
+    #: What friction levels of a healthy arm change from day to day, of themselves: a few kelvin at 1 to 3 % each
+    #: (Bittencourt and Gunnarsson, J. Dyn. Syst. Meas. Control 134, 2012).
+    daily: float = 0.05
     #: Error of any effect's form, as a share of its own torque.
     form: float = 0.05
     #: Usual sizes of effects, of nominal torque, one as likely as another. Chosen: half a decade apart.

@@ -20,12 +20,15 @@ from agent.model import SIMULATOR
 def judge(dataset: Dataset, finding: Finding, plain: Fit, unit: np.ndarray | None = None) -> tuple[Finding, HeldOutGap]:
     """Return a finding as far as its held-out figures bear it out, and these figures.
 
-    `plain` is the fit without effects, `unit` that of `held_out_gap`.
+    `plain` is the fit without effects, `unit` that of `held_out_gap`. Causes that close less than `explained` asks for
+    leave room for another: the likeliest one is named with the first.
     """
     while True:
         gap = held_out_gap(dataset, finding.fit, unit)
         if not finding.causes:
             return finding, gap
+        if finding.verdict == "explained" and (gap.closure or 0.0) < dataset.limits.explained:
+            finding = finding.with_runner_up()
         causes = causes_of(dataset, finding, gap)
         verdict, kept = settle(finding.verdict, causes, gap.closure, dataset.limits)
         if not kept:
