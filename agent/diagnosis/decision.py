@@ -23,7 +23,6 @@ from agent.model import CATALOGUE
 
 _LISTED = 100  # hypotheses that a finding keeps
 _RIVALS = 2  # that a class lists next to its cause
-_LARGE_SCALE = 6.0  # of σ²: a joint so far over its background has something, whatever it is
 
 
 #: Log likelihood of something else that was observed, given a hypothesis.
@@ -49,11 +48,12 @@ def decide(fit: Fit, evidence: Evidence, found: Sequence[Evaluated], observed: O
             causes,
             tuple(rivals for _, rivals, _ in kept),
             tuple(probability for *_, probability in kept),
-            tuple(hypotheses[:_LISTED]),
+            tuple({id(h): h for h in (*hypotheses[:_LISTED], plain)}.values()),
             evidence,
         )
 
-    if not names and not free and leader.scale < _LARGE_SCALE:
+    plain = next(h for h in hypotheses if not h.effects and not h.free)
+    if plain.scale < law.exceeded and answers.get((frozenset(), frozenset()), 0.0) > 1 - law.certain:
         return finding("no_gap")
     size = dict(zip(leader.places, leader.torque, strict=True))
     ordered = sorted(names, key=lambda place: -size[place])

@@ -62,6 +62,11 @@ class Finding:
         """Whether something is there, named or not."""
         return self.verdict != "no_gap"
 
+    @property
+    def exceeded(self) -> bool:
+        """Whether a joint is so far beyond the background that something is there, whatever it is."""
+        return next(h for h in self.hypotheses if not h.effects and not h.free).scale >= self.evidence.law.exceeded
+
     def only(self, kept: Sequence[int], fit: Fit) -> Finding:
         """Keep some of the causes, by number; `fit` is the one without effects."""
         causes = tuple(self.causes[k] for k in kept)

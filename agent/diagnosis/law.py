@@ -32,8 +32,10 @@ class Law:
     nothing: float = 0.5
     other: float = 0.1
     further: float = 0.1
-    #: Smallest torque worth a name, of nominal. Chosen.
-    practical: float = 0.004
+    #: Smallest torque worth a name, of nominal, root mean square in the log with most of it. Chosen.
+    practical: float = 0.003
+    #: Squared error of a joint over its background from which on something is there, whatever it is. Chosen.
+    exceeded: float = 6.0
     #: Share of the torque beyond the background that named causes close, or they do not explain it.
     adequate: float = 0.95
     #: Probability of a class from which on it is named: a wrong name costs 1.5 times an abstention.
@@ -42,7 +44,8 @@ class Law:
     rival: float = 0.1
     #: Most effects in one hypothesis.
     most: int = 3
-    #: Highest probability of any class. Chosen: some form is missing from every catalogue.
+    #: Probability of something from which on an arm is not called healthy, and the highest of any class, as some form
+    #: is missing from every catalogue. Chosen: the usual level of 5 %.
     certain: float = 0.95
 
 

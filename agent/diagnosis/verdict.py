@@ -14,7 +14,6 @@ from agent.diagnosis.finding import Finding
 from agent.diagnosis.fit import Fit
 from agent.diagnosis.gap import HeldOutGap, held_out_gap
 from agent.diagnosis.limits import LIMITS, DecisionLimits
-from agent.model import SIMULATOR
 
 
 def judge(dataset: Dataset, finding: Finding, plain: Fit, unit: np.ndarray | None = None) -> tuple[Finding, HeldOutGap]:
@@ -31,8 +30,8 @@ def judge(dataset: Dataset, finding: Finding, plain: Fit, unit: np.ndarray | Non
             finding = finding.with_runner_up()
         causes = causes_of(dataset, finding, gap)
         verdict, kept = settle(finding.verdict, causes, gap.closure, dataset.limits)
-        if not kept:
-            finding = finding.without_causes(verdict, plain)
+        if not kept:  # held out, they explain no more than the model's own error, unless that is exceeded by far
+            finding = finding.without_causes("unknown" if finding.exceeded else "no_gap", plain)
         elif len(kept) < len(causes):
             finding = finding.only([k for k, cause in enumerate(causes) if cause in kept], plain)
         else:
@@ -44,8 +43,6 @@ def causes_of(dataset: Dataset, finding: Finding, gap: HeldOutGap) -> tuple[Caus
     fit, joints = finding.fit, dataset.robot.joint_names
     taken_out = [fit.out_of_fold(fit.once, number) for number in range(len(finding.causes))]
     parts = zip(finding.causes, taken_out, fit.values, finding.rivals, finding.probability, strict=True)
-    # parts of one motion are too much alike to bear out what hardly closes anything
-    by_joint = dataset.model.method == SIMULATOR or (len(finding.causes) > 1 and len(dataset.logs) > 1)
     return tuple(
         Cause(
             candidate.effect.name,
@@ -58,7 +55,7 @@ def causes_of(dataset: Dataset, finding: Finding, gap: HeldOutGap) -> tuple[Caus
                 _floats(zip(candidate.names, values, strict=True)),
             ),
             tuple(EffectPlace(name, tuple(joints[j] for j in there)) for name, there in rivals),
-            gap.closure_on(candidate.joints, left) if by_joint and candidate.joints else None,
+            gap.closure_on(candidate.joints, left) if candidate.joints else None,
         )
         for candidate, left, values, rivals, probability in parts
     )
@@ -81,12 +78,12 @@ def with_path(
 
 
 def has_size(cause: Cause, limits: DecisionLimits = LIMITS) -> bool:
-    """Return whether a cause has finite parameters, not all zero, and closes a part of its gap or of its joints'."""
+    """Return whether a cause has finite parameters, not all zero, and closes a part of the gap or of its joints'."""
     values = cause.parameters.values()
     if cause.closure is None or not isfinite(cause.closure):
         return False
-    of_joints = cause.closure_of_joints
-    closes = cause.closure >= limits.least_share or (of_joints is not None and of_joints >= limits.least_closure)
+    of_joints = cause.closure if cause.closure_of_joints is None else cause.closure_of_joints
+    closes = cause.closure >= limits.least_share and max(cause.closure, of_joints) >= limits.least_closure
     return closes and all(map(isfinite, values)) and any(values)
 
 
@@ -96,7 +93,7 @@ def settle(
     """Return the verdict that the figures allow, and the causes that may be named with it.
 
     - `explained` closes three quarters of the gap;
-    - `ambiguous` closes a quarter, and something equals its first cause;
+    - something equals the first cause of an `ambiguous` one;
     - `unknown` and `no_gap` have no causes; where there is nothing to close (None) there is no gap;
     - a cause without a size is none.
     """
@@ -105,7 +102,7 @@ def settle(
     if closure is None:
         return "no_gap", ()
     left = tuple(cause for cause in causes if has_size(cause, limits))
-    if not left or not closure >= limits.least_closure:  # not a number is not enough either
+    if not left:
         return "unknown", ()
     if left[0].equivalent_to:
         return "ambiguous", left
