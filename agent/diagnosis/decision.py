@@ -50,10 +50,12 @@ def decide(fit: Fit, evidence: Evidence, found: Sequence[Evaluated], observed: O
             tuple(probability for *_, probability in kept),
             tuple({id(h): h for h in (*hypotheses[:_LISTED], plain)}.values()),
             evidence,
+            healthy,
         )
 
     plain = next(h for h in hypotheses if not h.effects and not h.free)
-    if plain.scale < law.exceeded and answers.get((frozenset(), frozenset()), 0.0) > 1 - law.certain:
+    healthy = answers.get((frozenset(), frozenset()), 0.0)
+    if plain.scale < law.exceeded and healthy > 1 - law.certain:
         return finding("no_gap")
     size = dict(zip(leader.places, leader.torque, strict=True))
     ordered = sorted(names, key=lambda place: -size[place])

@@ -146,13 +146,13 @@ class Evidence:
     candidates : sequence of Candidate
         The pool to begin with.
     healthy : sequence of (Candidate, float), optional
-        Effects that the healthy arm has, and their torque over nominal: part of the background. Where nothing was
-        learned, the background takes from the pool what every arm has a little of.
+        Effects that the healthy arm has, and their torque over nominal: part of the background. If None, nothing is
+        known of this arm, and the background takes from the pool what every arm has a little of.
     law : Law, optional
         The numbers of the decision.
     """
 
-    def __init__(self, fit: Fit, candidates: Sequence[Candidate], healthy: Healthy = (), law: Law = LAW):
+    def __init__(self, fit: Fit, candidates: Sequence[Candidate], healthy: Healthy | None = None, law: Law = LAW):
         self.law, self.joints = law, len(fit.rows)
         signals = fit.signals
         kept_time = np.concatenate([s.time[s.kept] for s in signals])
@@ -171,7 +171,8 @@ class Evidence:
         self._log_prior = float(np.linalg.slogdet(self._prior)[1])
         q, qd, qdd = (np.concatenate([getattr(s, x)[s.kept] for s in signals])[thin] for x in ("q", "qd", "qdd"))
         self._log = log = np.concatenate([np.full(len(s.time[s.kept]), s.log_index) for s in signals])[thin]
-        usual = {} if healthy else self._usual(candidates)
+        usual = self._usual(candidates) if healthy is None else {}
+        healthy = healthy or ()
         self.known: list[np.ndarray] = []
         self._gram: list[np.ndarray] = []
         self._widths: list[tuple[int, int]] = []

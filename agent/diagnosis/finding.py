@@ -43,8 +43,8 @@ class Finding:
     """The verdict of a search, and what it rests on.
 
     `fit` has the causes as part of the model. `rivals[k]` are places that these motions cannot distinguish from cause
-    k, and `probability[k]` is that of cause k or one of them. `hypotheses` are sorted by probability. `ruled_out` are
-    places that a log with the drives off excludes; `zero_known`: there was one.
+    k, and `probability[k]` is that of cause k or one of them. `hypotheses` are sorted by probability, and `healthy` is
+    that of no effect that matters. `zero_known`: there was a log with the drives off.
     """
 
     verdict: str
@@ -54,7 +54,7 @@ class Finding:
     probability: tuple[float, ...]
     hypotheses: tuple[Hypothesis, ...]
     evidence: Evidence
-    ruled_out: tuple[Where, ...] = ()
+    healthy: float = 0.0
     zero_known: bool = False
 
     @property

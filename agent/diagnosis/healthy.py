@@ -6,7 +6,7 @@ the arm's: a balancer that no parameter stands for, a drive that is warmer on so
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 
@@ -29,25 +29,46 @@ _LONGEST = 60.0  # s of a log that are looked at
 def with_healthy_effects(
     model: IdentifiedModel, baseline: Sequence[Log], held_out: Sequence[Log] = ()
 ) -> IdentifiedModel:
-    """Return the model with what the effects explain of its error on motions that it was not fitted to.
+    """Return the model with what the effects explain of its error while the arm is healthy.
 
-    Each log of the baseline is judged by a model of the others; logs that were `held_out` already by the model itself.
-    With one log alone nothing can be learned, and the model is returned as it is.
+    Each log of the baseline is judged by a model of the others, and all of them by the model itself, whose choice of
+    terms may differ; logs that were `held_out` by the model itself. With one log alone nothing can be learned, and the
+    model is returned as it is.
     """
-    power: dict[Where, float] = {}
-    best: dict[Where, tuple[float, dict[str, float]]] = {}
-    fits = list(_fits(model, [_first_minute(log) for log in baseline], [_first_minute(log) for log in held_out]))
-    for fit in fits:
-        for place, gain, form, size in _explained(fit):
-            power[place] = power.get(place, 0.0) + size**2 / len(fits)
-            if gain > best.get(place, (0.0, {}))[0]:
-                best[place] = gain, form
-    names = model.robot.joint_names
-    healthy = tuple(
-        HealthyEffect(effect, tuple(names[j] for j in joints), best[effect, joints][1], float(np.sqrt(total)))
-        for (effect, joints), total in power.items()
-    )
-    return replace(model, healthy=healthy)
+    baseline, held_out = ([_first_minute(log) for log in logs] for logs in (baseline, held_out))
+    found = _Learned()
+    if judged := held_out or (baseline if len(baseline) > 1 else []):
+        found.add([assemble(model.robot, model, judged, model.cutoff).fit])
+    found.add(_left_out(model, baseline))
+    return replace(model, healthy=found.effects(model.robot.joint_names))
+
+
+class _Learned:
+    """Per place the torque over nominal that was explained, and the nonlinear parameters that gained most."""
+
+    def __init__(self) -> None:
+        self.size: dict[Where, float] = {}
+        self._best: dict[Where, tuple[float, dict[str, float]]] = {}
+
+    def add(self, fits: Iterable[Fit]) -> None:
+        """Take the root mean square over several fits, where it is larger than what was found before."""
+        power: dict[Where, list[float]] = {}
+        count = 0
+        for fit in fits:
+            count += 1
+            for place, gain, form, size in _explained(fit):
+                power.setdefault(place, []).append(size**2)
+                if gain > self._best.get(place, (0.0, {}))[0]:
+                    self._best[place] = gain, form
+        for place, squares in power.items():
+            self.size[place] = max(self.size.get(place, 0.0), float(np.sqrt(sum(squares) / count)))
+
+    def effects(self, names: Sequence[str]) -> tuple[HealthyEffect, ...]:
+        """As the model keeps them."""
+        return tuple(
+            HealthyEffect(effect, tuple(names[j] for j in joints), self._best[effect, joints][1], size)
+            for (effect, joints), size in self.size.items()
+        )
 
 
 def _first_minute(log: Log) -> Log:
@@ -55,9 +76,7 @@ def _first_minute(log: Log) -> Log:
     return log if log.t[-1] - start <= _LONGEST else log.between(start, start + _LONGEST)
 
 
-def _fits(model: IdentifiedModel, baseline: Sequence[Log], held_out: Sequence[Log]) -> Iterator[Fit]:
-    if held_out:
-        yield assemble(model.robot, model, held_out, model.cutoff).fit
+def _left_out(model: IdentifiedModel, baseline: Sequence[Log]) -> Iterator[Fit]:
     settings = EstimationSettings.create(cutoff=model.cutoff)
     for log in baseline if len(baseline) > 1 else ():
         with suppress(InputError):  # the others are too little for a model
@@ -68,7 +87,7 @@ def _fits(model: IdentifiedModel, baseline: Sequence[Log], held_out: Sequence[Lo
 def _explained(fit: Fit) -> list[tuple[Where, float, dict[str, float], float]]:
     """Per place whose evidence grows by an effect: the gain, its nonlinear parameters, and its torque over nominal."""
     forms = Search(fit).forms()
-    evidence = Evidence(fit, forms)
+    evidence = Evidence(fit, forms, healthy=())
     gains, values = evidence.gains(evidence.nothing)
     found: dict[Where, tuple[Where, float, dict[str, float], float]] = {}
     for number in np.argsort(-gains).tolist():
@@ -79,11 +98,13 @@ def _explained(fit: Fit) -> list[tuple[Where, float, dict[str, float], float]]:
     return list(found.values())
 
 
-def healthy_on(fit: Fit, model: IdentifiedModel, without: Collection[str] = ()) -> Healthy:
+def healthy_on(fit: Fit, model: IdentifiedModel, without: Collection[str] = ()) -> Healthy | None:
     """Return what the model's arm has of the effects, on other logs; those `without` are left out.
 
-    In the form found, and in one of every other kind of form that the effect has.
+    In the form found, and in one of every other kind of form that the effect has. None where nothing was learned.
     """
+    if not model.healthy:
+        return None
     names, found = list(model.robot.joint_names), list[tuple[Candidate, float]]()
     for one in model.healthy:
         if one.effect not in CATALOGUE or one.effect in without or not set(one.joints) <= set(names):

@@ -1,52 +1,48 @@
-"""The numbers of the decision, all fifteen. Their sensitivity is not measured yet."""
+"""The numbers of the decision: everything that a verdict depends on besides data, model and the effects' physics."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
+from agent.diagnosis.limits import known
+
 
 @dataclass(frozen=True)
 class Law:
-    """Everything that a verdict depends on besides the data, the model and the effects' own physics.
+    """All of them. Shares of torque are root mean square over nominal joint torque."""
 
-    Shares of torque are root mean square over nominal joint torque.
-    """
-
-    #: Time between independent errors [s]. Chosen; not measured on any arm.
-    independent: float = 0.5
-    #: Systematic error of the model per background column, in units of its held-out error. It, `drift` and `form` come
-    #: from a trial on other simulated arms, where few values were compared.
-    systematic: float = 0.4
-    #: What an arm changes by itself per background column, of nominal torque.
-    drift: float = 0.001
-    #: What friction levels of a healthy arm change from day to day, of themselves: a few kelvin at 1 to 3 % each
-    #: (Bittencourt and Gunnarsson, J. Dyn. Syst. Meas. Control 134, 2012).
-    daily: float = 0.05
-    #: Error of any effect's form, as a share of its own torque.
-    form: float = 0.05
-    #: Usual sizes of effects, of nominal torque, one as likely as another. Chosen: half a decade apart.
-    sizes: tuple[float, ...] = (0.007, 0.02, 0.06, 0.2)
-    #: How well the model's held-out error is known: degrees of freedom. Chosen.
-    nu: float = 6.0
-    #: Prior probability of no effect, of an effect outside the catalogue, and of every further effect. Chosen.
-    nothing: float = 0.5
-    other: float = 0.1
-    further: float = 0.1
-    #: Smallest torque worth a name, of nominal, root mean square in the log with most of it. Chosen.
-    practical: float = 0.003
-    #: Squared error of a joint over its background from which on something is there, whatever it is. Chosen.
-    exceeded: float = 6.0
-    #: Share of the torque beyond the background that named causes close, or they do not explain it.
-    adequate: float = 0.95
-    #: Probability of a class from which on it is named: a wrong name costs 1.5 times an abstention.
-    sure: float = 0.6
-    #: Share of the leader's probability from which on another hypothesis belongs to its class.
-    rival: float = 0.1
-    #: Most effects in one hypothesis.
-    most: int = 3
-    #: Probability of something from which on an arm is not called healthy, and the highest of any class, as some form
-    #: is missing from every catalogue. Chosen: the usual level of 5 %.
-    certain: float = 0.95
+    independent: float = known(0.5, "s", "between independent errors", "chosen")
+    systematic: float = known(0.4, "held-out error", "the model's own error per background column", "tuned")
+    drift: float = known(0.001, "nominal torque", "what an arm changes by itself per background column", "tuned")
+    daily: float = known(
+        0.05,
+        "its value",
+        "change of a friction level from day to day: some kelvin at 1 to 3 % each",
+        "Bittencourt and Gunnarsson, J. Dyn. Syst. Meas. Control 134, 2012",
+    )
+    form: float = known(0.05, "its torque", "error of any effect's form", "tuned")
+    sizes: tuple[float, ...] = known(
+        (0.007, 0.02, 0.06, 0.2), "nominal torque", "usual sizes, equally likely", "chosen"
+    )
+    nu: float = known(6.0, "degrees of freedom", "with which the model's held-out error is known", "chosen")
+    nothing: float = known(0.5, "probability", "of no effect, before the data", "chosen")
+    other: float = known(0.1, "probability", "of an effect outside the catalogue, before the data", "chosen")
+    further: float = known(0.1, "probability", "of every further effect, before the data", "chosen")
+    practical: float = known(
+        0.003, "nominal torque", "smallest effect worth a name, in the log with most of it", "chosen"
+    )
+    exceeded: float = known(
+        6.0, "squared background", "error of a joint from which on something is there, whatever it is", "chosen"
+    )
+    adequate: float = known(
+        0.95, "gap beyond the background", "that causes explain, or the verdict is unknown", "chosen"
+    )
+    sure: float = known(0.6, "probability", "of a class that is named: a wrong name costs 1.5 abstentions", "chosen")
+    rival: float = known(0.1, "of the leader's probability", "from which on another belongs to its class", "chosen")
+    most: int = known(3, "effects", "in one hypothesis", "chosen")
+    certain: float = known(
+        0.95, "probability", "of something, below which an arm is healthy, and the highest of any class", "derived: 5 %"
+    )
 
 
 LAW = Law()

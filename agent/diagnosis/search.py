@@ -41,7 +41,7 @@ class Search:
     observed : callable, optional
         Log likelihood of something else that was observed, given a hypothesis.
     healthy : sequence of (Candidate, float), optional
-        Effects that the arm has already, and their torque over nominal.
+        Effects that the arm has already, and their torque over nominal; None if that is not known.
     law : Law, optional
         The numbers of the decision.
     """
@@ -53,7 +53,7 @@ class Search:
         progress: Callable[[str], None] = lambda text: None,
         only: Collection[Where] | None = None,
         observed: Observed | None = None,
-        healthy: Healthy = (),
+        healthy: Healthy | None = None,
         law: Law = LAW,
     ):
         self.fit, self.law, self._progress, self._observed, self._healthy = fit, law, progress, observed, healthy

@@ -59,7 +59,7 @@ def diagnose(
         progress("filtering, and fitting the model in every fold" if model is None else "filtering")
         dataset = assemble(robot, model, logs, cutoff, limits)
         observed = None if zero is None else as_evidence(zero, dataset.model)
-        usual = () if model is None else healthy_on(dataset.fit, model, without)
+        usual = None if model is None else healthy_on(dataset.fit, model, without)
         search = Search(dataset.fit, without, progress, observed=observed, healthy=usual)
         finding = search.run()
         if (held := held_torque(dataset, finding.fit)) is not None:

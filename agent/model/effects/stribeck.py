@@ -33,7 +33,6 @@ class Stribeck(FrictionLevel):
     sizes = ("rise",)
     experiment = SLOW_REVERSALS
     refined = ("speed",)
-    special_cases = ("friction_change",)
 
     def settings(self, context: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
         fastest = highest_speed(context, joints[0])

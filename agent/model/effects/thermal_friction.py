@@ -39,10 +39,8 @@ class ThermalFriction(FrictionLevel):
     needs_reversals = 1
     shapes = ("speed",)
     experiment = FROM_COLD
-    complexity_penalty = 1
     refined = ("time_constant", "way")
     not_reported = ("session", _STARTS)
-    special_cases = ("friction_change",)
 
     def settings(self, context: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
         (axle,) = joints

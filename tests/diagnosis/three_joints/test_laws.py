@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from agent.diagnosis.isolability import best_by_place
 from scipy.signal import savgol_filter
 
 from agent.diagnosis import diagnose
 from agent.diagnosis.dataset import assemble
-from agent.diagnosis.isolability import best_by_place
 from agent.model import CATALOGUE, IdentifiedModel
 from agent.model.friction_terms import dahl
 from agent.pipeline.printed_diagnosis import diagnosis_text

@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from agent.diagnosis.stored_uncertainty import held_to_uncertainty
 from scipy.special import chdtri
 
 from agent.diagnosis import diagnose
 from agent.diagnosis.dataset import assemble
-from agent.diagnosis.stored_uncertainty import held_to_uncertainty
 from fake_controller.plant import Plant
 from tests.small_arms import record
 
