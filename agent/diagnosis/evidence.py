@@ -238,8 +238,21 @@ class Evidence:
         effect, settings = candidate.effect, candidate.settings
         return effect.plausible(settings, named) and effect.possible(self.reference, candidate.joints, settings, named)
 
+    def as_expected(self, base: Evaluated) -> Evaluated:
+        """The same hypothesis with no joint's error above the background.
+
+        What a large effect leaves raises the scales, and at these the background explains anything smooth.
+        """
+        if base.scales.max() <= 1:
+            return base
+        return self.evaluate(base.effects, base.free, np.minimum(base.scales, 1.0), refit=False)
+
     def evaluate(
-        self, effects: Sequence[int], free: Mapping[int, float] | None = None, scales: np.ndarray | None = None
+        self,
+        effects: Sequence[int],
+        free: Mapping[int, float] | None = None,
+        scales: np.ndarray | None = None,
+        refit: bool = True,
     ) -> Evaluated:
         """Integrate a hypothesis.
 
@@ -251,6 +264,8 @@ class Evidence:
             Joints with "something else", and its size over nominal torque.
         scales : ndarray, shape (n,), optional
             Squared scales s_j² to begin with; joints that nothing acts on keep them.
+        refit : bool, optional
+            Fit the scales; else all joints keep them.
         """
         law, free = self.law, dict(free or {})
         scales = np.ones(self.joints) if scales is None else scales.copy()
@@ -266,7 +281,7 @@ class Evidence:
                 break
             form = np.array([sum(one.get(j, 0.0) ** 2 for one in torque) for j in range(self.joints)]) * self.unit**2
             sizes = [_nearest(law.sizes, max(one.values(), default=0.0)) for one in torque]
-            for j in touched if self._nothing else range(self.joints):
+            for j in (touched if self._nothing else range(self.joints)) if refit else ():
                 energy = _energy(joints[j], float(scales[j]), mean[joints[j].at])
                 scales[j] = max((law.nu + energy) / (law.nu + self.count), _LEAST_SCALE)
         log = -0.5 * (sum(joint.reduced[-1, -1] + joint.log_det for joint in joints) - float(side @ mean) + log_det)
@@ -409,7 +424,7 @@ class Evidence:
         prior = np.zeros((int(ends[-1]),) * 2)
         prior[: len(self._prior), : len(self._prior)] = self._prior
         for number, (a, b) in zip(self._numbers(forms), pairwise(ends), strict=True):
-            prior[a:b, a:b] = self._ridge(number, self.law.sizes[-1])
+            prior[a:b, a:b] = self._ridge(number, self.law.sizes[3])
         return prior
 
     def unit_torque(self, form: Candidate) -> np.ndarray:

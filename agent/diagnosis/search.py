@@ -111,6 +111,7 @@ class Search:
     def _extend(self, base: Evaluated, count: int) -> None:
         """Evaluate the most promising places added to a hypothesis, and something else on each joint."""
         evidence = self.evidence
+        base = evidence.as_expected(base)
         gains, values = self._refined(base)
         for place, forms in self._promising(base, gains, values, count).items():
             del place

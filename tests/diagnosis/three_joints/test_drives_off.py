@@ -8,15 +8,13 @@ import numpy as np
 import pytest
 
 from agent.core.errors import InputError
-from agent.diagnosis import HeldOutScore, channel_zero, diagnose, without_places
+from agent.diagnosis import channel_zero, diagnose
 from agent.experiment import open_pairs
-from agent.model import CATALOGUE
 from fake_controller.plant import Plant
 from tests.small_arms import record
 
 JOINT = 1
 OFFSET = 6.0
-OF_CHANNEL = ("torque_offset", (JOINT,))
 
 
 @pytest.fixture(scope="module")
@@ -83,29 +81,6 @@ def test_what_is_not_there_with_the_drives_off_is_of_the_arm(arm, model, logs, k
     (text,) = [text for text in found.warnings if "its channel has no such offset" in text]
     travel = max(np.ptp(log.position[:, JOINT]) for log in logs)
     assert f"pulls alike over the {travel:.2g} rad travelled" in text
-
-
-@pytest.mark.parametrize(
-    ("slack", "gain", "without", "open_again"),
-    [(1.5, 0.99, (), True), (8.0, 0.99, (), False), (1.5, 0.9, (), False), (1.5, 0.99, ("dress_pack",), False)],
-    ids=["as good", "hardly changes", "worse", "left out"],
-)
-def test_without_an_offset_a_hose_that_was_no_more_than_one_is_open_again(
-    arm, model, logs, slack, gain, without, open_again
-):
-    """What is bent is slack somewhere near: one that hardly changes over the travel would be bent from far away."""
-    found = diagnose(arm, logs, model)
-    fit, (first, *rest) = found.dataset.fit, found.finding.steps
-    (hose,) = fit.candidates([(CATALOGUE["dress_pack"], (JOINT,), {})])
-    middle = np.mean(np.concatenate([signals.q[:, JOINT] for signals in fit.signals]))
-    values = OFFSET * np.array([1 - middle / slack, 1 / slack])  # rest lies so far from the middle of the travel
-    offset = next(score for score in first.scores if score.candidate.place == OF_CHANNEL)
-    as_good = HeldOutScore(hose, offset.error, gain * offset.gain, values)
-    steps = (replace(first, scores=(*first.scores, as_good)), *rest)
-    left = without_places(found.dataset, replace(found.finding, steps=steps, ruled_out=(OF_CHANNEL,)), without)
-    assert left.causes[0].effect.name == "asymmetric_friction"
-    assert (("dress_pack", (JOINT,)) in left.rivals[0]) == open_again
-    assert left.verdict == ("ambiguous" if open_again else "explained")
 
 
 def test_half_of_it_settles_nothing(arm, model, logs):

@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from agent.diagnosis.isolability import best_by_place
 from scipy.signal import savgol_filter
 
-from agent.diagnosis import diagnose
+from agent.diagnosis import Candidate, diagnose
 from agent.diagnosis.dataset import assemble
+from agent.diagnosis.evidence import Evidence
 from agent.model import CATALOGUE, IdentifiedModel
 from agent.model.friction_terms import dahl
 from agent.pipeline.printed_diagnosis import diagnosis_text
@@ -39,14 +39,21 @@ def left(arm, model, healthy) -> Callable[[str, Law], float]:
         fit = assemble(arm, model, _with(model, healthy, law), None).fit
         effect, place = CATALOGUE[name], (JOINT,)
         wanted = [(effect, place, settings) for settings in effect.settings(fit, place)]
-        best = best_by_place(fit.score(fit.candidates(wanted)))[name, place]
+        evidence = Evidence(fit, fit.candidates(wanted), healthy=())
+        best = _best(evidence)
         for factor in (1.25, 1.1, 1.04):
-            finer = [(effect, place, near) for near in effect.nearby(best.candidate.settings, factor)]
-            best = max([best, *fit.score(fit.candidates(finer))], key=lambda score: score.gain)
+            finer = [(effect, place, near) for near in effect.nearby(best.settings, factor)]
+            evidence.add(fit.candidates(finer))
+            best = _best(evidence)
         background = float(fit.count.sum()) / len(fit.rows)  # of one joint
-        return (fit.error() - best.gain - 3 * background) / (fit.error() - 3 * background)
+        return (fit.with_chosen([best]).error() - 3 * background) / (fit.error() - 3 * background)
 
     return measure
+
+
+def _best(evidence: Evidence) -> Candidate:
+    gains, _ = evidence.gains(evidence.as_expected(evidence.nothing))
+    return evidence.candidate(int(np.argmax(gains)))
 
 
 def test_a_small_effect_of_one_joint_is_named_beside_a_far_larger_one_of_another(arm, model, healthy):
