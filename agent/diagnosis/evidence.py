@@ -185,6 +185,9 @@ class Evidence:
             self.known.append(columns.astype(np.float32))
             self._gram.append(columns.T @ columns * self.weight)
             self._widths.append((own.shape[1] - 1, free.shape[1]))
+        left = np.stack([columns[:, -1] for columns in self.known], axis=1) * self.sigma / self.nominal
+        largest = float(np.sqrt(np.mean(left**2, axis=0)).max())
+        self.sizes = (*law.sizes, *([largest] if largest > law.sizes[-1] else []))
         self._banks: list[_Bank] = []
         self._where: list[tuple[int, int]] = []
         self._products: dict[tuple[int, int, int], np.ndarray] = {}
@@ -280,7 +283,7 @@ class Evidence:
             if last:
                 break
             form = np.array([sum(one.get(j, 0.0) ** 2 for one in torque) for j in range(self.joints)]) * self.unit**2
-            sizes = [_nearest(law.sizes, max(one.values(), default=0.0)) for one in torque]
+            sizes = [_nearest(self.sizes, max(one.values(), default=0.0)) for one in torque]
             for j in (touched if self._nothing else range(self.joints)) if refit else ():
                 energy = _energy(joints[j], float(scales[j]), mean[joints[j].at])
                 scales[j] = max((law.nu + energy) / (law.nu + self.count), _LEAST_SCALE)
@@ -424,7 +427,7 @@ class Evidence:
         prior = np.zeros((int(ends[-1]),) * 2)
         prior[: len(self._prior), : len(self._prior)] = self._prior
         for number, (a, b) in zip(self._numbers(forms), pairwise(ends), strict=True):
-            prior[a:b, a:b] = self._ridge(number, self.law.sizes[3])
+            prior[a:b, a:b] = self._ridge(number, self.law.sizes[-1])
         return prior
 
     def unit_torque(self, form: Candidate) -> np.ndarray:
@@ -461,7 +464,7 @@ class Evidence:
         """(N,) gain and (N, k) parameters of candidates, each with its likeliest size, from (N, k, k) and (N, k)."""
         best, values = np.full(len(side), -np.inf), np.zeros(side.shape)
         eye = np.eye(side.shape[1])
-        for size in self.law.sizes:
+        for size in self.sizes:
             ridge = prior + (rms**2 / size**2)[:, :, None] * eye
             matrix = schur + ridge
             unit = 1 / np.sqrt(np.maximum(np.diagonal(matrix, axis1=1, axis2=2), 1e-300))

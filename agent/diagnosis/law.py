@@ -22,7 +22,7 @@ class Law:
     )
     form: float = known(0.05, "its torque", "error of any effect's form", "tuned")
     sizes: tuple[float, ...] = known(
-        (0.007, 0.02, 0.06, 0.2), "nominal torque", "usual sizes, equally likely", "chosen"
+        (0.007, 0.02, 0.06, 0.2), "nominal torque", "usual sizes of effects, equally likely", "chosen"
     )
     nu: float = known(6.0, "degrees of freedom", "with which the model's held-out error is known", "chosen")
     nothing: float = known(0.5, "probability", "of no effect, before the data", "chosen")
@@ -35,7 +35,7 @@ class Law:
         6.0, "squared background", "error of a joint from which on something is there, whatever it is", "chosen"
     )
     adequate: float = known(
-        0.95, "gap beyond the background", "that causes explain, or the verdict is unknown", "chosen"
+        0.75, "gap beyond the background", "that causes explain, or the verdict is unknown", "derived: the contract"
     )
     sure: float = known(0.6, "probability", "of a class that is named: a wrong name costs 1.5 abstentions", "chosen")
     rival: float = known(0.1, "of the leader's probability", "from which on another belongs to its class", "chosen")
