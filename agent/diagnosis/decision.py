@@ -37,7 +37,7 @@ def decide(fit: Fit, evidence: Evidence, found: Sequence[Evaluated], observed: O
     law = evidence.law
     hypotheses = posterior(evidence, found, observed)
     answers = _answers(hypotheses, law)
-    names, free = max(answers, key=lambda one: answers[one])
+    names, free = max(answers, key=lambda one: round(answers[one], 6))
     leader = next(h for h in hypotheses if _answer(h, law) == (names, free))
 
     def finding(verdict: str, kept: Sequence[tuple[Where, tuple[Where, ...], float]] = ()) -> Finding:

@@ -32,7 +32,7 @@ from agent.model import CATALOGUE
 
 _ROWS = 0.016  # s between the rows that are kept: their rate is twice the usual cut-off of 30 Hz
 _LEAST_SCALE = 0.2  # of σ²: no background is known to be smaller
-_ROUNDING = 1e-9  # of the information on a column, that differences of large numbers may lose
+_FORM = 100.0  # of σ² per background column, at most, for what is wrong with a form: moments are of float32 columns
 _AT_ONCE = 64  # candidates whose own moments are worked out together
 _POWER = 0.84  # standard deviations that 80 % of draws exceed
 
@@ -528,7 +528,7 @@ class Evidence:
         return (
             scale * law.systematic**2
             + (law.drift * unit) ** 2
-            + law.form**2 * form
+            + min(law.form**2 * form, _FORM)
             + (free.get(joint, 0.0) * unit) ** 2
         )
 
@@ -537,9 +537,7 @@ class Evidence:
         lower = np.linalg.cholesky(np.eye(len(square)) / variance + square / scale)
         half = solve_triangular(lower, cross, lower=True) / scale
         log_det = self.count * np.log(scale) + 2 * np.log(np.diag(lower)).sum() + len(square) * np.log(variance)
-        reduced = own / scale - half.T @ half
-        np.fill_diagonal(reduced, np.maximum(np.diag(reduced), _ROUNDING * np.diag(own) / scale))
-        return JointMoments(reduced, float(log_det), lower, half, (own, cross, square), at, effects)
+        return JointMoments(own / scale - half.T @ half, float(log_det), lower, half, (own, cross, square), at, effects)
 
     def _ridge(self, number: int, size: float) -> np.ndarray:
         """(k, k) prior precision of an effect's parameters, of a size over nominal torque."""

@@ -93,7 +93,7 @@ def test_a_spring_that_hardly_changes_is_no_offset(arm, model, healthy):
     size = np.std(healthy[0].effort[:, JOINT])
     travelled = np.concatenate([log.position[:, JOINT] for log in healthy])
     middle, reach = travelled.mean(), np.ptp(travelled) / 2
-    altered = _with(model, healthy, lambda q, load, gone: 20 * size * np.cos(0.4 * (q - middle - 0.1) / reach))
+    altered = _with(model, healthy, lambda q, load, gone: 4 * size * np.cos(0.8 * (q - middle - 0.1) / reach))
     (cause,) = diagnose(arm, altered, model).answer.causes
     named = {place.effect for place in (cause, *cause.equivalent_to)}
     assert "gravity_spring" in named
