@@ -114,12 +114,12 @@ def _effects() -> Iterator[str]:
     from agent.model.effects import CATALOGUE
 
     yield "s: direction of sliding as the model's friction reverses; w, x: speed and angle of the axle; τ: torque of"
-    yield "the model. Special cases: simpler forms that it has to do better than. Matters from: root mean square torque"
+    yield "the model. Matters from: root mean square torque"
     yield "over nominal."
     yield ""
-    names = ("name", "family", "where", "in words", "form", "shows as", "confused with", "special cases")
+    names = ("name", "family", "where", "in words", "form", "shows as", "confused with")
     yield f"| {' | '.join(names)} | matters from | source |"
-    yield "|" + " --- |" * 10
+    yield "|" + " --- |" * 9
     for effect in CATALOGUE.built_in:
         cells = (
             f"`{effect.name}`",
@@ -129,7 +129,6 @@ def _effects() -> Iterator[str]:
             effect.formula,
             effect.signature,
             ", ".join(effect.confused_with) or "-",
-            ", ".join(effect.special_cases) or "-",
             f"{100 * effect.practical:g} %",
             effect.source,
         )
@@ -152,17 +151,15 @@ def _simulated() -> Iterator[str]:
 
 
 def _limits() -> Iterator[str]:
-    from agent.diagnosis.limits import described
+    from agent.diagnosis.law import LAW
+    from agent.diagnosis.limits import LIMITS, described
 
-    yield "Sensitivity: how far verdicts move when a limit moves by a quarter."
-    yield ""
-    yield "| limit | value | unit | meaning | source | sensitivity |"
-    yield "|" + " --- |" * 6
-    for limit in described():
+    yield "| number | value | unit | meaning | source |"
+    yield "|" + " --- |" * 5
+    for limit in (*described(LAW), *described(LIMITS)):
         values = limit.value if isinstance(limit.value, tuple) else (limit.value,)
         value = ", ".join(f"{entry:.3g}" for entry in values)
-        cells = (f"`{limit.name}`", value, limit.unit, limit.meaning, limit.source, limit.sensitivity)
-        yield "| " + " | ".join(cells) + " |"
+        yield "| " + " | ".join((f"`{limit.name}`", value, limit.unit, limit.meaning, limit.source)) + " |"
 
 
 if __name__ == "__main__":

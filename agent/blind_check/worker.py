@@ -43,7 +43,7 @@ def diagnose_run(folder: Path, without: Sequence[str] = ()) -> dict[str, Any]:
     Raises:
         InputError: as in `diagnose` and `estimate`.
     """
-    from agent.diagnosis import diagnose
+    from agent.diagnosis import diagnose, with_healthy_effects
     from agent.estimation import estimate
     from agent.recording import read_log
     from agent.robot import load_robot
@@ -52,7 +52,8 @@ def diagnose_run(folder: Path, without: Sequence[str] = ()) -> dict[str, Any]:
     baseline, logs = (
         [read_log(log, robot) for log in sorted((folder / session).glob("*.mcap"))] for session in ("baseline", "logs")
     )
-    return diagnose(robot, logs, estimate(robot, baseline), without=without).result
+    model = with_healthy_effects(estimate(robot, baseline), baseline)
+    return diagnose(robot, logs, model, without=without).result
 
 
 if __name__ == "__main__":

@@ -18,9 +18,10 @@ import numpy as np
 from agent.diagnosis.answer import Cause, EffectPlace, WaterfallStep
 from agent.diagnosis.candidate import Candidate
 from agent.diagnosis.dataset import Dataset, precision_of
-from agent.diagnosis.finding import Finding, class_probability
+from agent.diagnosis.finding import Finding
 from agent.diagnosis.fit import Fit
 from agent.diagnosis.gap import HeldOutGap, rms
+from agent.diagnosis.law import LAW
 from agent.model import CATALOGUE, IdentifiedModel, NominalModel
 from agent.robot import ParameterLayout
 
@@ -244,7 +245,7 @@ def causes_of_steps(found: ReleasedSimulator, steps: Sequence[WaterfallStep], cl
     """The released groups in the vocabulary of effects, what closes most first: where no effect is needed."""
     model, names = found.given.model, found.given.robot.joint_names
     base, change = len(model.independent), found.moved.fit.change
-    probability = class_probability(0.0, closure, found.given.limits)
+    probability = LAW.certain * min(closure, 1.0)
     load = _load(found)
     called = {effect.numbers: effect.name for effect in reversed([*CATALOGUE.values()])}  # the built-in ones last
     gain = next((name for name, effect in CATALOGUE.items() if effect.scales_report), "")

@@ -1,4 +1,4 @@
-"""What is tried and what comes of it: an effect somewhere with its columns, its score, and the folds of the rows."""
+"""What is tried: an effect somewhere with its columns, and the folds of the rows."""
 
 from __future__ import annotations
 
@@ -52,16 +52,6 @@ class Candidate:
         """The effect with linear parameters (k,), as a model has it."""
         parameters = {**self.settings, **dict(zip(self.names, map(float, values), strict=True))}
         return ModelEffect(self.effect.name, tuple(joint_names[j] for j in self.joints), parameters)
-
-
-@dataclass(frozen=True, eq=False)
-class HeldOutScore:
-    """error: held-out Σ e² / σ² with the candidate; gain: how much less than without; values (k,) fitted to all."""
-
-    candidate: Candidate
-    error: float
-    gain: float
-    values: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,19 +6,16 @@ there as well, alone or with the one that the model had before; friction by dire
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
 from agent.core import InputError
-from agent.diagnosis.candidate import Candidate, HeldOutScore, Where
 from agent.diagnosis.dataset import Dataset
+from agent.diagnosis.evidence import Evaluated, Evidence
 from agent.diagnosis.finding import Finding
-from agent.diagnosis.isolability import best_by_place, plausible
-from agent.diagnosis.needs import Excursions
-from agent.diagnosis.verdict import abstained, named
-from agent.model import CATALOGUE, SIMULATOR, IdentifiedModel
+from agent.model import SIMULATOR, IdentifiedModel
 from agent.recording import Log
 from agent.robot import RobotDescription
 
@@ -26,7 +23,7 @@ _STANDS = 0.01  # rad or m: brakes give
 _LEAST = 1.0  # s
 _BLOCKS = 8  # whose means scatter as far as slow noise has it
 _CERTAIN = 3.0  # standard errors
-_NEAR, _FAR = 0.25, 0.5  # of the offset found: so near to what one story says, and so far from what the other does
+_OUTLIER = 5.0  # standard errors: a log of another day says no more against any hypothesis
 _SWINGS = 0.05  # of nominal torque, standard deviation: a channel without current shows its noise
 _HOLDS, _LOADED = 0.3, 0.02  # of the torque that holds the arm: so near to it; and of nominal torque, where it tells
 _BEYOND = 1.0  # of nominal torque: no zero of a channel
@@ -107,98 +104,51 @@ def _check_off(robot: RobotDescription, log: Log, model: IdentifiedModel | None)
         )
 
 
-def with_channel_zero(
-    dataset: Dataset, finding: Finding, zero: ChannelZero, without: Collection[str] = ()
-) -> tuple[Finding, tuple[str, ...]]:
-    """The finding where the zeros of the channels settle what equals an offset of one, and what they say.
+def as_evidence(zero: ChannelZero, model: IdentifiedModel) -> Callable[[Evidence, Evaluated], float]:
+    """Return the log likelihood that each hypothesis gives to the zeros of the channels.
 
-    A log with a zero that no motion shows is not one of these motions' arm with its drives off: it settles nothing.
-    `without`: effects that are not to be named.
+    An effect that adds to the report of a channel shows there with its own size, alone or with the offset that the
+    model had before; without one the channel shows nothing, or that.
     """
-    asked = {place[1] for k in range(len(finding.causes)) if (place := _offset_of(finding, k)) is not None}
-    if odd := tuple(_elsewhere(dataset, zero, asked)):
-        return finding, (*odd, "a log with the drives off that is in doubt settles nothing: record it again")
-    finding, said = replace(finding, zero_known=True), []
-    for number in range(len(finding.causes)):
-        place = _offset_of(finding, number)
-        if place is not None:
-            finding, text = _settled(dataset, finding, number, place, zero, without)
-            said.append(text)
-    nothing = (
-        "nothing that was found may be an offset of a torque channel, so the log with the drives off settles nothing"
-    )
-    return finding, tuple(said or [nothing])
+    before = _known_offsets(model)
+    known = np.flatnonzero(np.isfinite(zero.torque))
+
+    def log_likelihood(evidence: Evidence, hypothesis: Evaluated) -> float:
+        offset = np.zeros(evidence.joints)
+        for k, values in zip(hypothesis.effects, hypothesis.values, strict=True):
+            candidate = evidence.candidate(k)
+            if candidate.effect.adds_to_report is not None:
+                offset[candidate.joints[0]] += values[candidate.names.index(candidate.effect.adds_to_report)]
+        miss = np.minimum(np.abs(zero.torque - offset), np.abs(zero.torque - offset - before))[known]
+        slack = np.hypot(zero.error, _NOTABLE * evidence.nominal / 2)[known]
+        return float(-0.5 * np.sum(np.minimum(miss / slack, _OUTLIER) ** 2))
+
+    return log_likelihood
 
 
-def _elsewhere(dataset: Dataset, zero: ChannelZero, asked: Collection[tuple[int, ...]]) -> Iterator[str]:
-    """Channels with another zero than the model has, where no offset was found."""
-    before = _known_offsets(dataset.model)
+def said_by_zero(dataset: Dataset, finding: Finding, zero: ChannelZero) -> tuple[str, ...]:
+    """Return what a log with the drives off says of the causes, one text a channel that it may concern."""
+    sizes = zip(finding.causes, finding.fit.values, strict=True)
+    offsets = {c.joints[0]: float(np.abs(v).max()) for c, v in sizes if c.effect.adds_to_report is not None}
+    before, said = _known_offsets(dataset.model), []
     for joint, entry in enumerate(dataset.robot.joints):
         seen, least = zero.torque[joint], _NOTABLE * dataset.fit.reference.scale[joint]
-        if (joint,) not in asked and min(abs(seen), abs(seen - before[joint])) > _CERTAIN * zero.error[joint] + least:
-            unit = "N" if entry.prismatic else "N·m"
-            yield (
+        unit = "N" if entry.prismatic else "N·m"
+        if np.isnan(seen):
+            if joint in offsets:
+                said.append(f"the torque channel of {entry.name} is off with its drive, so it settles nothing")
+        elif _CERTAIN * zero.error[joint] > offsets.get(joint, np.inf):
+            said.append(f"with the drives off the torque of {entry.name} is too restless to show an offset")
+        elif joint in offsets:
+            said.append(
+                f"with the drives off the torque of {entry.name} is {seen:.3g} {unit}: its channel has an offset"
+            )
+        elif min(abs(seen), abs(seen - before[joint])) > _CERTAIN * zero.error[joint] + least:
+            said.append(
                 f"with the drives off the torque of {entry.name} is {seen:.3g} {unit}, and in motion no offset of its "
                 "channel was found: was it recorded on the same day, by the same channel, with the drives off?"
             )
-
-
-def _offset_of(finding: Finding, number: int) -> Where | None:
-    """The place in a cause's class that is an offset of the torque channel."""
-    places = (finding.causes[number].place, *finding.rivals[number])
-    return next((place for place in places if CATALOGUE[place[0]].adds_to_report), None)
-
-
-def _settled(
-    dataset: Dataset, finding: Finding, number: int, place: Where, zero: ChannelZero, without: Collection[str]
-) -> tuple[Finding, str]:
-    """What the zero of one channel leaves of a class that has its offset in it, and what it says."""
-    (joint,) = place[1]
-    slides = dataset.robot.joints[joint].prismatic
-    name, unit, travelled = dataset.robot.joint_names[joint], *(("N", "m") if slides else ("N·m", "rad"))
-    if np.isnan(zero.torque[joint]):
-        return (
-            finding,
-            f"the torque channel of {name} is off with its drive, so it does not tell an offset from friction",
-        )
-    others = tuple(cause for k, cause in enumerate(finding.causes) if k != number)
-    (offset,) = dataset.fit.candidates([(CATALOGUE[place[0]], place[1], {})])
-    size = float(dataset.fit.with_chosen((*others, offset)).values[-1][0])
-    before = float(_known_offsets(dataset.model)[joint])
-    seen, slack = float(zero.torque[joint]), _CERTAIN * float(zero.error[joint])
-    of_channel, of_arm = min(abs(seen - size), abs(seen - size - before)), min(abs(seen), abs(seen - before))
-    what = f"with the drives off the torque of {name} is {seen:.3g} {unit}, where {size:.3g} {unit} were found"
-    if slack > _NEAR * abs(size):
-        return finding, f"{what}, give or take {slack:.3g}: too restless to tell an offset from friction"
-    near, far = _NEAR * abs(size) + slack, _FAR * abs(size)
-    if of_channel <= near and of_arm >= far:
-        return _only(dataset, finding, number, offset, ()), f"{what}: an offset of its channel, and nothing of the arm"
-    if of_arm <= near and of_channel >= far:
-        left = without_places(dataset, replace(finding, ruled_out=(*finding.ruled_out, place)), without)
-        travel = max(float(np.ptp(signals.q[:, joint])) for signals in dataset.fit.signals)
-        also = f"; a spring or hose that pulls alike over the {travel:.2g} {travelled} travelled would look the same"
-        more = also if len(left.causes) == len(finding.causes) else ", and nothing else in the catalogue does as well"
-        return left, f"{what}: its channel has no such offset{more}"
-    if abs(seen + size) <= near:
-        return (
-            finding,
-            f"{what}: as much with the other sign; was it the same channel, recorded alike? It settles nothing",
-        )
-    return finding, f"{what}: that does not tell an offset from friction, and both may be there"
-
-
-def without_places(dataset: Dataset, finding: Finding, without: Collection[str] = ()) -> Finding:
-    """The finding where the places that another test ruled out are no causes and equal none.
-
-    What else may be the constant that an offset is stands in their place: also a law of position on a joint that
-    travels too little for it to be tried, of effects that are not in `without`, and one that was no more than the
-    offset. A cause that nothing equals is gone.
-    """
-    for place in finding.ruled_out:
-        number = next((k for k, c in enumerate(finding.causes) if place in (c.place, *finding.rivals[k])), None)
-        if number is not None:
-            finding = _without(dataset, finding, number, place, without)
-    return finding
+    return tuple(said or ["with the drives off no torque channel shows an offset"])
 
 
 def _known_offsets(model: IdentifiedModel) -> np.ndarray:
@@ -208,70 +158,3 @@ def _known_offsets(model: IdentifiedModel) -> np.ndarray:
         if term.form == "offset":
             offsets[term.axle] += value
     return offsets
-
-
-def _without(dataset: Dataset, finding: Finding, number: int, place: Where, without: Collection[str]) -> Finding:
-    """The finding without a place in a class: where it was the cause, its first equal is."""
-    step = finding.steps[min(number, len(finding.steps) - 1)]
-    untried = _untried(dataset, place, without) | _freed(dataset, step.scores, place, without)
-    cause = finding.causes[number].place
-    rivals = tuple(dict.fromkeys(r for r in (*finding.rivals[number], *untried) if r not in (place, cause)))
-    if cause != place:
-        return _only(dataset, finding, number, finding.causes[number], rivals)
-    others = [cause for k, cause in enumerate(finding.causes) if k != number]
-    made = dataset.fit.with_chosen(others).score(list(untried.values()))
-    forms = best_by_place([score for score in (*made, *step.scores) if plausible(score)])
-    for k, rival in enumerate(rivals):
-        if rival in forms:
-            return _only(dataset, finding, number, forms[rival].candidate, rivals[:k] + rivals[k + 1 :])
-    kept = [k for k in range(len(finding.causes)) if k != number]
-    return finding.only(kept, dataset.fit) if kept else finding.without_causes(abstained(True), dataset.fit)
-
-
-def _untried(dataset: Dataset, place: Where, without: Collection[str]) -> dict[Where, Candidate]:
-    """Laws of position that may be a constant, on a joint that travels too little for them to be tried."""
-    excursions, ((joint,), fit) = Excursions.of(dataset.fit.signals, dataset.limits), (place[1], dataset.fit)
-    laws = [
-        effect
-        for effect in CATALOGUE.values()
-        if "position" in effect.shapes and place[0] in effect.special_cases and effect.name not in without
-        if excursions.moved[joint] and excursions.travel[joint] < effect.needs_travel
-    ]
-    made = fit.candidates(
-        [(effect, place[1], settings) for effect in laws for settings in effect.settings(fit, place[1])]
-    )
-    return {form.place: form for form in reversed(made)}
-
-
-def _freed(
-    dataset: Dataset, scores: Sequence[HeldOutScore], place: Where, without: Collection[str]
-) -> dict[Where, Candidate]:
-    """Laws of position that explain about as much as the offset of a place, of which each was no more than that: where
-    there is none they are as likely as friction.
-
-    Not one that hardly changes: what is bent or stretched is slack somewhere, and on the straight line through a hose's
-    or a spring's torque that is within half a turn.
-    """
-    (joint,) = place[1]
-    q = np.concatenate([signals.q[signals.kept, joint] for signals in dataset.fit.signals])
-    best = max((score.gain for score in scores if score.candidate.place == place), default=np.inf)
-    found = {}
-    for score in scores:
-        form = score.candidate
-        law = form.joints == (joint,) and "position" in form.effect.shapes and place[0] in form.effect.special_cases
-        if not law or form.effect.name in without or not plausible(score):
-            continue
-        torque = form.blocks[joint] @ score.values * dataset.fit.sigma[:, joint]
-        slope, middle = np.polyfit(q - q.mean(), torque, 1)
-        slack = dataset.robot.joints[joint].prismatic or abs(middle) <= np.pi * abs(slope)
-        if slack and score.gain >= (1 - dataset.limits.equal_gain) * best:
-            found[form.place] = form
-    return found
-
-
-def _only(dataset: Dataset, finding: Finding, number: int, cause: Candidate, rivals: tuple[Where, ...]) -> Finding:
-    """The finding with another cause in place of one, by number, and what equals it."""
-    causes = tuple(cause if k == number else other for k, other in enumerate(finding.causes))
-    equals = tuple(rivals if k == number else other for k, other in enumerate(finding.rivals))
-    fit = dataset.fit.with_chosen(causes)
-    return replace(finding, fit=fit, causes=causes, rivals=equals, verdict=named(bool(equals[0])))

@@ -1,194 +1,644 @@
-"""What forms gain where there is nothing to gain, and the smallest effect that stands out against it.
+"""Log evidence of hypotheses: which effects, on which joints, explain the torque that a model leaves.
 
-The background is the model's own error. It is no noise: it follows the motion, comes back with every cycle, and is
-correlated over whole moves. So its signs are drawn anew for segments of a second of the motion, the same for all
-cycles of it: size, correlation and repetition stay, and any correlation with an effect is chance (wild bootstrap: Liu,
-Annals of Statistics 16, 1988; by blocks: Shao, J. American Statistical Association 105, 2010). Every form is then
-fitted and scored out of fold as on the real residual. The highest gain of all forms in all places, over all values of
-their nonlinear parameters, is one draw. So its 99 % point holds for the whole search, and for parameters that mean
-nothing where the effect is absent: a delay, a gap, the speed of a Stribeck curve (Davies, Biometrika 74, 1987).
+All rows of joint j, over its background σ_j, follow one linear Gaussian model:
+
+    r_j = X_j δ + Z_jh β_h + U_j γ_j + e_j,    e_j ~ N(0, s_j²),    δ ~ N(δ₀, Λ⁻¹),    β_h ~ N(0, size² / rms²),
+    γ_j ~ N(0, s_j² g² + drift² + form² τ_jh² + free_j²),           s_j² ~ inverse gamma (ν / 2, ν / 2)
+
+X_j are the model's columns, whose parameters move within the covariance stored with them; Z_jh those of the hypothesis'
+effects; U_j the background (`background`). The background's variance has four parts: the model's own systematic error
+(g), what an arm changes by itself (drift), what is wrong with the form of any effect (a share of its own torque τ), and
+"something else on this joint" (free_j). δ, β and γ are integrated out in closed form, the scales s_j and the effects'
+sizes are fitted (Laplace, empirical Bayes), so parameters that the data do not need cost evidence (Kass and Raftery,
+J. Am. Statist. Assoc. 90, 1995). Each nonlinear parameter that was chosen on the data costs ½ log N.
+
+Only second moments of the rows enter, so a hypothesis costs a few small factorisations.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
-from agent.core import symmetric_eigen
-from agent.diagnosis.candidate import Candidate
+from agent.diagnosis.background import Healthy, smooth_columns, usual_effects
+from agent.diagnosis.candidate import Candidate, Where
 from agent.diagnosis.fit import Fit
-from agent.diagnosis.limits import LIMITS, DecisionLimits
-from agent.diagnosis.stacked import forms, side_by_side
+from agent.diagnosis.law import LAW, Law
+from agent.model import CATALOGUE
 
-_AT_ONCE = 50  # candidates whose sums are worked out together: their rows take as much memory as the columns
+_ROWS = 0.016  # s between the rows that are kept: their rate is twice the usual cut-off of 30 Hz
+_LEAST_SCALE = 0.2  # of σ²: no background is known to be smaller
+_FORM = 100.0  # of σ² per background column, at most, for what is wrong with a form: moments are of float32 columns
+_AT_ONCE = 64  # candidates whose own moments are worked out together
+_POWER = 0.84  # standard deviations that 80 % of draws exceed
 
 
 @dataclass(frozen=True, eq=False)
-class Null:
-    """Gains Σ e² / σ² under drawn signs: `highest` (draws,) of all candidates, `own` (draws,) of each.
+class JointMoments:
+    """One joint under a hypothesis, over [X, Z, r].
 
-    An effect of `size` practical sizes changes a candidate's gain by cross (draws,) · size + square · size².
+    `reduced`: moments with the background integrated out; `lower`: Cholesky factor of the background's precision;
+    `half`: its solution with the cross moments; `moments`: B of [X, Z, r], V of U with these, Q of U; `at`: places of X
+    and Z among all parameters; `effects`: which effects act here.
     """
 
-    highest: np.ndarray
-    own: dict[Candidate, np.ndarray]
-    cross: dict[Candidate, np.ndarray]
-    square: dict[Candidate, float]
-    limits: DecisionLimits = LIMITS
+    reduced: np.ndarray
+    log_det: float
+    lower: np.ndarray
+    half: np.ndarray
+    moments: tuple[np.ndarray, np.ndarray, np.ndarray]
+    at: np.ndarray
+    effects: tuple[int, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluated:
+    """A hypothesis, integrated.
+
+    `effects` are numbers of the pool, `free` the joints with "something else" and its size. `log` is the log evidence,
+    `values[k]` the posterior mean of effect k, `torque[k]` its torque per joint over nominal, root mean square while it
+    lasts in the log with most, fitted without the background, `left` (n,) the squared torque over nominal that remains
+    beyond the background.
+    """
+
+    effects: tuple[int, ...]
+    free: Mapping[int, float]
+    log: float
+    scales: np.ndarray
+    values: tuple[np.ndarray, ...]
+    torque: tuple[dict[int, float], ...]
+    left: np.ndarray
+    joints: tuple[JointMoments, ...] = field(repr=False)
+    precision: np.ndarray = field(repr=False)
+    mean: np.ndarray = field(repr=False)
 
     @property
-    def threshold(self) -> float:
-        """Gain that the search as a whole exceeds in one of a hundred cases where there is nothing."""
-        return float(np.quantile(self.highest, 1 - self.limits.false_alarms))
-
-    def p_value(self, gain: float) -> float:
-        """Share of draws in which anything anywhere gains as much, at least 1 / (draws + 1)."""
-        return float((1 + np.sum(self.highest >= gain)) / (len(self.highest) + 1))
-
-    def minimum_detectable_size(self, candidate: Candidate, threshold: float) -> float:
-        """Size, in practical sizes, from which on a share `power` of the draws gain more than a threshold."""
-        a, b, c = self.square[candidate], self.cross[candidate], self.own[candidate] - threshold
-        if a <= 0:
-            return float("inf")
-        return float(np.quantile((-b + np.sqrt(np.maximum(b * b - 4 * a * c, 0))) / (2 * a), self.limits.power))
+    def largest(self) -> tuple[float, ...]:
+        """Per effect its torque on the joint where it has most, over nominal."""
+        return tuple(max(one.values(), default=0.0) for one in self.torque)
 
 
-def null_gains(
-    fit: Fit, candidates: Sequence[Candidate], limits: DecisionLimits = LIMITS, beside: Fit | None = None
-) -> Null:
-    """Gains of candidates on the background of a fit without effects; those that happen once are left out.
+class _Bank:
+    """Candidates next to each other: their columns per joint, and moments with [X, U, r] and with themselves."""
 
-    `beside`: the fit with effects that are known, whose error is the background instead.
+    def __init__(self, evidence: Evidence, candidates: Sequence[Candidate]):
+        self.candidates = tuple(candidates)
+        widths = np.array([len(c.names) for c in candidates])
+        self.first = np.concatenate([[0], np.cumsum(widths)])
+        self.columns: list[np.ndarray] = []
+        self.parameters: list[np.ndarray] = []
+        self.moments: list[np.ndarray] = []
+        self.place = np.full((evidence.joints, int(self.first[-1])), -1)
+        power = np.zeros(self.place.shape)
+        for j in range(evidence.joints):
+            here = [k for k, c in enumerate(candidates) if j in c.blocks]
+            columns = np.zeros((evidence.rows, int(widths[here].sum())), dtype=np.float32)
+            which = np.concatenate([np.arange(self.first[k], self.first[k + 1]) for k in here] or [np.empty(0, int)])
+            self.place[j, which] = np.arange(len(which))
+            for k in here:
+                columns[:, self.block(k, j)] = evidence.thinned(candidates[k], j)
+            weight = (evidence.sigma[:, j] / evidence.nominal[j]).astype(np.float32) ** 2
+            power[j, which] = np.einsum("sk,sk,s->k", columns, columns, weight) / evidence.rows
+            self.columns.append(columns)
+            self.parameters.append(which)
+            self.moments.append((evidence.known[j].T @ columns).astype(float) * evidence.weight)
+        self.rms = np.sqrt(np.maximum(power.max(axis=0), 1e-24))
+        self.alike = {int(width): np.flatnonzero(widths == width) for width in np.unique(widths)}
+        self.own = {width: self._own(evidence, width, which) for width, which in self.alike.items()}
+        self.row = np.empty(len(candidates), dtype=int)
+        self.priors: dict[int, np.ndarray] = {}
+        for width, which in self.alike.items():
+            self.row[which] = np.arange(len(which))
+            self.priors[width] = np.stack([_prior(candidates[k]) for k in which.tolist()])
 
-    With X, Z the columns of model and candidate, R = H⁻¹ XᵀZ and Z̃ = Z − X R what the model cannot follow, an error e
-    of the model alone becomes e − Z̃ β on rows held out, which gains 2 βᵀ Z̃ᵀe − βᵀ Z̃ᵀZ̃ β. All of it is linear or
-    quadratic in sums over blocks of rows, so a draw costs their signs only.
+    def _own(self, evidence: Evidence, width: int, which: np.ndarray) -> np.ndarray:
+        """(N, n, k, k) products of the columns of candidates with as many parameters, joint by joint."""
+        own = np.zeros((len(which), evidence.joints, width, width))
+        for j in range(evidence.joints):
+            place = self.place[j, self.first[which]]
+            here = np.flatnonzero(place >= 0)
+            for start in range(0, len(here), _AT_ONCE):
+                some = here[start : start + _AT_ONCE]
+                block = self.columns[j][:, place[some][:, None] + np.arange(width)].transpose(1, 2, 0)
+                own[some, j] = (block @ block.transpose(0, 2, 1)) * evidence.weight
+        return own
+
+    def block(self, number: int, joint: int) -> slice:
+        """Columns of a candidate on a joint that it acts on."""
+        start = int(self.place[joint, self.first[number]])
+        return slice(start, start + len(self.candidates[number].names))
+
+
+def _prior(candidate: Candidate) -> np.ndarray:
+    return np.zeros((len(candidate.names),) * 2) if candidate.prior is None else candidate.prior
+
+
+class Evidence:
+    """Log evidence of sets of candidates on one data set. Candidates are added to a pool and known by number.
+
+    Parameters
+    ----------
+    fit : Fit
+        Residual and columns of the model on the logs.
+    candidates : sequence of Candidate
+        The pool to begin with.
+    healthy : sequence of (Candidate, float), optional
+        Effects that the healthy arm has, and their torque over nominal: part of the background. If None, nothing is
+        known of this arm, and the background takes from the pool what every arm has a little of.
+    law : Law, optional
+        The numbers of the decision.
     """
-    wanted = [c for c in candidates if not c.once]
-    if not wanted:
-        return Null(np.zeros(limits.draws), {}, {}, {}, limits)
-    ends = np.cumsum([0, *(len(c.names) for c in wanted)])
-    spans = dict(zip(wanted, (slice(a, b) for a, b in pairwise(ends)), strict=True))
-    unit, fold_of, block_of = _units(fit)
-    background = _background(fit if beside is None else beside)
-    signs = np.random.default_rng(0).choice((-1.0, 1.0), (limits.draws, int(block_of.max()) + 1))[:, block_of]
-    model, effects = np.zeros((len(fold_of), fit.size)), np.zeros((len(fold_of), int(ends[-1])))
-    for joint, (rows, index) in enumerate(zip(fit.rows, fit.index, strict=True)):
-        target = background[:, joint, None]
-        model[:, index] += _sums(fit.rests.whitened(joint, rows[:, :-1]) * target, unit)
-        here = [c for c in wanted if joint in c.blocks]
-        for some in (here[first : first + _AT_ONCE] for first in range(0, len(here), _AT_ONCE)):
-            places = np.concatenate([np.arange(ends[-1])[spans[c]] for c in some])
-            blocks = fit.rests.whitened(joint, np.hstack([c.blocks[joint] for c in some]))
-            effects[:, places] += _sums(blocks * target, unit)
-    moments = list(fit.moments(wanted))
-    together = np.concatenate([both[:, :-1] for _, (both, _) in moments], axis=2)  # (cells, p, all parameters)
-    groups = []
-    for numbers, _, alone in side_by_side(moments):
-        alike = [wanted[k] for k in numbers]
-        ridge = fit.ridges(alike, np.diagonal(alone.sum(axis=1), axis1=1, axis2=2))
-        direction = np.stack([practical_parameters(fit, c) for c in alike])
-        groups.append((numbers, np.array([np.arange(ends[k], ends[k + 1]) for k in numbers]), alone, ridge, direction))
-    own, cross = np.zeros((2, len(wanted), limits.draws))
-    square = np.zeros(len(wanted))
-    for number, fold in enumerate(fit.folds):
-        test, train = fold_of == number, fold_of != number
-        x_test, x_train = signs[:, test] @ model[test], signs[:, train] @ model[train] / fit.repeat
-        z_test, z_train = signs[:, test] @ effects[test], signs[:, train] @ effects[train] / fit.repeat
-        inverse = fit.solve(fold.train)[0]
-        change = x_train @ inverse
-        gram = fit.gram[fold.test].sum(axis=0)[:-1, :-1]
-        x_z, x_z_test = together[fold.train].sum(axis=0) / fit.repeat, together[fold.test].sum(axis=0)
-        follows = inverse @ x_z
-        beyond = x_z_test - gram @ follows
-        side = z_train - x_train @ follows
-        slope = 2 * (z_test - x_test @ follows - change @ beyond)
-        for numbers, places, alone, ridge, direction in groups:
-            with_model, with_model_test, past = (part.T[places] for part in (x_z, x_z_test, beyond))  # (N, k, p)
-            followed = np.swapaxes(follows.T[places], 1, 2)
-            schur = alone[:, fold.train].sum(axis=1) / fit.repeat - with_model @ followed + ridge
-            values, slopes = np.linalg.solve(schur, side.T[places]), slope.T[places]  # (N, k, draws)
-            energy = alone[:, fold.test].sum(axis=1) - np.swapaxes(with_model_test @ followed, 1, 2) - past @ followed
-            own[numbers] += np.sum(values * (slopes - np.swapaxes(energy, 1, 2) @ values), axis=1)
-            cross[numbers] += (direction[:, None] @ slopes)[:, 0]
-            square[numbers] += forms(direction, energy, direction)
-    of_own, of_cross, of_square = (dict(zip(wanted, values, strict=True)) for values in (own, cross, square.tolist()))
-    return Null(own.max(axis=0), of_own, of_cross, of_square, limits)
+
+    def __init__(self, fit: Fit, candidates: Sequence[Candidate], healthy: Healthy | None = None, law: Law = LAW):
+        self.law, self.joints = law, len(fit.rows)
+        signals = fit.signals
+        kept_time = np.concatenate([s.time[s.kept] for s in signals])
+        rate = 1 / float(np.median(np.diff(signals[0].time[signals[0].kept])))
+        self._rests, self._step = fit.rests, max(1, round(_ROWS * rate))
+        thin = slice(None, None, self._step)
+        self.sigma, self.nominal = fit.sigma[thin], fit.reference.scale
+        self.rows = len(self.sigma)
+        base = self.sigma.min(axis=0)
+        self.unit = self.nominal / base
+        self.weight = self._step / rate / law.independent
+        self.count = self.rows * self.weight
+        self.reference = fit.reference
+        self._index, self._pull = list(fit.index), fit.shift
+        self._prior = _of_another_day(fit, law.daily) if fit.given else fit.precision
+        self._log_prior = float(np.linalg.slogdet(self._prior)[1])
+        q, qd, qdd = (np.concatenate([getattr(s, x)[s.kept] for s in signals])[thin] for x in ("q", "qd", "qdd"))
+        self._log = log = np.concatenate([np.full(len(s.time[s.kept]), s.log_index) for s in signals])[thin]
+        usual = self._usual(candidates) if healthy is None else {}
+        healthy = healthy or ()
+        self.known: list[np.ndarray] = []
+        self._gram: list[np.ndarray] = []
+        self._widths: list[tuple[int, int]] = []
+        for j, rows in enumerate(fit.rows):
+            own = fit.rests.whitened(j, rows)[thin]
+            free = smooth_columns(q[:, j], qd[:, j], qdd[:, j], kept_time[thin], log)
+            free = free * (base[j] / self.sigma[:, j])[:, None]
+            free = np.hstack([free, *usual.get(j, ()), *(self._of_healthy(j, *h) for h in healthy if j in h[0].blocks)])
+            columns = np.hstack([own[:, :-1], free, own[:, -1:]])
+            self.known.append(columns.astype(np.float32))
+            self._gram.append(columns.T @ columns * self.weight)
+            self._widths.append((own.shape[1] - 1, free.shape[1]))
+        left = np.stack([columns[:, -1] for columns in self.known], axis=1) * self.sigma / self.nominal
+        largest = float(np.sqrt(np.mean(left**2, axis=0)).max())
+        self.sizes = (*law.sizes, *([largest] if largest > law.sizes[-1] else []))
+        self._banks: list[_Bank] = []
+        self._where: list[tuple[int, int]] = []
+        self._products: dict[tuple[int, int, int], np.ndarray] = {}
+        self._nothing: Evaluated | None = None
+        self.add(candidates)
+        self._nothing = self.evaluate(())
+
+    def _usual(self, candidates: Sequence[Candidate]) -> dict[int, list[np.ndarray]]:
+        usual = [c for c in candidates if c.effect.usual]
+        return usual_effects([replace(c, blocks={j: self.thinned(c, j) for j in c.blocks}) for c in usual], self.sigma)
+
+    def _of_healthy(self, joint: int, candidate: Candidate, size: float) -> np.ndarray:
+        """(S, k) columns over σ whose coefficients give an effect its usual torque on a joint, over nominal."""
+        block = self.thinned(candidate, joint)
+        torque = np.sqrt(np.mean((block * self.sigma[:, [joint]]) ** 2, axis=0)) / self.nominal[joint]
+        some = torque > 1e-9
+        each = size / np.sqrt(max(int(some.sum()), 1) * self._variance(joint, 1.0, 0.0, {}))
+        return np.asarray(block[:, some] * (each / torque[some]))
+
+    @property
+    def nothing(self) -> Evaluated:
+        """The hypothesis without effects."""
+        assert self._nothing is not None
+        return self._nothing
+
+    def add(self, candidates: Sequence[Candidate]) -> None:
+        """Add candidates to the pool; they get the next numbers."""
+        if candidates:
+            self._where += [(len(self._banks), k) for k in range(len(candidates))]
+            self._banks.append(_Bank(self, candidates))
+
+    def candidate(self, number: int) -> Candidate:
+        """One of the pool."""
+        bank, k = self._where[number]
+        return self._banks[bank].candidates[k]
+
+    @property
+    def size(self) -> int:
+        """How many candidates the pool has."""
+        return len(self._where)
+
+    def thinned(self, candidate: Candidate, joint: int) -> np.ndarray:
+        """(S, k) columns of a candidate on a joint, over σ, whitened at rests, of the rows that are kept."""
+        white = self._rests.whitened(joint, candidate.blocks[joint])
+        return np.asarray(white[:: self._step], dtype=np.float32)
+
+    def kinds(self, place: Where) -> int:
+        """How many kinds of forms the pool has of an effect on its joints."""
+        return len({tuple(sorted(c.settings)) for bank in self._banks for c in bank.candidates if c.place == place})
+
+    def possible(self, number: int, values: np.ndarray) -> bool:
+        """Whether parameters (k,) of a candidate can be true."""
+        candidate = self.candidate(number)
+        named = dict(zip(candidate.names, map(float, values), strict=True))
+        effect, settings = candidate.effect, candidate.settings
+        return effect.plausible(settings, named) and effect.possible(self.reference, candidate.joints, settings, named)
+
+    def as_expected(self, base: Evaluated) -> Evaluated:
+        """The same hypothesis with no joint's error above the background.
+
+        What a large effect leaves raises the scales, and at these the background explains anything smooth.
+        """
+        if base.scales.max() <= 1:
+            return base
+        return self.evaluate(base.effects, base.free, np.minimum(base.scales, 1.0), refit=False)
+
+    def evaluate(
+        self,
+        effects: Sequence[int],
+        free: Mapping[int, float] | None = None,
+        scales: np.ndarray | None = None,
+        refit: bool = True,
+    ) -> Evaluated:
+        """Integrate a hypothesis.
+
+        Parameters
+        ----------
+        effects : sequence of int
+            Numbers of candidates in the pool.
+        free : mapping of int to float, optional
+            Joints with "something else", and its size over nominal torque.
+        scales : ndarray, shape (n,), optional
+            Squared scales s_j² to begin with; joints that nothing acts on keep them.
+        refit : bool, optional
+            Fit the scales; else all joints keep them.
+        """
+        law, free = self.law, dict(free or {})
+        scales = np.ones(self.joints) if scales is None else scales.copy()
+        form, sizes = np.zeros(self.joints), [law.sizes[1]] * len(effects)
+        touched = {j for k in effects for j in self.candidate(k).blocks} | set(free)
+        rounds = 3 if self._nothing else 4
+        for last in [False] * rounds + [True]:
+            precision, side, joints, ends = self._together(effects, free, scales, form, sizes)
+            mean, log_det = _solved(precision, side)
+            values = [mean[a:b] for a, b in pairwise(ends)]
+            torque = [self.torque(k, v) for k, v in zip(effects, values, strict=True)]
+            if last:
+                break
+            form = np.array([sum(one.get(j, 0.0) ** 2 for one in torque) for j in range(self.joints)]) * self.unit**2
+            sizes = [_nearest(self.sizes, max(one.values(), default=0.0)) for one in torque]
+            for j in (touched if self._nothing else range(self.joints)) if refit else ():
+                energy = _energy(joints[j], float(scales[j]), mean[joints[j].at])
+                scales[j] = max((law.nu + energy) / (law.nu + self.count), _LEAST_SCALE)
+        log = -0.5 * (sum(joint.reduced[-1, -1] + joint.log_det for joint in joints) - float(side @ mean) + log_det)
+        ridges = [self._ridge(k, size) for k, size in zip(effects, sizes, strict=True)]
+        log += 0.5 * (self._log_prior + sum(float(np.linalg.slogdet(ridge)[1]) for ridge in ridges))
+        log -= 0.5 * float(np.sum((law.nu + 2) * np.log(scales) + law.nu / scales))
+        log -= sum(self._cost(self.candidate(k)) for k in effects) + float(np.log(len(law.sizes) - 1)) * len(free)
+        alone = self._without_background(effects, joints, scales, sizes, ends)
+        return Evaluated(
+            effects=tuple(effects),
+            free=free,
+            log=log,
+            scales=scales,
+            values=tuple(values),
+            torque=tuple(self._lasting_torque(k, v) for k, v in zip(effects, alone, strict=True)),
+            left=np.array([self._left(j, joint, mean[joint.at]) for j, joint in enumerate(joints)]),
+            joints=tuple(joints),
+            precision=precision,
+            mean=mean,
+        )
+
+    def _without_background(
+        self,
+        effects: Sequence[int],
+        joints: Sequence[JointMoments],
+        scales: np.ndarray,
+        sizes: Sequence[float],
+        ends: np.ndarray,
+    ) -> list[np.ndarray]:
+        """Per effect its parameters (k,) in a fit without the background, which would take a part of any effect."""
+        base = len(self._prior)
+        matrix, side = np.zeros((int(ends[-1]),) * 2), np.zeros(int(ends[-1]))
+        matrix[:base, :base], side[:base] = self._prior, self._pull
+        for scale, joint in zip(scales, joints, strict=True):
+            own = joint.moments[0] / scale
+            matrix[np.ix_(joint.at, joint.at)] += own[:-1, :-1]
+            side[joint.at] += own[:-1, -1]
+        for k, size, (a, b) in zip(effects, sizes, pairwise(ends), strict=True):
+            matrix[a:b, a:b] += self._ridge(k, size)
+        values = _solved(matrix, side)[0] if effects else side
+        return [values[a:b] for a, b in pairwise(ends)]
+
+    def gains(self, base: Evaluated) -> tuple[np.ndarray, list[np.ndarray]]:
+        """Return what each candidate of the pool adds to the log evidence of a hypothesis, and its parameters.
+
+        The scales of the hypothesis stay, so this picks what to evaluate.
+        """
+        found = [self._gains(base, bank) for bank in self._banks]
+        return np.concatenate([gain for gain, _ in found]), [value for _, values in found for value in values]
+
+    def _gains(self, base: Evaluated, bank: _Bank) -> tuple[np.ndarray, list[np.ndarray]]:
+        schur, side = self._schur(base, bank)
+        gains, values = np.empty(len(bank.candidates)), [np.empty(0)] * len(bank.candidates)
+        for width, which in bank.alike.items():
+            at = bank.first[which][:, None] + np.arange(width)
+            gain, fitted = self._at_best_size(schur[width], side[at], bank.rms[at], bank.priors[width])
+            for row, number in enumerate(which.tolist()):
+                gains[number] = gain[row] - self._cost(bank.candidates[number])
+                values[number] = fitted[row]
+        return gains, values
+
+    def _schur(self, base: Evaluated, bank: _Bank) -> tuple[dict[int, np.ndarray], np.ndarray]:
+        """Per number of parameters k the information (N, k, k) on candidates beyond a hypothesis; (K,) their side."""
+        size = int(bank.first[-1])
+        cross, side = np.zeros((len(base.precision), size)), np.zeros(size)
+        own = {width: np.zeros((len(which), width, width)) for width, which in bank.alike.items()}
+        for j, joint in enumerate(base.joints):
+            at = bank.parameters[j]
+            if not len(at):
+                continue
+            (width, free), scale, moments = self._widths[j], base.scales[j], bank.moments[j]
+            reach = solve_triangular(joint.lower, moments[width : width + free], lower=True) / scale
+            others = [self._with_bank(k, bank, j) for k in joint.effects]
+            cross[np.ix_(joint.at, at)] += np.vstack([moments[:width], *others]) / scale - joint.half[:, :-1].T @ reach
+            side[at] += moments[-1] / scale - joint.half[:, -1] @ reach
+            for k, which in bank.alike.items():
+                place = bank.place[j, bank.first[which]]
+                here = np.flatnonzero(place >= 0)
+                part = reach[:, place[here][:, None] + np.arange(k)].transpose(1, 0, 2)
+                own[k][here] += bank.own[k][here, j] / scale - part.transpose(0, 2, 1) @ part
+        unit = 1 / np.sqrt(np.diag(base.precision))
+        half = solve_triangular(_lower(base.precision, unit), unit[:, None] * cross, lower=True)
+        for width, which in bank.alike.items():
+            part = half[:, bank.first[which][:, None] + np.arange(width)].transpose(1, 0, 2)
+            own[width] -= part.transpose(0, 2, 1) @ part
+        return own, side - cross.T @ base.mean
+
+    def smallest_sizes(self) -> list[float]:
+        """Return per candidate the smallest torque over nominal, root mean square, that would be named.
+
+        Its log Bayes factor against nothing has to outweigh the prior with a probability of 80 %. Signs of its
+        parameters as they are usual: each contributes as much torque.
+        """
+        found = []
+        for bank in self._banks:
+            schur, _ = self._schur(self.nothing, bank)
+            sizes = np.empty(len(bank.candidates))
+            for width, which in bank.alike.items():
+                at = bank.first[which][:, None] + np.arange(width)
+                unit = 1 / (bank.rms[at] * np.sqrt(width))
+                information = np.maximum(np.einsum("nk,nkl,nl->n", unit, schur[width], unit), 1e-12)
+                cost = np.array([self._cost(bank.candidates[k]) + self.needed(True) for k in which])
+                log_det = (
+                    0.5
+                    * np.linalg.slogdet(
+                        np.eye(width)
+                        + self.law.sizes[1] ** 2 * width * unit[:, :, None] * schur[width] * unit[:, None, :]
+                    )[1]
+                )
+                sizes[which] = (_POWER + np.sqrt(2 * np.maximum(cost + log_det, 0.0))) / np.sqrt(information)
+            found += sizes.tolist()
+        return found
+
+    def information(self, forms: Sequence[Candidate]) -> tuple[np.ndarray, np.ndarray]:
+        """Return the information (m, m) of the logs on the parameters of the model and of forms, beyond the background.
+
+        Also where the parameters of each form begin and end. The scales are those of the likeliest hypothesis so far.
+        """
+        numbers = self._numbers(forms)
+        ends = len(self._prior) + np.cumsum([0, *(len(form.names) for form in forms)])
+        total, scales = np.zeros((int(ends[-1]),) * 2), np.minimum(self.nothing.scales, 1.0)
+        for j in range(self.joints):
+            here = [place for place, form in enumerate(forms) if j in form.blocks]
+            at = np.concatenate([self._index[j], *(np.arange(ends[k], ends[k + 1]) for k in here)]).astype(int)
+            variance = self._variance(j, float(scales[j]), 0.0, {})
+            joint = self._joint(j, float(scales[j]), variance, tuple(numbers[k] for k in here), at)
+            total[np.ix_(at, at)] += joint.reduced[:-1, :-1]
+        return total, ends
+
+    def _numbers(self, forms: Sequence[Candidate]) -> list[int]:
+        """Numbers of candidates in the pool; those that are not in it are added."""
+        known = {id(self.candidate(k)): k for k in range(self.size)}
+        self.add([form for form in forms if id(form) not in known])
+        known = {id(self.candidate(k)): k for k in range(self.size)}
+        return [known[id(form)] for form in forms]
+
+    def priors(self, forms: Sequence[Candidate]) -> np.ndarray:
+        """(m, m) prior precision of the parameters of the model and of forms, these of a usual size."""
+        ends = len(self._prior) + np.cumsum([0, *(len(form.names) for form in forms)])
+        prior = np.zeros((int(ends[-1]),) * 2)
+        prior[: len(self._prior), : len(self._prior)] = self._prior
+        for number, (a, b) in zip(self._numbers(forms), pairwise(ends), strict=True):
+            prior[a:b, a:b] = self._ridge(number, self.law.sizes[-1])
+        return prior
+
+    def unit_torque(self, form: Candidate) -> np.ndarray:
+        """(k,) parameters at which a form has nominal torque, each of them as much."""
+        (number,) = self._numbers([form])
+        bank, k = self._where[number]
+        first = self._banks[bank].first
+        rms = self._banks[bank].rms[first[k] : first[k + 1]]
+        return np.asarray(1 / (np.maximum(rms, 1e-9) * np.sqrt(len(rms))))
+
+    def reduced(self, joint: int, rows: np.ndarray, free: np.ndarray, step: float) -> np.ndarray:
+        """(k, k) information that further rows (S, k) of a joint have beyond the background.
+
+        Rows are over σ and `step` [s] apart; `free` (S, m) are the background's columns on them, over σ.
+        """
+        scale, weight = min(float(self.nothing.scales[joint]), 1.0), step / self.law.independent
+        square = free.T @ free * weight
+        lower = np.linalg.cholesky(np.eye(len(square)) / self._variance(joint, scale, 0.0, {}) + square / scale)
+        half = solve_triangular(lower, free.T @ rows * weight, lower=True) / scale
+        return np.asarray(rows.T @ rows * weight / scale - half.T @ half)
+
+    def needed(self, against_nothing: bool) -> float:
+        """Log Bayes factor from which on a name stands alone: over a rival, or over nothing."""
+        law = self.law
+        if not against_nothing:
+            return float(-np.log(law.rival))
+        prior = (1 - law.nothing) * (1 - law.other) / len(CATALOGUE) / self.joints
+        sure = law.sure / law.certain
+        return float(np.log(law.nothing / prior) + np.log(sure / (1 - sure)))
+
+    def _at_best_size(
+        self, schur: np.ndarray, side: np.ndarray, rms: np.ndarray, prior: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """(N,) gain and (N, k) parameters of candidates, each with its likeliest size, from (N, k, k) and (N, k)."""
+        best, values = np.full(len(side), -np.inf), np.zeros(side.shape)
+        eye = np.eye(side.shape[1])
+        for size in self.sizes:
+            ridge = prior + (rms**2 / size**2)[:, :, None] * eye
+            matrix = schur + ridge
+            unit = 1 / np.sqrt(np.maximum(np.diagonal(matrix, axis1=1, axis2=2), 1e-300))
+            both = unit[:, :, None] * unit[:, None, :]
+            matrix = matrix * both + 1e-10 * eye
+            fitted = unit * np.linalg.solve(matrix, (unit * side)[..., None])[..., 0]
+            gain = 0.5 * (np.sum(side * fitted, axis=1) - np.linalg.slogdet(matrix)[1])
+            gain += 0.5 * np.linalg.slogdet(ridge * both)[1]
+            better = gain > best
+            best[better], values[better] = gain[better], fitted[better]
+        return best, values
+
+    def _with_bank(self, number: int, bank: _Bank, joint: int) -> np.ndarray:
+        """(k, K) products of a candidate's columns on a joint with those of a bank."""
+        mine, k = self._where[number]
+        columns = self._banks[mine].columns[joint][:, self._banks[mine].block(k, joint)]
+        return np.asarray((columns.T @ bank.columns[joint]).astype(float) * self.weight)
+
+    def _product(self, one: int, other: int, joint: int) -> np.ndarray:
+        """(k, l) products of the columns of two candidates on a joint."""
+        if (one, other, joint) not in self._products:
+            a, b = (
+                self._banks[bank].columns[joint][:, self._banks[bank].block(k, joint)]
+                for bank, k in (self._where[one], self._where[other])
+            )
+            self._products[one, other, joint] = (a.T @ b).astype(float) * self.weight
+        return self._products[one, other, joint]
+
+    def _own(self, number: int, joint: int) -> np.ndarray:
+        bank, k = self._where[number]
+        candidate = self._banks[bank].candidates[k]
+        return np.asarray(self._banks[bank].own[len(candidate.names)][self._banks[bank].row[k], joint])
+
+    def _moments(self, joint: int, effects: Sequence[int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """B of [X, Z, r], V of U with these, and Q of U."""
+        (width, free), gram = self._widths[joint], self._gram[joint]
+        keep, of_free = np.r_[0:width, width + free], slice(width, width + free)
+        ends = width + np.cumsum([0, *(len(self.candidate(k).names) for k in effects)])
+        size = int(ends[-1]) + 1
+        own, cross, at = np.zeros((size, size)), np.zeros((free, size)), np.r_[0:width, size - 1]
+        own[np.ix_(at, at)], cross[:, at] = gram[np.ix_(keep, keep)], gram[of_free][:, keep]
+        for place, k in enumerate(effects):
+            bank, number = self._where[k]
+            span, moments = slice(ends[place], ends[place + 1]), self._banks[bank].moments[joint]
+            moments = moments[:, self._banks[bank].block(number, joint)]
+            own[at, span], own[span, at], cross[:, span] = moments[keep], moments[keep].T, moments[of_free]
+            own[span, span] = self._own(k, joint)
+            for before, other in enumerate(effects[:place]):
+                there, both = slice(ends[before], ends[before + 1]), self._product(other, k, joint)
+                own[there, span], own[span, there] = both, both.T
+        return own, cross, gram[of_free, of_free]
+
+    def _variance(self, joint: int, scale: float, form: float, free: Mapping[int, float]) -> float:
+        """Of the background's coefficients, over σ²."""
+        law, unit = self.law, float(self.unit[joint])
+        return (
+            scale * law.systematic**2
+            + (law.drift * unit) ** 2
+            + min(law.form**2 * form, _FORM)
+            + (free.get(joint, 0.0) * unit) ** 2
+        )
+
+    def _joint(self, j: int, scale: float, variance: float, effects: tuple[int, ...], at: np.ndarray) -> JointMoments:
+        own, cross, square = self._moments(j, effects)
+        lower = np.linalg.cholesky(np.eye(len(square)) / variance + square / scale)
+        half = solve_triangular(lower, cross, lower=True) / scale
+        log_det = self.count * np.log(scale) + 2 * np.log(np.diag(lower)).sum() + len(square) * np.log(variance)
+        return JointMoments(own / scale - half.T @ half, float(log_det), lower, half, (own, cross, square), at, effects)
+
+    def _ridge(self, number: int, size: float) -> np.ndarray:
+        """(k, k) prior precision of an effect's parameters, of a size over nominal torque."""
+        bank, k = self._where[number]
+        first = self._banks[bank].first
+        rms = self._banks[bank].rms[first[k] : first[k + 1]]
+        return np.diag(rms**2 / size**2) + _prior(self.candidate(number))
+
+    def _together(
+        self,
+        effects: Sequence[int],
+        free: Mapping[int, float],
+        scales: np.ndarray,
+        form: np.ndarray,
+        sizes: Sequence[float],
+    ) -> tuple[np.ndarray, np.ndarray, list[JointMoments], np.ndarray]:
+        """Precision and side of δ and β over all joints, the joints, and where each effect's parameters end."""
+        base = len(self._prior)
+        ends = base + np.cumsum([0, *(len(self.candidate(k).names) for k in effects)])
+        precision, side = np.zeros((int(ends[-1]),) * 2), np.zeros(int(ends[-1]))
+        precision[:base, :base], side[:base] = self._prior, self._pull
+        joints = []
+        for j in range(self.joints):
+            here = [place for place, k in enumerate(effects) if j in self.candidate(k).blocks]
+            known = self._nothing
+            if known is not None and not here and j not in free and scales[j] == known.scales[j]:
+                joint = known.joints[j]
+            else:
+                spans = [np.arange(ends[place], ends[place + 1]) for place in here]
+                at = np.concatenate([self._index[j], *spans]).astype(int)
+                variance = self._variance(j, float(scales[j]), float(form[j]), free)
+                joint = self._joint(j, float(scales[j]), variance, tuple(effects[place] for place in here), at)
+            precision[np.ix_(joint.at, joint.at)] += joint.reduced[:-1, :-1]
+            side[joint.at] += joint.reduced[:-1, -1]
+            joints.append(joint)
+        for k, size, (a, b) in zip(effects, sizes, pairwise(ends), strict=True):
+            precision[a:b, a:b] += self._ridge(k, size)
+        return precision, side, joints, ends
+
+    def torque(self, number: int, values: np.ndarray) -> dict[int, float]:
+        """Per joint the torque of an effect over nominal, root mean square."""
+        return {
+            j: float(np.sqrt(max(values @ self._own(number, j) @ values, 0.0) / self.count) / self.unit[j])
+            for j in self.candidate(number).blocks
+        }
+
+    def _lasting_torque(self, number: int, values: np.ndarray) -> dict[int, float]:
+        """Per joint the torque of an effect over nominal, root mean square: in the log with most, while it lasts."""
+        bank, k = self._where[number]
+        found = {}
+        for j in self.candidate(number).blocks:
+            torque = self._banks[bank].columns[j][:, self._banks[bank].block(k, j)] @ values
+            torque = (torque * self.sigma[:, j] / self.nominal[j]) ** 2
+            acts = torque > 0 if self.candidate(number).once else np.ones(len(torque), dtype=bool)
+            power = np.bincount(self._log[acts], torque[acts]) / np.maximum(np.bincount(self._log[acts]), 1)
+            found[j] = float(np.sqrt(power.max(initial=0.0)))
+        return found
+
+    def _cost(self, candidate: Candidate) -> float:
+        """Log evidence that nonlinear parameters chosen on the data cost (Schwarz, Ann. Statist. 6, 1978)."""
+        chosen = candidate.effect.n_parameters(candidate.settings) - len(candidate.names)
+        return 0.5 * float(np.log(self.count)) * max(chosen, 0)
+
+    def _left(self, j: int, joint: JointMoments, mean: np.ndarray) -> float:
+        """Squared torque over nominal that remains beyond the background's usual energy."""
+        rest, square = np.append(mean, -1.0), joint.moments[2]
+        usual = 1 + float(np.trace(square)) / self.count * self._variance(j, 1.0, 0.0, {})
+        return max(float(rest @ joint.moments[0] @ rest) / self.count - usual, 0.0) / float(self.unit[j]) ** 2
 
 
-def drawn_change(fit: Fit, train: np.ndarray, error: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """(size,) what parameters fitted to the cells `train` may be wrong by: an error (S', n) over σ, zero on other rows,
-    gets new signs for every segment of the motion, and the prior is drawn."""
-    count, base = int(fit.block.max()) + 1, len(fit.precision)
-    signs = rng.choice((-1.0, 1.0), count)[fit.block]
-    side = np.zeros(fit.size)
-    ends = base + np.cumsum([0, *(len(c.names) for c in fit.chosen)])
-    for joint, (rows, index) in enumerate(zip(fit.rows, fit.index, strict=True)):
-        drawn = fit.rests.whitened(joint, signs * error[:, joint])
-        drawn = fit.rests.whitened(joint, drawn)  # once for the error and once for the columns
-        side[index] += drawn @ rows[:, :-1]
-        for candidate, (a, b) in zip(fit.chosen, pairwise(ends), strict=True):
-            if joint in candidate.blocks:
-                side[a:b] += drawn @ candidate.blocks[joint]
-    deviation = np.sqrt(np.maximum(fit.prior.diagonal(), 1e-300))
-    values, vectors = symmetric_eigen(fit.prior / np.outer(deviation, deviation))
-    prior = deviation * (vectors @ (np.sqrt(np.maximum(values, 0.0)) * rng.standard_normal(fit.size)))
-    return fit.solve(train)[0] @ (side / fit.repeat + prior)
+def _of_another_day(fit: Fit, daily: float) -> np.ndarray:
+    """(p, p) prior precision of the model's parameters, whose friction differs from day to day by a share of itself."""
+    model = fit.reference.model
+    friction = [k for k, term in enumerate(model.terms, len(model.independent)) if term.form != "offset"]
+    some = np.array([k for k in friction if model.values[k] != 0], dtype=int)
+    spread = np.diag((daily * model.values[some]) ** -2.0)
+    gain = np.linalg.solve(fit.precision[np.ix_(some, some)] + spread, fit.precision[some])
+    return np.asarray(fit.precision - fit.precision[:, some] @ gain)
 
 
-def _units(fit: Fit) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(S',) unit of every row, and of each unit its fold and its block; rows in no fold get unit -1."""
-    fold = np.full(len(fit.cell), -1)
-    for number, entry in enumerate(fit.folds):
-        fold[np.isin(fit.cell, np.flatnonzero(entry.test))] = number
-    blocks = int(fit.block.max()) + 1
-    found, unit = np.unique(np.where(fold < 0, -1, fold * blocks + fit.block), return_inverse=True)
-    outside = int(found[0] < 0)
-    return unit - outside, found[outside:] // blocks, found[outside:] % blocks
+def _nearest(sizes: Sequence[float], size: float) -> float:
+    return min(sizes, key=lambda s: abs(np.log(s / max(size, 1e-6))))
 
 
-def _sums(rows: np.ndarray, unit: np.ndarray) -> np.ndarray:
-    """(U, k) sums of rows (S', k) over each unit."""
-    order = np.argsort(unit, kind="stable")
-    order = order[unit[order] >= 0]
-    starts = np.flatnonzero(np.diff(unit[order], prepend=-1))
-    return np.add.reduceat(rows[order], starts, axis=0)
+def _lower(matrix: np.ndarray, unit: np.ndarray) -> np.ndarray:
+    return np.linalg.cholesky(matrix * np.outer(unit, unit) + 1e-12 * np.eye(len(unit)))
 
 
-def _background(fit: Fit) -> np.ndarray:
-    """(S', n) held-out error over σ; where a gap is to be explained, scaled down to what a model usually gets wrong."""
-    error = fit.rests.whitened_all(np.nan_to_num(fit.out_of_fold() / fit.sigma))
-    size = np.sqrt(np.mean(error**2, axis=0))
-    return error / np.maximum(size, 1.0)
+def _solved(matrix: np.ndarray, side: np.ndarray) -> tuple[np.ndarray, float]:
+    """Solution and log determinant of a positive definite system whose units differ widely."""
+    unit = 1 / np.sqrt(np.diag(matrix))
+    lower = _lower(matrix, unit)
+    half = solve_triangular(lower, unit * side, lower=True)
+    log_det = 2 * float(np.log(np.diag(lower)).sum() - np.log(unit).sum())
+    return unit * solve_triangular(lower.T, half, lower=False), log_det
 
 
-def share_intervals(rows: np.ndarray, floor: np.ndarray, block: np.ndarray, confidence: float = 0.9) -> np.ndarray:
-    """(n, 2) interval of each joint's share of Σ (B² − F²): blocks of the errors (S', n) drawn with replacement."""
-    good = ~np.isnan(rows[:, 0])
-    found, unit = np.unique(block[good], return_inverse=True)
-    energy = _sums(rows[good] ** 2, unit)
-    count = np.bincount(unit)
-    drawn = np.random.default_rng(0).integers(len(found), size=(LIMITS.draws, len(found)))
-    excess = np.maximum(energy[drawn].sum(axis=1) / count[drawn].sum(axis=1)[:, None] - floor**2, 0)
-    share = excess / np.maximum(excess.sum(axis=1, keepdims=True), 1e-300)
-    tail = 0.5 * (1 - confidence)
-    return np.quantile(share, (tail, 1 - tail), axis=0).T
-
-
-def practical_parameters(fit: Fit, candidate: Candidate) -> np.ndarray:
-    """(k,) parameters at which the effect has its practical size and the model can follow it least."""
-    (_, (cross, own)), *_ = fit.moments([candidate])
-    b, a = cross.sum(axis=0)[:-1] / fit.repeat, own.sum(axis=0) / fit.repeat
-    schur = a - b.T @ fit.solve(np.ones(fit.cells, dtype=bool))[0] @ b
-    torque = np.zeros_like(a)
-    for joint, block in candidate.blocks.items():
-        part = block * (fit.sigma[:, joint, None] / fit.reference.scale[joint])
-        torque += part.T @ part / len(part)
-    size = np.sqrt(np.maximum(np.diag(torque), 1e-300))
-    scaled = torque / np.outer(size, size) + 1e-9 * np.eye(len(size))
-    half = np.linalg.inv(np.linalg.cholesky(scaled))
-    vector = half.T @ symmetric_eigen(half @ (schur / np.outer(size, size)) @ half.T)[1][:, -1]
-    return candidate.effect.practical * vector / np.sqrt(vector @ scaled @ vector) / size
+def _energy(joint: JointMoments, scale: float, mean: np.ndarray) -> float:
+    """Energy that model, effects and background leave on a joint at parameters (k,)."""
+    own, cross, square = joint.moments
+    rest = np.append(mean, -1.0)
+    pull = cross @ rest
+    background = -solve_triangular(joint.lower.T, solve_triangular(joint.lower, pull, lower=True), lower=False) / scale
+    return max(float(rest @ own @ rest + 2 * background @ pull + background @ square @ background), 0.0)

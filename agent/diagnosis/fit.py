@@ -1,4 +1,4 @@
-"""Candidates fitted together with the model, and scored on motions left out, all from second moments.
+"""Effects fitted together with the model, and judged on motions left out, all from second moments.
 
 Residuals r of the model are explained by a change δ of its parameters and by columns Z of effects:
 
@@ -12,7 +12,7 @@ on small matrices. With H = Λ + XᵀX and the Schur complement S = ZᵀZ − Z�
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import replace
 from itertools import pairwise
@@ -20,11 +20,9 @@ from typing import Any
 
 import numpy as np
 
-from agent.diagnosis.candidate import Candidate, Fold, HeldOutScore, Wanted, Where, make_candidates
-from agent.diagnosis.isolability import plausible
+from agent.diagnosis.candidate import Candidate, Fold, Wanted, make_candidates
 from agent.diagnosis.limits import LIMITS, DecisionLimits
 from agent.diagnosis.moments import FitMoments
-from agent.diagnosis.stacked import forms, products, side_by_side, solved
 from agent.diagnosis.standstill import Rests
 from agent.model import Effect, MotionSignals, NominalModel
 
@@ -245,7 +243,7 @@ class Fit:
 
     def fit(self, effect: Effect, joints: tuple[int, ...], settings: Mapping[str, float]) -> np.ndarray:
         """(k,) parameters fitted to all the data together with the model, under its prior."""
-        return self.score([self.candidate(effect, joints, settings)])[0].values
+        return self.with_chosen((*self.chosen, self.candidate(effect, joints, settings))).values[-1]
 
     def gains_alone(self, joint: int, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(K,) Σ e² / σ² that each column (S', K) [N·m] on one joint would take away, and its factor (K,).
@@ -267,83 +265,3 @@ class Fit:
         schur = energy - np.sum(cross * (inverse @ cross), axis=0) / self.repeat**2
         schur = np.maximum(schur, 1e-6 * energy + 1e-12)
         return side**2 / schur * self.repeat, side / schur
-
-    def score(self, candidates: Sequence[Candidate]) -> list[HeldOutScore]:
-        """Held-out score of each candidate added to the model and the chosen effects."""
-        found: dict[int, HeldOutScore] = {}
-        for numbers, cross, own in side_by_side(list(self.moments(candidates))):
-            found.update(zip(numbers, self._score([candidates[k] for k in numbers], cross, own), strict=True))
-        return [found[number] for number in range(len(candidates))]
-
-    def promising(self, candidates: Sequence[Candidate], each: int) -> list[Candidate]:
-        """Of every place the `each` candidates that gain most where nothing is held out, possible ones first.
-
-        Of every number of parameters so many, and of what happens once: only where these are alike does such a gain
-        compare.
-        """
-        alike: dict[tuple[Where, int, bool], list[tuple[bool, float, int]]] = {}
-        inverse, alone = self.solve(np.ones(self.cells, dtype=bool))
-        for numbers, cross, own in side_by_side(list(self.moments(candidates))):
-            b, energy = cross.sum(axis=1) / self.repeat, own.sum(axis=1)
-            transposed = np.swapaxes(b[:, :-1], 1, 2)
-            side = b[:, -1] - transposed @ alone
-            schur = energy / self.repeat - transposed @ inverse @ b[:, :-1]
-            schur += self.ridges([candidates[k] for k in numbers], np.diagonal(energy, axis1=1, axis2=2))
-            values = solved(schur, side, np.diagonal(schur, axis1=1, axis2=2))
-            for number, gain, fitted in zip(numbers, products(side, values).tolist(), values, strict=True):
-                candidate = candidates[number]
-                possible = plausible(HeldOutScore(candidate, 0.0, 0.0, fitted))
-                kind = candidate.place, len(fitted), candidate.once
-                alike.setdefault(kind, []).append((possible, gain, number))
-        kept = {number for found in alike.values() for *_, number in sorted(found, reverse=True)[:each]}
-        return [candidate for number, candidate in enumerate(candidates) if number in kept]
-
-    def moments(self, candidates: Sequence[Candidate]) -> Iterator[tuple[Candidate, tuple[np.ndarray, np.ndarray]]]:
-        """Per candidate: moments (cells, size + 1, k) with model, chosen effects and residual, and its own."""
-        together = zip(*(self._moments.between(other, candidates) for other in self.chosen), strict=True)
-        for candidate, (cross, own) in zip(candidates, self._moments.of(candidates), strict=True):
-            if self.chosen:
-                cross = np.concatenate([cross[:, :-1], *next(together), cross[:, -1:]], axis=1)
-            yield candidate, (cross, own)
-
-    def _score(self, candidates: Sequence[Candidate], cross: np.ndarray, own: np.ndarray) -> list[HeldOutScore]:
-        """Of candidates with as many parameters k: cross (N, cells, size + 1, k), own (N, cells, k, k)."""
-        single = candidates[0].once or self.once
-        error = self.error(single)
-        energy = np.diagonal(own.sum(axis=1), axis1=1, axis2=2)
-        empty = ~np.all(np.isfinite(energy), axis=1) | np.all(energy <= 1e-9, axis=1)
-        scores = [HeldOutScore(candidate, error, 0.0, np.zeros(cross.shape[-1])) for candidate in candidates]
-        some = np.flatnonzero(~empty)
-        if not len(some):
-            return scores
-        if len(some) < len(scores):
-            cross, own, energy = cross[some], own[some], energy[some]
-        ridge = self.ridges([candidates[k] for k in some.tolist()], energy)
-        total = np.zeros(len(some))
-        for fold in self.single if single else self.folds:
-            change, values = self._both(fold.train, cross, own, ridge)
-            extended = np.append(change, np.full((len(some), 1), -1.0), axis=1)
-            b, a = cross[:, fold.test].sum(axis=1), own[:, fold.test].sum(axis=1)
-            total += forms(extended, self.gram[fold.test].sum(axis=0), extended)
-            total += forms(2 * extended, b, values) + forms(values, a, values)
-        _, values = self._both(np.ones(self.cells, dtype=bool), cross, own, ridge)
-        for number, held_out, fitted in zip(some.tolist(), total.tolist(), values, strict=True):
-            scores[number] = HeldOutScore(candidates[number], held_out, error - held_out, fitted)
-        return scores
-
-    def _both(
-        self, train: np.ndarray, cross: np.ndarray, own: np.ndarray, ridge: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Parameters (N, size) and those of each candidate (N, k), fitted together to training cells."""
-        inverse, alone = self.solve(train)
-        b = cross[:, train].sum(axis=1) / self.repeat
-        a = own[:, train].sum(axis=1) / self.repeat + ridge
-        transposed = np.swapaxes(b[:, :-1], 1, 2)
-        reach = inverse @ b[:, :-1]
-        side = b[:, -1] - transposed @ alone
-        values = solved(a - transposed @ reach, side, np.diagonal(a, axis1=1, axis2=2))
-        return alone - (reach @ values[:, :, None])[:, :, 0], values
-
-    def ridges(self, candidates: Sequence[Candidate], energy: np.ndarray) -> np.ndarray:
-        """(N, k, k) `ridge` of candidates with as many parameters, of energies (N, k)."""
-        return np.stack(list(map(self.ridge, candidates, np.maximum(energy, 1e-9))))

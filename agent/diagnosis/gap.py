@@ -21,9 +21,7 @@ class HeldOutGap:
     the Coulomb level to either side, and no model knows it, though it comes back with every cycle.
 
     `before`, `after`, `floor` (n,) are their RMSE over `unit` (n,), nominal torque or 1 N·m if not said; `floor` is
-    what does not repeat from cycle to cycle, None without repeats. `gain` is the part of the plain squared error that
-    the causes take away on their own joints while these move, and `largest` the greatest error there over a scale that
-    every joint has; both are 0 without causes.
+    what does not repeat from cycle to cycle, None without repeats.
     """
 
     raw: np.ndarray
@@ -33,8 +31,6 @@ class HeldOutGap:
     before: np.ndarray
     after: np.ndarray
     floor: np.ndarray | None
-    gain: float
-    largest: float
     limits: DecisionLimits = LIMITS
 
     @property
@@ -67,16 +63,6 @@ class HeldOutGap:
         """(S', n) [N·m] what of an error is beyond stiction."""
         return _beyond(rows, self.open)
 
-    @property
-    def hardly_closed(self) -> bool:
-        """Whether causes gain where the background is small, and leave the gap of their own joints open."""
-        return self.gain < self.limits.plain_gain * (1.0 if self.small else 0.5)
-
-    @property
-    def small(self) -> bool:
-        """Whether the gap of the causes' joints is so small that it may be the model's own."""
-        return self.largest < self.limits.small_gap
-
 
 def closure(
     before: np.ndarray, worse: np.ndarray, better: np.ndarray, floor: np.ndarray | None, limits: DecisionLimits
@@ -98,29 +84,16 @@ def held_out_gap(dataset: Dataset, fit: Fit, unit: np.ndarray | None = None) -> 
     raw = np.where(np.isnan(left[:, :1]), np.nan, raw)
     # friction that is predicted to hold one way may hold the other way: twice the level
     possible = np.maximum(fit.sigma, 2 * stiction(fit.reference))
-    gain, largest = _on_own_joints(fit, raw, left, np.where(fit.near_rest, possible, 0.0))
     stuck = np.where(fit.near_rest, np.minimum(np.abs(left), possible), 0.0)
     raw, left = _beyond(raw, stuck), _beyond(left, stuck)
     before, after = rms(raw) / unit, rms(left) / unit
     floor = _floor(dataset, left, unit, before)
-    return HeldOutGap(raw, left, stuck, unit, before, after, floor, gain, largest, dataset.limits)
+    return HeldOutGap(raw, left, stuck, unit, before, after, floor, dataset.limits)
 
 
 def _beyond(rows: np.ndarray, stuck: np.ndarray) -> np.ndarray:
     """Energy that stiction leaves open is taken off, row by row."""
     return np.sign(rows) * np.sqrt(np.maximum(rows**2 - stuck**2, 0.0))
-
-
-def _on_own_joints(fit: Fit, raw: np.ndarray, left: np.ndarray, possible: np.ndarray) -> tuple[float, float]:
-    """Gain and largest of a `HeldOutGap`. At standstill any torque within what is `possible` (S', n) [N·m] is right: no
-    model predicts it."""
-    own = sorted({joint for candidate in fit.chosen for joint in candidate.blocks})
-    if not own:
-        return 0.0, 0.0
-    before, after = ((_beyond(rows, possible) / fit.reference.scale)[:, own] for rows in (raw, left))
-    counts = ~fit.near_rest[:, own] | (before != 0) | (after != 0)
-    before, after = np.where(counts, before, np.nan), np.where(counts, after, np.nan)
-    return float(1 - np.nansum(after**2) / np.nansum(before**2)), float(np.max(rms(before)))
 
 
 def rms(rows: np.ndarray) -> np.ndarray:

@@ -42,6 +42,19 @@ def regimes(dataset: Dataset, error: np.ndarray, joint: int, floor: float = 0.0)
     return tuple(sorted((entry for entry in found if entry.share >= _LEAST_SHARE), key=lambda entry: -entry.share))
 
 
+def share_intervals(rows: np.ndarray, floor: np.ndarray, block: np.ndarray, confidence: float = 0.9) -> np.ndarray:
+    """(n, 2) interval of each joint's share of Σ (B² − F²): blocks of the errors (S', n) drawn with replacement."""
+    good = ~np.isnan(rows[:, 0])
+    found, unit = np.unique(block[good], return_inverse=True)
+    energy = _sums(rows[good] ** 2, unit)
+    count = np.bincount(unit)
+    drawn = np.random.default_rng(0).integers(len(found), size=(_RESAMPLED, len(found)))
+    excess = np.maximum(energy[drawn].sum(axis=1) / count[drawn].sum(axis=1)[:, None] - floor**2, 0)
+    share = excess / np.maximum(excess.sum(axis=1, keepdims=True), 1e-300)
+    tail = 0.5 * (1 - confidence)
+    return np.quantile(share, (tail, 1 - tail), axis=0).T
+
+
 def masks(dataset: Dataset, joint: int) -> dict[str, np.ndarray]:
     """(S,) bool of each regime of a joint: those of `REGIMES`, then logs or their cycles."""
     signals = dataset.fit.signals
@@ -135,3 +148,11 @@ def _band_name(low: float, high: float) -> str:
     if low == 0:
         return f"below {high:g} Hz"
     return f"above {low:g} Hz" if np.isinf(high) else f"{low:g}-{high:g} Hz"
+
+
+def _sums(rows: np.ndarray, unit: np.ndarray) -> np.ndarray:
+    """(U, k) sums of rows (S', k) over each unit."""
+    order = np.argsort(unit, kind="stable")
+    order = order[unit[order] >= 0]
+    starts = np.flatnonzero(np.diff(unit[order], prepend=-1))
+    return np.add.reduceat(rows[order], starts, axis=0)

@@ -21,13 +21,12 @@ from agent.diagnosis.answer import (
 )
 from agent.diagnosis.calibration import ReleasedSimulator, causes_of_steps, waterfall
 from agent.diagnosis.dataset import Dataset
-from agent.diagnosis.evidence import share_intervals
 from agent.diagnosis.finding import Finding
 from agent.diagnosis.gap import HeldOutGap, held_out_gap
 from agent.diagnosis.held_torque import HeldTorque
 from agent.diagnosis.motion_gap import MotionGap
-from agent.diagnosis.procedure import Search
-from agent.diagnosis.regimes import regimes
+from agent.diagnosis.regimes import regimes, share_intervals
+from agent.diagnosis.search import Search
 from agent.diagnosis.sizes import intervals
 from agent.diagnosis.testability import effects_of_path, not_testable
 from agent.diagnosis.verdict import causes_of, settle, with_path

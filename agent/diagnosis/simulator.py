@@ -19,29 +19,26 @@ import numpy as np
 
 from agent.core import InputError
 from agent.diagnosis.calibration import ReleasedSimulator, calibration
-from agent.diagnosis.candidate import Candidate, Where
+from agent.diagnosis.candidate import Candidate
 from agent.diagnosis.dataset import Dataset, assemble
 from agent.diagnosis.finding import Finding
 from agent.diagnosis.fit import Fit
 from agent.diagnosis.gap import HeldOutGap, held_out_gap
 from agent.diagnosis.limits import LIMITS, DecisionLimits
-from agent.diagnosis.procedure import Search
 from agent.diagnosis.rounding import quiet_cutoff
-from agent.diagnosis.verdict import abstained, judge
+from agent.diagnosis.search import Search
+from agent.diagnosis.verdict import judge
 from agent.estimation import FilterSettings, resolve_cutoff
 from agent.model import CATALOGUE, IdentifiedModel, NominalModel, servo_stiffness
 from agent.recording import Log
 from agent.robot import RobotDescription
 
 _OF_THE_MIDDLE = 1.5  # times the relative error of the joint in the middle is expected of every joint
-_SHARPER = 0.7  # times the error expected before, from where on the data are looked at again
 _BELOW_ZERO = 0.1  # of a friction level without an effect, that chance may take it below zero beside one
-_ROUNDS = 2  # of choosing numbers beside effects and effects beside numbers
 #: Effects that are the file's numbers under another name.
 _NUMBERS = tuple(name for name, effect in CATALOGUE.items() if effect.numbers in ("friction", "links"))
 #: The effect that is links which weigh otherwise.
 _LINKS = next(name for name, effect in CATALOGUE.items() if effect.numbers == "links")
-_FAR = 2.0  # times what an answer has to leave at most, beyond which its first effects settle that it does not
 _AS_GOOD = 1.1  # times the squared error left, to where another choice of numbers is as good
 
 
@@ -117,7 +114,7 @@ def with_expected_error(
     )
 
 
-def search_simulator(  # noqa: C901
+def search_simulator(
     robot: RobotDescription,
     model: IdentifiedModel,
     logs: Sequence[Log],
@@ -126,137 +123,49 @@ def search_simulator(  # noqa: C901
     progress: Callable[[str], None],
     limits: DecisionLimits,
 ) -> Explanation:
-    """The plainest of the three answers that closes as much as any.
+    """Return the plainest of the three answers that closes as much as any.
 
     Raises:
         InputError: logs that cannot be used (see `assemble`).
     """
     progress("moving friction, rotors and links of the simulator, step by step")
-    dataset, share = assemble(robot, with_expected_error(model, logs, limits), logs, cutoff, limits), None
+    dataset = assemble(robot, with_expected_error(model, logs, limits), logs, cutoff, limits)
     first = calibration(dataset)
-
-    def expecting(share: float) -> Dataset:
-        """The data where such a share of torque is what a right simulator leaves."""
-        return assemble(robot, with_expected_error(model, logs, limits, share), logs, cutoff, limits, first.model)
-
     if first.groups:
-        share = _expected(dataset, first.moved.residual)
-        dataset = expecting(share)
+        expected = with_expected_error(model, logs, limits, _expected(dataset, first.moved.residual))
+        dataset = assemble(robot, expected, logs, cutoff, limits, first.model)
     unit = dataset.fit.reference.scale
-    before = held_out_gap(dataset, dataset.fit, unit).before ** 2
-    total = float(np.mean(before))
-    enough = limits.least_share * total
-
-    def searching(of: ReleasedSimulator, best: float = np.inf) -> Search:
-        """Where numbers moved, no effect is one that is numbers again: it would take the place of another.
-
-        It is not gone on with where its first effects leave far more than they may beside an answer that leaves `best`.
-        """
-        again = _NUMBERS if of.groups else ()
-
-        def worth(fit: Fit) -> bool:
-            most = best if _like_links(fit.chosen) else best + enough
-            return most == np.inf or _left(of.moved, fit, unit) <= _FAR * most
-
-        return Search(of.moved.fit, (*without, *again), True, progress, limits, moved=bool(of.groups), worth=worth)
-
-    def answer(calibrated: ReleasedSimulator, search: Search) -> Explanation:
-        moved = calibrated.moved
-        finding, gap = judge(moved, search.run(), moved.fit, unit)
-        kept = [k for k in range(len(finding.causes)) if _possible(model, finding.fit, k)]
-        if len(kept) < len(finding.causes):
-            if kept:
-                finding = finding.only(kept, moved.fit)
-            else:
-                closed = 1 - float(np.mean(gap.before**2)) / max(total, 1e-300)
-                finding = finding.without_causes(abstained(closed < limits.explained), moved.fit)
-            finding, gap = judge(moved, finding, moved.fit, unit)
-        return Explanation(calibrated, search, finding, gap)
-
-    def better(chosen: ReleasedSimulator, entry: Explanation) -> bool:
-        """Whether numbers chosen otherwise leave less beside the same effects, by a part that counts."""
-        return _AS_GOOD * _beside(chosen, entry.finding.causes, unit) < entry.left
-
-    def settled(entry: Explanation) -> Explanation:
-        """Numbers chosen beside its effects, and effects at these numbers, as long as that leaves no more.
-
-        With its effects known less is expected of what remains, so that smaller ones beside them show.
-        """
-        data, expected = dataset, share
-        for _ in range(_ROUNDS):
-            causes, found = entry.finding.causes, entry.calibrated
-            if not causes or expected is None:
-                break
-            left = _expected(data, entry.finding.fit.out_of_fold(entry.finding.fit.once))
-            sharper = left < _SHARPER * expected
-            if sharper:
-                data, expected = expecting(left), left
-                causes = tuple(
-                    data.fit.seen_from(found.moved.fit.reference).candidates(
-                        [(cause.effect, cause.joints, cause.settings) for cause in causes]
-                    )
-                )
-            chosen = calibration(data, found.with_links, causes)
-            if not sharper and (chosen.released == found.released or not better(chosen, entry)):
-                break
-            progress("choosing again what of the simulator's numbers moves, beside the effects found")
-            other = answer(chosen, searching(chosen))
-            if not other.finding.causes or other.left > _AS_GOOD * entry.left:
-                break
-            entry = other
-        return entry
-
-    def needed(entry: Explanation) -> Explanation:
-        """Without causes in whose stead a link may weigh otherwise, where links do or no more numbers move then.
-
-        Else these equal it.
-        """
-        number, dropped = 0, set[Where]()
-        while number < len(entry.finding.causes):
-            place, instead = entry.finding.causes[number].place, numbers_instead(entry, number, unit)
-            moved = entry.calibrated
-            if instead is not None and (moved.with_links or len(instead.groups) <= len(moved.groups)):
-                progress(f"choosing again what of the simulator's numbers moves, in the stead of {place[0]}")
-                other = answer(instead, searching(instead))
-                again = {cause.place for cause in other.finding.causes} & {place, *dropped}
-                if other.left <= _AS_GOOD * entry.left and not again:
-                    entry, number = other, 0
-                    dropped.add(place)
-                    continue
-            if instead is not None:
-                entry = replace(entry, finding=entry.finding.with_rival(number, (_LINKS, ())))
-            number += 1
-        return entry
-
-    given = ReleasedSimulator(dataset, dataset, ())
-    as_given = searching(given)
-
-    def plain(goal: float) -> Explanation | None:
-        """That the numbers are right and one effect leaves no more than a goal; None where that is not so."""
-        leading = as_given.scan(dataset.fit).eligible[: limits.starts]
-        if not any(_left(dataset, dataset.fit.with_chosen((s.candidate,)), unit) <= goal for s in leading):
-            return None
-        found = answer(given, as_given)
-        return found if len(found.finding.causes) == 1 and found.left <= goal else None
-
-    if float(np.max(before)) >= (1 - limits.least_share) * float(np.sum(before)) and (simplest := plain(enough)):
-        return simplest
-    drives, everything = calibration(dataset, links=False), calibration(dataset)
-    if not everything.groups:
-        return answer(given, as_given)
-    found = [answer(everything, searching(everything))]
-    if drives.groups and len(everything.groups) > len(drives.groups):
-        by_drives = answer(drives, searching(drives, found[0].left))
-        if by_drives.finding.causes and by_drives.stands(0.0, enough):
-            return needed(settled(by_drives))
-        found.insert(0, by_drives)
+    enough = limits.least_share * float(np.mean(held_out_gap(dataset, dataset.fit, unit).before ** 2))
+    moves = [ReleasedSimulator(dataset, dataset, ())]
+    for moved in (calibration(dataset, links=False), calibration(dataset)):
+        if len(moved.groups) > len(moves[-1].groups):
+            moves.append(moved)
+    found = [_answer(model, moved, without, progress, unit) for moved in moves]
     best = min(entry.left for entry in found)
-    if _one_may_do(dataset, found[-1].search.tried, unit, best + enough) and (simplest := plain(best + enough)):
-        return simplest
-    for entry in found[:-1]:
-        if entry.finding.causes and entry.stands(best, enough):
-            return needed(settled(entry))
-    return needed(settled(found[-1]))
+    single = [k for k, entry in enumerate(found[:-1]) if entry.finding.causes and (k or len(entry.finding.causes) == 1)]
+    chosen = next((found[k] for k in single if found[k].stands(best, enough)), found[-1])
+    for number in range(len(chosen.finding.causes)):
+        if numbers_instead(chosen, number, unit) is not None:
+            chosen = replace(chosen, finding=chosen.finding.with_rival(number, (_LINKS, ())))
+    return chosen
+
+
+def _answer(
+    model: IdentifiedModel,
+    calibrated: ReleasedSimulator,
+    without: Sequence[str],
+    progress: Callable[[str], None],
+    unit: np.ndarray,
+) -> Explanation:
+    """Search at the numbers as moved. Where some were, no effect is numbers again: it would take the place of one."""
+    moved = calibrated.moved
+    search = Search(moved.fit, (*without, *(_NUMBERS if calibrated.groups else ())), progress)
+    finding, gap = judge(moved, search.run(), moved.fit, unit)
+    kept = [k for k in range(len(finding.causes)) if _possible(model, finding.fit, k)]
+    if len(kept) < len(finding.causes):
+        finding = finding.only(kept, moved.fit) if kept else finding.without_causes("unknown", moved.fit)
+        finding, gap = judge(moved, finding, moved.fit, unit)
+    return Explanation(calibrated, search, finding, gap)
 
 
 def _left(dataset: Dataset, fit: Fit, unit: np.ndarray) -> float:
@@ -282,17 +191,6 @@ def _beside(chosen: ReleasedSimulator, causes: Sequence[Candidate], unit: np.nda
     fit = chosen.moved.fit
     forms = fit.candidates([(cause.effect, cause.joints, cause.settings) for cause in causes])
     return _left(chosen.moved, fit.with_chosen(forms), unit)
-
-
-def _one_may_do(dataset: Dataset, forms: Sequence[Candidate], unit: np.ndarray, goal: float) -> bool:
-    """Whether one effect may leave no more than a goal of a simulator as given; far more says that none does.
-
-    `forms` are of every effect everywhere, at other numbers. Joints that one does not act on keep what they have.
-    """
-    fit = dataset.fit
-    before = held_out_gap(dataset, fit, unit).before ** 2
-    able = [form for form in forms if np.sum(np.delete(before, list(form.blocks))) / len(before) <= _FAR * goal]
-    return any(_left(dataset, fit.with_chosen((form,)), unit) <= _FAR * goal for form in fit.promising(able, 1))
 
 
 def _possible(given: IdentifiedModel, fit: Fit, number: int) -> bool:

@@ -1,14 +1,9 @@
-"""The rules of the verdict (docs/diagnosis.md), all of them: nothing leaves the procedure that breaks one.
-
-A search says what equals what (`named`), or that nothing may be named (`abstained`). `judge` takes away what the
-figures on motion held out do not bear out, the path adds its own (`with_path`), and `settle` holds the promises last.
-"""
+"""The promises of a verdict, checked on figures of motion held out: no result leaves that breaks one."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from itertools import combinations
 from math import isfinite
 
 import numpy as np
@@ -19,37 +14,24 @@ from agent.diagnosis.finding import Finding
 from agent.diagnosis.fit import Fit
 from agent.diagnosis.gap import HeldOutGap, held_out_gap
 from agent.diagnosis.limits import LIMITS, DecisionLimits
-from agent.model import SIMULATOR
-
-
-def abstained(matters: bool) -> str:
-    """Where nothing may be named: there is a gap all the same, or none."""
-    return "unknown" if matters else "no_gap"
-
-
-def named(equalled: bool) -> str:
-    """Where causes are named: whether something equals the first. One that fits doubtfully is only less probable."""
-    return "ambiguous" if equalled else "explained"
 
 
 def judge(dataset: Dataset, finding: Finding, plain: Fit, unit: np.ndarray | None = None) -> tuple[Finding, HeldOutGap]:
-    """A finding as far as its figures on motion held out bear it out, and these figures; `plain`: without effects.
+    """Return a finding as far as its held-out figures bear it out, and these figures.
 
-    `unit` is that of `held_out_gap`.
+    `plain` is the fit without effects, `unit` that of `held_out_gap`. Causes that close less than `explained` asks for
+    leave room for another: the likeliest one is named with the first.
     """
     while True:
         gap = held_out_gap(dataset, finding.fit, unit)
         if not finding.causes:
             return finding, gap
-        little = gap.closure is not None and gap.closure < dataset.limits.explained
-        unsure = finding.probability[0] < dataset.limits.sure_probability
-        if finding.verdict == "explained" and (little or unsure):
-            finding = finding.with_uncertain_form()
+        if finding.verdict == "explained" and (gap.closure or 0.0) < dataset.limits.explained:
+            finding = finding.with_runner_up()
         causes = causes_of(dataset, finding, gap)
         verdict, kept = settle(finding.verdict, causes, gap.closure, dataset.limits)
-        if not kept or gap.hardly_closed:
-            matters = verdict != "no_gap" and finding.matters and not gap.small
-            finding = finding.without_causes(abstained(matters), plain)
+        if not kept:  # held out, they explain no more than the model's own error, unless that is exceeded by far
+            finding = finding.without_causes("unknown" if finding.exceeded else "no_gap", plain)
         elif len(kept) < len(causes):
             finding = finding.only([k for k, cause in enumerate(causes) if cause in kept], plain)
         else:
@@ -57,12 +39,10 @@ def judge(dataset: Dataset, finding: Finding, plain: Fit, unit: np.ndarray | Non
 
 
 def causes_of(dataset: Dataset, finding: Finding, gap: HeldOutGap) -> tuple[Cause, ...]:
-    """The causes of a finding with their figures."""
+    """Return the causes of a finding with their figures."""
     fit, joints = finding.fit, dataset.robot.joint_names
     taken_out = [fit.out_of_fold(fit.once, number) for number in range(len(finding.causes))]
     parts = zip(finding.causes, taken_out, fit.values, finding.rivals, finding.probability, strict=True)
-    # parts of one motion are too much alike to bear out what hardly closes anything
-    by_joint = dataset.model.method == SIMULATOR or (len(finding.causes) > 1 and len(dataset.logs) > 1)
     return tuple(
         Cause(
             candidate.effect.name,
@@ -75,7 +55,7 @@ def causes_of(dataset: Dataset, finding: Finding, gap: HeldOutGap) -> tuple[Caus
                 _floats(zip(candidate.names, values, strict=True)),
             ),
             tuple(EffectPlace(name, tuple(joints[j] for j in there)) for name, there in rivals),
-            gap.closure_on(candidate.joints, left) if by_joint and candidate.joints else None,
+            gap.closure_on(candidate.joints, left) if candidate.joints else None,
         )
         for candidate, left, values, rivals, probability in parts
     )
@@ -88,7 +68,7 @@ def _floats(pairs: Iterable[tuple[str, float]]) -> dict[str, float]:
 def with_path(
     verdict: str, closure: float | None, closure_of_path: float | None, named: bool
 ) -> tuple[str, float | None]:
-    """Verdict and closure where the executed path is not the planned one: the gap that there is may be the path's.
+    """Return verdict and closure where the executed path is not the planned one: the gap may be the path's.
 
     `named`: whether the effect of the path may be.
     """
@@ -98,43 +78,34 @@ def with_path(
 
 
 def has_size(cause: Cause, limits: DecisionLimits = LIMITS) -> bool:
-    """Whether a cause has parameters, finite and not all zero, and closes a part of its gap by itself.
-
-    It may be small beside others, and not on its own joints.
-    """
+    """Return whether a cause has finite parameters, not all zero, and closes a part of the gap or of its joints'."""
     values = cause.parameters.values()
     if cause.closure is None or not isfinite(cause.closure):
         return False
-    of_joints = cause.closure_of_joints
-    closes = cause.closure >= limits.least_share or (of_joints is not None and of_joints >= limits.least_closure)
+    of_joints = cause.closure if cause.closure_of_joints is None else cause.closure_of_joints
+    closes = max(cause.closure, of_joints) >= limits.least_closure
     return closes and all(map(isfinite, values)) and any(values)
-
-
-def _cancel(one: Cause, other: Cause, limits: DecisionLimits) -> bool:
-    far_more = all((cause.closure or 0.0) > limits.cancelling for cause in (one, other))
-    return far_more and not set(one.joints).isdisjoint(other.joints)
 
 
 def settle(
     verdict: str, causes: Sequence[Cause], closure: float | None, limits: DecisionLimits = LIMITS
 ) -> tuple[str, tuple[Cause, ...]]:
-    """The verdict that the figures allow, and the causes that may be named with it.
+    """Return the verdict that the figures allow, and the causes that may be named with it.
 
-    - `explained` has causes, and they close three quarters of the gap;
-    - `ambiguous` has causes that close a good part of it, and something that equals the first;
-    - `unknown` and `no_gap` have none, and where there is nothing to close (None) there is no gap;
-    - a cause without a size is none, and two of one joint are none that each close far more than there is: together
-      they make a shape that neither has.
+    - `explained` closes three quarters of the gap;
+    - something equals the first cause of an `ambiguous` one;
+    - `unknown` and `no_gap` have no causes; where there is nothing to close (None) there is no gap;
+    - a cause without a size is none.
     """
     if verdict in ("no_gap", "unknown"):
         return verdict, ()
     if closure is None:
         return "no_gap", ()
-    if any(_cancel(one, other, limits) for one, other in combinations(causes, 2)):
-        return "unknown", ()
     left = tuple(cause for cause in causes if has_size(cause, limits))
-    if not left or not closure >= limits.least_closure:  # not a number is not enough either
+    if not left:
         return "unknown", ()
     if left[0].equivalent_to:
         return "ambiguous", left
-    return ("explained", left) if verdict == "explained" and closure >= limits.explained else ("unknown", ())
+    if verdict == "ambiguous":  # what was equalled was another cause, which has no size: the rest stands by itself
+        verdict = "explained"
+    return ("explained", left) if closure >= limits.explained else ("unknown", ())

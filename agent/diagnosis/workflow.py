@@ -10,14 +10,14 @@ import numpy as np
 from agent.core import InputError, keep_freed_memory
 from agent.data_quality import spoiled
 from agent.diagnosis.dataset import Dataset, assemble
-from agent.diagnosis.drives_off import channel_zero, with_channel_zero
+from agent.diagnosis.drives_off import as_evidence, channel_zero, said_by_zero
+from agent.diagnosis.healthy import healthy_on
 from agent.diagnosis.held_torque import HeldTorque, held_torque
 from agent.diagnosis.limits import LIMITS, DecisionLimits
 from agent.diagnosis.motion_gap import MotionGap, motion_gap
-from agent.diagnosis.procedure import Search
 from agent.diagnosis.result import Diagnosis, build
+from agent.diagnosis.search import Search
 from agent.diagnosis.simulator import search_simulator
-from agent.diagnosis.stored_uncertainty import held_to_uncertainty
 from agent.diagnosis.verdict import judge
 from agent.estimation import beyond_fit
 from agent.model import CATALOGUE, SIMULATOR, IdentifiedModel
@@ -51,6 +51,7 @@ def diagnose(
     logs, twice = _distinct(logs)
     calibrated = None
     held: HeldTorque | None = None
+    of_zero: tuple[str, ...] = ()
     if model is not None and model.method == SIMULATOR:
         answer = search_simulator(robot, model, logs, cutoff, without, progress, limits)
         search, finding, gap, calibrated = answer.search, answer.finding, answer.gap, answer.calibrated
@@ -58,21 +59,14 @@ def diagnose(
     else:
         progress("filtering, and fitting the model in every fold" if model is None else "filtering")
         dataset = assemble(robot, model, logs, cutoff, limits)
-        search = Search(dataset.fit, without, dataset.given, progress, limits)
+        observed = None if zero is None else as_evidence(zero, dataset.model)
+        usual = None if model is None else healthy_on(dataset.fit, model, without)
+        search = Search(dataset.fit, without, progress, observed=observed, healthy=usual)
         finding = search.run()
         if (held := held_torque(dataset, finding.fit)) is not None:
             finding = finding.without_causes("unknown", dataset.fit)
-        finding, gap = judge(dataset, finding, dataset.fit)
-        if held is None and not finding.causes and dataset.given and gap.absorbed > limits.least_closure:
-            fit = held_to_uncertainty(dataset.fit)
-            if fit is not None:  # what its own parameters took away is a gap all the same
-                dataset = replace(dataset, fit=fit)
-                search = Search(fit, without, dataset.given, progress, limits)
-                finding, gap = judge(dataset, search.run(), fit)
-    of_zero: tuple[str, ...] = ()
-    if zero is not None:
-        finding, of_zero = with_channel_zero(dataset, finding, zero, without)
-        finding, gap = judge(dataset, finding, dataset.fit)
+        finding, gap = judge(dataset, replace(finding, zero_known=zero is not None), dataset.fit)
+        of_zero = () if zero is None else said_by_zero(dataset, finding, zero)
     motion = motion_gap(logs, limits)
     beyond = beyond_fit(dataset.model, [(s.q[s.kept], s.qd[s.kept]) for s in dataset.fit.signals])
     said = (*_warnings(robot, logs, model is not None, limits), *_of_model(dataset), *beyond, *_path_warnings(motion))

@@ -16,7 +16,7 @@ import numpy as np
 
 from agent.diagnosis import Dataset
 from agent.excitation import LoopProblem
-from agent.experiment.outlook import Outlook
+from agent.experiment.motion import GridMotion
 from agent.experiment.pieces import KINDS, Piece, Pieces
 
 #: Pieces that are drawn, to choose from.
@@ -67,10 +67,12 @@ def as_drawn(chosen: Sequence[Piece], options: Sequence[Piece]) -> Piece:
     return options[0]
 
 
-def d_optimal(dataset: Dataset, known_of: Callable[[Piece], np.ndarray] | None = None) -> Pick:
-    """The piece that raises the determinant most, beside the logs of a diagnosis; `known_of`: what one adds."""
-    outlook, fit = Outlook(dataset, ()), dataset.fit
-    of_piece = known_of or (lambda piece: outlook.information(piece.motion))
+def d_optimal(dataset: Dataset, information_of: Callable[[GridMotion], np.ndarray]) -> Pick:
+    """Return the choice of the piece that raises the determinant most, with the logs of a diagnosis.
+
+    `information_of` says what a motion adds (p, p) to what is known of the model's parameters.
+    """
+    fit = dataset.fit
     model = len(fit.precision)
     known = fit.gram.sum(axis=0)[:model, :model] / fit.repeat + fit.precision
     scale = 1 / np.sqrt(np.diag(known))
@@ -78,7 +80,7 @@ def d_optimal(dataset: Dataset, known_of: Callable[[Piece], np.ndarray] | None =
 
     def information(piece: Piece) -> np.ndarray:
         if piece not in added:
-            added[piece] = of_piece(piece)
+            added[piece] = information_of(piece.motion)
         return added[piece]
 
     def pick(chosen: Sequence[Piece], options: Sequence[Piece]) -> Piece:

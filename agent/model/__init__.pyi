@@ -25,7 +25,7 @@ from .known_load import (
 )
 from .nearest_bodies import possible_model as possible_model
 from .regimes import REGIMES as REGIMES, regime_masks as regime_masks, standstill_speed as standstill_speed
-from .rigid_friction import ModelEffect as ModelEffect, ParameterPrior as ParameterPrior
+from .rigid_friction import HealthyEffect as HealthyEffect, ModelEffect as ModelEffect, ParameterPrior as ParameterPrior
 from .signals import MotionSignals as MotionSignals, NominalModel as NominalModel
 from .simulators.arm import SIMULATOR as SIMULATOR
 from .simulators.corrected_file import write_corrected as write_corrected, written_files as written_files

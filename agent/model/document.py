@@ -56,6 +56,13 @@ class _Effect(_Part):
     parameters: dict[str, Any]
 
 
+class _HealthyEffect(_Part):
+    effect: str
+    joints: list[str]
+    settings: dict[str, _Number]
+    size: _Size
+
+
 class _Prior(_Part):
     mean: list[_Number]
     standard_deviation: list[_Size]
@@ -71,6 +78,7 @@ class ModelDocument(_Part):
     base_parameters: list[_BaseParameter]
     friction: list[_Friction]
     effects: list[_Effect]
+    healthy: list[_HealthyEffect] = []
     covariance: list[list[_Number]]
     standard_names: list[str]
     independent: list[int]

@@ -12,7 +12,7 @@ import numpy as np
 from agent.core import InputError
 from agent.model.checks import check_model
 from agent.model.friction_terms import FrictionTerm, Reversal
-from agent.model.rigid_friction import ModelEffect, ParameterPrior, RigidFrictionModel
+from agent.model.rigid_friction import HealthyEffect, ModelEffect, ParameterPrior, RigidFrictionModel
 from agent.robot import RobotDescription
 
 SCHEMA = "model/1"
@@ -151,6 +151,7 @@ class IdentifiedModel(RigidFrictionModel):
             "effects": [
                 {"effect": e.effect, "joints": list(e.joints), "parameters": e.parameters} for e in self.effects
             ],
+            "healthy": [asdict(entry) for entry in self.healthy],
             "covariance": self.covariance.tolist(),
             "standard_names": list(self.standard_names),
             "independent": self.independent.tolist(),
@@ -246,6 +247,10 @@ class IdentifiedModel(RigidFrictionModel):
             prior=_prior(data.get("prior")),
             notes=tuple(data["notes"]),
             effects=tuple(ModelEffect(e["effect"], tuple(e["joints"]), dict(e["parameters"])) for e in data["effects"]),
+            healthy=tuple(
+                HealthyEffect(e["effect"], tuple(e["joints"]), dict(e["settings"]), float(e["size"]))
+                for e in data.get("healthy", ())
+            ),
             provenance=data["provenance"],
         )
         check_model(model)

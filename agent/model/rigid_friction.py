@@ -21,6 +21,17 @@ class ModelEffect:
     parameters: dict[str, float]
 
 
+@dataclass(frozen=True)
+class HealthyEffect:
+    """What the arm has of an effect of the catalogue while it is healthy: name, joints, nonlinear parameters, and its
+    torque over nominal, root mean square on motions that the model was not fitted to."""
+
+    effect: str
+    joints: tuple[str, ...]
+    settings: dict[str, float]
+    size: float
+
+
 @dataclass(frozen=True, eq=False)
 class ParameterPrior:
     """What was held of the parameters before any data: `mean` and `standard_deviation` (p,); and `data_share` (p,), the
@@ -45,7 +56,8 @@ class RigidFrictionModel:
     `weights` (2, n) are the fit's, in motion and at standstill; `group_rmse` (2, n) is the held-out RMSE of the same
     groups, and `standstill_speed` (n,) up to which a joint stands still (None in older files); `cutoff` [Hz] and
     `order` are the filter's; `standard` (10 n + n,) are physical inertial parameters behind the base parameters, where
-    the method found them; `prior` is None where the method has none, and in older files.
+    the method found them; `prior` is None where the method has none, and in older files; `healthy` is what held-out
+    motions show of the catalogue's effects without any fault.
     """
 
     robot: RobotDescription
@@ -69,6 +81,7 @@ class RigidFrictionModel:
     prior: ParameterPrior | None = None
     notes: tuple[str, ...] = ()
     effects: tuple[ModelEffect, ...] = ()
+    healthy: tuple[HealthyEffect, ...] = ()
     provenance: dict[str, Any] = field(default_factory=dict)
 
     @property

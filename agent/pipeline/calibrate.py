@@ -114,6 +114,7 @@ def _greet(recipe: Recipe, console: Console) -> None:
 
 
 def _estimate(recipe: Recipe, run: RunFolder, console: Console) -> Any:
+    from agent.diagnosis import with_healthy_effects
     from agent.estimation import EstimationSettings, estimate
     from agent.model import IdentifiedModel
     from agent.pipeline.identify import check_run, read_logs
@@ -134,6 +135,7 @@ def _estimate(recipe: Recipe, run: RunFolder, console: Console) -> Any:
         ),
         tool=recipe.tool,
     )
+    model = with_healthy_effects(model, (), beside)
     model.save(run.file("model.json"))
     run.note(model_sha256=sha256_file(run.file("model.json")))
     return model

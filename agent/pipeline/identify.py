@@ -233,6 +233,7 @@ def fit_files(
 ) -> tuple[IdentifiedModel, list[Log]]:
     """The model that `estimate_files` writes, and the logs it was fitted to, without their velocities."""
     from agent.data_quality import fitted_doubts
+    from agent.diagnosis import with_healthy_effects, with_structure
     from agent.estimation import EstimationSettings, estimate
 
     check_structure(structure)
@@ -245,12 +246,12 @@ def fit_files(
     logs = [replace(log, velocity=None, planned_position=None) for log in logs]
     model = estimate(description, logs, EstimationSettings.create(cutoff=cutoff, method=method))
     if structure == "auto":
-        from agent.diagnosis import with_structure
-
         console.step("searching for structure beyond bodies and friction")
         model = with_structure(description, logs, model, console.progress)
     for finding in fitted_doubts(model, logs):
         console.warn(str(finding))
+    console.step("learning what the healthy arm has of every effect")
+    model = with_healthy_effects(model, logs)
     say_used(logs, model.cutoff, model.order, console)
     return model, logs
 

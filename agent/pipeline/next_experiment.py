@@ -179,7 +179,7 @@ def plan_next(
     asked_of = pairs[0]
     what = (
         f"tell {asked_of.first.text()} from {asked_of.second.text()}"
-        if asked_of.second.forms
+        if asked_of.second.form is not None
         else f"show {asked_of.first.text()}"
     )
     return NoMotion(f"no motion in {where} would {what}{why}. {other_test(found, pairs)}{loads}", names, mass)

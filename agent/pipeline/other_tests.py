@@ -119,7 +119,8 @@ def with_a_mass(
         return None
     if bare is not None:
         asked = [pair for pair in pairs if id(pair) in doubtful]
-        if not tells_apart_by_load(found.dataset, asked, [piece.motion for piece in bare.pieces], load):
+        motions = [piece.motion for piece in bare.pieces]
+        if not tells_apart_by_load(found.dataset, found.finding.evidence, asked, motions, load):
             return None
     console.step("a motion of the bare arm would hardly settle it; whether one with a mass would is what is asked now")
     tried = plan_experiment(

@@ -5,7 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from agent.diagnosis import Diagnosis, Simulated, Step, reported_parameters, simulation_part, torque_gap
+from agent.diagnosis import (
+    Diagnosis,
+    Simulated,
+    reported_parameters,
+    simulation_part,
+    torque_gap,
+)
 from agent.model import CATALOGUE
 from agent.report.diagnosis_figures import band_map, before_and_after, regime_map, simulated_torque, timeline
 from agent.report.first_screen import about_diagnosis
@@ -27,7 +33,7 @@ from agent.robot import figure_text
 
 #: Title of the section on candidates that were not named.
 REJECTED = "What was rejected"
-_MOST_STEPS = 8
+_MOST_STEPS = 20
 #: What a table of pushes has of each, by the name of the parameter.
 _OF_PUSH = {
     "on link": "link",
@@ -38,7 +44,6 @@ _OF_PUSH = {
     "force z": "force_z",
 }
 _MOST_REJECTED = 12
-_MOST_SCORES = 6
 
 
 def diagnosis_report(
@@ -204,71 +209,45 @@ def _simulation_table(diagnosis: Diagnosis, figures: Mapping[str, Any]) -> Table
 
 
 def _rejected_section(diagnosis: Diagnosis) -> Section:
-    """The candidates of the first scan that were not named, with how far they fell short of the best."""
+    """The effects that were not named, by what each alone explains over the best."""
     finding, names = diagnosis.finding, diagnosis.dataset.robot.joint_names
-    if not finding.steps or not finding.steps[0].scores:
-        return Section(REJECTED, ("Nothing was tried: there is nothing to explain.",))
-    first = finding.steps[0]
     named = {candidate.place for candidate in finding.causes}
     rivals = {place for several in finding.rivals for place in several}
-    could = {id(score) for score in first.eligible}
-    best = max(score.gain for score in first.scores)
+    singles = sorted((h for h in finding.hypotheses if len(h.effects) == 1 and not h.free), key=lambda h: -h.gain)
     rows: list[tuple[str, ...]] = []
-    for score in first.scores:
-        candidate = score.candidate
-        if candidate.place in named or best <= 0 or len(rows) == _MOST_REJECTED:
-            continue
-        why = "as good: these data cannot tell it" if candidate.place in rivals else "takes less away"
-        if id(score) not in could:
-            why = "its size, or its motion here, does not let it be named"
-        where = ", ".join(names[j] for j in candidate.joints) or "arm"
-        rows.append((candidate.effect.name, where, f"{100 * max(score.gain, 0) / best:.0f} %", why))
-    text = [
-        "What each would take away of the error alone, over what the best does. Beside a cause, most of it is gone."
-    ]
-    return Section(REJECTED, text, (Table("rejected", ("effect", "where", "of the best", "why"), rows),))
+    for hypothesis in singles:
+        (candidate,) = hypothesis.effects
+        if candidate.place not in named and len(rows) < _MOST_REJECTED:
+            why = "as good: these logs do not distinguish it" if candidate.place in rivals else "explains less"
+            where = ", ".join(names[j] for j in candidate.joints) or "arm"
+            rows.append((what(candidate.effect.name, diagnosis.result), where, f"{hypothesis.gain:.1f}", why))
+    if not rows:
+        return Section(REJECTED, ("Nothing was tried: there is nothing to explain.",))
+    text = ["Log Bayes factor of each effect alone against none. Next to a named cause, most of it is gone."]
+    return Section(REJECTED, text, (Table("rejected", ("effect", "where", "log Bayes factor", "why"), rows),))
 
 
 def _steps_section(diagnosis: Diagnosis) -> Section:
-    rows = float(diagnosis.dataset.fit.count.sum())
+    """The hypotheses that were compared, likeliest first."""
     names = diagnosis.dataset.robot.joint_names
-    steps = diagnosis.finding.steps[:_MOST_STEPS]
-    text = [
-        "Every effect is tried everywhere, beside what is chosen already: fitted together with the model, which may "
-        "move as far as its stored uncertainty allows, and scored on motion left out. Gain: squared error taken away, "
-        "in units of the model's own background.",
-    ]
-    finding = diagnosis.finding
-    text.append(
-        f"Over the signs of its background drawn anew {finding.limits.draws} times, the highest gain of the whole "
-        f"search exceeds {finding.null_gain / rows:.3f} in one of a hundred; a cause needs {finding.least / rows:.3f}."
-    )
-    if finding.p_value:
-        text.append(
-            "Share of the draws in which anything anywhere gains as much as a cause: "
-            + ", ".join(
-                f"{cause.effect.name} {share:.3f}" for cause, share in zip(finding.causes, finding.p_value, strict=True)
+    rows = []
+    for hypothesis in diagnosis.finding.hypotheses[:_MOST_STEPS]:
+        effects = [candidate.text(names) for candidate in hypothesis.effects]
+        effects += [f"something else on {names[joint]}" for joint in hypothesis.free]
+        rows.append(
+            (
+                " + ".join(effects) or "no effect",
+                f"{hypothesis.gain:.1f}",
+                f"{hypothesis.probability:.3f}",
+                f"{100 * hypothesis.explained:.0f} %",
             )
         )
-    tables = [_step_table(number, step, rows, names) for number, step in enumerate(steps)]
-    if len(diagnosis.finding.steps) > len(steps):
-        text.append(f"The first {len(steps)} of {len(diagnosis.finding.steps)} scans:")
-    return Section("Steps of the procedure", text, tables)
-
-
-def _step_table(number: int, step: Step, rows: float, names: tuple[str, ...]) -> Table:
-    chosen = " + ".join(c.effect.name for c in step.chosen) or "model alone"
-    could = {id(score) for score in step.eligible}
-    lines = [
-        (
-            score.candidate.effect.name,
-            ", ".join(names[j] for j in score.candidate.joints) or "arm",
-            f"{score.gain / rows:.3f}",
-            "yes" if id(score) in could else "no",
-        )
-        for score in step.scores[:_MOST_SCORES]
+    text = [
+        "Every effect is compared with none and with the others by its log Bayes factor. The model may move within its "
+        "stored uncertainty, and every arm has a little of everything: only what goes beyond that counts.",
     ]
-    return Table(f"scan {number + 1}, beside {chosen}", ("effect", "where", "gain", "can be named"), lines)
+    header = ("hypothesis", "log Bayes factor", "probability", "explains of the gap")
+    return Section("Hypotheses compared", text, [Table("hypotheses", header, rows)])
 
 
 def _testability_section(diagnosis: Diagnosis) -> Section:

@@ -201,7 +201,7 @@ class ActiveRun:
     ) -> WayMotion:
         """A way's next motion of at most so many `seconds`, with a known `load` at the flange or none; `mass`: whether
         one beside it is asked about."""
-        from agent.experiment import KINDS, LOOPS, as_drawn, d_optimal
+        from agent.experiment import KINDS, LOOPS, Outlook, as_drawn, d_optimal
 
         if way == "planned":
             motion = plan_next(found, self._recipe, _QUIET, seconds, name, load)
@@ -213,7 +213,11 @@ class ActiveRun:
             cycle = self._plan.excitation.loop.trajectory.duration
             again = replace(self._plan.excitation, name=name, cycles=max(1, round(seconds / cycle)))
             return WayMotion(program_text(self._recipe, again), again.cycles * cycle)
-        pick = as_drawn if way.startswith("random") else d_optimal(found.dataset)
+        pick = (
+            as_drawn
+            if way.startswith("random")
+            else d_optimal(found.dataset, Outlook(found.dataset, found.finding.evidence, ()).model_information)
+        )
         kinds = LOOPS if way.endswith("loops") else KINDS
         other = run_otherwise(pick, kinds, self._recipe, seconds, name, seed % 1_000_000)
         return WayMotion("", 0.0) if other is None else WayMotion(*other)
@@ -325,6 +329,6 @@ def _said(found: Diagnosis) -> dict[str, Any]:
     said = {key: found.result[key] for key in keys}
     if said["verdict"] == "no_gap":
         names = found.dataset.robot.joint_names
-        sizes = smallest_sizes(found.dataset).items()
+        sizes = smallest_sizes(found.dataset, found.finding.evidence).items()
         said["smallest"] = {" ".join((effect, *(names[j] for j in joints))): size for (effect, joints), size in sizes}
     return said

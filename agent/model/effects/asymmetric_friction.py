@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from agent.model.effects.effect import Columns, Effect, FitContext, friction_levels, on_axle, rubs
+from agent.model.effects.effect import Columns, Effect, FitContext, on_axle, rubs
 from agent.model.effects.experiments import RAMPS_AND_STANDSTILLS
 from agent.model.signals import MotionSignals, NominalModel
 
@@ -30,8 +30,6 @@ class AsymmetricFriction(Effect):
     needs_reversals = 1
     shapes = ("speed", "position")
     experiment = RAMPS_AND_STANDSTILLS
-    rivals_special_cases = True
-    special_cases = ("torque_offset",)
     not_reported = ("coulomb", "viscous")
 
     def settings(self, context: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
@@ -54,22 +52,6 @@ class AsymmetricFriction(Effect):
     ) -> bool:
         less = {kind: -abs(values[f"{kind}_asymmetry"]) for kind in ("coulomb", "viscous") if kind in settings}
         return rubs(reference, joints[0], **less)
-
-    def usually(
-        self,
-        reference: NominalModel,
-        joints: tuple[int, ...],
-        settings: Mapping[str, float],
-        values: Mapping[str, float],
-    ) -> tuple[dict[str, float], np.ndarray] | None:
-        """What presses on one side of a bearing or seal drags at any speed: of viscous friction about as large a part
-        differs as of the Coulomb level, more or less."""
-        levels = friction_levels(reference, joints[0])
-        coulomb, viscous = levels.get("coulomb", 0.0), levels.get("viscous", 0.0)
-        share = values.get("coulomb_asymmetry", 0.0) / coulomb if coulomb > 0 else 0.0
-        if share == 0 or viscous <= 0:
-            return None
-        return {"coulomb": 1.0, "viscous": 1.0}, np.diag([0.0, (share * viscous) ** -2])
 
     def n_parameters(self, settings: Mapping[str, float]) -> int:
         return len(settings)

@@ -32,7 +32,6 @@ class Backlash(TwoMass):
     why_absent = "no torque reversal in these logs"
     residual_driven = True
     refined = ("gap", "stiffness", "damping")
-    special_cases = ("joint_elasticity",)
     grid = tuple((float(frequency), _DAMPING, float(gap)) for frequency in _FREQUENCIES for gap in _GAPS)
     few = tuple((frequency, _DAMPING, gap) for frequency in (22.0, 45.0) for gap in (8e-4, 3e-3))
 

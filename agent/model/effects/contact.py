@@ -31,7 +31,6 @@ class Contact(Effect):
     phrase = "something pushed the arm for a while"
     look_at = "what the arm touched at that time: a person, a fixture, a caught hose"
     residual_driven = True
-    complexity_penalty = 1
     once = True
 
     def settings(self, context: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:

@@ -11,7 +11,6 @@ from agent.model.effects.effect import Columns, Effect, FitContext
 from agent.model.effects.experiments import WHOLE_RANGE
 from agent.model.friction_terms import dahl
 from agent.model.signals import MotionSignals, NominalModel
-from agent.robot import RobotDescription
 
 N_NODES = 6
 _STIFFEST = 5.0  # nominal torque a radian
@@ -41,9 +40,7 @@ class DressPack(Effect):
     needs_travel = 0.2
     shapes = ("position",)
     experiment = WHOLE_RANGE
-    complexity_penalty = 1
     refined = ("travel",)
-    special_cases = ("torque_offset",)
 
     def settings(self, context: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
         low = float(min(s.q[:, joints[0]].min() for s in context.signals))
@@ -56,9 +53,6 @@ class DressPack(Effect):
         straight = ("constant", "stiffness", *(("quadratic", "cubic") if "middle" in settings else ()))
         nodes = tuple(f"torque_{k}" for k in range(N_NODES)) if "low" in settings else straight
         return (*nodes, "hysteresis") if "travel" in settings else nodes
-
-    def simpler(self, settings: Mapping[str, float], robot: RobotDescription) -> tuple[str, ...]:
-        return (*self.special_cases, "friction_change") if "travel" in settings else self.special_cases
 
     def plausible(self, settings: Mapping[str, float], values: Mapping[str, float]) -> bool:
         return values.get("hysteresis", 0.0) >= 0

@@ -63,15 +63,9 @@ class Effect(ABC):
     `scope` is joint, pair, arm or base. `shows_in` is torque, or path: the set-points alone. One that `moves_arm` is
     not of the measurement alone. `practical` is the smallest torque that matters, root mean square over nominal.
 
-    `special_cases` are the simpler forms that it turns into at the border of its parameters: it has to do better than
-    they do to be named, unless `rivals_special_cases` says that they are as free and so rivals.
-    One that is `exact` is so by definition: nothing of its form may be a little different on a real arm. One that
-    `shifts` does so by itself: an offset and another level of friction, together, come before a form that is no more.
-    `structurally_equivalent` are forms that equal it by definition unless the data tell them apart: where they do as
-    well it is not named with confidence, in the catalogue or not. `shapes` are what its torque is a curve over (speed,
-    position, twist, mass): a second effect with such a shape on the same joint would only imitate a third.
-    `complexity_penalty` counts as further parameters where the simplest form is taken: one physical change comes
-    before a general refit.
+    `structurally_equivalent` are forms that equal it by definition unless the data distinguish them. `shapes` are what
+    its torque is a curve over (speed, position, twist, mass): a second effect with such a shape on the same joint would
+    only imitate a third.
 
     `once` marks an effect that happens once, so that another log has no information on it; `refined` are the nonlinear
     parameters worth a finer search; `residual_driven` ones are chosen from what is left, so anew in every scan.
@@ -79,7 +73,8 @@ class Effect(ABC):
 
     A joint shows an effect only if it travels `needs_travel` [rad, or 0.1 m], reaches `needs_speed` [rad/s, or 0.1 m/s]
     and turns back `needs_reversals` times. One of `fast_torque` is named only where the torque that was measured
-    goes with the prediction that has it: fast torque may be noise of the positions.
+    goes with the prediction that has it: fast torque may be noise of the positions. Every arm has a little of one that
+    is `usual`.
 
     `units` are those of parameters whose name alone does not say them, `not_reported` settings that no page shows.
     `sizes` are parameters that are above zero, or the opposite of the effect was found: of a simulator's file, whose
@@ -104,12 +99,7 @@ class Effect(ABC):
     shows_in: ClassVar[str] = "torque"
     moves_arm: ClassVar[bool] = True
     shapes: ClassVar[tuple[str, ...]] = ()
-    special_cases: ClassVar[tuple[str, ...]] = ()
-    rivals_special_cases: ClassVar[bool] = False
-    exact: ClassVar[bool] = False
-    shifts: ClassVar[bool] = False
     structurally_equivalent: ClassVar[tuple[str, ...]] = ()
-    complexity_penalty: ClassVar[int] = 0
     once: ClassVar[bool] = False
     refined: ClassVar[tuple[str, ...]] = ()
     residual_driven: ClassVar[bool] = False
@@ -118,6 +108,7 @@ class Effect(ABC):
     needs_speed: ClassVar[float] = 0.0
     needs_reversals: ClassVar[int] = 0
     fast_torque: ClassVar[bool] = False
+    usual: ClassVar[bool] = False
     units: ClassVar[Mapping[str, str]] = MappingProxyType({})
     not_reported: ClassVar[tuple[str, ...]] = ()
     sizes: ClassVar[tuple[str, ...]] = ()
@@ -142,10 +133,6 @@ class Effect(ABC):
     def settings(self, context: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
         """Nonlinear parameters to try; one empty dictionary where there are none."""
         return [{}]
-
-    def simpler(self, settings: Mapping[str, float], robot: RobotDescription) -> tuple[str, ...]:
-        """Those of its special cases that it has with these nonlinear parameters."""
-        return self.special_cases
 
     def reversing(
         self, context: FitContext, joints: tuple[int, ...], settings: Mapping[str, float]
@@ -198,17 +185,6 @@ class Effect(ABC):
     ) -> bool:
         """Whether they can be true of an effect on these joints of this arm, beside what its model has there."""
         return True
-
-    def usually(
-        self,
-        reference: NominalModel,
-        joints: tuple[int, ...],
-        settings: Mapping[str, float],
-        values: Mapping[str, float],
-    ) -> tuple[dict[str, float], np.ndarray] | None:
-        """What it is as a rule, where motions showed no more than one of its simpler forms: settings, and the precision
-        (k, k) to which their parameters are known before a motion shows them. None: what was shown."""
-        return None
 
     def reported(
         self, reference: NominalModel, settings: Mapping[str, float], values: Mapping[str, float]

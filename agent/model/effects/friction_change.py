@@ -25,7 +25,6 @@ class FrictionChange(FrictionLevel):
     needs_speed = 0.02
     needs_reversals = 1
     shapes = ("speed",)
-    shifts = True
     not_reported = ("coulomb", "viscous")
     numbers = "friction"
 

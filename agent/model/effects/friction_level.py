@@ -10,7 +10,6 @@ import numpy as np
 from agent.model.effects.effect import Columns, Effect, FitContext, on_axle, travelled
 from agent.model.friction_terms import Reversal
 from agent.model.signals import MotionSignals, NominalModel
-from agent.robot import RobotDescription
 
 _TRAVELS = (2.5e-4, 5e-4, 1e-3, 2e-3, 4e-3, 8e-3)  # of the joint's range in the motions
 
@@ -72,9 +71,6 @@ class FrictionLevel(Effect):
             state = signals.axles.direction(axle, Reversal("travel", settings["reversal_travel"]))
             columns = (*columns, state - signals.direction(axle))
         return on_axle(signals.reference, axle, *columns)
-
-    def simpler(self, settings: Mapping[str, float], robot: RobotDescription) -> tuple[str, ...]:
-        return (*self.special_cases, "presliding") if "reversal_travel" in settings else self.special_cases
 
     def possible(
         self,

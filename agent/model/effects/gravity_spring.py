@@ -34,7 +34,6 @@ class GravitySpring(Effect):
     needs_travel = 0.2
     shapes = ("position",)
     experiment = WHOLE_RANGE
-    special_cases = ("torque_offset",)
 
     def settings(self, context: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
         slides = context.reference.robot.joints[joints[0]].prismatic
@@ -61,21 +60,6 @@ class GravitySpring(Effect):
     ) -> bool:
         swing = [value for name, value in values.items() if name != "constant"]  # about where it is at rest
         return float(np.linalg.norm(swing)) < _STRONGEST * float(reference.scale[joints[0]])
-
-    def usually(
-        self,
-        reference: NominalModel,
-        joints: tuple[int, ...],
-        settings: Mapping[str, float],
-        values: Mapping[str, float],
-    ) -> tuple[dict[str, float], np.ndarray] | None:
-        """A spring on a joint that turns lies between two pivots: a straight line on little motion is a sine's, and
-        beside the sine there is what the distance of the pivots makes of the pull."""
-        if settings.get("harmonics", 1.0) > 1.0 or reference.robot.joints[joints[0]].prismatic:
-            return None
-        first = [value for name, value in values.items() if name != "constant"]
-        second = _SECOND * float(np.linalg.norm(first))
-        return ({"harmonics": 2.0}, np.diag([0.0, 0.0, second**-2, second**-2])) if second > 0 else None
 
     def n_parameters(self, settings: Mapping[str, float]) -> int:
         return len(self.names(settings))

@@ -9,7 +9,7 @@ import numpy as np
 from agent.model.effects.effect import Columns, Effect, FitContext
 from agent.model.effects.experiments import POSTURES
 from agent.model.signals import MotionSignals
-from agent.robot import LINK_PARAMETERS, ParameterLayout, RobotDescription
+from agent.robot import LINK_PARAMETERS, ParameterLayout
 
 
 class InertialMismatch(Effect):
@@ -27,16 +27,10 @@ class InertialMismatch(Effect):
     look_at = "what was bolted to or taken off this link; link data of the robot description"
     shapes = ("mass",)
     experiment = POSTURES
-    complexity_penalty = 8
-    special_cases = ("payload",)
     numbers = "links"
 
     def settings(self, context: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
         return [{"link": float(k + 1)} for k in range(context.reference.robot.dof)]
-
-    def simpler(self, settings: Mapping[str, float], robot: RobotDescription) -> tuple[str, ...]:
-        """A payload is a mismatch of the last link."""
-        return self.special_cases if settings.get("link") == robot.dof else ()
 
     def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
         return tuple(f"{name}{int(settings['link'])}" for name in LINK_PARAMETERS)

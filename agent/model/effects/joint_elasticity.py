@@ -18,6 +18,7 @@ class JointElasticity(TwoMass):
 
     name = "joint_elasticity"
     family = "transmission"
+    usual = True
     formula = "−(ṗ + s d), p = M_kk ḋ, ṗ + c ḋ + k d = τ_link − s d, s = ∂τ_link / ∂q_k"
     source = "Spong, J. Dynamic Systems, Measurement and Control 109 (1987)"
     signature = "ringing after fast load changes, at one frequency that falls with the inertia carried"

@@ -10,7 +10,6 @@ import numpy as np
 from agent.model.effects.effect import FitContext
 from agent.model.effects.friction_level import FrictionLevel
 from agent.model.signals import MotionSignals
-from agent.robot import RobotDescription
 
 
 class LoadDependentFriction(FrictionLevel):
@@ -25,6 +24,7 @@ class LoadDependentFriction(FrictionLevel):
 
     name = "load_dependent_friction"
     family = "friction"
+    usual = True
     formula = "a · s · |τ_load|, or a · s · τ₁ · (|τ_load| / τ₁)^p; with b · w · |τ_load| or b · τ_load"
     source = "Bittencourt, Wernholt, Sander-Tavallaey, Brogårdh, IROS (2010); Dohring, Lee, Newman, ICRA (1993)"
     signature = "residual with the sign of the speed, larger where the arm reaches out or accelerates"
@@ -34,7 +34,6 @@ class LoadDependentFriction(FrictionLevel):
     needs_speed = 0.02
     needs_reversals = 1
     shapes = ("speed",)
-    special_cases = ("friction_change",)
     units = MappingProxyType({"load": "N·m"})
     not_reported = ("sheared", "driven", "links")
 
@@ -48,10 +47,6 @@ class LoadDependentFriction(FrictionLevel):
             {"links": 1.0},
             {"links": 1.0, "driven": 1.0},
         ]
-
-    def simpler(self, settings: Mapping[str, float], robot: RobotDescription) -> tuple[str, ...]:
-        simpler = super().simpler(settings, robot)
-        return (*simpler, "torque_constant") if "driven" in settings else simpler
 
     def level_names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
         return ("coefficient", *(f"{kind}_coefficient" for kind in ("sheared", "driven") if kind in settings))

@@ -25,7 +25,6 @@ class Presliding(Effect):
     shapes = ("speed",)
     experiment = SLOW_REVERSALS
     refined = ("travel",)
-    special_cases = ("friction_change",)
 
     def settings(self, context: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
         low, high = travelled(context, joints[0])

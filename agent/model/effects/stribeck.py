@@ -20,6 +20,7 @@ class Stribeck(FrictionLevel):
 
     name = "stribeck"
     family = "friction"
+    usual = True
     formula = "a · s · exp(−(|w| / v)^δ)"
     source = "Armstrong-Hélouvry, Dupont, Canudas de Wit, Automatica 30 (1994)"
     signature = "residual with the sign of the speed, at low speed only"
@@ -32,7 +33,6 @@ class Stribeck(FrictionLevel):
     sizes = ("rise",)
     experiment = SLOW_REVERSALS
     refined = ("speed",)
-    special_cases = ("friction_change",)
 
     def settings(self, context: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
         fastest = highest_speed(context, joints[0])

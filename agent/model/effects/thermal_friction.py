@@ -28,6 +28,7 @@ class ThermalFriction(FrictionLevel):
 
     name = "thermal_friction"
     family = "friction"
+    usual = True
     formula = "(a + b · c) · s + (d + e · c) · w, c = exp(−t / T) or exp(−∫|w| dt / W)"
     source = "Bittencourt, Wernholt, Sander-Tavallaey, Brogårdh, IROS (2010)"
     signature = "residual with the sign of the speed that changes from cycle to cycle"
@@ -38,10 +39,8 @@ class ThermalFriction(FrictionLevel):
     needs_reversals = 1
     shapes = ("speed",)
     experiment = FROM_COLD
-    complexity_penalty = 1
     refined = ("time_constant", "way")
     not_reported = ("session", _STARTS)
-    special_cases = ("friction_change",)
 
     def settings(self, context: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
         (axle,) = joints

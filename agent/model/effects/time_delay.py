@@ -32,6 +32,7 @@ class TimeDelay(Effect):
 
     name = "time_delay"
     family = "measurement"
+    usual = True
     scope = "arm"
     formula = "τ(t − d) − τ(t)"
     source = "by definition: the torque channel shifted against the position channel"

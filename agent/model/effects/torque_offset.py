@@ -25,8 +25,6 @@ class TorqueOffset(Effect):
     phrase = "the measured torque is shifted by a constant"
     look_at = "zero of the current sensor of this drive, read with the drives off; a constant force such as a hose"
     shapes = ("position",)
-    shifts = True
-    exact = True
     experiment = RAMPS_AND_STANDSTILLS
     moves_arm = False
     of_servos = ("its set-points are shifted", "zero of this servo's set-points against its positions")

@@ -26,7 +26,6 @@ class ViscousNonlinearity(FrictionLevel):
     needs_reversals = 1
     shapes = ("speed",)
     refined = ("speed", "power")
-    special_cases = ("friction_change",)
 
     def settings(self, context: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
         fastest = highest_speed(context, joints[0])

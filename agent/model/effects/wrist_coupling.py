@@ -43,7 +43,6 @@ class WristCoupling(Effect):
     look_at = "motor_coupling in the robot description; coupling compensation of the controller"
     needs_travel = 0.1
     needs_speed = 0.05
-    special_cases = ("friction_change",)
     refined = ("ratio",)
 
     def places(self, robot: RobotDescription) -> list[tuple[int, ...]]:

@@ -10,80 +10,75 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from agent.diagnosis.candidate import Candidate, Where
+from agent.diagnosis.candidate import Where
+from agent.diagnosis.evidence import Evaluated, Evidence
+from agent.diagnosis.finding import Finding, Hypothesis, near
+from agent.diagnosis.fit import Fit
+from agent.diagnosis.law import Law
 from agent.model import CATALOGUE
-from benchmarks.evidence_law.evidence import Evaluated, Evidence
-from benchmarks.evidence_law.law import Law
 
 _LISTED = 100  # hypotheses that a finding keeps
 _RIVALS = 2  # that a class lists next to its cause
-_LARGE_SCALE = 6.0  # of σ²: a joint so far over its background has something, whatever it is
 
 
-@dataclass(frozen=True, eq=False)
-class Hypothesis:
-    """Effects that may be there together, and joints with something else that no effect of the catalogue is.
+#: Log likelihood of something else that was observed, given a hypothesis.
+Observed = Callable[[Evidence, Evaluated], float]
 
-    `gain` is the log Bayes factor against no effect, `probability` the posterior, `torque[k]` the largest torque of
-    effect k over nominal, `explained` the share of the torque beyond the background that is gone, and `scale` the
-    largest squared error that is left on a joint, over its background.
+
+def decide(fit: Fit, evidence: Evidence, found: Sequence[Evaluated], observed: Observed | None = None) -> Finding:
+    """Return the verdict over the hypotheses that were evaluated.
+
+    `fit` is the one without effects; `observed` counts with the evidence of the logs.
     """
-
-    effects: tuple[Candidate, ...]
-    free: tuple[int, ...]
-    gain: float
-    probability: float
-    torque: tuple[float, ...]
-    explained: float
-    scale: float
-
-    @property
-    def places(self) -> tuple[Where, ...]:
-        """Effects and joints."""
-        return tuple(candidate.place for candidate in self.effects)
-
-
-@dataclass(frozen=True, eq=False)
-class Decision:
-    """The verdict; per cause its place, what the motions do not distinguish from it, and the probability of either."""
-
-    verdict: str
-    causes: tuple[tuple[Where, tuple[Where, ...], float], ...]
-    hypotheses: tuple[Hypothesis, ...]
-
-
-def decide(evidence: Evidence, found: Sequence[Evaluated]) -> Decision:
-    """Return the verdict over the hypotheses that were evaluated."""
     law = evidence.law
-    hypotheses = posterior(evidence, found)
+    hypotheses = posterior(evidence, found, observed)
     answers = _answers(hypotheses, law)
-    names, free = max(answers, key=lambda one: answers[one])
+    names, free = max(answers, key=lambda one: round(answers[one], 6))
     leader = next(h for h in hypotheses if _answer(h, law) == (names, free))
-    listed = tuple(hypotheses[:_LISTED])
-    if not names and not free and leader.scale < _LARGE_SCALE:
-        return Decision("no_gap", (), listed)
-    size = dict(zip(leader.places, leader.torque, strict=True))
-    kept = []
-    for place in sorted(names, key=lambda place: -size[place]):
-        rivals, probability = _class_of(
-            place, names, answers, _equal_by_definition(place, leader, hypotheses, law), law
+
+    def finding(verdict: str, kept: Sequence[tuple[Where, tuple[Where, ...], float]] = ()) -> Finding:
+        causes = tuple(next(c for c in leader.effects if c.place == place) for place, *_ in kept)
+        return Finding(
+            verdict,
+            fit.with_chosen(causes) if causes else fit,
+            causes,
+            tuple(rivals for _, rivals, _ in kept),
+            tuple(probability for *_, probability in kept),
+            tuple({id(h): h for h in (*hypotheses[:_LISTED], plain)}.values()),
+            evidence,
+            healthy,
         )
-        if probability >= law.sure:
-            kept.append((place, rivals, probability))
+
+    plain = next(h for h in hypotheses if not h.effects and not h.free)
+    healthy = answers.get((frozenset(), frozenset()), 0.0)
+    if plain.scale < law.exceeded and healthy > 1 - law.certain:
+        return finding("no_gap")
+    size = dict(zip(leader.places, leader.torque, strict=True))
+    ordered = sorted(names, key=lambda place: -size[place])
+    classes = [
+        (place, *_class_of(place, names, answers, _equal_by_definition(place, leader, hypotheses, law), law))
+        for place in ordered
+    ]
+    kept = [one for one in classes if one[2] >= law.sure]
     if not kept or leader.explained < law.adequate:
-        return Decision("unknown", (), listed)
-    return Decision("ambiguous" if kept[0][1] else "explained", tuple(kept), listed)
+        return finding("unknown")
+    return finding("ambiguous" if kept[0][1] else "explained", kept)
 
 
-def posterior(evidence: Evidence, found: Sequence[Evaluated]) -> list[Hypothesis]:
+def posterior(evidence: Evidence, found: Sequence[Evaluated], observed: Observed | None = None) -> list[Hypothesis]:
     """Return hypotheses with their probabilities, likeliest first."""
     nothing = evidence.nothing
-    log = np.array([e.log + _log_prior(evidence, e) for e in found])
+    log = np.array([e.log for e in found])
+    alone = nothing.log
+    if observed is not None:
+        log += [observed(evidence, e) for e in found]
+        alone += observed(evidence, nothing)
+    gains = log - alone
+    log += [_log_prior(evidence, e) for e in found]
     weight = np.exp(log - log.max())
     weight /= weight.sum()
     before = max(float(nothing.left.sum()), 1e-12)
@@ -91,15 +86,16 @@ def posterior(evidence: Evidence, found: Sequence[Evaluated]) -> list[Hypothesis
         Hypothesis(
             tuple(evidence.candidate(k) for k in e.effects),
             tuple(sorted(e.free)),
-            e.log - nothing.log,
+            float(gain),
             float(share),
             e.largest,
             1 - float(e.left.sum()) / before,
             float(e.scales.max()),
         )
-        for e, share in zip(found, weight, strict=True)
+        for e, gain, share in zip(found, gains, weight, strict=True)
     ]
-    return sorted(hypotheses, key=lambda h: -h.probability)
+    # of equals the effect that has fewer forms to choose from
+    return sorted(hypotheses, key=lambda h: (-round(h.probability, 6), sum(map(evidence.kinds, h.places))))
 
 
 def _log_prior(evidence: Evidence, hypothesis: Evaluated) -> float:
@@ -145,7 +141,7 @@ def _equal_by_definition(
         for hypothesis in hypotheses
         if hypothesis.gain >= (1 - law.form) * leader.gain and place not in hypothesis.places
         for other in hypothesis.places
-        if other[0] in known and _near(place, other)
+        if other[0] in known and near(place, other)
     }
     return tuple(found)
 
@@ -159,12 +155,7 @@ def _class_of(
     for (places, _), share in answers.items():
         for other in places - names if place not in places else ():
             instead[other] = instead.get(other, 0.0) + share
-    alike = [other for other, share in instead.items() if share >= law.rival * own and _near(place, other)]
+    alike = [other for other, share in instead.items() if share >= law.rival * own and near(place, other)]
     alike = sorted(alike, key=lambda other: -instead[other])
     alike = list(dict.fromkeys([*alike, *equal]))[:_RIVALS]
     return tuple(alike), law.certain * min(1.0, own + sum(instead.get(other, 0.0) for other in alike))
-
-
-def _near(place: Where, other: Where) -> bool:
-    """Whether two places are on the same joints, or one of them on the whole arm."""
-    return place[1] == other[1] or not place[1] or not other[1]

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Sequence
 
 import numpy as np
 
+from agent.diagnosis.background import Healthy
 from agent.diagnosis.candidate import Candidate, Wanted, Where
+from agent.diagnosis.decision import Observed, decide
+from agent.diagnosis.evidence import Evaluated, Evidence
+from agent.diagnosis.finding import Finding
 from agent.diagnosis.fit import Fit
+from agent.diagnosis.law import LAW, Law
 from agent.diagnosis.needs import Excursions
 from agent.model import CATALOGUE
-from benchmarks.evidence_law.background import Healthy
-from benchmarks.evidence_law.decision import Decision, decide
-from benchmarks.evidence_law.evidence import Evaluated, Evidence
-from benchmarks.evidence_law.law import LAW, Law
 
 _LEADERS = 8  # places whose nonlinear parameters are refined
 _FIRST, _THEN = 12, 6  # places that are evaluated after nothing, and after a hypothesis
@@ -33,8 +34,14 @@ class Search:
         Residual and columns of the model on the logs.
     without : sequence of str, optional
         Effects that are left out of the catalogue.
+    progress : callable, optional
+        Told how far the search has come.
+    only : collection of (effect, joints), optional
+        Places that are tried; all if None.
+    observed : callable, optional
+        Log likelihood of something else that was observed, given a hypothesis.
     healthy : sequence of (Candidate, float), optional
-        Effects that the arm has already, and their torque over nominal.
+        Effects that the arm has already, and their torque over nominal; None if that is not known.
     law : Law, optional
         The numbers of the decision.
     """
@@ -43,10 +50,13 @@ class Search:
         self,
         fit: Fit,
         without: Sequence[str] = (),
-        healthy: Healthy = (),
+        progress: Callable[[str], None] = lambda text: None,
+        only: Collection[Where] | None = None,
+        observed: Observed | None = None,
+        healthy: Healthy | None = None,
         law: Law = LAW,
     ):
-        self.fit, self.law, self._healthy = fit, law, healthy
+        self.fit, self.law, self._progress, self._observed, self._healthy = fit, law, progress, observed, healthy
         self.allowed = {name for name in CATALOGUE if name not in without}
         self.excursions = Excursions.of(fit.signals)
         self._places = [
@@ -54,31 +64,38 @@ class Search:
             for effect in CATALOGUE.values()
             if effect.shows_in == "torque" and effect.name in self.allowed
             for joints in effect.places(fit.reference.robot)
-            if not self.excursions.lacking(effect, joints)
+            if (only is None or (effect.name, joints) in only) and not self.excursions.lacking(effect, joints)
         ]
         self._known: set[Candidate] = set()
         self._found: dict[Key, Evaluated] = {}
 
-    def run(self) -> Decision:
+    def run(self) -> Finding:
         """Evaluate what is worth it, and decide."""
         tried = self.forms()
         self.evidence = evidence = Evidence(self.fit, tried, self._healthy, self.law)
         self._known.update(tried)
+        self._progress(f"{len(tried)} forms are compared")
         self._keep(evidence.nothing)
         self._extend(evidence.nothing, _FIRST)
         for depth in range(1, self.law.most):
             before = max(one.log for one in self._found.values())
             for base in self._worth(depth)[: _EXTENDED[min(depth, 2) - 1]]:
+                self._progress(f"a further effect is tried with {self._text(base)}")
                 self._extend(base, _THEN)
             deeper = [one.log for one in self._found.values() if len(one.effects) + len(one.free) > depth]
             if max(deeper, default=-np.inf) < before:
                 break
-        return decide(evidence, list(self._found.values()))
+        return decide(self.fit, evidence, list(self._found.values()), self._observed)
 
     def forms(self) -> list[Candidate]:
-        """Every effect at every place, with the nonlinear parameters that it is tried with."""
+        """Return every effect at every place, with the nonlinear parameters that it is tried with."""
         wanted = [(effect, joints, s) for effect, joints in self._places for s in effect.settings(self.fit, joints)]
+        self._progress(f"{len(wanted)} forms of effects are made")
         return self.fit.candidates(wanted)
+
+    def _text(self, base: Evaluated) -> str:
+        names = [self.evidence.candidate(k).effect.name for k in base.effects]
+        return " and ".join([*names, *["something else"] * len(base.free)])
 
     def _worth(self, depth: int) -> list[Evaluated]:
         """Hypotheses with as many effects, likelier than none, that matter; likeliest first."""
@@ -94,6 +111,7 @@ class Search:
     def _extend(self, base: Evaluated, count: int) -> None:
         """Evaluate the most promising places added to a hypothesis, and something else on each joint."""
         evidence = self.evidence
+        base = evidence.as_expected(base)
         gains, values = self._refined(base)
         for place, forms in self._promising(base, gains, values, count).items():
             del place

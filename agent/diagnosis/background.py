@@ -50,6 +50,25 @@ def smooth_columns(q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, time: np.ndar
     return np.asarray(columns[:, np.abs(columns).max(axis=0) > 1e-6])
 
 
+def usual_effects(candidates: Sequence[Candidate], sigma: np.ndarray) -> dict[int, list[np.ndarray]]:
+    """Return per joint the columns (S, m), over σ (S, n), of effects that every arm has a little of.
+
+    Each is as large as the smallest σ of its joint.
+    """
+    first: dict[tuple[str, tuple[int, ...]], Candidate] = {}
+    for candidate in candidates:
+        if candidate.effect.usual:
+            first.setdefault(candidate.place, candidate)
+    found: dict[int, list[np.ndarray]] = {}
+    for candidate in first.values():
+        for joint, block in candidate.blocks.items():
+            size = np.sqrt(np.mean((block * sigma[:, [joint]]) ** 2, axis=0))
+            some = size > 1e-9 * sigma[:, joint].min()
+            if some.any():
+                found.setdefault(joint, []).append(block[:, some] * (sigma[:, joint].min() / size[some]))
+    return found
+
+
 def _hats(x: np.ndarray, count: int, low: float | None = None, high: float | None = None) -> np.ndarray:
     """(S, count) piecewise linear functions between equal nodes."""
     low = float(np.min(x)) if low is None else low

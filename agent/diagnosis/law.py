@@ -1,0 +1,48 @@
+"""The numbers of the decision: everything that a verdict depends on besides data, model and the effects' physics."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from agent.diagnosis.limits import known
+
+
+@dataclass(frozen=True)
+class Law:
+    """All of them. Shares of torque are root mean square over nominal joint torque."""
+
+    independent: float = known(0.5, "s", "between independent errors", "chosen")
+    systematic: float = known(0.4, "held-out error", "the model's own error per background column", "tuned")
+    drift: float = known(0.001, "nominal torque", "what an arm changes by itself per background column", "tuned")
+    daily: float = known(
+        0.05,
+        "its value",
+        "change of a friction level from day to day: some kelvin at 1 to 3 % each",
+        "Bittencourt and Gunnarsson, J. Dyn. Syst. Meas. Control 134, 2012",
+    )
+    form: float = known(0.05, "its torque", "error of any effect's form", "tuned")
+    sizes: tuple[float, ...] = known(
+        (0.007, 0.02, 0.06, 0.2), "nominal torque", "usual sizes of effects, equally likely", "chosen"
+    )
+    nu: float = known(6.0, "degrees of freedom", "with which the model's held-out error is known", "chosen")
+    nothing: float = known(0.5, "probability", "of no effect, before the data", "chosen")
+    other: float = known(0.1, "probability", "of an effect outside the catalogue, before the data", "chosen")
+    further: float = known(0.1, "probability", "of every further effect, before the data", "chosen")
+    practical: float = known(
+        0.003, "nominal torque", "smallest effect worth a name, in the log with most of it", "chosen"
+    )
+    exceeded: float = known(
+        6.0, "squared background", "error of a joint from which on something is there, whatever it is", "chosen"
+    )
+    adequate: float = known(
+        0.75, "gap beyond the background", "that causes explain, or the verdict is unknown", "derived: the contract"
+    )
+    sure: float = known(0.6, "probability", "of a class that is named: a wrong name costs 1.5 abstentions", "chosen")
+    rival: float = known(0.1, "of the leader's probability", "from which on another belongs to its class", "chosen")
+    most: int = known(3, "effects", "in one hypothesis", "chosen")
+    certain: float = known(
+        0.95, "probability", "of something, below which an arm is healthy, and the highest of any class", "derived: 5 %"
+    )
+
+
+LAW = Law()
