@@ -1,4 +1,4 @@
-"""`make verify`: run the long figures piece by piece and write docs/measured.md.
+"""`make verify`: run the long figures piece by piece and write docs/measured/measured.md.
 
 Each test function marked `verify` is a piece, with all of its parameters. A
 finished piece is kept in `.verify/` with the commit it ran on, so an
@@ -149,7 +149,7 @@ def _write(results: list[dict], commit: str) -> None:
         "| --- | --- | --- | --- |",
     ]
     lines += [f"| `{r['node']}` | {r['summary'] or r['outcome']} | {r['at']} | {r['commit'][:7]} |" for r in results]
-    (ROOT / "docs" / "measured.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    (ROOT / "docs/measured/measured.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def _row(figure: dict, result: dict) -> str:

@@ -1,4 +1,4 @@
-"""`docs/evidence.md` and its pictures, from the results that are there; what is not there is said."""
+"""`docs/measured/evidence.md` and its pictures, from the results that are there; what is not there is said."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The benchmark behind docs/evidence.md: a small piece of it, what is resumed, and the page."""
+"""The benchmark behind docs/measured/evidence.md: a small piece of it, what is resumed, and the page."""
 
 from __future__ import annotations
 
@@ -77,9 +77,9 @@ def test_what_is_there_is_not_computed_again(tmp_path: Path, recipe: Path, monke
 
 def test_the_page_in_the_repository_is_made_of_the_results_kept_with_it(tmp_path: Path):
     evidence.main(["page", "--docs", str(tmp_path)])
-    assert (tmp_path / "evidence.md").read_text("utf-8") == (ROOT / "docs/evidence.md").read_text("utf-8")
+    assert (tmp_path / "evidence.md").read_text("utf-8") == (ROOT / "docs/measured/evidence.md").read_text("utf-8")
     drawn = {path.name for path in (tmp_path / "evidence").iterdir()}
-    assert drawn == {path.name for path in (ROOT / "docs/evidence").iterdir()}
+    assert drawn == {path.name for path in (ROOT / "docs/measured/evidence").iterdir()}
     assert sum(path.stat().st_size for path in FOLDER.iterdir()) < 300_000
 
 

@@ -243,10 +243,10 @@ def test_the_page_is_made_of_the_results_and_defines_what_each_table_counts(tmp_
 
 def test_the_published_page_is_made_of_the_published_results():
     docs = Path(__file__).resolve().parents[2] / "docs"
-    results = read_results(docs / "blind-check-results.jsonl")
+    results = read_results(docs / "measured/blind-check-results.jsonl")
     for world in ("emulator", "mujoco"):
         assert len({one["run"] for one in results if one["world"] == world}) >= 30
-    assert (docs / "blind-check-results.md").read_text(encoding="utf-8") == page(results)
+    assert (docs / "measured/blind-check-results.md").read_text(encoding="utf-8") == page(results)
 
 
 @given(st.integers(1, 400).flatmap(lambda n: st.tuples(st.integers(0, n), st.just(n))))
