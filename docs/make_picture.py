@@ -21,7 +21,11 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 PICTURE = Path(__file__).with_name("diagnosis.svg")
-HOSE = {"effect": "dress_pack", "joints": ["joint_4"], "parameters": {"stiffness": 3.0, "centre": 0.3, "hysteresis": 1.5}}
+HOSE = {
+    "effect": "dress_pack",
+    "joints": ["joint_4"],
+    "parameters": {"stiffness": 3.0, "centre": 0.3, "hysteresis": 1.5},
+}
 COLUMNS, INDENT, SEED = 100, 10, 7
 CHARACTER, LINE, MARGIN = 7.8, 18, 16  # px
 
@@ -72,9 +76,9 @@ def _screen(folder: Path) -> str:
 
 
 def _agent(folder: Path, *arguments: str) -> str:
-    return subprocess.run(
-        [sys.executable, "-m", "agent", *arguments], cwd=folder, env=_environment(), check=True, capture_output=True, text=True
-    ).stdout
+    command = [sys.executable, "-m", "agent", *arguments]
+    run = subprocess.run(command, cwd=folder, env=_environment(), check=True, capture_output=True, text=True)
+    return run.stdout
 
 
 @contextlib.contextmanager

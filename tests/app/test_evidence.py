@@ -53,7 +53,7 @@ def test_a_line_of_a_piece_and_a_page_of_what_is_there(tmp_path: Path, recipe: P
     evidence.main([*given, "page", "--docs", str(tmp_path)])
     page = (tmp_path / "evidence.md").read_text("utf-8")
     assert f"| {DEFAULT} | 1 |" in page
-    assert page.index("local against global: not run") < page.index("## What a loop is searched for")
+    assert page.index("## What a loop is searched for") < page.index("local against global: not run")
 
 
 def test_what_is_there_is_not_computed_again(tmp_path: Path, recipe: Path, monkeypatch, capsys):
@@ -94,8 +94,7 @@ def test_searches_are_compared_in_pairs_and_a_better_one_is_a_weak_spot(tmp_path
     page = (tmp_path / "evidence.md").read_text("utf-8")
     row = next(line for line in page.splitlines() if line.startswith("| random | 2000 | 6 |"))
     assert "| -10.0 [-10.0, -10.0] |" in row
-    assert "| random | 500 to 2000 | 6 | 3.0 [3.0, 3.0] | 1.00 [1.00, 1.00] | 1.00 [1.00, 1.00] |" in page
-    weak = page.split("## How it is searched")[0]
+    weak = page.split("## Limits")[1]
     assert "- CMA-ES of 500 candidates found fitter loops than the genetic search: by 1.0 [1.0, 1.0] decades" in weak
     assert "- genetic searches of 2000 candidates led to models that are not shown to be better" in weak
     assert "random of" not in weak
