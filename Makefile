@@ -40,7 +40,7 @@ verify: env
 	$(BIN)/python tests/verify.py
 
 docs: env
-	$(BIN)/mkdocs build --strict --quiet
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 	@echo "build/site/index.html"
 
 format: env

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -41,7 +41,7 @@ def _commands() -> Iterator[str]:
     }
     times = Counter(row for options in rows.values() for row in options)
     shared = sorted(row for row, count in times.items() if count >= SHARED)
-    yield from ("Options of several commands:", "", *_table(shared))
+    yield from ("Options of several commands:", "", *shared, "")
     for name in sorted(found):
         arguments = [p for p in found[name].params if p.param_type_name == "argument"]
         usage = " ".join(["agent", name, *(_metavar(p) for p in arguments)])
@@ -49,11 +49,8 @@ def _commands() -> Iterator[str]:
         also = [row.split("`")[1].split(" ")[0].rstrip(",") for row in rows[name] if row in shared]
         if also:
             yield from (f"Also {', '.join(f'`{option}`' for option in also)}.", "")
-        yield from _table([row for row in rows[name] if row not in shared])
-
-
-def _table(rows: Sequence[str]) -> list[str]:
-    return ["| option | what | default |", "| --- | --- | --- |", *rows, ""] if rows else []
+        own = [row for row in rows[name] if row not in shared]
+        yield from (*own, "") if own else ()
 
 
 def _metavar(argument: Any) -> str:
@@ -63,9 +60,8 @@ def _metavar(argument: Any) -> str:
 def _option(option: Any) -> str:
     flags = " / ".join(", ".join(names) for names in (option.opts, option.secondary_opts) if names)
     value = "" if option.is_flag else f" {option.metavar or option.name.upper()}"
-    default = "" if option.is_flag or option.default in (None, ()) else f"`{option.default}`"
-    need = "required" if option.required else default
-    return f"| `{flags}{value}` | {option.help or ''} | {need} |"
+    default = "" if option.is_flag or option.default in (None, ()) else f" (default `{option.default}`)"
+    return f"- `{flags}{value}`: {option.help or ''}{' (required)' if option.required else default}"
 
 
 def _exit_codes() -> Iterator[str]:

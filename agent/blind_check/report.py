@@ -124,10 +124,14 @@ def _power(scores: Mapping[str, Any]) -> Iterator[str]:
         [tool, _band(row), *(_share(row[name]) for name in columns)]
         for tool, one in scores.items()
         for row in one["power"]
-        if row["found"]["of"]
+        if row["found"]["of"] and one["calibration"]["runs"]
     ]
     if rows:
-        yield from ("Runs with one effect, by its size:", "", *_table(["tool", "size, %", *columns], rows))
+        yield from (
+            "Runs with one effect by its size, of tools that give a probability:",
+            "",
+            *_table(["tool", "size, %", *columns], rows),
+        )
 
 
 def _band(row: Mapping[str, Any]) -> str:

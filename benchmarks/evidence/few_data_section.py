@@ -41,14 +41,10 @@ def _lengths(lines: dict, method: str = "weighted") -> list[str]:
 
 
 def _errors(part: PageSection, kept: dict, pictures: Path) -> None:
-    heads = _lengths(next(iter(kept.values())))
-    rows, drawn = [], {}
-    for name, lines in kept.items():
-        found = {s: mean_of(_of(lines, "weighted", s, "error")) for s in _lengths(lines)}
-        rows.append([name, str(len(lines)), *(text(found[s]) if s in found else "-" for s in heads)])
-        drawn[name] = {float(s): value for s, value in found.items()}
-    part.say("Error of `weighted` [%] by seconds of motion:")
-    part.table(["prior", "machines", *(f"{s} s" for s in heads)], rows)
+    drawn = {
+        name: {float(s): mean_of(_of(lines, "weighted", s, "error")) for s in _lengths(lines)}
+        for name, lines in kept.items()
+    }
     figures.curves(pictures / "few-data.svg", drawn, ("seconds of motion", "error [% of nominal torque]"), "xy")
     part.picture("few-data", "Error against seconds of motion, by quality of the prior")
 

@@ -85,6 +85,8 @@ def _errors(part: PageSection, worlds: dict, pictures: Path) -> None:
         ],
         rows,
     )
+    better = sum(said == "better" for _, said in found.values())
+    part.say(f"Local calibration is better in {better} of {len(found)} worlds.")
     figures.ratios(pictures / "local.svg", found, "error of local over error of global calibration")
     part.picture("local", "Ratio of errors by world")
 

@@ -102,7 +102,9 @@ def _methods(part: PageSection, kept: dict, pictures: Path) -> None:
         "Fitness is the criterion itself, in decades of the determinant."
     )
     error = f"error after {_SHORT} s [%]"
-    part.table(["search", "candidates", "machines", "fitness above genetic", error, "ratio"], rows)
+    largest = str(max(kept))
+    shown = [row for row in rows if row[1] == largest]
+    part.table(["search", "candidates", "machines", "fitness above genetic", error, "ratio"], shown)
     figures.ratios(pictures / "search.svg", picture, f"error after {_SHORT} s over that of the genetic search")
     part.picture("search", "Ratio of errors by search")
 

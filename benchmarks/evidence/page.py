@@ -77,9 +77,10 @@ def _thin(results: dict[str, Results]) -> list[str]:
 
 
 def _runs(results: dict[str, Results]) -> Sequence[str]:
-    lines = ["| piece | machines | lines | CPU [min] | commits |", "| --- | --- | --- | --- | --- |"]
-    for piece, kept in results.items():
-        machines = len({machine for machine, _ in kept})
-        commits = ", ".join(kept.commits()) or "not run"
-        lines.append(f"| {piece} | {machines} | {len(kept)} | {kept.seconds() / 60:.0f} | {commits} |")
-    return lines
+    """What was run, and on which commits."""
+    found = {
+        piece: f"{piece} on {len({machine for machine, _ in kept})} machines ({', '.join(kept.commits())})"
+        for piece, kept in results.items()
+        if len(kept)
+    }
+    return [f"Run: {'; '.join(found.values()) or 'nothing'}."]
