@@ -124,11 +124,11 @@ def _power(scores: Mapping[str, Any]) -> Iterator[str]:
         [tool, _band(row), *(_share(row[name]) for name in columns)]
         for tool, one in scores.items()
         for row in one["power"]
-        if row["found"]["of"] and one["calibration"]["runs"]
+        if row["found"]["of"] and any(band[name]["count"] for band in one["power"] for name in ("right", "wrong"))
     ]
     if rows:
         yield from (
-            "Runs with one effect by its size, of tools that give a probability:",
+            "Runs with one effect by its size, of tools that named a cause:",
             "",
             *_table(["tool", "size, %", *columns], rows),
         )

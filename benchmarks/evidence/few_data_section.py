@@ -8,7 +8,7 @@ from benchmarks.evidence import figures
 from benchmarks.evidence.few_data import AS_DRAWN, PRIORS, wrong
 from benchmarks.evidence.results import Results
 from benchmarks.evidence.section import PageSection
-from benchmarks.evidence.statistics import each, mean_of, ratio_of, text
+from benchmarks.evidence.statistics import each, mean_of, text
 
 _ENOUGH = 90.0  # % of samples, of 95 % intervals
 
@@ -71,8 +71,5 @@ def _estimators(part: PageSection, kept: dict) -> None:
     for method in ("weighted", "consistent", "paper"):
         errors = {s: _of(lines, method, s, "error") for s in _lengths(lines, method)}
         rows.append([f"`{method}` [%]", *(text(mean_of(errors[s])) if s in errors else "-" for s in heads)])
-        if method != "weighted":
-            ratios = {s: ratio_of(errors[s], _of(lines, "weighted", s, "error")) for s in errors}
-            rows.append([f"`{method}` / `weighted`", *(text(ratios[s]) if s in ratios else "-" for s in heads)])
     part.say("By estimator, with the URDF as it is. `paper` has no prior and three friction terms:")
     part.table(["estimator", *(f"{s} s" for s in heads)], rows)

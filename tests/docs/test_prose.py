@@ -80,7 +80,8 @@ def test_sentences_are_short(page: Path):
 
 
 def test_all_pages_together_have_few_words():
-    words = {page.name: _words(page.read_text(encoding="utf-8")) for page in PAGES[1:]}
+    names = {page.relative_to(ROOT).as_posix(): page for page in PAGES[1:]}
+    words = {name: _words(path.read_text(encoding="utf-8")) for name, path in names.items() if name not in PENDING}
     assert sum(words.values()) <= BUDGET, sorted(words.items(), key=lambda item: -item[1])[:10]
 
 
