@@ -41,7 +41,7 @@ verify: env
 
 docs: env
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
-	@echo "build/site/index.html"
+	@echo "build/site/index.html; its search needs a server: $(BIN)/python -m http.server -d build/site"
 
 format: env
 	$(BIN)/ruff check --fix .

@@ -37,21 +37,27 @@ def main() -> None:
 
 
 def drawn(screen: str) -> str:
-    """An SVG of the first paragraph of a screen, wrapped as a terminal does."""
-    paragraph = screen.partition("\n\n")[0].splitlines()
-    lines = [part for line in paragraph for part in textwrap.wrap(line, COLUMNS, subsequent_indent=" " * INDENT)]
+    """An SVG of a screen up to what to do next, wrapped as a terminal does."""
+    head, _, after = screen.partition("\nNext")
+    shown = f"{head}\nNext{after.partition(chr(10))[0]}".splitlines()
+    lines = [part for line in shown for part in textwrap.wrap(line, COLUMNS, subsequent_indent=" " * INDENT)]
     width, height = COLUMNS * CHARACTER + 2 * MARGIN, len(lines) * LINE + 2 * MARGIN
     rows = "\n".join(
-        f'<text x="{MARGIN}" y="{MARGIN + (k + 0.75) * LINE:g}"{_emphasis(line)}>{escape(line)}</text>'
+        f'<text x="{MARGIN}" y="{MARGIN + (k + 0.75) * LINE:g}"{_emphasis(line)}>{_text(line)}</text>'
         for k, line in enumerate(lines)
     )
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:g} {height:g}" role="img" '
         f'aria-label="Terminal output of agent diagnose">\n'
         f'<rect width="100%" height="100%" rx="8" fill="#14181d"/>\n'
-        f'<g font-family="ui-monospace, Menlo, Consolas, monospace" font-size="13" fill="#d5dde5" '
-        f'xml:space="preserve">\n{rows}\n</g>\n</svg>\n'
+        f'<g font-family="ui-monospace, Menlo, Consolas, monospace" font-size="13" fill="#d5dde5">\n'
+        f"{rows}\n</g>\n</svg>\n"
     )
+
+
+def _text(line: str) -> str:
+    """With spaces that no viewer joins."""
+    return escape(line).replace(" ", "\N{NO-BREAK SPACE}")
 
 
 def _emphasis(line: str) -> str:
