@@ -33,7 +33,7 @@ CHARACTER, LINE, MARGIN = 7.8, 18, 16  # px
 def main() -> None:
     """Write the picture."""
     with tempfile.TemporaryDirectory() as folder:
-        PICTURE.write_text(drawn(_screen(Path(folder))), encoding="utf-8")
+        PICTURE.write_text(drawn(screen_of(Path(folder))), encoding="utf-8")
 
 
 def drawn(screen: str) -> str:
@@ -64,7 +64,7 @@ def _emphasis(line: str) -> str:
     return ' fill="#7ee0a0" font-weight="bold"' if line.startswith(("$", "Verdict", "What")) else ""
 
 
-def _screen(folder: Path) -> str:
+def screen_of(folder: Path) -> str:
     """The command and what it printed."""
     recipe = folder / "first_look.yaml"
     with socket.socket() as probe:

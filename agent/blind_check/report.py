@@ -89,7 +89,7 @@ def summary_of(scores: Mapping[str, Any]) -> str:
 
 
 def _verdicts(scores: Mapping[str, Any]) -> Iterator[str]:
-    rows = {}
+    rows: dict[str, Mapping[str, int]] = {}
     for kind in KINDS:
         counted = {f"{_KINDS[kind]}: {tool}": one["outcomes"][kind] for tool, one in scores.items()}
         rows |= counted if any(sum(row.values()) for row in counted.values()) else {}

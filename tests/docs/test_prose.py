@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -83,6 +85,14 @@ def test_all_pages_together_have_few_words():
     names = {page.relative_to(ROOT).as_posix(): page for page in PAGES[1:]}
     words = {name: _words(path.read_text(encoding="utf-8")) for name, path in names.items() if name not in PENDING}
     assert sum(words.values()) <= BUDGET, sorted(words.items(), key=lambda item: -item[1])[:10]
+
+
+def test_words_are_spelt_right():
+    text = "\n".join(_prose(page) for page in PAGES)
+    run = subprocess.run(
+        [sys.executable, "-m", "codespell_lib", "-"], input=text, capture_output=True, text=True, check=False
+    )
+    assert (run.returncode, run.stdout) == (0, "")
 
 
 def test_the_readme_fits_on_two_screens():
