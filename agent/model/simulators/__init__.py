@@ -1,7 +1,7 @@
 """Simulators as their owners keep them, MuJoCo's MJCF or a URDF, read as an identified model.
 
 Nothing in such a file was identified, so its parameters come without uncertainty: the model holds them as exact, and
-the caller says which error it should have.
+the error it should have is for the caller to say (`docs/decisions/simulator-background.md`).
 """
 
 from agent.model.simulators.arm import SIMULATOR
