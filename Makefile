@@ -40,8 +40,8 @@ verify: env
 	$(BIN)/python tests/verify.py
 
 docs: env
-	$(BIN)/mkdocs build --strict --quiet
-	@echo "build/site/index.html"
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	@echo "build/site/index.html; its search needs a server: $(BIN)/python -m http.server -d build/site"
 
 format: env
 	$(BIN)/ruff check --fix .

@@ -1,30 +1,32 @@
-"""Writes docs/reference.md from the code: commands, options, recipe keys, exit codes, effects.
+"""Writes docs/reference.md from the code: commands, options, exit codes, effects, limits of the diagnosis.
 
 `python docs/make_reference.py` writes it; a test fails where it is out of date.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
+#: Commands with the same option from which on it is described once.
+SHARED = 3
 
 
 def reference() -> str:
     """The page."""
-    lines = ["# Reference", "", "Written from the code by `docs/make_reference.py`.", "", "## Commands", ""]
+    lines = ["# Commands and effects", "", "Written from the code by `docs/make_reference.py`.", "", "## Commands", ""]
     lines += _commands()
     lines += ["## Exit codes", "", "| code | class | what |", "| --- | --- | --- |", *_exit_codes(), ""]
-    lines += ["## Recipe keys", "", "| key | type | default |", "| --- | --- | --- |", *_keys(), ""]
     lines += ["## Effects", "", *_effects(), ""]
-    lines += ["## Effects of the emulator", "", *_simulated(), ""]
     lines += ["## Limits of the diagnosis", "", *_limits(), ""]
     return "\n".join(lines)
 
 
 def _commands() -> Iterator[str]:
+    """Options that several commands share, with one help text, stand in a table of their own."""
     import typer.main
 
     from agent.cli.app import app
@@ -33,16 +35,22 @@ def _commands() -> Iterator[str]:
     found = {name: command for name, command in group.commands.items() if not hasattr(command, "commands")}
     for outer, inner in group.commands.items():
         found |= {f"{outer} {name}": command for name, command in getattr(inner, "commands", {}).items()}
+    rows = {
+        name: [_option(p) for p in command.params if p.param_type_name == "option" and p.name != "help"]
+        for name, command in found.items()
+    }
+    times = Counter(row for options in rows.values() for row in options)
+    shared = sorted(row for row, count in times.items() if count >= SHARED)
+    yield from ("Options of several commands:", "", *shared, "")
     for name in sorted(found):
-        command = found[name]
-        arguments = [p for p in command.params if p.param_type_name == "argument"]
-        options = [p for p in command.params if p.param_type_name == "option" and p.name != "help"]
+        arguments = [p for p in found[name].params if p.param_type_name == "argument"]
         usage = " ".join(["agent", name, *(_metavar(p) for p in arguments)])
-        yield from (f"### `{usage}`", "", (command.help or "").strip(), "")
-        if options:
-            yield from ("| option | what | default |", "| --- | --- | --- |")
-            yield from (_option(option) for option in options)
-            yield ""
+        yield from (f"### `{usage}`", "", (found[name].help or "").strip(), "")
+        also = [row.split("`")[1].split(" ")[0].rstrip(",") for row in rows[name] if row in shared]
+        if also:
+            yield from (f"Also {', '.join(f'`{option}`' for option in also)}.", "")
+        own = [row for row in rows[name] if row not in shared]
+        yield from (*own, "") if own else ()
 
 
 def _metavar(argument: Any) -> str:
@@ -52,9 +60,8 @@ def _metavar(argument: Any) -> str:
 def _option(option: Any) -> str:
     flags = " / ".join(", ".join(names) for names in (option.opts, option.secondary_opts) if names)
     value = "" if option.is_flag else f" {option.metavar or option.name.upper()}"
-    default = "" if option.is_flag or option.default in (None, ()) else f"`{option.default}`"
-    need = "required" if option.required else default
-    return f"| `{flags}{value}` | {option.help or ''} | {need} |"
+    default = "" if option.is_flag or option.default in (None, ()) else f" (default `{option.default}`)"
+    return f"- `{flags}{value}`: {option.help or ''}{' (required)' if option.required else default}"
 
 
 def _exit_codes() -> Iterator[str]:
@@ -71,82 +78,17 @@ def _exit_codes() -> Iterator[str]:
     yield "| 129, 130, 131, 143 | | ended by a signal (hang-up, interrupt, quit, terminate), after a controlled stop |"
 
 
-def _keys() -> Iterator[str]:
-    from agent.recipe.schema import RecipeDocument
-
-    yield from _section(RecipeDocument, "")
-
-
-def _section(model: Any, path: str) -> Iterator[str]:
-    from pydantic import BaseModel
-
-    for name, field in model.model_fields.items():
-        key = path + (field.alias or name)
-        kinds = [field.annotation, *getattr(field.annotation, "__args__", ())]
-        inner = [kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel)]
-        if inner and not str(field.annotation).startswith("list"):
-            yield from _section(inner[0], f"{key}.")
-            continue
-        yield f"| `{key}` | {_kind(model, name, field)} | {_default(field)} |"
-
-
-def _kind(model: Any, name: str, field: Any) -> str:
-    schema = model.model_json_schema(by_alias=True)["properties"][field.alias or name]
-    options = schema.get("enum") or next((o["enum"] for o in schema.get("anyOf", []) if "enum" in o), None)
-    if options:
-        return ", ".join(f"`{option}`" for option in options)
-    if "description" in schema:
-        return schema["description"]
-    kinds = [schema.get("type"), *(option.get("type") for option in schema.get("anyOf", []))]
-    words = {"array": "list", "string": "text", "integer": "whole number", "object": "mapping"}
-    return next((words.get(kind, kind) for kind in kinds if kind and kind != "null"), "name")
-
-
-def _default(field: Any) -> str:
-    if field.is_required():
-        return "required"
-    value = getattr(field.default, "value", field.default)
-    return "" if value is None or value in ([], {}) else f"`{value}`"
-
-
 def _effects() -> Iterator[str]:
-    """The built-in ones: what is installed beside them is not ours to describe."""
+    """The built-in ones; an installed effect describes itself."""
     from agent.model.effects import CATALOGUE
 
-    yield "s: direction of sliding as the model's friction reverses; w, x: speed and angle of the axle; τ: torque of"
-    yield "the model. Matters from: root mean square torque"
-    yield "over nominal."
+    yield "What a diagnosis looks for. s: direction of sliding; w, x: speed and angle of the axle; τ: modelled torque."
+    yield "`agent emulator --list-effects` prints what can be built into the emulated robot."
     yield ""
-    names = ("name", "family", "where", "in words", "form", "shows as", "confused with")
-    yield f"| {' | '.join(names)} | matters from | source |"
-    yield "|" + " --- |" * 9
+    yield "| name | where | in words | form | matters from (RMS, nominal torque) |"
+    yield "|" + " --- |" * 5
     for effect in CATALOGUE.built_in:
-        cells = (
-            f"`{effect.name}`",
-            effect.family,
-            effect.scope,
-            effect.phrase,
-            effect.formula,
-            effect.signature,
-            ", ".join(effect.confused_with) or "-",
-            f"{100 * effect.practical:g} %",
-            effect.source,
-        )
-        yield "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
-
-
-def _simulated() -> Iterator[str]:
-    from fake_controller.effects_list import listed_effects
-
-    yield "`agent emulator --list-effects` prints them. Joints go by their names, as in `joint_4`."
-    yield ""
-    yield "| effect | joints | parameters: unit, default | what it does |"
-    yield "| --- | --- | --- | --- |"
-    for effect in listed_effects():
-        parameters = "; ".join(
-            f"`{name}`: {', '.join(filter(None, (unit, default)))}" for name, unit, default in effect.parameters
-        )
-        cells = (f"`{effect.name}`", effect.joints, parameters, effect.words)
+        cells = (f"`{effect.name}`", effect.scope, effect.phrase, effect.formula, f"{100 * effect.practical:g} %")
         yield "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
 
 

@@ -70,7 +70,7 @@ def ns16() -> RobotDescription:
 
 @pytest.fixture
 def measured(request: pytest.FixtureRequest) -> Callable[..., None]:
-    """Note a figure for docs/measured.md: `measured("what", value, "unit", "at most 2 %", ok)`.
+    """Note a figure for docs/measured/measured.md: `measured("what", value, "unit", "at most 2 %", ok)`.
 
     It only writes where `make verify` asked for it; the assertion stays in the test.
     """

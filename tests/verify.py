@@ -1,15 +1,15 @@
-"""`make verify`: run the long figures piece by piece and write docs/measured.md.
+"""`make verify`: run the long figures piece by piece and write docs/measured/measured.md.
 
-Each test function marked `verify` is a piece, with all of its parameters. A
-finished piece is kept in `.verify/` with the commit it ran on, so an
-interrupted run goes on where it stopped; `--fresh` starts over, `--keep` also keeps what passed on earlier commits. The
-page names the commit of every piece. `tests/verify.py FOLDER…` runs the pieces of these folders or files alone; the
-others stand on the page as they were, or as not run.
+Each test function marked `verify` is a piece, with all of its parameters. A finished piece is kept in `.verify/` with
+its commit, so an interrupted run continues where it stopped. `--fresh` starts again, `--keep` also keeps what passed on
+earlier commits. `tests/verify.py FOLDER…` runs the pieces of these folders or files alone; the others are listed as
+they were, or as not run. `docs/measured/figures.csv` and `docs/measured/pieces.csv` hold all figures and outcomes.
 """
 
 from __future__ import annotations
 
 import argparse
+import csv
 import hashlib
 import json
 import os
@@ -23,6 +23,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 STATE = ROOT / ".verify"
+MEASURED = ROOT / "docs/measured"
 LONGEST = 4 * 3600  # s for one test, after which it counts as hung
 
 
@@ -121,35 +122,63 @@ def _run(node: str, commit: str) -> dict:
 
 def _write(results: list[dict], commit: str) -> None:
     figures = [(figure, result) for result in results for figure in result["figures"]]
-    short = [row for row in figures if not row[0]["ok"]]
-    failed = [result for result in results if result["outcome"] == "failed"]
-    skipped = [result for result in results if result["outcome"] in ("skipped", "not run")]
-    lines = [
-        "# Measured",
-        "",
+    short = [_row(*row) for row in figures if not row[0]["ok"]]
+    for result in results:
+        if result["outcome"] == "failed":
+            short += [f"- {line}" for line in result["tail"] or [f"FAILED {result['node']}"]]
+        if result["outcome"] == "skipped":
+            short.append(f"- skipped: `{result['node']}` ({_reason(result)})")
+    head = (
         f"Written by `make verify` at commit {commit[:12]} on {datetime.now(UTC):%Y-%m-%d}: Python "
-        f"{platform.python_version()}, {platform.system()} {platform.machine()}, {os.cpu_count()} cores. "
-        "Each piece names the commit that it ran on.",
-        "",
-        "## Shortfalls",
-        "",
-    ]
-    if not (short or failed or skipped):
-        lines += ["None in what was run.", ""]
-    lines += [_row(*row) for row in short]
-    lines += [f"- {line}" for result in failed for line in result["tail"] or [f"FAILED {result['node']}"]]
-    lines += [f"- not run: `{result['node']}` ({_reason(result)})" for result in skipped]
-    lines += ["", "## Figures", "", "| what | measured | target |", "| --- | --- | --- |"]
-    lines += [f"| {f['what']} | {_value(f)} | {f['target']}{'' if f['ok'] else ' (missed)'} |" for f, _ in figures]
-    lines += [
-        "",
-        "## Pieces",
-        "",
-        "| piece | outcome | when (UTC) | commit |",
-        "| --- | --- | --- | --- |",
-    ]
-    lines += [f"| `{r['node']}` | {r['summary'] or r['outcome']} | {r['at']} | {r['commit'][:7]} |" for r in results]
-    (ROOT / "docs" / "measured.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+        f"{platform.python_version()}, {platform.system()} {platform.machine()}, {os.cpu_count()} cores."
+    )
+    write_page(
+        MEASURED,
+        head,
+        short,
+        [(f["what"], _value(f), f["target"], "yes" if f["ok"] else "no") for f, _ in figures],
+        [(r["node"], r["summary"] or r["outcome"], r["at"], r["commit"][:7]) for r in results],
+    )
+
+
+def write_page(
+    folder: Path, head: str, short: list[str], figures: list[tuple[str, ...]], pieces: list[tuple[str, ...]]
+) -> None:
+    """Write the page, and the tables that it sums up.
+
+    Parameters
+    ----------
+    folder
+        Where `measured.md`, `figures.csv` and `pieces.csv` go.
+    head
+        Commit, date and machine.
+    short
+        Lines of the list of shortfalls.
+    figures
+        Of each figure: what, measured, target, whether it is met.
+    pieces
+        Of each piece: test, outcome, when (UTC), commit.
+    """
+    _table(folder / "figures.csv", ("what", "measured", "target", "met"), figures)
+    _table(folder / "pieces.csv", ("piece", "outcome", "when", "commit"), pieces)
+    with_target = [figure for figure in figures if figure[2]]
+    met = sum(figure[3] == "yes" for figure in with_target)
+    lines = ["# Measured", "", head, ""]
+    lines += [f"{met} of {len(with_target)} figures with a target meet it. [Figures](figures.csv) lists all of them,"]
+    lines += ["[pieces](pieces.csv) each test with its outcome, date and commit.", ""]
+    lines += ["## Shortfalls", "", *(short or ["None in what was run."]), ""]
+    lines += ["## Pieces by package", "", "| tests | passed | failed | not run |", "| --- | --- | --- | --- |"]
+    for package in dict.fromkeys(piece[0].split("/")[1] for piece in pieces):
+        of = [piece[1] for piece in pieces if piece[0].split("/")[1] == package]
+        failed = sum("failed" in text for text in of)
+        passed = sum("passed" in text and "failed" not in text for text in of)
+        lines.append(f"| {package} | {passed} | {failed} | {len(of) - passed - failed} |")
+    (folder / "measured.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def _table(path: Path, head: tuple[str, ...], rows: list[tuple[str, ...]]) -> None:
+    with path.open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerows([head, *rows])
 
 
 def _row(figure: dict, result: dict) -> str:
@@ -167,7 +196,7 @@ def _value(figure: dict) -> str:
 
 def _reason(result: dict) -> str:
     skips = (line.split(": ", 1)[-1] for line in result["tail"] if line.startswith("SKIPPED"))
-    return next(skips, "not in this run" if result["outcome"] == "not run" else "skipped")
+    return next(skips, "skipped")
 
 
 def _commit() -> str:

@@ -13,22 +13,36 @@ from agent.core import AgentError, InputError, write_atomically
 
 RESULTS, PAGE = "results.jsonl", "blind_check.md"
 
-_INTERVALS = (
-    "Brackets hold the exact 95 % interval (Clopper and Pearson), as if all runs were one sample. The rules of a tool "
-    "that were changed between draws, with earlier runs of the same world at hand, make the interval too favourable."
-)
-_OUTCOMES = (
-    "Every run is counted in one column. `named`: the verdict is `explained` and the first cause is a true effect on "
-    "its true joints. `in class`: the verdict is `ambiguous` and the first cause or one of its equals is. `wrong name` "
-    "and `wrong class`: the same verdicts without a true effect there. `unknown` and `no gap`: verdicts without a "
-    "cause. `no answer`: the tool left the run out."
-)
+_DEFINITIONS = f"""Every run is counted in one column.
+
+| term | meaning |
+| --- | --- |
+| `named` | the verdict is `explained`, and the first cause is a true effect on its true joints |
+| `in class` | the verdict is `ambiguous`, and the first cause or one of its equivalents is a true effect |
+| `wrong name`, `wrong class` | the same verdicts without a true effect there |
+| `unknown`, `no gap` | verdicts without a cause |
+| `no answer` | the tool left the run out |
+| `both of two`, `all of three` | each of the effects is a cause or an equivalent of one |
+| `joint` | the first cause or the largest share is on a true joint; effects of the whole arm are left out |
+| `further cause wrong` | of answers with several causes, those where a later one holds no true effect |
+| `class sizes` | members of the first cause's class: how many `in class` answers have that size |
+| `withheld` | answers with the true effects taken out of the catalogue: `unknown` is right, any name is wrong |
+| Brier, ECE | mean squared difference of probability and truth; expected calibration error |
+| `found` | runs with one effect: any verdict but `no gap` |
+| `right`, `wrong` | `named` or `in class`; `wrong name` or `wrong class` |
+| size | largest RMS change of a joint's torque by the effect, in % of nominal torque; below {100 * PRACTICAL:g} % it \
+is too small to matter, but a wrong name still counts |
+
+For healthy runs `no gap` is right, for effects outside the catalogue `unknown`. An `interpolator_mismatch` has no size
+in torque. Brackets hold the exact 95 % interval (Clopper and Pearson), as if all runs were one sample. It is too
+favourable for a tool whose rules were changed between draws.
+"""
 _KINDS = {
-    "none": ("healthy", "No effect is built in: `no gap` is right."),
-    "one": ("one effect", "One effect of the catalogue, of any size: `named` is right, `in class` is half an answer."),
-    "two": ("two effects", "Two effects of the catalogue; the columns judge the first cause."),
-    "three": ("three effects", "Three effects of the catalogue; the columns judge the first cause."),
-    "outside": ("outside", "An effect that the catalogue has no name for: `unknown` is right."),
+    "none": "healthy",
+    "one": "one effect",
+    "two": "two effects",
+    "three": "three effects",
+    "outside": "outside the catalogue",
 }
 
 
@@ -60,48 +74,31 @@ def read_results(path: Path) -> list[dict[str, Any]]:
 
 def page(results: Sequence[Result]) -> str:
     """Markdown."""
-    lines = [f"# {NAME} {VERSION}: results", "", _INTERVALS, ""]
+    lines = [f"# {NAME} {VERSION}: results", "", _DEFINITIONS]
     for world in dict.fromkeys(one["world"] for one in results):
         here = [one for one in results if one["world"] == world]
         scores = score(here)
         said = f"{len({one['run'] for one in here})} runs, answered by {', '.join(scores)}."
-        lines += [f"## World {world}", "", said, "", *_sections(scores)]
+        lines += [f"## World {world}", "", said, "", *_verdicts(scores), *_further(scores), *_power(scores)]
     return "\n".join(lines).rstrip() + "\n"
 
 
 def summary_of(scores: Mapping[str, Any]) -> str:
     """The main counts for a terminal, with the definitions."""
-    return "\n".join([*_outcome_tables(scores["tools"]), *_further(scores["tools"])]).rstrip()
+    return "\n".join([_DEFINITIONS, *_verdicts(scores["tools"]), *_further(scores["tools"])]).rstrip()
 
 
-def _sections(scores: Mapping[str, Any]) -> Iterator[str]:
-    yield from ("### Verdicts by kind of run", "", *_outcome_tables(scores))
-    yield from ("### Further counts", "", *_further(scores))
-    for tool, one in scores.items():
-        yield from (f"### {tool}: power by size", "", *_power(one["power"]))
-        yield from (
-            f"### {tool}: effects",
-            "",
-            f"Runs with one effect, of the catalogue or outside of it. {_OUTCOMES}",
-            "",
-        )
-        yield from _table(["effect", *OUTCOMES], _rows(one["effects"]))
-        if one["calibration"]["runs"]:
-            yield from (f"### {tool}: calibration", "", *_calibration(one["calibration"]))
-
-
-def _outcome_tables(scores: Mapping[str, Any]) -> Iterator[str]:
-    yield from (_OUTCOMES, "")
+def _verdicts(scores: Mapping[str, Any]) -> Iterator[str]:
+    rows: dict[str, Mapping[str, int]] = {}
     for kind in KINDS:
-        counted = {tool: one["outcomes"][kind] for tool, one in scores.items()}
-        if any(sum(row.values()) for row in counted.values()):
-            title, meaning = _KINDS[kind]
-            yield from (f"**{title}.** {meaning}", "", *_table(["tool", *OUTCOMES], _rows(counted)))
+        counted = {f"{_KINDS[kind]}: {tool}": one["outcomes"][kind] for tool, one in scores.items()}
+        rows |= counted if any(sum(row.values()) for row in counted.values()) else {}
+    yield from _table(["runs: tool", *OUTCOMES], _rows(rows))
     recorders = {
         f"{tool}, {name}": row for tool, one in scores.items() for name, row in one["recorders"].items() if name
     }
     if recorders:
-        yield from ("**one effect, by recorder.** How the logs are kept; columns as above.", "")
+        yield from ("Runs with one effect, by recorder:", "")
         yield from _table(["tool, logs", *OUTCOMES], _rows(recorders))
 
 
@@ -110,16 +107,6 @@ def _rows(counts: Mapping[str, Mapping[str, int]]) -> list[list[str]]:
 
 
 def _further(scores: Mapping[str, Any]) -> Iterator[str]:
-    yield from (
-        "`both of two`, `all of three`: each of the effects is a cause or an equal of one. `joint`: the first cause's"
-        " joints, or the joint with the largest share where there is no cause, are among those of the true effects; "
-        "`no gap` and `no answer` locate nothing; runs whose effect is of the whole arm are left out. `further cause "
-        "wrong`: of answers with more than one cause, those where a later one holds no true effect. `class sizes`: "
-        "members of the first cause's class, itself included, and how many `in class` answers have that size. "
-        "`withheld`: the tool answers again with the true effects taken out of its catalogue, so `unknown` is right "
-        "and any name is wrong.",
-        "",
-    )
     head = ["tool", "both of two", "all of three", "joint", "further cause wrong", "class sizes", "withheld"]
     head += ["Brier", "ECE"]
     rows = []
@@ -131,35 +118,24 @@ def _further(scores: Mapping[str, Any]) -> Iterator[str]:
     yield from _table(head, rows)
 
 
-def _power(rows: Sequence[Mapping[str, Any]]) -> Iterator[str]:
-    yield from (
-        "Runs with one effect. Size: largest root mean square change of a joint's torque against the same motion of "
-        f"the same machine without the effect, in % of nominal torque. Effects below {100 * PRACTICAL:g} % are too "
-        "small to matter, and count all the same: a wrong name is a wrong name. `found`: any verdict but `no gap`. "
-        "`right`: `named` or `in class`. `wrong`: `wrong name` or `wrong class`. An `interpolator_mismatch` of "
-        "the world mujoco has no size in torque and is left out.",
-        "",
-    )
+def _power(scores: Mapping[str, Any]) -> Iterator[str]:
     columns = ("found", "right", "wrong")
-    table = [[_band(row, 100), *(_share(row[name]) for name in columns), str(row["in class"])] for row in rows]
-    yield from _table(["size, %", *columns, "of right: in class"], table)
+    rows = [
+        [tool, _band(row), *(_share(row[name]) for name in columns)]
+        for tool, one in scores.items()
+        for row in one["power"]
+        if row["found"]["of"] and any(band[name]["count"] for band in one["power"] for name in ("right", "wrong"))
+    ]
+    if rows:
+        yield from (
+            "Runs with one effect by its size, of tools that named a cause:",
+            "",
+            *_table(["tool", "size, %", *columns], rows),
+        )
 
 
-def _calibration(found: Mapping[str, Any]) -> Iterator[str]:
-    yield from (
-        "All answers whose first cause has a probability, on healthy runs and effects outside the catalogue too. "
-        "`said`: its mean. `came`: share of answers that are `named` or `in class`. Brier score: mean squared "
-        "difference of probability and truth. ECE: mean of |said − came| over the rows, weighted by runs.",
-        "",
-    )
-    rows = [[_band(row, 1), str(row["runs"]), f"{row['said']:.2f}", f"{row['came']:.2f}"] for row in found["bins"]]
-    yield from _table(["probability", "runs", "said", "came"], rows)
-    yield from (f"Brier score {_number(found['brier'])}, ECE {_number(found['ece'])} ({found['runs']} answers).", "")
-
-
-def _band(row: Mapping[str, Any], factor: float) -> str:
-    upper = "more" if row["to"] is None else f"{factor * row['to']:g}"
-    return f"{factor * row['from']:g} to {upper}"
+def _band(row: Mapping[str, Any]) -> str:
+    return f"{100 * row['from']:g} to {'more' if row['to'] is None else format(100 * row['to'], 'g')}"
 
 
 def _number(value: float | None) -> str:

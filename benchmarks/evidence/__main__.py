@@ -34,13 +34,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     of_run.add_argument("--minutes", type=float, default=10.0, help="start nothing new after so long (default: 10)")
     workers.add_options(of_run)
     of_page = commands.add_parser("page", help="write the page from the results that are there")
-    of_page.add_argument("--docs", type=Path, default=ROOT / "docs")
+    of_page.add_argument("--docs", type=Path, default=ROOT / "docs/measured")
     chosen = parser.parse_args(arguments)
     recipe = load_recipe(chosen.recipe)
     if chosen.command == "page":
         if not any(len(Results(chosen.folder, piece)) for piece in PIECES):
             parser.error(f"{chosen.folder} has no results: run a piece first; the page stays as it is")
-        print(page.write(chosen.folder, chosen.docs, recipe, PIECES))
+        print(page.write(chosen.folder, chosen.docs, PIECES))
         return
     folder, end = chosen.folder.absolute(), time.time() + 60 * chosen.minutes
     work = functools.partial(complete, piece=chosen.piece, folder=folder, recipe=recipe, end=end)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 
 import matplotlib
@@ -53,19 +53,6 @@ def curves(path: Path, lines: Mapping[str, Mapping[float, Interval]], labels: tu
     axes.set_xlabel(labels[0])
     axes.set_ylabel(labels[1])
     axes.legend(frameon=False, fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0))
-    _save(figure, path)
-
-
-def bars(path: Path, groups: Sequence[str], series: Mapping[str, Sequence[float]], label: str) -> None:
-    """Bars beside each other in every group."""
-    figure, axes = _figure(7.0, 3.0)
-    width = 0.8 / len(series)
-    for k, (name, values) in enumerate(series.items()):
-        places = [at + (k + 0.5) * width - 0.4 for at in range(len(groups))]
-        axes.bar(places, values, width, label=name, color=_COLOURS[k])
-    axes.set_xticks(range(len(groups)), groups)
-    axes.set_ylabel(label)
-    axes.legend(frameon=False, fontsize=8)
     _save(figure, path)
 
 

@@ -39,9 +39,9 @@ def _interval(first: np.ndarray, second: np.ndarray) -> tuple[float, float, floa
     return value, float(low), float(high)
 
 
-def each(lines: Mapping[int, Any], pick: Callable[[Any], Any], joints: slice = slice(None)) -> dict[int, float]:
-    """By machine: the mean over `joints` of what is picked of its values, one number or (n,)."""
-    return {machine: float(np.mean(np.atleast_1d(pick(values))[joints])) for machine, values in lines.items()}
+def each(lines: Mapping[int, Any], pick: Callable[[Any], Any]) -> dict[int, float]:
+    """By machine: the mean over joints of what is picked of its values, one number or (n,)."""
+    return {machine: float(np.mean(pick(values))) for machine, values in lines.items()}
 
 
 def text(found: tuple[float, float, float], digits: int = 2) -> str:

@@ -1,4 +1,4 @@
-"""The register map of the Modbus link, as data; docs/wire-modbus.md shows the same table to people.
+"""The register map of the Modbus link, as data; docs/modbus-registers.csv is the same table.
 
 Holding registers, big-endian, read with function 3 and written with function 16. A block is read or written as a
 whole; its last two registers are the CRC-32 (IEEE 802.3, as in zlib) of the bytes before them, so that neither a
@@ -7,6 +7,8 @@ damaged byte nor a half-finished update passes for a value.
 
 from __future__ import annotations
 
+import csv
+import io
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -216,19 +218,20 @@ def unpack_slots(registers: np.ndarray, joints: int, first: int) -> Slots:
     return Slots(np.arange(first, first + good), slots["time"].astype(np.int64), values)
 
 
-def map_as_markdown() -> str:
-    """The register map for docs/wire-modbus.md."""
-    lines = []
+def map_as_csv() -> str:
+    """The register map, as in docs/modbus-registers.csv."""
+    text = io.StringIO()
+    rows = csv.writer(text, lineterminator="\n")
+    rows.writerow(("block", "access", "register", "field", "type", "meaning"))
     for block in BLOCKS:
-        lines += [f"### {block.name} ({block.access}, {block.address} to {block.end - 1})", block.meaning, ""]
-        lines += ["| register | field | type | |", "| --- | --- | --- | --- |"]
+        rows.writerow((block.name, block.access, f"{block.address} to {block.end - 1}", "", "", block.meaning))
         at = block.address
         for field in block.fields:
-            lines.append(f"| {at} | {field.name} | {field.kind.name} | {field.meaning} |")
+            rows.writerow((block.name, block.access, at, field.name, field.kind.name, field.meaning))
             at += field.kind.size // 2
-        lines += [f"| {at} | checksum of the block | u32 | CRC-32 |", ""]
-    return "\n".join(lines)
+        rows.writerow((block.name, block.access, at, "checksum of the block", "u32", "CRC-32"))
+    return text.getvalue()
 
 
 if __name__ == "__main__":
-    print(map_as_markdown())
+    print(map_as_csv(), end="")

@@ -15,7 +15,7 @@ TOPS = ("agent", "drivers", "fake_controller")
 
 
 def test_every_package_is_named_and_every_name_is_a_package():
-    text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8").split("## One via-point")[0]
+    text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8").split("## What is added where")[0]
     named = {name.rstrip("/") for name in re.findall(r"`((?:agent|drivers|fake_controller)(?:/[a-z_0-9/]+)?)`", text)}
     there = {path.parent.relative_to(ROOT).as_posix() for top in TOPS for path in (ROOT / top).rglob("__init__.py")}
     assert named == there

@@ -11,7 +11,7 @@ from drivers.errors import ProtocolError
 from drivers.wire import modbus as wire
 from drivers.wire.fields import Cursor
 
-DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "wire-modbus.md"
+DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "modbus-registers.csv"
 
 
 def registers(text: str) -> list[int]:
@@ -22,7 +22,7 @@ def registers(text: str) -> list[int]:
 
 
 def test_the_published_map_is_the_one_in_use():
-    assert wire.map_as_markdown().strip() in DOCUMENT.read_text(encoding="utf-8")
+    assert wire.map_as_csv() == DOCUMENT.read_text(encoding="utf-8")
 
 
 def test_blocks_do_not_overlap_and_fit_into_one_message():

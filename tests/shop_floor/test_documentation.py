@@ -94,12 +94,11 @@ def test_what_is_typed_once_can_be_made():
             assert run.returncode == 0, run.stderr
 
 
-@pytest.mark.parametrize("page", sorted(path.name for path in DOCS.glob("*.md")))
-def test_links_lead_somewhere(page: str):
-    text = (DOCS / page).read_text(encoding="utf-8")
-    for link in re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", text):
+@pytest.mark.parametrize("page", [README, *sorted(DOCS.rglob("*.md"))], ids=lambda page: page.stem)
+def test_links_lead_somewhere(page: Path):
+    for link in re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", page.read_text(encoding="utf-8")):
         if "://" not in link:
-            assert (DOCS / link).exists(), f"{page}: {link}"
+            assert (page.parent / link).exists(), link
 
 
 #: Written by commands of the pages themselves.

@@ -1,0 +1,99 @@
+"""The pages are written as STYLE asks: plain terms, short sentences, few words."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+#: Pages that are being rewritten together with the diagnosis, or generated from its limits.
+PENDING = {"docs/diagnosis.md", "docs/decisions/evidence-law.md", "docs/reference.md"}
+BUDGET = 25_000  # words of all pages, blocks of code apart
+LONGEST, MEAN = 35, 18  # words of a sentence
+#: Term, and what the field says.
+GLOSSARY = {
+    r"\bplaces?\b(?! on the path| of the path)": "hypothesis, joint, position",
+    r"(?<!in the )\bbackground\b": "noise model",
+    r"\bgiven model\b|\bmodel that is given\b": "external reference",
+    r"(?<!shop )(?<!shaking )\bfloor\b": "repeatability",
+    r"\bclosure\b": "gap explained",
+    r"\bnameable\b": "admissible",
+    r"\btold from\b|\btells? \w+ from\b": "distinguished from",
+    r"\bbeside\b": "in addition to, alongside, next to",
+    r"\bstanding\b|\bat rest\b": "stationary",
+    r"\bway gone\b": "distance travelled",
+    r"\blet be\b": "ignored, tolerated",
+    r"\bso many\b|\bso much\b|\bso long\b": "a count, an amount, a duration",
+    r"\bMind:|\bnought\b|\bnone was\b": "what happened and what to do",
+    r"\brooms?\b|\bhouse\b": "package, module, layer",
+}
+
+
+def _prose(page: Path) -> str:
+    """A page without code."""
+    text = re.sub(r"^ *```.*?^ *```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL | re.M)
+    text = re.sub(r"^    \S.*$", "", re.sub(r"`[^`\n]*`", "Code", text), flags=re.M)
+    return re.sub(r"\]\([^)]*\)", "]", text)
+
+
+def _words(text: str) -> int:
+    return sum(bool(re.search(r"\w", word)) for word in text.split())
+
+
+def _sentences(page: Path) -> tuple[list[int], list[int]]:
+    """Words of each sentence: of paragraphs and lists, and of cells of tables."""
+    blocks, cells = [""], []
+    for line in _prose(page).splitlines():
+        if line.startswith("|"):
+            cells += line.strip("| ").split(" | ")
+        elif not line.strip() or line.startswith("#"):
+            blocks.append("")
+        elif re.match(r"\s*([-*]|\d+\.) ", line):
+            blocks.append(re.sub(r"^\s*([-*]|\d+\.) ", "", line))
+        else:
+            blocks[-1] += " " + line
+    end = r"(?<=[.!?])\s+(?=[\W_]*[A-Z0-9])"
+    counted = [[_words(part) for text in texts for part in re.split(end, text)] for texts in (blocks, cells)]
+    return [n for n in counted[0] if n], [n for n in counted[1] if n]
+
+
+@pytest.fixture(
+    params=[page for page in PAGES if page.relative_to(ROOT).as_posix() not in PENDING], ids=lambda page: page.stem
+)
+def page(request) -> Path:
+    return request.param
+
+
+def test_terms_are_those_of_the_field(page: Path):
+    text = _prose(page)
+    found = [f"{hit.group()!r}: {better}" for term, better in GLOSSARY.items() for hit in re.finditer(term, text)]
+    assert found == []
+
+
+def test_sentences_are_short(page: Path):
+    prose, cells = _sentences(page)
+    assert [words for words in (*prose, *cells) if words > LONGEST] == []
+    assert sum(prose) <= MEAN * len(prose)
+
+
+def test_all_pages_together_have_few_words():
+    names = {page.relative_to(ROOT).as_posix(): page for page in PAGES[1:]}
+    words = {name: _words(_prose(path)) for name, path in names.items() if name not in PENDING}
+    assert sum(words.values()) <= BUDGET, sorted(words.items(), key=lambda item: -item[1])[:10]
+
+
+def test_words_are_spelt_right():
+    text = "\n".join(_prose(page) for page in PAGES)
+    run = subprocess.run(
+        [sys.executable, "-m", "codespell_lib", "-"], input=text, capture_output=True, text=True, check=False
+    )
+    assert (run.returncode, run.stdout) == (0, "")
+
+
+def test_the_readme_fits_on_two_screens():
+    assert len(PAGES[0].read_text(encoding="utf-8").splitlines()) <= 90
