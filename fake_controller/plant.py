@@ -9,7 +9,7 @@ import numpy as np
 
 from agent.core import InputError
 from agent.robot import Dynamics, RobotDescription
-from agent.simulation import ExternalTorque, ForwardSimulation, ServoGains
+from agent.simulators import ExternalTorque, ForwardSimulation, ServoGains
 from fake_controller.actuation import load_effect
 from fake_controller.actuation.drive import actuation
 from fake_controller.actuation.machine import Machine, check_bodies, draw_machine

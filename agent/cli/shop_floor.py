@@ -157,7 +157,8 @@ def export(
     table: Annotated[bool, typer.Option("--csv", help="the table of parameters alone; of any model")] = False,
 ) -> None:
     """Write a model for other programs: URDF, MuJoCo model, SDF, friction, CSV, Foxglove layout. Prints the paths."""
-    from agent.model import IdentifiedModel, export_model, export_table, possible_model
+    from agent.model import IdentifiedModel, possible_model
+    from agent.simulators import export_model, export_table
 
     if out.exists() and not out.is_dir():
         raise InputError(f"{out}: is a file; name a folder to write to")

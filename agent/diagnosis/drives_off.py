@@ -18,9 +18,10 @@ from agent.diagnosis.finding import Finding
 from agent.diagnosis.isolability import best_by_place, plausible
 from agent.diagnosis.needs import Excursions
 from agent.diagnosis.verdict import abstained, named
-from agent.model import CATALOGUE, SIMULATOR, IdentifiedModel
+from agent.model import CATALOGUE, IdentifiedModel
 from agent.recording import Log
 from agent.robot import RobotDescription
+from agent.simulators import SIMULATOR
 
 _STANDS = 0.01  # rad or m: brakes give
 _LEAST = 1.0  # s

@@ -19,7 +19,7 @@ from agent.diagnosis.finding import Finding
 from agent.diagnosis.fit import Fit
 from agent.diagnosis.gap import HeldOutGap, held_out_gap
 from agent.diagnosis.limits import LIMITS, DecisionLimits
-from agent.model import SIMULATOR
+from agent.simulators import SIMULATOR
 
 
 def abstained(matters: bool) -> str:

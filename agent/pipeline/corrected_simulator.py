@@ -13,7 +13,7 @@ from agent.pipeline.identify import check_output
 
 if TYPE_CHECKING:
     from agent.diagnosis import Diagnosis
-    from agent.model import Simulator
+    from agent.simulators import Simulator
 
 _OVER_RANGE = 0.01  # rad or m, by which a joint is where its file does not let it be
 _FORMATS = {".xml": "an MJCF", ".mjcf": "an MJCF", ".urdf": "a URDF"}
@@ -25,7 +25,7 @@ def check_simulator_out(model: Path | None, out: Path, inputs: Sequence[Path]) -
     Raises:
         InputError: as said.
     """
-    from agent.model import written_files
+    from agent.simulators import written_files
 
     wanted = _FORMATS.get(out.suffix.lower())
     if wanted is None:
@@ -80,7 +80,8 @@ def write_simulator(found: Diagnosis, simulator: Simulator, out: Path, console: 
     """
     from agent.core import write_atomically
     from agent.diagnosis import corrected, ranges, ranges_text
-    from agent.model import CATALOGUE, write_corrected
+    from agent.model import CATALOGUE
+    from agent.simulators import write_corrected
 
     correction = corrected(found, simulator)
     for note in correction.notes:

@@ -1,4 +1,4 @@
-"""The drives of a machine in motion: friction, gears, and what else acts on axles (`agent.simulation.Actuation`)."""
+"""The drives of a machine in motion: friction, gears, and what else acts on axles (`agent.simulators.Actuation`)."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from math import exp
 
 import numpy as np
 
-from agent.simulation import RigidActuation
+from agent.simulators import RigidActuation
 from fake_controller.actuation.machine import Machine
 
 

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from agent.core.errors import InputError
-from agent.model.simulators import load_simulator
-from agent.model.simulators.corrected_file import write_corrected
-from agent.model.simulators.xml_text import XmlText
 from agent.robot import ParameterLayout
+from agent.simulators import load_simulator
+from agent.simulators.corrected_file import write_corrected
+from agent.simulators.xml_text import XmlText
 from tests.model.correcting import (
     BOOM,
     MJCF,

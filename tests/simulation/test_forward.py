@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 
 from agent.robot.drivetrain import rotor_mass_matrix
 from agent.robot.dynamics import Dynamics
-from agent.simulation import ForwardSimulation, RigidActuation, ServoGains
+from agent.simulators import ForwardSimulation, RigidActuation, ServoGains
 from fake_controller.actuation.drive import Drive, actuation
 from fake_controller.actuation.machine import draw_machine
 

@@ -13,9 +13,9 @@ from agent.core import InputError
 from agent.model.friction_terms import FrictionTerm, Reversal
 from agent.model.identified import IdentifiedModel
 from agent.model.rigid_friction import ModelEffect
-from agent.model.simulators.bodies import CarryingBody
-from agent.model.simulators.servos import PositionServos
 from agent.robot import Joint, ParameterLayout, RobotDescription
+from agent.simulators.bodies import CarryingBody
+from agent.simulators.servos import PositionServos
 
 #: `method` of a model that was read from a simulator's file.
 SIMULATOR = "simulator"

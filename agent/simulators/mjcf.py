@@ -16,11 +16,11 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 
 from agent.core import InputError, needed
-from agent.model.simulators.arm import SimulatedArm, described, model_of
-from agent.model.simulators.bodies import CarryingBody, parameters
-from agent.model.simulators.joints import leaving_out, listed
-from agent.model.simulators.servos import position_servos
-from agent.model.urdf_elements import digits, inertial_element, rpy_of
+from agent.simulators.arm import SimulatedArm, described, model_of
+from agent.simulators.bodies import CarryingBody, parameters
+from agent.simulators.joints import leaving_out, listed
+from agent.simulators.servos import position_servos
+from agent.simulators.urdf_elements import digits, inertial_element, rpy_of
 
 #: What the compilation of one file may take: seconds of processor time, bytes of memory.
 _SECONDS, _MEMORY = 10, 4 << 30

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from agent.core import InputError
-from agent.model.simulators.arm import SimulatedArm
-from agent.model.simulators.xml_text import Tag, XmlText
-from agent.model.urdf_elements import digits
+from agent.simulators.arm import SimulatedArm
+from agent.simulators.urdf_elements import digits
+from agent.simulators.xml_text import Tag, XmlText
 
 _JOINT = ("frictionloss", "damping", "armature", "stiffness", "springref")
 _ANGLES = ("springref", "ref")

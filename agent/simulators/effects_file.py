@@ -12,8 +12,8 @@ import numpy as np
 from agent.model.effects import CATALOGUE
 from agent.model.effects.dress_pack import N_NODES
 from agent.model.rigid_friction import ModelEffect
-from agent.model.simulators import standalone_effects
-from agent.model.simulators.correction import Correction
+from agent.simulators import standalone_effects
+from agent.simulators.correction import Correction
 
 _FORMS = (*(name[1:] for name in vars(standalone_effects.Effects) if name[1:] in CATALOGUE),)
 _OTHERS = ("joint_elasticity", "backlash", "wrist_coupling", "torque_constant", "torque_offset", "time_delay")

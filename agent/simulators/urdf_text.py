@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from agent.core import InputError
-from agent.model.simulators.arm import SimulatedArm
-from agent.model.simulators.correction import turned_pose
-from agent.model.simulators.xml_text import Tag, XmlText
-from agent.model.urdf_elements import digits, inertia_attributes, pose_of, rpy_of
+from agent.simulators.arm import SimulatedArm
+from agent.simulators.correction import turned_pose
+from agent.simulators.urdf_elements import digits, inertia_attributes, pose_of, rpy_of
+from agent.simulators.xml_text import Tag, XmlText
 
 _KEYS = {"frictionloss": "friction", "damping": "damping"}
 

@@ -10,11 +10,11 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from agent.core import InputError
-from agent.model.simulators.arm import SimulatedArm
-from agent.model.simulators.bodies import CarryingBody, parameters, seen_from
-from agent.model.simulators.joints import leaving_out, listed
-from agent.model.urdf_elements import end_of, pose_of
 from agent.robot import check_urdf
+from agent.simulators.arm import SimulatedArm
+from agent.simulators.bodies import CarryingBody, parameters, seen_from
+from agent.simulators.joints import leaving_out, listed
+from agent.simulators.urdf_elements import end_of, pose_of
 
 _TURN = 6.3  # rad
 _MOVABLE = ("revolute", "continuous", "prismatic")

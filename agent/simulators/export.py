@@ -4,7 +4,7 @@
 part of it, and with each joint's friction as `dynamics`: damping and friction are the line through the identified
 curve. `<robot>.xml` is the same for MuJoCo, where rotors are armature; what acts on an axle that several joints turn
 (motor coupling) is on a tendon. `friction.json` has what a URDF cannot say: rotor inertias, coupling, every term of
-friction. `<robot>.sdf` is for Gazebo (`agent.model.sdf`), `parameters.csv` the table of the report, and
+friction. `<robot>.sdf` is for Gazebo (`agent.simulators.sdf`), `parameters.csv` the table of the report, and
 `foxglove-layout.json` a layout for logs of this arm.
 
 Nothing is written that has not been read back and found to give the model's torques.
@@ -26,11 +26,11 @@ import numpy as np
 from agent.core import RejectedError, csv_text, written_whole
 from agent.model.friction_terms import ODD, steady_columns
 from agent.model.identified import IdentifiedModel
-from agent.model.sdf import sdf_text
 from agent.model.standard_parameters import check_physical, full_parameters
-from agent.model.urdf_elements import digits, end_of, inertial_element
 from agent.recording import FOXGLOVE_LAYOUT, foxglove_layout
 from agent.robot import ParameterLayout, about_centre
+from agent.simulators.sdf import sdf_text
+from agent.simulators.urdf_elements import digits, end_of, inertial_element
 
 _TABLE = "parameters.csv"
 _STATES = 50

@@ -19,12 +19,12 @@ from agent.model.effects.base_tilt import across
 from agent.model.effects.payload import Payload, ball
 from agent.model.identified import IdentifiedModel
 from agent.model.rigid_friction import ModelEffect
-from agent.model.simulators.arm import SimulatedArm, described, model_of
-from agent.model.simulators.bodies import about_centre, is_body, nearest, seen_from
-from agent.model.simulators.load import Simulator
-from agent.model.simulators.servos import PositionServos
-from agent.model.urdf_elements import digits, inertial_element, pose_of, rotation, rpy_of
 from agent.robot import LINK_PARAMETERS, ParameterLayout
+from agent.simulators.arm import SimulatedArm, described, model_of
+from agent.simulators.bodies import about_centre, is_body, nearest, seen_from
+from agent.simulators.load import Simulator
+from agent.simulators.servos import PositionServos
+from agent.simulators.urdf_elements import digits, inertial_element, pose_of, rotation, rpy_of
 
 _FRICTION = ("coulomb", "viscous")
 _LOST = 0.01  # of what moving bodies gained, from where on it is said that they could not exist

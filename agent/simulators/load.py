@@ -11,11 +11,11 @@ from xml.etree.ElementTree import Element
 
 from agent.core import InputError
 from agent.model.identified import IdentifiedModel
-from agent.model.simulators.arm import SimulatedArm, described, model_of
-from agent.model.simulators.joints import matched
-from agent.model.simulators.servos import PositionServos
-from agent.model.simulators.urdf import longest_chain, read_urdf
 from agent.robot import RobotDescription, parse_robot_file
+from agent.simulators.arm import SimulatedArm, described, model_of
+from agent.simulators.joints import matched
+from agent.simulators.servos import PositionServos
+from agent.simulators.urdf import longest_chain, read_urdf
 
 _GRAVITY = (0.0, 0.0, -9.80665)
 _MOST_JOINTS = 7
@@ -120,7 +120,7 @@ def _arm(
 ) -> SimulatedArm:
     if root.tag == "robot":
         return read_urdf(path, root, match, gravity)
-    from agent.model.simulators.mjcf import read_mjcf
+    from agent.simulators.mjcf import read_mjcf
 
     return read_mjcf(path, match)
 
@@ -129,6 +129,6 @@ def _chain(path: Path, root: Element) -> list[str]:
     """Joints from base to tip on the way that has most of them."""
     if root.tag == "robot":
         return longest_chain(root)
-    from agent.model.simulators.mjcf import longest_branch
+    from agent.simulators.mjcf import longest_branch
 
     return longest_branch(path)

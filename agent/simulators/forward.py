@@ -16,8 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from agent.robot import Dynamics
-from agent.simulation.actuation import Actuation, RigidActuation
-from agent.simulation.servo import CascadedServo, ServoGains
+from agent.simulators.actuation import Actuation, RigidActuation
+from agent.simulators.servo import CascadedServo, ServoGains
 
 #: (time [s], q (n,), q̇ (n,)) → joint torque (n,) [N·m] from outside, asked once a sample.
 ExternalTorque = Callable[[float, np.ndarray, np.ndarray], np.ndarray]

@@ -18,13 +18,13 @@ from typing import Any
 import numpy as np
 
 from agent.core import InputError, RejectedError
-from agent.model.simulators.bodies import about_centre, seen_from
-from agent.model.simulators.correction import Correction
-from agent.model.simulators.effects_file import effects_text
-from agent.model.simulators.load import Simulator, load_simulator
-from agent.model.simulators.mjcf_text import MjcfText
-from agent.model.simulators.servos import PositionServos
-from agent.model.simulators.urdf_text import UrdfText
+from agent.simulators.bodies import about_centre, seen_from
+from agent.simulators.correction import Correction
+from agent.simulators.effects_file import effects_text
+from agent.simulators.load import Simulator, load_simulator
+from agent.simulators.mjcf_text import MjcfText
+from agent.simulators.servos import PositionServos
+from agent.simulators.urdf_text import UrdfText
 
 SCHEMA = "simulator-changes/1"
 _TOLERANCE = 1e-8  # of the largest torque, between what is written and what was meant

@@ -12,8 +12,8 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 
 from agent.model.identified import IdentifiedModel
-from agent.model.urdf_elements import rpy_of
 from agent.robot import ParameterLayout, about_centre, joint_axes
+from agent.simulators.urdf_elements import rpy_of
 
 _AXES = "xyz"
 

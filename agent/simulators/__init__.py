@@ -1,0 +1,44 @@
+"""Simulators as files: MuJoCo's MJCF and URDF read as an identified model, corrected, exported and run forward.
+
+Nothing in such a file was identified, so its parameters come without uncertainty: the model holds them as exact, and
+the error it should have is for the caller to say (`docs/decisions/simulator-background.md`).
+"""
+
+from agent.simulators.actuation import RigidActuation
+from agent.simulators.arm import SIMULATOR
+from agent.simulators.corrected_file import write_corrected, written_files
+from agent.simulators.correction import Commands, Correction, Released, correct
+from agent.simulators.export import export_model, export_table
+from agent.simulators.forward import ExternalTorque, ForwardSimulation, SimulatedMotion
+from agent.simulators.joints import load_joint_map
+from agent.simulators.load import Simulator, is_simulator, load_arm, load_simulator
+from agent.simulators.mjcf import compiled, mujoco_package
+from agent.simulators.servo import ServoGains
+from agent.simulators.servos import SERVO_STIFFNESS, PositionServos, servo_stiffness
+
+__all__ = [
+    "SERVO_STIFFNESS",
+    "SIMULATOR",
+    "Commands",
+    "Correction",
+    "ExternalTorque",
+    "ForwardSimulation",
+    "PositionServos",
+    "Released",
+    "RigidActuation",
+    "ServoGains",
+    "SimulatedMotion",
+    "Simulator",
+    "compiled",
+    "correct",
+    "export_model",
+    "export_table",
+    "is_simulator",
+    "load_arm",
+    "load_joint_map",
+    "load_simulator",
+    "mujoco_package",
+    "servo_stiffness",
+    "write_corrected",
+    "written_files",
+]
