@@ -1,5 +1,8 @@
 from .effects import CATALOGUE as CATALOGUE
+from .effects.base_tilt import across as across
+from .effects.dress_pack import N_NODES as N_NODES
 from .effects.effect import Columns as Columns, Effect as Effect, FitContext as FitContext
+from .effects.payload import ball as ball
 from .friction_terms import (
     FORMS as FORMS,
     ODD as ODD,
@@ -22,9 +25,17 @@ from .known_load import (
     payload_of as payload_of,
     payload_text as payload_text,
 )
-from .nearest_bodies import possible_model as possible_model
 from .regimes import REGIMES as REGIMES, regime_masks as regime_masks, standstill_speed as standstill_speed
 from .rigid_friction import ModelEffect as ModelEffect, ParameterPrior as ParameterPrior
 from .signals import MotionSignals as MotionSignals, NominalModel as NominalModel
-from .standard_parameters import full_parameters as full_parameters
+from .standard_parameters import (
+    body_parameters as body_parameters,
+    check_physical as check_physical,
+    full_parameters as full_parameters,
+    is_body as is_body,
+    nearby_body as nearby_body,
+    nearest_bodies as nearest_bodies,
+    possible_model as possible_model,
+    seen_from as seen_from,
+)
 from .with_effects import effect_torque as effect_torque

@@ -4,17 +4,15 @@ Nothing in such a file was identified, so its parameters come without uncertaint
 the error it should have is for the caller to say (`docs/decisions/simulator-background.md`).
 """
 
-from agent.simulators.actuation import RigidActuation
 from agent.simulators.arm import SIMULATOR
-from agent.simulators.corrected_file import write_corrected, written_files
-from agent.simulators.correction import Commands, Correction, Released, correct
+from agent.simulators.corrected.corrected_file import write_corrected, written_files
+from agent.simulators.corrected.correction import Commands, Correction, Released, correct
 from agent.simulators.export import export_model, export_table
-from agent.simulators.forward import ExternalTorque, ForwardSimulation, SimulatedMotion
+from agent.simulators.forward import ExternalTorque, ForwardSimulation, RigidActuation, ServoGains, SimulatedMotion
 from agent.simulators.joints import load_joint_map
-from agent.simulators.load import Simulator, is_simulator, load_arm, load_simulator
 from agent.simulators.mjcf import compiled, mujoco_package
-from agent.simulators.servo import ServoGains
 from agent.simulators.servos import SERVO_STIFFNESS, PositionServos, servo_stiffness
+from agent.simulators.simulator import Simulator, is_simulator, load_arm, load_simulator
 
 __all__ = [
     "SERVO_STIFFNESS",

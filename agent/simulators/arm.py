@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from agent.core import InputError
-from agent.model.friction_terms import FrictionTerm, Reversal
-from agent.model.identified import IdentifiedModel
-from agent.model.rigid_friction import ModelEffect
-from agent.robot import Joint, ParameterLayout, RobotDescription
-from agent.simulators.bodies import CarryingBody
+from agent.model import FrictionTerm, IdentifiedModel, ModelEffect, Reversal
+from agent.robot import Dynamics, Joint, ParameterLayout, RobotDescription, chain_of, rigid_bodies
 from agent.simulators.servos import PositionServos
 
 #: `method` of a model that was read from a simulator's file.
@@ -25,6 +21,21 @@ _REVERSAL = 2e-3  # of the highest speed, over which Coulomb friction changes si
 _EXACT = 1e-6  # standard deviation of a parameter that may not move, over its value
 _CUTOFF, _ORDER = 30.0, 8  # Hz, of the filter, where the caller knows no better
 _ANGLE, _LENGTH = 0.05, 0.03  # rad, and part of the reach, by which the axes of one and the same arm may differ
+
+
+@dataclass(frozen=True, eq=False)
+class CarryingBody:
+    """Of all bodies that a joint carries the one that takes a change of their inertia: the heaviest.
+
+    `name` in the file, `pose` (4, 4) of its frame in the link's, `own` (10,) its parameters in the link's frame; `link`
+    and `link_pose` are the same of the URDF that the arm is read as.
+    """
+
+    name: str
+    pose: np.ndarray
+    own: np.ndarray
+    link: str
+    link_pose: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,6 +68,11 @@ class SimulatedArm:
     notes: tuple[str, ...] = ()
     servos: PositionServos | str = "a URDF has no servos"
 
+    @property
+    def is_urdf(self) -> bool:
+        """Whether its file is a URDF, by its name; else it is an MJCF."""
+        return self.path.suffix.lower() == ".urdf"
+
 
 def described(arm: SimulatedArm, robot: RobotDescription | None) -> tuple[RobotDescription, tuple[str, ...]]:
     """The robot that the file shows, with the drives of `robot` where there is one, and what is to be said about it.
@@ -67,8 +83,8 @@ def described(arm: SimulatedArm, robot: RobotDescription | None) -> tuple[RobotD
         InputError: the file's arm is not that of the description.
     """
     if robot is None:
-        joints = tuple(_plain_joint(arm, k) for k in range(len(arm.joint_names)))
-        return _description(arm, arm.name, joints, None), ()
+        plain = tuple(_plain_joint(arm, k) for k in range(len(arm.joint_names)))
+        return _description(arm, arm.name, plain), ()
     for joint, prismatic in zip(robot.joints, arm.prismatic, strict=True):
         if joint.prismatic != prismatic:
             kinds = ("turns", "slides")
@@ -81,27 +97,23 @@ def described(arm: SimulatedArm, robot: RobotDescription | None) -> tuple[RobotD
         replace(joint, rotor_inertia=float(inertia) / joint.gear_ratio**2 or joint.rotor_inertia)
         for joint, inertia in zip(robot.joints, arm.armature, strict=True)
     )
-    found = _description(arm, robot.name, joints, robot)
+    found = replace(_description(arm, robot.name, joints), cartesian_limits=robot.cartesian_limits)
     _check_same_arm(arm, found, robot)
-    return found, tuple(_robot_notes(robot))
-
-
-def _robot_notes(robot: RobotDescription) -> Iterator[str]:
-    if np.any(robot.coupling - np.eye(robot.dof)):
-        yield (
-            "armature, damping and frictionloss of the file act on its joints, so the motor coupling of the "
-            "description is no part of the simulator"
-        )
+    coupled = (
+        "armature, damping and frictionloss of the file act on its joints, so the motor coupling of the description is "
+        "no part of the simulator"
+    )
+    return found, (coupled,) if np.any(robot.coupling - np.eye(robot.dof)) else ()
 
 
 def _plain_joint(arm: SimulatedArm, k: int) -> Joint:
-    speed = float(arm.max_velocity[k]) if np.isfinite(arm.max_velocity[k]) else _USUAL_SPEED
+    speed = float(arm.max_velocity[k])
     return Joint(
         name=arm.joint_names[k],
         prismatic=arm.prismatic[k],
         gear_ratio=1.0,
         nominal_motor_torque=None,
-        max_velocity=speed,
+        max_velocity=speed if np.isfinite(speed) else _USUAL_SPEED,
         max_acceleration=_USUAL_ACCELERATION,
         max_jerk=None,
         rotor_inertia=float(arm.armature[k]) or None,
@@ -112,18 +124,15 @@ def _plain_joint(arm: SimulatedArm, k: int) -> Joint:
     )
 
 
-def _description(
-    arm: SimulatedArm, name: str, joints: tuple[Joint, ...], robot: RobotDescription | None
-) -> RobotDescription:
-    safe = re.sub(r"[^\w .+-]", "_", name).strip(" .+-")[:64] or "arm"
+def _description(arm: SimulatedArm, name: str, joints: tuple[Joint, ...]) -> RobotDescription:
     return RobotDescription(
-        name=safe,
+        name=re.sub(r"[^\w .+-]", "_", name).strip(" .+-")[:64] or "arm",
         urdf=arm.urdf,
         tip_frame=arm.tip_frame,
         gravity=arm.gravity,
-        cartesian_limits=None if robot is None else robot.cartesian_limits,
+        cartesian_limits=None,
         joints=joints,
-        motor_coupling=tuple(tuple(float(i == j) for j in range(len(joints))) for i in range(len(joints))),
+        motor_coupling=tuple(map(tuple, np.eye(len(joints)).tolist())),
     )
 
 
@@ -146,8 +155,6 @@ def _between_axes(robot: RobotDescription) -> tuple[np.ndarray, np.ndarray, floa
 
     They are link constants (Denavit and Hartenberg), the same whatever the zero position, direction or base frame.
     """
-    from agent.robot import chain_of
-
     axes, points, tip = chain_of(robot).axes_at_zero()
     angles, distances = [], []
     for k in range(robot.dof - 1):
@@ -168,17 +175,19 @@ def model_of(arm: SimulatedArm, robot: RobotDescription, provenance: dict[str, o
     Raises:
         InputError: a mass matrix that is not positive, or joints that are not one serial chain.
     """
-    from agent.robot import rigid_bodies
-
     check_mass_matrix(arm, robot)
     rigid, standard_names, combinations = rigid_bodies(robot)
     n = robot.dof
     standard = np.concatenate([rigid.dynamics.standard_parameters(), arm.armature / robot.gear_ratios**2])
-    terms, friction = [], []
-    for k, joint in enumerate(robot.joints):
-        terms.append(FrictionTerm(k, "coulomb", Reversal("speed", _REVERSAL * joint.max_velocity)))
-        terms.append(FrictionTerm(k, "viscous"))
-        friction += [arm.frictionloss[k], arm.damping[k]]
+    terms = [
+        term
+        for k, joint in enumerate(robot.joints)
+        for term in (
+            FrictionTerm(k, "coulomb", Reversal("speed", _REVERSAL * joint.max_velocity)),
+            FrictionTerm(k, "viscous"),
+        )
+    ]
+    friction = np.stack([arm.frictionloss, arm.damping], axis=1).ravel()
     values = np.append(rigid.projection @ standard, friction)
     size = np.abs(values) + 1e-3 * np.abs(values).max(initial=1e-6)
     springs = tuple(
@@ -214,8 +223,6 @@ def model_of(arm: SimulatedArm, robot: RobotDescription, provenance: dict[str, o
 
 def check_mass_matrix(arm: SimulatedArm, robot: RobotDescription) -> None:
     """Raise InputError where some posture has a direction that costs no kinetic energy, or less than none."""
-    from agent.robot import Dynamics
-
     links = Dynamics(robot)
     low, high = (np.clip(limit, -np.pi, np.pi) for limit in robot.position_limits)
     for q in np.random.default_rng(0).uniform(low, high, (20, robot.dof)):

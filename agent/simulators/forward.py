@@ -3,24 +3,146 @@
     (M(q) + Cᵀ I C) q̈ + h(q, q̇) = Cᵀ f + τ_external
 
 with the coupling C, the inertia I of the rotors that turn with their axles, and f from the actuation, which the servo
-drives. Leapfrog with a predicted velocity: positions live at t, velocities at t − dt/2, forces see
+drives. All that acts between motors and joints is on the axles (see `agent.robot.drivetrain`): an axle's position is
+its motor's angle over the gear ratio where nothing gives way in between, a torque on it is the motor's times the gear
+ratio. Leapfrog with a predicted velocity: positions live at t, velocities at t − dt/2, forces see
 v̂ = v + dt/2 · (last acceleration). Second order, one evaluation of the dynamics a step. What a `RigidActuation` is runs
 compiled, its memoryless friction linearly implicitly; any other is asked step by step.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
+from agent.compiled import march
 from agent.robot import Dynamics
-from agent.simulators.actuation import Actuation, RigidActuation
-from agent.simulators.servo import CascadedServo, ServoGains
 
 #: (time [s], q (n,), q̇ (n,)) → joint torque (n,) [N·m] from outside, asked once a sample.
 ExternalTorque = Callable[[float, np.ndarray, np.ndarray], np.ndarray]
+
+
+class Actuation(Protocol):
+    """Friction, gears, springs: n axles with whatever states they need, advanced one inner step at a time.
+
+    Plain floats in lists: for six joints they cost a fifth of what small arrays do. All in rad, rad/s, N·m
+    (m, m/s, N on a prismatic joint), of the axles.
+    """
+
+    @property
+    def rigid(self) -> Sequence[bool]:
+        """(n,) whether an axle turns with its motor, so that the rotor's inertia belongs to the joint's.
+
+        Where it is False, `step` integrates the rotor itself.
+        """
+
+    def reset(self, position: Sequence[float], torque: Sequence[float]) -> None:
+        """The arm rests, its axles at `position` (n,) under the static `torque` (n,)."""
+
+    def motors(self, position: Sequence[float], velocity: Sequence[float]) -> tuple[Sequence[float], Sequence[float]]:
+        """What the motors' encoders see, (n,) and (n,), while the axles' load side is at `position`, `velocity`."""
+
+    def step(
+        self, time: float, position: Sequence[float], velocity: Sequence[float], torque: Sequence[float], dt: float
+    ) -> Sequence[float]:
+        """(n,) torque on the load side while the motors give `torque` (n,); advances the states by `dt` [s]."""
+
+
+class RigidActuation:
+    """Stiff gears and friction f0 tanh(v / transition) + f1 v + f2 |v| v on every axle; it runs compiled.
+
+    Arrays (n,): `coulomb` f0 [N·m], `viscous` f1 [N·m·s/rad], `quadratic` f2 [N·m·s²/rad²], `transition` [rad/s], all
+    taken at the velocity after the step, so that friction that is stiff at rest stays stable. `bristles` (6, n) are
+    those of `agent.compiled.march`, friction with a memory beside it.
+    """
+
+    def __init__(
+        self,
+        coulomb: np.ndarray | float,
+        viscous: np.ndarray | float,
+        quadratic: np.ndarray | float,
+        transition: np.ndarray | float,
+        bristles: np.ndarray | None = None,
+    ):
+        terms = np.broadcast_arrays(coulomb, viscous, quadratic, np.maximum(transition, 1e-9))
+        memoryless = np.array(terms, dtype=float)
+        self.friction = np.vstack([memoryless, np.zeros((6, memoryless.shape[1])) if bristles is None else bristles])
+
+    @property
+    def rigid(self) -> Sequence[bool]:
+        return [True] * self.friction.shape[1]
+
+    def reset(self, position: Sequence[float], torque: Sequence[float]) -> None:
+        pass
+
+    def motors(self, position: Sequence[float], velocity: Sequence[float]) -> tuple[Sequence[float], Sequence[float]]:
+        return position, velocity
+
+
+@dataclass(frozen=True, eq=False)
+class ServoGains:
+    """Gains of n axles, arrays (n,).
+
+    `position` [1/s]; `velocity` [N·m·s/rad] and `integral` [N·m/rad] of the PI velocity loop; `feedforward`, the
+    fraction of the reference velocity that is fed forward; `inertia` [kg·m²], fed forward on the reference
+    acceleration; `limit` [N·m], the largest torque of the drive.
+    """
+
+    position: np.ndarray
+    velocity: np.ndarray
+    integral: np.ndarray
+    feedforward: np.ndarray
+    inertia: np.ndarray
+    limit: np.ndarray
+
+    @classmethod
+    def tuned(cls, inertia: np.ndarray, limit: np.ndarray) -> ServoGains:
+        """Common gains for axles of total `inertia` (n,) [kg·m²] and torque `limit` (n,) [N·m].
+
+        Position loop of 30/s, velocity loop of 190 rad/s that resets at 30/s, 95 % of the velocity fed forward.
+        """
+        ones, gain = np.ones(len(inertia)), 190.0 * inertia
+        return cls(30.0 * ones, gain, 30.0 * gain, 0.95 * ones, 0.0 * inertia, limit)
+
+
+class CascadedServo:
+    """u = kv (kff ṙ + kp (r − θ) − θ̇) + ki ∫(…) dt + J r̈ + τ_ff, clamped; the integral holds while clamped."""
+
+    def __init__(self, gains: ServoGains):
+        columns = (gains.position, gains.velocity, gains.integral, gains.feedforward, gains.inertia, gains.limit)
+        self._axles = list(zip(*(np.asarray(column, dtype=float).tolist() for column in columns), strict=True))
+        self._integral = [0.0] * len(self._axles)
+
+    def reset(self, torque: Sequence[float]) -> None:
+        """Start from rest, holding against the static `torque` (n,)."""
+        self._integral = list(torque)
+
+    def step(
+        self,
+        reference: Sequence[float],
+        reference_velocity: Sequence[float],
+        feedforward: Sequence[float],
+        position: Sequence[float],
+        velocity: Sequence[float],
+        dt: float,
+    ) -> list[float]:
+        """(n,) motor torque, on the axles; all arguments (n,). `feedforward` [N·m] is everything fed forward."""
+        integral = self._integral
+        torque = []
+        for k, (kp, kv, ki, kff, _, limit) in enumerate(self._axles):
+            error = kff * reference_velocity[k] + kp * (reference[k] - position[k]) - velocity[k]
+            command = kv * error + integral[k] + feedforward[k]
+            if command > limit:
+                command = limit
+            elif command < -limit:
+                command = -limit
+            else:
+                integral[k] += ki * error * dt
+            torque.append(command)
+        return torque
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,8 +246,6 @@ class ForwardSimulation:
 
     def _march(self, actuation: RigidActuation, references: np.ndarray) -> np.ndarray:
         """(S, 5, n) what `agent.compiled.march` finds: at once, or from sample to sample where something acts."""
-        from agent.compiled import march
-
         gains, steps = self._gains, self._substeps
         servo = np.array([gains.position, gains.velocity, gains.integral, gains.feedforward, gains.limit], dtype=float)
         arm = *self._dynamics.chain, self._coupling, self._rotors, servo, actuation.friction

@@ -99,7 +99,7 @@ def _servo(mujoco: Any, model: Any, joint: int) -> tuple[Any, ...] | str:
     own = [a for a in on_joint if model.actuator_biastype[a] == affine and model.actuator_biasprm[a, 1] < 0]
     if not own:
         tendons = (a for a in range(model.nu) if model.actuator_trntype[a] == int(mujoco.mjtTrn.mjTRN_TENDON))
-        pulled = next((a for a in tendons if joint in _pulled(mujoco, model, _of(model, a))), None)
+        pulled = next((a for a in tendons if joint in pulled_joints(mujoco, model, _of(model, a))), None)
         if pulled is not None:
             return f"{name} is driven through a tendon ({model.actuator(pulled).name or pulled!r})"
         return f"{name} has no position actuator" + (" (what drives it holds no position)" if on_joint else "")
@@ -130,7 +130,7 @@ def _of(model: Any, actuator: int) -> int:
     return int(model.actuator_trnid[actuator, 0])
 
 
-def _pulled(mujoco: Any, model: Any, tendon: int) -> list[int]:
+def pulled_joints(mujoco: Any, model: Any, tendon: int) -> list[int]:
     """Joints that a fixed tendon pulls at."""
     parts = range(model.tendon_adr[tendon], model.tendon_adr[tendon] + model.tendon_num[tendon])
     return [int(model.wrap_objid[w]) for w in parts if model.wrap_type[w] == int(mujoco.mjtWrap.mjWRAP_JOINT)]

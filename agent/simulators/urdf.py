@@ -1,20 +1,23 @@
-"""A URDF as a simulator: links and axes are Pinocchio's to read, `dynamics` of a joint is its damping and friction."""
+"""A URDF as a simulator: links and axes are Pinocchio's to read, `dynamics` of a joint is its damping and friction.
+
+Elements of a URDF are read and written here too: poses, inertials, ends of joints; numbers keep every digit.
+"""
 
 from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from xml.etree.ElementTree import Element
+from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from agent.core import InputError
-from agent.robot import check_urdf
-from agent.simulators.arm import SimulatedArm
-from agent.simulators.bodies import CarryingBody, parameters, seen_from
+from agent.model import body_parameters, seen_from
+from agent.robot import about_centre, check_urdf
+from agent.simulators.arm import CarryingBody, SimulatedArm
 from agent.simulators.joints import leaving_out, listed
-from agent.simulators.urdf_elements import end_of, pose_of
 
 _TURN = 6.3  # rad
 _MOVABLE = ("revolute", "continuous", "prismatic")
@@ -28,7 +31,6 @@ def read_urdf(
     Raises:
         InputError: numbers that are none, mimic joints in the arm, or joints that are not one chain.
     """
-    by_child = {end_of(joint, "child"): joint for joint in root.findall("joint")}
     elements = {str(joint.get("name")): joint for joint in root.findall("joint")}
     movable = [name for name, joint in elements.items() if joint.get("type") in _MOVABLE]
     used = match(movable)
@@ -40,24 +42,26 @@ def read_urdf(
         raise InputError(
             f"{path}: joint {floating[0]!r} is {elements[floating[0]].get('type')}: a fixed base is needed"
         )
-    chain = _chain(path, elements, by_child, used)
+    chain = _chain(path, root, used)
     held = [name for name in movable if name not in used]
-    notes = (f"{listed(held)} held at zero: not among the joints compared",) if held else ()
-    for element in root.iter("joint"):
-        element.set("name", used.get(str(element.get("name")), str(element.get("name"))))
     joints = [elements[name] for name in chain]
-    damping, friction = (
-        np.array([_number(j, "dynamics", key, 0.0) for j in joints]) for key in ("damping", "friction")
-    )
-    lower, upper, speed = (
-        np.array([_number(j, "limit", key, other) for j in joints])
-        for key, other in (("lower", -np.inf), ("upper", np.inf), ("velocity", np.nan))
+    for name, element in elements.items():
+        element.set("name", used.get(name, name))
+    damping, friction, lower, upper, speed = (
+        np.array([_number(joint, tag, key, otherwise) for joint in joints])
+        for tag, key, otherwise in (
+            ("dynamics", "damping", 0.0),
+            ("dynamics", "friction", 0.0),
+            ("limit", "lower", -np.inf),
+            ("limit", "upper", np.inf),
+            ("limit", "velocity", np.nan),
+        )
     )
     turning = np.array([joint.get("type") == "continuous" for joint in joints]) | ~(lower < upper)
     zero = np.zeros(len(chain))
     option = root.find("mujoco/option")
     if option is not None and option.get("gravity"):
-        x, y, z = (float(word) for word in str(option.get("gravity")).split())
+        x, y, z = _numbers(option, "gravity")
         gravity = (x, y, z)
     return SimulatedArm(
         path=path,
@@ -77,34 +81,38 @@ def read_urdf(
         stiffness=zero,
         rest=zero,
         carrying=tuple(_carrying(root, joint, set(used.values())) for joint in joints),
-        notes=notes,
+        notes=(f"{listed(held)} held at zero: not among the joints compared",) if held else (),
     )
 
 
 def longest_chain(root: Element) -> list[str]:
     """Joints from base to tip on the way that has most of them, without those that follow or lead others (mimic)."""
-    joints = {end_of(joint, "child"): joint for joint in root.findall("joint")}
-    pairs = {
-        name for j in joints.values() if (m := j.find("mimic")) is not None for name in (j.get("name"), m.get("joint"))
-    }
-    longest: list[str] = []
-    for link in joints:
-        chain: list[str] = []
-        while link in joints and len(chain) < len(joints):
-            joint = joints[link]
-            if joint.get("type") in _MOVABLE and joint.get("name") not in pairs:
-                chain.insert(0, str(joint.get("name")))
-            link = end_of(joint, "parent")
-        longest = max(longest, chain, key=len)
-    return longest
+    joints = root.findall("joint")
+    paired = {name for j in joints for mimic in j.iter("mimic") for name in (j.get("name"), mimic.get("joint"))}
+    chains = (
+        [str(j.get("name")) for j in path if j.get("type") in _MOVABLE and j.get("name") not in paired]
+        for path in _paths(root)
+    )
+    return max(chains, key=len, default=[])
+
+
+def _paths(root: Element) -> list[list[Element]]:
+    """For every joint, the joints from the base to it."""
+    by_child = {end_of(joint, "child"): joint for joint in root.findall("joint")}
+    found = []
+    for joint in by_child.values():
+        path = [joint]
+        while (parent := by_child.get(end_of(path[0], "parent"))) is not None and parent not in path:
+            path.insert(0, parent)
+        found.append(path)
+    return found
 
 
 def _check_radians(path: Path, root: Element) -> None:
     """Raise InputError where angles are larger than any in radians would be written."""
     for owner in (*root.findall("link"), *root.findall("joint")):
         for origin in owner.iter("origin"):
-            largest = max((abs(float(word)) for word in (origin.get("rpy") or "0").split()), default=0.0)
-            if largest > _TURN:
+            if np.abs(_numbers(origin, "rpy", "0")).max() > _TURN:
                 raise InputError(
                     f"{path}: {owner.tag} {owner.get('name')!r}: rpy {origin.get('rpy')!r} looks like degrees; a URDF "
                     "has radians"
@@ -133,69 +141,119 @@ def _refuse_followers(path: Path, elements: Mapping[str, Element], used: Mapping
             )
 
 
-def _chain(
-    path: Path, elements: Mapping[str, Element], by_child: Mapping[str, Element], used: Mapping[str, str]
-) -> list[str]:
+def _chain(path: Path, root: Element, used: Mapping[str, str]) -> list[str]:
     """The used joints from base to tip."""
-
-    def above(name: str) -> list[str]:
-        found, link = [name], end_of(elements[name], "parent")
-        while link in by_child:
-            name = str(by_child[link].get("name"))
-            found.append(name)
-            link = end_of(by_child[link], "parent")
-        return found
-
-    longest = max((above(name) for name in used), key=lambda names: len(set(names) & set(used)))
+    ways = [[str(joint.get("name")) for joint in joints] for joints in _paths(root)]
+    longest = max(ways, key=lambda names: len(set(names) & set(used)))
+    chain = [name for name in longest if name in used]
     aside = [name for name in used if name not in longest]
     if aside:
         raise InputError(
-            f"{path}: not on the way to {longest[0]}: {listed(aside)}. One serial arm is compared at a time, without "
+            f"{path}: not on the way to {chain[-1]}: {listed(aside)}. One serial arm is compared at a time, without "
             f"other branches: {leaving_out(used, aside)}"
         )
-    return [name for name in reversed(longest) if name in used]
+    return chain
 
 
 def _carrying(root: Element, joint: Element, used: set[str]) -> CarryingBody:
     """The heaviest of the links that a joint carries; joints that are not used are at zero."""
-    children: dict[str, list[Element]] = {}
-    for other in root.findall("joint"):
-        if other.get("name") not in used:
-            children.setdefault(end_of(other, "parent"), []).append(other)
     inertials = {link.get("name"): link.find("inertial") for link in root.findall("link")}
-    first = end_of(joint, "child")
-    poses, open_ends = {first: np.eye(4)}, [first]
-    while open_ends:
-        link = open_ends.pop()
-        for other in children.get(link, []):
-            poses[end_of(other, "child")] = poses[link] @ pose_of(other.find("origin"))
-            open_ends.append(end_of(other, "child"))
-    mass = {link: _value(inertials.get(link), "mass", "value") for link in poses}
-    heaviest = max(poses, key=lambda link: (mass[link], link == first))
-    own = seen_from(_own(inertials.get(heaviest)), np.linalg.inv(poses[heaviest]))
-    return CarryingBody(heaviest, poses[heaviest], own, heaviest, poses[heaviest])
+    poses = {end_of(joint, "child"): np.eye(4)}
+    for link in (open_ends := list(poses)):
+        for other in root.findall("joint"):
+            if other.get("name") not in used and end_of(other, "parent") == link:
+                poses[end_of(other, "child")] = poses[link] @ pose_of(other.find("origin"))
+                open_ends.append(end_of(other, "child"))
+    own = {link: _own(inertials.get(link)) for link in poses}
+    heaviest = max(poses, key=lambda link: own[link][0])
+    pose = poses[heaviest]
+    return CarryingBody(heaviest, pose, seen_from(own[heaviest], np.linalg.inv(pose)), heaviest, pose)
 
 
 def _own(inertial: Element | None) -> np.ndarray:
     """(10,) of an inertial in its link's frame."""
-    mass = _value(inertial, "mass", "value")
+    mass = 0.0 if inertial is None else _number(inertial, "mass", "value", 0.0)
     if inertial is None or mass <= 0:
         return np.zeros(10)
     pose = pose_of(inertial.find("origin"))
-    inertia = np.array([[_value(inertial, "inertia", f"i{min(a, b)}{max(a, b)}") for b in "xyz"] for a in "xyz"])
-    turn = pose[:3, :3]
-    return parameters(mass, pose[:3, 3], turn @ inertia @ turn.T)
+    keys = [[f"i{min(a, b)}{max(a, b)}" for b in "xyz"] for a in "xyz"]
+    inertia = np.array([[_number(inertial, "inertia", key, 0.0) for key in row] for row in keys])
+    return body_parameters(mass, pose[:3, 3], pose[:3, :3] @ inertia @ pose[:3, :3].T)
 
 
-def _value(inertial: Element | None, tag: str, key: str) -> float:
-    element = None if inertial is None else inertial.find(tag)
-    return 0.0 if element is None else float(element.get(key, "0"))
-
-
-def _number(joint: Element, tag: str, key: str, otherwise: float) -> float:
-    element = joint.find(tag)
+def _number(owner: Element, tag: str, key: str, otherwise: float) -> float:
+    element = owner.find(tag)
     text = None if element is None else element.get(key)
     try:
         return otherwise if text is None else float(text)
     except ValueError:
-        raise InputError(f"joint {joint.get('name')!r}: {tag} {key}: a number is expected, not {text!r}") from None
+        raise InputError(f"joint {owner.get('name')!r}: {tag} {key}: a number is expected, not {text!r}") from None
+
+
+def _numbers(element: Element | None, key: str, otherwise: str = "0 0 0") -> np.ndarray:
+    text = None if element is None else element.get(key)
+    return np.array([float(word) for word in (text or otherwise).split()])
+
+
+def digits(*numbers: float) -> str:
+    """With every digit: rounding costs torque."""
+    return " ".join(repr(float(number)) for number in numbers)
+
+
+def child_of(element: Element, name: str) -> Element:
+    """The first child of that name, added where there is none."""
+    found = element.find(name)
+    return SubElement(element, name) if found is None else found
+
+
+def end_of(joint: Element, which: str) -> str:
+    """The link at a joint's `parent` or `child`; empty where it has none."""
+    element = joint.find(which)
+    return "" if element is None else element.get("link", "")
+
+
+def set_inertial(link: Element, block: np.ndarray) -> None:
+    """Give a link the inertia (10,), about its frame."""
+    inertial, tensor = child_of(link, "inertial"), about_centre(block)
+    _put(child_of(inertial, "origin"), xyz=block[1:4] / block[0], rpy=np.zeros(3))
+    child_of(inertial, "mass").set("value", digits(block[0]))
+    keys = {f"i{'xyz'[i]}{'xyz'[j]}": digits(tensor[i, j]) for i in range(3) for j in range(i, 3)}
+    child_of(inertial, "inertia").attrib.update(keys)
+
+
+def move_zero(joint: Element, offset: float) -> tuple[np.ndarray, np.ndarray]:
+    """Turn or shift a joint's origin so that its zero is `offset` [rad or m] further back; (4, 4) before and after."""
+    axis = _numbers(joint.find("axis"), "xyz", "1 0 0")
+    axis, step = axis / np.linalg.norm(axis), np.eye(4)
+    if joint.get("type") == "prismatic":
+        step[:3, 3] = -offset * axis
+    else:
+        step[:3, :3] = Rotation.from_rotvec(-offset * axis).as_matrix()
+    before = pose_of(joint.find("origin"))
+    after = before @ step
+    _put(child_of(joint, "origin"), xyz=after[:3, 3], rpy=rpy_of(after))
+    return before, after
+
+
+def _put(origin: Element, **places: np.ndarray) -> None:
+    """Positions and angles that differ from what is written; others keep their text."""
+    for key, numbers in places.items():
+        if origin.get(key) is None or np.abs(_numbers(origin, key) - numbers).max() > 1e-14:
+            origin.set(key, digits(*numbers))
+
+
+def pose_of(origin: Element | None) -> np.ndarray:
+    """(4, 4) of an origin element; identity where there is none."""
+    pose = np.eye(4)
+    pose[:3, :3] = Rotation.from_euler("xyz", _numbers(origin, "rpy")).as_matrix()
+    pose[:3, 3] = _numbers(origin, "xyz")
+    return pose
+
+
+def rpy_of(pose: np.ndarray) -> np.ndarray:
+    """(3,) roll, pitch, yaw of a pose (4, 4): R = Rz(yaw) Ry(pitch) Rx(roll). Upright, roll is 0."""
+    flat = np.hypot(pose[0, 0], pose[1, 0])
+    pitch = np.arctan2(-pose[2, 0], flat)
+    if flat < 1e-9:
+        return np.array([0.0, pitch, np.arctan2(-pose[0, 1], pose[1, 1])])
+    return np.array([np.arctan2(pose[2, 1], pose[2, 2]), pitch, np.arctan2(pose[1, 0], pose[0, 0])])

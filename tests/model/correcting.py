@@ -11,7 +11,7 @@ import pytest
 
 from agent.model.rigid_friction import ModelEffect
 from agent.simulators import load_simulator
-from agent.simulators.correction import Released, correct
+from agent.simulators.corrected.correction import Released, correct
 
 NAMES = ("pan", "lift", "turn")
 PATHS = ("mjcf", "urdf")
