@@ -149,7 +149,13 @@ class IdentifiedModel(RigidFrictionModel):
                 for k, term in enumerate(self.terms)
             ],
             "effects": [
-                {"effect": e.effect, "joints": list(e.joints), "parameters": e.parameters} for e in self.effects
+                {
+                    "effect": e.effect,
+                    "joints": list(e.joints),
+                    "parameters": e.parameters,
+                    "intervals": {name: list(ends) for name, ends in e.intervals.items()},
+                }
+                for e in self.effects
             ],
             "covariance": self.covariance.tolist(),
             "standard_names": list(self.standard_names),
@@ -245,7 +251,15 @@ class IdentifiedModel(RigidFrictionModel):
             standstill_speed=_optional(data, "standstill_speed"),
             prior=_prior(data.get("prior")),
             notes=tuple(data["notes"]),
-            effects=tuple(ModelEffect(e["effect"], tuple(e["joints"]), dict(e["parameters"])) for e in data["effects"]),
+            effects=tuple(
+                ModelEffect(
+                    e["effect"],
+                    tuple(e["joints"]),
+                    dict(e["parameters"]),
+                    {name: (low, high) for name, (low, high) in e.get("intervals", {}).items()},
+                )
+                for e in data["effects"]
+            ),
             provenance=data["provenance"],
         )
         check_model(model)

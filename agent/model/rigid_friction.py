@@ -14,11 +14,15 @@ from agent.robot import RigidBodies, RobotDescription
 
 @dataclass(frozen=True)
 class ModelEffect:
-    """Something beyond rigid bodies and friction that adds torque: an effect's name, its joints and parameters."""
+    """Something beyond rigid bodies and friction that adds torque: an effect's name, its joints and parameters.
+
+    `intervals`: 95 % of those parameters whose uncertainty is known.
+    """
 
     effect: str
     joints: tuple[str, ...]
     parameters: dict[str, float]
+    intervals: dict[str, tuple[float, float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,6 +10,7 @@ from agent.simulators.corrected.correction import Commands, Correction, Released
 from agent.simulators.export import export_model, export_table
 from agent.simulators.forward import ExternalTorque, ForwardSimulation, RigidActuation, ServoGains, SimulatedMotion
 from agent.simulators.joints import load_joint_map
+from agent.simulators.loads import identified_load, load_text
 from agent.simulators.mjcf import compiled, mujoco_package
 from agent.simulators.servos import SERVO_STIFFNESS, PositionServos, servo_stiffness
 from agent.simulators.simulator import Simulator, is_simulator, load_arm, load_simulator
@@ -31,10 +32,12 @@ __all__ = [
     "correct",
     "export_model",
     "export_table",
+    "identified_load",
     "is_simulator",
     "load_arm",
     "load_joint_map",
     "load_simulator",
+    "load_text",
     "mujoco_package",
     "servo_stiffness",
     "write_corrected",

@@ -28,7 +28,7 @@ from agent.core import RejectedError, csv_text, written_whole
 from agent.model import ODD, IdentifiedModel, check_physical, full_parameters, steady_columns
 from agent.recording import FOXGLOVE_LAYOUT, foxglove_layout
 from agent.robot import Dynamics, Joint, ParameterLayout, about_centre, joint_axes, rotor_mass_matrix
-from agent.simulators.urdf import child_of, digits, end_of, rpy_of, set_inertial
+from agent.simulators.urdf import child_of, digits, end_of, moved_links, rpy_of, set_inertial
 
 _TABLE = "parameters.csv"
 _STATES = 50
@@ -103,11 +103,9 @@ class _Link:
 def _links(model: IdentifiedModel, standard: np.ndarray, lines: np.ndarray) -> list[_Link]:
     """Those that move, from base to tip, with inertials (11 n,) and friction `lines` (n, 2): damping and friction."""
     robot = model.robot
-    joints = {joint.get("name"): joint for joint in ElementTree.fromstring(robot.urdf).findall("joint")}
     blocks, own = ParameterLayout.of(robot).blocks(standard), np.abs(np.diag(robot.coupling))
     found = []
-    for k, (joint, axis) in enumerate(zip(robot.joints, joint_axes(robot), strict=True)):
-        name = end_of(joints[joint.name], "child")
+    for k, (joint, name, axis) in enumerate(zip(robot.joints, moved_links(robot), joint_axes(robot), strict=True)):
         pose = model.rigid.dynamics.link_poses(np.zeros((1, robot.dof)), name)[0]
         found.append(_Link(joint, name, blocks[k], pose, axis, *map(float, lines[k] * (own[k] ** 2, own[k]))))
     return found

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from agent.core import InputError
 from agent.model import body_parameters, seen_from
-from agent.robot import about_centre, check_urdf
+from agent.robot import RobotDescription, about_centre, check_urdf
 from agent.simulators.arm import CarryingBody, SimulatedArm
 from agent.simulators.joints import leaving_out, listed
 
@@ -210,6 +210,12 @@ def end_of(joint: Element, which: str) -> str:
     """The link at a joint's `parent` or `child`; empty where it has none."""
     element = joint.find(which)
     return "" if element is None else element.get("link", "")
+
+
+def moved_links(robot: RobotDescription) -> list[str]:
+    """The link that each joint of a description moves."""
+    joints = {joint.get("name"): joint for joint in ElementTree.fromstring(robot.urdf).findall("joint")}
+    return [end_of(joints[name], "child") for name in robot.joint_names]
 
 
 def set_inertial(link: Element, block: np.ndarray) -> None:
