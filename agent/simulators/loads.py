@@ -189,8 +189,8 @@ def _about(load: IdentifiedLoad) -> Iterator[str]:
     if not np.any(load.inertia):
         yield "Inertia about the centre of mass: zero, as the motion showed a point mass. Prefer the drawing's value."
     elif load.inertia_error is not None:
-        yield f"Inertia: of a ball about the centre of mass, 95 % interval ±{load.inertia_error:.2g} kg·m²; intervals hold how"
-        yield "motions differ, not that a load of another shape has other inertias."
+        yield f"Inertia: of a ball about the centre of mass, 95 % interval ±{load.inertia_error:.2g} kg·m²."
+        yield "Intervals hold how motions differ, not that a load of another shape has other inertias."
     else:
         yield "Inertia: about the centre of mass; its interval is not in the model."
 
