@@ -62,12 +62,13 @@ def beyond_range(found: Diagnosis, simulator: Simulator) -> Iterator[str]:
     """Joints that moved where the file does not let them: a simulator that holds its ranges is stopped there."""
     arm = simulator.arm
     low, high = (end([end(log.position, axis=0) for log in found.dataset.logs], axis=0) for end in (np.min, np.max))
-    beyond = np.maximum(arm.lower - low, high - arm.upper)
+    lower, upper = arm.robot.position_limits
+    beyond = np.maximum(lower - low, high - upper)
     for k in np.flatnonzero(beyond > _OVER_RANGE):
-        unit = "m" if arm.prismatic[k] else "rad"
+        unit = "m" if arm.robot.joints[k].prismatic else "rad"
         yield (
             f"{arm.path.name}: {arm.joint_names[k]} moves from {low[k]:.3g} to {high[k]:.3g} {unit} in the logs, and "
-            f"the file lets it move from {arm.lower[k]:.3g} to {arm.upper[k]:.3g}: widen its range there, or a "
+            f"the file lets it move from {lower[k]:.3g} to {upper[k]:.3g}: widen its range there, or a "
             "simulator stops it; the roll-out is without ranges"
         )
 

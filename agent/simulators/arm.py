@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from xml.etree.ElementTree import Element, tostring
 
 import numpy as np
 
@@ -40,25 +42,16 @@ class CarryingBody:
 
 @dataclass(frozen=True, eq=False)
 class SimulatedArm:
-    """One arm of a file: its chain as a URDF text, and per joint (n,), on the joint side: armature [kg·m²], damping
-    [N·m·s/rad], frictionloss [N·m], stiffness [N·m/rad] and the position [rad] where the spring is at rest.
+    """One arm of a file: `robot` is its chain, with gear ratios of 1 and joints called as in the description or logs.
 
-    `file_joints` are the joints' names in the file; in `urdf` they have those of the robot or the logs. `max_velocity`
-    is NaN where the file has none. `carrying` (n,): which body takes a change of each link. `servos`: those of the
-    file's joints, or why it has none.
+    Per joint (n,), on the joint side: armature [kg·m²], damping [N·m·s/rad], frictionloss [N·m], stiffness [N·m/rad]
+    and the position [rad] where the spring is at rest; `file_joints` are the joints' names in the file. `carrying`
+    (n,): which body takes a change of each link. `servos`: those of the file's joints, or why it has none.
     """
 
     path: Path
-    name: str
-    urdf: str
-    tip_frame: str
-    gravity: tuple[float, float, float]
-    joint_names: tuple[str, ...]
+    robot: RobotDescription
     file_joints: tuple[str, ...]
-    prismatic: tuple[bool, ...]
-    lower: np.ndarray
-    upper: np.ndarray
-    max_velocity: np.ndarray
     armature: np.ndarray
     damping: np.ndarray
     frictionloss: np.ndarray
@@ -69,71 +62,78 @@ class SimulatedArm:
     servos: PositionServos | str = "a URDF has no servos"
 
     @property
+    def joint_names(self) -> tuple[str, ...]:
+        """(n,) in the description or the logs."""
+        return self.robot.joint_names
+
+    @property
     def is_urdf(self) -> bool:
         """Whether its file is a URDF, by its name; else it is an MJCF."""
         return self.path.suffix.lower() == ".urdf"
 
 
+def plain_joint(name: str, prismatic: bool, lower: float, upper: float, speed: float = 0.0) -> Joint:
+    """A joint whose drive nothing is known of; a highest speed that is none stands for a usual one."""
+    return Joint(
+        name=name,
+        prismatic=prismatic,
+        gear_ratio=1.0,
+        nominal_motor_torque=None,
+        max_velocity=float(speed) if 0 < speed < np.inf else _USUAL_SPEED,
+        max_acceleration=_USUAL_ACCELERATION,
+        max_jerk=None,
+        rotor_inertia=None,
+        max_torque=None,
+        torque_constant=None,
+        lower=float(lower),
+        upper=float(upper),
+    )
+
+
+def plain_robot(
+    name: str, root: Element, tip_frame: str, gravity: Sequence[float], joints: Iterable[Joint]
+) -> RobotDescription:
+    """The chain of a file, a URDF by now."""
+    joints, (x, y, z) = tuple(joints), map(float, gravity)
+    return RobotDescription(
+        name=re.sub(r"[^\w .+-]", "_", name).strip(" .+-")[:64] or "arm",
+        urdf=tostring(root, encoding="unicode"),
+        tip_frame=tip_frame,
+        gravity=(x, y, z),
+        cartesian_limits=None,
+        joints=joints,
+        motor_coupling=tuple(map(tuple, np.eye(len(joints)).tolist())),
+    )
+
+
 def described(arm: SimulatedArm, robot: RobotDescription | None) -> tuple[RobotDescription, tuple[str, ...]]:
     """The robot that the file shows, with the drives of `robot` where there is one, and what is to be said about it.
-
-    Without one, every joint has gear ratio 1 and no nominal torque.
 
     Raises:
         InputError: the file's arm is not that of the description.
     """
-    if robot is None:
-        plain = tuple(_plain_joint(arm, k) for k in range(len(arm.joint_names)))
-        return _description(arm, arm.name, plain), ()
-    for joint, prismatic in zip(robot.joints, arm.prismatic, strict=True):
-        if joint.prismatic != prismatic:
+    drives = arm.robot if robot is None else robot
+    for joint, own in zip(drives.joints, arm.robot.joints, strict=True):
+        if joint.prismatic != own.prismatic:
             kinds = ("turns", "slides")
             raise InputError(
-                f"{arm.path}: {joint.name} {kinds[prismatic]} here and {kinds[joint.prismatic]} in robot {robot.name}: "
-                "it is a model of another arm, or joints are matched wrongly (--map)"
+                f"{arm.path}: {joint.name} {kinds[own.prismatic]} here and {kinds[joint.prismatic]} in robot "
+                f"{drives.name}: it is a model of another arm, or joints are matched wrongly (--map)"
             )
     # the file says what turns with a joint, so where bodies and rotors are distinguished, that is where to start from
     joints = tuple(
         replace(joint, rotor_inertia=float(inertia) / joint.gear_ratio**2 or joint.rotor_inertia)
-        for joint, inertia in zip(robot.joints, arm.armature, strict=True)
+        for joint, inertia in zip(drives.joints, arm.armature, strict=True)
     )
-    found = replace(_description(arm, robot.name, joints), cartesian_limits=robot.cartesian_limits)
+    found = replace(arm.robot, name=drives.name, cartesian_limits=drives.cartesian_limits, joints=joints)
+    if robot is None:
+        return found, ()
     _check_same_arm(arm, found, robot)
     coupled = (
         "armature, damping and frictionloss of the file act on its joints, so the motor coupling of the description is "
         "no part of the simulator"
     )
     return found, (coupled,) if np.any(robot.coupling - np.eye(robot.dof)) else ()
-
-
-def _plain_joint(arm: SimulatedArm, k: int) -> Joint:
-    speed = float(arm.max_velocity[k])
-    return Joint(
-        name=arm.joint_names[k],
-        prismatic=arm.prismatic[k],
-        gear_ratio=1.0,
-        nominal_motor_torque=None,
-        max_velocity=speed if np.isfinite(speed) else _USUAL_SPEED,
-        max_acceleration=_USUAL_ACCELERATION,
-        max_jerk=None,
-        rotor_inertia=float(arm.armature[k]) or None,
-        max_torque=None,
-        torque_constant=None,
-        lower=float(arm.lower[k]),
-        upper=float(arm.upper[k]),
-    )
-
-
-def _description(arm: SimulatedArm, name: str, joints: tuple[Joint, ...]) -> RobotDescription:
-    return RobotDescription(
-        name=re.sub(r"[^\w .+-]", "_", name).strip(" .+-")[:64] or "arm",
-        urdf=arm.urdf,
-        tip_frame=arm.tip_frame,
-        gravity=arm.gravity,
-        cartesian_limits=None,
-        joints=joints,
-        motor_coupling=tuple(map(tuple, np.eye(len(joints)).tolist())),
-    )
 
 
 def _check_same_arm(arm: SimulatedArm, found: RobotDescription, robot: RobotDescription) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import subprocess
 import sys
 import tempfile
-import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
@@ -17,7 +16,7 @@ import numpy as np
 
 from agent.core import InputError, needed
 from agent.model import body_parameters
-from agent.simulators.arm import CarryingBody, SimulatedArm, described, model_of
+from agent.simulators.arm import CarryingBody, SimulatedArm, described, model_of, plain_joint, plain_robot
 from agent.simulators.joints import leaving_out, listed
 from agent.simulators.servos import position_servos, pulled_joints
 from agent.simulators.urdf import digits, rpy_of, set_inertial
@@ -96,19 +95,12 @@ def read_mjcf(path: Path, root: Element, match: Callable[[Sequence[str]], Mappin
     model, chosen = scene.model, scene.chosen
     urdf, carrying = scene.chain()
     dof, limited = model.jnt_dofadr[chosen], model.jnt_limited[chosen].astype(bool)
-    x, y, z = (float(value) for value in model.opt.gravity)
+    lower, upper = np.where(limited, model.jnt_range[chosen].T, [[-np.inf], [np.inf]])
+    joints = map(plain_joint, scene.joint_names, map(scene.slides, chosen), lower, upper)
     arm = SimulatedArm(
         path=path,
-        name=str(root.get("model") or path.stem),
-        urdf=ElementTree.tostring(urdf, encoding="unicode"),
-        tip_frame=_TIP,
-        gravity=(x, y, z),
-        joint_names=scene.joint_names,
+        robot=plain_robot(str(root.get("model") or path.stem), urdf, _TIP, model.opt.gravity, joints),
         file_joints=tuple(scene.names[j] for j in chosen),
-        prismatic=tuple(map(scene.slides, chosen)),
-        lower=np.where(limited, model.jnt_range[chosen, 0], -np.inf),
-        upper=np.where(limited, model.jnt_range[chosen, 1], np.inf),
-        max_velocity=np.full(len(chosen), np.nan),
         armature=np.array(model.dof_armature[dof]),
         damping=np.array(model.dof_damping[dof]),
         frictionloss=np.array(model.dof_frictionloss[dof]),

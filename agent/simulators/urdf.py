@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from agent.core import InputError
 from agent.model import body_parameters, seen_from
 from agent.robot import RobotDescription, about_centre, check_urdf
-from agent.simulators.arm import CarryingBody, SimulatedArm
+from agent.simulators.arm import CarryingBody, SimulatedArm, plain_joint, plain_robot
 from agent.simulators.joints import leaving_out, listed
 
 _TURN = 6.3  # rad
@@ -54,32 +54,29 @@ def read_urdf(
             ("dynamics", "friction", 0.0),
             ("limit", "lower", -np.inf),
             ("limit", "upper", np.inf),
-            ("limit", "velocity", np.nan),
+            ("limit", "velocity", 0.0),
         )
     )
     turning = np.array([joint.get("type") == "continuous" for joint in joints]) | ~(lower < upper)
-    zero = np.zeros(len(chain))
+    slides = [joint.get("type") == "prismatic" for joint in joints]
+    ends = np.where(turning, -np.inf, lower), np.where(turning, np.inf, upper)
     option = root.find("mujoco/option")
-    if option is not None and option.get("gravity"):
-        x, y, z = _numbers(option, "gravity")
-        gravity = (x, y, z)
+    robot = plain_robot(
+        str(root.get("name") or path.stem),
+        root,
+        end_of(joints[-1], "child"),
+        gravity if option is None or not option.get("gravity") else _numbers(option, "gravity").tolist(),
+        map(plain_joint, (used[name] for name in chain), slides, *ends, speed),
+    )
     return SimulatedArm(
         path=path,
-        name=str(root.get("name") or path.stem),
-        urdf=ElementTree.tostring(root, encoding="unicode"),
-        tip_frame=end_of(joints[-1], "child"),
-        gravity=gravity,
-        joint_names=tuple(used[name] for name in chain),
+        robot=robot,
         file_joints=tuple(chain),
-        prismatic=tuple(joint.get("type") == "prismatic" for joint in joints),
-        lower=np.where(turning, -np.inf, lower),
-        upper=np.where(turning, np.inf, upper),
-        max_velocity=np.where(speed > 0, speed, np.nan),
-        armature=zero,
+        armature=np.zeros(len(chain)),
         damping=damping,
         frictionloss=friction,
-        stiffness=zero,
-        rest=zero,
+        stiffness=np.zeros(len(chain)),
+        rest=np.zeros(len(chain)),
         carrying=tuple(_carrying(root, joint, set(used.values())) for joint in joints),
         notes=(f"{listed(held)} held at zero: not among the joints compared",) if held else (),
     )

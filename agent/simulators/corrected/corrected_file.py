@@ -108,9 +108,9 @@ def _changes(correction: Correction, edits: UrdfEdits | MjcfEdits) -> Iterator[F
             given, fixed = map(_said, blocks)
             for key in given:
                 yield FileChange(owner, key, given[key], fixed[key], released.links[k])
-    if before.gravity != after.gravity:
-        edits.set_gravity(after.gravity)
-        yield FileChange("option", "gravity", list(before.gravity), list(after.gravity), released.gravity)
+    if before.robot.gravity != after.robot.gravity:
+        edits.set_gravity(after.robot.gravity)
+        yield FileChange("option", "gravity", list(before.robot.gravity), list(after.robot.gravity), released.gravity)
 
 
 def _servo_changes(correction: Correction, edits: MjcfEdits) -> Iterator[FileChange]:

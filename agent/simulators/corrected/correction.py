@@ -119,10 +119,11 @@ def correct(
             friction[joints[0]] += [values.get(f"{form}_change", 0.0) for form in _FRICTION]
             released.friction.setdefault(joints[0], reason)
         elif entry.effect == "base_tilt":
-            first, second = across(np.array(arm.gravity))
-            size = float(np.linalg.norm(arm.gravity))
-            x, y, z = np.array(arm.gravity) + size * (values["tilt_1"] * first + values["tilt_2"] * second)
-            arm, released.gravity = replace(arm, gravity=(float(x), float(y), float(z))), reason
+            gravity = np.array(arm.robot.gravity)
+            first, second = across(gravity)
+            size = float(np.linalg.norm(gravity))
+            x, y, z = (gravity + size * (values["tilt_1"] * first + values["tilt_2"] * second)).tolist()
+            arm, released.gravity = replace(arm, robot=replace(arm.robot, gravity=(x, y, z))), reason
         elif entry.effect == "encoder_offset":
             arm = _turned(arm, joints[0], values["offset"])
             released.offsets[joints[0]] = values["offset"]
@@ -208,9 +209,14 @@ def _put(values: np.ndarray, joint: int, value: float) -> np.ndarray:
 
 def _turned(arm: SimulatedArm, joint: int, offset: float) -> SimulatedArm:
     """The arm whose joint stands where it stood before at a position that is `offset` [rad or m] less."""
-    root = ElementTree.fromstring(arm.urdf)
+    root = ElementTree.fromstring(arm.robot.urdf)
     move_zero(next(e for e in root.findall("joint") if e.get("name") == arm.joint_names[joint]), offset)
-    return replace(arm, urdf=ElementTree.tostring(root, encoding="unicode"))
+    return _reshaped(arm, root)
+
+
+def _reshaped(arm: SimulatedArm, root: ElementTree.Element) -> SimulatedArm:
+    """The arm with another URDF."""
+    return replace(arm, robot=replace(arm.robot, urdf=ElementTree.tostring(root, encoding="unicode")))
 
 
 def _with_bodies(
@@ -274,7 +280,7 @@ def _with_bodies(
         said.append(
             f"the file's inertia of the link that {', '.join(weightless)} moves was of no body that could exist"
         )
-    root = ElementTree.fromstring(arm.urdf)
+    root = ElementTree.fromstring(arm.robot.urdf)
     elements = {link.get("name"): link for link in root.findall("link")}
     whole = layout.blocks(model.rigid.dynamics.standard_parameters())
     carrying, moved = list(arm.carrying), arm.armature.copy()
@@ -284,5 +290,4 @@ def _with_bodies(
         set_inertial(elements[body.link], seen_from(lumped, body.link_pose))
         carrying[k] = replace(body, own=block)
     moved[rotors] = armature
-    urdf = ElementTree.tostring(root, encoding="unicode")
-    return replace(arm, urdf=urdf, armature=moved, carrying=tuple(carrying)), said
+    return replace(_reshaped(arm, root), armature=moved, carrying=tuple(carrying)), said

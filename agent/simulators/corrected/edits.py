@@ -155,7 +155,7 @@ class MjcfEdits:
 
     def _unit(self, k: int) -> float:
         """Of positions of a joint in the file, in rad or m."""
-        return 1.0 if self._radian or self._arm.prismatic[k] else float(np.pi / 180)
+        return 1.0 if self._radian or self._arm.robot.joints[k].prismatic else float(np.pi / 180)
 
     def set_number(self, k: int, key: str, value: float) -> None:
         """A number of a joint; angles are written in the file's unit."""
