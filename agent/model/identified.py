@@ -148,15 +148,7 @@ class IdentifiedModel(RigidFrictionModel):
                 }
                 for k, term in enumerate(self.terms)
             ],
-            "effects": [
-                {
-                    "effect": e.effect,
-                    "joints": list(e.joints),
-                    "parameters": e.parameters,
-                    "intervals": {name: list(ends) for name, ends in e.intervals.items()},
-                }
-                for e in self.effects
-            ],
+            "effects": [entry.to_dict() for entry in self.effects],
             "covariance": self.covariance.tolist(),
             "standard_names": list(self.standard_names),
             "independent": self.independent.tolist(),

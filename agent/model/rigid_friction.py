@@ -24,6 +24,11 @@ class ModelEffect:
     parameters: dict[str, float]
     intervals: dict[str, tuple[float, float]] = field(default_factory=dict)
 
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data, as model files have it."""
+        data = {"effect": self.effect, "joints": list(self.joints), "parameters": self.parameters}
+        return {**data, "intervals": {k: list(v) for k, v in self.intervals.items()}} if self.intervals else data
+
 
 @dataclass(frozen=True, eq=False)
 class ParameterPrior:

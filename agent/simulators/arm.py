@@ -155,18 +155,15 @@ def _between_axes(robot: RobotDescription) -> tuple[np.ndarray, np.ndarray, floa
 
     They are link constants (Denavit and Hartenberg), the same whatever the zero position, direction or base frame.
     """
-    axes, points, tip = chain_of(robot).axes_at_zero()
-    angles, distances = [], []
-    for k in range(robot.dof - 1):
-        normal, way = np.cross(axes[k], axes[k + 1]), points[k + 1] - points[k]
-        size = float(np.linalg.norm(normal))
-        angles.append(float(np.arcsin(min(size, 1.0))))
-        across = abs(normal @ way) / size if size > 1e-3 else np.linalg.norm(np.cross(axes[k], way))
-        distances.append(float(across))
+    axes, points, tip = map(np.asarray, chain_of(robot).axes_at_zero())
+    normals, ways = np.cross(axes[:-1], axes[1:]), np.diff(points, axis=0)
+    sines = np.linalg.norm(normals, axis=1)
+    beside = np.linalg.norm(np.cross(axes[:-1], ways), axis=1)  # of axes that are parallel
+    distances = np.where(sines > 1e-3, np.abs(np.sum(normals * ways, axis=1)) / np.maximum(sines, 1e-3), beside)
     reach = float(np.sum(np.linalg.norm(np.diff([*points, tip[:3, 3]], axis=0), axis=1)))
     prismatic = np.array([joint.prismatic for joint in robot.joints])
     known = ~(prismatic[:-1] | prismatic[1:])  # where a joint slides its axis has no place
-    return np.array(angles), np.where(known, distances, 0.0), reach
+    return np.arcsin(np.minimum(sines, 1.0)), np.where(known, distances, 0.0), reach
 
 
 def model_of(arm: SimulatedArm, robot: RobotDescription, provenance: dict[str, object]) -> IdentifiedModel:
@@ -179,14 +176,10 @@ def model_of(arm: SimulatedArm, robot: RobotDescription, provenance: dict[str, o
     rigid, standard_names, combinations = rigid_bodies(robot)
     n = robot.dof
     standard = np.concatenate([rigid.dynamics.standard_parameters(), arm.armature / robot.gear_ratios**2])
-    terms = [
-        term
-        for k, joint in enumerate(robot.joints)
-        for term in (
-            FrictionTerm(k, "coulomb", Reversal("speed", _REVERSAL * joint.max_velocity)),
-            FrictionTerm(k, "viscous"),
-        )
-    ]
+    terms: list[FrictionTerm] = []
+    for k, joint in enumerate(robot.joints):
+        reversal = Reversal("speed", _REVERSAL * joint.max_velocity)
+        terms += [FrictionTerm(k, "coulomb", reversal), FrictionTerm(k, "viscous")]
     friction = np.stack([arm.frictionloss, arm.damping], axis=1).ravel()
     values = np.append(rigid.projection @ standard, friction)
     size = np.abs(values) + 1e-3 * np.abs(values).max(initial=1e-6)

@@ -241,7 +241,7 @@ def move_zero(joint: Element, offset: float) -> tuple[np.ndarray, np.ndarray]:
 def _put(origin: Element, **places: np.ndarray) -> None:
     """Positions and angles that differ from what is written; others keep their text."""
     for key, numbers in places.items():
-        if origin.get(key) is None or np.abs(_numbers(origin, key) - numbers).max() > 1e-14:
+        if np.abs(_numbers(origin, key) - numbers).max() > 1e-14:
             origin.set(key, digits(*numbers))
 
 

@@ -68,7 +68,7 @@ def write_corrected(simulator: Simulator, correction: Correction, out: Path) -> 
         "schema": SCHEMA,
         "from": {"file": source.name, "sha256": hashlib.sha256(source.read_bytes()).hexdigest()},
         "changes": [asdict(change) for change in changes],
-        "effects": [asdict(entry) for entry in correction.effects],
+        "effects": [entry.to_dict() for entry in correction.effects],
         "effects_file": None if code is None else effects.name,
         "notes": list(correction.notes),
     }
