@@ -11,20 +11,19 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import permutations
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from agent.core import InputError, RejectedError
-from agent.model import IdentifiedModel, ModelEffect, ball, seen_from
+from agent.model import CATALOGUE, IdentifiedModel, ModelEffect, ball, seen_from
 from agent.robot import about_centre
 from agent.simulators.urdf import moved_links
 
 _EFFECT = "payload"
 _MOMENT = ("moment_x", "moment_y", "moment_z")
-_OWN = tuple(f"inertia_{key}" for key in ("xx", "xy", "yy", "xz", "yz", "zz"))
 _ROUND_OFF = 1e-9
 
 
@@ -67,11 +66,11 @@ def identified_load(model: IdentifiedModel) -> IdentifiedLoad:
             "LOG... -o WITH_LOAD.json, on logs with the load mounted, and export that model"
         )
     robot, dynamics, zero = model.robot, model.rigid.dynamics, np.zeros((1, model.robot.dof))
-    block = np.sum([_block(entry) for entry in entries], axis=0)
+    block = np.sum([load_block(entry) for entry in map(_with_no_less_than_a_point, entries)], axis=0)
     if block[0] <= 0:
         raise RejectedError(
             f"the identified load has a mass of {block[0]:.3g} kg: the arm carries less than its model, and no vendor "
-            "takes a negative load; take the difference off the load that the controller has now"
+            "takes a negative load; reduce the load that is entered in the controller by it"
         )
     last_link = dynamics.link_poses(zero, moved_links(robot)[-1])[0]
     flange = np.linalg.solve(last_link, dynamics.tip_pose(zero)[0])
@@ -90,15 +89,17 @@ def identified_load(model: IdentifiedModel) -> IdentifiedLoad:
     return load
 
 
-def _block(entry: ModelEffect) -> np.ndarray:
-    """(10,) in the last link's frame."""
+def _with_no_less_than_a_point(entry: ModelEffect) -> ModelEffect:
+    """A ball whose own inertia comes out below zero is a point."""
+    own = {"inertia": 0.0} if entry.parameters.get("inertia", 0.0) < 0 else {}
+    return replace(entry, parameters={**entry.parameters, **own})
+
+
+def load_block(entry: ModelEffect) -> np.ndarray:
+    """(10,) of a load in the last link's frame."""
     values = entry.parameters
-    first = [values["mass"], *(values[name] for name in _MOMENT)]
-    if "m0" not in values:
-        return np.array([*first, *(values[name] for name in _OWN)])
-    # an own inertia below zero is a point's, with round-off
-    own = [max(values["inertia"], 0.0)] if "inertia" in values else []
-    return np.asarray(ball(values) @ np.array([*first, *own]))
+    added = np.array([values[name] for name in CATALOGUE[_EFFECT].names(values)])
+    return np.asarray(ball(values) @ added if "m0" in values else added)
 
 
 def _errors(entry: ModelEffect, turn: np.ndarray) -> tuple[float | None, np.ndarray | None, float | None]:
@@ -129,7 +130,8 @@ def _kuka(load: IdentifiedLoad) -> str:
     places = (*1e3 * load.centre, *np.degrees(turn.as_euler("ZYX")))
     centre = ",".join(f"{key} {_number(value)}" for key, value in zip("XYZABC", places, strict=True))
     inertia = ",".join(f"{key} {_number(value)}" for key, value in zip("XYZ", moments, strict=True))
-    return f"DECL LOAD identified_load={{M {_number(load.mass)},CM {{{centre}}},J {{{inertia}}}}}"
+    data = f"LOAD_DATA[1]={{M {_number(load.mass)},CM {{{centre}}},J {{{inertia}}}}}"
+    return f"; 1 stands for the number of the tool\n{data}"
 
 
 def _franka(load: IdentifiedLoad) -> str:
@@ -148,7 +150,8 @@ def _comau(load: IdentifiedLoad) -> str:
     inertia = load.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
     elements = (f"$TOOL_INERTIA[{k}] := {_number(value)}" for k, value in enumerate(inertia, 1))
     centre = f"$TOOL_CNTR := POS({_listed(1e3 * load.centre)}, 0, 0, 0, '')"
-    return "\n".join([f"$TOOL_MASS := {_number(load.mass)}", centre, *elements])
+    check = "-- Compare with the controller's manual about which point its inertia is"
+    return "\n".join([check, f"$TOOL_MASS := {_number(load.mass)}", centre, *elements])
 
 
 #: Vendor → how its language begins a comment (empty where it has none), and the load in it.

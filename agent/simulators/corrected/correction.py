@@ -18,7 +18,6 @@ from agent.model import (
     IdentifiedModel,
     ModelEffect,
     across,
-    ball,
     is_body,
     nearby_body,
     nearest_bodies,
@@ -26,6 +25,7 @@ from agent.model import (
 )
 from agent.robot import LINK_PARAMETERS, ParameterLayout
 from agent.simulators.arm import SimulatedArm, described, model_of
+from agent.simulators.loads import load_block
 from agent.simulators.servos import PositionServos
 from agent.simulators.simulator import Simulator
 from agent.simulators.urdf import move_zero, set_inertial
@@ -186,8 +186,7 @@ def _added(entry: ModelEffect, n: int) -> tuple[int, np.ndarray]:
     """Which link a payload or a mismatch changes, and by how much (10,)."""
     values = entry.parameters
     if entry.effect == "payload":
-        added = np.array([values[name] for name in CATALOGUE["payload"].names(values)])
-        return n - 1, ball(values) @ added if "m0" in values else added
+        return n - 1, load_block(entry)
     link = int(values["link"])
     return link - 1, np.array([values[f"{name}{link}"] for name in LINK_PARAMETERS])
 
