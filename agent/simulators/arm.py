@@ -1,4 +1,4 @@
-"""What a simulator's file says of one serial arm, whatever its format, and the identified model made of it."""
+"""One serial arm read from a simulator's file, in either format, and the identified model made from it."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _ANGLE, _LENGTH = 0.05, 0.03  # rad, and part of the reach, by which the axes of
 
 @dataclass(frozen=True, eq=False)
 class CarryingBody:
-    """Of all bodies that a joint carries the one that takes a change of their inertia: the heaviest.
+    """The heaviest body that a joint carries: changes of the link's inertia are written to it.
 
     `name` in the file, `pose` (4, 4) of its frame in the link's, `own` (10,) its parameters in the link's frame; `link`
     and `link_pose` are the same of the URDF that the arm is read as.
@@ -63,7 +63,7 @@ class SimulatedArm:
 
     @property
     def joint_names(self) -> tuple[str, ...]:
-        """(n,) in the description or the logs."""
+        """(n,) names in the robot description or the logs."""
         return self.robot.joint_names
 
     @property
@@ -73,7 +73,7 @@ class SimulatedArm:
 
 
 def plain_joint(name: str, prismatic: bool, lower: float, upper: float, speed: float = 0.0) -> Joint:
-    """A joint whose drive nothing is known of; a highest speed that is none stands for a usual one."""
+    """A joint without drive data. A `speed` [rad/s or m/s] that is not positive and finite is set to a usual value."""
     return Joint(
         name=name,
         prismatic=prismatic,
@@ -93,7 +93,7 @@ def plain_joint(name: str, prismatic: bool, lower: float, upper: float, speed: f
 def plain_robot(
     name: str, root: Element, tip_frame: str, gravity: Sequence[float], joints: Iterable[Joint]
 ) -> RobotDescription:
-    """The chain of a file, a URDF by now."""
+    """The robot description of a chain given as a URDF element."""
     joints, (x, y, z) = tuple(joints), map(float, gravity)
     return RobotDescription(
         name=re.sub(r"[^\w .+-]", "_", name).strip(" .+-")[:64] or "arm",
@@ -107,7 +107,7 @@ def plain_robot(
 
 
 def described(arm: SimulatedArm, robot: RobotDescription | None) -> tuple[RobotDescription, tuple[str, ...]]:
-    """The robot that the file shows, with the drives of `robot` where there is one, and what is to be said about it.
+    """The robot in the file, with the drives of `robot` if given, and notes for the user.
 
     Raises:
         InputError: the file's arm is not that of the description.
@@ -137,7 +137,7 @@ def described(arm: SimulatedArm, robot: RobotDescription | None) -> tuple[RobotD
 
 
 def _check_same_arm(arm: SimulatedArm, found: RobotDescription, robot: RobotDescription) -> None:
-    """Raise InputError where neighbouring axes lie to each other as no zero position or base frame explains."""
+    """Raise InputError where the angle or distance of neighbouring axes differs from that of `robot`."""
     angles, distances, reach = _between_axes(found)
     wanted, apart, other_reach = _between_axes(robot)
     for k, (angle, distance) in enumerate(zip(np.abs(angles - wanted), np.abs(distances - apart), strict=True)):
@@ -215,7 +215,7 @@ def model_of(arm: SimulatedArm, robot: RobotDescription, provenance: dict[str, o
 
 
 def check_mass_matrix(arm: SimulatedArm, robot: RobotDescription) -> None:
-    """Raise InputError where some posture has a direction that costs no kinetic energy, or less than none."""
+    """Raise InputError unless the mass matrix is positive definite at random postures."""
     links = Dynamics(robot)
     low, high = (np.clip(limit, -np.pi, np.pi) for limit in robot.position_limits)
     for q in np.random.default_rng(0).uniform(low, high, (20, robot.dof)):

@@ -68,7 +68,7 @@ def export_model(model: IdentifiedModel, folder: Path) -> tuple[Path, ...]:
 
 
 def export_table(model: IdentifiedModel, folder: Path) -> tuple[Path, ...]:
-    """Write the table of parameters alone, which every model has; returns its path, as one of several.
+    """Write only the table of parameters, which every model has; returns its path in a tuple.
 
     Raises:
         OSError: the folder cannot be written.
@@ -81,7 +81,7 @@ def export_table(model: IdentifiedModel, folder: Path) -> tuple[Path, ...]:
 
 @dataclass(frozen=True, eq=False)
 class _Link:
-    """A link that a joint moves: its name, its inertia (10,), its pose (4, 4) at q = 0 and the axis (3,) in its frame.
+    """A moving link: name, inertia (10,), pose (4, 4) at q = 0, and the axis (3,) of its joint in its frame.
 
     `damping` and `friction` are those of its axle at the joint; of a coupled one they are that of its own joint.
     """
@@ -101,7 +101,7 @@ class _Link:
 
 
 def _links(model: IdentifiedModel, standard: np.ndarray, lines: np.ndarray) -> list[_Link]:
-    """Those that move, from base to tip, with inertials (11 n,) and friction `lines` (n, 2): damping and friction."""
+    """The moving links from base to tip, for standard parameters (11 n,) and damping and friction `lines` (n, 2)."""
     robot = model.robot
     blocks, own = ParameterLayout.of(robot).blocks(standard), np.abs(np.diag(robot.coupling))
     found = []
@@ -112,7 +112,7 @@ def _links(model: IdentifiedModel, standard: np.ndarray, lines: np.ndarray) -> l
 
 
 def urdf_text(model: IdentifiedModel, links: Iterable[_Link]) -> str:
-    """The robot's URDF with other inertials and friction.
+    """The robot's URDF with the identified inertias and friction.
 
     Joints that the description leaves out are held, hence fixed. Gravity is there for MuJoCo, which would take 9.81.
     """
@@ -139,7 +139,7 @@ def urdf_text(model: IdentifiedModel, links: Iterable[_Link]) -> str:
 
 
 def mujoco_text(model: IdentifiedModel, links: Iterable[_Link], armature: np.ndarray, lines: np.ndarray) -> str:
-    """The same as a MuJoCo model, without geometry; `armature` (n,) of the axles."""
+    """A MuJoCo model without geometry; `armature` (n,) and `lines` (n, 2) are those of the axles."""
     robot = model.robot
     root = Element("mujoco", model=robot.name)
     SubElement(root, "compiler", angle="radian", autolimits="true")
@@ -170,7 +170,7 @@ def mujoco_text(model: IdentifiedModel, links: Iterable[_Link], armature: np.nda
 
 
 def sdf_text(model: IdentifiedModel, links: Iterable[_Link]) -> str:
-    """The same as SDF: the links that move, the first of which hangs on `world`."""
+    """An SDF model of the moving links; the first is attached to `world`."""
     root = Element("sdf", version="1.9")
     body, parent = SubElement(root, "model", name=model.robot.name), "world"
 
@@ -203,7 +203,7 @@ def sdf_text(model: IdentifiedModel, links: Iterable[_Link]) -> str:
 
 
 def friction_data(model: IdentifiedModel, rotors: np.ndarray, lines: np.ndarray) -> dict[str, Any]:
-    """Content of friction.json: what drives the joints."""
+    """Content of friction.json: rotors, coupling and every friction term."""
     robot = model.robot
     reflected = robot.coupling.T @ np.diag(robot.gear_ratios**2 * rotors) @ robot.coupling
     terms: list[list[dict[str, Any]]] = [[] for _ in robot.joints]

@@ -1,10 +1,14 @@
-"""The load at the flange that a model has as an effect, in the words of robot vendors.
+"""The identified load of a model in the formats of robot vendors.
 
 The load is what the arm carries beyond the bodies of its model: mass [kg], centre of mass [m] and inertia [kg·m²] about
-it, in the axes of the robot's tip frame, which stands for the vendor's flange (UR `tool0`, ABB wrist, KUKA and Franka
-flange). Each vendor's fields, units and order: Universal Robots Script Manual, `set_target_payload`; ABB RAPID
-reference, `loaddata`; KUKA System Software, `LOAD_DATA`; Franka RIDE, end effector commissioning; COMAU PDL2,
-`$TOOL_MASS`, `$TOOL_CNTR`, `$TOOL_INERTIA`.
+it, in the axes of the robot's tip frame. The tip frame is taken for the vendor's flange (UR `tool0`, ABB wrist, KUKA
+and Franka flange). Sources of each vendor's fields, units and order:
+
+- Universal Robots Script Manual, `set_target_payload`
+- ABB RAPID reference, `loaddata`
+- KUKA System Software, `LOAD_DATA`
+- Franka RIDE, end effector commissioning
+- COMAU PDL2, `$TOOL_MASS`, `$TOOL_CNTR`, `$TOOL_INERTIA`
 """
 
 from __future__ import annotations
@@ -43,7 +47,7 @@ class IdentifiedLoad:
     inertia_error: float | None = None
 
     def principal(self) -> tuple[np.ndarray, Rotation]:
-        """(3,) principal moments, and the turn of their axes, right-handed and as near to the flange's as can be."""
+        """(3,) principal moments, and the right-handed rotation of their axes that is closest to the flange's."""
         moments, axes = np.linalg.eigh(self.inertia)
         order = max(map(list, permutations(range(3))), key=lambda columns: np.abs(np.diag(axes[:, columns])).sum())
         axes = axes[:, order] * np.where(np.diag(axes[:, order]) < 0, -1.0, 1.0)
@@ -53,11 +57,11 @@ class IdentifiedLoad:
 
 
 def identified_load(model: IdentifiedModel) -> IdentifiedLoad:
-    """The sum of the loads that a model has.
+    """The load of a model: the sum of its payload effects.
 
     Raises:
         InputError: it has none.
-        RejectedError: they are no body that could exist.
+        RejectedError: its mass or inertia is impossible for a body.
     """
     entries = [entry for entry in model.effects if entry.effect == _EFFECT]
     if not entries:
@@ -66,7 +70,7 @@ def identified_load(model: IdentifiedModel) -> IdentifiedLoad:
             "LOG... -o WITH_LOAD.json, on logs with the load mounted, and export that model"
         )
     robot, dynamics, zero = model.robot, model.rigid.dynamics, np.zeros((1, model.robot.dof))
-    block = np.sum([load_block(entry) for entry in map(_with_no_less_than_a_point, entries)], axis=0)
+    block = np.sum([load_block(entry) for entry in map(_at_least_a_point, entries)], axis=0)
     if block[0] <= 0:
         raise RejectedError(
             f"the identified load has a mass of {block[0]:.3g} kg: the arm carries less than its model, and no vendor "
@@ -89,14 +93,14 @@ def identified_load(model: IdentifiedModel) -> IdentifiedLoad:
     return load
 
 
-def _with_no_less_than_a_point(entry: ModelEffect) -> ModelEffect:
-    """A ball whose own inertia comes out below zero is a point."""
+def _at_least_a_point(entry: ModelEffect) -> ModelEffect:
+    """The load with a negative own inertia set to zero: a point mass."""
     own = {"inertia": 0.0} if entry.parameters.get("inertia", 0.0) < 0 else {}
     return replace(entry, parameters={**entry.parameters, **own})
 
 
 def load_block(entry: ModelEffect) -> np.ndarray:
-    """(10,) of a load in the last link's frame."""
+    """(10,) inertial parameters of a payload effect in the last link's frame."""
     values = entry.parameters
     added = np.array([values[name] for name in CATALOGUE[_EFFECT].names(values)])
     return np.asarray(ball(values) @ added if "m0" in values else added)
@@ -154,7 +158,7 @@ def _comau(load: IdentifiedLoad) -> str:
     return "\n".join([check, f"$TOOL_MASS := {_number(load.mass)}", centre, *elements])
 
 
-#: Vendor → how its language begins a comment (empty where it has none), and the load in it.
+#: Vendor → start of a comment in its language (empty if it has none), and the function that writes the load.
 VENDORS: dict[str, tuple[str, Callable[[IdentifiedLoad], str]]] = {
     "ur": ("#", _universal_robots),
     "abb": ("!", _abb),
@@ -165,9 +169,9 @@ VENDORS: dict[str, tuple[str, Callable[[IdentifiedLoad], str]]] = {
 
 
 def load_text(load: IdentifiedLoad, vendor: str) -> tuple[str, str]:
-    """The load in the words of a vendor, and what is to be said about it that has no place there.
+    """The load in the format of a vendor, and remarks for stderr.
 
-    Comments with the intervals lead the text where the vendor's format has comments.
+    The remarks, intervals among them, are comments at the top of the text where the vendor's format allows any.
 
     Raises:
         InputError: no such vendor.
@@ -199,7 +203,7 @@ def _about(load: IdentifiedLoad) -> Iterator[str]:
 
 
 def _number(value: float) -> str:
-    """Ten decimals at most, no exponent and no negative zero."""
+    """At most ten decimals, no exponent, no negative zero."""
     return np.format_float_positional(round(float(value), 10) + 0.0, trim="0")
 
 

@@ -1,4 +1,4 @@
-"""An MJCF as a simulator, read through MuJoCo's own package: compiler, defaults, includes and units are its job."""
+"""An MJCF as a simulator. MuJoCo's own package reads it, and so resolves defaults, includes and units."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ def read_mjcf(path: Path, root: Element, match: Callable[[Sequence[str]], Mappin
 
 
 def longest_branch(path: Path) -> list[str]:
-    """Joints from base to tip on the way that has most of them, without those that an equality ties together.
+    """Joints of the branch that has most of them, base to tip, without those coupled by an equality.
 
     Raises:
         InputError: MuJoCo does not accept the file.
@@ -132,7 +132,7 @@ def longest_branch(path: Path) -> list[str]:
 
 
 def _single_axes(mujoco: Any, model: Any) -> dict[int, str]:
-    """Joints that turn about or slide along one axis, with their names."""
+    """Hinge and slide joints, with their names."""
     kinds = mujoco.mjtJoint
     single = (model.jnt_type == kinds.mjJNT_HINGE) | (model.jnt_type == kinds.mjJNT_SLIDE)
     return {j: model.joint(j).name for j in np.flatnonzero(single).tolist()}
@@ -160,14 +160,14 @@ class _Scene:
         return bool(self.model.jnt_type[joint] == self.mujoco.mjtJoint.mjJNT_SLIDE)
 
     def _refusals(self) -> Iterator[str]:
-        """What makes it no one serial arm, or acts on the arm and has no form here; the first one is told."""
+        """Why the file cannot be used: no serial arm, or forces on the arm that are not supported."""
         yield from self._branches()
         yield from self._floating_base()
         yield from self._equalities()
         yield from self._tendons()
 
     def _branches(self) -> Iterator[str]:
-        """Gives every body its link on the way."""
+        """Joints that do not form one chain; assigns every body to its link on the way."""
         model = self.model
         for body in range(1, model.nbody):
             link = self.link_of[model.body_parentid[body]]
@@ -230,7 +230,7 @@ class _Scene:
                 )
 
     def notes(self) -> Iterator[str]:
-        """What was held or left out."""
+        """Notes on what was held or left out."""
         model, link_of = self.model, self.link_of
         others = [j for j in range(model.njnt) if j not in self.chosen]
         for on_arm, said in (
@@ -279,7 +279,7 @@ class _Scene:
         return root, tuple(carrying)
 
     def check(self, arm: SimulatedArm) -> None:
-        """Raise InputError unless what was read gives MuJoCo's own torque: then something acts that was not read."""
+        """Raise InputError unless the arm as read gives MuJoCo's own torque: else some force was not read."""
         robot, _ = described(arm, None)
         smooth = replace(arm, frictionloss=0 * arm.frictionloss)  # which MuJoCo has as a constraint
         q, qd, qdd = np.random.default_rng(0).uniform(-1, 1, (3, 10, len(self.chosen)))
@@ -312,7 +312,7 @@ class _Scene:
 
 
 def _block(model: Any, data: Any, body: int, origin: np.ndarray) -> np.ndarray:
-    """(10,) of a body, in world axes about an origin (3,)."""
+    """(10,) inertial parameters of a body, in world axes about an origin (3,)."""
     axes = data.ximat[body].reshape(3, 3)
     inertia = axes @ np.diag(model.body_inertia[body]) @ axes.T
     return body_parameters(float(model.body_mass[body]), data.xipos[body] - origin, inertia)

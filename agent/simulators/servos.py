@@ -46,7 +46,7 @@ class PositionServos:
         )
 
     def scaled(self, joint: int, factor: float) -> PositionServos:
-        """The same with another gain of one joint, stiffness and damping alike."""
+        """The servos with stiffness and damping of one joint times a factor."""
         factors = np.where(np.arange(len(self.stiffness)) == joint, factor, 1.0)
         return replace(self, stiffness=factors * self.stiffness, damping=factors * self.damping)
 
@@ -62,7 +62,7 @@ class PositionServos:
         return np.asarray(self.control[:, 0] + self.control[:, 1] * set_points)
 
     def saturated(self, torque: np.ndarray) -> np.ndarray:
-        """(S, n) where a torque that is not clamped yet is at a limit or beyond."""
+        """(S, n) whether an unclamped torque is at a limit or beyond."""
         return np.asarray((torque >= _AT_LIMIT * self.high) | (torque <= _AT_LIMIT * self.low))
 
 
@@ -73,7 +73,7 @@ def servo_stiffness(metadata: Mapping[str, str]) -> np.ndarray | None:
 
 
 def position_servos(mujoco: Any, model: Any, joints: Sequence[int]) -> PositionServos | str:
-    """The servos of a compiled model's joints; why there are none, for people, where one has none that is read."""
+    """The servos of a compiled model's joints, or a reason for the user why they cannot be used."""
     if np.any(model.body_gravcomp):
         return "it compensates gravity (gravcomp), so that its servos do not carry the weight"
     found = []

@@ -1,4 +1,4 @@
-"""From a file to a simulator: which format, which joints, and the model of it."""
+"""Reads a simulator's file: format, joints, and the model made from it."""
 
 from __future__ import annotations
 
@@ -23,8 +23,10 @@ _MOST_JOINTS = 7
 
 @dataclass(frozen=True, eq=False)
 class Simulator:
-    """A simulator's file, the model that it is, the description whose drives it has, and what was taken, held or left
-    out of the file. `servos`: those of the file whose torque stands for that of logs that have none."""
+    """A simulator's file, its model, the description that gave the drives, and notes on what was held or left out.
+
+    `servos`: those of the file, where their torque replaces the torque that the logs lack.
+    """
 
     arm: SimulatedArm
     model: IdentifiedModel
@@ -34,7 +36,7 @@ class Simulator:
 
 
 def is_simulator(path: Path) -> bool:
-    """Whether a file is, by its name, an MJCF or a URDF (or what they are made from), no model of this program."""
+    """Whether a file name is that of an MJCF, a URDF or their sources, not of a model of this program."""
     return path.suffix.lower() in (".xml", ".urdf", ".mjcf", ".xacro", ".sdf")
 
 

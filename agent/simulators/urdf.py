@@ -1,4 +1,4 @@
-"""A URDF as a simulator: links and axes are Pinocchio's to read, `dynamics` of a joint is its damping and friction.
+"""A URDF as a simulator. Pinocchio reads links and axes; `dynamics` of a joint gives damping and friction.
 
 Elements of a URDF are read and written here too: poses, inertials, ends of joints; numbers keep every digit.
 """
@@ -83,7 +83,7 @@ def read_urdf(
 
 
 def longest_chain(root: Element) -> list[str]:
-    """Joints from base to tip on the way that has most of them, without those that follow or lead others (mimic)."""
+    """Joints of the branch that has most of them, base to tip, without those paired by `mimic`."""
     joints = root.findall("joint")
     paired = {name for j in joints for mimic in j.iter("mimic") for name in (j.get("name"), mimic.get("joint"))}
     chains = (
@@ -106,7 +106,7 @@ def _paths(root: Element) -> list[list[Element]]:
 
 
 def _check_radians(path: Path, root: Element) -> None:
-    """Raise InputError where angles are larger than any in radians would be written."""
+    """Raise InputError where angles are too large to be radians."""
     for owner in (*root.findall("link"), *root.findall("joint")):
         for origin in owner.iter("origin"):
             if np.abs(_numbers(origin, "rpy", "0")).max() > _TURN:
@@ -127,7 +127,7 @@ def _check_radians(path: Path, root: Element) -> None:
 
 
 def _refuse_followers(path: Path, elements: Mapping[str, Element], used: Mapping[str, str]) -> None:
-    """Raise InputError for joints to be compared that another one moves, as the fingers of grippers are."""
+    """Raise InputError for used joints that mimic another one, such as fingers of grippers."""
     for name in used:
         mimic = elements[name].find("mimic")
         if mimic is not None:
@@ -168,7 +168,7 @@ def _carrying(root: Element, joint: Element, used: set[str]) -> CarryingBody:
 
 
 def _own(inertial: Element | None) -> np.ndarray:
-    """(10,) of an inertial in its link's frame."""
+    """(10,) inertial parameters of an `inertial` element in its link's frame."""
     mass = 0.0 if inertial is None else _number(inertial, "mass", "value", 0.0)
     if inertial is None or mass <= 0:
         return np.zeros(10)
@@ -193,18 +193,18 @@ def _numbers(element: Element | None, key: str, otherwise: str = "0 0 0") -> np.
 
 
 def digits(*numbers: float) -> str:
-    """With every digit: rounding costs torque."""
+    """Numbers with every digit: rounding costs torque."""
     return " ".join(repr(float(number)) for number in numbers)
 
 
 def child_of(element: Element, name: str) -> Element:
-    """The first child of that name, added where there is none."""
+    """The first child of that name, added if missing."""
     found = element.find(name)
     return SubElement(element, name) if found is None else found
 
 
 def end_of(joint: Element, which: str) -> str:
-    """The link at a joint's `parent` or `child`; empty where it has none."""
+    """The link at a joint's `parent` or `child`; empty if missing."""
     element = joint.find(which)
     return "" if element is None else element.get("link", "")
 
@@ -225,7 +225,7 @@ def set_inertial(link: Element, block: np.ndarray) -> None:
 
 
 def move_zero(joint: Element, offset: float) -> tuple[np.ndarray, np.ndarray]:
-    """Turn or shift a joint's origin so that its zero is `offset` [rad or m] further back; (4, 4) before and after."""
+    """Move a joint's origin so that its zero lies `offset` [rad or m] lower; returns (4, 4) before and after."""
     axis = _numbers(joint.find("axis"), "xyz", "1 0 0")
     axis, step = axis / np.linalg.norm(axis), np.eye(4)
     if joint.get("type") == "prismatic":
@@ -239,14 +239,14 @@ def move_zero(joint: Element, offset: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _put(origin: Element, **places: np.ndarray) -> None:
-    """Positions and angles that differ from what is written; others keep their text."""
+    """Set positions or angles that differ from the written ones; equal ones keep their text."""
     for key, numbers in places.items():
         if np.abs(_numbers(origin, key) - numbers).max() > 1e-14:
             origin.set(key, digits(*numbers))
 
 
 def pose_of(origin: Element | None) -> np.ndarray:
-    """(4, 4) of an origin element; identity where there is none."""
+    """(4, 4) pose of an origin element; identity if missing."""
     pose = np.eye(4)
     pose[:3, :3] = Rotation.from_euler("xyz", _numbers(origin, "rpy")).as_matrix()
     pose[:3, 3] = _numbers(origin, "xyz")

@@ -1,4 +1,4 @@
-"""A corrected simulator written: the file that was given with only those values changed that should be.
+"""Writes a corrected simulator: the given file with only the corrected values changed.
 
 Beside it stand `<name>.changes.json`, every change with its old value and the reason, and `<name>_effects.py`, what the
 format cannot say. Nothing is written that was not read back and found to be the corrected arm.
@@ -32,7 +32,7 @@ _LEAST = 1e-12  # relative, that a number changes
 
 @dataclass(frozen=True)
 class FileChange:
-    """One value of the file: of which element, its attribute, old and new value (SI), and why."""
+    """One changed value: element, attribute, old and new value (SI), and the reason."""
 
     element: str
     attribute: str
@@ -42,13 +42,13 @@ class FileChange:
 
 
 def written_files(out: Path) -> tuple[Path, Path]:
-    """The files beside a corrected simulator: the changes, and the effects that it cannot say."""
+    """The files next to a corrected simulator: the changes, and the effects that its format cannot hold."""
     module = "".join(letter if letter.isalnum() else "_" for letter in out.stem)
     return out.with_name(f"{out.stem}.changes.json"), out.with_name(f"{module}_effects.py")
 
 
 def write_corrected(simulator: Simulator, correction: Correction, out: Path) -> tuple[Path, ...]:
-    """Write the corrected file and what stands beside it; returns all paths, the file first.
+    """Write the corrected file and the files next to it; returns all paths, the corrected file first.
 
     Raises:
         InputError: the file cannot be changed in place (a body without a name, say).
@@ -81,7 +81,7 @@ def write_corrected(simulator: Simulator, correction: Correction, out: Path) -> 
 
 
 def _changes(correction: Correction, edits: UrdfEdits | MjcfEdits) -> Iterator[FileChange]:
-    """Change the file, number by number, and say each."""
+    """Change the file number by number and report each change."""
     before, after, released = correction.given, correction.arm, correction.released
     numbers = (
         ("frictionloss", before.frictionloss, after.frictionloss, released.friction),
@@ -114,7 +114,7 @@ def _changes(correction: Correction, edits: UrdfEdits | MjcfEdits) -> Iterator[F
 
 
 def _servo_changes(correction: Correction, edits: MjcfEdits) -> Iterator[FileChange]:
-    """Other gains of servos; those damped by a ratio are written as they are, where masses change."""
+    """Change servo gains. Damping given as a ratio is written as a number where masses change."""
     given, released = correction.given.servos, correction.released
     servos = correction.arm.servos
     assert isinstance(given, PositionServos)

@@ -1,4 +1,4 @@
-"""A simulator corrected: its file's numbers moved, as bodies that could exist, and the effects that no file can say.
+"""Corrects a simulator: moves its numbers, keeps bodies physical, and collects effects that no file can hold.
 
 What is linear in numbers that the file has becomes part of them: friction levels, rotor and link inertias, a payload,
 gravity of a tilted base, the zero of an encoder (joint `ref` of an MJCF, `origin` of a URDF), a linear spring (MJCF).
@@ -39,7 +39,7 @@ _STRAINED = 10.0  # times the mass in the file, which no wrong number of a file 
 
 @dataclass
 class Released:
-    """What of a simulator was allowed to move (joints from 0), and why, by joint."""
+    """Numbers of a simulator that were allowed to move, with the reason per joint (counted from 0)."""
 
     links: dict[int, str] = field(default_factory=dict)
     rotors: dict[int, str] = field(default_factory=dict)
@@ -52,14 +52,14 @@ class Released:
 
 @dataclass(frozen=True, eq=False)
 class Commands:
-    """How set-points reach servos: [s] late, and by how much (n,) [rad or m] they are less than recorded."""
+    """Set-points as they reach the servos: delay `late` [s], and `shift` (n,) [rad or m] below the recorded ones."""
 
     late: float
     shift: np.ndarray
 
     @classmethod
     def as_recorded(cls, dof: int) -> Commands:
-        """At once and as they are."""
+        """Without delay or shift."""
         return cls(0.0, np.zeros(dof))
 
 
@@ -155,7 +155,7 @@ def correct(
 def _servo_of(
     arm: SimulatedArm, servos: PositionServos, commands: Commands, entry: ModelEffect, joints: Sequence[int]
 ) -> tuple[SimulatedArm, Commands]:
-    """What an effect of the measurement is of a torque that servos give: another gain, or other set-points.
+    """Apply an effect of the measurement to torque given by servos: another gain, or other set-points.
 
     A torque that is reported 1 + s times too large is of a servo with 1 / (1 + s) of the gain; its limit stays.
     """
@@ -183,7 +183,7 @@ def _command_notes(commands: Commands, names: Sequence[str]) -> Iterator[str]:
 
 
 def _added(entry: ModelEffect, n: int) -> tuple[int, np.ndarray]:
-    """Which link a payload or a mismatch changes, and by how much (10,)."""
+    """The link that a payload or a mismatch changes, and the change (10,)."""
     values = entry.parameters
     if entry.effect == "payload":
         return n - 1, load_block(entry)
@@ -192,7 +192,7 @@ def _added(entry: ModelEffect, n: int) -> tuple[int, np.ndarray]:
 
 
 def _spring(arm: SimulatedArm, joints: Sequence[int], values: Mapping[str, float]) -> tuple[float, float] | None:
-    """Stiffness and rest of a joint with another linear spring, of whatever effect; None where the file cannot say."""
+    """Stiffness and rest position of a joint with a linear spring added; None if the file cannot hold one."""
     if arm.is_urdf or set(values) != {"constant", "stiffness"}:
         return None
     before, rest = arm.stiffness[joints[0]], arm.rest[joints[0]]
@@ -207,14 +207,14 @@ def _put(values: np.ndarray, joint: int, value: float) -> np.ndarray:
 
 
 def _turned(arm: SimulatedArm, joint: int, offset: float) -> SimulatedArm:
-    """The arm whose joint stands where it stood before at a position that is `offset` [rad or m] less."""
+    """The arm with the zero of one joint `offset` [rad or m] lower."""
     root = ElementTree.fromstring(arm.robot.urdf)
     move_zero(next(e for e in root.findall("joint") if e.get("name") == arm.joint_names[joint]), offset)
     return _reshaped(arm, root)
 
 
 def _reshaped(arm: SimulatedArm, root: ElementTree.Element) -> SimulatedArm:
-    """The arm with another URDF."""
+    """The arm with another URDF as its chain."""
     return replace(arm, robot=replace(arm.robot, urdf=ElementTree.tostring(root, encoding="unicode")))
 
 
@@ -226,7 +226,7 @@ def _with_bodies(
     unexplained: float,
     released: Released,
 ) -> tuple[SimulatedArm, list[str]]:
-    """The arm whose released bodies and rotors moved its base parameters by `target` (b,), as near as bodies can."""
+    """Move released bodies and rotors so that base parameters change by `target` (b,), as closely as bodies allow."""
     links = sorted(released.links)
     if not links and not released.rotors:
         return arm, []

@@ -1,4 +1,4 @@
-"""Numbers of a simulator's file changed in place, in either format; all else stays as people wrote it.
+"""Changes numbers of an MJCF or URDF in place; everything else stays as people wrote it.
 
 Joints count from 0 in the order of the arm, all numbers are SI, and inertias (10,) of bodies are in their own frames.
 """
@@ -24,7 +24,7 @@ _SAVE_COMPILED = "save the compiled model (mj_saveLastXML), and give that"
 
 
 def opened(path: Path) -> XmlDocument:
-    """A file to be changed.
+    """Read a file that is to be changed.
 
     Raises:
         InputError: it cannot be read, or not changed in place.
@@ -36,9 +36,9 @@ def opened(path: Path) -> XmlDocument:
 
 
 class UrdfEdits:
-    """Of a URDF, to be written to `out`.
+    """Edits of a URDF, to be written to `out`.
 
-    `numbers`: those of a joint that the format has; `zero`: what says where a joint is at zero.
+    `numbers`: the numbers of a joint that the format has; `zero`: the element or attribute that holds its zero.
     """
 
     numbers: tuple[str, ...] = ("frictionloss", "damping")
@@ -56,22 +56,22 @@ class UrdfEdits:
                 element.set("filename", os.path.join(back, name))
 
     def files(self) -> dict[Path, bytes]:
-        """What to write."""
+        """Paths and contents to write."""
         return {self._out: self._document.changed()}
 
     def set_number(self, k: int, key: str, value: float) -> None:
-        """A number of a joint."""
+        """Set a number of a joint."""
         dynamics = self._joints[k].find("dynamics")
         if dynamics is None:
             dynamics = SubElement(self._joints[k], "dynamics", damping="0", friction="0")
         dynamics.set({"frictionloss": "friction"}.get(key, key), digits(value))
 
     def set_inertial(self, k: int, body: str, block: np.ndarray) -> None:
-        """Of a link."""
+        """Set the inertia of a link."""
         set_inertial(self._links[body], block)
 
     def set_gravity(self, gravity: tuple[float, float, float]) -> None:
-        """A URDF has none of its own: MuJoCo's extension says it."""
+        """Set gravity in MuJoCo's extension: a URDF itself has no place for it."""
         child_of(child_of(self._document.root, "mujoco"), "option").set("gravity", digits(*gravity))
 
     def move_zero(self, k: int, offset: float) -> tuple[list[float], list[float]]:
@@ -81,7 +81,7 @@ class UrdfEdits:
 
 
 class MjcfEdits:
-    """Of an MJCF and of what it includes, to be written to `out`, copies of changed includes beside it."""
+    """Edits of an MJCF and its includes. `out` is the main file; copies of changed includes go next to it."""
 
     numbers: tuple[str, ...] = ("frictionloss", "damping", "armature", "stiffness", "springref")
     zero = "ref"
@@ -113,7 +113,7 @@ class MjcfEdits:
             yield from (element for element in document.root.iter() if element.tag in names)
 
     def _point_back(self) -> None:
-        """From another folder: meshes and textures are found where they are."""
+        """Let a file in another folder find meshes and textures in the original place."""
         compilers = list(self._all("compiler"))
         for key in ("meshdir", "texturedir", "assetdir"):
             for compiler in compilers:
@@ -125,7 +125,7 @@ class MjcfEdits:
                 child_of(self._documents[self._source].root, "compiler").set(key, self._back)
 
     def files(self) -> dict[Path, bytes]:
-        """The file, and a copy of every include that is changed or is found from elsewhere now."""
+        """Paths and contents to write: the file, and a copy of every include that changes or moves."""
         changed = {path for path, xml in self._documents.items() if xml.is_changed or self._back != "."}
         for _ in self._documents:  # who includes a changed file changes
             changed |= {owner for owner, _, included in self._includes if included in changed}
@@ -154,15 +154,15 @@ class MjcfEdits:
         return found[0]
 
     def _unit(self, k: int) -> float:
-        """Of positions of a joint in the file, in rad or m."""
+        """Unit of a joint's positions in the file [rad or m]."""
         return 1.0 if self._radian or self._arm.robot.joints[k].prismatic else float(np.pi / 180)
 
     def set_number(self, k: int, key: str, value: float) -> None:
-        """A number of a joint; angles are written in the file's unit."""
+        """Set a number of a joint; angles are written in the file's unit."""
         self._joint(k).set(key, digits(value / self._unit(k) if key == "springref" else value))
 
     def set_inertial(self, k: int, body: str, block: np.ndarray) -> None:
-        """Of a body, or of the one that a joint moves where it has no name."""
+        """Set the inertia of a body, or of the body that joint k moves if it has no name."""
         named = [element for element in self._all("body") if body and element.get("name") == body]
         owner = self._parents[id(self._joint(k))]
         if len(named) == 1:
@@ -182,7 +182,7 @@ class MjcfEdits:
         )
 
     def set_gravity(self, gravity: tuple[float, float, float]) -> None:
-        """Of the world."""
+        """Set gravity of the world."""
         options = [option for option in self._all("option") if option.get("gravity") is not None]
         option = options[-1] if options else child_of(self._documents[self._source].root, "option")
         option.set("gravity", digits(*gravity))
@@ -196,11 +196,11 @@ class MjcfEdits:
 
     @property
     def damps_by_ratio(self) -> bool:
-        """Whether servos are damped by a ratio, so that other masses would change them."""
+        """Whether servo damping is given as a ratio, which depends on masses."""
         return any(servo.get("dampratio") is not None for servo in self._all("position"))
 
     def set_servo(self, k: int, gain: float, bias: list[float]) -> None:
-        """Gain and bias (b₀, b₁, b₂) of the actuator that holds a joint at set-points."""
+        """Set gain and bias (b₀, b₁, b₂) of the position actuator of a joint."""
         name, actuators = self._arm.file_joints[k], self._all("position", "general")
         found = [actuator for actuator in actuators if name in (actuator.get("joint"), actuator.get("jointinparent"))]
         if len(found) != 1:

@@ -1,4 +1,4 @@
-"""An XML file changed in place: elements of ElementTree, and of the text only what changes, every other byte kept.
+"""Changes an XML file through ElementTree elements and keeps every byte that did not change.
 
 Comments, order, layout and quotes stay as people wrote them, which no XML library keeps: lxml rewrites start tags, and
 MuJoCo's MjSpec drops comments, includes and units.
@@ -38,7 +38,7 @@ class XmlDocument:
 
     @property
     def is_changed(self) -> bool:
-        """Whether its text will differ."""
+        """Whether anything changed."""
         return self.changed() != self._text
 
     def changed(self) -> bytes:
@@ -56,7 +56,7 @@ class XmlDocument:
     def _rewritten(
         self, element: Element, attributes: dict[str, str], new: list[Element], start: int, stop: int
     ) -> bytes:
-        """The start tag with its attributes as they are now, and new children behind it."""
+        """The start tag with its current attributes, followed by new children."""
         tag = self._text[start:stop].decode("latin-1")
         added = ""
         for key in {**attributes, **element.attrib}:
@@ -83,7 +83,7 @@ class XmlDocument:
 
 
 def _end_of_tag(text: bytes, start: int) -> int:
-    """Behind the > of a start tag; a > inside of quotes is text."""
+    """Index behind the > of a start tag; a > inside quotes is text."""
     match = re.compile(rb"""<[^"'>]*(?:(?:"[^"]*"|'[^']*')[^"'>]*)*>""").match(text, start)
     assert match is not None  # the parser accepted it
     return match.end()
