@@ -9,9 +9,9 @@ import numpy as np
 
 from agent.core import InputError
 from agent.robot import Dynamics, RobotDescription
-from agent.simulation import ExternalTorque, ForwardSimulation, ServoGains
+from agent.simulators import ExternalTorque, ForwardSimulation, ServoGains
 from fake_controller.actuation import load_effect
-from fake_controller.actuation.drive import actuation
+from fake_controller.actuation.drive import Drive, SteppedSimulation, rigid_actuation
 from fake_controller.actuation.machine import Machine, check_bodies, draw_machine
 from fake_controller.actuation.sensors import Measured, Sensors
 
@@ -63,14 +63,13 @@ class Plant:
         check_bodies(self.machine)
         dynamics = self.machine.dynamics()
         gains = ServoGains.tuned(self.machine.typical_inertia, self.machine.limit)
-        self._simulation = ForwardSimulation(
-            dynamics,
-            self.machine.rotor_inertias,
-            actuation(self.machine),
-            gains,
-            period,
-            max(_INNER_RATE, _rate_for_gears(self.machine, dynamics, gains)),
-            self._external(dynamics, period),
+        rate = max(_INNER_RATE, _rate_for_gears(self.machine, dynamics, gains))
+        rotors, external = self.machine.rotor_inertias, self._external(dynamics, period)
+        rigid = rigid_actuation(self.machine)
+        self._simulation = (
+            SteppedSimulation(dynamics, rotors, Drive(self.machine), gains, period, rate, external)
+            if rigid is None
+            else ForwardSimulation(dynamics, rotors, rigid, gains, period, rate, external)
         )
         self._sensors = Sensors(self.machine, seed, period)
         self._period = period

@@ -153,12 +153,28 @@ def report(
 @app.command()
 def export(
     model: Annotated[Path, typer.Argument(metavar="MODEL", help="model file")],
-    out: Annotated[Path, typer.Option("-o", "--out", metavar="DIR", help="folder to write to")],
+    out: Annotated[Path | None, typer.Option("-o", "--out", metavar="DIR", help="folder to write to")] = None,
     table: Annotated[bool, typer.Option("--csv", help="the table of parameters alone; of any model")] = False,
+    load: Annotated[
+        str | None,
+        typer.Option("--load", metavar="VENDOR", help="print the identified load for ur, abb, kuka, franka or comau"),
+    ] = None,
 ) -> None:
-    """Write a model for other programs: URDF, MuJoCo model, SDF, friction, CSV, Foxglove layout. Prints the paths."""
-    from agent.model import IdentifiedModel, export_model, export_table, possible_model
+    """Write a model for other programs: URDF, MuJoCo model, SDF, friction, CSV, Foxglove layout. Prints the paths.
 
+    With --load, print the identified load in the words of a robot vendor instead.
+    """
+    from agent.model import IdentifiedModel, possible_model
+    from agent.simulators import export_model, export_table, identified_load, load_text
+
+    if (out is None) == (load is None):
+        raise InputError("export: name a folder to write to with -o, or a robot vendor with --load; not both")
+    if load is not None:
+        text, about = load_text(identified_load(IdentifiedModel.load(model)), load)
+        print(about, end="\n" if about else "", file=sys.stderr)
+        print(text)
+    if out is None:
+        return
     if out.exists() and not out.is_dir():
         raise InputError(f"{out}: is a file; name a folder to write to")
     loaded = IdentifiedModel.load(model)

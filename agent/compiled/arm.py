@@ -244,7 +244,7 @@ def march(  # noqa: C901
     state: np.ndarray,
     found: np.ndarray,
 ) -> None:
-    """Steps of `dt` [s], `substeps` a sample, of n joints: `agent.simulation.ForwardSimulation` says what they are.
+    """Steps of `dt` [s], `substeps` a sample, of n joints: `agent.simulators.ForwardSimulation` says what they are.
 
     The arm is that of `regressor_columns`, its `inertias` (n, 10) those of the links in that order; `coupling` (n, n),
     `rotors` (n,) on the axles. `outside` (n,) is a torque on the joints. Of all axles:

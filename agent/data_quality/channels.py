@@ -7,9 +7,9 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from agent.data_quality.finding import MOVING, QualityFinding, Recordings
-from agent.model import SERVO_STIFFNESS
 from agent.recording import Log
 from agent.robot import RobotDescription
+from agent.simulators import SERVO_STIFFNESS
 
 _NOTHING = 1e-12  # N·m or N by which no torque changes that is one
 _MAX_LAG = 0.2  # rad or m that a joint that is asked to go does not stay behind, however weak its servo

@@ -10,7 +10,7 @@ import numpy as np
 from agent.diagnosis.dataset import assemble
 from agent.diagnosis.result import Diagnosis
 from agent.diagnosis.servo_torque import at_gains
-from agent.model import Correction, Released, Simulator, correct
+from agent.simulators import Correction, Released, Simulator, correct
 
 
 def corrected(diagnosis: Diagnosis, simulator: Simulator, without: int | None = None) -> Correction:

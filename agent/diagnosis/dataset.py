@@ -24,9 +24,10 @@ from agent.estimation import (
     observe,
     physical_prior,
 )
-from agent.model import IdentifiedModel, MotionSignals, NominalModel, effect_torque, known_payload, servo_stiffness
+from agent.model import IdentifiedModel, MotionSignals, NominalModel, effect_torque, known_payload
 from agent.recording import Log
 from agent.robot import RobotDescription
+from agent.simulators import servo_stiffness
 
 
 @dataclass(frozen=True, eq=False)

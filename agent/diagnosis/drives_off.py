@@ -15,9 +15,10 @@ from agent.core import InputError
 from agent.diagnosis.dataset import Dataset
 from agent.diagnosis.evidence import Evaluated, Evidence
 from agent.diagnosis.finding import Finding
-from agent.model import SIMULATOR, IdentifiedModel
+from agent.model import IdentifiedModel
 from agent.recording import Log
 from agent.robot import RobotDescription
+from agent.simulators import SIMULATOR
 
 _STANDS = 0.01  # rad or m: brakes give
 _LEAST = 1.0  # s

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from agent.diagnosis.sizes import intervals
 from agent.model import IdentifiedModel
 
 if TYPE_CHECKING:
@@ -21,9 +22,10 @@ def extended_model(diagnosis: Diagnosis, without: int | None = None, once: bool 
     fit, model = diagnosis.finding.fit, diagnosis.dataset.model
     names = model.robot.joint_names
     change, fitted = fit.fitted(None if without is None else fit.folds[without])
+    ranges = intervals(diagnosis.finding) if without is None else [{} for _ in fitted]
     effects = tuple(
-        candidate.part_of_model(values, names)
-        for candidate, values in zip(fit.chosen, fitted, strict=True)
+        replace(candidate.part_of_model(values, names), intervals=ends)
+        for candidate, values, ends in zip(fit.chosen, fitted, ranges, strict=True)
         if once or not candidate.effect.once
     )
     return replace(model, values=model.values + change, effects=(*model.effects, *effects))

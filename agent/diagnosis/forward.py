@@ -1,6 +1,6 @@
 """The gap in forward simulation: the same set-points run by the model alone, and by the model with the effects found.
 
-The arm is that of `agent.simulation`: rigid bodies and plain friction behind a servo of usual bandwidth, as late after
+The arm is that of `agent.simulators`: rigid bodies and plain friction behind a servo of usual bandwidth, as late after
 the set-points as the measured motion is. Everything else that the model predicts (other friction terms, effects) is
 worked out along the motion that came out of the round before, the set-points at first, and acts in the next round as a
 torque from outside (waveform relaxation: Lelarasmee, Ruehli, Sangiovanni-Vincentelli, IEEE Trans. CAD 1, 1982), so
@@ -18,8 +18,8 @@ import numpy as np
 
 from agent.diagnosis.extension import extended_model
 from agent.estimation import FilterSettings, Motion, motions, smooth_and_differentiate
-from agent.model import CATALOGUE, PAYLOAD, SERVO_STIFFNESS, IdentifiedModel, NominalModel, effect_torque
-from agent.simulation import ForwardSimulation, RigidActuation, ServoGains
+from agent.model import CATALOGUE, PAYLOAD, IdentifiedModel, NominalModel, effect_torque
+from agent.simulators import SERVO_STIFFNESS, ForwardSimulation, RigidActuation, ServoGains
 
 if TYPE_CHECKING:
     from agent.diagnosis.result import Diagnosis

@@ -26,7 +26,8 @@ from agent.diagnosis.forward_interval import expected_range
 from agent.diagnosis.result import Diagnosis
 from agent.diagnosis.rollout import Drive, RolloutEngine, at_motors, engine
 from agent.estimation import FilterSettings, Motion, motions
-from agent.model import PAYLOAD, Commands, ModelEffect, Simulator, write_corrected, written_files
+from agent.model import PAYLOAD, ModelEffect
+from agent.simulators import Commands, Simulator, write_corrected, written_files
 
 _HORIZONS = (0.2, 0.5, 1.0, 2.0)  # s
 _WINDOWS = 24  # at most, over all motions

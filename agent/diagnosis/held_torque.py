@@ -15,7 +15,7 @@ import numpy as np
 
 from agent.diagnosis.dataset import Dataset, known_effects
 from agent.diagnosis.fit import Fit
-from agent.model import SERVO_STIFFNESS
+from agent.simulators import SERVO_STIFFNESS
 
 _WINDOWS = (0.05, 0.1, 0.2, 0.4, 0.8)  # s
 _SAMPLES = 5  # of half a window, at least

@@ -30,8 +30,9 @@ from agent.diagnosis.search import Search
 from agent.diagnosis.sizes import intervals
 from agent.diagnosis.testability import effects_of_path, not_testable
 from agent.diagnosis.verdict import causes_of, settle, with_path
-from agent.model import CATALOGUE, PAYLOAD, servo_stiffness
+from agent.model import CATALOGUE, PAYLOAD
 from agent.robot import error_units
+from agent.simulators import servo_stiffness
 
 _WHEN_UNKNOWN = "slow single-joint ramps both ways on {joints}, then the same at full speed, each twice"
 _MUCH = 0.3  # of the gap of the joint that has most: a joint that is worth a motion of its own

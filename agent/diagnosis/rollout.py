@@ -14,8 +14,9 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from agent.model import CATALOGUE, IdentifiedModel, PositionServos, Simulator, compiled, mujoco_package
+from agent.model import CATALOGUE, IdentifiedModel
 from agent.robot import ParameterLayout
+from agent.simulators import PositionServos, Simulator, compiled, mujoco_package
 
 #: (seconds since the start, q (n,), q̇ (n,)) → torque of the motors (n,) [N·m], or set-points (n,) of its servos.
 Drive = Callable[[float, np.ndarray, np.ndarray], np.ndarray]

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from agent.model import NominalModel, servo_stiffness
+from agent.model import NominalModel
 from agent.recording import Log
+from agent.simulators import servo_stiffness
 
 _POSTURES = 20  # of a log, for its mean inertia
 _LOWEST, _TRIED = 3.0, 12  # Hz, of a cut-off for the sake of rounding, and how many are tried

@@ -18,8 +18,8 @@ from agent.core import InputError
 from agent.data_quality import unsigned_torque
 from agent.diagnosis.rounding import rounding_step
 from agent.estimation import FilterSettings, motions
-from agent.model import SERVO_STIFFNESS, PositionServos, Simulator, servo_stiffness
 from agent.recording import Log
+from agent.simulators import SERVO_STIFFNESS, PositionServos, Simulator, servo_stiffness
 
 _FAR = 1.5  # rad or m from the set-points in the middle: they are of another unit or zero
 _FEW = 0.01  # of the samples, that are left out without a word

@@ -29,9 +29,10 @@ from agent.diagnosis.rounding import quiet_cutoff
 from agent.diagnosis.search import Search
 from agent.diagnosis.verdict import judge
 from agent.estimation import FilterSettings, resolve_cutoff
-from agent.model import CATALOGUE, IdentifiedModel, NominalModel, servo_stiffness
+from agent.model import CATALOGUE, IdentifiedModel, NominalModel
 from agent.recording import Log
 from agent.robot import RobotDescription
+from agent.simulators import servo_stiffness
 
 _OF_THE_MIDDLE = 1.5  # times the relative error of the joint in the middle is expected of every joint
 _BELOW_ZERO = 0.1  # of a friction level without an effect, that chance may take it below zero beside one

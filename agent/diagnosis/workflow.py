@@ -20,9 +20,10 @@ from agent.diagnosis.search import Search
 from agent.diagnosis.simulator import search_simulator
 from agent.diagnosis.verdict import judge
 from agent.estimation import beyond_fit
-from agent.model import CATALOGUE, SIMULATOR, IdentifiedModel
+from agent.model import CATALOGUE, IdentifiedModel
 from agent.recording import Log
 from agent.robot import RobotDescription
+from agent.simulators import SIMULATOR
 
 
 def diagnose(

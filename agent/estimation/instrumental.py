@@ -44,7 +44,7 @@ def instrumental(problem: Problem) -> Estimate:
 
 def _simulate(problem: Problem, start: Estimate, motion: Motion) -> Motion:
     """The motion that a model of the arm makes of the set-points, filtered and timed like the measured one."""
-    from agent.simulation import ForwardSimulation, RigidActuation, ServoGains
+    from agent.simulators import ForwardSimulation, RigidActuation, ServoGains
 
     robot = problem.observation.robot
     assert start.standard is not None

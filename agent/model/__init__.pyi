@@ -1,6 +1,8 @@
 from .effects import CATALOGUE as CATALOGUE
+from .effects.base_tilt import across as across
+from .effects.dress_pack import N_NODES as N_NODES
 from .effects.effect import Columns as Columns, Effect as Effect, FitContext as FitContext
-from .export import export_model as export_model, export_table as export_table
+from .effects.payload import ball as ball
 from .friction_terms import (
     FORMS as FORMS,
     ODD as ODD,
@@ -23,30 +25,17 @@ from .known_load import (
     payload_of as payload_of,
     payload_text as payload_text,
 )
-from .nearest_bodies import possible_model as possible_model
 from .regimes import REGIMES as REGIMES, regime_masks as regime_masks, standstill_speed as standstill_speed
 from .rigid_friction import HealthyEffect as HealthyEffect, ModelEffect as ModelEffect, ParameterPrior as ParameterPrior
 from .signals import MotionSignals as MotionSignals, NominalModel as NominalModel
-from .simulators.arm import SIMULATOR as SIMULATOR
-from .simulators.corrected_file import write_corrected as write_corrected, written_files as written_files
-from .simulators.correction import (
-    Commands as Commands,
-    Correction as Correction,
-    Released as Released,
-    correct as correct,
+from .standard_parameters import (
+    body_parameters as body_parameters,
+    check_physical as check_physical,
+    full_parameters as full_parameters,
+    is_body as is_body,
+    nearby_body as nearby_body,
+    nearest_bodies as nearest_bodies,
+    possible_model as possible_model,
+    seen_from as seen_from,
 )
-from .simulators.joints import load_joint_map as load_joint_map
-from .simulators.load import (
-    Simulator as Simulator,
-    is_simulator as is_simulator,
-    load_arm as load_arm,
-    load_simulator as load_simulator,
-)
-from .simulators.mjcf import compiled as compiled, mujoco_package as mujoco_package
-from .simulators.servos import (
-    SERVO_STIFFNESS as SERVO_STIFFNESS,
-    PositionServos as PositionServos,
-    servo_stiffness as servo_stiffness,
-)
-from .standard_parameters import full_parameters as full_parameters
 from .with_effects import effect_torque as effect_torque

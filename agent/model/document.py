@@ -54,6 +54,7 @@ class _Effect(_Part):
     effect: str
     joints: list[str]
     parameters: dict[str, Any]
+    intervals: dict[str, list[_Number]] = {}
 
 
 class _HealthyEffect(_Part):

@@ -148,9 +148,7 @@ class IdentifiedModel(RigidFrictionModel):
                 }
                 for k, term in enumerate(self.terms)
             ],
-            "effects": [
-                {"effect": e.effect, "joints": list(e.joints), "parameters": e.parameters} for e in self.effects
-            ],
+            "effects": [entry.to_dict() for entry in self.effects],
             "healthy": [asdict(entry) for entry in self.healthy],
             "covariance": self.covariance.tolist(),
             "standard_names": list(self.standard_names),
@@ -246,7 +244,15 @@ class IdentifiedModel(RigidFrictionModel):
             standstill_speed=_optional(data, "standstill_speed"),
             prior=_prior(data.get("prior")),
             notes=tuple(data["notes"]),
-            effects=tuple(ModelEffect(e["effect"], tuple(e["joints"]), dict(e["parameters"])) for e in data["effects"]),
+            effects=tuple(
+                ModelEffect(
+                    e["effect"],
+                    tuple(e["joints"]),
+                    dict(e["parameters"]),
+                    {name: (low, high) for name, (low, high) in e.get("intervals", {}).items()},
+                )
+                for e in data["effects"]
+            ),
             healthy=tuple(
                 HealthyEffect(e["effect"], tuple(e["joints"]), dict(e["settings"]), float(e["size"]))
                 for e in data.get("healthy", ())

@@ -14,11 +14,20 @@ from agent.robot import RigidBodies, RobotDescription
 
 @dataclass(frozen=True)
 class ModelEffect:
-    """Something beyond rigid bodies and friction that adds torque: an effect's name, its joints and parameters."""
+    """Something beyond rigid bodies and friction that adds torque: an effect's name, its joints and parameters.
+
+    `intervals`: 95 % of those parameters whose uncertainty is known.
+    """
 
     effect: str
     joints: tuple[str, ...]
     parameters: dict[str, float]
+    intervals: dict[str, tuple[float, float]] = field(default_factory=dict)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data, as model files have it."""
+        data = {"effect": self.effect, "joints": list(self.joints), "parameters": self.parameters}
+        return {**data, "intervals": {k: list(v) for k, v in self.intervals.items()}} if self.intervals else data
 
 
 @dataclass(frozen=True)

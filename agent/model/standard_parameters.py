@@ -1,18 +1,22 @@
 """From base parameters to bodies: inertial parameters of every link that could exist and that give the same torques.
 
 Base parameters fix b combinations of the 11 n standard parameters (ten a link, one rotor inertia a joint); the others
-are free. Where the fit itself found bodies (`consistent`), those are the answer. Else, of all sets with P π = β the one
-is taken that is nearest to the URDF in the sense of relative entropy,
+are free. Where the fit itself found bodies (`consistent`), those are the answer. Else the set π is taken that minimises
 
-    Σ_links tr(S_k⁻¹ S(π)) - log det S(π) + Σ_joints J / J₀ - log J,
+    μ/2 |A π - t|² + Σ_links tr(S₀⁻¹ S(π)) - log det S(π) + Σ_joints J / J₀ - log J,
 
-with S the 4 × 4 pseudo-inertia of a link and S_k that of the URDF (Lee, Wensing and Park, IEEE T-RO 36, 2020). It does
-not depend on units or frames, and its logarithms keep bodies physical: S positive definite, J positive. Newton's method
-from the URDF, which need not have these base parameters (Boyd and Vandenberghe, Convex Optimization, 10.3), ends on
-P π = β to round-off.
+with S the 4 × 4 pseudo-inertia of a link and S₀ that of the URDF: relative entropy, which does not depend on units or
+frames, and whose logarithms keep bodies physical (Lee, Wensing and Park, IEEE T-RO 36, 2020). As μ grows, A π = t is
+met as well as bodies can: a barrier method (Boyd and Vandenberghe, Convex Optimization, 11.3).
+
+Parameters of one body (10,) are mass, first moments and inertia about the origin of a frame, as in `LINK_PARAMETERS`.
 """
 
 from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -20,14 +24,18 @@ from agent.core import RejectedError
 from agent.model.rigid_friction import RigidFrictionModel
 from agent.robot import ParameterLayout, RobotDescription
 
-_ROUNDS = 200
-_DECREMENT = 1e-9
-_SHORTEST_STEP = 1e-8
+_EXACT = 10.0 ** np.arange(0, 13, 2)  # μ towards P π = β, in units of the curvature at the start
+_NEAREST = 10.0 ** np.arange(-10, 4)  # μ where no bodies have P π = β, in units of its uncertainty
+_STEPS, _SETTLED, _SHORTEST = 60, 1e-10, 1e-10
+_STATES = 400
 _THINNEST = 1e-9  # smallest eigenvalue of a pseudo-inertia that counts as positive, in units of the link's own size
 _WEIGHTLESS = 0.02  # of the arm's mass, for a link that the URDF gives no mass
 _WEIGHTLESS_RADIUS = 0.03  # of the reach: its size
 _LEAST_RADIUS = 0.001  # of the reach: the size of any other link, along its thinnest direction
 _USUAL_ROTOR = 0.5  # of the mean inertia about the joint, where the description has none
+_INERTIA_ORDER = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))
+
+Model = TypeVar("Model", bound=RigidFrictionModel)
 
 
 def full_parameters(model: RigidFrictionModel) -> np.ndarray:
@@ -39,28 +47,107 @@ def full_parameters(model: RigidFrictionModel) -> np.ndarray:
     if model.standard is not None:
         check_physical(model.robot, model.standard)
         return model.standard
-    standard = _nearest(model)
-    if standard is None:
+    layout, start = ParameterLayout.of(model.robot), reference_parameters(model)
+    scale = 1 / np.sqrt(np.diag(log_det_hessian(start, layout)))
+    length = np.linalg.norm(model.projection * scale, axis=1)
+    rows, target = model.projection / length[:, None], model.base_values / length
+    found = nearest_bodies(rows, target, start, layout, _EXACT)
+    # the last digits: the shortest correction onto P π = β
+    found = found + scale * (np.linalg.pinv(rows * scale) @ (target - rows @ found))
+    if not is_inside(found, layout):
         raise RejectedError(
             f"no links that could exist have the base parameters of this {model.method!r} fit (a negative mass, "
             "inertia or rotor would be needed), so there is nothing to export; estimate with --method consistent"
         )
-    return standard
+    return found
+
+
+def possible_model(model: Model) -> tuple[Model, str]:
+    """The model itself where bodies have its base parameters, else that of the nearest ones; and how far that is."""
+    try:
+        full_parameters(model)
+    except RejectedError:
+        layout, b = ParameterLayout.of(model.robot), len(model.base_values)
+        deviation = np.sqrt(np.maximum(np.diag(model.covariance)[:b], 1e-300))
+        values, vectors = np.linalg.eigh(model.covariance[:b, :b] / np.outer(deviation, deviation))
+        root = (vectors / np.sqrt(np.maximum(values, 1e-9))).T / deviation  # Σ⁻¹ = rootᵀ root
+        start = reference_parameters(model)
+        standard = nearest_bodies(root @ model.projection, root @ model.base_values, start, layout, _NEAREST)
+        base = model.projection @ standard
+        found = replace(model, values=np.concatenate([base, model.values[b:]]), standard=standard)
+        return found, _how_far(model, base)
+    return model, ""
+
+
+def nearest_bodies(
+    columns: np.ndarray, target: np.ndarray, start: np.ndarray, layout: ParameterLayout, weights: Iterable[float]
+) -> np.ndarray:
+    """(p,) bodies that could exist, with columns (b, p) times them near target (b,) and near `start` (p,) otherwise.
+
+    `weights` are the ascending μ of the module's formula; each minimum is where Newton's method starts for the next.
+    """
+    slope, found = log_det_gradient(start, layout), start
+
+    def value(standard: np.ndarray, weight: float) -> float:
+        missed = columns @ standard - target
+        return float(0.5 * weight * missed @ missed + slope @ standard - _logs(standard, layout))
+
+    for weight in weights:
+        square = weight * columns.T @ columns
+        for _ in range(_STEPS):
+            gradient = weight * columns.T @ (columns @ found - target) + slope - log_det_gradient(found, layout)
+            hessian = square + log_det_hessian(found, layout)
+            scale = 1 / np.sqrt(np.diag(hessian))
+            step = -scale * np.linalg.solve(hessian * np.outer(scale, scale), scale * gradient)
+            share, now, falls = 1.0, value(found, weight), float(gradient @ step)
+            while share > _SHORTEST and not (
+                is_inside(found + share * step, layout)
+                and value(found + share * step, weight) <= now + 0.1 * share * falls + 1e-12 * abs(now)
+            ):
+                share /= 2
+            if share <= _SHORTEST:
+                break
+            found = found + share * step
+            if np.linalg.norm(step / scale) < _SETTLED * np.linalg.norm(found / scale):
+                break
+    return found
 
 
 def check_physical(robot: RobotDescription, standard: np.ndarray) -> None:
     """Raise RejectedError unless every link (11 n,) has a mass distribution and no rotor inertia is negative."""
     layout, standard = ParameterLayout.of(robot), np.asarray(standard, dtype=float)
     for block, rotor, name in zip(layout.blocks(standard), standard[layout.rotors], robot.joint_names, strict=True):
-        matrix = pseudo_inertia(block)
-        size = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-        if np.any(np.diag(matrix) <= 0) or np.linalg.eigvalsh(matrix / np.outer(size, size))[0] <= _THINNEST:
+        if not is_body(block):
             raise RejectedError(
                 f"the link that {name} moves is not a body that could exist (mass {block[0]:.4g} kg): its mass and "
                 "inertia need a density below zero somewhere; estimate with --method consistent"
             )
         if rotor < 0:
             raise RejectedError(f"the rotor inertia of {name} is {rotor:.3g} kg·m²; estimate with --method consistent")
+
+
+def is_body(block: np.ndarray) -> bool:
+    """Whether some mass distribution has these parameters (10,)."""
+    matrix = pseudo_inertia(block)
+    size = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    return bool(np.all(np.diag(matrix) > 0) and np.linalg.eigvalsh(matrix / np.outer(size, size))[0] > _THINNEST)
+
+
+def is_inside(standard: np.ndarray, layout: ParameterLayout) -> bool:
+    """Whether (p,) are bodies that could exist, and rotors above zero."""
+    return bool(np.all(standard[layout.rotors] > 0)) and all(map(is_body, layout.blocks(standard)))
+
+
+def body_parameters(mass: float, centre: np.ndarray, inertia: np.ndarray) -> np.ndarray:
+    """(10,) of a body, from mass [kg], centre (3,) [m] and inertia (3, 3) [kg·m²] about the centre, in one frame."""
+    about = inertia + mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
+    return np.array([mass, *(mass * centre), *(about[i, j] for i, j in _INERTIA_ORDER)])
+
+
+def seen_from(block: np.ndarray, pose: np.ndarray) -> np.ndarray:
+    """(10,) in the frame that lies at `pose` (4, 4): the 4 × 4 pseudo-inertia turns as T⁻¹ S T⁻ᵀ."""
+    back = np.linalg.inv(pose)
+    return from_pseudo_inertia(back @ pseudo_inertia(block) @ back.T)
 
 
 def pseudo_inertia(block: np.ndarray) -> np.ndarray:
@@ -91,46 +178,10 @@ def from_pseudo_inertia(matrix: np.ndarray) -> np.ndarray:
     return np.linalg.lstsq(LOG_DET_BASIS.reshape(10, 16).T, matrix.ravel(), rcond=None)[0]
 
 
-def _nearest(model: RigidFrictionModel) -> np.ndarray | None:
-    """(11 n,) nearest to the URDF, or None where there is none."""
-    layout = ParameterLayout.of(model.robot)
-    start = reference_parameters(model)
-    slope = log_det_gradient(start, layout)
-    # in units of the curvature at the start, and with rows of unit length
-    scale = 1 / np.sqrt(np.diag(log_det_hessian(start, layout)))
-    rows = model.projection * scale
-    length = np.linalg.norm(rows, axis=1)
-    rows, target = rows / length[:, None], model.base_values / length
-    unknown, dual = start / scale, np.zeros(len(rows))
-
-    def residual(unknown: np.ndarray, dual: np.ndarray) -> np.ndarray:
-        gradient = scale * (slope - log_det_gradient(scale * unknown, layout))
-        return np.concatenate([gradient + rows.T @ dual, rows @ unknown - target])
-
-    left = residual(unknown, dual)
-    size, b = len(unknown), len(rows)
-    for _ in range(_ROUNDS):
-        kkt = np.zeros((size + b, size + b))
-        kkt[:size, :size] = log_det_hessian(scale * unknown, layout) * np.outer(scale, scale)
-        kkt[:size, size:], kkt[size:, :size] = rows.T, rows
-        step = np.linalg.solve(kkt, -left)
-        share = 1.0
-        while not is_inside(scale * (unknown + share * step[:size]), layout) or np.linalg.norm(
-            new := residual(unknown + share * step[:size], dual + share * step[size:])
-        ) > (1 - 0.01 * share) * np.linalg.norm(left):
-            share /= 2
-            if share < _SHORTEST_STEP:
-                break
-        if share < _SHORTEST_STEP:
-            break
-        unknown, dual, left = unknown + share * step[:size], dual + share * step[size:], new
-        if np.linalg.norm(step[:size]) < _DECREMENT * np.linalg.norm(unknown):
-            break
-    found = scale * unknown
-    # the last digits: the shortest correction onto P π = β
-    found = found + scale * (np.linalg.pinv(rows) @ (target - rows @ (found / scale)))
-    fits = np.linalg.norm(rows @ unknown - target) <= 1e-8 * np.linalg.norm(target)
-    return found if fits and is_inside(found, layout) else None
+def _logs(standard: np.ndarray, layout: ParameterLayout) -> float:
+    """Σ log det S + Σ log J."""
+    logs = [np.linalg.slogdet(pseudo_inertia(block))[1] for block in layout.blocks(standard)]
+    return float(sum(logs) + np.log(standard[layout.rotors]).sum())
 
 
 def log_det_gradient(standard: np.ndarray, layout: ParameterLayout) -> np.ndarray:
@@ -148,18 +199,6 @@ def log_det_hessian(standard: np.ndarray, layout: ParameterLayout) -> np.ndarray
     place = np.arange(layout.rotors.start, layout.rotors.stop)
     hessian[place, place] = standard[layout.rotors] ** -2
     return hessian
-
-
-def is_inside(standard: np.ndarray, layout: ParameterLayout) -> bool:
-    """Whether (11 n,) are bodies that could exist, and rotors above zero."""
-    if np.any(standard[layout.rotors] <= 0) or np.any(layout.blocks(standard)[:, 0] <= 0):
-        return False
-    try:
-        for block in layout.blocks(standard):
-            np.linalg.cholesky(pseudo_inertia(block))
-    except np.linalg.LinAlgError:
-        return False
-    return True
 
 
 def reference_parameters(model: RigidFrictionModel) -> np.ndarray:
@@ -191,4 +230,21 @@ def nearby_body(block: np.ndarray, mass: float, reach: float) -> np.ndarray:
     return np.array([matrix[3, 3], *matrix[:3, 3], *(inertia[i, j] for i, j in _INERTIA_ORDER)])
 
 
-_INERTIA_ORDER = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))
+def _how_far(model: RigidFrictionModel, base: np.ndarray) -> str:
+    """In torque, on states drawn over the joints' speeds and accelerations."""
+    robot, rng = model.robot, np.random.default_rng(0)
+    lower, upper = (np.clip(limit, -np.pi, np.pi) for limit in robot.position_limits)
+    q = rng.uniform(lower, upper, (_STATES, robot.dof))
+    qd = rng.uniform(-0.5, 0.5, q.shape) * robot.max_velocity
+    qdd = rng.uniform(-0.5, 0.5, q.shape) * robot.max_acceleration
+    whole, left = (
+        np.sqrt(np.mean(model.rigid.torque(q, qd, qdd, values) ** 2, axis=0))
+        for values in (model.base_values, model.base_values - base)
+    )
+    shares = left / np.maximum(whole, 1e-9 * whole.max())
+    worst = int(np.argmax(shares))
+    return (
+        f"no bodies that could exist have exactly the parameters of this {model.method!r} fit; the nearest that could "
+        f"are written. Their torque differs by {100 * shares[worst]:.2g} % RMS on {robot.joint_names[worst]}, less on "
+        "the others. For bodies from the fit itself, estimate with --method consistent"
+    )

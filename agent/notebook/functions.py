@@ -162,7 +162,7 @@ def export(model: ModelLike, folder: str | Path) -> tuple[Path, ...]:
     Raises:
         RejectedError: no physical links have the model's base parameters; fit with method="consistent".
     """
-    from agent.model import export_model
+    from agent.simulators import export_model
 
     return export_model(_model(model), Path(folder))
 

@@ -13,7 +13,7 @@ from agent.pipeline.identify import check_output
 
 if TYPE_CHECKING:
     from agent.diagnosis import Diagnosis
-    from agent.model import Simulator
+    from agent.simulators import Simulator
 
 _OVER_RANGE = 0.01  # rad or m, by which a joint is where its file does not let it be
 _FORMATS = {".xml": "an MJCF", ".mjcf": "an MJCF", ".urdf": "a URDF"}
@@ -25,7 +25,7 @@ def check_simulator_out(model: Path | None, out: Path, inputs: Sequence[Path]) -
     Raises:
         InputError: as said.
     """
-    from agent.model import written_files
+    from agent.simulators import written_files
 
     wanted = _FORMATS.get(out.suffix.lower())
     if wanted is None:
@@ -62,12 +62,13 @@ def beyond_range(found: Diagnosis, simulator: Simulator) -> Iterator[str]:
     """Joints that moved where the file does not let them: a simulator that holds its ranges is stopped there."""
     arm = simulator.arm
     low, high = (end([end(log.position, axis=0) for log in found.dataset.logs], axis=0) for end in (np.min, np.max))
-    beyond = np.maximum(arm.lower - low, high - arm.upper)
+    lower, upper = arm.robot.position_limits
+    beyond = np.maximum(lower - low, high - upper)
     for k in np.flatnonzero(beyond > _OVER_RANGE):
-        unit = "m" if arm.prismatic[k] else "rad"
+        unit = "m" if arm.robot.joints[k].prismatic else "rad"
         yield (
             f"{arm.path.name}: {arm.joint_names[k]} moves from {low[k]:.3g} to {high[k]:.3g} {unit} in the logs, and "
-            f"the file lets it move from {arm.lower[k]:.3g} to {arm.upper[k]:.3g}: widen its range there, or a "
+            f"the file lets it move from {lower[k]:.3g} to {upper[k]:.3g}: widen its range there, or a "
             "simulator stops it; the roll-out is without ranges"
         )
 
@@ -80,7 +81,8 @@ def write_simulator(found: Diagnosis, simulator: Simulator, out: Path, console: 
     """
     from agent.core import write_atomically
     from agent.diagnosis import corrected, ranges, ranges_text
-    from agent.model import CATALOGUE, write_corrected
+    from agent.model import CATALOGUE
+    from agent.simulators import write_corrected
 
     correction = corrected(found, simulator)
     for note in correction.notes:

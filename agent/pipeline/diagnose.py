@@ -17,9 +17,10 @@ from agent.robot import RobotDescription
 
 if TYPE_CHECKING:
     from agent.diagnosis import Diagnosis
-    from agent.model import IdentifiedModel, Simulator
+    from agent.model import IdentifiedModel
     from agent.pipeline.until_sure import Found, Rounds
     from agent.recording import Log
+    from agent.simulators import Simulator
 
 
 #: The model that was the simulator, as a run folder keeps it: the file that was named may be another one later.
@@ -253,7 +254,7 @@ def _next(found: Diagnosis, question: GapQuestion, console: Console) -> Iterator
 
 def _find(robot: RobotDescription | None, paths: Sequence[Path], question: GapQuestion, console: Console) -> Found:
     from agent.diagnosis import diagnose, simulate, with_servo_torque
-    from agent.model import SIMULATOR
+    from agent.simulators import SIMULATOR
 
     reference, simulator = _simulator(robot, paths, question, console)
     described = robot is not None or simulator is None
@@ -323,8 +324,9 @@ def _simulator(
     Raises:
         InputError: a file that cannot be used, or of another arm.
     """
-    from agent.model import IdentifiedModel, is_simulator, load_joint_map, load_simulator
+    from agent.model import IdentifiedModel
     from agent.recording import read_log
+    from agent.simulators import is_simulator, load_joint_map, load_simulator
 
     if question.model is None or not is_simulator(question.model):
         if question.joint_map is not None:

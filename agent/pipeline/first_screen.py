@@ -67,7 +67,8 @@ def after_diagnosis(
     again = shlex.join([*words, *map(str, logs)])
     if result["verdict"] == "no_gap":
         return [NextStep("nothing to do: the model can stay as it is.")]
-    from agent.model import CATALOGUE, PAYLOAD, is_simulator
+    from agent.model import CATALOGUE, PAYLOAD
+    from agent.simulators import is_simulator
 
     experiment = result["next_experiment"] or {}
     loaded = []

@@ -27,7 +27,7 @@ def import_files(robot: str, mapping: Path | str, tables: list[Path], out: Path)
 
     if out.exists():
         raise InputError(f"{out}: exists already; name another log, or move it away")
-    from agent.model import is_simulator, load_arm as load
+    from agent.simulators import is_simulator, load_arm as load
 
     # what the table has no column for, such as a finger of a gripper, is no joint of the arm
     alone = is_simulator(Path(robot))
@@ -41,7 +41,7 @@ def load_arm(robot: str, logs: Sequence[Path] = (), topic: str | None = None) ->
     Raises:
         InputError: no such robot, or a file that is wrong.
     """
-    from agent.model import is_simulator, load_arm as load
+    from agent.simulators import is_simulator, load_arm as load
 
     if not is_simulator(Path(robot)):
         return load_robot(robot)
@@ -214,7 +214,7 @@ def estimate_files(
     model.save(out)
     written = [out]
     if export is not None:
-        from agent.model import export_model
+        from agent.simulators import export_model
 
         written += export_model(model, export)
     return model.to_dict(), "\n".join([model.text(), *(str(path) for path in written)])

@@ -17,7 +17,7 @@ from agent.safety import FIRST_SPEED, Authorisation
 
 if TYPE_CHECKING:
     from agent.diagnosis import Diagnosis, Simulated
-    from agent.model import Simulator
+    from agent.simulators import Simulator
 
     #: A diagnosis, what it says in simulation, and the simulator's file that was read.
     Found = tuple[Diagnosis, list[Simulated], Simulator | None]

@@ -33,7 +33,7 @@ class FrictionCurve:
 
     @property
     def numbers(self) -> tuple[float, ...]:
-        """As `agent.simulation.RigidActuation` has bristles."""
+        """As `agent.simulators.RigidActuation` has bristles."""
         return self.coulomb, self.rise, 1.0 / self.stribeck_speed, self.viscous, 1.0 / self.knee, self.stiffness
 
     def steady(self, speed: np.ndarray) -> np.ndarray:

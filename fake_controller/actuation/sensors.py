@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agent.simulation import SimulatedMotion
+from agent.simulators import SimulatedMotion
 from fake_controller.actuation.machine import Machine
 
 TORQUE_NOISE = 0.005  # of nominal, standard deviation, white

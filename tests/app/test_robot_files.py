@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from agent.core import InputError
-from agent.model import load_simulator
 from agent.pipeline import import_files, load_arm
 from agent.recording import read_log
 from agent.robot import load_robot
+from agent.simulators import load_simulator
 
 URDF = """<robot name="two and a half"><link name="foot"/><link name="a"/><link name="b"/>
 <link name="f1"/><link name="f2"/>

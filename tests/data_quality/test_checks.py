@@ -12,10 +12,10 @@ from agent.core.console import Console
 from agent.core.errors import InputError, RejectedError
 from agent.data_quality import check_quality, fitted_doubts, spoiled
 from agent.estimation import estimate
-from agent.model import load_simulator
 from agent.pipeline.identify import check_plausible, estimate_files, validate_files
 from agent.recording import read_log, write_log
 from agent.robot import Dynamics, load_robot
+from agent.simulators import load_simulator
 from tests.estimation.conftest import _arm, _log, _multisine
 
 FRICTION = np.array([3.0, 2.0, 1.0, 0.5, 0.3])

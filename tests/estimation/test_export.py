@@ -16,12 +16,11 @@ from typer.testing import CliRunner
 from agent.cli.app import app
 from agent.core.errors import RejectedError
 from agent.model import IdentifiedModel
-from agent.model.export import export_model
 from agent.model.friction_terms import FrictionTerm, Reversal
-from agent.model.nearest_bodies import possible_model
-from agent.model.standard_parameters import check_physical, full_parameters, pseudo_inertia
+from agent.model.standard_parameters import check_physical, full_parameters, possible_model, pseudo_inertia
 from agent.robot import RobotDescription, load_robot
 from agent.robot.bodies import rigid_bodies
+from agent.simulators.export import export_model
 
 WRIST = ((1, 0, 0, 0, 0, 0), (0, 1, 0, 0, 0, 0), (0, 0, 1, 0, 0, 0), (0, 0, 0, 1, 0, 0), (0, 0, 0, 0, 1, 0))
 COUPLED = (*(tuple(map(float, row)) for row in WRIST), (0.0, 0.0, 0.0, 0.0, 1.0, 1.0))

@@ -18,9 +18,9 @@ import pytest
 from agent.core.errors import InputError
 from agent.estimation import EstimationSettings, estimate
 from agent.model import IdentifiedModel
-from agent.model.export import export_model
 from agent.recording import Log, import_log, read_log, write_log
 from agent.robot import RobotDescription
+from agent.simulators.export import export_model
 from agent.validation import predict_log, validate
 
 

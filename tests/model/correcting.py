@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from agent.model.rigid_friction import ModelEffect
-from agent.model.simulators import load_simulator
-from agent.model.simulators.correction import Released, correct
+from agent.simulators import load_simulator
+from agent.simulators.corrected.correction import Released, correct
 
 NAMES = ("pan", "lift", "turn")
 PATHS = ("mjcf", "urdf")

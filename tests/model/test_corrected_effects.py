@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from agent.core.errors import InputError
-from agent.model.simulators.corrected_file import write_corrected
+from agent.simulators.corrected.corrected_file import write_corrected
 from tests.model.correcting import (
     PATHS,
     corrected,

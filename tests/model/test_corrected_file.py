@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import json
 import re
+from xml.etree.ElementTree import SubElement
 
 import numpy as np
 import pytest
 
 from agent.core.errors import InputError
-from agent.model.simulators import load_simulator
-from agent.model.simulators.corrected_file import write_corrected
-from agent.model.simulators.xml_text import XmlText
 from agent.robot import ParameterLayout
+from agent.simulators import load_simulator, write_corrected
+from agent.simulators.corrected.xml_document import XmlDocument
 from tests.model.correcting import (
     BOOM,
     MJCF,
@@ -144,19 +144,19 @@ def test_what_cannot_be_changed_in_place_is_refused_and_nothing_is_written(tmp_p
 
 
 @pytest.mark.parametrize("text", ['<a b=\'1\' c="x > y"><!-- b="2" --><d/>\n  <e  /></a>', "<a>\n  <b x = '1'/>\n</a>"])
-def test_xml_text(text):
-    xml = XmlText(text.encode())
+def test_xml_keeps_every_byte_but_those_of_changes(text):
+    xml = XmlDocument(text.encode())
     assert xml.changed() == text.encode()
-    first = xml.root.children[0]
+    first = xml.root[0]
     first.set("new", 'a"<b')
-    first.inserted.append("<in/>")
-    again = XmlText(xml.changed()).root.children[0]
+    SubElement(first, "in")
+    again = XmlDocument(xml.changed()).root[0]
     assert again.get("new") == 'a"<b'
-    assert [tag.name for tag in again.children] == ["in"]
-    first.set("new", None)
-    first.inserted.clear()
+    assert [element.tag for element in again] == ["in"]
+    first.attrib.pop("new")
+    first.clear()
     with pytest.raises(ValueError, match="UTF-8"):
-        XmlText(text.encode("utf-16"))
+        XmlDocument(text.encode("utf-16"))
 
 
 def test_a_format_that_the_simulator_does_not_have_is_refused(tmp_path):

@@ -22,13 +22,13 @@ from agent.diagnosis.randomisation import ranges, ranges_text
 from agent.diagnosis.simulator import _possible, with_expected_error
 from agent.model import CATALOGUE
 from agent.model.identified import IdentifiedModel
-from agent.model.simulators import load_simulator
 from agent.pipeline.corrected_simulator import write_simulator
 from agent.pipeline.diagnose import GapQuestion, diagnose_again, diagnose_files
 from agent.pipeline.printed_diagnosis import diagnosis_text
 from agent.recording import read_log
 from agent.recording.mcap.log_file import write_log
 from agent.report.diagnosis_page import diagnosis_report
+from agent.simulators import load_simulator
 from tests.model.bench import (
     CHAIN,
     RATE,

@@ -20,13 +20,14 @@ from agent.diagnosis.procedure import Search
 from agent.diagnosis.result import not_testable
 from agent.diagnosis.rollout import MujocoEngine
 from agent.diagnosis.simulator import Explanation, _possible, numbers_instead, with_expected_error
-from agent.model import CATALOGUE, load_simulator
+from agent.model import CATALOGUE
 from agent.pipeline import GapQuestion
 from agent.pipeline.corrected_simulator import beyond_range
 from agent.pipeline.first_screen import after_diagnosis
 from agent.pipeline.identify import check_plausible
 from agent.recording import read_log
 from agent.report import headline, verdict_text
+from agent.simulators import load_simulator
 from tests.model.bench import CHAIN, URDF, recorded, scene, written
 
 

@@ -12,11 +12,11 @@ from agent.core.console import Console
 from agent.core.errors import InputError, RejectedError
 from agent.diagnosis.rollout import MujocoEngine
 from agent.model.identified import IdentifiedModel
-from agent.model.simulators import load_joint_map, load_simulator
-from agent.model.simulators.joints import matched
 from agent.pipeline.diagnose import GapQuestion, diagnose_files
 from agent.recording import read_log
 from agent.recording.mcap.log_file import STATES, LogFile
+from agent.simulators import load_joint_map, load_simulator
+from agent.simulators.joints import matched
 from tests.model.bench import (
     BODY,
     CHAIN,

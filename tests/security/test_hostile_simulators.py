@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from agent.core import Ended, InputError, signals_raised
-from agent.model.simulators import mjcf
+from agent.simulators import mjcf
 
 ARM = '<mujoco><worldbody><body><joint name="a"/><geom size="1"/></body>{}</worldbody></mujoco>'
 BOMBS = {

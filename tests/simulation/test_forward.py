@@ -12,8 +12,8 @@ from scipy.integrate import solve_ivp
 
 from agent.robot.drivetrain import rotor_mass_matrix
 from agent.robot.dynamics import Dynamics
-from agent.simulation import ForwardSimulation, RigidActuation, ServoGains
-from fake_controller.actuation.drive import Drive, actuation
+from agent.simulators import ForwardSimulation, RigidActuation, ServoGains
+from fake_controller.actuation.drive import Drive, SteppedSimulation, rigid_actuation
 from fake_controller.actuation.machine import draw_machine
 
 ROTORS = 2e-4
@@ -76,7 +76,7 @@ def test_the_work_of_the_motors_is_energy_and_heat(ns16, stop_and_go):
     drive = Watched(Drive(machine))
     dynamics = machine.dynamics()
     gains = ServoGains.tuned(machine.typical_inertia, machine.limit)
-    simulation = ForwardSimulation(dynamics, machine.rotor_inertias, drive, gains, period=0.0005)
+    simulation = SteppedSimulation(dynamics, machine.rotor_inertias, drive, gains, period=0.0005)
     q, qd = stop_and_go(np.array([[0, 0, -1.5, 0, 0, 0], [0.8, 0.5, -1.0, 1.0, -0.8, 1.5]]), 1.2, period=0.0005)
     simulation.rest(q[0])
     simulation.run(q[:1600], qd[:1600])
@@ -169,7 +169,7 @@ def test_the_bristles_agree_with_a_stiff_integrator(make_arm):
 
     t = period * np.arange(1000)
     exact = solve_ivp(ode, (0, t[-1]), np.zeros(4), "LSODA", t, rtol=1e-8, atol=1e-10, max_step=0.01).y
-    simulation = ForwardSimulation(dynamics, machine.rotor_inertias, Drive(machine), gains, period)
+    simulation = SteppedSimulation(dynamics, machine.rotor_inertias, Drive(machine), gains, period)
     simulation.rest(np.zeros(1))
     q, qd = reference(t)
     motion = simulation.run(q[:, None], qd[:, None])
@@ -229,12 +229,11 @@ def test_compiled_steps_are_those_of_an_actuation_that_is_asked(ns16, make_arm, 
     q, qd = stop_and_go(ends, 0.6)
     for push in (None, lambda time, q, qd: 0.05 * machine.limit * np.sin(9.0 * time + q + qd)):
         runs = []
-        for drive in (actuation(machine), Drive(machine)):
-            simulation = ForwardSimulation(machine.dynamics(), machine.rotor_inertias, drive, gains, external=push)
+        arms = (ForwardSimulation, rigid_actuation(machine)), (SteppedSimulation, Drive(machine))
+        for kind, drive in arms:
+            simulation = kind(machine.dynamics(), machine.rotor_inertias, drive, gains, external=push)
             simulation.rest(q[0])
             runs.append(simulation.run(q, qd, 0.1 * qd))
-        assert isinstance(drive, Drive)
-        assert isinstance(actuation(machine), RigidActuation)
         for what in ("time", "position", "velocity", "motor_position", "motor_velocity", "torque"):
             compiled, asked = (getattr(run, what) for run in runs)
             np.testing.assert_allclose(compiled, asked, rtol=0, atol=1e-9 * np.abs(asked).max())
@@ -246,7 +245,7 @@ def test_set_points_are_reached_one_period_later_and_the_state_persists(ns16, st
     q, qd = stop_and_go(np.array([[0, 0, -1.5, 0, 0.3, 0], [0.4, 0.2, -1.2, 0.5, -0.2, 0.6]]), 0.8)
     runs = []
     for pieces in (1, 7):
-        simulation = ForwardSimulation(machine.dynamics(), machine.rotor_inertias, Drive(machine), gains)
+        simulation = SteppedSimulation(machine.dynamics(), machine.rotor_inertias, Drive(machine), gains)
         simulation.rest(q[0])
         parts = [
             simulation.run(a, b) for a, b in zip(np.array_split(q, pieces), np.array_split(qd, pieces), strict=True)

@@ -46,7 +46,7 @@ class PositionServos:
         )
 
     def scaled(self, joint: int, factor: float) -> PositionServos:
-        """The same with another gain of one joint, stiffness and damping alike."""
+        """The servos with stiffness and damping of one joint times a factor."""
         factors = np.where(np.arange(len(self.stiffness)) == joint, factor, 1.0)
         return replace(self, stiffness=factors * self.stiffness, damping=factors * self.damping)
 
@@ -62,7 +62,7 @@ class PositionServos:
         return np.asarray(self.control[:, 0] + self.control[:, 1] * set_points)
 
     def saturated(self, torque: np.ndarray) -> np.ndarray:
-        """(S, n) where a torque that is not clamped yet is at a limit or beyond."""
+        """(S, n) whether an unclamped torque is at a limit or beyond."""
         return np.asarray((torque >= _AT_LIMIT * self.high) | (torque <= _AT_LIMIT * self.low))
 
 
@@ -73,7 +73,7 @@ def servo_stiffness(metadata: Mapping[str, str]) -> np.ndarray | None:
 
 
 def position_servos(mujoco: Any, model: Any, joints: Sequence[int]) -> PositionServos | str:
-    """The servos of a compiled model's joints; why there are none, for people, where one has none that is read."""
+    """The servos of a compiled model's joints, or a reason for the user why they cannot be used."""
     if np.any(model.body_gravcomp):
         return "it compensates gravity (gravcomp), so that its servos do not carry the weight"
     found = []
@@ -99,7 +99,7 @@ def _servo(mujoco: Any, model: Any, joint: int) -> tuple[Any, ...] | str:
     own = [a for a in on_joint if model.actuator_biastype[a] == affine and model.actuator_biasprm[a, 1] < 0]
     if not own:
         tendons = (a for a in range(model.nu) if model.actuator_trntype[a] == int(mujoco.mjtTrn.mjTRN_TENDON))
-        pulled = next((a for a in tendons if joint in _pulled(mujoco, model, _of(model, a))), None)
+        pulled = next((a for a in tendons if joint in pulled_joints(mujoco, model, _of(model, a))), None)
         if pulled is not None:
             return f"{name} is driven through a tendon ({model.actuator(pulled).name or pulled!r})"
         return f"{name} has no position actuator" + (" (what drives it holds no position)" if on_joint else "")
@@ -130,7 +130,7 @@ def _of(model: Any, actuator: int) -> int:
     return int(model.actuator_trnid[actuator, 0])
 
 
-def _pulled(mujoco: Any, model: Any, tendon: int) -> list[int]:
+def pulled_joints(mujoco: Any, model: Any, tendon: int) -> list[int]:
     """Joints that a fixed tendon pulls at."""
     parts = range(model.tendon_adr[tendon], model.tendon_adr[tendon] + model.tendon_num[tendon])
     return [int(model.wrap_objid[w]) for w in parts if model.wrap_type[w] == int(mujoco.mjtWrap.mjWRAP_JOINT)]

@@ -1,4 +1,4 @@
-"""A simulator corrected: its file's numbers moved, as bodies that could exist, and the effects that no file can say.
+"""Corrects a simulator: moves its numbers, keeps bodies physical, and collects effects that no file can hold.
 
 What is linear in numbers that the file has becomes part of them: friction levels, rotor and link inertias, a payload,
 gravity of a tilted base, the zero of an encoder (joint `ref` of an MJCF, `origin` of a URDF), a linear spring (MJCF).
@@ -10,31 +10,36 @@ from __future__ import annotations
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from xml.etree.ElementTree import SubElement
 
 import numpy as np
 
-from agent.model.effects import CATALOGUE
-from agent.model.effects.base_tilt import across
-from agent.model.effects.payload import Payload, ball
-from agent.model.identified import IdentifiedModel
-from agent.model.rigid_friction import ModelEffect
-from agent.model.simulators.arm import SimulatedArm, described, model_of
-from agent.model.simulators.bodies import about_centre, is_body, nearest, seen_from
-from agent.model.simulators.load import Simulator
-from agent.model.simulators.servos import PositionServos
-from agent.model.urdf_elements import digits, inertial_element, pose_of, rotation, rpy_of
+from agent.model import (
+    CATALOGUE,
+    IdentifiedModel,
+    ModelEffect,
+    across,
+    is_body,
+    nearby_body,
+    nearest_bodies,
+    seen_from,
+)
 from agent.robot import LINK_PARAMETERS, ParameterLayout
+from agent.simulators.arm import SimulatedArm, described, model_of
+from agent.simulators.loads import load_block
+from agent.simulators.servos import PositionServos
+from agent.simulators.simulator import Simulator
+from agent.simulators.urdf import move_zero, set_inertial
 
 _FRICTION = ("coulomb", "viscous")
 _LOST = 0.01  # of what moving bodies gained, from where on it is said that they could not exist
 _LOST_OF_REST = 0.1  # of the squared error that the fit leaves, from where on more than chance is lost
+_PULLS = (1.0, 10.0)  # weights of the logs' information over the nearness to the file's bodies
 _STRAINED = 10.0  # times the mass in the file, which no wrong number of a file is
 
 
 @dataclass
 class Released:
-    """What of a simulator was allowed to move (joints from 0), and why, by joint."""
+    """Numbers of a simulator that were allowed to move, with the reason per joint (counted from 0)."""
 
     links: dict[int, str] = field(default_factory=dict)
     rotors: dict[int, str] = field(default_factory=dict)
@@ -47,14 +52,14 @@ class Released:
 
 @dataclass(frozen=True, eq=False)
 class Commands:
-    """How set-points reach servos: [s] late, and by how much (n,) [rad or m] they are less than recorded."""
+    """Set-points as they reach the servos: delay `late` [s], and `shift` (n,) [rad or m] below the recorded ones."""
 
     late: float
     shift: np.ndarray
 
     @classmethod
     def as_recorded(cls, dof: int) -> Commands:
-        """At once and as they are."""
+        """Without delay or shift."""
         return cls(0.0, np.zeros(dof))
 
 
@@ -114,18 +119,17 @@ def correct(
             friction[joints[0]] += [values.get(f"{form}_change", 0.0) for form in _FRICTION]
             released.friction.setdefault(joints[0], reason)
         elif entry.effect == "base_tilt":
-            first, second = across(np.array(arm.gravity))
-            size = float(np.linalg.norm(arm.gravity))
-            x, y, z = np.array(arm.gravity) + size * (values["tilt_1"] * first + values["tilt_2"] * second)
-            arm, released.gravity = replace(arm, gravity=(float(x), float(y), float(z))), reason
+            gravity = np.array(arm.robot.gravity)
+            first, second = across(gravity)
+            size = float(np.linalg.norm(gravity))
+            x, y, z = (gravity + size * (values["tilt_1"] * first + values["tilt_2"] * second)).tolist()
+            arm, released.gravity = replace(arm, robot=replace(arm.robot, gravity=(x, y, z))), reason
         elif entry.effect == "encoder_offset":
             arm = _turned(arm, joints[0], values["offset"])
             released.offsets[joints[0]] = values["offset"]
-        elif set(values) == {"constant", "stiffness"} and _springs(arm, joints[0], values):  # by either name
-            stiffness, rest = _springs(arm, joints[0], values) or (0.0, 0.0)
-            arm = replace(
-                arm, stiffness=_put(arm.stiffness, joints[0], stiffness), rest=_put(arm.rest, joints[0], rest)
-            )
+        elif (spring := _spring(arm, joints, values)) is not None:
+            stiffness, rest = _put(arm.stiffness, joints[0], spring[0]), _put(arm.rest, joints[0], spring[1])
+            arm = replace(arm, stiffness=stiffness, rest=rest)
             released.springs[joints[0]] = reason
         elif simulator.servos is not None and not CATALOGUE[entry.effect].moves_arm:
             arm, commands = _servo_of(arm, simulator.servos, commands, entry, joints)
@@ -151,7 +155,7 @@ def correct(
 def _servo_of(
     arm: SimulatedArm, servos: PositionServos, commands: Commands, entry: ModelEffect, joints: Sequence[int]
 ) -> tuple[SimulatedArm, Commands]:
-    """What an effect of the measurement is of a torque that servos give: another gain, or other set-points.
+    """Apply an effect of the measurement to torque given by servos: another gain, or other set-points.
 
     A torque that is reported 1 + s times too large is of a servo with 1 / (1 + s) of the gain; its limit stays.
     """
@@ -179,22 +183,21 @@ def _command_notes(commands: Commands, names: Sequence[str]) -> Iterator[str]:
 
 
 def _added(entry: ModelEffect, n: int) -> tuple[int, np.ndarray]:
-    """Which link a payload or a mismatch changes, and by how much (10,)."""
+    """The link that a payload or a mismatch changes, and the change (10,)."""
     values = entry.parameters
     if entry.effect == "payload":
-        added = np.array([values[name] for name in Payload().names(values)])
-        return n - 1, ball(values) @ added if "m0" in values else added
+        return n - 1, load_block(entry)
     link = int(values["link"])
     return link - 1, np.array([values[f"{name}{link}"] for name in LINK_PARAMETERS])
 
 
-def _springs(arm: SimulatedArm, joint: int, values: Mapping[str, float]) -> tuple[float, float] | None:
-    """Stiffness and rest of the joint with another linear spring; None where the file cannot say it."""
-    if arm.path.suffix.lower() == ".urdf":
+def _spring(arm: SimulatedArm, joints: Sequence[int], values: Mapping[str, float]) -> tuple[float, float] | None:
+    """Stiffness and rest position of a joint with a linear spring added; None if the file cannot hold one."""
+    if arm.is_urdf or set(values) != {"constant", "stiffness"}:
         return None
-    stiffness = float(arm.stiffness[joint] + values["stiffness"])
-    constant = -arm.stiffness[joint] * arm.rest[joint] + values["constant"]
-    return (stiffness, float(-constant / stiffness)) if stiffness > 0 else None
+    before, rest = arm.stiffness[joints[0]], arm.rest[joints[0]]
+    stiffness = float(before + values["stiffness"])
+    return (stiffness, float(before * rest - values["constant"]) / stiffness) if stiffness > 0 else None
 
 
 def _put(values: np.ndarray, joint: int, value: float) -> np.ndarray:
@@ -204,27 +207,15 @@ def _put(values: np.ndarray, joint: int, value: float) -> np.ndarray:
 
 
 def _turned(arm: SimulatedArm, joint: int, offset: float) -> SimulatedArm:
-    """The arm whose joint stands where it stood before at a position that is `offset` [rad or m] less."""
-    root = ElementTree.fromstring(arm.urdf)
-    element = next(e for e in root.findall("joint") if e.get("name") == arm.joint_names[joint])
-    place, axis = element.find("origin"), element.find("axis")
-    words = "1 0 0" if axis is None else str(axis.get("xyz"))
-    direction = np.array([float(word) for word in words.split()])
-    pose = turned_pose(pose_of(place), direction, arm.prismatic[joint], offset)
-    place = SubElement(element, "origin") if place is None else place
-    place.set("xyz", digits(*pose[:3, 3]))
-    place.set("rpy", digits(*rpy_of(pose[:3, :3])))
-    return replace(arm, urdf=ElementTree.tostring(root, encoding="unicode"))
+    """The arm with the zero of one joint `offset` [rad or m] lower."""
+    root = ElementTree.fromstring(arm.robot.urdf)
+    move_zero(next(e for e in root.findall("joint") if e.get("name") == arm.joint_names[joint]), offset)
+    return _reshaped(arm, root)
 
 
-def turned_pose(pose: np.ndarray, axis: np.ndarray, prismatic: bool, offset: float) -> np.ndarray:
-    """(4, 4) of a joint's origin whose zero is moved by −offset along or about its axis (3,)."""
-    axis, step = axis / np.linalg.norm(axis), np.eye(4)
-    if prismatic:
-        step[:3, 3] = -offset * axis
-    else:
-        step[:3, :3] = rotation(axis, -offset)
-    return np.asarray(pose @ step)
+def _reshaped(arm: SimulatedArm, root: ElementTree.Element) -> SimulatedArm:
+    """The arm with another URDF as its chain."""
+    return replace(arm, robot=replace(arm.robot, urdf=ElementTree.tostring(root, encoding="unicode")))
 
 
 def _with_bodies(
@@ -235,7 +226,7 @@ def _with_bodies(
     unexplained: float,
     released: Released,
 ) -> tuple[SimulatedArm, list[str]]:
-    """The arm whose released bodies and rotors moved its base parameters by `target` (b,), as near as bodies can."""
+    """Move released bodies and rotors so that base parameters change by `target` (b,), as closely as bodies allow."""
     links = sorted(released.links)
     if not links and not released.rotors:
         return arm, []
@@ -244,19 +235,25 @@ def _with_bodies(
     inertia = np.diag(model.rigid.dynamics.mass_matrix(np.zeros(robot.dof)))
     reach = max(float(np.abs(model.rigid.dynamics.tip_pose(np.zeros((1, robot.dof)))[0, :3, 3]).sum()), 0.1)
 
+    values, vectors = np.linalg.eigh(weight)
+    root_weight = (vectors * np.sqrt(np.maximum(values, 0.0))).T
+    total = max(sum(max(block[0], 0.0) for block in own), 1e-3)
+    bodies = [block if is_body(block) else nearby_body(block, 0.02 * total, reach) for block in own]
+
     def with_rotors(rotors: list[int]) -> tuple[np.ndarray, np.ndarray, float, bool]:
         """Bodies, armature of rotors, what is lost by bodies that exist, and whether one is strained to exist."""
-        columns = np.hstack(
+        columns = root_weight @ np.hstack(
             [
                 *(model.projection[:, layout.link(k)] for k in links),
                 model.projection[:, layout.rotors][:, rotors] / robot.gear_ratios[rotors] ** 2,
             ]
         )
         usual = np.where(arm.armature[rotors] > 0, arm.armature[rotors], 0.1 * np.maximum(inertia[rotors], 1e-6))
-        wanted = target + columns @ np.concatenate([*own, arm.armature[rotors]])
-        blocks, armature = nearest(columns, wanted, weight, own, usual, reach)
-        missed = columns @ np.concatenate([blocks.ravel(), armature]) - wanted
-        lost = float(missed @ weight @ missed)
+        wanted = root_weight @ target + columns @ np.concatenate([*own, arm.armature[rotors]])
+        released = ParameterLayout(len(links), len(rotors))
+        found = nearest_bodies(columns, wanted, np.concatenate([*bodies, usual]), released, _PULLS)
+        blocks, armature = released.blocks(found), found[released.rotors]
+        lost = float(np.sum((columns @ found - wanted) ** 2))
         heavy = any(block[0] > _STRAINED * old[0] > 0 for block, old in zip(blocks, own, strict=True))
         return blocks, armature, lost, heavy or lost > min(_LOST * size, _LOST_OF_REST * unexplained)
 
@@ -282,21 +279,14 @@ def _with_bodies(
         said.append(
             f"the file's inertia of the link that {', '.join(weightless)} moves was of no body that could exist"
         )
-    root = ElementTree.fromstring(arm.urdf)
-    carrying = list(arm.carrying)
+    root = ElementTree.fromstring(arm.robot.urdf)
+    elements = {link.get("name"): link for link in root.findall("link")}
+    whole = layout.blocks(model.rigid.dynamics.standard_parameters())
+    carrying, moved = list(arm.carrying), arm.armature.copy()
     for k, block in zip(links, blocks, strict=True):
         body = carrying[k]
-        element = next(link for link in root.findall("link") if link.get("name") == body.link)
-        total = _lumped(model, arm, k) - body.own + block if arm.path.suffix.lower() != ".urdf" else block
-        for old in element.findall("inertial"):
-            element.remove(old)
-        element.append(inertial_element(*about_centre(seen_from(total, body.link_pose))))
+        lumped = block if arm.is_urdf else whole[k] - body.own + block
+        set_inertial(elements[body.link], seen_from(lumped, body.link_pose))
         carrying[k] = replace(body, own=block)
-    moved = arm.armature.copy()
     moved[rotors] = armature
-    urdf = ElementTree.tostring(root, encoding="unicode")
-    return replace(arm, urdf=urdf, armature=moved, carrying=tuple(carrying)), said
-
-
-def _lumped(model: IdentifiedModel, arm: SimulatedArm, link: int) -> np.ndarray:
-    return ParameterLayout.of(model.robot).blocks(model.rigid.dynamics.standard_parameters())[link]
+    return replace(_reshaped(arm, root), armature=moved, carrying=tuple(carrying)), said

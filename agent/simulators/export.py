@@ -4,7 +4,7 @@
 part of it, and with each joint's friction as `dynamics`: damping and friction are the line through the identified
 curve. `<robot>.xml` is the same for MuJoCo, where rotors are armature; what acts on an axle that several joints turn
 (motor coupling) is on a tendon. `friction.json` has what a URDF cannot say: rotor inertias, coupling, every term of
-friction. `<robot>.sdf` is for Gazebo (`agent.model.sdf`), `parameters.csv` the table of the report, and
+friction. `<robot>.sdf` is for Gazebo , `parameters.csv` the table of the report, and
 `foxglove-layout.json` a layout for logs of this arm.
 
 Nothing is written that has not been read back and found to give the model's torques.
@@ -16,21 +16,19 @@ import json
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterable
 from contextlib import ExitStack
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
+from scipy.optimize import nnls
 
 from agent.core import RejectedError, csv_text, written_whole
-from agent.model.friction_terms import ODD, steady_columns
-from agent.model.identified import IdentifiedModel
-from agent.model.sdf import sdf_text
-from agent.model.standard_parameters import check_physical, full_parameters
-from agent.model.urdf_elements import digits, end_of, inertial_element
+from agent.model import ODD, IdentifiedModel, check_physical, full_parameters, steady_columns
 from agent.recording import FOXGLOVE_LAYOUT, foxglove_layout
-from agent.robot import ParameterLayout, about_centre
+from agent.robot import Dynamics, Joint, ParameterLayout, about_centre, joint_axes, rotor_mass_matrix
+from agent.simulators.urdf import child_of, digits, end_of, moved_links, rpy_of, set_inertial
 
 _TABLE = "parameters.csv"
 _STATES = 50
@@ -49,12 +47,13 @@ def export_model(model: IdentifiedModel, folder: Path) -> tuple[Path, ...]:
     """
     standard = full_parameters(model)
     check_physical(model.robot, standard)
-    lines = _friction_lines(model)
+    lines, rotors = _friction_lines(model), standard[ParameterLayout.of(model.robot).rotors]
+    links = _links(model, standard, lines)
     texts = {
-        folder / f"{model.robot.name}.urdf": urdf_text(model, standard, lines),
-        folder / f"{model.robot.name}.xml": mujoco_text(model, standard, lines),
-        folder / "friction.json": json.dumps(friction_data(model, standard, lines), indent=1, allow_nan=False),
-        folder / f"{model.robot.name}.sdf": sdf_text(model, standard, lines),
+        folder / f"{model.robot.name}.urdf": urdf_text(model, links),
+        folder / f"{model.robot.name}.xml": mujoco_text(model, links, model.robot.gear_ratios**2 * rotors, lines),
+        folder / "friction.json": json.dumps(friction_data(model, rotors, lines), indent=1, allow_nan=False),
+        folder / f"{model.robot.name}.sdf": sdf_text(model, links),
         folder / _TABLE: csv_text(model.rows()),
         folder / FOXGLOVE_LAYOUT: foxglove_layout(model.robot.joint_names),
     }
@@ -69,7 +68,7 @@ def export_model(model: IdentifiedModel, folder: Path) -> tuple[Path, ...]:
 
 
 def export_table(model: IdentifiedModel, folder: Path) -> tuple[Path, ...]:
-    """Write the table of parameters alone, which every model has; returns its path, as one of several.
+    """Write only the table of parameters, which every model has; returns its path in a tuple.
 
     Raises:
         OSError: the folder cannot be written.
@@ -80,13 +79,44 @@ def export_table(model: IdentifiedModel, folder: Path) -> tuple[Path, ...]:
     return (folder / _TABLE,)
 
 
-def urdf_text(model: IdentifiedModel, standard: np.ndarray, lines: np.ndarray) -> str:
-    """The robot's URDF with inertials (11 n,) and friction `lines` (n, 2): damping and friction of every axle.
+@dataclass(frozen=True, eq=False)
+class _Link:
+    """A moving link: name, inertia (10,), pose (4, 4) at q = 0, and the axis (3,) of its joint in its frame.
+
+    `damping` and `friction` are those of its axle at the joint; of a coupled one they are that of its own joint.
+    """
+
+    joint: Joint
+    name: str
+    block: np.ndarray
+    pose: np.ndarray
+    axis: np.ndarray
+    damping: float
+    friction: float
+
+    @property
+    def centre(self) -> np.ndarray:
+        """(3,) centre of mass."""
+        return np.asarray(self.block[1:4] / self.block[0])
+
+
+def _links(model: IdentifiedModel, standard: np.ndarray, lines: np.ndarray) -> list[_Link]:
+    """The moving links from base to tip, for standard parameters (11 n,) and damping and friction `lines` (n, 2)."""
+    robot = model.robot
+    blocks, own = ParameterLayout.of(robot).blocks(standard), np.abs(np.diag(robot.coupling))
+    found = []
+    for k, (joint, name, axis) in enumerate(zip(robot.joints, moved_links(robot), joint_axes(robot), strict=True)):
+        pose = model.rigid.dynamics.link_poses(np.zeros((1, robot.dof)), name)[0]
+        found.append(_Link(joint, name, blocks[k], pose, axis, *map(float, lines[k] * (own[k] ** 2, own[k]))))
+    return found
+
+
+def urdf_text(model: IdentifiedModel, links: Iterable[_Link]) -> str:
+    """The robot's URDF with the identified inertias and friction.
 
     Joints that the description leaves out are held, hence fixed. Gravity is there for MuJoCo, which would take 9.81.
     """
     robot = model.robot
-    layout = ParameterLayout.of(robot)
     root = ElementTree.fromstring(robot.urdf)
     joints = {joint.get("name"): joint for joint in root.findall("joint")}
     children: dict[str | None, list[str]] = {}
@@ -94,103 +124,111 @@ def urdf_text(model: IdentifiedModel, standard: np.ndarray, lines: np.ndarray) -
         if name not in robot.joint_names:
             joint.set("type", "fixed")
             children.setdefault(end_of(joint, "parent"), []).append(end_of(joint, "child"))
-    links = {link.get("name"): link for link in root.findall("link")}
-    own = np.abs(np.diag(robot.coupling))
-    for k, name in enumerate(robot.joint_names):
-        moved = end_of(joints[name], "child")
-        for fixed in _descendants(moved, children):
-            for old in links[fixed].findall("inertial"):
-                links[fixed].remove(old)
-        block = standard[layout.link(k)]
-        links[moved].insert(0, inertial_element(block[0], block[1:4] / block[0], about_centre(block)))
-        for old in joints[name].findall("dynamics"):
-            joints[name].remove(old)
-        damping, friction = lines[k] * (own[k] ** 2, own[k])
-        SubElement(joints[name], "dynamics", damping=digits(damping), friction=digits(friction))
-    extension = root.find("mujoco")
-    extension = SubElement(root, "mujoco") if extension is None else extension
-    option = extension.find("option")
-    option = SubElement(extension, "option") if option is None else option
-    option.set("gravity", digits(*robot.gravity))
+    elements = {link.get("name"): link for link in root.findall("link")}
+    for link in links:
+        for fixed in _descendants(link.name, children):
+            for old in elements[fixed].findall("inertial"):
+                elements[fixed].remove(old)
+        set_inertial(elements[link.name], link.block)
+        for old in joints[link.joint.name].findall("dynamics"):
+            joints[link.joint.name].remove(old)
+        dynamics = {"damping": digits(link.damping), "friction": digits(link.friction)}
+        SubElement(joints[link.joint.name], "dynamics", dynamics)
+    child_of(child_of(root, "mujoco"), "option").set("gravity", digits(*robot.gravity))
     return _document(root)
 
 
-def mujoco_text(model: IdentifiedModel, standard: np.ndarray, lines: np.ndarray) -> str:
-    """The same as a MuJoCo model, without geometry."""
-    from agent.robot import joint_axes
-
-    robot, dynamics = model.robot, model.rigid.dynamics
-    layout = ParameterLayout.of(robot)
+def mujoco_text(model: IdentifiedModel, links: Iterable[_Link], armature: np.ndarray, lines: np.ndarray) -> str:
+    """A MuJoCo model without geometry; `armature` (n,) and `lines` (n, 2) are those of the axles."""
+    robot = model.robot
     root = Element("mujoco", model=robot.name)
     SubElement(root, "compiler", angle="radian", autolimits="true")
     SubElement(root, "option", gravity=digits(*robot.gravity))
-    body = SubElement(root, "worldbody")
-    joints = {joint.get("name"): joint for joint in ElementTree.fromstring(robot.urdf).findall("joint")}
-    before, zero = np.eye(4), np.zeros((1, robot.dof))
-    armature = robot.gear_ratios**2 * standard[layout.rotors]
-    tendons = []
-    for k, (joint, axis) in enumerate(zip(robot.joints, joint_axes(robot), strict=True)):
-        link = end_of(joints[joint.name], "child")
-        frame = dynamics.link_poses(zero, link)[0]
-        body = SubElement(body, "body", {"name": link, **_placement(np.linalg.solve(before, frame))})
-        before = frame
-        block = standard[layout.link(k)]
-        inertia = about_centre(block)[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
-        SubElement(
-            body, "inertial", pos=digits(*(block[1:4] / block[0])), mass=digits(block[0]), fullinertia=digits(*inertia)
-        )
-        element = SubElement(body, "joint", name=joint.name, type="slide" if joint.prismatic else "hinge")
-        element.set("axis", digits(*axis))
-        if np.isfinite([joint.lower, joint.upper]).all():
-            element.set("range", digits(joint.lower, joint.upper))
+    body, before, tendons = SubElement(root, "worldbody"), np.eye(4), Element("tendon")
+    for k, link in enumerate(links):
+        body = SubElement(body, "body", {"name": link.name, **_placement(np.linalg.solve(before, link.pose))})
+        before = link.pose
+        inertia = about_centre(link.block)[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+        mass = digits(link.block[0])
+        SubElement(body, "inertial", pos=digits(*link.centre), mass=mass, fullinertia=digits(*inertia))
+        kind = "slide" if link.joint.prismatic else "hinge"
+        element = SubElement(body, "joint", name=link.joint.name, type=kind, axis=digits(*link.axis))
+        if np.isfinite([link.joint.lower, link.joint.upper]).all():
+            element.set("range", digits(link.joint.lower, link.joint.upper))
         row = robot.coupling[k]
         if np.count_nonzero(row) == 1 and row[k] != 0:
-            size = abs(row[k])
-            element.attrib.update(_axle(armature[k] * size**2, lines[k, 0] * size**2, lines[k, 1] * size))
+            element.attrib.update(_axle(armature[k] * row[k] ** 2, link.damping, link.friction))
         else:
-            tendons.append((f"axle_{k + 1}", row, _axle(armature[k], *lines[k])))
-    tip = np.linalg.solve(before, dynamics.tip_pose(zero)[0])
-    SubElement(body, "site", {"name": robot.tip_frame, **_placement(tip)})
-    if tendons:
-        group = SubElement(root, "tendon")
-        for name, row, acting in tendons:
-            tendon = SubElement(group, "fixed", {"name": name, **acting})
+            tendon = SubElement(tendons, "fixed", {"name": f"axle_{k + 1}", **_axle(armature[k], *lines[k])})
             for axle in np.flatnonzero(row):
                 SubElement(tendon, "joint", joint=robot.joint_names[axle], coef=digits(row[axle]))
+    tip = np.linalg.solve(before, model.rigid.dynamics.tip_pose(np.zeros((1, robot.dof)))[0])
+    SubElement(body, "site", {"name": robot.tip_frame, **_placement(tip)})
+    if len(tendons):
+        root.append(tendons)
     return _document(root)
 
 
-def friction_data(model: IdentifiedModel, standard: np.ndarray, lines: np.ndarray) -> dict[str, Any]:
-    """Content of friction.json: what drives the joints."""
+def sdf_text(model: IdentifiedModel, links: Iterable[_Link]) -> str:
+    """An SDF model of the moving links; the first is attached to `world`."""
+    root = Element("sdf", version="1.9")
+    body, parent = SubElement(root, "model", name=model.robot.name), "world"
+
+    def put(element: Element, tag: str, *numbers: float) -> None:
+        SubElement(element, tag).text = digits(*numbers)
+
+    for one in links:
+        link = SubElement(body, "link", name=one.name)
+        put(link, "pose", *one.pose[:3, 3], *rpy_of(one.pose))
+        inertial = SubElement(link, "inertial")
+        put(inertial, "pose", *one.centre, 0.0, 0.0, 0.0)
+        put(inertial, "mass", one.block[0])
+        inertia, tensor = about_centre(one.block), SubElement(inertial, "inertia")
+        for i in range(3):
+            for j in range(i, 3):
+                put(tensor, f"i{'xyz'[i]}{'xyz'[j]}", inertia[i, j])
+        joint = SubElement(body, "joint", name=one.joint.name, type="prismatic" if one.joint.prismatic else "revolute")
+        SubElement(joint, "parent").text, SubElement(joint, "child").text = parent, one.name
+        axis = SubElement(joint, "axis")
+        put(axis, "xyz", *one.axis)
+        limit, dynamics = SubElement(axis, "limit"), SubElement(axis, "dynamics")
+        for end, bound in (("lower", one.joint.lower), ("upper", one.joint.upper)):
+            if np.isfinite(bound):
+                put(limit, end, bound)
+        put(limit, "velocity", one.joint.max_velocity)
+        put(dynamics, "damping", one.damping)
+        put(dynamics, "friction", one.friction)
+        parent = one.name
+    return _document(root)
+
+
+def friction_data(model: IdentifiedModel, rotors: np.ndarray, lines: np.ndarray) -> dict[str, Any]:
+    """Content of friction.json: rotors, coupling and every friction term."""
     robot = model.robot
-    layout = ParameterLayout.of(robot)
-    rotors = standard[layout.rotors]
-    values = model.friction_values
     reflected = robot.coupling.T @ np.diag(robot.gear_ratios**2 * rotors) @ robot.coupling
-    axles = []
-    for k, joint in enumerate(robot.joints):
-        terms = [
+    terms: list[list[dict[str, Any]]] = [[] for _ in robot.joints]
+    for term, value in zip(model.terms, model.friction_values, strict=True):
+        terms[term.axle].append(
             {
                 "form": term.form,
                 "value": float(value),
-                "unit": term.unit(joint.prismatic),
+                "unit": term.unit(robot.joints[term.axle].prismatic),
                 "reversal": None if term.reversal is None else asdict(term.reversal),
                 "fading": term.fading,
             }
-            for term, value in zip(model.terms, values, strict=True)
-            if term.axle == k
-        ]
-        axles.append(
-            {
-                "name": joint.name,
-                "gear_ratio": joint.gear_ratio,
-                "rotor_inertia": float(rotors[k]),
-                "armature": float(joint.gear_ratio**2 * rotors[k]),
-                "damping": float(lines[k, 0]),
-                "friction": float(lines[k, 1]),
-                "terms": terms,
-            }
         )
+    axles = [
+        {
+            "name": joint.name,
+            "gear_ratio": joint.gear_ratio,
+            "rotor_inertia": float(rotors[k]),
+            "armature": float(joint.gear_ratio**2 * rotors[k]),
+            "damping": float(lines[k, 0]),
+            "friction": float(lines[k, 1]),
+            "terms": terms[k],
+        }
+        for k, joint in enumerate(robot.joints)
+    ]
     return {
         "schema": "friction/1",
         "robot": robot.name,
@@ -221,8 +259,6 @@ def _notes(model: IdentifiedModel) -> Iterable[str]:
 
 def _friction_lines(model: IdentifiedModel) -> np.ndarray:
     """(n, 2) damping and friction, neither negative, nearest to what changes sign with the speed of every axle."""
-    from scipy.optimize import nnls
-
     robot = model.robot
     values = model.friction_values
     highest = np.abs(robot.coupling) @ robot.max_velocity
@@ -242,8 +278,6 @@ def _friction_lines(model: IdentifiedModel) -> np.ndarray:
 
 def _read_back(model: IdentifiedModel, urdf: Path, mujoco: Path, friction: Path) -> None:
     """Raise RejectedError unless the files on disk give the torques of the model's links and rotors."""
-    from agent.robot import Dynamics, rotor_mass_matrix
-
     robot = model.robot
     rng = np.random.default_rng(0)
     lower, upper = (np.clip(limit, -np.pi, np.pi) for limit in robot.position_limits)

@@ -9,11 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from agent.model.effects import CATALOGUE
-from agent.model.effects.dress_pack import N_NODES
-from agent.model.rigid_friction import ModelEffect
-from agent.model.simulators import standalone_effects
-from agent.model.simulators.correction import Correction
+from agent.model import CATALOGUE, N_NODES, ModelEffect
+from agent.simulators.corrected import standalone_effects
+from agent.simulators.corrected.correction import Correction
 
 _FORMS = (*(name[1:] for name in vars(standalone_effects.Effects) if name[1:] in CATALOGUE),)
 _OTHERS = ("joint_elasticity", "backlash", "wrist_coupling", "torque_constant", "torque_offset", "time_delay")
@@ -29,7 +27,7 @@ def effects_text(correction: Correction, source: str, out: str) -> str | None:
     """The file's text; None where nothing is to be said beside the simulator's file."""
     effects = [_entry(correction, entry) for entry in correction.effects if is_supported(entry)]
     arm, n = correction.arm, len(correction.arm.joint_names)
-    unsaid = arm.armature if arm.path.suffix.lower() == ".urdf" else np.zeros(n)
+    unsaid = arm.armature if arm.is_urdf else np.zeros(n)
     if not effects and not np.any(unsaid):
         return None
     reversal = [term.reversal.scale for term in correction.model.terms if term.form == "coulomb" and term.reversal]

@@ -236,12 +236,6 @@ def _harmonics(p: Any, angle: Array) -> Array:
     )
 
 
-def along(q: Array, qd: Array, qdd: Array, load: Array, mass: Array, slope: Array, dt: float) -> Array:
-    """(S, n) [N·m] along a motion of S steps, from rest; arguments as of `Effects.torque`, with the steps first."""
-    effects = Effects(dt=dt)
-    return np.array([effects.torque(*step) for step in zip(q, qd, qdd, load, mass, slope, strict=True)])
-
-
 def install(mujoco: Any, model: Any, joints: tuple[str, ...] = JOINTS) -> Effects:
     """Let MuJoCo apply the effects as passive forces (mjcb_passive) to the named joints of `model`.
 

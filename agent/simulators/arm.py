@@ -1,21 +1,19 @@
-"""What a simulator's file says of one serial arm, whatever its format, and the identified model made of it."""
+"""One serial arm read from a simulator's file, in either format, and the identified model made from it."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from xml.etree.ElementTree import Element, tostring
 
 import numpy as np
 
 from agent.core import InputError
-from agent.model.friction_terms import FrictionTerm, Reversal
-from agent.model.identified import IdentifiedModel
-from agent.model.rigid_friction import ModelEffect
-from agent.model.simulators.bodies import CarryingBody
-from agent.model.simulators.servos import PositionServos
-from agent.robot import Joint, ParameterLayout, RobotDescription
+from agent.model import FrictionTerm, IdentifiedModel, ModelEffect, Reversal
+from agent.robot import Dynamics, Joint, ParameterLayout, RobotDescription, chain_of, rigid_bodies
+from agent.simulators.servos import PositionServos
 
 #: `method` of a model that was read from a simulator's file.
 SIMULATOR = "simulator"
@@ -28,26 +26,32 @@ _ANGLE, _LENGTH = 0.05, 0.03  # rad, and part of the reach, by which the axes of
 
 
 @dataclass(frozen=True, eq=False)
-class SimulatedArm:
-    """One arm of a file: its chain as a URDF text, and per joint (n,), on the joint side: armature [kg·m²], damping
-    [N·m·s/rad], frictionloss [N·m], stiffness [N·m/rad] and the position [rad] where the spring is at rest.
+class CarryingBody:
+    """The heaviest body that a joint carries: changes of the link's inertia are written to it.
 
-    `file_joints` are the joints' names in the file; in `urdf` they have those of the robot or the logs. `max_velocity`
-    is NaN where the file has none. `carrying` (n,): which body takes a change of each link. `servos`: those of the
-    file's joints, or why it has none.
+    `name` in the file, `pose` (4, 4) of its frame in the link's, `own` (10,) its parameters in the link's frame; `link`
+    and `link_pose` are the same of the URDF that the arm is read as.
+    """
+
+    name: str
+    pose: np.ndarray
+    own: np.ndarray
+    link: str
+    link_pose: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatedArm:
+    """One arm of a file: `robot` is its chain, with gear ratios of 1 and joints called as in the description or logs.
+
+    Per joint (n,), on the joint side: armature [kg·m²], damping [N·m·s/rad], frictionloss [N·m], stiffness [N·m/rad]
+    and the position [rad] where the spring is at rest; `file_joints` are the joints' names in the file. `carrying`
+    (n,): which body takes a change of each link. `servos`: those of the file's joints, or why it has none.
     """
 
     path: Path
-    name: str
-    urdf: str
-    tip_frame: str
-    gravity: tuple[float, float, float]
-    joint_names: tuple[str, ...]
+    robot: RobotDescription
     file_joints: tuple[str, ...]
-    prismatic: tuple[bool, ...]
-    lower: np.ndarray
-    upper: np.ndarray
-    max_velocity: np.ndarray
     armature: np.ndarray
     damping: np.ndarray
     frictionloss: np.ndarray
@@ -57,78 +61,83 @@ class SimulatedArm:
     notes: tuple[str, ...] = ()
     servos: PositionServos | str = "a URDF has no servos"
 
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """(n,) names in the robot description or the logs."""
+        return self.robot.joint_names
+
+    @property
+    def is_urdf(self) -> bool:
+        """Whether its file is a URDF, by its name; else it is an MJCF."""
+        return self.path.suffix.lower() == ".urdf"
+
+
+def plain_joint(name: str, prismatic: bool, lower: float, upper: float, speed: float = 0.0) -> Joint:
+    """A joint without drive data. A `speed` [rad/s or m/s] that is not positive and finite is set to a usual value."""
+    return Joint(
+        name=name,
+        prismatic=prismatic,
+        gear_ratio=1.0,
+        nominal_motor_torque=None,
+        max_velocity=float(speed) if 0 < speed < np.inf else _USUAL_SPEED,
+        max_acceleration=_USUAL_ACCELERATION,
+        max_jerk=None,
+        rotor_inertia=None,
+        max_torque=None,
+        torque_constant=None,
+        lower=float(lower),
+        upper=float(upper),
+    )
+
+
+def plain_robot(
+    name: str, root: Element, tip_frame: str, gravity: Sequence[float], joints: Iterable[Joint]
+) -> RobotDescription:
+    """The robot description of a chain given as a URDF element."""
+    joints, (x, y, z) = tuple(joints), map(float, gravity)
+    return RobotDescription(
+        name=re.sub(r"[^\w .+-]", "_", name).strip(" .+-")[:64] or "arm",
+        urdf=tostring(root, encoding="unicode"),
+        tip_frame=tip_frame,
+        gravity=(x, y, z),
+        cartesian_limits=None,
+        joints=joints,
+        motor_coupling=tuple(map(tuple, np.eye(len(joints)).tolist())),
+    )
+
 
 def described(arm: SimulatedArm, robot: RobotDescription | None) -> tuple[RobotDescription, tuple[str, ...]]:
-    """The robot that the file shows, with the drives of `robot` where there is one, and what is to be said about it.
-
-    Without one, every joint has gear ratio 1 and no nominal torque.
+    """The robot in the file, with the drives of `robot` if given, and notes for the user.
 
     Raises:
         InputError: the file's arm is not that of the description.
     """
-    if robot is None:
-        joints = tuple(_plain_joint(arm, k) for k in range(len(arm.joint_names)))
-        return _description(arm, arm.name, joints, None), ()
-    for joint, prismatic in zip(robot.joints, arm.prismatic, strict=True):
-        if joint.prismatic != prismatic:
+    drives = arm.robot if robot is None else robot
+    for joint, own in zip(drives.joints, arm.robot.joints, strict=True):
+        if joint.prismatic != own.prismatic:
             kinds = ("turns", "slides")
             raise InputError(
-                f"{arm.path}: {joint.name} {kinds[prismatic]} here and {kinds[joint.prismatic]} in robot {robot.name}: "
-                "it is a model of another arm, or joints are matched wrongly (--map)"
+                f"{arm.path}: {joint.name} {kinds[own.prismatic]} here and {kinds[joint.prismatic]} in robot "
+                f"{drives.name}: it is a model of another arm, or joints are matched wrongly (--map)"
             )
     # the file says what turns with a joint, so where bodies and rotors are distinguished, that is where to start from
     joints = tuple(
         replace(joint, rotor_inertia=float(inertia) / joint.gear_ratio**2 or joint.rotor_inertia)
-        for joint, inertia in zip(robot.joints, arm.armature, strict=True)
+        for joint, inertia in zip(drives.joints, arm.armature, strict=True)
     )
-    found = _description(arm, robot.name, joints, robot)
+    found = replace(arm.robot, name=drives.name, cartesian_limits=drives.cartesian_limits, joints=joints)
+    if robot is None:
+        return found, ()
     _check_same_arm(arm, found, robot)
-    return found, tuple(_robot_notes(robot))
-
-
-def _robot_notes(robot: RobotDescription) -> Iterator[str]:
-    if np.any(robot.coupling - np.eye(robot.dof)):
-        yield (
-            "armature, damping and frictionloss of the file act on its joints, so the motor coupling of the "
-            "description is no part of the simulator"
-        )
-
-
-def _plain_joint(arm: SimulatedArm, k: int) -> Joint:
-    speed = float(arm.max_velocity[k]) if np.isfinite(arm.max_velocity[k]) else _USUAL_SPEED
-    return Joint(
-        name=arm.joint_names[k],
-        prismatic=arm.prismatic[k],
-        gear_ratio=1.0,
-        nominal_motor_torque=None,
-        max_velocity=speed,
-        max_acceleration=_USUAL_ACCELERATION,
-        max_jerk=None,
-        rotor_inertia=float(arm.armature[k]) or None,
-        max_torque=None,
-        torque_constant=None,
-        lower=float(arm.lower[k]),
-        upper=float(arm.upper[k]),
+    coupled = (
+        "armature, damping and frictionloss of the file act on its joints, so the motor coupling of the description is "
+        "no part of the simulator"
     )
-
-
-def _description(
-    arm: SimulatedArm, name: str, joints: tuple[Joint, ...], robot: RobotDescription | None
-) -> RobotDescription:
-    safe = re.sub(r"[^\w .+-]", "_", name).strip(" .+-")[:64] or "arm"
-    return RobotDescription(
-        name=safe,
-        urdf=arm.urdf,
-        tip_frame=arm.tip_frame,
-        gravity=arm.gravity,
-        cartesian_limits=None if robot is None else robot.cartesian_limits,
-        joints=joints,
-        motor_coupling=tuple(tuple(float(i == j) for j in range(len(joints))) for i in range(len(joints))),
-    )
+    return found, (coupled,) if np.any(robot.coupling - np.eye(robot.dof)) else ()
 
 
 def _check_same_arm(arm: SimulatedArm, found: RobotDescription, robot: RobotDescription) -> None:
-    """Raise InputError where neighbouring axes lie to each other as no zero position or base frame explains."""
+    """Raise InputError where the angle or distance of neighbouring axes differs from that of `robot`."""
     angles, distances, reach = _between_axes(found)
     wanted, apart, other_reach = _between_axes(robot)
     for k, (angle, distance) in enumerate(zip(np.abs(angles - wanted), np.abs(distances - apart), strict=True)):
@@ -146,20 +155,15 @@ def _between_axes(robot: RobotDescription) -> tuple[np.ndarray, np.ndarray, floa
 
     They are link constants (Denavit and Hartenberg), the same whatever the zero position, direction or base frame.
     """
-    from agent.robot import chain_of
-
-    axes, points, tip = chain_of(robot).axes_at_zero()
-    angles, distances = [], []
-    for k in range(robot.dof - 1):
-        normal, way = np.cross(axes[k], axes[k + 1]), points[k + 1] - points[k]
-        size = float(np.linalg.norm(normal))
-        angles.append(float(np.arcsin(min(size, 1.0))))
-        across = abs(normal @ way) / size if size > 1e-3 else np.linalg.norm(np.cross(axes[k], way))
-        distances.append(float(across))
+    axes, points, tip = map(np.asarray, chain_of(robot).axes_at_zero())
+    normals, ways = np.cross(axes[:-1], axes[1:]), np.diff(points, axis=0)
+    sines = np.linalg.norm(normals, axis=1)
+    beside = np.linalg.norm(np.cross(axes[:-1], ways), axis=1)  # of axes that are parallel
+    distances = np.where(sines > 1e-3, np.abs(np.sum(normals * ways, axis=1)) / np.maximum(sines, 1e-3), beside)
     reach = float(np.sum(np.linalg.norm(np.diff([*points, tip[:3, 3]], axis=0), axis=1)))
     prismatic = np.array([joint.prismatic for joint in robot.joints])
     known = ~(prismatic[:-1] | prismatic[1:])  # where a joint slides its axis has no place
-    return np.array(angles), np.where(known, distances, 0.0), reach
+    return np.arcsin(np.minimum(sines, 1.0)), np.where(known, distances, 0.0), reach
 
 
 def model_of(arm: SimulatedArm, robot: RobotDescription, provenance: dict[str, object]) -> IdentifiedModel:
@@ -168,17 +172,15 @@ def model_of(arm: SimulatedArm, robot: RobotDescription, provenance: dict[str, o
     Raises:
         InputError: a mass matrix that is not positive, or joints that are not one serial chain.
     """
-    from agent.robot import rigid_bodies
-
     check_mass_matrix(arm, robot)
     rigid, standard_names, combinations = rigid_bodies(robot)
     n = robot.dof
     standard = np.concatenate([rigid.dynamics.standard_parameters(), arm.armature / robot.gear_ratios**2])
-    terms, friction = [], []
+    terms: list[FrictionTerm] = []
     for k, joint in enumerate(robot.joints):
-        terms.append(FrictionTerm(k, "coulomb", Reversal("speed", _REVERSAL * joint.max_velocity)))
-        terms.append(FrictionTerm(k, "viscous"))
-        friction += [arm.frictionloss[k], arm.damping[k]]
+        reversal = Reversal("speed", _REVERSAL * joint.max_velocity)
+        terms += [FrictionTerm(k, "coulomb", reversal), FrictionTerm(k, "viscous")]
+    friction = np.stack([arm.frictionloss, arm.damping], axis=1).ravel()
     values = np.append(rigid.projection @ standard, friction)
     size = np.abs(values) + 1e-3 * np.abs(values).max(initial=1e-6)
     springs = tuple(
@@ -213,9 +215,7 @@ def model_of(arm: SimulatedArm, robot: RobotDescription, provenance: dict[str, o
 
 
 def check_mass_matrix(arm: SimulatedArm, robot: RobotDescription) -> None:
-    """Raise InputError where some posture has a direction that costs no kinetic energy, or less than none."""
-    from agent.robot import Dynamics
-
+    """Raise InputError unless the mass matrix is positive definite at random postures."""
     links = Dynamics(robot)
     low, high = (np.clip(limit, -np.pi, np.pi) for limit in robot.position_limits)
     for q in np.random.default_rng(0).uniform(low, high, (20, robot.dof)):

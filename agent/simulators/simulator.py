@@ -1,21 +1,21 @@
-"""From a file to a simulator: which format, which joints, and the model of it."""
+"""Reads a simulator's file: format, joints, and the model made from it."""
 
 from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
 from agent.core import InputError
-from agent.model.identified import IdentifiedModel
-from agent.model.simulators.arm import SimulatedArm, described, model_of
-from agent.model.simulators.joints import matched
-from agent.model.simulators.servos import PositionServos
-from agent.model.simulators.urdf import longest_chain, read_urdf
+from agent.model import IdentifiedModel
 from agent.robot import RobotDescription, parse_robot_file
+from agent.simulators.arm import SimulatedArm, described, model_of
+from agent.simulators.joints import matched
+from agent.simulators.mjcf import longest_branch, read_mjcf
+from agent.simulators.servos import PositionServos
+from agent.simulators.urdf import longest_chain, read_urdf
 
 _GRAVITY = (0.0, 0.0, -9.80665)
 _MOST_JOINTS = 7
@@ -23,8 +23,10 @@ _MOST_JOINTS = 7
 
 @dataclass(frozen=True, eq=False)
 class Simulator:
-    """A simulator's file, the model that it is, the description whose drives it has, and what was taken, held or left
-    out of the file. `servos`: those of the file whose torque stands for that of logs that have none."""
+    """A simulator's file, its model, the description that gave the drives, and notes on what was held or left out.
+
+    `servos`: those of the file, where their torque replaces the torque that the logs lack.
+    """
 
     arm: SimulatedArm
     model: IdentifiedModel
@@ -34,7 +36,7 @@ class Simulator:
 
 
 def is_simulator(path: Path) -> bool:
-    """Whether a file is, by its name, an MJCF or a URDF (or what they are made from), no model of this program."""
+    """Whether a file name is that of an MJCF, a URDF or their sources, not of a model of this program."""
     return path.suffix.lower() in (".xml", ".urdf", ".mjcf", ".xacro", ".sdf")
 
 
@@ -53,14 +55,8 @@ def load_simulator(
     """
     text, root = _content(path)
     wanted = tuple(log_joints) if robot is None else robot.joint_names
-    match = partial(
-        matched,
-        path,
-        wanted=wanted,
-        owner="the logs" if robot is None else f"robot {robot.name}",
-        names=names,
-    )
-    arm = _arm(path, root, match, _GRAVITY if robot is None else robot.gravity)
+    owner, gravity = ("the logs", _GRAVITY) if robot is None else (f"robot {robot.name}", robot.gravity)
+    arm = _arm(path, root, lambda in_file: matched(path, in_file, wanted, owner, names), gravity)
     if len(arm.joint_names) > _MOST_JOINTS:
         raise InputError(
             f"{path}: {len(arm.joint_names)} joints are to be compared, and a serial arm has at most "
@@ -93,7 +89,10 @@ def load_arm(path: Path, log_joints: Sequence[str] = (), most: int = _MOST_JOINT
     root = _content(path)[1]
 
     def match(in_file: Sequence[str]) -> dict[str, str]:
-        chain = [name for name in in_file if name in log_joints] if log_joints else _chain(path, root)
+        if log_joints:
+            chain = [name for name in in_file if name in log_joints]
+        else:
+            chain = longest_chain(root) if root.tag == "robot" else longest_branch(path)
         if not chain:
             listed = f"; those of the log are {', '.join(log_joints)}" if log_joints else ""
             raise InputError(
@@ -118,17 +117,4 @@ def _arm(
     match: Callable[[Sequence[str]], Mapping[str, str]],
     gravity: tuple[float, float, float],
 ) -> SimulatedArm:
-    if root.tag == "robot":
-        return read_urdf(path, root, match, gravity)
-    from agent.model.simulators.mjcf import read_mjcf
-
-    return read_mjcf(path, match)
-
-
-def _chain(path: Path, root: Element) -> list[str]:
-    """Joints from base to tip on the way that has most of them."""
-    if root.tag == "robot":
-        return longest_chain(root)
-    from agent.model.simulators.mjcf import longest_branch
-
-    return longest_branch(path)
+    return read_urdf(path, root, match, gravity) if root.tag == "robot" else read_mjcf(path, root, match)

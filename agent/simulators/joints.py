@@ -1,4 +1,4 @@
-"""Which joints of a simulator's file are those of the robot or the logs, by name or by a map."""
+"""Joints of a simulator's file matched to those of the robot or the logs, by name or by a map."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def matched(
 
 
 def _proposed(in_file: Sequence[str], wanted: Sequence[str]) -> list[tuple[str, str]]:
-    """Which may be which, in the file's order: names that are alike first, as logs are often in alphabetical order."""
+    """Likely pairs in the file's order. Similar names first, because logs are often in alphabetical order."""
     plain = {name: name.lower().replace("_", "") for name in (*in_file, *wanted)}
     plain = {name: own.replace("joint", "") or own for name, own in plain.items()}  # which says nothing of which
     likeness = {(a, b): SequenceMatcher(None, plain[a], plain[b]).ratio() for a in in_file for b in wanted}
@@ -86,12 +86,12 @@ def _proposed(in_file: Sequence[str], wanted: Sequence[str]) -> list[tuple[str, 
 
 
 def leaving_out(used: Mapping[str, str], left_out: Collection[str]) -> str:
-    """Advice, to end a message with: the map under which joints of the file are not compared."""
+    """The end of a message: the map that leaves some joints of the file out."""
     kept = ", ".join(f"{name}: {called}" for name, called in used.items() if name not in left_out)
     it = "it" if len(left_out) == 1 else "them"
     return f"leave {it} out with --map FILE, in YAML: joints: {{{kept}}}" if kept else "none is left to compare"
 
 
 def listed(names: Sequence[str], most: int = 6) -> str:
-    """Names for a message, not all of very many."""
+    """Names for a message; only the first `most` of a long list."""
     return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")

@@ -2,10 +2,11 @@
 
     (M(q) + Cᵀ I C) q̈ + h(q, q̇) = Cᵀ f + τ_external
 
-with the coupling C, the inertia I of the rotors that turn with their axles, and f from the actuation, which the servo
-drives. Leapfrog with a predicted velocity: positions live at t, velocities at t − dt/2, forces see
-v̂ = v + dt/2 · (last acceleration). Second order, one evaluation of the dynamics a step. What a `RigidActuation` is runs
-compiled, its memoryless friction linearly implicitly; any other is asked step by step.
+with the coupling C, the inertia I of the rotors, and f the motor torque of the servo less friction. All that acts
+between motors and joints is on the axles (see `agent.robot.drivetrain`): an axle's position is its motor's angle over
+the gear ratio, a torque on it is the motor's times the gear ratio. Leapfrog with a predicted velocity: positions live
+at t, velocities at t − dt/2, forces see v̂ = v + dt/2 · (last acceleration). Second order, one evaluation of the
+dynamics a step, compiled; memoryless friction is linearly implicit.
 """
 
 from __future__ import annotations
@@ -15,12 +16,60 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from agent.compiled import march
 from agent.robot import Dynamics
-from agent.simulation.actuation import Actuation, RigidActuation
-from agent.simulation.servo import CascadedServo, ServoGains
 
 #: (time [s], q (n,), q̇ (n,)) → joint torque (n,) [N·m] from outside, asked once a sample.
 ExternalTorque = Callable[[float, np.ndarray, np.ndarray], np.ndarray]
+
+
+class RigidActuation:
+    """Stiff gears and friction f0 tanh(v / transition) + f1 v + f2 |v| v on every axle; it runs compiled.
+
+    Arrays (n,): `coulomb` f0 [N·m], `viscous` f1 [N·m·s/rad], `quadratic` f2 [N·m·s²/rad²], `transition` [rad/s], all
+    taken at the velocity after the step, so that friction that is stiff at rest stays stable. `bristles` (6, n) are
+    those of `agent.compiled.march`, friction with a memory beside it.
+    """
+
+    def __init__(
+        self,
+        coulomb: np.ndarray | float,
+        viscous: np.ndarray | float,
+        quadratic: np.ndarray | float,
+        transition: np.ndarray | float,
+        bristles: np.ndarray | None = None,
+    ):
+        terms = np.broadcast_arrays(coulomb, viscous, quadratic, np.maximum(transition, 1e-9))
+        memoryless = np.array(terms, dtype=float)
+        self.friction = np.vstack([memoryless, np.zeros((6, memoryless.shape[1])) if bristles is None else bristles])
+
+
+@dataclass(frozen=True, eq=False)
+class ServoGains:
+    """Gains of the cascaded position and velocity servo of an industrial drive, on n axles, arrays (n,).
+
+    u = kv (kff ṙ + kp (r − θ) − θ̇) + ki ∫(…) dt + J r̈ + τ_ff, clamped; the integral holds while clamped.
+
+    `position` [1/s]; `velocity` [N·m·s/rad] and `integral` [N·m/rad] of the PI velocity loop; `feedforward`, the
+    fraction of the reference velocity that is fed forward; `inertia` [kg·m²], fed forward on the reference
+    acceleration; `limit` [N·m], the largest torque of the drive.
+    """
+
+    position: np.ndarray
+    velocity: np.ndarray
+    integral: np.ndarray
+    feedforward: np.ndarray
+    inertia: np.ndarray
+    limit: np.ndarray
+
+    @classmethod
+    def tuned(cls, inertia: np.ndarray, limit: np.ndarray) -> ServoGains:
+        """Common gains for axles of total `inertia` (n,) [kg·m²] and torque `limit` (n,) [N·m].
+
+        Position loop of 30/s, velocity loop of 190 rad/s that resets at 30/s, 95 % of the velocity fed forward.
+        """
+        ones, gain = np.ones(len(inertia)), 190.0 * inertia
+        return cls(30.0 * ones, gain, 30.0 * gain, 0.95 * ones, 0.0 * inertia, limit)
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +101,7 @@ class ForwardSimulation:
         self,
         dynamics: Dynamics,
         rotor_inertias: np.ndarray,
-        actuation: Actuation | RigidActuation,
+        actuation: RigidActuation,
         gains: ServoGains,
         period: float = 0.002,
         inner_rate: float = 2000.0,
@@ -64,14 +113,10 @@ class ForwardSimulation:
         self._dynamics = dynamics
         self._actuation = actuation
         self._gains = gains
-        self._servo = CascadedServo(gains)
         self._inertia_feedforward = np.asarray(gains.inertia, dtype=float)
         self._external = external
         self._coupling = np.array(robot.coupling, dtype=float)
-        self._coupled = bool(np.any(robot.coupling - np.eye(robot.dof)))
-        reflected = robot.gear_ratios**2 * np.asarray(rotor_inertias, dtype=float)
-        self._rotors = np.where(actuation.rigid, reflected, 0.0)
-        self._accelerate = dynamics.acceleration_function(self._rotors)
+        self._rotors = robot.gear_ratios**2 * np.asarray(rotor_inertias, dtype=float)
         self._substeps = max(1, int(np.ceil(period * inner_rate - 1e-9)))
         self.rest(np.zeros(robot.dof))
 
@@ -89,8 +134,7 @@ class ForwardSimulation:
     @property
     def motor_position(self) -> np.ndarray:
         """(n,) positions of the motors now, on the axles."""
-        axle, speed = self._coupling @ self.position, self._coupling @ self.velocity
-        return np.array(self._actuation.motors(axle.tolist(), speed.tolist())[0])
+        return np.asarray(self._coupling @ self.position)
 
     def rest(self, q: np.ndarray) -> None:
         """Put the arm at q (n,), at rest, holding itself; transients of friction and gears are not waited for."""
@@ -102,33 +146,24 @@ class ForwardSimulation:
         if self._external is not None:
             load = load - self._external(self.time, self.position, still[0])
         self._state[3] = np.linalg.solve(self._coupling.T, load)
-        torque = self._state[3].tolist()
-        axle = self._coupling @ self.position
-        self._servo.reset(torque)
-        self._actuation.reset(axle.tolist(), torque)
-        self._set_point = (axle, np.zeros(len(axle)))
+        self._set_point = (self._coupling @ self.position, np.zeros(len(q)))
 
     def run(
         self, reference: np.ndarray, reference_velocity: np.ndarray, feedforward: np.ndarray | None = None
     ) -> SimulatedMotion:
         """Follow joint set-points (S, n), one a period; `feedforward` (S, n) [N·m] is added to the torque command."""
         references = self._inner_references(reference, reference_velocity, feedforward)
-        if isinstance(self._actuation, RigidActuation):
-            found = self._march(self._actuation, references)
-        else:
-            found = self._step_by_step(self._actuation, references)
+        found = self._march(references)
         time = self.time + self.period * np.arange(len(found))
         self.time += self.period * len(found)
         q, v, motor_position, motor_velocity, motor_torque = (found[:, row].copy() for row in range(5))
         return SimulatedMotion(time, q, v, motor_position, motor_velocity, motor_torque, motor_torque @ self._coupling)
 
-    def _march(self, actuation: RigidActuation, references: np.ndarray) -> np.ndarray:
+    def _march(self, references: np.ndarray) -> np.ndarray:
         """(S, 5, n) what `agent.compiled.march` finds: at once, or from sample to sample where something acts."""
-        from agent.compiled import march
-
         gains, steps = self._gains, self._substeps
         servo = np.array([gains.position, gains.velocity, gains.integral, gains.feedforward, gains.limit], dtype=float)
-        arm = *self._dynamics.chain, self._coupling, self._rotors, servo, actuation.friction
+        arm = *self._dynamics.chain, self._coupling, self._rotors, servo, self._actuation.friction
         found = np.empty((len(references) // steps, *self._state.shape))
         outside = np.zeros(len(self._rotors))
         together = len(found) if self._external is None else 1
@@ -138,39 +173,6 @@ class ForwardSimulation:
             part = references[k * steps : (k + together) * steps]
             march(*arm, part, outside, steps, self.period / steps, self._state, found[k : k + together])
         return found
-
-    def _step_by_step(self, actuation: Actuation, references: np.ndarray) -> np.ndarray:
-        """The same of an actuation that has to be asked."""
-        substeps, coupled, coupling, external = self._substeps, self._coupled, self._coupling, self._external
-        motors, actuate, servo, accelerate = actuation.motors, actuation.step, self._servo.step, self._accelerate
-        dt = self.period / substeps
-        q, v, a = self._state[:3].copy()
-        time = self.time
-        whole, half = np.full((2, len(q)), dt) * [[1.0], [0.5]]  # small arrays times a number are slower
-        outside = None
-        rows = []
-        for step, (position, velocity, torque) in enumerate(references.tolist()):
-            predicted = v + half * a
-            if coupled:
-                axle, speed = (coupling @ q).tolist(), (coupling @ predicted).tolist()
-            else:
-                axle, speed = q.tolist(), predicted.tolist()
-            motor, motor_speed = motors(axle, speed)
-            command = servo(position, velocity, torque, motor, motor_speed, dt)
-            if step % substeps == 0:
-                rows.append((q.copy(), predicted, motor, motor_speed, command))
-                if external is not None:
-                    outside = external(time, q, predicted)
-            load = np.array(actuate(time, axle, speed, command, dt))
-            pull = load @ coupling if coupled else load
-            if outside is not None:
-                pull = pull + outside
-            a = accelerate(q, predicted, pull)
-            v += whole * a
-            q += whole * v
-            time += dt
-        self._state[:3] = q, v, a
-        return np.array(rows).reshape(-1, *self._state.shape)
 
     def _inner_references(
         self, reference: np.ndarray, reference_velocity: np.ndarray, feedforward: np.ndarray | None

@@ -1,0 +1,9 @@
+"""Simulators as files: MuJoCo's MJCF and URDF read as an identified model, corrected, exported and run forward.
+
+Nothing in such a file was identified, so its parameters come without uncertainty: the model holds them as exact, and
+the error it should have is for the caller to say (`docs/decisions/simulator-background.md`).
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,30 @@
+from .arm import SIMULATOR as SIMULATOR
+from .corrected.corrected_file import write_corrected as write_corrected, written_files as written_files
+from .corrected.correction import (
+    Commands as Commands,
+    Correction as Correction,
+    Released as Released,
+    correct as correct,
+)
+from .export import export_model as export_model, export_table as export_table
+from .forward import (
+    ExternalTorque as ExternalTorque,
+    ForwardSimulation as ForwardSimulation,
+    RigidActuation as RigidActuation,
+    ServoGains as ServoGains,
+    SimulatedMotion as SimulatedMotion,
+)
+from .joints import load_joint_map as load_joint_map
+from .loads import identified_load as identified_load, load_text as load_text
+from .mjcf import compiled as compiled, mujoco_package as mujoco_package
+from .servos import (
+    SERVO_STIFFNESS as SERVO_STIFFNESS,
+    PositionServos as PositionServos,
+    servo_stiffness as servo_stiffness,
+)
+from .simulator import (
+    Simulator as Simulator,
+    is_simulator as is_simulator,
+    load_arm as load_arm,
+    load_simulator as load_simulator,
+)

@@ -1,0 +1,185 @@
+"""Writes a corrected simulator: the given file with only the corrected values changed.
+
+Beside it stand `<name>.changes.json`, every change with its old value and the reason, and `<name>_effects.py`, what the
+format cannot say. Nothing is written that was not read back and found to be the corrected arm.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import tempfile
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from agent.core import InputError, RejectedError, write_atomically
+from agent.model import IdentifiedModel, seen_from
+from agent.robot import about_centre
+from agent.simulators.corrected.correction import Correction
+from agent.simulators.corrected.edits import MjcfEdits, UrdfEdits
+from agent.simulators.corrected.effects_file import effects_text
+from agent.simulators.servos import PositionServos
+from agent.simulators.simulator import Simulator, load_simulator
+
+SCHEMA = "simulator-changes/1"
+_TOLERANCE = 1e-8  # of the largest torque, between what is written and what was meant
+_LEAST = 1e-12  # relative, that a number changes
+
+
+@dataclass(frozen=True)
+class FileChange:
+    """One changed value: element, attribute, old and new value (SI), and the reason."""
+
+    element: str
+    attribute: str
+    old: float | list[float]
+    new: float | list[float]
+    reason: str
+
+
+def written_files(out: Path) -> tuple[Path, Path]:
+    """The files next to a corrected simulator: the changes, and the effects that its format cannot hold."""
+    module = "".join(letter if letter.isalnum() else "_" for letter in out.stem)
+    return out.with_name(f"{out.stem}.changes.json"), out.with_name(f"{module}_effects.py")
+
+
+def write_corrected(simulator: Simulator, correction: Correction, out: Path) -> tuple[Path, ...]:
+    """Write the corrected file and the files next to it; returns all paths, the corrected file first.
+
+    Raises:
+        InputError: the file cannot be changed in place (a body without a name, say).
+        RejectedError: what was written does not read back as what was meant.
+        AgentError: the disk is full or not writable.
+    """
+    source, arm = simulator.arm.path, simulator.arm
+    edits = UrdfEdits(arm, out) if arm.is_urdf else MjcfEdits(arm, out)
+    changes = list(_changes(correction, edits))
+    if simulator.servos is not None and isinstance(edits, MjcfEdits):
+        changes += _servo_changes(correction, edits)
+    files = edits.files()
+    _read_back(correction, simulator, files, out)
+    beside, effects = written_files(out)
+    code = effects_text(correction, source.name, out.name)
+    document = {
+        "schema": SCHEMA,
+        "from": {"file": source.name, "sha256": hashlib.sha256(source.read_bytes()).hexdigest()},
+        "changes": [asdict(change) for change in changes],
+        "effects": [entry.to_dict() for entry in correction.effects],
+        "effects_file": None if code is None else effects.name,
+        "notes": list(correction.notes),
+    }
+    for path, content in files.items():
+        write_atomically(path, content.decode("utf-8"))
+    write_atomically(beside, json.dumps(document, indent=1, allow_nan=False))
+    if code is not None:
+        write_atomically(effects, code)
+    return (*files, beside, *([] if code is None else [effects]))
+
+
+def _changes(correction: Correction, edits: UrdfEdits | MjcfEdits) -> Iterator[FileChange]:
+    """Change the file number by number and report each change."""
+    before, after, released = correction.given, correction.arm, correction.released
+    numbers = (
+        ("frictionloss", before.frictionloss, after.frictionloss, released.friction),
+        ("damping", before.damping, after.damping, released.friction),
+        ("armature", before.armature, after.armature, released.rotors),
+        ("stiffness", before.stiffness, after.stiffness, released.springs),
+        ("springref", before.rest, after.rest, released.springs),
+    )
+    for k, joint in enumerate(before.file_joints):
+        for key, was, becomes, reasons in numbers:
+            old, new = float(was[k]), float(becomes[k])
+            if k in reasons and key in edits.numbers and abs(new - old) > _LEAST * max(abs(old), abs(new)):
+                edits.set_number(k, key, new)
+                yield FileChange(f"joint {joint}", key, old, new, reasons[k])
+        if k in released.offsets:
+            old_zero, new_zero = edits.move_zero(k, released.offsets[k])
+            why = "encoder_offset: the joint's zero is elsewhere"
+            yield FileChange(f"joint {joint}", edits.zero, old_zero, new_zero, why)
+        if k in released.links:
+            body = after.carrying[k]
+            blocks = [seen_from(entry.own, body.pose) for entry in (before.carrying[k], body)]
+            edits.set_inertial(k, body.name, blocks[1])
+            owner = f"{'link' if before.is_urdf else 'body'} {body.name or 'of ' + joint}"
+            given, fixed = map(_said, blocks)
+            for key in given:
+                yield FileChange(owner, key, given[key], fixed[key], released.links[k])
+    if before.robot.gravity != after.robot.gravity:
+        edits.set_gravity(after.robot.gravity)
+        yield FileChange("option", "gravity", list(before.robot.gravity), list(after.robot.gravity), released.gravity)
+
+
+def _servo_changes(correction: Correction, edits: MjcfEdits) -> Iterator[FileChange]:
+    """Change servo gains. Damping given as a ratio is written as a number where masses change."""
+    given, released = correction.given.servos, correction.released
+    servos = correction.arm.servos
+    assert isinstance(given, PositionServos)
+    assert isinstance(servos, PositionServos)
+    moved = edits.damps_by_ratio and bool(released.links or released.rotors)
+    for k, joint in enumerate(correction.given.file_joints):
+        if k not in released.gains and not moved:
+            continue
+        (_, before), (gain, bias) = given.parameters(k), servos.parameters(k)
+        edits.set_servo(k, gain, bias)
+        if k in released.gains:
+            yield FileChange(f"actuator of {joint}", "kp", -before[1], -bias[1], released.gains[k])
+        if bias[2]:
+            kept = "as it was: a dampratio would move it with the masses"
+            yield FileChange(f"actuator of {joint}", "kv", -before[2], -bias[2], released.gains.get(k, kept))
+
+
+def _said(block: np.ndarray) -> dict[str, float | list[float]]:
+    """Mass, centre of mass, and inertia about it (xx, xy, yy, xz, yz, zz) of a body (10,)."""
+    heavy = block[0] > 0
+    centre = block[1:4] / block[0] if heavy else np.zeros(3)
+    inertia = about_centre(block) if heavy else np.zeros((3, 3))
+    return {
+        "mass": float(block[0]),
+        "centre of mass": centre.tolist(),
+        "inertia about it": inertia[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]].tolist(),
+    }
+
+
+def _read_back(correction: Correction, simulator: Simulator, files: dict[Path, bytes], out: Path) -> None:
+    """Raise RejectedError unless the files read as the corrected arm."""
+    arm, wanted = simulator.arm, correction.model
+    names = dict(zip(arm.file_joints, arm.joint_names, strict=True))
+    trial: dict[Path, Path] = {}
+    try:
+        for path in files:  # beside the files to come, as what these refer to is found from there
+            handle, name = tempfile.mkstemp(prefix=".", suffix=path.suffix, dir=out.absolute().parent)
+            os.close(handle)
+            trial[path] = Path(name)
+        for path, content in files.items():
+            for other, place in trial.items():
+                content = content.replace(f'"{other.name}"'.encode(), f'"{place.name}"'.encode())
+            trial[path].write_bytes(content)
+        read = load_simulator(trial[out], simulator.robot, correction.arm.joint_names, names).model
+    except InputError as error:
+        said = str(error).replace(trial[out].name, out.name)
+        raise RejectedError(f"{out}: nothing was written: the corrected file is not accepted: {said}") from None
+    finally:
+        for path in trial.values():
+            path.unlink(missing_ok=True)
+    states = np.random.default_rng(0).uniform(-1, 1, (3, 50, wanted.robot.dof))
+    # a URDF says no rotor inertia: those are the effects file's
+    expected = (
+        wanted.rigid.dynamics.inverse_dynamics(states[0], states[1], states[2])
+        if arm.is_urdf
+        else _plain(wanted, states)
+    )
+    difference = float(np.abs(_plain(read, states) - expected).max())
+    if not difference <= _TOLERANCE * float(np.abs(expected).max()):
+        raise RejectedError(
+            f"{out}: nothing was written: the file as changed gives torques that differ by {difference:.3g} N·m from "
+            "the corrected model's (something else in it scales or overrides inertias)"
+        )
+
+
+def _plain(model: IdentifiedModel, states: np.ndarray) -> np.ndarray:
+    """(S, n) torque at q, qd, qdd (3, S, n) without friction, whose reversal no file has, and without effects."""
+    return np.asarray(model.rigid.torque(states[0], states[1], states[2], model.base_values))

@@ -1,0 +1,211 @@
+"""The identified load of a model in the formats of robot vendors.
+
+The load is what the arm carries beyond the bodies of its model: mass [kg], centre of mass [m] and inertia [kg·m²] about
+it, in the axes of the robot's tip frame. The tip frame is taken for the vendor's flange (UR `tool0`, ABB wrist, KUKA
+and Franka flange). Sources of each vendor's fields, units and order:
+
+- Universal Robots Script Manual, `set_target_payload`
+- ABB RAPID reference, `loaddata`
+- KUKA System Software, `LOAD_DATA`
+- Franka RIDE, end effector commissioning
+- COMAU PDL2, `$TOOL_MASS`, `$TOOL_CNTR`, `$TOOL_INERTIA`
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from itertools import permutations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from agent.core import InputError, RejectedError
+from agent.model import CATALOGUE, IdentifiedModel, ModelEffect, ball, seen_from
+from agent.robot import about_centre
+from agent.simulators.urdf import moved_links
+
+_EFFECT = "payload"
+_MOMENT = ("moment_x", "moment_y", "moment_z")
+_ROUND_OFF = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class IdentifiedLoad:
+    """Mass [kg], centre (3,) [m] and inertia (3, 3) [kg·m²] about it in the axes of the frame `flange`.
+
+    `mass_error`, `centre_error` (3,) and `inertia_error` are half the 95 % intervals; None where the model has none.
+    """
+
+    flange: str
+    mass: float
+    centre: np.ndarray
+    inertia: np.ndarray
+    mass_error: float | None = None
+    centre_error: np.ndarray | None = None
+    inertia_error: float | None = None
+
+    def principal(self) -> tuple[np.ndarray, Rotation]:
+        """(3,) principal moments, and the right-handed rotation of their axes that is closest to the flange's."""
+        moments, axes = np.linalg.eigh(self.inertia)
+        order = max(map(list, permutations(range(3))), key=lambda columns: np.abs(np.diag(axes[:, columns])).sum())
+        axes = axes[:, order] * np.where(np.diag(axes[:, order]) < 0, -1.0, 1.0)
+        if np.linalg.det(axes) < 0:
+            axes[:, np.argmin(np.diag(axes))] *= -1
+        return moments[order], Rotation.from_matrix(axes)
+
+
+def identified_load(model: IdentifiedModel) -> IdentifiedLoad:
+    """The load of a model: the sum of its payload effects.
+
+    Raises:
+        InputError: it has none.
+        RejectedError: its mass or inertia is impossible for a body.
+    """
+    entries = [entry for entry in model.effects if entry.effect == _EFFECT]
+    if not entries:
+        raise InputError(
+            "the model has no identified load, so there is none to export: find one with agent diagnose --model MODEL "
+            "LOG... -o WITH_LOAD.json, on logs with the load mounted, and export that model"
+        )
+    robot, dynamics, zero = model.robot, model.rigid.dynamics, np.zeros((1, model.robot.dof))
+    block = np.sum([load_block(entry) for entry in map(_at_least_a_point, entries)], axis=0)
+    if block[0] <= 0:
+        raise RejectedError(
+            f"the identified load has a mass of {block[0]:.3g} kg: the arm carries less than its model, and no vendor "
+            "takes a negative load; reduce the load that is entered in the controller by it"
+        )
+    last_link = dynamics.link_poses(zero, moved_links(robot)[-1])[0]
+    flange = np.linalg.solve(last_link, dynamics.tip_pose(zero)[0])
+    errors = _errors(entries[0], flange[:3, :3]) if len(entries) == 1 else (None, None, None)
+    seen = seen_from(block, flange)
+    inertia = about_centre(seen)
+    inertia = np.where(np.abs(inertia) < _ROUND_OFF * seen[0], 0.0, inertia)
+    load = IdentifiedLoad(robot.tip_frame, float(seen[0]), seen[1:4] / seen[0], inertia, *errors)
+    low, middle, high = np.sort(load.principal()[0])
+    if low < -_ROUND_OFF * block[0] or low + middle < high - _ROUND_OFF * block[0]:
+        raise RejectedError(
+            f"the identified load has principal moments of inertia {low:.3g}, {middle:.3g} and {high:.3g} kg·m²: no "
+            "body has them (the two smallest add up to at least the largest), so nothing is exported; record motion "
+            "that turns the wrist faster"
+        )
+    return load
+
+
+def _at_least_a_point(entry: ModelEffect) -> ModelEffect:
+    """The load with a negative own inertia set to zero: a point mass."""
+    own = {"inertia": 0.0} if entry.parameters.get("inertia", 0.0) < 0 else {}
+    return replace(entry, parameters={**entry.parameters, **own})
+
+
+def load_block(entry: ModelEffect) -> np.ndarray:
+    """(10,) inertial parameters of a payload effect in the last link's frame."""
+    values = entry.parameters
+    added = np.array([values[name] for name in CATALOGUE[_EFFECT].names(values)])
+    return np.asarray(ball(values) @ added if "m0" in values else added)
+
+
+def _errors(entry: ModelEffect, turn: np.ndarray) -> tuple[float | None, np.ndarray | None, float | None]:
+    """Half the 95 % intervals of mass [kg], centre (3,) [m] in axes turned by `turn`, and a ball's inertia [kg·m²]."""
+    half = {name: (high - low) / 2 for name, (low, high) in entry.intervals.items()}
+    if "mass" not in half:
+        return None, None, None
+    mass, moment = entry.parameters["mass"], np.array([entry.parameters[name] for name in _MOMENT])
+    own = np.array([half.get(name, 0.0) for name in _MOMENT])
+    along = np.hypot(own / mass, moment / mass * half["mass"] / mass)
+    return half["mass"], np.sqrt(turn.T**2 @ along**2), half.get("inertia")
+
+
+def _universal_robots(load: IdentifiedLoad) -> str:
+    inertia = load.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+    return f"set_target_payload({_number(load.mass)}, [{_listed(load.centre)}], [{_listed(inertia)}])"
+
+
+def _abb(load: IdentifiedLoad) -> str:
+    moments, turn = load.principal()
+    x, y, z, w = turn.as_quat()
+    parts = f"[{_listed(1e3 * load.centre)}],[{_listed([w, x, y, z])}],{_listed(moments)}"
+    return f"PERS loaddata identified_load:=[{_number(load.mass)},{parts}];"
+
+
+def _kuka(load: IdentifiedLoad) -> str:
+    moments, turn = load.principal()
+    places = (*1e3 * load.centre, *np.degrees(turn.as_euler("ZYX")))
+    centre = ",".join(f"{key} {_number(value)}" for key, value in zip("XYZABC", places, strict=True))
+    inertia = ",".join(f"{key} {_number(value)}" for key, value in zip("XYZ", moments, strict=True))
+    data = f"LOAD_DATA[1]={{M {_number(load.mass)},CM {{{centre}}},J {{{inertia}}}}}"
+    return f"; 1 stands for the number of the tool\n{data}"
+
+
+def _franka(load: IdentifiedLoad) -> str:
+    document = {
+        "id": "identified-load",
+        "name": "Identified load",
+        "mass": load.mass,
+        "centerOfMass": load.centre.tolist(),
+        "transformation": np.eye(4).ravel().tolist(),  # column by column, from the flange
+        "inertia": load.inertia.T.ravel().tolist(),  # column by column
+    }
+    return json.dumps(document, indent=2)
+
+
+def _comau(load: IdentifiedLoad) -> str:
+    inertia = load.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+    elements = (f"$TOOL_INERTIA[{k}] := {_number(value)}" for k, value in enumerate(inertia, 1))
+    centre = f"$TOOL_CNTR := POS({_listed(1e3 * load.centre)}, 0, 0, 0, '')"
+    check = "-- Compare with the controller's manual about which point its inertia is"
+    return "\n".join([check, f"$TOOL_MASS := {_number(load.mass)}", centre, *elements])
+
+
+#: Vendor → start of a comment in its language (empty if it has none), and the function that writes the load.
+VENDORS: dict[str, tuple[str, Callable[[IdentifiedLoad], str]]] = {
+    "ur": ("#", _universal_robots),
+    "abb": ("!", _abb),
+    "kuka": (";", _kuka),
+    "franka": ("", _franka),
+    "comau": ("--", _comau),
+}
+
+
+def load_text(load: IdentifiedLoad, vendor: str) -> tuple[str, str]:
+    """The load in the format of a vendor, and remarks for stderr.
+
+    The remarks, intervals among them, are comments at the top of the text where the vendor's format allows any.
+
+    Raises:
+        InputError: no such vendor.
+    """
+    if vendor not in VENDORS:
+        raise InputError(f"--load {vendor}: no such vendor; there are {', '.join(VENDORS)}")
+    mark, written = VENDORS[vendor]
+    about = list(_about(load))
+    if not mark:
+        return written(load), "\n".join(about)
+    return "\n".join([*(f"{mark} {line}" for line in about), written(load)]), ""
+
+
+def _about(load: IdentifiedLoad) -> Iterator[str]:
+    yield f"Identified load beyond the model's own last link, in the axes of {load.flange} (the flange)."
+    if load.mass_error is None or load.centre_error is None:
+        yield "Its intervals are not in the model: diagnose again with this version to get them."
+    else:
+        yield f"Mass: {load.mass:.4g} kg, 95 % interval ±{load.mass_error:.2g} kg."
+        centre, error = (", ".join(f"{1e3 * x:.2f}" for x in row) for row in (load.centre, load.centre_error))
+        yield f"Centre of mass: {centre} mm, 95 % interval ±{error} mm."
+    if not np.any(load.inertia):
+        yield "Inertia about the centre of mass: zero, as the motion showed a point mass. Prefer the drawing's value."
+    elif load.inertia_error is not None:
+        yield f"Inertia: of a ball about the centre of mass, 95 % interval ±{load.inertia_error:.2g} kg·m²."
+        yield "Intervals hold how motions differ, not that a load of another shape has other inertias."
+    else:
+        yield "Inertia: about the centre of mass; its interval is not in the model."
+
+
+def _number(value: float) -> str:
+    """At most ten decimals, no exponent, no negative zero."""
+    return np.format_float_positional(round(float(value), 10) + 0.0, trim="0")
+
+
+def _listed(values: np.ndarray | list[float]) -> str:
+    return ", ".join(map(_number, values))
