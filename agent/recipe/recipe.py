@@ -142,10 +142,10 @@ def examine_recipe(path: Path | str) -> tuple[Recipe | None, list[str]]:
 
 
 def _dialect(controller: ControllerSection) -> Dialect:
-    from agent.motion import dialect
+    from agent.motion import create_dialect
     from drivers import registry
 
-    return dialect(registry.dialect(controller.driver))
+    return create_dialect(registry.dialect(controller.driver))
 
 
 def _document(path: Path, data: Any, faults: dict[tuple[Any, ...], str]) -> RecipeDocument | None:
