@@ -1,6 +1,6 @@
 from .dialect import Dialect as Dialect
 from .fly.interpolator import FlyInterpolator as FlyInterpolator
-from .fly_parameters import FlyParameters as FlyParameters
+from .fly.parameters import FlyParameters as FlyParameters
 from .frames import (
     left_open as left_open,
     pose_in_robot_base as pose_in_robot_base,
@@ -15,12 +15,11 @@ from .learned import (
     robot_digest as robot_digest,
 )
 from .learning import Learner as Learner, RecordedMove as RecordedMove
-from .loop import loop_moves as loop_moves
 from .orl import ARM as ARM, CONTROLLER as CONTROLLER, LIBRARY as LIBRARY
 from .pdl2.errors import Pdl2Error as Pdl2Error
 from .pdl2.evaluation import Memory as Memory, Value as Value, evaluate as evaluate, subscript as subscript
-from .pdl2.frames import pose_to_pos as pose_to_pos
 from .pdl2.job import job_text as job_text
+from .pdl2.pos import pose_to_pos as pose_to_pos
 from .pdl2.program import Program as Program, parse_program as parse_program
 from .pdl2.settings import (
     FlyTrajectory as FlyTrajectory,
@@ -55,6 +54,7 @@ from .program import (
     MoveType as MoveType,
     Statement as Statement,
     Target as Target,
+    loop_moves as loop_moves,
     stop_to_stop as stop_to_stop,
     way_key as way_key,
 )

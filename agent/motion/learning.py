@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from agent.motion.fly.interpolator import FlyInterpolator
-from agent.motion.fly_parameters import FlyParameters
+from agent.motion.fly.parameters import FlyParameters
 from agent.motion.frames import pose_in_robot_base
 from agent.motion.interpolator import MotionError
 from agent.motion.pdl2.settings import FlyTrajectory, FlyType, Pdl2Settings

@@ -8,14 +8,14 @@ from itertools import pairwise
 
 import numpy as np
 
+from agent.motion.fly.blend import Corner, corner_between
 from agent.motion.fly.blocks import plan_blocks
+from agent.motion.fly.move_geometry import CartesianSegment, JointSegment, Segment, label_of
+from agent.motion.fly.parameters import FlyParameters
+from agent.motion.fly.path import Path, build_path
 from agent.motion.fly.profile import ArmLimits, PathShape, shape_of
 from agent.motion.fly.setpoints import Run, plan_run
-from agent.motion.fly_parameters import FlyParameters
 from agent.motion.interpolator import MotionError
-from agent.motion.path.blend import Corner, corner_between
-from agent.motion.path.geometry import Path, build_path
-from agent.motion.path.segments import CartesianSegment, JointSegment, Segment, label_of
 from agent.robot import Configuration, RobotDescription, parse_configuration
 
 #: A path is built anew at most so often: with smaller joint-space blends, or with more knots, up to so many times.

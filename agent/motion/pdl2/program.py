@@ -13,7 +13,7 @@ from agent.motion.pdl2 import syntax
 from agent.motion.pdl2.checker import check
 from agent.motion.pdl2.errors import Pdl2Error, TextPosition
 from agent.motion.pdl2.evaluation import Memory, Scope, Value, evaluate, subscript
-from agent.motion.pdl2.frames import pos_to_pose
+from agent.motion.pdl2.pos import pos_to_pose
 from agent.motion.pdl2.variables import SYSTEM_VARIABLES, motion_settings, read
 from agent.motion.program import CartesianTarget, Delay, JointTarget, Move, MoveType, Statement, Target
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from agent.core import InputError
-from agent.motion.pdl2.frames import pose_to_pos
+from agent.motion.pdl2.pos import pose_to_pos
 from agent.motion.pdl2.program import parse_program
 from agent.motion.pdl2.settings import Pdl2Settings
 from agent.motion.pdl2.syntax import Constant, Pos
