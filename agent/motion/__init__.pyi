@@ -64,8 +64,8 @@ from .registry import (
     create_dialect as create_dialect,
     create_interpolator as create_interpolator,
     dialect_of as dialect_of,
+    dialects as dialects,
     interpolator_names as interpolator_names,
-    program_suffixes as program_suffixes,
 )
 from .rotation import pose_of as pose_of
 from .trajectory import Trajectory as Trajectory

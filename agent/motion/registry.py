@@ -38,12 +38,12 @@ def create_dialect(name: str) -> Dialect:
 
 def dialect_of(program: Path) -> Dialect | None:
     """The dialect of a program file, by its suffix; None where it is none."""
-    return next((one for one in map(create_dialect, _DIALECTS) if one.suffix == program.suffix.lower()), None)
+    return next((one for one in dialects() if one.suffix == program.suffix.lower()), None)
 
 
-def program_suffixes() -> tuple[str, ...]:
-    """Suffixes of program files, of all dialects."""
-    return tuple(create_dialect(name).suffix for name in _DIALECTS)
+def dialects() -> tuple[Dialect, ...]:
+    """All there are."""
+    return tuple(map(create_dialect, _DIALECTS))
 
 
 def interpolator_names(dialect: Dialect | None = None) -> tuple[str, ...]:

@@ -171,7 +171,7 @@ def _contradictions(
     path: Path, document: RecipeDocument, robot: RobotDescription
 ) -> Iterator[tuple[tuple[str, ...], str]]:
     """What is wrong between values that are each right by themselves."""
-    from agent.motion import program_suffixes
+    from agent.motion import dialects
     from drivers.errors import ConfigurationError
     from drivers.registry import available, create
 
@@ -202,7 +202,8 @@ def _contradictions(
             yield ("cell", "joint_ranges", name), str(error)
     like = document.motion.via_points.like
     if like is not None and not os.path.isfile(path.parent / like):
-        message = f"{path.parent / like}: no such file; a program ({', '.join(program_suffixes())}) or a log (.mcap)"
+        programs = ", ".join(one.suffix for one in dialects())
+        message = f"{path.parent / like}: no such file; a program ({programs}) or a log (.mcap)"
         yield (
             ("motion", "via_points", "like"),
             message,
