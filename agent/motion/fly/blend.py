@@ -99,7 +99,7 @@ class Corner:
         return replace(self, before=factor * self.before, after=factor * self.after)
 
     def refined(self, fineness: float) -> Corner:
-        """The same blend, sampled so many times finer."""
+        """The same blend, sampled finer by a factor."""
         return replace(self, cells=2 * round(0.5 * fineness * self.cells))
 
     def rate(self, tau: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

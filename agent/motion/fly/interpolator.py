@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from agent.robot import Tool
 
 
-#: Every so many samples are looked at; slower than this part of the programmed speed is slowed down.
+#: One sample in this many is examined; below this part of the programmed speed a run counts as slowed down.
 _EVERY, _REACHED = 5, 0.995
 #: A limit is in force from this part of it on.
 _FULL = 0.7

@@ -79,7 +79,7 @@ def build_path(
 ) -> Path:
     """The path over `segments` blended at `corners` (one fewer), from `start` (n,) at standstill to standstill.
 
-    `speeds` (n,) are the joint speed limits; `fineness` takes so many times more knots.
+    `speeds` (n,) are the joint speed limits; `fineness` multiplies the number of knots.
 
     Raises:
         MotionError: out of reach, through a singularity, or not on one branch of the arm.

@@ -18,9 +18,9 @@ from agent.motion.fly.setpoints import Run, plan_run
 from agent.motion.interpolator import MotionError
 from agent.robot import Configuration, RobotDescription, parse_configuration
 
-#: A path is built anew at most so often: with smaller joint-space blends, or with more knots, up to so many times.
+#: Largest number of attempts at a path, with smaller joint-space blends or more knots, and largest factor of knots.
 _ATTEMPTS, _FINEST = 10, 32.0
-#: A path is refused where so many times the tolerated error is left between knots: it all but touches a singularity.
+#: A path whose error between knots exceeds the tolerated one by this factor nearly touches a singularity: refused.
 _ROUGHEST = 30.0
 #: Slack on joint limits [rad or m], for round-off only.
 _SLACK = 1e-9

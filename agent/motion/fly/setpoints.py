@@ -31,9 +31,9 @@ from agent.motion.fly.profile import ArmLimits, PathShape, Ramps, speed_ceiling,
 from agent.motion.interpolator import MotionError
 
 _REPAIRS, _STRETCHES = 7, 6
-#: Repairs look at every so many samples, until those are right; then at all of them.
+#: Repairs examine one sample in this many until those are within limits, then all of them.
 _COARSE = 4
-#: [rad/s] what a tool turns at most where the robot has no limit, to tell a singularity from a quick turn.
+#: [rad/s] fastest turn of a tool where the robot has no limit: distinguishes a singularity from a quick turn.
 _TURNING = 6.0
 #: A stretch of this part is left alone: speed 0.05 %, acceleration 0.1 %, jerk 0.15 % over what is planned for, which
 #: itself is 0.2 % below the arm's limits.

@@ -80,7 +80,7 @@ def job_text(
 ) -> tuple[str, dict[str, int]]:
     """A program for the places it goes to: as it is where it is of the motion subset, else what moves in it.
 
-    `listing` is the text of the variable file beside it (`listing_beside`): what variables hold at first.
+    `listing` is the text of its variable file (`listing_beside`), which says what variables hold at first.
     Also returns how often each word that does not move was passed over.
 
     Raises:
@@ -111,7 +111,7 @@ def job_text(
 
 
 def listing_beside(program: Path) -> Path | None:
-    """The listing of the program's variables, where one stands beside it."""
+    """The listing of the program's variables in the same folder, if there is one."""
     candidates = (program.with_suffix(suffix) for suffix in (".lsv", ".LSV"))
     return next((file for file in candidates if file.is_file()), None)
 

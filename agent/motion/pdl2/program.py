@@ -66,7 +66,7 @@ class Program:
     def run(self, cycles: int | None = None, limit: int = MAX_STEPS) -> Iterator[Statement]:
         """The moves and delays in order, loops unrolled as they are reached; SI units.
 
-        `cycles` ends a BEGIN CYCLE program after so many turns (None: it goes on) and has no effect on others.
+        `cycles` limits the turns of a BEGIN CYCLE program (None: no limit) and has no effect on others.
         `limit` is the number of statements and loop turns that may be executed.
 
         Raises:
