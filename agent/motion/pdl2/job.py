@@ -3,6 +3,11 @@
 For a job that a recipe's `like` names it matters where the arm goes, not when or under which condition. So statements
 of a program that is more than the motion subset are taken in the order of the text, each branch and each loop of
 unknown length once; lines keep their numbers, so that whatever moves and is not understood is reported with its line.
+
+What its variables hold at first stands in a file of its own, as text a listing (`.lsv`) of what the controller keeps in
+a `.var`. An entry is `name POS Priv X:… Y:… Z:… A:… E:… R:… CNFG: 'flags'`, `name JNTP Arm: 1 Ax: 6 Priv 1:… 2:… …`,
+`name XTND Arm: 1 Ax: 1 Priv X:… … R:… 7:… CNFG: 'flags'`, or `name INT Priv 3`, on one line or on several. That is how
+public post-processors and editors of such files write them; no listing by a controller was at hand.
 """
 
 from __future__ import annotations
