@@ -220,16 +220,18 @@ def _motion_contradictions(
     for key in sorted(document.motion.fly.model_fields_set - dialect.fly_keys):
         allowed = ", ".join(sorted(dialect.fly_keys))
         yield ("motion", "fly", key), f"not for driver {document.controller.driver}; allowed are {allowed}"
-    allowed_laws = interpolator_names(dialect)
-    if chosen is not None and is_file_name(chosen):
+    learns = "fly" in dialect.interpolators  # what a learned law is a form of
+    if chosen is not None and is_file_name(chosen) and learns:
         try:
             load_law(path.parent / chosen, robot)
         except InputError as error:
             yield ("search", "interpolator"), str(error)
-    elif chosen is not None and chosen not in allowed_laws:
-        message = f"there is no interpolator {chosen!r}; allowed are {', '.join(allowed_laws)}"
-        message += ", or the .yaml file of a learned one"
-        yield ("search", "interpolator"), message
+    elif chosen is not None and chosen not in interpolator_names(dialect):
+        message = f"there is no interpolator {chosen!r}"
+        if not learns:
+            message += f" for driver {document.controller.driver}"
+        message += f"; allowed are {', '.join(interpolator_names(dialect))}"
+        yield ("search", "interpolator"), message + (", or the .yaml file of a learned one" if learns else "")
 
 
 def _recipe(path: Path, document: RecipeDocument, robot: RobotDescription) -> Recipe:
