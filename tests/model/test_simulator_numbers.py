@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from agent.diagnosis.procedure import Search
 
 from agent.core import Console
 from agent.diagnosis import diagnose
@@ -16,7 +17,6 @@ from agent.diagnosis.dataset import Dataset, assemble
 from agent.diagnosis.finding import Finding
 from agent.diagnosis.gap import held_out_gap
 from agent.diagnosis.limits import LIMITS
-from agent.diagnosis.procedure import Search
 from agent.diagnosis.result import not_testable
 from agent.diagnosis.rollout import MujocoEngine
 from agent.diagnosis.simulator import Explanation, _possible, numbers_instead, with_expected_error
