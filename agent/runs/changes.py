@@ -1,6 +1,8 @@
-"""Whether a series of runs changed, beside what it follows anyway: least-squares courses, t-tests against no change.
+"""Whether a series of runs changed, besides what it follows anyway: least-squares courses, t-tests against no change.
 
-The variance of a test is widened by (1 + ρ) / (1 - ρ) where residuals are autocorrelated.
+Tried are a drift along time, a drift along the number of runs, and a step after every run; the likeliest is reported.
+Its p-value has paid for the number of alternatives (Bonferroni). The variance of a test is widened by
+(1 + ρ) / (1 - ρ) where residuals are autocorrelated. Nothing is decided here.
 """
 
 from __future__ import annotations
@@ -10,11 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 _SIGNIFICANT = 4.0  # deviations by which a background must stand out from its noise to tell its coefficient
-
-
-def line(values: np.ndarray) -> np.ndarray:
-    """(R,) centred, and 1 from end to end."""
-    return (values - values.mean()) / max(float(np.ptp(values)), 1e-300)
+_SEGMENT = 3  # fewest runs on either side of a step
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +31,44 @@ class Background:
     def varies(self) -> bool:
         """Whether there is anything to follow."""
         return bool(np.ptp(self.covariate) > 0)
+
+
+@dataclass(frozen=True, eq=False)
+class SeriesChange:
+    """The likeliest change of a series.
+
+    `kind` is drift or step, a step after run `place`; `size` over the whole window with its `deviation`; `shape` (R,)
+    is 1 from end to end; `probability` that chance does as much. `drift` and `drift_deviation` are of what is linear in
+    time, whatever the likeliest is.
+    """
+
+    kind: str
+    place: int
+    size: float
+    deviation: float
+    probability: float
+    shape: np.ndarray
+    drift: float
+    drift_deviation: float
+
+
+def line(values: np.ndarray) -> np.ndarray:
+    """(R,) centred, and 1 from end to end."""
+    return (values - values.mean()) / max(float(np.ptp(values)), 1e-300)
+
+
+def find_change(y: np.ndarray, times: np.ndarray, background: Background) -> SeriesChange:
+    """The likeliest change of y (R,) besides its background."""
+    number = np.arange(len(y))
+    places = np.arange(_SEGMENT, len(y) - _SEGMENT + 1)
+    # age wears, and so does use
+    shapes = np.vstack([line(times), line(number), (number >= places[:, None]) - 0.5])
+    sizes, deviations, p_values = sizes_of_change(y, background, shapes)
+    paid = p_values * 2 * np.repeat([2, len(places)], [2, len(places)])
+    best = int(np.argmin(paid))
+    kind, place = ("drift", 1) if best < 2 else ("step", int(places[best - 2]))
+    size, deviation, probability = float(sizes[best]), float(deviations[best]), min(1.0, float(paid[best]))
+    return SeriesChange(kind, place, size, deviation, probability, shapes[best], float(sizes[0]), float(deviations[0]))
 
 
 def fit_course(y: np.ndarray, background: Background, shape: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
@@ -59,8 +95,7 @@ def fit_course(y: np.ndarray, background: Background, shape: np.ndarray | None) 
 def sizes_of_change(
     y: np.ndarray, background: Background, shapes: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Size of each of the `shapes` (K, R) in y (R,) beside the background, its deviation, and the probability of as
-    much by chance, (K,) each.
+    """Sizes, their deviations and their probabilities by chance, (K,) each, of `shapes` (K, R) in y (R,).
 
     Where the background goes along with the shape, little but its own noise is left to tell its coefficient by, which
     would come out as zero. So that noise is taken from what the data say of it, and what was known before decides.
@@ -71,7 +106,7 @@ def sizes_of_change(
     shapes = shapes - shapes.mean(axis=1, keepdims=True)
     power, degrees_of_freedom = np.sum(shapes**2, axis=1), len(y) - 2 - background.varies
     raw = shapes @ y / power
-    coefficient, std, along = np.zeros(len(shapes)), np.zeros(len(shapes)), np.zeros(len(shapes))
+    coefficient, std, along = np.zeros((3, len(shapes)))
     common = np.zeros(len(y))
     if background.varies:
         common = background.covariate - background.covariate.mean()
@@ -86,12 +121,6 @@ def sizes_of_change(
     deviations = np.sqrt(np.maximum(variance, 1e-30))
     p_values = 2 * stdtr(degrees_of_freedom, -np.abs(sizes) / deviations)
     return np.where(known, sizes, 0.0), np.where(known, deviations, np.inf), np.where(known, p_values, 1.0)
-
-
-def size_of_change(y: np.ndarray, background: Background, shape: np.ndarray) -> tuple[float, float, float]:
-    """The same of one shape (R,)."""
-    size, deviation, p_value = sizes_of_change(y, background, shape[None])
-    return float(size[0]), float(deviation[0]), float(p_value[0])
 
 
 def _coefficients(y: np.ndarray, common: np.ndarray, background: Background) -> tuple[np.ndarray, np.ndarray]:

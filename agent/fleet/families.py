@@ -1,13 +1,9 @@
-"""Which of very many findings are no chance, and which properties of machines go with them.
-
-Over a fleet a level per series would raise false alarms by the number of series. So the false discovery rate is
-controlled (Benjamini and Hochberg 1995): of what is called a finding, at most `RATE` is expected to be chance.
-"""
+"""Which properties of machines go with a change: wear of a batch, a cell, a program."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,16 +18,6 @@ RATE = 0.01
 PRACTICAL = 0.015
 #: Fewest machines that make a family.
 FEWEST = 3
-
-
-def false_discovery_levels(p_values: np.ndarray) -> np.ndarray:
-    """(M,) for each of the probabilities (M,) by chance the smallest rate of false discoveries at which it is one."""
-    count = len(p_values)
-    order = np.argsort(p_values)
-    ranked = p_values[order] * count / np.arange(1, count + 1)
-    levels = np.empty(count)
-    levels[order] = np.minimum(np.minimum.accumulate(ranked[::-1])[::-1], 1.0)
-    return levels
 
 
 @dataclass(frozen=True)
@@ -103,55 +89,40 @@ def find_families(
     """Families among M series: of a robot and joint each, with the change (M,) over time, its deviation and alarm.
 
     Every value of every column against all other machines, joint by joint, by the rank-sum test on change over
-    deviation (Wilcoxon 1945); small changes of many machines show that no machine alone would.
+    deviation (Wilcoxon 1945); small changes of many machines show that no machine alone would. The rate of false
+    discoveries is controlled over all these tests (Benjamini and Hochberg 1995).
     """
-    tried: list[tuple[float, Family]] = []
-    names = np.array(robots, dtype=object)
-    for joint in sorted(set(joints)):
-        chosen = np.flatnonzero(np.array([one == joint for one in joints]))
-        ranks = _ranks(changes[chosen] / np.maximum(deviations[chosen], 1e-300))
-        for column, values in columns.items():
-            here = np.array([values.get(robot, "") for robot in names[chosen]], dtype=object)
-            for value in sorted(set(here) - {""}):
-                members = here == value
-                inside, outside = int(members.sum()), int((~members).sum())
-                if inside < FEWEST or outside < FEWEST:
-                    continue
-                found = Family(
-                    column,
-                    value,
-                    joint,
-                    inside,
-                    int(alarms[chosen][members].sum()),
-                    float(np.median(changes[chosen][members])),
-                    float(np.median(changes[chosen][~members])),
-                    1.0,
-                    tuple(sorted(names[chosen][members])),
-                )
-                tried.append((_rank_sum(ranks, members), found))
+    from scipy.stats import false_discovery_control, ranksums
+
+    scores = changes / np.maximum(deviations, 1e-300)
+    tried = [
+        (float(ranksums(scores[members], scores[others]).pvalue), family)
+        for family, members, others in _candidates(columns, robots, joints, changes, alarms)
+    ]
     if not tried:
         return []
-    levels = false_discovery_levels(np.array([p_value for p_value, _ in tried]))
-    kept = [
-        (level, family)
-        for level, (_, family) in zip(levels, tried, strict=True)
-        if level <= RATE and abs(family.change - family.others) >= PRACTICAL
-    ]
-    kept.sort(key=lambda one: one[0])
-    return [Family(**{**family.__dict__, "level": float(level)}) for level, family in kept]
+    levels = false_discovery_control([p_value for p_value, _ in tried]).tolist()
+    found = [replace(family, level=level) for level, (_, family) in zip(levels, tried, strict=True)]
+    kept = [one for one in found if one.level <= RATE and abs(one.change - one.others) >= PRACTICAL]
+    return sorted(kept, key=lambda one: one.level)
 
 
-def _ranks(values: np.ndarray) -> np.ndarray:
-    """(M,) from 1; equal values share theirs."""
-    _, place, counts = np.unique(values, return_inverse=True, return_counts=True)
-    last = np.cumsum(counts)
-    return (last - (counts - 1) / 2)[place]
-
-
-def _rank_sum(ranks: np.ndarray, members: np.ndarray) -> float:
-    """Probability by chance that the members' ranks are as far from the others'; normal approximation."""
-    from math import erfc, sqrt
-
-    inside, outside = int(members.sum()), int((~members).sum())
-    spread = sqrt(inside * outside * (inside + outside + 1) / 12)
-    return erfc(abs(float(ranks[members].sum()) - inside * (inside + outside + 1) / 2) / spread / sqrt(2))
+def _candidates(
+    columns: Mapping[str, Mapping[str, str]],
+    robots: Sequence[str],
+    joints: Sequence[str],
+    changes: np.ndarray,
+    alarms: np.ndarray,
+) -> Iterator[tuple[Family, np.ndarray, np.ndarray]]:
+    """All that may be families, with the numbers of their series and of the others' on the same joint."""
+    for joint in sorted(set(joints)):
+        chosen = np.array([k for k, one in enumerate(joints) if one == joint])
+        for column, values in columns.items():
+            here = np.array([values.get(robots[k], "") for k in chosen], dtype=object)
+            for value in sorted(set(here) - {""}):
+                members, others = chosen[here == value], chosen[here != value]
+                if min(len(members), len(others)) < FEWEST:
+                    continue
+                change, rest = float(np.median(changes[members])), float(np.median(changes[others]))
+                names, worn = tuple(sorted(robots[k] for k in members)), int(alarms[members].sum())
+                yield Family(column, value, joint, len(members), worn, change, rest, 1.0, names), members, others
