@@ -12,10 +12,10 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from agent.core import BusyError, Console, TaskEngine
-from agent.fleet.result import SCHEMA_NAME, Result
+from agent.fleet.result import SCHEMA_NAME, Result, open_result
 from agent.fleet.store import Store
 from agent.fleet.tasks import RunQuestion, SourceTasks, Task, find_tasks
-from agent.fleet.work import PASSING, TaskRow, run_task
+from agent.fleet.worker import PASSING, TaskRow, run_task
 from agent.runs import robot_lock
 from drivers.texts import hide_all, printable
 
@@ -80,7 +80,7 @@ def run_fleet(
         AgentError: the result cannot be written, or the workers are gone; what is done is kept.
     """
     began = time.monotonic()
-    with _alone(out), Result(out, question.kind, source) as result:
+    with _alone(out), open_result(out, question.kind, source) as result:
         console.step(f"looking for runs in {source}")
         plant = find_tasks(Store(source), question)
         robots = {task.robot for task in plant.tasks}

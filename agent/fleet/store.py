@@ -6,13 +6,13 @@ fetched is compared with the size, and where it is one with the MD5, that the st
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import re
 import shutil
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path, PurePosixPath
 from typing import Any, TypeVar
 
@@ -23,8 +23,6 @@ TRIES = 4
 PAUSE = 0.25
 #: What folders on this machine begin with that hold what is on its way to or from a store.
 SCRATCH = "agent-fleet-"
-#: Errors of the system that another try does not mend.
-_FINAL = (FileNotFoundError, PermissionError, IsADirectoryError)
 
 Answer = TypeVar("Answer")
 
@@ -72,12 +70,9 @@ class Store:
         except OSError as error:  # some connect at once
             raise InputError(f"{self.url}: no store answers there: {error.strerror or error}") from None
         self._root = root.rstrip("/") or "/"
-
-    @cached_property
-    def local(self) -> Path | None:
-        """The folder, where it is one of this machine."""
         protocol = self._fs.protocol
-        return Path(self._root) if "file" in ((protocol,) if isinstance(protocol, str) else protocol) else None
+        #: The folder, where it is one of this machine.
+        self.local = Path(self._root) if "file" in ((protocol,) if isinstance(protocol, str) else protocol) else None
 
     @property
     def absolute(self) -> str:
@@ -147,15 +142,10 @@ class Store:
         full = f"{self._root}/{path}"
         if self.local is not None:
             _put_local(Path(full), content)
-            return
-
-        def upload() -> None:
-            if isinstance(content, bytes):
-                self._fs.pipe_file(full, content)
-            else:
-                self._fs.put_file(str(content), full)
-
-        self._try(upload, "written", path)
+        elif isinstance(content, bytes):
+            self._try(lambda: self._fs.pipe_file(full, content), "written", path)
+        else:
+            self._try(lambda: self._fs.put_file(str(content), full), "written", path)
 
     def names(self, folder: str) -> list[str]:
         """Names of the files in a folder, in order; none where there is no such folder."""
@@ -164,32 +154,29 @@ class Store:
             found = self._try(lambda: self._fs.ls(f"{self._root}/{folder}", detail=False), "listed", folder)
         except FileNotFoundError:
             return []
-        names = (PurePosixPath(full).name for full in found)
-        return sorted(name for name in names if not name.startswith("."))
+        return sorted(name for full in found if not (name := PurePosixPath(full).name).startswith("."))
 
     def remove(self, path: str) -> None:
         """Take a file away, if it is there."""
-        try:
+        with contextlib.suppress(FileNotFoundError):
             self._try(lambda: self._fs.rm_file(f"{self._root}/{path}"), "removed", path)
-        except FileNotFoundError:
-            return
 
     def _try(self, call: Callable[[], Answer], what: str, path: str = "") -> Answer:
-        where = f"{self.url}/{path}".rstrip("/")
-        for number in range(TRIES):
+        where = f"{self.url}/{path}".rstrip("/") + f": cannot be {what}"
+        for number in range(1, TRIES + 1):
             try:
                 return call()
             except FileNotFoundError:
                 raise
             except NotADirectoryError:
-                raise InputError(f"{where}: cannot be {what}: a file is where a folder should be") from None
-            except _FINAL as error:
-                raise StoreError(f"{where}: cannot be {what}: {error.strerror or error}") from None
+                raise InputError(f"{where}: a file is where a folder should be") from None
+            except (PermissionError, IsADirectoryError) as error:  # another try does not mend it
+                raise StoreError(f"{where}: {error.strerror or error}") from None
             except Exception as error:  # of whatever library speaks to the store
-                if number == TRIES - 1:
+                if number == TRIES:
                     said = str(error).splitlines()[0][:300] if str(error) else type(error).__name__
-                    raise StoreError(f"{where}: cannot be {what}, tried {TRIES} times: {said}") from None
-            time.sleep(PAUSE * 2**number)
+                    raise StoreError(f"{where}, tried {TRIES} times: {said}") from None
+            time.sleep(PAUSE * 2 ** (number - 1))
         raise AssertionError
 
 
@@ -211,10 +198,7 @@ def _put_local(path: Path, content: bytes | Path) -> None:
 
 
 def _check_whole(path: Path, file: StoredFile) -> None:
-    """
-    Raises:
-        OSError: what came is not what the listing says.
-    """
+    """Raises OSError where what came is not what the listing says."""
     size = path.stat().st_size
     if size != file.size:
         raise OSError(f"{size} of {file.size} bytes came")
@@ -225,10 +209,5 @@ def _check_whole(path: Path, file: StoredFile) -> None:
 
 
 def _stamp(entry: dict[str, Any]) -> str:
-    for key in ("ETag", "etag", "md5Hash"):
-        if entry.get(key):
-            return str(entry[key]).strip('"')
-    for key in ("mtime", "LastModified", "last_modified", "updated"):
-        if entry.get(key):
-            return str(entry[key])
-    return ""
+    keys = ("ETag", "etag", "md5Hash", "mtime", "LastModified", "last_modified", "updated")
+    return next((str(entry[key]).strip('"') for key in keys if entry.get(key)), "")

@@ -11,14 +11,15 @@ import fnmatch
 import hashlib
 import json
 import posixpath
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import cache
+from importlib.metadata import version
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 from agent.core import InputError
 from agent.fleet.store import Store, StoredFile
-from agent.fleet.version import figures_version
 
 KINDS = ("estimate", "validate", "diagnose")
 #: Which logs of a run folder of the agent go into what; of any other folder all do.
@@ -30,6 +31,8 @@ _OF_A_RUN = {
 _STATE, _ROBOT, _PAGE = "state.json", "robot.yaml", "report.html"
 #: In a run folder of the agent: says what the robot was, too.
 RUN_MODEL = "model.json"
+#: Packages of the agent on which no figure hangs, and libraries on which all do.
+_NO_FIGURES, _LIBRARIES = ("cli", "notebook", "report"), ("numpy", "scipy", "pin", "clarabel")
 
 
 @dataclass(frozen=True)
@@ -64,7 +67,7 @@ class RunQuestion:
         """Of everything but the inputs that the figures hang on (16 hex digits)."""
         asked = asdict(replace(self, given=()))
         asked["given"] = [(one.name, hashlib.sha256(one.content).hexdigest()) for one in self.given]
-        asked["version"] = figures_version(self.kind, self.structure != "rigid")
+        asked["version"] = figures_version()
         return hashlib.sha256(json.dumps(asked, sort_keys=True).encode()).hexdigest()[:16]
 
 
@@ -98,6 +101,19 @@ class SourceTasks:
 
     tasks: tuple[Task, ...]
     listing: dict[str, tuple[int, str]]
+
+
+@cache
+def figures_version() -> str:
+    """A name for everything that figures hang on besides their inputs (16 hex digits): another program, or another
+    version of a library, may give other ones."""
+    package = Path(__file__).parents[1]
+    digest = hashlib.sha256(" ".join(version(library) for library in _LIBRARIES).encode())
+    for path in sorted(package.rglob("*")):
+        name = path.relative_to(package)
+        if path.suffix in (".py", ".yaml", ".urdf", ".json") and name.parts[0] not in _NO_FIGURES:
+            digest.update(f"{name}\0".encode() + path.read_bytes())
+    return digest.hexdigest()[:16]
 
 
 def make_question(kind: str, robot: str | None, model: str | None, **options: Any) -> RunQuestion:
@@ -207,14 +223,11 @@ def _whose(store: Store, folder: str, described: StoredFile | None, state: Store
     return folder if folder != "." else PurePosixPath(store.url.rstrip("/")).name
 
 
-def _nearest(folders: dict[str, dict[str, StoredFile]], folder: str, name: str) -> StoredFile | None:
+def _nearest(folders: Mapping[str, Mapping[str, StoredFile]], folder: str, name: str) -> StoredFile | None:
     """A file of this name in a folder or the nearest one above it, within the source."""
     path = PurePosixPath(folder)
-    for place in (path, *path.parents):
-        found = folders.get(str(place), {}).get(name)
-        if found is not None:
-            return found
-    return None
+    places = (folders.get(str(place), {}) for place in (path, *path.parents))
+    return next((files[name] for files in places if name in files), None)
 
 
 def _description(path: Path) -> Sequence[Given]:

@@ -20,11 +20,11 @@ import resource, sys
 from agent.core.console import Console
 from agent.core.on_dask import DaskEngine
 from agent.fleet import job, make_question, run_fleet
-from agent.fleet.work import TaskRow
+from agent.fleet.worker import TaskRow
 
 def made_up(task):
     import hashlib
-    from agent.fleet.work import TaskRow
+    from agent.fleet.worker import TaskRow
     inputs = [{"path": f.path, "size": f.size, "stamp": f.stamp, "sha256": "0" * 64} for f in task.files]
     entry = {"name": "f0_1", "unit": "N·m", "value": 1.0, "standard_deviation": 0.1}
     level = {"joint": "joint_1", "speed": 1.0, "value": 1.0, "standard_deviation": 0.1, "from_run_to_run": 0.1}
