@@ -7,11 +7,12 @@ a run folder of the agent tells, or the folder's own name.
 
 from __future__ import annotations
 
+import contextlib
 import fnmatch
 import hashlib
 import json
 import posixpath
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cache
 from importlib.metadata import version
@@ -69,6 +70,10 @@ class RunQuestion:
         asked["given"] = [(one.name, hashlib.sha256(one.content).hexdigest()) for one in self.given]
         asked["version"] = figures_version()
         return hashlib.sha256(json.dumps(asked, sort_keys=True).encode()).hexdigest()[:16]
+
+    def gives(self, name: str) -> bool:
+        """Whether the command line gives a file of this name."""
+        return any(PurePosixPath(one.name).name == name for one in self.given)
 
 
 @dataclass(frozen=True)
@@ -133,20 +138,18 @@ def make_question(kind: str, robot: str | None, model: str | None, **options: An
     check_effects(options.get("without", ()))
     EstimationSettings.create(cutoff=options.get("cutoff"), method=options.get("method"))
     check_structure(options.get("structure", "rigid"))
-    name = ""
     given: list[Given] = []
     if robot is not None:
         load_robot(robot)
-        if robot in builtin_robots():
-            name = robot
-        else:
+        if robot not in builtin_robots():
             given += _description(Path(robot))
+    described = bool(given)
     if model and Path(model).is_file():
         given.append(Given(Path(model).name, Path(model).read_bytes()))
         model = Path(model).name
     elif model and ("/" in model or "\\" in model):
         raise InputError(f"{model}: no such model file; name one, or the name that it has in or above every run")
-    return RunQuestion(kind, name, model or "", given=tuple(given), **options)
+    return RunQuestion(kind, robot if robot and not described else "", model or "", given=tuple(given), **options)
 
 
 def find_tasks(store: Store, question: RunQuestion) -> SourceTasks:
@@ -163,47 +166,39 @@ def find_tasks(store: Store, question: RunQuestion) -> SourceTasks:
             folders.setdefault(file.folder, {})[file.name] = file
         if file.name in wanted or file.name.endswith((".mcap", ".urdf", ".xml")):
             listing[file.path] = (file.size, file.stamp)
-    tasks = [task for folder in folders for task in _task(store, question, folders, folder)]
+    found = (_task(store, question, folders, folder) for folder in folders)
+    tasks = sorted((task for task in found if task.logs), key=lambda task: (task.robot, task.run))
     if not tasks:
         raise InputError(f"{store.url}: no folder in it has logs (*.mcap) for {question.kind}")
-    if _needs_robot(question) and all(task.description is None and task.state is None for task in tasks):
+    # what robot it is, a validation's model says, and a diagnosis's
+    told = question.robot or question.gives(_ROBOT) or question.kind == "validate" or question.model
+    if not told and all(task.description is None and task.state is None for task in tasks):
         raise InputError(
             f"{store.url}: there is no {_ROBOT} in or above any run; put one there, or name the robot with --robot"
         )
     model = question.model
-    if model and all(task.model is None for task in tasks) and model not in (one.name for one in question.given):
+    if model and not question.gives(model) and all(task.model is None for task in tasks):
         raise InputError(
             f"{store.url}: no run in it has {model} in or above it; name a model file with --model, or the name that "
             "it has there"
         )
-    tasks.sort(key=lambda task: (task.robot, task.run))
     return SourceTasks(tuple(tasks), listing)
 
 
-def _needs_robot(question: RunQuestion) -> bool:
-    """Whether nothing but the source can say what robot it is; a validation's model does, and a diagnosis's."""
-    given = any(PurePosixPath(one.name).name == _ROBOT for one in question.given)
-    return not (question.robot or given or question.kind == "validate" or question.model)
-
-
-def _task(
-    store: Store, question: RunQuestion, folders: dict[str, dict[str, StoredFile]], folder: str
-) -> Iterator[Task]:
+def _task(store: Store, question: RunQuestion, folders: Mapping[str, Mapping[str, StoredFile]], folder: str) -> Task:
+    """The task of a folder; without logs where it is none."""
     here = folders[folder]
     state = here.get(_STATE)
     patterns = _OF_A_RUN[question.kind] if state is not None else ("*.mcap",)
     # as a shell sorts them, within each pattern
-    logs = [here[name] for pattern in patterns for name in sorted(fnmatch.filter(here, pattern))]
-    if not logs:
-        return
-    given = {PurePosixPath(one.name).name for one in question.given}
-    asked = question.robot or _ROBOT in given
+    logs = tuple(here[name] for pattern in patterns for name in sorted(fnmatch.filter(here, pattern)))
+    asked = question.robot or question.gives(_ROBOT)
     above = None if asked else _nearest(folders, folder, _ROBOT)
     described = above or (here.get(RUN_MODEL) if state is not None and not asked else None)
-    model = None if not question.model or question.model in given else _nearest(folders, folder, question.model)
+    model = question.model and not question.gives(question.model) and _nearest(folders, folder, question.model)
     page = here[_PAGE].path if _PAGE in here else ""
-    robot = _whose(store, folder, above, state)
-    yield Task(question, store.url, robot, folder, tuple(logs), described, model, state, page)
+    robot = _whose(store, folder, above, state) if logs else ""
+    return Task(question, store.url, robot, folder, logs, described, model or None, state, page)
 
 
 def _whose(store: Store, folder: str, described: StoredFile | None, state: StoredFile | None) -> str:
@@ -213,13 +208,12 @@ def _whose(store: Store, folder: str, described: StoredFile | None, state: Store
     if parent != ".":
         return parent
     if state is not None:
-        try:
+        # a state that is none says nothing of the run
+        with contextlib.suppress(ValueError, RecursionError, AttributeError, FileNotFoundError):
             told = json.loads(store.read(state.path))
             found = told.get("serial") or told.get("robot")
             if isinstance(found, str):
                 return found
-        except (ValueError, RecursionError, AttributeError, FileNotFoundError):
-            pass  # a state that is none says nothing of the run
     return folder if folder != "." else PurePosixPath(store.url.rstrip("/")).name
 
 
