@@ -21,11 +21,11 @@ from .folder import (
     write_json as write_json,
 )
 from .history import (
+    History as History,
     find_run as find_run,
     history_json as history_json,
     history_table as history_table,
     last_accepted as last_accepted,
-    open_history as open_history,
 )
 from .lock import robot_lock as robot_lock
 from .loop_store import (

@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, Any
 
 from agent.core import AgentError, Console, InputError, read_json, sha256_file, sha256_text
 from agent.runs.folder import RunFolder, write_json
-from agent.runs.history import open_history, which_machine
-from agent.runs.past_run import controller_key, read_run
+from agent.runs.history import which_machine
+from agent.runs.past_run import controller_key, read_parameters, read_run
 
 if TYPE_CHECKING:
     from agent.recipe import Recipe
@@ -63,7 +63,8 @@ def apply_run(logs: Path, run: Path) -> Applied:
         InputError: no model, not accepted, or no longer the file that was accepted.
         AgentError: it cannot be written; the current model is what it was.
     """
-    past, _ = read_run(run)
+    past = read_run(run)
+    read_parameters(run)
     if past.kind == "diagnose":
         raise InputError(f"{run}: this run is a diagnosis and made no model; apply a calibration or a recalibration")
     if not past.accepted:
@@ -165,14 +166,12 @@ def run_key(recipe: Recipe) -> dict[str, str]:
 
 
 def register_run(run: RunFolder, console: Console) -> None:
-    """Take a complete run into the history; the first accepted model of a robot becomes its current one.
+    """The first accepted model of a robot becomes its current one.
 
     Later ones are made current by `agent apply`, or by a recalibration, which was told to.
     """
     logs = run.path.parent
     try:
-        with open_history(logs):
-            pass
         if run.state["status"] == "finished" and current_model(logs, run.state["robot"], run.state["serial"]) is None:
             apply_run(logs, run.path)
     except AgentError as error:  # the run itself is complete, and `agent history` finds it again

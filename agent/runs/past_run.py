@@ -6,17 +6,18 @@ import contextlib
 import math
 import os
 import re
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from agent.core import InputError, error_text, sha256_text
 from drivers.texts import place_of
 
 #: Clocks differ by so much without being wrong.
 AHEAD = timedelta(minutes=5)
+Value = TypeVar("Value")
 _KEYED = re.compile(r"\S+ \S*,… [0-9a-f]{12}")
 
 
@@ -114,14 +115,33 @@ class PastParameter:
     deviation: float
 
 
-def read_run(path: Path) -> tuple[PastRun, list[PastParameter]]:
-    """What a run folder says.
+def read_run(path: Path) -> PastRun:
+    """What a run folder says, without its model.
 
     Raises:
         InputError: one of its files cannot be read.
     """
     with readable(path):
         return _read_run(path)
+
+
+def read_parameters(path: Path) -> list[PastParameter]:
+    """What the model of a run folder says, in the model's order; nothing where there is none.
+
+    Raises:
+        InputError: it cannot be read.
+    """
+    with readable(path):
+        model = _optional(path / "model.json")
+        return [
+            PastParameter(
+                _text(entry["name"], "a parameter's name"),
+                _text(entry["unit"], "a parameter's unit"),
+                _number(entry["value"], entry["name"]),
+                _number(entry["standard_deviation"], entry["name"]),
+            )
+            for entry in [*model.get("base_parameters", []), *model.get("friction", [])]
+        ]
 
 
 @contextlib.contextmanager
@@ -142,49 +162,33 @@ def readable(run: Path) -> Iterator[None]:
         ) from error
 
 
-def _read_run(path: Path) -> tuple[PastRun, list[PastParameter]]:
-    state = read_object(path / "state.json")
-    result = read_object(path / "result.json") if os.path.lexists(path / "result.json") else {}
+def _read_run(path: Path) -> PastRun:
+    state, result = read_object(path / "state.json"), _optional(path / "result.json")
     validation, gate = result.get("validation", {}), result.get("gate", {})
+    joints = _list(_text, validation.get("joints", []), "joints")
     figures = _numbers(validation.get("normalised_rmse", []), "normalised_rmse")
-    known = [value for value in figures if value is not None]
     limit = gate.get("normalised_rmse")
-    data = {
-        "joints": _texts(validation.get("joints", []), "joints"),
-        "normalised_rmse": figures,
-        "rmse": _numbers(validation.get("rmse", []), "rmse"),
-        "gate": None if limit is None else _number(limit, "gate"),
-        "not_judged": _texts(gate.get("not_judged", []), "not_judged"),
-        "conditions": _conditions(result.get("conditions", {}), validation.get("joints", [])),
-        "verdict": _text(result, "verdict"),
-        "watch": _texts(state.get("watch", []), "watch"),
-    }
-    run = PastRun(
-        run=_checked(path.name, "the name"),
-        robot=_checked(state["robot"], "robot"),
-        serial=_text(state, "serial"),
-        kind=_text(state, "kind", "calibrate"),
+    texts = ("serial", "controller", "loop", "program", "reference")
+    return PastRun(
+        run=_text(path.name, "the name"),
+        robot=_text(state["robot"], "robot"),
+        kind=_text(state.get("kind", "calibrate"), "kind"),
         started=_in_utc(state["started"]),
-        status=_checked(state["status"], "status"),
-        controller=_text(state, "controller"),
-        loop=_text(state, "loop"),
-        program=_text(state, "program"),
-        reference=_text(state, "reference"),
+        status=_text(state["status"], "status"),
         reason=_one_line(result.get("reason", "") or _named(result) or state.get("stopped", {}).get("reason", "")),
-        worst=max(known, default=None),
-        data=data,
+        worst=max((value for value in figures if value is not None), default=None),
+        data={
+            "joints": joints,
+            "normalised_rmse": figures,
+            "rmse": _numbers(validation.get("rmse", []), "rmse"),
+            "gate": None if limit is None else _number(limit, "gate"),
+            "not_judged": _list(_text, gate.get("not_judged", []), "not_judged"),
+            "conditions": _conditions(result.get("conditions", {}), joints),
+            "verdict": _text(result.get("verdict", ""), "verdict"),
+            "watch": _list(_text, state.get("watch", []), "watch"),
+        },
+        **{key: _text(state.get(key, ""), key) for key in texts},
     )
-    model = read_object(path / "model.json") if os.path.lexists(path / "model.json") else {}
-    rows = [*model.get("base_parameters", []), *model.get("friction", [])]
-    return run, [
-        PastParameter(
-            _checked(p["name"], "a parameter's name"),
-            _checked(p["unit"], "a parameter's unit"),
-            _number(p["value"], p["name"]),
-            _number(p["standard_deviation"], p["name"]),
-        )
-        for p in rows
-    ]
 
 
 def _conditions(found: dict[str, Any], joints: list[str]) -> dict[str, Any]:
@@ -203,7 +207,7 @@ def _conditions(found: dict[str, Any], joints: list[str]) -> dict[str, Any]:
 
 def _one_line(text: str) -> str:
     """A reason may be the words of a controller, or of several lines."""
-    return _checked(" ".join("".join(c if c.isprintable() else " " for c in text).split()), "reason")
+    return _text(" ".join("".join(c if c.isprintable() else " " for c in text).split()), "reason")
 
 
 def _in_utc(stamp: str) -> str:
@@ -229,6 +233,10 @@ def read_object(path: Path) -> dict[str, Any]:
     return data
 
 
+def _optional(path: Path) -> dict[str, Any]:
+    return read_object(path) if os.path.lexists(path) else {}
+
+
 def _named(result: dict[str, Any]) -> str:
     """What a diagnosis named, and where; empty of any other run, or where the file has it in another form."""
     causes = result.get("causes", ())
@@ -238,22 +246,12 @@ def _named(result: dict[str, Any]) -> str:
         return ""
 
 
-def _text(data: dict[str, Any], key: str, otherwise: str = "") -> str:
-    return _checked(data.get(key, otherwise), key)
-
-
-def _checked(value: Any, what: str) -> str:
-    """A text that the database, a terminal and a page can take."""
+def _text(value: Any, what: str) -> str:
+    """A text that a terminal and a page can take."""
     if not isinstance(value, str) or not value.isprintable():
         raise ValueError(f"{what} is no text")
     value.encode()  # half a character is none
     return value
-
-
-def _numbers(values: Any, what: str) -> list[float | None]:
-    if not isinstance(values, list):
-        raise ValueError(f"{what} is no list")
-    return [None if value is None else _number(value, what) for value in values]
 
 
 def _number(value: Any, what: str) -> float:
@@ -262,7 +260,11 @@ def _number(value: Any, what: str) -> float:
     return float(value)
 
 
-def _texts(values: Any, what: str) -> list[str]:
+def _numbers(values: Any, what: str) -> list[float | None]:
+    return _list(lambda value, name: None if value is None else _number(value, name), values, what)
+
+
+def _list(checked: Callable[[Any, str], Value], values: Any, what: str) -> list[Value]:
     if not isinstance(values, list):
         raise ValueError(f"{what} is no list")
-    return [_checked(value, what) for value in values]
+    return [checked(value, what) for value in values]
