@@ -10,13 +10,12 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterator
-from dataclasses import asdict, is_dataclass
-from enum import Enum
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic_core import to_jsonable_python
 
 from agent.core import InputError, read_json, sha256_file, sha256_text
 from agent.recipe import Recipe, ViaPointsSection
@@ -46,14 +45,14 @@ def problem(recipe: Recipe) -> dict[str, Any]:
     parts = {
         # no loop depends on what a person may mount for another motion
         "robot": {key: value for key, value in recipe.robot.to_dict().items() if key != "rated_payload"},
-        "tool": _plain(recipe.tool),
-        "cell": _plain(recipe.cell),
+        "tool": recipe.tool,
+        "cell": recipe.cell,
         "sub_region": _sub_region(recipe.motion.via_points),
-        "settings": _plain(recipe.motion.settings),
+        "settings": recipe.motion.settings,
         "rate": recipe.record.rate,
         "interpolator": _interpolator(recipe.search.interpolator),
     }
-    return json.loads(json.dumps(parts))  # lists for tuples, as it comes back from a file
+    return to_jsonable_python(parts, fallback=np.ndarray.tolist)  # as it comes back from a file
 
 
 def _sub_region(via: ViaPointsSection) -> dict[str, Any]:
@@ -122,13 +121,11 @@ def differences(then: dict[str, Any], now: dict[str, Any]) -> str:
     for place, before, after in _differing(then, now):
         part, rest = _where(place)
         found.setdefault(part, []).append(f"{rest} {_change(before, after)}".strip())
-    sentences = []
-    for part, changes in found.items():
-        more = f" and {len(changes) - _MAX_LISTED} more" if len(changes) > _MAX_LISTED else ""
-        sentences.append(
-            f"{part} differs from the one this run was planned with: {', '.join(changes[:_MAX_LISTED])}{more}"
-        )
-    return "; ".join(sentences)
+    return "; ".join(
+        f"{part} differs from the one this run was planned with: {', '.join(changes[:_MAX_LISTED])}"
+        + (f" and {len(changes) - _MAX_LISTED} more" if len(changes) > _MAX_LISTED else "")
+        for part, changes in found.items()
+    )
 
 
 def _where(place: tuple[str, ...]) -> tuple[str, str]:
@@ -200,19 +197,3 @@ def _file_digest(path: Path) -> str:
         return sha256_file(path)
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
-
-
-def _plain(value: Any) -> Any:
-    if is_dataclass(value) and not isinstance(value, type):
-        return {key: _plain(item) for key, item in asdict(value).items()}
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
-    if isinstance(value, np.ndarray):
-        return value.tolist()
-    if isinstance(value, Enum):
-        return value.value
-    if isinstance(value, Path):
-        return str(value)
-    return value

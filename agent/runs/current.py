@@ -7,17 +7,19 @@ always a whole model. Nothing here writes to a controller.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import re
 import shutil
+from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from agent.core import AgentError, Console, InputError, read_json, sha256_file, sha256_text
-from agent.runs.folder import RunFolder, write_json
+from agent.runs.folder import RunFolder, from_plain, write_json
 from agent.runs.history import which_machine
 from agent.runs.past_run import controller_key, read_parameters, read_run
 
@@ -84,10 +86,11 @@ def apply_run(logs: Path, run: Path) -> Applied:
         before = None
     if before is not None and before.sha256 == sha256 and before.run == past.run:
         return before
-    try:
+    with _writable(place):
         version = _fresh(place / "versions")
         shutil.copyfile(model, version / "model.json")
-        _flush(version / "model.json")
+        with open(version / "model.json", "rb+") as file:
+            os.fsync(file.fileno())
         about = {
             "schema": "current/1",
             "run": past.run,
@@ -99,8 +102,6 @@ def apply_run(logs: Path, run: Path) -> Applied:
         }
         write_json(version / "about.json", about)
         _point(place, version.name)
-    except OSError as error:
-        raise AgentError(f"{place}: the model cannot be applied: {error.strerror}; free space or rights?") from None
     return _about(place / "current")
 
 
@@ -129,18 +130,14 @@ def apply_previous(logs: Path, robot: str | None = None, serial: str | None = No
         InputError: nothing was applied before, or it is not clear on which robot.
     """
     found, damaged = _all_current(logs)
-    places = [
-        (place, about)
-        for place, about in found.items()
-        if robot in (None, about.robot) and serial in (None, about.serial)
-    ]
+    places = [one for one in found.items() if robot in (None, one[1].robot) and serial in (None, one[1].serial)]
     if not places and damaged:
         raise InputError("; ".join(damaged))
-    if not places and found:
-        names = ", ".join(f"{about.robot} {about.serial}".strip() for about in found.values())
-        raise InputError(f"{logs / _FOLDER}: no model was applied of {which_machine(robot, serial)}; there is: {names}")
-    if not places:
+    there = ", ".join(f"{about.robot} {about.serial}".strip() for about in found.values())
+    if not found:
         raise InputError(f"{logs / _FOLDER}: no model was applied yet, so there is none to go back from")
+    if not places:
+        raise InputError(f"{logs / _FOLDER}: no model was applied of {which_machine(robot, serial)}; there is: {there}")
     if len(places) > 1:
         names = ", ".join(f"{about.robot} {about.serial}".strip() for _, about in places)
         raise InputError(f"several robots have a current model ({names}); say which with --robot and --serial")
@@ -148,10 +145,8 @@ def apply_previous(logs: Path, robot: str | None = None, serial: str | None = No
     if about.previous is None:
         raise InputError(f"{place}: {about.run} was the first model applied; there is none before it")
     _about(place / "versions" / about.previous)  # a damaged one is not gone back to
-    try:
+    with _writable(place):
         _point(place, about.previous)
-    except OSError as error:
-        raise AgentError(f"{place}: the model cannot be applied: {error.strerror}; free space or rights?") from None
     return _about(place / "current")
 
 
@@ -180,13 +175,8 @@ def register_run(run: RunFolder, console: Console) -> None:
 
 def _about(version: Path) -> Applied:
     try:
-        data = read_json(version / "about.json")
-        data.pop("schema")
-        applied = Applied(model=version / "model.json", **data)
-        for field in (applied.run, applied.robot, applied.serial, applied.sha256, applied.previous or ""):
-            if not isinstance(field, str):
-                raise ValueError("texts are expected in it")
-    except (InputError, OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        applied = from_plain(Applied, {**read_json(version / "about.json"), "model": version / "model.json"})
+    except (InputError, OSError, ValueError, TypeError) as error:
         raise InputError(f"{version / 'about.json'}: cannot be read ({error}); apply a run again") from None
     if not applied.model.is_file() or sha256_file(applied.model) != applied.sha256:
         raise InputError(f"{applied.model}: missing or changed since it was applied; apply a run again")
@@ -225,9 +215,12 @@ def _fresh(versions: Path) -> Path:
     return path
 
 
-def _flush(path: Path) -> None:
-    with open(path, "rb+") as file:
-        os.fsync(file.fileno())
+@contextlib.contextmanager
+def _writable(place: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise AgentError(f"{place}: the model cannot be applied: {error.strerror}; free space or rights?") from None
 
 
 def _point(place: Path, version: str) -> None:

@@ -8,7 +8,7 @@ import platform
 from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from agent.core import (
     AgentError,
@@ -23,6 +23,7 @@ from agent.core import (
 )
 
 _STATE = "state.json"
+Kind = TypeVar("Kind")
 
 
 class RunFolder:
@@ -170,6 +171,21 @@ def make_folder(folder: Path, what: str) -> None:
 def write_json(path: Path, data: Any) -> Path:
     """Write JSON as `write_atomically` does; a number that is not finite becomes null."""
     return write_atomically(path, json.dumps(finite(data), indent=2, allow_nan=False) + "\n")
+
+
+def from_plain(kind: type[Kind], data: dict[str, Any]) -> Kind:
+    """A dataclass from what a file said.
+
+    Raises:
+        ValueError: a value is missing, or of the wrong type.
+    """
+    from pydantic import TypeAdapter, ValidationError
+
+    try:
+        return TypeAdapter(kind).validate_python(data)
+    except ValidationError as error:
+        fault = error.errors()[0]
+        raise ValueError(f"{'.'.join(map(str, fault['loc']))}: {fault['msg']}") from None
 
 
 def versions() -> dict[str, str]:

@@ -12,7 +12,7 @@ import numpy as np
 from agent.core import InputError, read_json, sha256_text
 from agent.recipe import Recipe
 from agent.runs.approved import digest, problem
-from agent.runs.folder import make_folder, write_json
+from agent.runs.folder import from_plain, make_folder, write_json
 
 #: Where loops are kept by default: among the runs.
 FOLDER = Path("logs") / "trajectories"
@@ -112,7 +112,8 @@ def stored_loops(folder: Path = FOLDER, damaged: list[str] | None = None) -> lis
                 raise
             damaged.append(str(error))
     loops.sort(key=lambda loop: loop.created, reverse=True)
-    return sorted(loops, key=lambda loop: (loop.robot, loop.key))
+    loops.sort(key=lambda loop: (loop.robot, loop.key))
+    return loops
 
 
 def find_loop(recipe: Recipe, folder: Path = FOLDER, program: str | None = None) -> StoredLoop | None:
@@ -152,13 +153,8 @@ def _read(path: Path) -> StoredLoop:
         data = read_json(path)
         if data.pop("schema") != _SCHEMA:
             raise ValueError("another schema")
-        for key in ("genome", "poses", "start"):
-            data[key] = _tuples(np.array(data[key], dtype=float))
-        loop = StoredLoop(**data)
-        for key in ("key", "robot", "created", "program", "program_name", "checksum"):
-            if not isinstance(data[key], str):
-                raise ValueError(f"{key} is no text")
-    except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
+        loop = from_plain(StoredLoop, data)
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError(f"{path}: not a stored loop ({error}); move it away") from None
     if sha256_text(loop.program) != loop.checksum:
         raise InputError(f"{path}: its program is not the one that was stored (checksum differs); move it away")
@@ -166,7 +162,5 @@ def _read(path: Path) -> StoredLoop:
 
 
 def _tuples(array: np.ndarray) -> Any:
-    def nested(value: Any) -> Any:
-        return tuple(nested(item) for item in value) if isinstance(value, list) else value
-
-    return nested(np.asarray(array, dtype=float).tolist())
+    rows = array.tolist()
+    return tuple(tuple(map(tuple, row)) if array.ndim == 3 else row for row in rows)
