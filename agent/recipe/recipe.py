@@ -2,17 +2,27 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
-from collections.abc import Iterator
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from agent.core import Dimension, InputError, find_faults, line_of, parse_quantity, read_yaml, without_faults
-from agent.motion import MotionSettings
+import numpy as np
+
+from agent.core import (
+    Dimension,
+    InputError,
+    find_faults,
+    line_of,
+    parse_quantity,
+    read_yaml,
+    sha256_text,
+    without_faults,
+)
+from agent.motion import MotionSettings, pose_of
 from agent.recipe.quantities import BARE_ANGLE, BARE_PLACE
-from agent.recipe.ranges import range_faults
 from agent.recipe.schema import (
     ControllerSection,
     EstimateSection,
@@ -21,15 +31,20 @@ from agent.recipe.schema import (
     RecipeDocument,
     RecordSection,
     SearchSection,
+    ToolSection,
     ValidateSection,
     ViaPointsSection,
 )
-from agent.recipe.tool import tool_of
 from agent.robot import Box, RobotDescription, builtin_robots, load_robot
 from drivers.texts import place_of
 
 if TYPE_CHECKING:
     from agent.robot import Tool
+
+Place = tuple[str, ...]
+#: No joint with stops goes farther from its zero [rad]. The widest wrists turn seven times and a half to either side,
+#: and a description in degrees has a joint that goes to 63 or more.
+_FARTHEST = 20 * np.pi
 
 
 @dataclass(frozen=True)
@@ -149,15 +164,9 @@ def recipe_schema() -> dict[str, Any]:
     }
 
 
-def _contradictions(  # noqa: C901
-    path: Path, document: RecipeDocument, robot: RobotDescription
-) -> Iterator[tuple[tuple[str, ...], str]]:
+def _contradictions(path: Path, document: RecipeDocument, robot: RobotDescription) -> Iterator[tuple[Place, str]]:
     """What is wrong between values that are each right by themselves."""
-    from agent.motion import interpolator_names, is_file_name, load_law
-    from drivers.errors import ConfigurationError
-    from drivers.registry import available, create
-
-    for fault in range_faults(robot, document.cell.joint_ranges):
+    for fault in _range_faults(robot, document.cell.joint_ranges):
         yield ("robot",), f"{document.robot}: {fault}"
     limits = robot.cartesian_limits
     speeds = {("motion", "speed"): document.motion.speed, ("validate", "speed"): document.validate_.speed}
@@ -168,24 +177,8 @@ def _contradictions(  # noqa: C901
     if cutoff >= rate / 2:
         message = f"{cutoff:g} Hz is not below half of record.rate, {rate / 2:g} Hz: no such filter exists"
         yield ("estimate", "filter", "cutoff"), message
-    if document.controller.driver not in available():
-        message = f"there is no driver {place_of(document.controller.driver)!r}; allowed are {', '.join(available())}"
-        yield ("controller", "driver"), message
-    else:
-        try:
-            create(document.controller.driver, document.controller.address)  # opens nothing
-        except ConfigurationError as error:
-            yield ("controller", "address"), str(error)
-    interpolators = interpolator_names()
-    if is_file_name(document.search.interpolator):
-        try:
-            load_law(path.parent / document.search.interpolator, robot)
-        except InputError as error:
-            yield ("search", "interpolator"), str(error)
-    elif document.search.interpolator not in interpolators:
-        message = f"there is no interpolator {document.search.interpolator!r}; allowed are {', '.join(interpolators)}"
-        message += ", or the .yaml file of a learned one"
-        yield ("search", "interpolator"), message
+    yield from _controller_faults(document.controller)
+    yield from _interpolator_faults(path.parent, document.search.interpolator, robot)
     for name in document.cell.joint_ranges:
         try:
             _joint_range(name, document, robot)
@@ -194,6 +187,63 @@ def _contradictions(  # noqa: C901
     like = document.motion.via_points.like
     if like is not None and not os.path.isfile(path.parent / like):
         yield ("motion", "via_points", "like"), f"{path.parent / like}: no such file; a program (.pdl) or a log (.mcap)"
+
+
+def _controller_faults(controller: ControllerSection) -> Iterator[tuple[Place, str]]:
+    from drivers.errors import ConfigurationError
+    from drivers.registry import available, create
+
+    if controller.driver not in available():
+        message = f"there is no driver {place_of(controller.driver)!r}; allowed are {', '.join(available())}"
+        yield ("controller", "driver"), message
+        return
+    try:
+        create(controller.driver, controller.address)  # opens nothing
+    except ConfigurationError as error:
+        yield ("controller", "address"), str(error)
+
+
+def _interpolator_faults(folder: Path, name: str, robot: RobotDescription) -> Iterator[tuple[Place, str]]:
+    from agent.motion import interpolator_names, is_file_name, load_law
+
+    known = interpolator_names()
+    if is_file_name(name):
+        try:
+            load_law(folder / name, robot)
+        except InputError as error:
+            yield ("search", "interpolator"), str(error)
+    elif name not in known:
+        message = (
+            f"there is no interpolator {name!r}; allowed are {', '.join(known)}, or the .yaml file of a learned one"
+        )
+        yield ("search", "interpolator"), message
+
+
+def _range_faults(robot: RobotDescription, narrowed: Collection[str]) -> Iterator[str]:
+    """What keeps a motion from being judged by the joints' ranges: those that are missing, or look like degrees.
+
+    A recipe is what arms are moved by; a log needs no limits to be read. `narrowed`: names of joints whose range is
+    given elsewhere.
+    """
+    asked = [joint for joint in robot.joints if joint.name not in narrowed]
+    elements = {e.get("name"): e for e in ElementTree.fromstring(robot.urdf).findall("joint")}
+    for joint in asked:
+        kind = elements[joint.name].get("type")
+        missing = [end for end in ("lower", "upper") if np.isinf(getattr(joint, end))]
+        if missing and kind != "continuous":
+            yield (
+                f"joint {joint.name!r} is {kind}, and its URDF gives it no {' and no '.join(missing)} limit, so that "
+                "nothing would keep a motion from its stops: put <limit lower=... upper=...> into the URDF "
+                f"({'m' if joint.prismatic else 'rad'}) or a range into cell.joint_ranges"
+                f"{'' if joint.prismatic else '; a joint that turns without end is continuous'}"
+            )
+    far = [joint for joint in asked if not joint.prismatic and _FARTHEST < max(-joint.lower, joint.upper) < np.inf]
+    if far:
+        yield (
+            f"joint {far[0].name!r}{f' and {len(far) - 1} more' if far[1:] else ''}: a range of {far[0].lower:g} to "
+            f"{far[0].upper:g} rad, more than ten turns from zero, looks like degrees; a URDF has radians. Where it is "
+            "meant so, say in cell.joint_ranges how far the joint may go, or make it continuous"
+        )
 
 
 def _recipe(path: Path, document: RecipeDocument, robot: RobotDescription) -> Recipe:
@@ -220,10 +270,10 @@ def _recipe(path: Path, document: RecipeDocument, robot: RobotDescription) -> Re
     resolved = {
         "path": path,
         "text": text,
-        "sha256": hashlib.sha256(text.encode("utf-8")).hexdigest(),
+        "sha256": sha256_text(text),
         "robot": robot,
         "robot_source": document.robot if document.robot in builtin_robots() else str(path.parent / document.robot),
-        "tool": tool_of(document.tool),
+        "tool": None if document.tool is None else _tool(document.tool),
         "cell": CellDescription(
             tuple(Box(entry.name, entry.box.min, entry.box.max) for entry in document.cell.keep_out),
             {name: _joint_range(name, document, robot) for name in document.cell.joint_ranges},
@@ -248,3 +298,12 @@ def _joint_range(name: str, document: RecipeDocument, robot: RobotDescription) -
             f"{lower:g} to {upper:g} {unit} is outside the joint's own range, {joint.lower:g} to {joint.upper:g} {unit}"
         )
     return lower, upper
+
+
+def _tool(section: ToolSection) -> Tool:
+    from agent.robot import Tool
+
+    frame = pose_of(section.frame)
+    # The recipe's centre of mass is in the flange's frame, as on a controller's panel; `Tool` has it in the TCP's.
+    flange = np.zeros(3) if section.centre_of_mass is None else np.array(section.centre_of_mass)
+    return Tool(frame=frame, mass=section.mass, centre_of_mass=frame[:3, :3].T @ (flange - frame[:3, 3]))
