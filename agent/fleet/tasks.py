@@ -11,16 +11,18 @@ import contextlib
 import fnmatch
 import hashlib
 import json
-import posixpath
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from agent.core import InputError
+from agent.core import InputError, sha256_text
 from agent.fleet.store import Store, StoredFile
+
+if TYPE_CHECKING:
+    from agent.robot import RobotDescription
 
 KINDS = ("estimate", "validate", "diagnose")
 #: Which logs of a run folder of the agent go into what; of any other folder all do.
@@ -37,43 +39,39 @@ _NO_FIGURES, _LIBRARIES = ("cli", "notebook", "report"), ("numpy", "scipy", "pin
 
 
 @dataclass(frozen=True)
-class Given:
-    """A file that the command line names for all robots, on its way to the workers."""
-
-    name: str
-    content: bytes
-
-
-@dataclass(frozen=True)
 class RunQuestion:
     """What is asked of every run: the options of the single command, with the same meaning.
 
-    `robot` is a built-in robot's name, or "" where the description is in the store or among `given`; `model` is the
-    name of the model file to look for in or above each run, or of the one among `given`; "" for none.
+    `robot` is None where the description is in the store. `model` is the name of the model file to look for in or above
+    each run, or, with its `model_content`, that of the one for all; "" for none.
     """
 
     kind: str
-    robot: str = ""
+    robot: RobotDescription | None = None
     model: str = ""
+    model_content: bytes | None = None
     cutoff: float | None = None
     method: str | None = None
     structure: str = "rigid"
     without: tuple[str, ...] = ()
     allow_mixed: bool = False
     force: bool = False
-    given: tuple[Given, ...] = ()
 
     @property
     def key(self) -> str:
         """Of everything but the inputs that the figures hang on (16 hex digits)."""
-        asked = asdict(replace(self, given=()))
-        asked["given"] = [(one.name, hashlib.sha256(one.content).hexdigest()) for one in self.given]
-        asked["version"] = figures_version()
-        return hashlib.sha256(json.dumps(asked, sort_keys=True).encode()).hexdigest()[:16]
+        asked = {
+            **vars(self),
+            "robot": None if self.robot is None else self.robot.to_dict(),
+            "model_content": hashlib.sha256(self.model_content or b"").hexdigest(),
+            "version": figures_version(),
+        }
+        return sha256_text(json.dumps(asked, sort_keys=True))[:16]
 
-    def gives(self, name: str) -> bool:
-        """Whether the command line gives a file of this name."""
-        return any(PurePosixPath(one.name).name == name for one in self.given)
+    @property
+    def wanted_model(self) -> str:
+        """Name of the model file that every run has to have; "" where there is one for all, or none."""
+        return self.model if self.model_content is None else ""
 
 
 @dataclass(frozen=True)
@@ -122,7 +120,7 @@ def figures_version() -> str:
 
 
 def make_question(kind: str, robot: str | None, model: str | None, **options: Any) -> RunQuestion:
-    """A question, with the files that `robot` and `model` name on this machine read.
+    """A question, with what `robot` and `model` name on this machine.
 
     A `model` that is no file here is a name to look for in or above every run.
 
@@ -132,24 +130,19 @@ def make_question(kind: str, robot: str | None, model: str | None, **options: An
     from agent.diagnosis import check_effects
     from agent.estimation import EstimationSettings
     from agent.pipeline import check_structure
-    from agent.robot import builtin_robots, load_robot
+    from agent.robot import load_robot
 
     # what no run can answer is reported once, before any is run
     check_effects(options.get("without", ()))
     EstimationSettings.create(cutoff=options.get("cutoff"), method=options.get("method"))
     check_structure(options.get("structure", "rigid"))
-    given: list[Given] = []
-    if robot is not None:
-        load_robot(robot)
-        if robot not in builtin_robots():
-            given += _description(Path(robot))
-    described = bool(given)
+    content = None
     if model and Path(model).is_file():
-        given.append(Given(Path(model).name, Path(model).read_bytes()))
-        model = Path(model).name
+        content, model = Path(model).read_bytes(), Path(model).name
     elif model and ("/" in model or "\\" in model):
         raise InputError(f"{model}: no such model file; name one, or the name that it has in or above every run")
-    return RunQuestion(kind, robot if robot and not described else "", model or "", given=tuple(given), **options)
+    described = None if robot is None else load_robot(robot)
+    return RunQuestion(kind, described, model or "", content, **options)
 
 
 def find_tasks(store: Store, question: RunQuestion) -> SourceTasks:
@@ -158,7 +151,7 @@ def find_tasks(store: Store, question: RunQuestion) -> SourceTasks:
     Raises:
         InputError: there is no folder with logs, or none of them has the model that was named.
     """
-    wanted = {_STATE, _ROBOT, _PAGE, RUN_MODEL, question.model}
+    wanted = {_STATE, _ROBOT, _PAGE, RUN_MODEL, question.wanted_model}
     folders: dict[str, dict[str, StoredFile]] = {}
     listing: dict[str, tuple[int, str]] = {}
     for file in store.files():
@@ -171,13 +164,13 @@ def find_tasks(store: Store, question: RunQuestion) -> SourceTasks:
     if not tasks:
         raise InputError(f"{store.url}: no folder in it has logs (*.mcap) for {question.kind}")
     # what robot it is, a validation's model says, and a diagnosis's
-    told = question.robot or question.gives(_ROBOT) or question.kind == "validate" or question.model
+    told = question.robot is not None or question.kind == "validate" or question.model
     if not told and all(task.description is None and task.state is None for task in tasks):
         raise InputError(
             f"{store.url}: there is no {_ROBOT} in or above any run; put one there, or name the robot with --robot"
         )
-    model = question.model
-    if model and not question.gives(model) and all(task.model is None for task in tasks):
+    model = question.wanted_model
+    if model and all(task.model is None for task in tasks):
         raise InputError(
             f"{store.url}: no run in it has {model} in or above it; name a model file with --model, or the name that "
             "it has there"
@@ -192,13 +185,14 @@ def _task(store: Store, question: RunQuestion, folders: Mapping[str, Mapping[str
     patterns = _OF_A_RUN[question.kind] if state is not None else ("*.mcap",)
     # as a shell sorts them, within each pattern
     logs = tuple(here[name] for pattern in patterns for name in sorted(fnmatch.filter(here, pattern)))
-    asked = question.robot or question.gives(_ROBOT)
-    above = None if asked else _nearest(folders, folder, _ROBOT)
-    described = above or (here.get(RUN_MODEL) if state is not None and not asked else None)
-    model = question.model and not question.gives(question.model) and _nearest(folders, folder, question.model)
+    above = described = None
+    if question.robot is None:
+        above = _nearest(folders, folder, _ROBOT)
+        described = above or (here.get(RUN_MODEL) if state is not None else None)
+    model = _nearest(folders, folder, question.wanted_model)
     page = here[_PAGE].path if _PAGE in here else ""
     robot = _whose(store, folder, above, state) if logs else ""
-    return Task(question, store.url, robot, folder, logs, described, model or None, state, page)
+    return Task(question, store.url, robot, folder, logs, described, model, state, page)
 
 
 def _whose(store: Store, folder: str, described: StoredFile | None, state: StoredFile | None) -> str:
@@ -222,15 +216,3 @@ def _nearest(folders: Mapping[str, Mapping[str, StoredFile]], folder: str, name:
     path = PurePosixPath(folder)
     places = (folders.get(str(place), {}) for place in (path, *path.parents))
     return next((files[name] for files in places if name in files), None)
-
-
-def _description(path: Path) -> Sequence[Given]:
-    """A description and its URDF, at places as they have them to each other."""
-    from agent.core import read_yaml
-
-    path = path / _ROBOT if path.is_dir() else path
-    urdf = PurePosixPath(str(read_yaml(path)["urdf"]))
-    described = Given("/".join(["above"] * urdf.parts.count("..") + [_ROBOT]), path.read_bytes())
-    if urdf.is_absolute():  # the workers have to have it there, too
-        return [described]
-    return [described, Given(posixpath.normpath(f"{described.name}/../{urdf}"), (path.parent / urdf).read_bytes())]

@@ -56,9 +56,8 @@ class TaskRow:
 
 @dataclass
 class _Inputs:
-    """The files of a task on this machine: `given` those of the command line, the others fetched from the store."""
+    """The files of a task on this machine, and what was read of them."""
 
-    task: Task
     store: Store
     folder: Path
     read: list[dict[str, Any]] = field(default_factory=list)
@@ -71,17 +70,6 @@ class _Inputs:
         self.read.append({"path": file.path, "size": file.size, "stamp": file.stamp, "sha256": sha256_file(path)})
         return path
 
-    def given(self, suffix: str) -> Path | None:
-        """Path of the file of the command line with this end of its name, with all others at their places."""
-        found = None
-        for one in self.task.question.given:
-            path = self.folder / "given" / one.name
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_bytes(one.content)
-            if suffix and one.name.endswith(suffix):
-                found = path
-        return found
-
     def optional(self, file: StoredFile | None) -> Path | None:
         """The same as `fetch` where there is one."""
         return None if file is None else self.fetch(file)
@@ -93,7 +81,7 @@ def run_task(task: Task) -> TaskRow:
 
     began = time.process_time()
     with swept_folder(SCRATCH) as folder:
-        inputs = _Inputs(task, Store(task.source), folder)
+        inputs = _Inputs(Store(task.source), folder)
         row: dict[str, Any] | None
         model = b""
         try:
@@ -113,7 +101,7 @@ def run_task(task: Task) -> TaskRow:
             row = {"status": "error", "exit_code": 1, "reason": reason}
         if row is not None:
             # messages name files as they are called in the source, not where a worker had them
-            places = (f"{folder}/source/", f"{folder}/given/", f"{inputs.store.absolute}/")
+            places = (f"{folder}/source/", f"{folder}/", f"{inputs.store.absolute}/")
             here = re.compile("|".join(re.escape(place) for place in places))
             row = {"started": _named_date(task.run), "warnings": [], **row}
             row |= {"reason": here.sub("", row["reason"]), "warnings": [here.sub("", text) for text in row["warnings"]]}
@@ -123,7 +111,10 @@ def run_task(task: Task) -> TaskRow:
 
 def _work(task: Task, inputs: _Inputs) -> tuple[dict[str, Any] | None, bytes]:
     robot = _robot(task, inputs)
-    model = inputs.given(task.question.model) or inputs.optional(task.model)
+    model = inputs.optional(task.model)
+    if task.question.model_content is not None:
+        model = inputs.folder / task.question.model
+        model.write_bytes(task.question.model_content)
     logs = [inputs.fetch(file) for file in task.logs]
     state = inputs.optional(task.state)
     if task.known and dict(task.known) == {entry["path"]: entry["sha256"] for entry in inputs.read}:
@@ -133,14 +124,12 @@ def _work(task: Task, inputs: _Inputs) -> tuple[dict[str, Any] | None, bytes]:
 
 
 def _robot(task: Task, inputs: _Inputs) -> str | RobotDescription | None:
-    """What `--robot` would be: a name, or the path of the description with its URDF; of a run folder of the agent
-    without one, the robot of its model, or the built-in one that it names."""
+    """The robot of all, or the path of the description with its URDF; of a run folder of the agent without one, the
+    robot of its model, or the built-in one that it names."""
     from agent.robot import builtin_robots
 
-    if task.question.robot:
+    if task.question.robot is not None:
         return task.question.robot
-    if (given := inputs.given("robot.yaml")) is not None:
-        return str(given)
     if task.description is None:
         name = _told(inputs.optional(task.state)).get("robot")
         return name if name in builtin_robots() else None
