@@ -6,9 +6,10 @@ import contextlib
 import json
 import platform
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar
 
 from agent.core import (
     AgentError,
@@ -24,6 +25,19 @@ from agent.core import (
 
 _STATE = "state.json"
 Kind = TypeVar("Kind")
+
+
+@dataclass
+class _State:
+    """What every run's state has."""
+
+    schema: Literal["run/1"]
+    robot: str
+    started: str
+    status: str
+    steps: dict[str, dict[str, Any]]
+    inputs_sha256: dict[str, str]
+    versions: dict[str, str]
 
 
 class RunFolder:
@@ -77,12 +91,13 @@ class RunFolder:
         kind = state.get("kind") if isinstance(state, dict) else None
         if kind in ("recalibrate", "diagnose"):
             raise InputError(f"{path}: only calibrations are gone on with; start this one again: `agent {kind}`")
-        schema = state.get("schema") if isinstance(state, dict) else None
-        if schema != "run/1" or not _whole(state):
+        try:
+            from_plain(_State, state)
+        except ValueError as error:
             raise InputError(
-                f"{path / _STATE}: damaged, or of another version of the agent (schema {str(schema)[:20]!r}); start a "
-                "new run without --resume"
-            )
+                f"{path / _STATE}: damaged, or of another version of the agent ({error}); start a new run without "
+                "--resume"
+            ) from None
         if state["inputs_sha256"].get("recipe.yaml") != recipe_sha256:
             raise InputError(f"{path}: this run was started with another recipe; start a new run without --resume")
         if state["status"] in ("finished", "rejected"):
@@ -192,19 +207,6 @@ def versions() -> dict[str, str]:
     """Versions of the agent and of what its figures depend on."""
     packages = ("calibration-agent", "numpy", "scipy", "pin", "mcap")
     return {"python": platform.python_version(), **{package: package_version(package) for package in packages}}
-
-
-def _whole(state: dict[str, Any]) -> bool:
-    """Whether a state has what every run's has."""
-    steps, inputs = state.get("steps"), state.get("inputs_sha256")
-    return (
-        isinstance(steps, dict)
-        and all(isinstance(step, dict) for step in steps.values())
-        and isinstance(inputs, dict)
-        and isinstance(state.get("versions"), dict)
-        and all(isinstance(value, str) for value in (*inputs.values(), *state["versions"].values()))
-        and all(isinstance(state.get(key), str) for key in ("robot", "started", "status"))
-    )
 
 
 def _fresh_folder(root: Path, name: str) -> Path:
