@@ -41,7 +41,7 @@ from drivers.texts import place_of
 if TYPE_CHECKING:
     from agent.robot import Tool
 
-Place = tuple[str, ...]
+Location = tuple[str, ...]
 #: No joint with stops goes farther from its zero [rad]. The widest wrists turn seven times and a half to either side,
 #: and a description in degrees has a joint that goes to 63 or more.
 _FARTHEST = 20 * np.pi
@@ -164,7 +164,7 @@ def recipe_schema() -> dict[str, Any]:
     }
 
 
-def _contradictions(path: Path, document: RecipeDocument, robot: RobotDescription) -> Iterator[tuple[Place, str]]:
+def _contradictions(path: Path, document: RecipeDocument, robot: RobotDescription) -> Iterator[tuple[Location, str]]:
     """What is wrong between values that are each right by themselves."""
     for fault in _range_faults(robot, document.cell.joint_ranges):
         yield ("robot",), f"{document.robot}: {fault}"
@@ -189,7 +189,7 @@ def _contradictions(path: Path, document: RecipeDocument, robot: RobotDescriptio
         yield ("motion", "via_points", "like"), f"{path.parent / like}: no such file; a program (.pdl) or a log (.mcap)"
 
 
-def _controller_faults(controller: ControllerSection) -> Iterator[tuple[Place, str]]:
+def _controller_faults(controller: ControllerSection) -> Iterator[tuple[Location, str]]:
     from drivers.errors import ConfigurationError
     from drivers.registry import available, create
 
@@ -203,7 +203,7 @@ def _controller_faults(controller: ControllerSection) -> Iterator[tuple[Place, s
         yield ("controller", "address"), str(error)
 
 
-def _interpolator_faults(folder: Path, name: str, robot: RobotDescription) -> Iterator[tuple[Place, str]]:
+def _interpolator_faults(folder: Path, name: str, robot: RobotDescription) -> Iterator[tuple[Location, str]]:
     from agent.motion import interpolator_names, is_file_name, load_law
 
     known = interpolator_names()

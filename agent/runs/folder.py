@@ -28,7 +28,7 @@ Kind = TypeVar("Kind")
 
 
 @dataclass
-class _State:
+class RunState:
     """What every run's state has."""
 
     schema: Literal["run/1"]
@@ -92,7 +92,7 @@ class RunFolder:
         if kind in ("recalibrate", "diagnose"):
             raise InputError(f"{path}: only calibrations are gone on with; start this one again: `agent {kind}`")
         try:
-            from_plain(_State, state)
+            from_plain(RunState, state)
         except ValueError as error:
             raise InputError(
                 f"{path / _STATE}: damaged, or of another version of the agent ({error}); start a new run without "
