@@ -13,7 +13,7 @@ Torque of logs is inverse dynamics of the description, rotors, friction with a s
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -139,58 +139,32 @@ def _run(name: str, week: int) -> str:
 def _write_logs(store: Store, fleet: Fleet, robot: RobotDescription, seed: int) -> list[str]:
     from agent.recording import write_log
 
-    motion = _motion(robot, seed)
+    still, rigid, friction = _motion(robot, seed)
+    decay = (np.exp(-still.t / _DECAY) - 1)[:, None]
     for machine, name in enumerate(fleet.names):
         store.put(f"{name}/robot.yaml", _description(robot).encode())
         store.put(f"{name}/robot.urdf", robot.urdf.encode())
         for week in range(fleet.friction.shape[1]):
-            log = motion.log(fleet, machine, week, np.random.default_rng((seed, machine, week)))
+            rng = np.random.default_rng((seed, machine, week))
+            cooling = 1 + fleet.answer[machine] * fleet.cold[machine, week] * decay
+            torque = rigid + friction * fleet.friction[machine, week] * cooling
+            log = replace(
+                still,
+                effort=torque + _NOISE * _nominal(robot) * rng.normal(size=torque.shape),
+                position=still.position + 2e-6 * rng.normal(size=torque.shape),
+                stamp=_week(week).timestamp(),
+                metadata={"robot": robot.name, "motion": "excitation", "serial": name},
+            )
             with TemporaryDirectory() as folder:
                 write_log(Path(folder) / "excitation.mcap", log)
                 store.put(f"{_run(name, week)}/excitation.mcap", Path(folder) / "excitation.mcap")
     return [store.url]
 
 
-@dataclass(frozen=True, eq=False)
-class _Motion:
-    """One cycle's motion, repeated, and what it needs of torque but for friction and noise: arrays (S, n)."""
-
-    robot: RobotDescription
-    t: np.ndarray
-    q: np.ndarray
-    rigid: np.ndarray
-    friction: np.ndarray
-
-    def log(self, fleet: Fleet, machine: int, week: int, rng: np.random.Generator) -> Log:
-        from agent.recording import Log
-
-        cooling = 1 + fleet.answer[machine] * fleet.cold[machine, week] * (np.exp(-self.t / _DECAY) - 1)[:, None]
-        torque = self.rigid + self.friction * fleet.friction[machine, week] * cooling
-        torque = torque + _NOISE * _nominal(self.robot) * rng.normal(size=torque.shape)
-        return Log(
-            path=Path("excitation.mcap"),
-            joint_names=self.robot.joint_names,
-            t=self.t,
-            position=self.q + 2e-6 * rng.normal(size=self.q.shape),
-            velocity=None,
-            effort=torque,
-            reference_position=None,
-            planned_position=None,
-            sample_rate=_RATE,
-            stamp=_week(week).timestamp(),
-            segments=((0, len(self.t)),),
-            cycle_starts=tuple(_PERIOD * k for k in range(_CYCLES)),
-            metadata={"robot": self.robot.name, "motion": "excitation", "serial": fleet.names[machine]},
-        )
-
-
-def _nominal(robot: RobotDescription) -> np.ndarray:
-    """(n,) nominal torque [N·m]; a guess where nobody knows it."""
-    return np.where(np.isfinite(robot.nominal_torque), robot.nominal_torque, 100.0)
-
-
-def _motion(robot: RobotDescription, seed: int) -> _Motion:
-    """Four sines a joint, the same for all machines; within the joints' ranges, speeds and accelerations."""
+def _motion(robot: RobotDescription, seed: int) -> tuple[Log, np.ndarray, np.ndarray]:
+    """The log of four sines a joint, the same for all machines, without noise; what torque (S, n) the bodies need, and
+    friction. Within the joints' ranges, speeds and accelerations."""
+    from agent.recording import Log
     from agent.robot import Dynamics
 
     rng = np.random.default_rng((seed, 1))
@@ -213,7 +187,27 @@ def _motion(robot: RobotDescription, seed: int) -> _Motion:
     rotors = np.array([1e-4 if joint.rotor_inertia is None else joint.rotor_inertia for joint in robot.joints])
     rigid = Dynamics(robot).inverse_dynamics(q, qd, qdd) + rotors * robot.gear_ratios**2 * qdd
     share = qd / robot.max_velocity
-    return _Motion(robot, t, q, rigid, _nominal(robot) * (0.08 * np.tanh(share / _REVERSAL) + 0.08 * share))
+    log = Log(
+        path=Path("excitation.mcap"),
+        joint_names=robot.joint_names,
+        t=t,
+        position=q,
+        velocity=None,
+        effort=rigid,
+        reference_position=None,
+        planned_position=None,
+        sample_rate=_RATE,
+        stamp=0.0,
+        segments=((0, len(t)),),
+        cycle_starts=tuple(_PERIOD * k for k in range(_CYCLES)),
+        metadata={},
+    )
+    return log, rigid, _nominal(robot) * (0.08 * np.tanh(share / _REVERSAL) + 0.08 * share)
+
+
+def _nominal(robot: RobotDescription) -> np.ndarray:
+    """(n,) nominal torque [N·m]; a guess where nobody knows it."""
+    return np.where(np.isfinite(robot.nominal_torque), robot.nominal_torque, 100.0)
 
 
 def _description(robot: RobotDescription) -> str:
