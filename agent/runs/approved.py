@@ -1,8 +1,8 @@
-"""What a motion was approved with: everything that decides where the arm goes, by part and as one digest.
+"""The inputs a motion was approved with: everything that decides where the arm goes, by part and as one digest.
 
-A plan, a stored loop, a run and an authorisation carry the digest. Whoever is about to move compares it with what the
-recipe and the files beside it say now, and names what differs. It protects against mistakes and changed files, not
-against somebody who may write all of them: docs/security.md says where that ends.
+A plan, a stored loop, a run and an authorisation carry the digest. Before the arm moves, it is compared with what the
+recipe and its files say now, and every difference is named. This protects against mistakes and changed files, not
+against somebody who may write all of them (docs/security.md).
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ _ABSENT = object()
 
 
 def problem(recipe: Recipe) -> dict[str, Any]:
-    """All that a loop is searched for, checked against and planned with, as plain data.
+    """Everything a loop is searched, checked and planned with, as plain data.
 
-    Files count by their content, not by where they lie.
+    Files count by their content, not by their path.
     """
     parts = {
         # no loop depends on what a person may mount for another motion
@@ -89,10 +89,10 @@ def approve(run: RunFolder, recipe: Recipe) -> None:
 
 
 def check_approved(run: RunFolder, recipe: Recipe) -> None:
-    """What a recipe means now is what a run was planned with.
+    """Check that a recipe still means what the run was planned with.
 
     Raises:
-        InputError: it is not; every part that differs is named, or its record is missing or was changed.
+        InputError: it does not (every part that differs is named), or the record is missing or was changed.
     """
     then, now = approved_parts(run.path, run.state), problem(recipe)
     if digest(then) != digest(now):
@@ -177,7 +177,7 @@ def _by_name(value: Any) -> dict[str, Any] | None:
 
 
 def _interpolator(name: str) -> Any:
-    """Its name, with what tells one installed or licensed interpolator from another of that name."""
+    """Its name, with the files or the package version that identify it."""
     from agent.motion import ARM, CONTROLLER, ENTRY_POINTS, LIBRARY, is_file_name
 
     if is_file_name(name):

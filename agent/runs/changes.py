@@ -1,8 +1,8 @@
-"""Whether a series of runs changed, besides what it follows anyway: least-squares courses, t-tests against no change.
+"""Tests whether a series of runs changed, given a known covariate: least-squares fits, t-tests against no change.
 
-Tried are a drift along time, a drift along the number of runs, and a step after every run; the likeliest is reported.
-Its p-value has paid for the number of alternatives (Bonferroni). The variance of a test is widened by
-(1 + ρ) / (1 - ρ) where residuals are autocorrelated. Nothing is decided here.
+Three kinds of change are tried: a drift along time, a drift along the number of runs, and a step after every run. The
+likeliest is reported; its p-value is corrected for the number of alternatives (Bonferroni). The variance of a test is
+widened by (1 + ρ) / (1 - ρ) where residuals are autocorrelated. The caller decides what is significant.
 """
 
 from __future__ import annotations
@@ -11,13 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-_SIGNIFICANT = 4.0  # deviations by which a background must stand out from its noise to tell its coefficient
+_SIGNIFICANT = 4.0  # standard deviations by which the covariate's power must exceed its noise
 _SEGMENT = 3  # fewest runs on either side of a step
 
 
 @dataclass(frozen=True, eq=False)
 class Background:
-    """What a series follows besides its own change: a covariate (R,), and what is known of its coefficient.
+    """The covariate (R,) of a series, with the prior `coefficient` and its standard deviation `std`.
 
     `noise` is the variance of the covariate's own noise.
     """
@@ -29,7 +29,7 @@ class Background:
 
     @property
     def varies(self) -> bool:
-        """Whether there is anything to follow."""
+        """Whether the covariate changes at all."""
         return bool(np.ptp(self.covariate) > 0)
 
 
@@ -58,7 +58,7 @@ def line(values: np.ndarray) -> np.ndarray:
 
 
 def find_change(y: np.ndarray, times: np.ndarray, background: Background) -> SeriesChange:
-    """The likeliest change of y (R,) besides its background."""
+    """The likeliest change of y (R,), its background taken out."""
     number = np.arange(len(y))
     places = np.arange(_SEGMENT, len(y) - _SEGMENT + 1)
     # age wears, and so does use
@@ -74,7 +74,7 @@ def find_change(y: np.ndarray, times: np.ndarray, background: Background) -> Ser
 def fit_course(y: np.ndarray, background: Background, shape: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
     """Parameters (p,) and design (R, p): a mean, the background where it varies, the shape where there is one.
 
-    What is known of the background's coefficient is one more row; it weighs what the noise of a fit without it says.
+    The prior of the background's coefficient is one more row, weighted by the noise of a fit without it.
     """
     columns = [np.ones(len(y))]
     if background.varies:
@@ -97,8 +97,8 @@ def sizes_of_change(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Sizes, their deviations and their probabilities by chance, (K,) each, of `shapes` (K, R) in y (R,).
 
-    Where the background goes along with the shape, little but its own noise is left to tell its coefficient by, which
-    would come out as zero. So that noise is taken from what the data say of it, and what was known before decides.
+    Where the background is nearly collinear with the shape, mostly noise is left to estimate its coefficient, which
+    would be biased towards zero. So the noise is subtracted from its power, and the prior decides.
     """
     from scipy.special import stdtr
 
@@ -124,7 +124,7 @@ def sizes_of_change(
 
 
 def _coefficients(y: np.ndarray, common: np.ndarray, background: Background) -> tuple[np.ndarray, np.ndarray]:
-    """Coefficients (K,) of the background in y (K, R), both without the shapes, and their deviations."""
+    """Coefficients (K,) of the background in y (K, R), with the shapes projected out of both, and their deviations."""
     runs = y.shape[1]
     noise = runs * background.noise
     seen = np.sum(common**2, axis=1) - noise
@@ -141,7 +141,7 @@ def _coefficients(y: np.ndarray, common: np.ndarray, background: Background) -> 
 
 
 def _widened(left: np.ndarray, degrees_of_freedom: int) -> np.ndarray:
-    """Variance (K,) of the noise from residuals (K, R), for what their autocorrelation makes of a mean."""
+    """Variance (K,) of the noise from residuals (K, R), widened for their autocorrelation."""
     energy = np.sum(left**2, axis=1)
     rho = np.clip(np.sum(left[:, 1:] * left[:, :-1], axis=1) / np.maximum(energy, 1e-300), 0.0, 0.9)
     return energy / degrees_of_freedom * (1 + rho) / (1 - rho)

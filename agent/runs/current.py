@@ -1,4 +1,4 @@
-"""The robot's current model: one place that names it, moved in one step, with every earlier one kept.
+"""The robot's current model: one link names it, one rename moves it, and every earlier one is kept.
 
 `logs/models/<robot>_<serial>/versions/<number>/` holds `model.json` and `about.json` and is never changed again;
 `current` is a link to one of them, replaced in one rename. So `logs/models/<robot>_<serial>/current/model.json` is
@@ -33,7 +33,7 @@ _LONGEST_NAME = 200
 
 @dataclass(frozen=True)
 class Applied:
-    """A model that was made current: `model` its file, `run` where it comes from, `previous` the version before."""
+    """A model that was made current: its file, the run it comes from, and the version before it."""
 
     model: Path
     run: str
@@ -124,7 +124,7 @@ def _all_current(logs: Path) -> tuple[dict[Path, Applied], list[str]]:
 
 
 def apply_previous(logs: Path, robot: str | None = None, serial: str | None = None) -> Applied:
-    """Go back to the model that was current before; once more goes further back.
+    """Go back to the model that was current before; every further call goes one more back.
 
     Raises:
         InputError: nothing was applied before, or it is not clear on which robot.
@@ -151,7 +151,7 @@ def apply_previous(logs: Path, robot: str | None = None, serial: str | None = No
 
 
 def run_key(recipe: Recipe) -> dict[str, str]:
-    """Facts about a run by which later ones find it: its loop's key and its controller."""
+    """The loop's key and the controller, by which later runs find this one."""
     from agent.runs.loop_store import loop_key
 
     return {
@@ -184,9 +184,9 @@ def _about(version: Path) -> Applied:
 
 
 def _place(logs: Path, robot: str, serial: str) -> Path:
-    """The folder of one machine, and of no other: a name that others could have too ends in its digest.
+    """The folder of one machine: a name that another machine could have too ends in a digest.
 
-    A folder that an earlier version named without the digest stays that of the machine it says it is of.
+    A folder that an earlier version named without the digest stays with the machine named inside it.
     """
     name = re.sub(r"[^A-Za-z0-9._-]", "_", f"{robot}_{serial}" if serial else robot)[:_LONGEST_NAME]
     plain = logs / _FOLDER / name

@@ -1,4 +1,4 @@
-"""The run folder: what a run has finished, so that nothing is lost and it can go on."""
+"""The run folder: records every finished step, so that a stopped run can be resumed."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class RunState:
 
 
 class RunFolder:
-    """`logs/<UTC>_<robot>/`: files are written beside and renamed; an existing run is never overwritten.
+    """`logs/<UTC>_<robot>/`: files are written whole or not at all; an existing run is never overwritten.
 
     `state.json` holds the finished steps with what they found, the status (`running`, `finished`, `rejected`,
     `stopped`) and, for a stopped run, where and why.
@@ -80,7 +80,7 @@ class RunFolder:
 
     @classmethod
     def open(cls, path: Path, recipe_sha256: str, check: Callable[[RunFolder], None] = lambda run: None) -> RunFolder:
-        """Open a calibration to go on with it; `check` may refuse it before anything is written.
+        """Open a calibration to resume it; `check` may refuse it before anything is written.
 
         Raises:
             InputError: no such run or one of another kind, a damaged state, or the recipe changed since.
@@ -141,10 +141,10 @@ class RunFolder:
         return self.path / name
 
     def check_file(self, name: str, sha256: str | None) -> None:
-        """A file of this run is what it was when it was finished.
+        """Check that a file of this run has not changed since its step finished.
 
         Raises:
-            InputError: it is missing, it was changed, or nothing is known of it.
+            InputError: it is missing, was changed, or has no recorded checksum.
         """
         path = self.path / name
         if not path.is_file() or sha256 is None or sha256_file(path) != sha256:

@@ -1,6 +1,6 @@
-"""Past runs, read from their folders: what was found, how sure it is, under which conditions.
+"""Past runs, read from their folders: results, uncertainties and conditions.
 
-Nothing heavy is imported, and models are read for their parameters alone, so that listing a thousand runs is quick.
+Listing a thousand runs is quick: nothing heavy is imported, and models are read only where parameters are asked for.
 """
 
 from __future__ import annotations
@@ -48,13 +48,13 @@ class History:
         return [run for run in self._runs if robot in (None, run.robot) and serial in (None, run.serial)]
 
     def why_none(self, robot: str | None, serial: str | None) -> str:
-        """What to say where `runs` of this robot and serial are none."""
+        """Message for when no run is of this robot and serial."""
         if not (there := len(self._runs)):
             return "no runs yet: `agent calibrate RECIPE` makes the first"
         return f"none of the runs here ({there}) is of {which_machine(robot, serial)}; `agent history` lists them all"
 
     def parameters(self, runs: Iterable[str] | None = None) -> dict[str, list[PastParameter]]:
-        """Parameters by run, of all or of some, in the model's order; a model that cannot be read counts as damaged."""
+        """Parameters by run in the model's order, of all runs or some; a model that cannot be read is `damaged`."""
         found: dict[str, list[PastParameter]] = {}
         for run in [run.run for run in self._runs] if runs is None else runs:
             try:
@@ -106,7 +106,7 @@ def last_accepted(run: Path) -> Path | None:
 
 
 def history_table(runs: Sequence[PastRun], current: Collection[str] = ()) -> str:
-    """A line a run, newest last, with the runs that current models are of marked; then what the trends said last."""
+    """One line per run, newest last, current models marked; then the latest messages of the trends."""
     rows = [("run", "serial", "kind", "result", "worst axis", "cycles")]
     for run in runs:
         cycles = str(run.data["conditions"].get("cycles", "-"))
@@ -151,6 +151,6 @@ def history_json(history: History, runs: Sequence[PastRun], current: Collection[
 
 
 def which_machine(robot: str | None, serial: str | None) -> str:
-    """A machine as it was asked for, in words."""
+    """The robot and serial that were asked for, in words."""
     named = {"robot": robot, "serial": serial}
     return ", ".join(f"{key} {value}" for key, value in named.items() if value is not None)

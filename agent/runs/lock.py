@@ -1,9 +1,9 @@
-"""One run at a time on one robot: a lock for everybody on this machine, whatever folder and user the agent runs in.
+"""One run at a time per robot: a lock for all users and folders of this machine.
 
-Every run has a file of its own, which it alone can write to, and holds the system's lock on it (`fcntl`), so the end of
-a process, however it comes, lets go of it. A robot is busy where somebody else holds a file of it. A lock for which
-reading is enough counts for nothing, so no user can hold what is another's; nor can a file that somebody has put there
-keep a run from making its own.
+Every run makes a file that only its user can write to, and holds the system's exclusive lock on it (`fcntl`), which the
+system releases when the process ends, however it ends. A robot is busy while somebody else holds one of its files.
+Shared locks, for which read access is enough, are ignored, so no user can block another; neither can a file that
+somebody else put there.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _own: set[tuple[int, Path]] = set()
 
 @contextlib.contextmanager
 def robot_lock(driver: str, address: str) -> Iterator[None]:
-    """Hold the lock of one controller, however its address is spelt. A process that holds it may take it again.
+    """Hold the lock of one controller, however its address is spelt. A process may take its own lock again.
 
     Raises:
         BusyError: another run holds it.
@@ -75,7 +75,7 @@ def _locked(endpoint: str, robot: str) -> Iterator[None]:
 
 
 def lock_files(driver: str, address: str) -> list[Path]:
-    """The files of those who hold the lock of a controller, or have left one."""
+    """Lock files of a controller, held or left behind."""
     return [path for one in endpoints(driver, address) for path in _folder().glob(_NAME.format(_digest(one), "*", "*"))]
 
 
@@ -88,7 +88,7 @@ def _folder() -> Path:
 
 
 def _for_all(folder: Path) -> bool:
-    """Whether every user may write there, so that all come to the same answer."""
+    """Whether every user may write there, so that all users choose the same folder."""
     try:
         mode = folder.stat().st_mode
     except OSError:
@@ -99,7 +99,7 @@ def _for_all(folder: Path) -> bool:
 def _take(name: str, robot: str) -> tuple[Path, int]:
     """A file of this process, and a descriptor that holds it.
 
-    Of two that begin at once each holds a file before it looks for the other's, so at least one sees the other.
+    Each process holds its file before it looks for others, so of two that begin at once at least one sees the other.
     """
     until = time.monotonic() + _PATIENCE
     while True:

@@ -1,4 +1,4 @@
-"""Loops that were found, kept for later: one JSON file each, by robot, tool, sub-region and checksum."""
+"""Loops kept for later runs: one JSON file each, found by robot, tool, sub-region and checksum."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _SCHEMA = "loop/1"
 class StoredLoop:
     """A loop with the program that runs it.
 
-    `key` is the SHA-256 of all that the loop was searched for (robot, tool, sub-region, motion settings, period,
+    `key` is the SHA-256 of everything the loop depends on (robot, tool, sub-region, motion settings, period,
     interpolator); `checksum` that of the program's text, as a controller reports it. `tool` and `sub_region` are plain
     data; poses (K) (4, 4), start (n,) [rad]; `fitness` over all samples; `created` in UTC, ISO 8601.
     """
@@ -98,7 +98,7 @@ def stored_loops(folder: Path = FOLDER, damaged: list[str] | None = None) -> lis
     """All loops in a folder, by robot, sub-region and age, newest first; none where there is no folder.
 
     Args:
-        damaged: takes what is to be said of files that cannot be read; without it, they are an error.
+        damaged: collects messages about files that cannot be read; without it, they are an error.
 
     Raises:
         InputError: a file that is damaged, or whose program is not the one of its checksum.
@@ -120,7 +120,7 @@ def find_loop(recipe: Recipe, folder: Path = FOLDER, program: str | None = None)
     """The newest loop kept for a recipe's robot, tool, sub-region and motion settings, or None.
 
     Args:
-        program: SHA-256 (hex) of the program's text, where it has to be a certain one.
+        program: SHA-256 (hex) of the program's text, to accept only that one.
 
     Raises:
         InputError: there is none among those that can be read, and some cannot; or what the file says of the tool and

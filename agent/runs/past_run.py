@@ -1,4 +1,4 @@
-"""A past run as its folder tells it, whoever wrote that folder: every value is looked at before anybody uses it."""
+"""A past run, read from its folder. Whoever wrote the folder, every value is checked before it is used."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from typing import Any, TypeVar
 from agent.core import InputError, error_text, sha256_text
 from drivers.texts import place_of
 
-#: Clocks differ by so much without being wrong.
+#: Difference between two clocks that still counts as normal.
 AHEAD = timedelta(minutes=5)
 Value = TypeVar("Value")
 _KEYED = re.compile(r"\S+ \S*,… [0-9a-f]{12}")
 
 
 def controller_key(text: str) -> str:
-    """Driver and address of a controller, with a digest in the place of the address's options: they may be secret."""
+    """Driver and address of a controller; the address's options, which may be secret, are replaced by a digest."""
     driver, _, address = text.partition(" ")
     place = place_of(address)
     if place == address or _KEYED.fullmatch(text):
@@ -34,11 +34,11 @@ def controller_key(text: str) -> str:
 class PastRun:
     """One run folder.
 
-    `kind` is `calibrate`, `recalibrate` or `diagnose`; `status` that of the run folder (`finished` is accepted where
-    there is a gate, `rejected` is the gate's word); `loop` the key of its stored loop, `program` the SHA-256 of its
-    program, `reference` the run whose model it was compared with, `reason` why it was rejected or stopped; `worst` the
+    `kind` is `calibrate`, `recalibrate` or `diagnose`. `status` is that of the run folder; where there is a gate,
+    `finished` means accepted and `rejected` not. `loop` is the key of its stored loop, `program` the SHA-256 of its
+    program, `reference` the run whose model it was compared with, `reason` why it was rejected or stopped, `worst` the
     largest normalised RMSE of any axis. `data` holds joints, normalised_rmse, gate, the conditions of the run, the
-    `verdict` of a diagnosis, and `watch`: what the trends of this machine said after it, a sentence each.
+    `verdict` of a diagnosis, and `watch`, the messages of the trends after the run.
     """
 
     run: str
@@ -61,7 +61,7 @@ class PastRun:
         return datetime.fromisoformat(self.started)
 
     def in_future(self, now: datetime | None = None) -> bool:
-        """Whether it was started later than now, by clocks of which one was wrong."""
+        """Whether it is dated in the future, so that one of the clocks was wrong."""
         return self.time > (now or datetime.now(UTC)) + AHEAD
 
     @property
@@ -91,7 +91,7 @@ class PastRun:
 
     @property
     def outcome(self) -> str:
-        """What came of it, in a word or two: the gate's, or the diagnosis's."""
+        """The gate's decision or the diagnosis's verdict, in a word or two."""
         finished = "accepted" if self.accepted else self.data["verdict"].replace("_", " ")
         if self.accepted and not self.judged:
             finished = "not judged"
@@ -146,10 +146,10 @@ def read_parameters(path: Path) -> list[PastParameter]:
 
 @contextlib.contextmanager
 def readable(run: Path) -> Iterator[None]:
-    """Turns what damaged files of a run, or those of another version, lead to into one message.
+    """Turn errors from damaged files of a run, or from those of another version, into one message.
 
     Raises:
-        InputError: with what is missing or wrong, and what there is to do.
+        InputError: with what is missing or wrong, and what to do.
     """
     try:
         yield
@@ -192,7 +192,7 @@ def _read_run(path: Path) -> PastRun:
 
 
 def _conditions(found: dict[str, Any], joints: list[str]) -> dict[str, Any]:
-    """Those that the trends use are what they expect."""
+    """The conditions of a run, once those that the trends use are checked."""
     for level in found.get("friction", []):
         if level["joint"] not in joints:
             raise ValueError(f"friction of {level['joint']!r}, which is none of the joints")
@@ -206,12 +206,12 @@ def _conditions(found: dict[str, Any], joints: list[str]) -> dict[str, Any]:
 
 
 def _one_line(text: str) -> str:
-    """A reason may be the words of a controller, or of several lines."""
+    """A reason on one line; it may come from a controller or have several."""
     return _text(" ".join("".join(c if c.isprintable() else " " for c in text).split()), "reason")
 
 
 def _in_utc(stamp: str) -> str:
-    """The same time, in the one zone by which runs are put in order; without a zone it is that already."""
+    """The same time in UTC; a time without a zone is taken as UTC."""
     time = datetime.fromisoformat(stamp)
     return (time if time.tzinfo else time.replace(tzinfo=UTC)).astimezone(UTC).isoformat(timespec="seconds")
 
@@ -238,7 +238,7 @@ def _optional(path: Path) -> dict[str, Any]:
 
 
 def _named(result: dict[str, Any]) -> str:
-    """What a diagnosis named, and where; empty of any other run, or where the file has it in another form."""
+    """The causes that a diagnosis named, and where; empty for any other run or form."""
     causes = result.get("causes", ())
     try:
         return "; ".join(f"{cause['effect']} on {', '.join(cause['joints']) or 'the whole arm'}" for cause in causes)
@@ -247,7 +247,7 @@ def _named(result: dict[str, Any]) -> str:
 
 
 def _text(value: Any, what: str) -> str:
-    """A text that a terminal and a page can take."""
+    """A printable text, as terminals and pages need it."""
     if not isinstance(value, str) or not value.isprintable():
         raise ValueError(f"{what} is no text")
     value.encode()  # half a character is none

@@ -6,14 +6,14 @@ One series is the friction of an axle at one speed, as runs of the same program 
 
 c is what the other axles' friction did at the same time (their median): warm-up is common to all, wear is not. How
 strongly this axle warms, b, is known from within the runs: a cold arm warms up while it moves, the colder the faster,
-so b is how its relative rate of change follows the others' from run to run; about 1 (deviation 1) where nothing tells.
-Without that, a warm-up that goes along with time could not be told from wear. Arms of fewer axles have the rate itself
-in place of c (`agent.runs.warm_up`).
+so b is the slope of its relative rate of change over the others' from run to run, with a prior of 1 ± 1. Without that,
+warm-up that goes along with time could not be distinguished from wear. Arms with fewer axles use the rate itself in
+place of c (`agent.runs.warm_up`).
 
-What is left is tested as a drift, linear in time or in the number of runs, and as a step after run k. Each is a t-test
-against no change (`agent.runs.changes`); alternatives pay for their number. Here all series of a machine share
-`FALSE_ALARMS` (Bonferroni); over a fleet the rate of false discoveries decides. An alarm is a change that is no chance
-and of practical size.
+The rest is tested for a drift, linear in time or in the number of runs, and for a step after run k. Each is a t-test
+against no change (`agent.runs.changes`), corrected for the number of alternatives. Here all series of a machine share
+`FALSE_ALARMS` (Bonferroni); over a fleet the false discovery rate decides. An alarm is a significant change of
+practical size.
 """
 
 from __future__ import annotations
@@ -33,19 +33,18 @@ from agent.runs.warm_up import FEWEST, common_rate, warm_up_backgrounds
 FALSE_ALARMS = 1e-3
 #: Relative change of an axle's friction that matters.
 PRACTICAL = 0.03
-#: How many of the latest runs are looked at.
+#: Number of latest runs that are used.
 WINDOW = 40
 _DAY = 86_400.0
 
 
 @dataclass(eq=False)
 class Trend:
-    """One series over R runs and the likeliest change in it; `significant`, set by whoever decides, where that is no
-    chance.
+    """One series over R runs, and the likeliest change in it; the caller sets `significant`.
 
-    `quantity` of a `joint` (or a parameter by its name, without one) and `at` which speed; times (R,) [days since the
-    first], values (R,), deviations (R,). It is looked at as its logarithm where `scale` is 0, else as a multiple of it.
-    `practical` is the smallest size of change that matters.
+    `quantity` of a `joint` `at` a speed, or the name of a parameter without a joint; times (R,) [days since the first],
+    values (R,), deviations (R,). Tested is the logarithm where `scale` is 0, else the values divided by it. `practical`
+    is the smallest size of change that matters.
     """
 
     quantity: str
@@ -68,7 +67,7 @@ class Trend:
 
     @property
     def name(self) -> str:
-        """What it is a series of."""
+        """Quantity, joint and speed, in words."""
         return f"{self.quantity} of {self.joint}{self.at}" if self.joint else self.quantity
 
     @property
@@ -83,7 +82,7 @@ class Trend:
 
     @property
     def probability(self) -> float:
-        """That chance does as much."""
+        """p-value of the likeliest change."""
         return self.found.probability
 
     @property
@@ -93,7 +92,7 @@ class Trend:
 
     @property
     def alarm(self) -> bool:
-        """Whether it is no chance and matters."""
+        """Whether the change is significant and of practical size."""
         return bool(self.joint and self.significant and abs(self.found.size) >= self.practical)
 
     @property
@@ -141,7 +140,7 @@ class Trend:
 
 @dataclass(frozen=True)
 class Warning:
-    """A limit that comes near: in how many days, or already beyond it (0)."""
+    """A limit that is reached in some days, or is exceeded already (0)."""
 
     joint: str
     days: float
@@ -160,7 +159,7 @@ class Watch:
 
     @property
     def alarms(self) -> tuple[Trend, ...]:
-        """Trends that are no chance and of practical size; the strongest of each joint."""
+        """Significant trends of practical size; the strongest of each joint."""
         best: dict[str, Trend] = {}
         for trend in self.trends:
             if trend.alarm and (trend.joint not in best or abs(trend.change) > abs(best[trend.joint].change)):
@@ -193,7 +192,7 @@ def friction_trends(
     rates: np.ndarray,
     rate_stds: np.ndarray,
 ) -> Iterator[Trend]:
-    """Trends of one machine's friction; which of them are significant is the caller's to decide.
+    """Trends of one machine's friction; the caller decides which are significant.
 
     Parameters
     ----------
@@ -209,8 +208,10 @@ def friction_trends(
 
 
 def watch(runs: Sequence[PastRun]) -> list[Watch]:
-    """Look at the latest runs of every machine and program; those with too few runs are left out, and so are runs
-    dated in the future, whose place in time nobody knows."""
+    """Trends over the latest runs of every machine and program with enough runs.
+
+    Runs dated in the future are left out: nobody knows when they were.
+    """
     groups: dict[tuple[str, str, str], list[PastRun]] = {}
     for run in runs:
         if run.complete and run.data["conditions"].get("friction") and not run.in_future():
@@ -219,10 +220,7 @@ def watch(runs: Sequence[PastRun]) -> list[Watch]:
 
 
 def parameter_trends(runs: Sequence[PastRun], parameters: dict[str, list[PastParameter]]) -> list[Trend]:
-    """Course of every parameter that all of these runs have; never an alarm, friction levels decide.
-
-    `runs` are of one machine and program, as the trends of a `Watch` are.
-    """
+    """Trends of every parameter that all of these runs, of one machine and program, have; they raise no alarm."""
     runs = list(runs)[-WINDOW:]
     if len(runs) < FEWEST:
         return []
@@ -264,7 +262,7 @@ def _watch(key: tuple[str, str, str], runs: list[PastRun]) -> Watch:
 
 
 def _warnings(runs: Sequence[PastRun], times: np.ndarray, trends: Sequence[Trend]) -> list[Warning]:
-    """Drifts that carry an axle's friction, or the prediction error, to the gate within as long as was looked at."""
+    """Drifts of the prediction error or of friction that reach the gate within the time span of these runs."""
     latest = runs[-1].data
     gate, span = latest["gate"], max(float(np.ptp(times)), 1e-9)
     if gate is None:

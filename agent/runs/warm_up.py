@@ -1,4 +1,4 @@
-"""How arms warm up from run to run: what friction of an axle follows that is no wear of its own."""
+"""The part of an axle's friction that follows the warm-up of the whole arm, so that it is not taken for wear."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from agent.runs.changes import Background
 
 #: Fewest runs that say anything.
 FEWEST = 8
-_UNKNOWN_RESPONSE = 1.0  # deviation of how an axle warms, as a multiple of the others
-_SIGNIFICANT = 4.0  # deviations by which a warm-up in the rates must stand out from their noise to tell anything
-_SPEEDS_DIFFER = 0.15  # of it: at one speed friction may answer so much more or less than along the whole motion
+_UNKNOWN_RESPONSE = 1.0  # prior deviation of an axle's response, as a multiple of the others'
+_SIGNIFICANT = 4.0  # standard deviations by which the shared warm-up must exceed the noise of the rates
+_SPEEDS_DIFFER = 0.15  # share by which the response at one speed may differ from that along the whole motion
 
 
 def warm_up_backgrounds(
     axles: Sequence[int], values: np.ndarray, deviations: np.ndarray, rates: np.ndarray, rate_stds: np.ndarray
 ) -> Iterator[tuple[int, Background]]:
-    """What every friction level that has a logarithm follows besides its own change: the warm-up all axles share.
+    """The warm-up that all axles share, as the background of every friction level that is positive in all runs.
 
     Parameters
     ----------
@@ -53,9 +53,9 @@ def common_rate(rates: np.ndarray, rate_stds: np.ndarray) -> np.ndarray:
 def _warm_up_response(rates: np.ndarray, axle: int) -> tuple[float, float]:
     """How an axle's friction responds to warm-up, as a multiple of the others, from rates (R, n); and its deviation.
 
-    It is the slope of the axle's rate over what the others' rates share, from run to run. What all runs of a loop have
-    alike is no warm-up: bristles that settle in the first cycle, what the model lacks. Both coordinates are noisy, so
-    the power of what is shared is taken without its noise.
+    It is the slope of the axle's rate over the others' shared rate, from run to run. What is the same in all runs of a
+    loop is no warm-up but, for example, the settling of the first cycle. Both coordinates are noisy, so the noise is
+    subtracted from the power of the shared rate.
     """
     known = rates[np.isfinite(rates).all(axis=1)]
     if len(known) < FEWEST:
@@ -63,7 +63,7 @@ def _warm_up_response(rates: np.ndarray, axle: int) -> tuple[float, float]:
     known = known - known.mean(axis=0)
     common, noise = _shared(np.delete(known, axle, axis=1))
     power = float(common @ common) - len(known) * noise
-    if power < _SIGNIFICANT * noise * (2 * len(known)) ** 0.5:  # what noise alone makes of it scatters by that root
+    if power < _SIGNIFICANT * noise * (2 * len(known)) ** 0.5:  # its scatter from noise alone
         return 1.0, _UNKNOWN_RESPONSE
     ratio = float(common @ known[:, axle]) / power
     left = known[:, axle] - ratio * common
@@ -74,9 +74,9 @@ def _warm_up_response(rates: np.ndarray, axle: int) -> tuple[float, float]:
 
 
 def _shared(rates: np.ndarray) -> tuple[np.ndarray, float]:
-    """What centred rates (R, n) of several axles share, (R,), scaled like the median axle; the variance of its noise.
+    """The common factor (R,) of centred rates (R, n), scaled like the median axle, and the variance of its noise.
 
-    One common factor: each axle is a multiple of it and noise of its own, by turns fitted and averaged.
+    Each axle is a multiple of the factor plus noise of its own; multiples and factor are fitted in turn.
     """
     common = np.median(rates, axis=1)
     for _ in range(10):
