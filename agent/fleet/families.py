@@ -1,4 +1,4 @@
-"""Which properties of machines go with a change: wear of a batch, a cell, a program."""
+"""Properties of machines that go with a change, such as a lubricant batch, a cell or a program."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ import numpy as np
 
 from agent.core import InputError, needed
 
-#: Share of findings that may be chance, expected. Low, as a fleet of few worn machines has few findings to share it.
+#: False discovery rate: the expected share of findings that are chance. Low, as few worn machines give few findings.
 RATE = 0.01
-#: Difference between the median relative changes of a family and the others that matters. Wear of one axle is seen on
-#: the others of its machine, by which warm-up is separated, with a tenth of its size: that is no family.
+#: Smallest difference between the median relative changes of a family and of the others. Wear of one axle shows on the
+#: other axles of its machine with a tenth of its size, as these separate warm-up from wear; that is no family.
 PRACTICAL = 0.015
 #: Fewest machines that make a family.
 FEWEST = 3
@@ -22,10 +22,10 @@ FEWEST = 3
 
 @dataclass(frozen=True)
 class Family:
-    """Machines with a property in common on which a joint changes more than on the others.
+    """Machines with a common property on which a joint changes more than on the others.
 
-    `change`, `others`: median relative change of these and of the others; `alarms` of its `machines` have an alarm;
-    `level`: smallest rate of false discoveries at which it is one.
+    `change`, `others`: median relative change of these and of the others; `alarms`: how many of its `machines` have an
+    alarm; `level`: smallest false discovery rate at which it is a finding.
     """
 
     column: str
@@ -86,11 +86,11 @@ def find_families(
     deviations: np.ndarray,
     alarms: np.ndarray,
 ) -> list[Family]:
-    """Families among M series: of a robot and joint each, with the change (M,) over time, its deviation and alarm.
+    """Families among M series, each of a robot and joint, with its change (M,) over time, deviation and alarm.
 
-    Every value of every column against all other machines, joint by joint, by the rank-sum test on change over
-    deviation (Wilcoxon 1945); small changes of many machines show that no machine alone would. The rate of false
-    discoveries is controlled over all these tests (Benjamini and Hochberg 1995).
+    Every value of every column is compared with all other machines, joint by joint, by the rank-sum test on change over
+    deviation (Wilcoxon 1945), so that small changes shared by many machines are found. The false discovery rate is
+    controlled over all these tests (Benjamini and Hochberg 1995).
     """
     from scipy.stats import false_discovery_control, ranksums
 
@@ -114,7 +114,7 @@ def _candidates(
     changes: np.ndarray,
     alarms: np.ndarray,
 ) -> Iterator[tuple[Family, np.ndarray, np.ndarray]]:
-    """All that may be families, with the numbers of their series and of the others' on the same joint."""
+    """Possible families, with the numbers of their series and of the other machines' on the same joint."""
     for joint in sorted(set(joints)):
         chosen = np.array([k for k, one in enumerate(joints) if one == joint])
         for column, values in columns.items():

@@ -1,4 +1,4 @@
-"""The whole job: find the tasks of a source, leave out what is known, do the rest somewhere, put all in place."""
+"""The whole job: find the tasks of a source, skip what is known, run the rest, write the result."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from agent.fleet.worker import PASSING, TaskRow, run_task
 from agent.runs import robot_lock
 from drivers.texts import hide_all, printable
 
-#: What is finished is kept at least so often [s].
+#: Longest time between two saves of finished rows [s].
 _KEEP = 10.0
 #: Characters of a reason or warning in a row.
 _LONGEST = 2000
@@ -27,8 +27,10 @@ _LONGEST = 2000
 
 @dataclass
 class Summary:
-    """What a run of the fleet came to. `done` runs were worked on, `kept` rows stood; `failed` are all rows of this
-    source that have no figures; `cpu_s`, `read_bytes`, `written_bytes`: what it took."""
+    """Outcome of a run over the fleet.
+
+    `done` runs were computed, `kept` rows were still valid, `failed` are all rows of this source without figures.
+    """
 
     kind: str
     source: str
@@ -72,7 +74,7 @@ def run_fleet(
     engine: Callable[[int], AbstractContextManager[TaskEngine]],
     console: Console,
 ) -> Summary:
-    """Bring a result up to date with a source; `engine` is asked for one for so many tasks, where there are any.
+    """Bring a result up to date with a source; `engine` makes one for a number of tasks, if there are any.
 
     Raises:
         InputError: source, result or a file that was named cannot be used.
@@ -151,9 +153,9 @@ def _row(task: Task, answer: dict[str, Any], inputs: list[dict[str, Any]]) -> di
 
 
 def _to_do(plant: SourceTasks, asked: str, known: Mapping[str, Mapping[str, Any]]) -> Iterator[Task]:
-    """Every task that has to be looked at, with what is known of its inputs.
+    """Every task that has to run, with what is known of its inputs.
 
-    A row stands where it answers the same question and every file it was made of has the size and stamp it had. Where
+    A row is still valid where it answers the same question and all its input files have the same size and stamp. Where
     only stamps differ, the worker compares the content.
     """
     for task in plant.tasks:
@@ -169,7 +171,7 @@ def _to_do(plant: SourceTasks, asked: str, known: Mapping[str, Mapping[str, Any]
 
 @contextlib.contextmanager
 def _alone(out: str) -> Iterator[None]:
-    """One run at a time writes a result, as far as this machine can tell."""
+    """Only one run of this machine writes a result at a time."""
     try:
         with robot_lock("fleet", os.path.realpath(local) if (local := Store(out).local) else out):
             yield

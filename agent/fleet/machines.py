@@ -1,4 +1,4 @@
-"""A result read machine by machine: never more of it in memory than some groups of rows."""
+"""A result, read machine by machine, so that memory does not grow with the fleet."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-#: Runs of a machine that are looked at, the latest: a year of weeks and more.
+#: Number of latest runs of a machine that are used: more than a year of weeks.
 LATEST = 60
 #: Rows that are read at once.
 _BATCH = 256
@@ -43,7 +43,7 @@ class MachineRuns:
                 self.nominal = np.array(table["nominal_torque"][row].as_py(), dtype=float)
 
     def alike(self, name: str) -> np.ndarray:
-        """Numbers of the runs that have as many figures in a column as the latest."""
+        """Row numbers of the runs with as many figures in a column as the latest."""
         import pyarrow.compute as pc
 
         lengths = pc.list_value_length(self.table[name]).to_numpy()
@@ -57,7 +57,7 @@ class MachineRuns:
         return values.to_numpy(zero_copy_only=False).reshape(len(rows), -1)
 
     def rates(self, rows: np.ndarray, field: str) -> np.ndarray:
-        """(R, n) of the warm-up of some runs, NaN where a run does not tell it of every joint."""
+        """(R, n) of the warm-up of some runs, NaN where a run does not have it for every joint."""
         found = np.full((len(self.runs), len(self.joints)), np.nan)
         told = self.alike("warm_up")
         values = self.figures("warm_up", told, field)

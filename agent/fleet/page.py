@@ -1,8 +1,8 @@
-"""The page over a fleet: one self-contained HTML file, its data compressed once and drawn where they are looked at.
+"""The page over a fleet: one self-contained HTML file with compressed data, drawn on demand.
 
-Machines stand in the order in which they need a look, in one currency for wear, gaps and runs that failed. Urgency 1 is
-the gate of a calibration: an error of so much of nominal torque. A prediction error counts as it is; an alarm of
-friction counts with the torque it has changed by, and will have `AHEAD` days from now if it goes on.
+Machines are sorted by urgency, which puts wear, gaps and failed runs on one scale. Urgency 1 is the gate of a
+calibration, an error as a share of nominal torque. A prediction error counts as it is; an alarm of friction counts with
+its change of torque, extrapolated by `AHEAD` days.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from agent.recipe import GateSection
 
 #: Normalised RMSE that a calibration is let through with, where its recipe says nothing else.
 GATE = float(GateSection.model_fields["normalised_rmse"].default)
-#: So far ahead a drift is followed [d].
+#: Time by which a drift is extrapolated [d].
 AHEAD = 90.0
 #: Relative change of friction that counts as the gate where a joint has no nominal torque.
 _LIKE_GATE = 0.2
@@ -44,8 +44,8 @@ _LONGEST = 300
 class MachineSummary:
     """A machine as the page shows it.
 
-    Its latest errors (n,), NaN where unknown; of every run name, day, status, reason and page. `failed`: why its latest
-    run, or one nobody knows the time of, has no figures; `gap`: what its latest diagnosis says, where there is one.
+    `errors` (n,) are the latest, NaN where unknown; `runs` have name, day, status, reason and page. `failed`: why its
+    latest run, or one without a date, has no figures; `gap`: what its latest diagnosis says, where there is one.
     """
 
     robot: str
@@ -59,7 +59,7 @@ class MachineSummary:
 
     @classmethod
     def of(cls, machine: MachineRuns, axles: list[AxleTrend]) -> MachineSummary:
-        """What is kept of a machine."""
+        """The summary of a machine."""
         columns = [machine.table[name].to_pylist() for name in ("status", "reason", "page")]
         dates = [machine.date(row) for row in range(len(machine.runs))]
         runs = list(zip(machine.runs, dates, *columns, strict=True))
@@ -83,7 +83,7 @@ class MachineSummary:
         )
 
     def urgency(self) -> tuple[float, list[str]]:
-        """How urgent a look at it is, and why; no reason where it is not."""
+        """The urgency of the machine, and the reasons, if any."""
         alarms = [one for one in self.axles if one.trend.alarm]
         weights, reasons = [0.0, *map(self._weight, alarms)], [one.text() for one in alarms]
         worst = [(error, joint) for error, joint in zip(self.errors, self.joints, strict=True) if np.isfinite(error)]
@@ -195,7 +195,7 @@ def _course(one: AxleTrend) -> dict[str, Any]:
 
 
 def _gap(table: Any) -> str:
-    """What the latest run, a diagnosis, says of the gap; empty where there is none, or the run is no diagnosis."""
+    """What the latest run says about the gap; empty where there is none, or the run is no diagnosis."""
     told = table.slice(len(table) - 1).to_pylist()[0]
     verdict = _VERDICTS.get(told.get("verdict") or "", "")
     causes = told.get("causes") or ()
@@ -204,7 +204,7 @@ def _gap(table: Any) -> str:
 
 
 def _link_base(source: str, page: Store) -> str:
-    """What leads from the page to a file of the source."""
+    """The link from the page to the source, to be followed by the path of a file."""
     there = Store(source).local if source else None
     if there is None:
         return f"{source}/" if source else ""

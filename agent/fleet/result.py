@@ -1,10 +1,10 @@
-"""A result: one Parquet file of a row a robot and run, in the order of robot and run, and its model files.
+"""A result: one Parquet file with a row per robot and run, sorted by robot and run, and its model files.
 
     RESULT/rows.parquet          the rows; replaced as a whole, so that a reader sees one result or the next
-    RESULT/_models/<hash>.json   model files of an estimate, named by their content: none is ever changed
-    RESULT/_done/<name>.parquet  rows of a run of the fleet that has not come to its end; the next one takes them in
+    RESULT/_models/<hash>.json   model files of an estimate, named by their content, never changed
+    RESULT/_done/<name>.parquet  rows of a run that was stopped; the next run takes them over
 
-Names that begin with _ are left out by what reads a folder as a data set (Arrow, Spark, DuckDB's `*.parquet`).
+Programs that read a folder as a data set (Arrow, Spark, DuckDB's `*.parquet`) ignore names that begin with _.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ ROWS, DONE, MODELS = "rows.parquet", "_done", "_models"
 #: Keys of the file: the kind of result, and where its runs are.
 META, SOURCE = b"agent.fleet", b"agent.fleet.source"
 SCHEMA_NAME = "fleet/1"
-#: Rows of a group: what is in memory at once, times a few.
+#: Rows of a group; a few groups are in memory at once.
 _GROUP = 128
-#: Groups that are kept open while rows are put in order.
+#: Groups that are kept open while rows are sorted.
 _OPEN = 8
 
 
@@ -35,8 +35,8 @@ def schema(kind: str, source: str = "") -> Any:
 
     Columns that all have: `robot`, `run`; `status` (`ok`, `rejected`, `unreadable`, `unavailable`, `memory`, `killed`,
     `error`), `reason`, `exit_code` (that of the single command); `started` (UTC), `serial`, `tool`; `logs`, `page`
-    (report of the run in the source), `warnings`; `joints` and lists as long: `rmse` [N·m], `normalised_rmse` (of
-    nominal torque); `asked` and `inputs`, by which a rerun knows what is new.
+    (report of the run in the source), `warnings`; `joints`, and with one value per joint `rmse` [N·m] and
+    `normalised_rmse` (of nominal torque); `asked` and `inputs`, by which a rerun knows what is new.
     """
     pa = needed("pyarrow", "a fleet")
     text, number, texts, numbers = pa.string(), pa.float64(), pa.list_(pa.string()), pa.list_(pa.float64())
@@ -128,9 +128,9 @@ def open_result(url: str, kind: str, source: str) -> Iterator[Result]:
 
 
 class Result:
-    """A result that is being made: knows the rows that are there, takes new ones, and puts all in place at the end.
+    """A result in the making: knows the existing rows, takes new ones, and writes all at the end.
 
-    Memory does not grow with the rows.
+    Memory does not grow with the number of rows.
     """
 
     def __init__(self, store: Store, columns: Any, folder: Path, before: Any):
@@ -144,7 +144,7 @@ class Result:
         self._parts = self._done_parts()
 
     def known(self) -> dict[str, dict[str, Any]]:
-        """Of every run that has a row: `status`, `reason`, `asked`, and `inputs`."""
+        """The columns `run`, `status`, `reason`, `asked` and `inputs` of every row, by run."""
         columns = ["run", "status", "reason", "asked", "inputs"]
         batches = (batch for file in self._files() for batch in file.iter_batches(_GROUP, columns=columns))
         return {row["run"]: row for batch in batches for row in batch.to_pylist()}
@@ -156,7 +156,7 @@ class Result:
             self.keep()
 
     def same(self, run: str, inputs: list[dict[str, Any]]) -> None:
-        """The row of a run stands: its inputs have other stamps and the same content."""
+        """Keep the row of a run whose inputs have new stamps and the same content."""
         self._same[run] = inputs
 
     def add_model(self, content: bytes) -> str:
@@ -167,7 +167,7 @@ class Result:
         return name
 
     def keep(self) -> None:
-        """Write what is finished, for whoever goes on if this run does not come to its end."""
+        """Save the finished rows, so that the next run can go on if this one is stopped."""
         import pyarrow as pa
         import pyarrow.parquet as pq
 
@@ -182,10 +182,10 @@ class Result:
         self._fresh = []
 
     def commit(self) -> int:
-        """Put all rows in place, in the order of robot and run; returns their number.
+        """Write all rows, sorted by robot and run; returns their number.
 
         Raises:
-            AgentError: they cannot be written; the result before stands.
+            AgentError: they cannot be written; the old result is unchanged.
         """
         import pyarrow as pa
         import pyarrow.parquet as pq
@@ -230,7 +230,7 @@ class Result:
         return parts if self._before is None else [self._before, *parts]
 
     def _done_parts(self) -> list[str]:
-        """What earlier runs finished and did not put in place, fetched."""
+        """Fetch the rows of earlier runs that were stopped; returns their file names."""
         import pyarrow.parquet as pq
 
         names = []
@@ -244,7 +244,7 @@ class Result:
 
 
 def _order(files: Sequence[Any]) -> list[tuple[str, str, int, int, int]]:
-    """Robot, run, file, group of rows and place in it of every row, the newest of each run."""
+    """Robot, run, file, row group and place in it of the newest row of every run, sorted."""
     newest: dict[str, tuple[str, str, int, int, int]] = {}
     for number, file in enumerate(files):
         for group in range(file.num_row_groups):

@@ -1,14 +1,14 @@
-"""A fleet that never was, with known wear, steps and causes: small logs of it, or a year of results at once.
+"""A synthetic fleet with known wear, steps and causes: small logs of it, or a year of results at once.
 
-Friction of every axle is a level of its own, scattered from run to run, raised by a warm-up that all axles of a machine
-share, and changed by what was planted:
+Friction of every axle is a level of its own with scatter from run to run, raised by a warm-up that all axles of a
+machine share, and changed by what was planted:
 
 - wear: one axle of a machine drifts, linear in time;
 - step: one axle of a machine jumps at some week (a new grease);
 - cause: all machines of one lubricant batch drift on the same axle.
 
-`truth.csv` says what was planted where, `machines.csv` has the columns a plant would bring (cell, lubricant batch).
-Torque of logs is inverse dynamics of the description, rotors, friction with a smooth reversal, and noise.
+`truth.csv` lists what was planted, `machines.csv` has the columns a plant would bring (cell, lubricant batch). Torque
+in logs is inverse dynamics of the description plus rotors, friction with a smooth reversal, and noise.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ from agent.robot import RobotDescription, load_robot
 if TYPE_CHECKING:
     from agent.recording import Log
 
-#: Shares of the machines that wear, that step, and that are of the bad batch; the changes that are planted.
+#: Share of the machines with each kind of change, and its relative size.
 SHARES = {"cause": 0.05, "wear": 0.02, "step": 0.01}
 CHANGES = {"cause": 0.06, "wear": 0.10, "step": -0.15}
 SCATTER = 0.004  # of friction from run to run
-WARM_UP = 0.05  # friction of a cold arm is higher by up to so much
+WARM_UP = 0.05  # largest relative increase of friction of a cold arm
 _DECAY = 600.0  # s, of the warm-up
-_DOUBT = 1.2e-5  # 1/s, of the rate of warm-up within a run
+_DOUBT = 1.2e-5  # 1/s, standard deviation of the rate of warm-up within a run
 _CELLS, _BATCHES = 12, 20
 _BAD_BATCH = "B07"
 _START = datetime(2025, 1, 6, 2, 0, tzinfo=UTC)
@@ -47,8 +47,7 @@ _UNFINISHED = "_unfinished"  # says what is being written, until all of it is
 
 @dataclass(frozen=True)
 class Planted:
-    """A change of the friction of one axle: `kind`, its relative size at the end, and the week after which it is there
-    (a step) or from which it grows."""
+    """A change of the friction of one axle: `kind`, relative size at the end, and the week in which it begins."""
 
     robot: str
     joint: str
@@ -59,8 +58,8 @@ class Planted:
 
 @dataclass(frozen=True, eq=False)
 class Fleet:
-    """What was drawn: machines, their columns, what was planted, and the friction (N, W, n) of axles over weeks, over
-    its first; the warm-up `cold` (N, W) and its answer (N, n) of every axle."""
+    """A drawn fleet of N machines over W weeks: their columns, what was planted, and the relative friction (N, W, n) of
+    axles; the warm-up `cold` (N, W) and the response `answer` (N, n) of every axle to it."""
 
     names: tuple[str, ...]
     columns: tuple[tuple[str, str], ...]
@@ -105,7 +104,7 @@ def draw_fleet(machines: int, weeks: int, joints: tuple[str, ...], seed: int) ->
 
 def simulate_fleet(robot: str, machines: int, weeks: int, seed: int, out: str, rows: bool) -> list[str]:
     """Write a fleet to a folder or URL: logs with their description, or with `rows` the result of `fleet estimate` on
-    a year of them; returns what was written. What was stopped in the middle is made anew by the same call.
+    a year of them; returns what was written. The same call after an interruption starts over.
 
     Raises:
         InputError: a robot that is not known, or a folder with something else in it.

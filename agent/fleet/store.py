@@ -1,7 +1,7 @@
-"""Folders of files, on this machine or in an object store: listed, fetched whole or not at all, put whole.
+"""Folders of files, local or in an object store: files are listed, fetched and written whole or not at all.
 
-A store may answer slowly, with errors, or with half a file. Every call is tried again with growing pauses, and what was
-fetched is compared with the size, and where it is one with the MD5, that the store's own listing says.
+A store may answer slowly, with errors, or with half a file. Every call is retried with growing pauses. A fetched file
+is compared with the size in the store's listing, and with the MD5 where the listing has one.
 """
 
 from __future__ import annotations
@@ -18,23 +18,23 @@ from typing import Any, TypeVar
 
 from agent.core import AgentError, InputError, needed, written_whole
 
-#: How often a store is asked before it counts as unavailable, and the first pause between [s]; each is twice the last.
+#: Attempts before a store counts as unavailable, and the first pause between them [s]; each is twice the last.
 TRIES = 4
 PAUSE = 0.25
-#: What folders on this machine begin with that hold what is on its way to or from a store.
+#: Prefix of the local folders for files on their way to or from a store.
 SCRATCH = "agent-fleet-"
 
 Answer = TypeVar("Answer")
 
 
 class StoreError(InputError):
-    """A store did not give or take a file; it may another time."""
+    """A store did not give or take a file; another attempt may succeed."""
 
 
 @dataclass(frozen=True)
 class StoredFile:
-    """A file by its path below the store's root, with its size [bytes] and what its store says to tell versions of it
-    apart: the ETag of an object, the time of change of a local file."""
+    """A file by its path below the store's root, with its size [bytes] and a stamp that changes with its content: the
+    ETag of an object, the time of change of a local file."""
 
     path: str
     size: int
@@ -80,8 +80,7 @@ class Store:
         return self.url if self.local is None else str(self.local)
 
     def files(self) -> Iterator[StoredFile]:
-        """All files, in the order of their paths; those below a folder or of a name that begins with . or _ are the
-        program's own, or nobody's.
+        """All files, sorted by path, without those whose path has a part that begins with . or _.
 
         Raises:
             InputError: there is no such folder.
@@ -106,8 +105,7 @@ class Store:
         return StoredFile(path, int(entry["size"] or 0), _stamp(entry))
 
     def fetch(self, file: StoredFile, folder: Path) -> Path:
-        """Path of a local copy below `folder`, at the same place as in the store; of the file itself where that is
-        local.
+        """Path of a local copy at the same place below `folder`, or of the file itself where it is local.
 
         Raises:
             StoreError: the store does not give the whole file.
@@ -134,7 +132,7 @@ class Store:
         return self._try(lambda: self._fs.cat_file(f"{self._root}/{path}"), "read", path)
 
     def put(self, path: str, content: bytes | Path) -> None:
-        """Write a file: readers see the one before, or all of it.
+        """Write a file; readers see the old content or all of the new.
 
         Raises:
             AgentError: it cannot be written.
@@ -148,7 +146,7 @@ class Store:
             self._try(lambda: self._fs.put_file(str(content), full), "written", path)
 
     def names(self, folder: str) -> list[str]:
-        """Names of the files in a folder, in order; none where there is no such folder."""
+        """Sorted names of the files in a folder; none if there is no such folder."""
         self._fs.invalidate_cache()
         try:
             found = self._try(lambda: self._fs.ls(f"{self._root}/{folder}", detail=False), "listed", folder)
@@ -157,7 +155,7 @@ class Store:
         return sorted(name for full in found if not (name := PurePosixPath(full).name).startswith("."))
 
     def remove(self, path: str) -> None:
-        """Take a file away, if it is there."""
+        """Delete a file, if it is there."""
         with contextlib.suppress(FileNotFoundError):
             self._try(lambda: self._fs.rm_file(f"{self._root}/{path}"), "removed", path)
 
@@ -181,7 +179,7 @@ class Store:
 
 
 def _put_local(path: Path, content: bytes | Path) -> None:
-    """Write beside, flush to the disk and rename."""
+    """Write to a temporary name, flush to the disk and rename."""
     if path.is_dir():
         raise InputError(f"{path}: is a folder; name a file to write")
     try:

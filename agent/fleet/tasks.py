@@ -1,8 +1,8 @@
-"""From a folder or an object store to tasks: a robot, a run, its logs, and the description and model that go with them.
+"""From a folder or object store to tasks: a robot, a run, its logs, and their description and model.
 
-A task is a folder with logs. Whose it is says the folder of the nearest `robot.yaml` below the source; where there is
-none (one description for all), the folder above the run's; where there is none of these either, the serial or name that
-a run folder of the agent tells, or the folder's own name.
+A task is a folder with logs. Its robot is named after the folder of the nearest `robot.yaml` below the source; without
+one (one description for all), after the folder above the run; without that, after the serial or robot in the state of a
+run folder, or after the folder itself.
 """
 
 from __future__ import annotations
@@ -25,22 +25,22 @@ if TYPE_CHECKING:
     from agent.robot import RobotDescription
 
 KINDS = ("estimate", "validate", "diagnose")
-#: Which logs of a run folder of the agent go into what; of any other folder all do.
+#: Logs of a run folder of the agent that each kind of task uses; of any other folder all are used.
 _OF_A_RUN = {
     "estimate": ("excitation.mcap",),
     "validate": ("validation_*.mcap",),
     "diagnose": ("excitation.mcap", "validation_*.mcap"),
 }
 _STATE, _ROBOT, _PAGE = "state.json", "robot.yaml", "report.html"
-#: In a run folder of the agent: says what the robot was, too.
+#: In a run folder of the agent; it holds the robot's description as well.
 RUN_MODEL = "model.json"
-#: Packages of the agent on which no figure hangs, and libraries on which all do.
+#: Packages of the agent that no figure depends on, and libraries that all depend on.
 _NO_FIGURES, _LIBRARIES = ("cli", "notebook", "report"), ("numpy", "scipy", "pin", "clarabel")
 
 
 @dataclass(frozen=True)
 class RunQuestion:
-    """What is asked of every run: the options of the single command, with the same meaning.
+    """The question to every run: the options of the single command, with the same meaning.
 
     `robot` is None where the description is in the store. `model` is the name of the model file to look for in or above
     each run, or, with its `model_content`, that of the one for all; "" for none.
@@ -59,7 +59,7 @@ class RunQuestion:
 
     @property
     def key(self) -> str:
-        """Of everything but the inputs that the figures hang on (16 hex digits)."""
+        """Digest of everything that the figures depend on except the inputs (16 hex digits)."""
         asked = {
             **vars(self),
             "robot": None if self.robot is None else self.robot.to_dict(),
@@ -76,9 +76,8 @@ class RunQuestion:
 
 @dataclass(frozen=True)
 class Task:
-    """One robot and run. `run` is the folder below the source, "." for the source itself; `files` are its logs, and
-    description (or a run folder's model), model and state where the store has them; `known` the SHA-256
-    of the inputs of the row that is there already, by path."""
+    """One robot and run. `run` is the folder below the source, "." for the source itself; `description` is the robot's,
+    or a run folder's model; `known` are path and SHA-256 of the inputs of an existing row."""
 
     question: RunQuestion
     source: str
@@ -93,14 +92,14 @@ class Task:
 
     @property
     def files(self) -> tuple[StoredFile, ...]:
-        """Everything of the store that was found for it."""
+        """All its files in the store."""
         return (*self.logs, *(one for one in (self.description, self.model, self.state) if one is not None))
 
 
 @dataclass(frozen=True)
 class SourceTasks:
-    """What a source holds: tasks in the order of robot and run, and the listing (size and stamp by path) that tells
-    whether a file is the one that was read."""
+    """Tasks of a source, sorted by robot and run, and the listing (size and stamp by path) by which files are compared
+    with those of an earlier run."""
 
     tasks: tuple[Task, ...]
     listing: dict[str, tuple[int, str]]
@@ -108,8 +107,7 @@ class SourceTasks:
 
 @cache
 def figures_version() -> str:
-    """A name for everything that figures hang on besides their inputs (16 hex digits): another program, or another
-    version of a library, may give other ones."""
+    """Digest of the agent's source and of library versions (16 hex digits): other ones may give other figures."""
     package = Path(__file__).parents[1]
     digest = hashlib.sha256(" ".join(version(library) for library in _LIBRARIES).encode())
     for path in sorted(package.rglob("*")):
@@ -120,9 +118,9 @@ def figures_version() -> str:
 
 
 def make_question(kind: str, robot: str | None, model: str | None, **options: Any) -> RunQuestion:
-    """A question, with what `robot` and `model` name on this machine.
+    """A question, with the robot and the model file that are named.
 
-    A `model` that is no file here is a name to look for in or above every run.
+    A `model` that is no local file is a name to look for in or above every run.
 
     Raises:
         InputError: a robot or a file that cannot be used, or an unknown effect, method, structure or cut-off.

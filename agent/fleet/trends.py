@@ -1,9 +1,9 @@
-"""What changes over time in a fleet: every axle of every machine, tested together.
+"""Changes over time in a fleet: every axle of every machine, tested together.
 
-The trend of one series is that of `agent history` (`agent.runs.Trend`): friction as its logarithm besides the warm-up
-that all axles share; the error of a validation or diagnosis as its logarithm alone. The levels of an axle count as one
-finding, which has paid for their number. Over a fleet a level per series would raise false alarms by the number of
-series, so the false discovery rate is controlled over all axles (Benjamini and Hochberg 1995).
+The test of one series is that of `agent history` (`agent.runs.Trend`): the logarithm of friction with the warm-up that
+all axles share taken out; for a validation or diagnosis, the logarithm of the error. The levels of an axle are one
+finding, corrected for their number (Bonferroni). A fixed level per series would raise false alarms in proportion to
+their number, so the false discovery rate is controlled over all axles (Benjamini and Hochberg 1995).
 """
 
 from __future__ import annotations
@@ -30,11 +30,10 @@ SCHEMA_NAME = "fleet-trends/1"
 
 @dataclass(eq=False)
 class AxleTrend:
-    """The trend of one axle of one machine, and what it is among all of the fleet.
+    """The trend of one axle of one machine among those of the fleet.
 
-    Relative `change` over the course with its 95 % interval `low` to `high`; `dates`: days of the runs, ISO 8601;
-    `p_value`: probability by chance of as much on any of the axle's series; `level`: smallest rate of false discoveries
-    at which it is a finding.
+    Relative `change` over the course with its 95 % interval `low` to `high`; `dates` of the runs, ISO 8601; `p_value`,
+    corrected for the axle's series; `level`: smallest false discovery rate at which it is a finding.
     """
 
     robot: str
@@ -53,7 +52,7 @@ class AxleTrend:
 
     @property
     def since_day(self) -> str:
-        """Day of the run after which a step came; "" where there is none, or nobody knows it."""
+        """Day of the run after which a step came; "" without a step, or where it is unknown."""
         return self.dates[self.trend.found.place - 1] if self.trend.since else ""
 
     def text(self) -> str:
@@ -129,7 +128,7 @@ def fleet_trends(
     tables: Sequence[Path] = (),
     on_machine: Callable[[MachineRuns, list[AxleTrend]], None] = lambda machine, found: None,
 ) -> FleetTrends:
-    """Trends of a result; `on_machine` is shown every machine on the way, before anything is decided.
+    """Trends of a result; `on_machine` is called with every machine before findings are decided.
 
     Raises:
         InputError: no result, or a table that cannot be used.
@@ -169,7 +168,7 @@ def is_result(url: str) -> bool:
 
 
 def source_of(url: str) -> str:
-    """Where the runs of a result are; "" where nobody knows.
+    """Where the runs of a result are; "" where it is unknown.
 
     Raises:
         InputError: no result.
@@ -179,7 +178,7 @@ def source_of(url: str) -> str:
 
 
 def write_trends(found: FleetTrends, out: str) -> None:
-    """All axles as Parquet, a row each, with the columns that were brought.
+    """Write all axles as Parquet, one row each, with the columns of the tables.
 
     Raises:
         InputError: a folder with a result in it.
@@ -212,7 +211,7 @@ def _decide(axles: Sequence[AxleTrend]) -> None:
 
 
 def _friction_of(machine: MachineRuns) -> Iterator[AxleTrend]:
-    """Of the series of an axle, one for every level, the one with the likeliest change."""
+    """For every axle, the one of its series (one per level) with the likeliest change."""
     rows = machine.alike("friction")
     if len(rows) < FEWEST or not machine.levels:
         return

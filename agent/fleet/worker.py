@@ -1,6 +1,6 @@
-"""What a worker does: fetch the inputs of one run, call what the single command calls, and answer with a row.
+"""What a worker does: fetch the inputs of one run, call what the single command calls, and return a row.
 
-Nothing that a run can bring along is an error of the fleet: whatever goes wrong is a row with its reason.
+No run can stop the fleet: whatever goes wrong is a row with its reason.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from agent.recording import Log
     from agent.robot import RobotDescription
 
-#: Statuses of rows that another try may mend; a rerun tries them again.
+#: Statuses that may pass; a rerun tries these rows again.
 PASSING = ("unavailable", "memory", "killed")
 _DATE = re.compile(r"(?<!\d)((?:19|20)\d\d)-?([01]\d)-?([0-3]\d)(?:[T_ ]([0-2]\d)[:-]?([0-5]\d))?")
 
@@ -44,8 +44,10 @@ class Notes(Console):
 
 @dataclass(frozen=True)
 class TaskRow:
-    """The row of a task, without what the task itself says, and its model file; `row` is None where the inputs are
-    still what they were. `inputs`: everything that was read, with its SHA-256. `cpu_s`, `read_bytes`: what it took."""
+    """The row of a task, without the columns known from the task, and its model file.
+
+    `row` is None where the inputs have not changed. `inputs` are the files that were read, with their SHA-256.
+    """
 
     row: dict[str, Any] | None
     inputs: list[dict[str, Any]]
@@ -76,7 +78,7 @@ class _Inputs:
 
 
 def run_task(task: Task) -> TaskRow:
-    """The answer to one task; no input makes it raise."""
+    """The row of one task; no input makes it raise."""
     from agent.excitation import one_blas_thread
 
     began = time.process_time()
@@ -148,10 +150,10 @@ def _robot(task: Task, inputs: _Inputs) -> str | RobotDescription | None:
 
 
 def answer(question: RunQuestion, robot: Any, model: Path | None, logs: list[Path]) -> tuple[dict[str, Any], bytes]:
-    """Columns of a row, out of the same functions as the single command's, with its warnings; and its model file.
+    """Columns of a row, with its warnings, and its model file, by the same functions as the single command.
 
     Raises:
-        AgentError: as the single command.
+        AgentError: as the single command does.
     """
     notes, content = Notes(), b""
     if question.kind == "estimate":
@@ -164,7 +166,7 @@ def answer(question: RunQuestion, robot: Any, model: Path | None, logs: list[Pat
 
 
 def _estimate(question: RunQuestion, robot: Any, logs: list[Path], notes: Notes) -> tuple[dict[str, Any], bytes]:
-    """The columns, and the model file but for when it was made: the same inputs give the same file."""
+    """The columns, and the model file without its date, so that the same inputs give the same file."""
     from agent.pipeline import fit_files
 
     if robot is None:
@@ -192,7 +194,7 @@ def _estimate(question: RunQuestion, robot: Any, logs: list[Path], notes: Notes)
 
 
 def _conditions(model: IdentifiedModel, logs: list[Log]) -> dict[str, Any]:
-    """Friction that was met, and how it changed meanwhile: of the longest log, as a run folder has it."""
+    """Friction and its change during the longest log, as a run folder has them."""
     from agent.pipeline import friction_levels, top_speed, warm_up
     from agent.validation import predict_log
 
@@ -248,7 +250,7 @@ def _diagnose(question: RunQuestion, robot: Any, model: Path | None, logs: list[
 
 
 def _told(state: Path | None) -> dict[str, Any]:
-    """What the state of a run says; nothing where it is none."""
+    """The state of a run; empty where there is none, or it is damaged."""
     if state is not None:
         with contextlib.suppress(InputError):
             told = read_json(state)
@@ -257,8 +259,7 @@ def _told(state: Path | None) -> dict[str, Any]:
 
 
 def _when(task: Task, state: Path | None, logs: list[Path]) -> dict[str, Any]:
-    """When the run was: by its state, by the stamps of its first log, or by a date in its name; and on which machine,
-    by its first log."""
+    """Date of the run (from its state, its first log or its name), and serial and tool (from its first log)."""
     from agent.recording import read_log
 
     told, log, started = _told(state).get("started"), read_log(logs[0]), None

@@ -49,7 +49,7 @@ _FARTHEST = 20 * np.pi
 
 @dataclass(frozen=True)
 class CellDescription:
-    """What stands around the robot, and how far each joint may go there.
+    """Obstacles around the robot, and ranges of joints.
 
     `joint_ranges`: by joint name, (lower, upper) [rad, m], where a cable or the cell allows less than the joint itself.
     """
@@ -77,10 +77,9 @@ class MotionPlan:
 
 @dataclass(frozen=True, eq=False)
 class Recipe:
-    """One recipe file. `text` is what it said, `sha256` (hex) of that text, `path` where it was.
+    """One recipe file: its path, text and SHA-256 (hex), and its sections.
 
-    `robot_source` is what `--robot` takes for the same robot: a built-in name, or a path from here. Sections that no
-    stage needs in another form are as they were written.
+    `robot_source` is what `--robot` takes for the same robot: a built-in name, or a path from the working folder.
     """
 
     path: Path
@@ -115,9 +114,9 @@ def load_recipe(path: Path | str) -> Recipe:
 
 
 def examine_recipe(path: Path | str) -> tuple[Recipe | None, list[str]]:
-    """A recipe and all its faults, as lines. Keys that are wrong and may be left out have their defaults in it.
+    """A recipe and all its faults, one line each. Optional keys that are wrong have their defaults in it.
 
-    It is None where something is wrong that nothing can stand in for.
+    The recipe is None where a required key is wrong.
 
     Raises:
         InputError: no such file, or not YAML.
@@ -146,7 +145,7 @@ def examine_recipe(path: Path | str) -> tuple[Recipe | None, list[str]]:
 
 
 def _document(path: Path, data: Any, faults: dict[tuple[Any, ...], str]) -> RecipeDocument | None:
-    """The document without its faulty keys, or without what holds them, if it can be."""
+    """The document without its faulty keys, or without the sections that hold them; None if that is no recipe."""
     while faults:
         data = without_faults(data, faults)
         before, faults = faults, find_faults(path, data, RecipeDocument)
@@ -165,7 +164,7 @@ def recipe_schema() -> dict[str, Any]:
 
 
 def _contradictions(path: Path, document: RecipeDocument, robot: RobotDescription) -> Iterator[tuple[Location, str]]:
-    """What is wrong between values that are each right by themselves."""
+    """Contradictions between values that are each valid."""
     for fault in _range_faults(robot, document.cell.joint_ranges):
         yield ("robot",), f"{document.robot}: {fault}"
     limits = robot.cartesian_limits
