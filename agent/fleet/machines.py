@@ -44,26 +44,29 @@ class MachineRuns:
 
     def alike(self, name: str) -> np.ndarray:
         """Row numbers of the runs with as many figures in a column as the latest."""
-        import pyarrow.compute as pc
-
-        lengths = pc.list_value_length(self.table[name]).to_numpy()
         rows = np.flatnonzero(self.with_figures)
-        return rows[lengths[rows] == lengths[rows[-1]]] if len(rows) else rows
+        lengths = self._lengths(name)[rows]
+        return rows[lengths == lengths[-1:]]
 
     def figures(self, name: str, rows: np.ndarray, field: str = "") -> np.ndarray:
         """(R, …) of some runs that are alike in a column of lists, NaN where unknown."""
         values = self.table[name].combine_chunks().take(rows).flatten()
-        values = values.field(field) if field else values
-        return values.to_numpy(zero_copy_only=False).reshape(len(rows), -1)
+        values = (values.field(field) if field else values).to_numpy(zero_copy_only=False)
+        return values.reshape(len(rows), len(values) // max(1, len(rows)))
 
     def rates(self, rows: np.ndarray, field: str) -> np.ndarray:
         """(R, n) of the warm-up of some runs, NaN where a run does not have it for every joint."""
-        found = np.full((len(self.runs), len(self.joints)), np.nan)
-        told = self.alike("warm_up")
-        values = self.figures("warm_up", told, field)
-        if values.shape[1] == len(self.joints):
-            found[told] = values
+        n = len(self.joints)
+        found = np.full((len(self.runs), n), np.nan)
+        known = np.flatnonzero(self.with_figures & (self._lengths("warm_up") == n))
+        if len(known):
+            found[known] = self.figures("warm_up", known, field)
         return found[rows]
+
+    def _lengths(self, name: str) -> np.ndarray:
+        import pyarrow.compute as pc
+
+        return pc.list_value_length(self.table[name]).to_numpy()
 
     @cached_property
     def errors(self) -> tuple[np.ndarray, np.ndarray]:

@@ -18,7 +18,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from agent.core import AgentError, Console, InputError, read_json, sha256_file, sha256_text
+from agent.core import AgentError, Console, InputError, read_json, sha256_file, sha256_text, written_whole
 from agent.runs.folder import RunFolder, from_plain, write_json
 from agent.runs.history import which_machine
 from agent.runs.past_run import controller_key, read_parameters, read_run
@@ -66,7 +66,7 @@ def apply_run(logs: Path, run: Path) -> Applied:
         AgentError: it cannot be written; the current model is what it was.
     """
     past = read_run(run)
-    read_parameters(run)
+    read_parameters(run)  # a damaged model is not applied
     if past.kind == "diagnose":
         raise InputError(f"{run}: this run is a diagnosis and made no model; apply a calibration or a recalibration")
     if not past.accepted:
@@ -88,9 +88,8 @@ def apply_run(logs: Path, run: Path) -> Applied:
         return before
     with _writable(place):
         version = _fresh(place / "versions")
-        shutil.copyfile(model, version / "model.json")
-        with open(version / "model.json", "rb+") as file:
-            os.fsync(file.fileno())
+        with written_whole(version / "model.json") as beside:
+            shutil.copyfile(model, beside)
         about = {
             "schema": "current/1",
             "run": past.run,

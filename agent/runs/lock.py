@@ -16,6 +16,7 @@ import random
 import secrets
 import stat
 import time
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -30,9 +31,9 @@ _READ = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK
 _LEFT = 3600.0  # s old at least are files that count as left behind
 _PATIENCE = 0.1  # s, for two runs that begin at once
 
-#: How often this process holds a lock, and its file, by process and robot; a forked one holds none.
-_held: dict[tuple[int, str], tuple[int, Path]] = {}
-#: Files of this process: whoever closes one lets go of its lock.
+#: How often this process holds a lock, by process and robot; a forked one holds none.
+_held: Counter[tuple[int, str]] = Counter()
+#: Files of this process: closing one releases its lock.
 _own: set[tuple[int, Path]] = set()
 
 
@@ -53,25 +54,20 @@ def robot_lock(driver: str, address: str) -> Iterator[None]:
 @contextlib.contextmanager
 def _locked(endpoint: str, robot: str) -> Iterator[None]:
     key = os.getpid(), _digest(endpoint)
-    if key in _held:
-        count, path = _held[key]
-        _held[key] = count + 1, path
+    taken = None
+    if not _held[key]:
         try:
-            yield
-        finally:
-            _held[key] = count, path
-        return
-    try:
-        path, descriptor = _take(key[1], robot)
-    except OSError as error:
-        raise AgentError(f"{_folder()}: the robot's lock cannot be made there: {error.strerror}; rights?") from None
-    _held[key] = 1, path
+            taken = _take(key[1], robot)
+        except OSError as error:
+            raise AgentError(f"{_folder()}: the robot's lock cannot be made there: {error.strerror}; rights?") from None
+    _held[key] += 1
     try:
         yield
     finally:
-        del _held[key]
-        _let_go(path, descriptor)
-        _take_leftovers_away()
+        _held[key] -= 1
+        if taken is not None:
+            _let_go(*taken)
+            _take_leftovers_away()
 
 
 def lock_files(driver: str, address: str) -> list[Path]:
