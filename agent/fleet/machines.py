@@ -104,5 +104,4 @@ def read_machines(kind: str, rows: Any) -> Iterator[MachineRuns]:
         for start, stop in pairwise([*edges, last]):
             yield MachineRuns(kind, table.slice(start, stop - start))
         left = [table.slice(last)]
-    for table in left:
-        yield MachineRuns(kind, table)
+    yield from (MachineRuns(kind, table) for table in left if len(table))
