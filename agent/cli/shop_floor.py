@@ -77,23 +77,23 @@ def history(
     as_json: opt.AsJson = False,
 ) -> None:
     """Past runs: what they found, and what the gate said."""
-    from agent.runs import current_runs, history_json, history_table, open_history
+    from agent.runs import History, current_runs, history_json, history_table
 
-    with open_history(logs) as past:
-        runs = past.runs(robot, serial)
-        nothing = None if runs or past.damaged else past.why_none(robot, serial)
-        current, lost = current_runs(logs)
-        future = [f"{run.run}: dated in the future; the trends leave it out" for run in runs if run.in_future()]
-        for warning in (*past.damaged, *lost, *future):
-            print(f"agent: {warning}", file=sys.stderr)
-        if as_json:
-            import json
+    past = History(logs)
+    runs = past.runs(robot, serial)
+    nothing = None if runs or past.damaged else past.why_none(robot, serial)
+    current, lost = current_runs(logs)
+    data = history_json(past, runs, current) if as_json else {}
+    future = [f"{run.run}: dated in the future; the trends leave it out" for run in runs if run.in_future()]
+    for warning in (*past.damaged, *lost, *future):
+        print(f"agent: {warning}", file=sys.stderr)
+    if as_json:
+        import json
 
-            from agent.runs import watch
+        from agent.runs import watch
 
-            data = {**history_json(past, runs, current), "watch": [one.to_dict() for one in watch(runs)]}
-            print(json.dumps(data))
-            return
+        print(json.dumps({**data, "watch": [one.to_dict() for one in watch(runs)]}))
+        return
     print(history_table(runs, current))
     if nothing is not None:
         print(nothing, file=sys.stderr)

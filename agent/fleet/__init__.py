@@ -1,4 +1,4 @@
-"""The same over many robots: one task a robot and run, on the cores of this machine or a Dask scheduler."""
+"""The commands over many robots: one task per robot and run, on local cores or a Dask scheduler."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""The whole job: find the tasks of a source, leave out what is known, do the rest somewhere, put all in place."""
+"""The whole job: find the tasks of a source, skip what is known, run the rest, write the result."""
 
 from __future__ import annotations
 
@@ -6,20 +6,20 @@ import contextlib
 import os
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from agent.core import BusyError, Console, TaskEngine
-from agent.fleet.result import SCHEMA_NAME, Result
+from agent.core import BusyError, Console, TaskEngine, counted
+from agent.fleet.result import SCHEMA_NAME, Result, open_result
 from agent.fleet.store import Store
 from agent.fleet.tasks import RunQuestion, SourceTasks, Task, find_tasks
-from agent.fleet.work import PASSING, TaskRow, run_task
+from agent.fleet.worker import PASSING, TaskRow, run_task
 from agent.runs import robot_lock
 from drivers.texts import hide_all, printable
 
-#: What is finished is kept at least so often [s].
+#: Longest time between two saves of finished rows [s].
 _KEEP = 10.0
 #: Characters of a reason or warning in a row.
 _LONGEST = 2000
@@ -27,8 +27,10 @@ _LONGEST = 2000
 
 @dataclass
 class Summary:
-    """What a run of the fleet came to. `done` runs were worked on, `kept` rows stood; `failed` are all rows of this
-    source that have no figures; `cpu_s`, `read_bytes`, `written_bytes`: what it took."""
+    """Outcome of a run over the fleet.
+
+    `done` runs were computed, `kept` rows were still valid, `failed` are all rows of this source without figures.
+    """
 
     kind: str
     source: str
@@ -51,17 +53,17 @@ class Summary:
     def text(self) -> str:
         """For people."""
         lines = [
-            f"{_counted(self.runs, 'run')} of {_counted(self.robots, 'robot')}: {self.done} done, {self.kept} known; "
-            f"{_counted(self.rows, 'row')} in {self.result}",
+            f"{counted(self.runs, 'run')} of {counted(self.robots, 'robot')}: {self.done} done, {self.kept} known; "
+            f"{counted(self.rows, 'row')} in {self.result}",
             f"{self.cpu_s:.1f} CPU s in {self.seconds:.1f} s, {self.read_bytes / 1e6:.1f} MB read, "
             f"{self.written_bytes / 1e6:.1f} MB written",
         ]
-        counts = Counter(one["status"] for one in self.failed)
-        if counts:
-            lines.append("without figures: " + ", ".join(f"{count} {status}" for status, count in counts.items()))
+        if self.failed:
+            statuses = Counter(one["status"] for one in self.failed)
+            lines.append("without figures: " + ", ".join(f"{count} {status}" for status, count in statuses.items()))
             lines += [f"  {one['run']}: {one['reason']}" for one in self.failed[:5]]
-            if len(self.failed) > 5:
-                lines.append("  …; all are in the column `reason`")
+        if len(self.failed) > 5:
+            lines.append("  …; all are in the column `reason`")
         return "\n".join(lines)
 
 
@@ -72,7 +74,7 @@ def run_fleet(
     engine: Callable[[int], AbstractContextManager[TaskEngine]],
     console: Console,
 ) -> Summary:
-    """Bring a result up to date with a source; `engine` is asked for one for so many tasks, where there are any.
+    """Bring a result up to date with a source; `engine` makes one for a number of tasks, if there are any.
 
     Raises:
         InputError: source, result or a file that was named cannot be used.
@@ -80,20 +82,16 @@ def run_fleet(
         AgentError: the result cannot be written, or the workers are gone; what is done is kept.
     """
     began = time.monotonic()
-    with _alone(out), Result(out, question.kind, source) as result:
+    with _alone(out), open_result(out, question.kind, source) as result:
         console.step(f"looking for runs in {source}")
         plant = find_tasks(Store(source), question)
-        robots = {task.robot for task in plant.tasks}
-        summary = Summary(question.kind, source, out, runs=len(plant.tasks), robots=len(robots))
         known = result.known()
-        todo = [task for task in _marked(plant, question.key, known) if task is not None]
-        summary.kept = len(plant.tasks) - len(todo)
-        console.say(f"{_counted(len(plant.tasks), 'run')} of {_counted(len(robots), 'robot')}; {len(todo)} to be done")
-        failed = {
-            task.run: {"run": task.run, "status": known[task.run]["status"], "reason": known[task.run]["reason"]}
-            for task in plant.tasks
-            if task.run in known and known[task.run]["status"] != "ok"
-        }
+        todo = list(_to_do(plant, question.key, known))
+        runs, robots = len(plant.tasks), len({task.robot for task in plant.tasks})
+        summary = Summary(question.kind, source, out, runs, robots, kept=runs - len(todo))
+        console.say(f"{counted(runs, 'run')} of {counted(robots, 'robot')}; {len(todo)} to be done")
+        here = {task.run for task in plant.tasks}
+        failed = {run: _failure(row) for run, row in known.items() if run in here and row["status"] != "ok"}
         if todo:
             with engine(len(todo)) as workers:
                 _work(todo, workers, result, summary, failed, console)
@@ -104,8 +102,8 @@ def run_fleet(
     return summary
 
 
-def _counted(count: int, what: str) -> str:
-    return f"{count} {what}{'' if count == 1 else 's'}"
+def _failure(row: Mapping[str, Any]) -> dict[str, str]:
+    return {key: row[key] for key in ("run", "status", "reason")}
 
 
 def _work(
@@ -127,43 +125,37 @@ def _work(
             result.same(task.run, answer.inputs)
             summary.kept += 1
         else:
-            row = _row(task, answer)
+            row = _row(task, answer.row, answer.inputs)
             if answer.model:
                 row["model"] = result.add_model(answer.model)
             result.add(row)
             summary.done += 1
             if row["status"] != "ok":
-                failed[task.run] = {key: row[key] for key in ("run", "status", "reason")}
-        console.progress(f"{number} of {_counted(len(todo), 'run')}, {len(failed)} without figures", number / len(todo))
+                failed[task.run] = _failure(row)
+        console.progress(f"{number} of {counted(len(todo), 'run')}, {len(failed)} without figures", number / len(todo))
         if time.monotonic() - kept > _KEEP:
             result.keep()
             kept = time.monotonic()
 
 
-def _row(task: Task, answer: TaskRow) -> dict[str, Any]:
-    assert answer.row is not None
-    row = {
-        **answer.row,
+def _row(task: Task, answer: dict[str, Any], inputs: list[dict[str, Any]]) -> dict[str, Any]:
+    return {
+        **answer,
         "robot": task.robot,
         "run": task.run,
+        "reason": printable(hide_all(answer["reason"]), _LONGEST),
+        "warnings": [printable(hide_all(text), _LONGEST) for text in answer.get("warnings", [])],
         "logs": [file.name for file in task.logs],
         "page": task.page or None,
         "asked": task.question.key,
-        "inputs": answer.inputs,
+        "inputs": inputs,
     }
-    row["reason"] = _shown(row["reason"])
-    row["warnings"] = [_shown(text) for text in row.get("warnings", [])]
-    return row
 
 
-def _shown(text: str) -> str:
-    return printable(hide_all(text), _LONGEST)
+def _to_do(plant: SourceTasks, asked: str, known: Mapping[str, Mapping[str, Any]]) -> Iterator[Task]:
+    """Every task that has to run, with what is known of its inputs.
 
-
-def _marked(plant: SourceTasks, asked: str, known: dict[str, dict[str, Any]]) -> Iterator[Task | None]:
-    """Every task that has to be looked at, with what is known of its inputs; None for those that stand.
-
-    A row stands where it answers the same question and every file it was made of has the size and stamp it had. Where
+    A row is still valid where it answers the same question and all its input files have the same size and stamp. Where
     only stamps differ, the worker compares the content.
     """
     for task in plant.tasks:
@@ -173,15 +165,13 @@ def _marked(plant: SourceTasks, asked: str, known: dict[str, dict[str, Any]]) ->
             continue
         inputs = {entry["path"]: entry for entry in row["inputs"] or ()}
         there = all(plant.listing.get(path) == (entry["size"], entry["stamp"]) for path, entry in inputs.items())
-        if there and {file.path for file in task.files} <= inputs.keys():
-            yield None
-        else:
+        if not there or not {file.path for file in task.files} <= inputs.keys():
             yield replace(task, known=tuple(sorted((path, entry["sha256"]) for path, entry in inputs.items())))
 
 
 @contextlib.contextmanager
 def _alone(out: str) -> Iterator[None]:
-    """One run at a time writes a result, as far as this machine can tell."""
+    """Only one run of this machine writes a result at a time."""
     try:
         with robot_lock("fleet", os.path.realpath(local) if (local := Store(out).local) else out):
             yield

@@ -1,148 +1,107 @@
-"""A result read machine by machine, as arrays: never more of it in memory than some groups of rows."""
+"""A result, read machine by machine, so that memory does not grow with the fleet."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-#: Runs of a machine that are looked at, the latest: a year of weeks and more.
+#: Number of latest runs of a machine that are used: more than a year of weeks.
 LATEST = 60
-_NEVER = -(2**62)
+#: Rows that are read at once.
+_BATCH = 256
 
 
-@dataclass(eq=False)
 class MachineRuns:
-    """The runs of one machine, oldest first, R of them, of which the trends look at those with figures.
+    """The latest runs of one machine, oldest first.
 
-    runs, status, reason, page, verdict, causes of every run; started (R,) [µs since 1970], `_NEVER` where unknown.
-    Of the runs with figures: errors (one array (n,) a run, share of nominal torque, NaN where unknown), and of an
-    estimate friction and its deviation from run to run (K,) [N·m], rates and their deviations (n,) [1/s]. joints (n,),
-    levels (K joint and speed) and nominal (n,) [N·m] are those of the latest run.
+    `table` has the rows of R runs; `started` (R,) datetime64[us], NaT where unknown; `with_figures` (R,) bool. Of the
+    latest run with figures: `joints` (n), and of an estimate `levels` (K joint and speed) and `nominal` (n,) [N·m].
     """
 
-    robot: str
-    runs: list[str] = field(default_factory=list)
-    started: list[int] = field(default_factory=list)
-    status: list[str] = field(default_factory=list)
-    reason: list[str] = field(default_factory=list)
-    page: list[str | None] = field(default_factory=list)
-    verdict: list[str | None] = field(default_factory=list)
-    causes: list[str] = field(default_factory=list)
-    figures: list[dict[str, np.ndarray] | None] = field(default_factory=list)
-    joints: tuple[str, ...] = ()
-    levels: tuple[tuple[str, float], ...] = ()
-    nominal: np.ndarray = field(default_factory=lambda: np.empty(0))
-    latest: tuple[Any, int] | None = None  # columns and row of the latest run with figures
-
-    def put_in_order(self) -> None:
-        """Oldest first, and no more than the latest; names are read from its last row alone."""
-        if self.latest is not None:
-            columns, row = self.latest
-            self.joints = tuple(columns["joints"][row].as_py())
+    def __init__(self, kind: str, table: Any):
+        started = table["started"].to_numpy().astype("datetime64[us]")
+        oldest_first = np.lexsort((table["run"].to_numpy(), started.astype(np.int64)))  # no time comes before any
+        self.table = table = table.take(oldest_first[-LATEST:])
+        self.robot: str = table["robot"][0].as_py()
+        self.runs: list[str] = table["run"].to_pylist()
+        self.started = table["started"].to_numpy()
+        self.with_figures = table["status"].to_numpy() == "ok"
+        self._errors = "gap_before" if kind == "diagnose" else "normalised_rmse"
+        latest = np.flatnonzero(self.with_figures)[-1:]
+        self.joints: tuple[str, ...] = ()
+        self.levels: tuple[tuple[str, float], ...] = ()
+        self.nominal = np.empty(0)
+        for row in latest.tolist():
+            self.joints = tuple(table["joints"][row].as_py())
             self.nominal = np.full(len(self.joints), np.nan)
-            if "friction" in columns:
-                self.levels = tuple((level["joint"], level["speed"]) for level in columns["friction"][row].as_py())
-                self.nominal = np.array(columns["nominal_torque"][row].as_py(), dtype=float)
-            self.latest = None
-        dated = [start for start in self.started if start != _NEVER]
-        order = sorted(range(len(self.runs)), key=lambda k: (self.started[k] if dated else 0, self.runs[k]))[-LATEST:]
-        for name in ("runs", "started", "status", "reason", "page", "verdict", "causes", "figures"):
-            values = getattr(self, name)
-            setattr(self, name, [values[k] for k in order])
+            if kind == "estimate":
+                self.levels = tuple((level["joint"], level["speed"]) for level in table["friction"][row].as_py())
+                self.nominal = np.array(table["nominal_torque"][row].as_py(), dtype=float)
 
-    def with_figures(self, *names: str) -> list[int]:
-        """Numbers of the runs that have these, as many of each as the latest run has."""
-        found = [k for k, entry in enumerate(self.figures) if entry is not None and all(n in entry for n in names)]
-        if not found:
-            return []
-        latest = self.figures[found[-1]] or {}
-        return [k for k in found if all(len((self.figures[k] or {})[n]) == len(latest[n]) for n in names)]
+    def alike(self, name: str) -> np.ndarray:
+        """Row numbers of the runs with as many figures in a column as the latest."""
+        rows = np.flatnonzero(self.with_figures)
+        lengths = self._lengths(name)[rows]
+        return rows[lengths == lengths[-1:]]
 
-    def column(self, name: str, numbers: list[int]) -> np.ndarray:
-        """(R, …) of some runs."""
-        return np.array([(self.figures[k] or {})[name] for k in numbers])
+    def figures(self, name: str, rows: np.ndarray, field: str = "") -> np.ndarray:
+        """(R, …) of some runs that are alike in a column of lists, NaN where unknown."""
+        values = self.table[name].combine_chunks().take(rows).flatten()
+        values = (values.field(field) if field else values).to_numpy(zero_copy_only=False)
+        return values.reshape(len(rows), len(values) // max(1, len(rows)))
 
-    def days(self, numbers: list[int]) -> np.ndarray:
+    def rates(self, rows: np.ndarray, field: str) -> np.ndarray:
+        """(R, n) of the warm-up of some runs, NaN where a run does not have it for every joint."""
+        n = len(self.joints)
+        found = np.full((len(self.runs), n), np.nan)
+        known = np.flatnonzero(self.with_figures & (self._lengths("warm_up") == n))
+        if len(known):
+            found[known] = self.figures("warm_up", known, field)
+        return found[rows]
+
+    def _lengths(self, name: str) -> np.ndarray:
+        import pyarrow.compute as pc
+
+        return pc.list_value_length(self.table[name]).to_numpy()
+
+    @cached_property
+    def errors(self) -> tuple[np.ndarray, np.ndarray]:
+        """Numbers of the runs with as many errors as the latest, and these errors (R, n), share of nominal torque."""
+        rows = self.alike(self._errors)
+        return rows, self.figures(self._errors, rows)
+
+    def days(self, rows: np.ndarray) -> np.ndarray:
         """(R,) days since the first of some runs; their numbers where not all have a time of their own."""
-        stamps = np.array([self.started[k] for k in numbers], dtype=float)
-        if _NEVER in stamps or np.ptp(stamps) <= 0:
-            return np.arange(len(numbers), dtype=float)
-        return (stamps - stamps[0]) / 86_400e6
+        stamps = self.started[rows]
+        if np.isnat(stamps).any() or not len(rows) or stamps[0] == stamps[-1]:
+            return np.arange(len(rows), dtype=float)
+        return (stamps - stamps[0]) / np.timedelta64(1, "D")
 
-    def date(self, number: int) -> str:
+    def date(self, row: int) -> str:
         """Day of a run, ISO 8601; "" where it is not known."""
-        return "" if self.started[number] == _NEVER else str(np.datetime64(self.started[number], "us"))[:10]
+        return "" if np.isnat(self.started[row]) else str(self.started[row])[:10]
 
 
 def read_machines(kind: str, rows: Any) -> Iterator[MachineRuns]:
     """Machines of a result's Parquet file, in the order of its rows."""
-    errors = "gap_before" if kind == "diagnose" else "normalised_rmse"
-    columns = ["robot", "run", "started", "status", "reason", "page", "joints", errors]
-    columns += {"estimate": ["friction", "warm_up", "nominal_torque"], "diagnose": ["verdict", "causes"]}.get(kind, [])
-    machine: MachineRuns | None = None
-    for group in range(rows.num_row_groups):
-        batch = _Batch(rows.read_row_group(group, columns=columns).combine_chunks(), errors)
-        for row, robot in enumerate(batch.robots):
-            if machine is None or machine.robot != robot:
-                if machine is not None:
-                    machine.put_in_order()
-                    yield machine
-                machine = MachineRuns(robot)
-            batch.add(row, machine)
-    if machine is not None:
-        machine.put_in_order()
-        yield machine
+    import pyarrow as pa
 
-
-class _Batch:
-    """A group of rows with its nested columns as flat arrays and offsets."""
-
-    def __init__(self, table: Any, errors: str):
-        self._columns = {name: table[name].combine_chunks() for name in table.column_names}
-        texts = ("robot", "run", "status", "reason", "page")
-        plain = {name: self._columns[name].to_pylist() for name in texts}
-        self.robots: list[str] = plain["robot"]
-        self._plain = plain
-        started = self._columns["started"].cast("int64").fill_null(_NEVER)
-        self._started = started.to_numpy(zero_copy_only=False).tolist()
-        self._verdicts = self._columns["verdict"].to_pylist() if "verdict" in self._columns else None
-        self._causes = self._columns["causes"].to_pylist() if "causes" in self._columns else None
-        self._errors = self._flat(errors)
-        if "friction" in self._columns:
-            self._values = self._flat("friction", "value")
-            self._deviations = self._flat("friction", "from_run_to_run")
-            self._rates = self._flat("warm_up", "rate_per_s")
-            self._rate_stds = self._flat("warm_up", "standard_deviation")
-
-    def add(self, row: int, machine: MachineRuns) -> None:
-        """Take a row over into its machine."""
-        for name in ("run", "status", "reason", "page"):
-            getattr(machine, {"run": "runs"}.get(name, name)).append(self._plain[name][row])
-        machine.started.append(self._started[row])
-        machine.verdict.append(None if self._verdicts is None else self._verdicts[row])
-        causes = () if self._causes is None else self._causes[row] or ()
-        machine.causes.append(
-            "; ".join(f"{cause['effect']} on {', '.join(cause['joints']) or 'the whole arm'}" for cause in causes)
-        )
-        if self._plain["status"][row] != "ok":
-            machine.figures.append(None)
-            return
-        figures = {"errors": self._part(self._errors, row)}
-        machine.latest = (self._columns, row)
-        if "friction" in self._columns:
-            figures |= {"friction": self._part(self._values, row), "deviation": self._part(self._deviations, row)}
-            figures |= {"rate": self._part(self._rates, row), "rate_std": self._part(self._rate_stds, row)}
-        machine.figures.append(figures)
-
-    def _flat(self, name: str, field_name: str | None = None) -> tuple[np.ndarray, np.ndarray]:
-        column = self._columns[name]
-        values = column.values if field_name is None else column.values.field(field_name)
-        return column.offsets.to_numpy(), values.to_numpy(zero_copy_only=False)
-
-    @staticmethod
-    def _part(flat: tuple[np.ndarray, np.ndarray], row: int) -> np.ndarray:
-        offsets, values = flat
-        return values[offsets[row] : offsets[row + 1]]
+    columns = ["robot", "run", "started", "status", "reason", "page", "joints"]
+    columns += {
+        "estimate": ["normalised_rmse", "friction", "warm_up", "nominal_torque"],
+        "validate": ["normalised_rmse"],
+        "diagnose": ["gap_before", "verdict", "causes"],
+    }[kind]
+    left: list[Any] = []
+    for batch in rows.iter_batches(_BATCH, columns=columns):
+        table = pa.concat_tables([*left, pa.Table.from_batches([batch])])
+        robots = np.array(table["robot"].to_pylist(), dtype=object)
+        *edges, last = [0, *(np.flatnonzero(robots[1:] != robots[:-1]) + 1).tolist()]
+        for start, stop in pairwise([*edges, last]):
+            yield MachineRuns(kind, table.slice(start, stop - start))
+        left = [table.slice(last)]
+    yield from (MachineRuns(kind, table) for table in left if len(table))

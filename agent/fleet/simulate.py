@@ -1,23 +1,23 @@
-"""A fleet that never was, with known wear, steps and causes: small logs of it, or a year of results at once.
+"""A synthetic fleet with known wear, steps and causes: small logs of it, or a year of results at once.
 
-Friction of every axle is a level of its own, scattered from run to run, raised by a warm-up that all axles of a machine
-share, and changed by what was planted:
+Friction of every axle is a level of its own with scatter from run to run, raised by a warm-up that all axles of a
+machine share, and changed by what was planted:
 
 - wear: one axle of a machine drifts, linear in time;
 - step: one axle of a machine jumps at some week (a new grease);
 - cause: all machines of one lubricant batch drift on the same axle.
 
-`truth.csv` says what was planted where, `machines.csv` has the columns a plant would bring (cell, lubricant batch).
-Torque of logs is inverse dynamics of the description, rotors, friction with a smooth reversal, and noise.
+`truth.csv` lists what was planted, `machines.csv` has the columns a plant would bring (cell, lubricant batch). Torque
+in logs is inverse dynamics of the description plus rotors, friction with a smooth reversal, and noise.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import Any
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -26,13 +26,16 @@ from agent.fleet.result import ROWS, schema
 from agent.fleet.store import Store
 from agent.robot import RobotDescription, load_robot
 
-#: Shares of the machines that wear, that step, and that are of the bad batch; the changes that are planted.
-SHARES = {"wear": 0.02, "step": 0.01, "cause": 0.05}
-CHANGES = {"wear": 0.10, "step": -0.15, "cause": 0.06}
+if TYPE_CHECKING:
+    from agent.recording import Log
+
+#: Share of the machines with each kind of change, and its relative size.
+SHARES = {"cause": 0.05, "wear": 0.02, "step": 0.01}
+CHANGES = {"cause": 0.06, "wear": 0.10, "step": -0.15}
 SCATTER = 0.004  # of friction from run to run
-WARM_UP = 0.05  # friction of a cold arm is higher by up to so much
+WARM_UP = 0.05  # largest relative increase of friction of a cold arm
 _DECAY = 600.0  # s, of the warm-up
-_DOUBT = 1.2e-5  # 1/s, of the rate of warm-up within a run
+_DOUBT = 1.2e-5  # 1/s, standard deviation of the rate of warm-up within a run
 _CELLS, _BATCHES = 12, 20
 _BAD_BATCH = "B07"
 _START = datetime(2025, 1, 6, 2, 0, tzinfo=UTC)
@@ -44,8 +47,7 @@ _UNFINISHED = "_unfinished"  # says what is being written, until all of it is
 
 @dataclass(frozen=True)
 class Planted:
-    """A change of the friction of one axle: `kind`, its relative size at the end, and the week after which it is there
-    (a step) or from which it grows."""
+    """A change of the friction of one axle: `kind`, relative size at the end, and the week in which it begins."""
 
     robot: str
     joint: str
@@ -56,8 +58,8 @@ class Planted:
 
 @dataclass(frozen=True, eq=False)
 class Fleet:
-    """What was drawn: machines, their columns, what was planted, and the friction (N, W, n) of axles over weeks, over
-    its first; the warm-up `cold` (N, W) and its answer (N, n) of every axle."""
+    """A drawn fleet of N machines over W weeks: their columns, what was planted, and the relative friction (N, W, n) of
+    axles; the warm-up `cold` (N, W) and the response `answer` (N, n) of every axle to it."""
 
     names: tuple[str, ...]
     columns: tuple[tuple[str, str], ...]
@@ -79,18 +81,15 @@ def draw_fleet(machines: int, weeks: int, joints: tuple[str, ...], seed: int) ->
     n = len(joints)
     names = tuple(f"robot_{k:0{max(4, len(str(machines - 1)))}d}" for k in range(machines))
     order = rng.permutation(machines)
-    counts = {kind: round(share * machines) for kind, share in SHARES.items()}
-    counts["wear"] = max(1, counts["wear"])
+    kinds = [kind for kind, share in SHARES.items() for _ in range(max(kind == "wear", round(share * machines)))]
     batches = rng.permutation([f"B{k % _BATCHES:02d}" for k in range(machines)]).astype(object)
     batches[batches == _BAD_BATCH] = "B08"
-    bad = order[: counts["cause"]]
-    batches[bad] = _BAD_BATCH
+    batches[order[: kinds.count("cause")]] = _BAD_BATCH
     part = np.arange(weeks) / max(1, weeks - 1)
     change = np.zeros((machines, weeks, n))
     planted = []
     shared = int(rng.integers(n))
-    for place, machine in enumerate(order[: sum(counts.values())]):
-        kind = "cause" if place < counts["cause"] else "wear" if place < counts["cause"] + counts["wear"] else "step"
+    for machine, kind in zip(order, kinds, strict=False):
         axle = shared if kind == "cause" else int(rng.integers(n))
         week = int(rng.integers(weeks // 4, max(weeks // 4 + 1, 3 * weeks // 4))) if kind == "step" else 0
         change[machine, :, axle] = CHANGES[kind] * (np.arange(weeks) >= week if kind == "step" else part)
@@ -100,13 +99,12 @@ def draw_fleet(machines: int, weeks: int, joints: tuple[str, ...], seed: int) ->
     scatter = SCATTER * rng.normal(size=(machines, weeks, n))
     friction = (1 + answer[:, None] * cold[..., None]) * (1 + change) * (1 + scatter)
     columns = tuple((f"cell_{k % _CELLS:02d}", str(batches[k])) for k in range(machines))
-    planted.sort(key=lambda one: one.robot)
-    return Fleet(names, columns, tuple(planted), friction, cold, answer)
+    return Fleet(names, columns, tuple(sorted(planted, key=lambda one: one.robot)), friction, cold, answer)
 
 
 def simulate_fleet(robot: str, machines: int, weeks: int, seed: int, out: str, rows: bool) -> list[str]:
     """Write a fleet to a folder or URL: logs with their description, or with `rows` the result of `fleet estimate` on
-    a year of them; returns what was written. What was stopped in the middle is made anew by the same call.
+    a year of them; returns what was written. The same call after an interruption starts over.
 
     Raises:
         InputError: a robot that is not known, or a folder with something else in it.
@@ -121,14 +119,8 @@ def simulate_fleet(robot: str, machines: int, weeks: int, seed: int, out: str, r
     fleet = draw_fleet(machines, weeks, description.joint_names, seed)
     written = _write_rows(store, fleet, description, seed) if rows else _write_logs(store, fleet, description, seed)
     columns = [(name, *column) for name, column in zip(fleet.names, fleet.columns, strict=True)]
-    tables = {
-        "machines.csv": [("robot", "cell", "lubricant_batch"), *columns],
-        "truth.csv": [
-            ("robot", "joint", "kind", "change", "week"),
-            *(tuple(p.__dict__.values()) for p in fleet.planted),
-        ],
-    }
-    for name, table in tables.items():
+    truth = [("robot", "joint", "kind", "change", "week"), *map(astuple, fleet.planted)]
+    for name, table in (("machines.csv", [("robot", "cell", "lubricant_batch"), *columns]), ("truth.csv", truth)):
         store.put(f"_{name}" if rows else name, csv_text(table).encode())
         written.append(f"{out}/{'_' if rows else ''}{name}")
     store.remove(_UNFINISHED)
@@ -144,63 +136,34 @@ def _run(name: str, week: int) -> str:
 
 
 def _write_logs(store: Store, fleet: Fleet, robot: RobotDescription, seed: int) -> list[str]:
-    import tempfile
-
     from agent.recording import write_log
 
-    text = description_text(robot)
-    motion = _motion(robot, seed)
+    still, rigid, friction = _motion(robot, seed)
+    decay = (np.exp(-still.t / _DECAY) - 1)[:, None]
     for machine, name in enumerate(fleet.names):
-        store.put(f"{name}/robot.yaml", text.encode())
+        store.put(f"{name}/robot.yaml", _description(robot).encode())
         store.put(f"{name}/robot.urdf", robot.urdf.encode())
         for week in range(fleet.friction.shape[1]):
             rng = np.random.default_rng((seed, machine, week))
-            log = motion.log(fleet, machine, week, rng)
-            with tempfile.TemporaryDirectory() as folder:
-                path = Path(folder) / "excitation.mcap"
-                write_log(path, log)
-                store.put(f"{_run(name, week)}/excitation.mcap", path)
+            cooling = 1 + fleet.answer[machine] * fleet.cold[machine, week] * decay
+            torque = rigid + friction * fleet.friction[machine, week] * cooling
+            log = replace(
+                still,
+                effort=torque + _NOISE * _nominal(robot) * rng.normal(size=torque.shape),
+                position=still.position + 2e-6 * rng.normal(size=torque.shape),
+                stamp=_week(week).timestamp(),
+                metadata={"robot": robot.name, "motion": "excitation", "serial": name},
+            )
+            with TemporaryDirectory() as folder:
+                write_log(Path(folder) / "excitation.mcap", log)
+                store.put(f"{_run(name, week)}/excitation.mcap", Path(folder) / "excitation.mcap")
     return [store.url]
 
 
-@dataclass(frozen=True, eq=False)
-class _Motion:
-    """One cycle's motion, repeated, and what it needs of torque but for friction and noise: arrays (S, n)."""
-
-    robot: RobotDescription
-    t: np.ndarray
-    q: np.ndarray
-    qd: np.ndarray
-    rigid: np.ndarray
-    friction: np.ndarray
-    nominal: np.ndarray
-
-    def log(self, fleet: Fleet, machine: int, week: int, rng: np.random.Generator) -> Any:
-        from agent.recording import Log
-
-        cooling = 1 + fleet.answer[machine] * fleet.cold[machine, week] * (np.exp(-self.t / _DECAY) - 1)[:, None]
-        torque = self.rigid + self.friction * fleet.friction[machine, week] * cooling
-        torque = torque + _NOISE * self.nominal * rng.normal(size=torque.shape)
-        name = fleet.names[machine]
-        return Log(
-            path=Path("excitation.mcap"),
-            joint_names=self.robot.joint_names,
-            t=self.t,
-            position=self.q + 2e-6 * rng.normal(size=self.q.shape),
-            velocity=None,
-            effort=torque,
-            reference_position=None,
-            planned_position=None,
-            sample_rate=_RATE,
-            stamp=_week(week).timestamp(),
-            segments=((0, len(self.t)),),
-            cycle_starts=tuple(_PERIOD * k for k in range(_CYCLES)),
-            metadata={"robot": self.robot.name, "motion": "excitation", "serial": name},
-        )
-
-
-def _motion(robot: RobotDescription, seed: int) -> _Motion:
-    """Four sines a joint, the same for all machines; within the joints' ranges, speeds and accelerations."""
+def _motion(robot: RobotDescription, seed: int) -> tuple[Log, np.ndarray, np.ndarray]:
+    """The log of four sines a joint, the same for all machines, without noise; what torque (S, n) the bodies need, and
+    friction. Within the joints' ranges, speeds and accelerations."""
+    from agent.recording import Log
     from agent.robot import Dynamics
 
     rng = np.random.default_rng((seed, 1))
@@ -220,113 +183,107 @@ def _motion(robot: RobotDescription, seed: int) -> _Motion:
     q = (lower + upper) / 2 + np.sum(size * np.sin(phase), axis=1)
     qd = np.sum(size * omega * np.cos(phase), axis=1)
     qdd = -np.sum(size * omega**2 * np.sin(phase), axis=1)
-    nominal = np.where(np.isfinite(robot.nominal_torque), robot.nominal_torque, 100.0)
     rotors = np.array([1e-4 if joint.rotor_inertia is None else joint.rotor_inertia for joint in robot.joints])
     rigid = Dynamics(robot).inverse_dynamics(q, qd, qdd) + rotors * robot.gear_ratios**2 * qdd
     share = qd / robot.max_velocity
-    friction = nominal * (0.08 * np.tanh(share / _REVERSAL) + 0.08 * share)
-    return _Motion(robot, t, q, qd, rigid, friction, nominal)
+    log = Log(
+        path=Path("excitation.mcap"),
+        joint_names=robot.joint_names,
+        t=t,
+        position=q,
+        velocity=None,
+        effort=rigid,
+        reference_position=None,
+        planned_position=None,
+        sample_rate=_RATE,
+        stamp=0.0,
+        segments=((0, len(t)),),
+        cycle_starts=tuple(_PERIOD * k for k in range(_CYCLES)),
+        metadata={},
+    )
+    return log, rigid, _nominal(robot) * (0.08 * np.tanh(share / _REVERSAL) + 0.08 * share)
 
 
-def description_text(robot: RobotDescription) -> str:
-    """A `robot.yaml` with its URDF beside it as `robot.urdf`."""
-    joints = []
-    for joint in robot.joints:
-        keys = ("gear_ratio", "nominal_motor_torque", "max_velocity", "max_acceleration", "rotor_inertia")
-        known = {key: getattr(joint, key) for key in keys if getattr(joint, key) is not None}
-        joints.append(f"  - {{name: {joint.name}, " + ", ".join(f"{k}: {v!r}" for k, v in known.items()) + "}")
-    coupling = [f"  - {[float(value) for value in row]}" for row in robot.motor_coupling]
+def _nominal(robot: RobotDescription) -> np.ndarray:
+    """(n,) nominal torque [N·m]; a guess where nobody knows it."""
+    return np.where(np.isfinite(robot.nominal_torque), robot.nominal_torque, 100.0)
+
+
+def _description(robot: RobotDescription) -> str:
+    """A `robot.yaml` with its URDF in `robot.urdf` next to it."""
+    keys = ("name", "gear_ratio", "nominal_motor_torque", "max_velocity", "max_acceleration", "rotor_inertia")
+    joints = [{key: getattr(joint, key) for key in keys if getattr(joint, key) is not None} for joint in robot.joints]
     head = [f"name: {robot.name}", "urdf: robot.urdf", f"tip_frame: {robot.tip_frame}"]
-    lines = [*head, f"gravity: {list(robot.gravity)}", "joints:", *joints, "motor_coupling:", *coupling]
+    lines = [*head, f"gravity: {list(robot.gravity)}", "joints:"]
+    lines += ["  - {" + ", ".join(f"{key}: {value}" for key, value in joint.items()) + "}" for joint in joints]
+    lines += ["motor_coupling:", *(f"  - {[float(value) for value in row]}" for row in robot.motor_coupling)]
     return "\n".join(lines) + "\n"
 
 
 def _write_rows(store: Store, fleet: Fleet, robot: RobotDescription, seed: int) -> list[str]:
     """The rows that `fleet estimate` would have made, as far as trends and the page look at them."""
-    import tempfile
-
     needed("pyarrow", "a fleet")
     import pyarrow.parquet as pq
 
-    with tempfile.TemporaryDirectory() as folder:
+    rng = np.random.default_rng((seed, 2))
+    with TemporaryDirectory() as folder:
         path = Path(folder) / ROWS
         with pq.ParquetWriter(path, schema("estimate"), compression="zstd") as writer:
-            for table in _tables(fleet, robot, np.random.default_rng((seed, 2))):
-                writer.write_table(table)
+            for first in range(0, len(fleet.names), 50):
+                writer.write_table(_rows(fleet, slice(first, first + 50), robot, rng))
         store.put(ROWS, path)
     return [f"{store.url}/{ROWS}"]
 
 
-def _tables(fleet: Fleet, robot: RobotDescription, rng: np.random.Generator) -> Iterator[Any]:
-    """A table of some machines each."""
-    machines, weeks, n = fleet.friction.shape
-    nominal = np.where(np.isfinite(robot.nominal_torque), robot.nominal_torque, 100.0)
-    speeds = np.outer((0.15, 0.6), robot.max_velocity)
-    for first in range(0, machines, 50):
-        chosen = slice(first, min(first + 50, machines))
-        factor = fleet.friction[chosen, :, None] * (1 + SCATTER * rng.normal(size=(chosen.stop - first, weeks, 2, n)))
-        # (rows, axles, speeds), as `friction_levels` has them
-        value = (factor * nominal * (0.08 + 0.08 * speeds / robot.max_velocity)).swapaxes(2, 3).reshape(-1, n, 2)
-        rate = -fleet.answer[chosen, None] * fleet.cold[chosen, :, None] / _DECAY
-        rate = (rate + _DOUBT * rng.normal(size=rate.shape)).reshape(-1, n)
-        error = (0.003 + 2e-4 * rng.normal(size=rate.shape)) * nominal
-        yield _table(fleet.names[chosen], weeks, robot, nominal, value, speeds.T, rate, error)
-
-
-def _table(
-    names: tuple[str, ...],
-    weeks: int,
-    robot: RobotDescription,
-    nominal: np.ndarray,
-    value: np.ndarray,
-    speeds: np.ndarray,
-    rate: np.ndarray,
-    error: np.ndarray,
-) -> Any:
+def _rows(fleet: Fleet, chosen: slice, robot: RobotDescription, rng: np.random.Generator) -> Any:
+    """A table of some machines."""
     import pyarrow as pa
 
-    rows, n, _ = value.shape
+    names, weeks = fleet.names[chosen], range(fleet.friction.shape[1])
+    rows, n, nominal = len(names) * len(weeks), robot.dof, _nominal(robot)
+    speeds = np.outer((0.15, 0.6), robot.max_velocity)
+    factor = fleet.friction[chosen, :, None] * (1 + SCATTER * rng.normal(size=(len(names), len(weeks), 2, n)))
+    # (rows, axles, speeds), as `friction_levels` has them
+    value = (factor * nominal * (0.08 + 0.08 * speeds / robot.max_velocity)).swapaxes(2, 3).reshape(rows, -1)
+    rate = -fleet.answer[chosen, None] * fleet.cold[chosen, :, None] / _DECAY
+    rate = (rate + _DOUBT * rng.normal(size=rate.shape)).reshape(rows, n)
+    error = (0.003 + 2e-4 * rng.normal(size=rate.shape)) * nominal
 
-    def lists(array: np.ndarray) -> Any:
-        width = array.reshape(rows, -1).shape[1]
-        return pa.ListArray.from_arrays(np.arange(0, rows * width + 1, width, dtype=np.int32), pa.array(array.ravel()))
+    def lists(array: np.ndarray | list[str]) -> Any:
+        """A list column of (rows, k), or of the same k in every row."""
+        values = np.asarray(array, dtype=object if isinstance(array, list) else float)
+        values = np.broadcast_to(values, (rows, values.shape[-1]))
+        return pa.FixedSizeListArray.from_arrays(pa.array(values.ravel()), values.shape[1])
 
     def structs(**columns: Any) -> Any:
-        width = len(next(iter(columns.values()))) // rows
-        offsets = pa.array(np.arange(0, rows * width + 1, width, dtype=np.int32))
-        arrays = [pa.array(column) for column in columns.values()]
-        return pa.ListArray.from_arrays(offsets, pa.StructArray.from_arrays(arrays, names=list(columns)))
+        flat = {name: lists(column) for name, column in columns.items()}
+        width = next(iter(flat.values())).type.list_size
+        inner = pa.StructArray.from_arrays([column.values for column in flat.values()], names=list(flat))
+        return pa.FixedSizeListArray.from_arrays(inner, width)
 
-    joints = np.array(robot.joint_names, dtype=object)
-    flat = value.ravel()
+    joints = list(robot.joint_names)
     given = {
-        "robot": [name for name in names for _ in range(weeks)],
-        "run": [_run(name, week) for name in names for week in range(weeks)],
-        "status": ["ok"] * rows,
-        "reason": [""] * rows,
-        "exit_code": [0] * rows,
-        "started": [_week(week) for _ in names for week in range(weeks)],
-        "serial": [name for name in names for _ in range(weeks)],
-        "logs": [["excitation.mcap"]] * rows,
-        "joints": [list(robot.joint_names)] * rows,
+        "robot": pa.array([name for name in names for _ in weeks]),
+        "run": pa.array([_run(name, week) for name in names for week in weeks]),
+        "status": pa.array(["ok"] * rows),
+        "reason": pa.array([""] * rows),
+        "exit_code": pa.array([0] * rows),
+        "started": pa.array([_week(week) for _ in names for week in weeks]),
+        "serial": pa.array([name for name in names for _ in weeks]),
+        "logs": lists(["excitation.mcap"]),
+        "joints": lists(joints),
         "rmse": lists(error),
         "normalised_rmse": lists(error / nominal),
-        "nominal_torque": lists(np.tile(nominal, (rows, 1))),
+        "nominal_torque": lists(nominal),
         "friction": structs(
-            joint=np.tile(np.repeat(joints, 2), rows),
-            speed=np.tile(speeds.ravel(), rows),
-            value=flat,
-            standard_deviation=0.01 * flat,
-            from_run_to_run=SCATTER * flat,
+            joint=[joint for joint in joints for _ in speeds],
+            speed=speeds.T.ravel(),
+            value=value,
+            standard_deviation=0.01 * value,
+            from_run_to_run=SCATTER * value,
         ),
-        "warm_up": structs(rate_per_s=rate.ravel(), standard_deviation=np.full(rows * n, _DOUBT)),
+        "warm_up": structs(rate_per_s=rate, standard_deviation=np.full(n, _DOUBT)),
     }
     wanted = schema("estimate")
-    columns = []
-    for field in wanted:
-        column = given.get(field.name)
-        if column is None:
-            columns.append(pa.nulls(rows, field.type))
-        else:
-            columns.append(column.cast(field.type) if isinstance(column, pa.Array) else pa.array(column, field.type))
+    columns = [given.get(field.name, pa.nulls(rows)).cast(field.type) for field in wanted]
     return pa.Table.from_arrays(columns, schema=wanted)

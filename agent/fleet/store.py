@@ -1,42 +1,40 @@
-"""Folders of files, on this machine or in an object store: listed, fetched whole or not at all, put whole.
+"""Folders of files, local or in an object store: files are listed, fetched and written whole or not at all.
 
-A store may answer slowly, with errors, or with half a file. Every call is tried again with growing pauses, and what was
-fetched is compared with the size, and where it is one with the MD5, that the store's own listing says.
+A store may answer slowly, with errors, or with half a file. Every call is retried with growing pauses. A fetched file
+is compared with the size in the store's listing, and with the MD5 where the listing has one.
 """
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import re
 import shutil
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path, PurePosixPath
 from typing import Any, TypeVar
 
 from agent.core import AgentError, InputError, needed, written_whole
 
-#: How often a store is asked before it counts as unavailable, and the first pause between [s]; each is twice the last.
+#: Attempts before a store counts as unavailable, and the first pause between them [s]; each is twice the last.
 TRIES = 4
 PAUSE = 0.25
-#: What folders on this machine begin with that hold what is on its way to or from a store.
+#: Prefix of the local folders for files on their way to or from a store.
 SCRATCH = "agent-fleet-"
-#: Errors of the system that another try does not mend.
-_FINAL = (FileNotFoundError, PermissionError, IsADirectoryError)
 
 Answer = TypeVar("Answer")
 
 
 class StoreError(InputError):
-    """A store did not give or take a file; it may another time."""
+    """A store did not give or take a file; another attempt may succeed."""
 
 
 @dataclass(frozen=True)
 class StoredFile:
-    """A file by its path below the store's root, with its size [bytes] and what its store says to tell versions of it
-    apart: the ETag of an object, the time of change of a local file."""
+    """A file by its path below the store's root, with its size [bytes] and a stamp that changes with its content: the
+    ETag of an object, the time of change of a local file."""
 
     path: str
     size: int
@@ -72,12 +70,9 @@ class Store:
         except OSError as error:  # some connect at once
             raise InputError(f"{self.url}: no store answers there: {error.strerror or error}") from None
         self._root = root.rstrip("/") or "/"
-
-    @cached_property
-    def local(self) -> Path | None:
-        """The folder, where it is one of this machine."""
         protocol = self._fs.protocol
-        return Path(self._root) if "file" in ((protocol,) if isinstance(protocol, str) else protocol) else None
+        #: The folder, where it is one of this machine.
+        self.local = Path(self._root) if "file" in ((protocol,) if isinstance(protocol, str) else protocol) else None
 
     @property
     def absolute(self) -> str:
@@ -85,8 +80,7 @@ class Store:
         return self.url if self.local is None else str(self.local)
 
     def files(self) -> Iterator[StoredFile]:
-        """All files, in the order of their paths; those below a folder or of a name that begins with . or _ are the
-        program's own, or nobody's.
+        """All files, sorted by path, without those whose path has a part that begins with . or _.
 
         Raises:
             InputError: there is no such folder.
@@ -111,8 +105,7 @@ class Store:
         return StoredFile(path, int(entry["size"] or 0), _stamp(entry))
 
     def fetch(self, file: StoredFile, folder: Path) -> Path:
-        """Path of a local copy below `folder`, at the same place as in the store; of the file itself where that is
-        local.
+        """Path of a local copy at the same place below `folder`, or of the file itself where it is local.
 
         Raises:
             StoreError: the store does not give the whole file.
@@ -139,7 +132,7 @@ class Store:
         return self._try(lambda: self._fs.cat_file(f"{self._root}/{path}"), "read", path)
 
     def put(self, path: str, content: bytes | Path) -> None:
-        """Write a file: readers see the one before, or all of it.
+        """Write a file; readers see the old content or all of the new.
 
         Raises:
             AgentError: it cannot be written.
@@ -147,54 +140,46 @@ class Store:
         full = f"{self._root}/{path}"
         if self.local is not None:
             _put_local(Path(full), content)
-            return
-
-        def upload() -> None:
-            if isinstance(content, bytes):
-                self._fs.pipe_file(full, content)
-            else:
-                self._fs.put_file(str(content), full)
-
-        self._try(upload, "written", path)
+        elif isinstance(content, bytes):
+            self._try(lambda: self._fs.pipe_file(full, content), "written", path)
+        else:
+            self._try(lambda: self._fs.put_file(str(content), full), "written", path)
 
     def names(self, folder: str) -> list[str]:
-        """Names of the files in a folder, in order; none where there is no such folder."""
+        """Sorted names of the files in a folder; none if there is no such folder."""
         self._fs.invalidate_cache()
         try:
             found = self._try(lambda: self._fs.ls(f"{self._root}/{folder}", detail=False), "listed", folder)
         except FileNotFoundError:
             return []
-        names = (PurePosixPath(full).name for full in found)
-        return sorted(name for name in names if not name.startswith("."))
+        return sorted(name for full in found if not (name := PurePosixPath(full).name).startswith("."))
 
     def remove(self, path: str) -> None:
-        """Take a file away, if it is there."""
-        try:
+        """Delete a file, if it is there."""
+        with contextlib.suppress(FileNotFoundError):
             self._try(lambda: self._fs.rm_file(f"{self._root}/{path}"), "removed", path)
-        except FileNotFoundError:
-            return
 
     def _try(self, call: Callable[[], Answer], what: str, path: str = "") -> Answer:
-        where = f"{self.url}/{path}".rstrip("/")
-        for number in range(TRIES):
+        where = f"{self.url}/{path}".rstrip("/") + f": cannot be {what}"
+        for number in range(1, TRIES + 1):
             try:
                 return call()
             except FileNotFoundError:
                 raise
             except NotADirectoryError:
-                raise InputError(f"{where}: cannot be {what}: a file is where a folder should be") from None
-            except _FINAL as error:
-                raise StoreError(f"{where}: cannot be {what}: {error.strerror or error}") from None
+                raise InputError(f"{where}: a file is where a folder should be") from None
+            except (PermissionError, IsADirectoryError) as error:  # another try does not mend it
+                raise StoreError(f"{where}: {error.strerror or error}") from None
             except Exception as error:  # of whatever library speaks to the store
-                if number == TRIES - 1:
+                if number == TRIES:
                     said = str(error).splitlines()[0][:300] if str(error) else type(error).__name__
-                    raise StoreError(f"{where}: cannot be {what}, tried {TRIES} times: {said}") from None
-            time.sleep(PAUSE * 2**number)
+                    raise StoreError(f"{where}, tried {TRIES} times: {said}") from None
+            time.sleep(PAUSE * 2 ** (number - 1))
         raise AssertionError
 
 
 def _put_local(path: Path, content: bytes | Path) -> None:
-    """Write beside, flush to the disk and rename."""
+    """Write to a temporary name, flush to the disk and rename."""
     if path.is_dir():
         raise InputError(f"{path}: is a folder; name a file to write")
     try:
@@ -211,10 +196,7 @@ def _put_local(path: Path, content: bytes | Path) -> None:
 
 
 def _check_whole(path: Path, file: StoredFile) -> None:
-    """
-    Raises:
-        OSError: what came is not what the listing says.
-    """
+    """Raises OSError where what came is not what the listing says."""
     size = path.stat().st_size
     if size != file.size:
         raise OSError(f"{size} of {file.size} bytes came")
@@ -225,10 +207,5 @@ def _check_whole(path: Path, file: StoredFile) -> None:
 
 
 def _stamp(entry: dict[str, Any]) -> str:
-    for key in ("ETag", "etag", "md5Hash"):
-        if entry.get(key):
-            return str(entry[key]).strip('"')
-    for key in ("mtime", "LastModified", "last_modified", "updated"):
-        if entry.get(key):
-            return str(entry[key])
-    return ""
+    keys = ("ETag", "etag", "md5Hash", "mtime", "LastModified", "last_modified", "updated")
+    return next((str(entry[key]).strip('"') for key in keys if entry.get(key)), "")

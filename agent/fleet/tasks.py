@@ -1,78 +1,83 @@
-"""From a folder or an object store to tasks: a robot, a run, its logs, and the description and model that go with them.
+"""From a folder or object store to tasks: a robot, a run, its logs, and their description and model.
 
-A task is a folder with logs. Whose it is says the folder of the nearest `robot.yaml` below the source; where there is
-none (one description for all), the folder above the run's; where there is none of these either, the serial or name that
-a run folder of the agent tells, or the folder's own name.
+A task is a folder with logs. Its robot is named after the folder of the nearest `robot.yaml` below the source; without
+one (one description for all), after the folder above the run; without that, after the serial or robot in the state of a
+run folder, or after the folder itself.
 """
 
 from __future__ import annotations
 
+import contextlib
 import fnmatch
 import hashlib
 import json
-import posixpath
-from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib.metadata import version
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from agent.core import InputError
+from agent.core import InputError, sha256_text
 from agent.fleet.store import Store, StoredFile
-from agent.fleet.version import figures_version
+
+if TYPE_CHECKING:
+    from agent.robot import RobotDescription
 
 KINDS = ("estimate", "validate", "diagnose")
-#: Which logs of a run folder of the agent go into what; of any other folder all do.
+#: Logs of a run folder of the agent that each kind of task uses; of any other folder all are used.
 _OF_A_RUN = {
     "estimate": ("excitation.mcap",),
     "validate": ("validation_*.mcap",),
     "diagnose": ("excitation.mcap", "validation_*.mcap"),
 }
 _STATE, _ROBOT, _PAGE = "state.json", "robot.yaml", "report.html"
-#: In a run folder of the agent: says what the robot was, too.
+#: In a run folder of the agent; it holds the robot's description as well.
 RUN_MODEL = "model.json"
-
-
-@dataclass(frozen=True)
-class Given:
-    """A file that the command line names for all robots, on its way to the workers."""
-
-    name: str
-    content: bytes
+#: Packages of the agent that no figure depends on, and libraries that all depend on.
+_NO_FIGURES, _LIBRARIES = ("cli", "notebook", "report"), ("numpy", "scipy", "pin", "clarabel")
 
 
 @dataclass(frozen=True)
 class RunQuestion:
-    """What is asked of every run: the options of the single command, with the same meaning.
+    """The question to every run: the options of the single command, with the same meaning.
 
-    `robot` is a built-in robot's name, or "" where the description is in the store or among `given`; `model` is the
-    name of the model file to look for in or above each run, or of the one among `given`; "" for none.
+    `robot` is None where the description is in the store. `model` is the name of the model file to look for in or above
+    each run, or, with its `model_content`, that of the one for all; "" for none.
     """
 
     kind: str
-    robot: str = ""
+    robot: RobotDescription | None = None
     model: str = ""
+    model_content: bytes | None = None
     cutoff: float | None = None
     method: str | None = None
     structure: str = "rigid"
     without: tuple[str, ...] = ()
     allow_mixed: bool = False
     force: bool = False
-    given: tuple[Given, ...] = ()
 
     @property
     def key(self) -> str:
-        """Of everything but the inputs that the figures hang on (16 hex digits)."""
-        asked = asdict(replace(self, given=()))
-        asked["given"] = [(one.name, hashlib.sha256(one.content).hexdigest()) for one in self.given]
-        asked["version"] = figures_version(self.kind, self.structure != "rigid")
-        return hashlib.sha256(json.dumps(asked, sort_keys=True).encode()).hexdigest()[:16]
+        """Digest of everything that the figures depend on except the inputs (16 hex digits)."""
+        asked = {
+            **vars(self),
+            "robot": None if self.robot is None else self.robot.to_dict(),
+            "model_content": hashlib.sha256(self.model_content or b"").hexdigest(),
+            "version": figures_version(),
+        }
+        return sha256_text(json.dumps(asked, sort_keys=True))[:16]
+
+    @property
+    def wanted_model(self) -> str:
+        """Name of the model file that every run has to have; "" where there is one for all, or none."""
+        return self.model if self.model_content is None else ""
 
 
 @dataclass(frozen=True)
 class Task:
-    """One robot and run. `run` is the folder below the source, "." for the source itself; `files` are its logs, and
-    description (or a run folder's model), model and state where the store has them; `known` the SHA-256
-    of the inputs of the row that is there already, by path."""
+    """One robot and run. `run` is the folder below the source, "." for the source itself; `description` is the robot's,
+    or a run folder's model; `known` are path and SHA-256 of the inputs of an existing row."""
 
     question: RunQuestion
     source: str
@@ -87,23 +92,35 @@ class Task:
 
     @property
     def files(self) -> tuple[StoredFile, ...]:
-        """Everything of the store that was found for it."""
+        """All its files in the store."""
         return (*self.logs, *(one for one in (self.description, self.model, self.state) if one is not None))
 
 
 @dataclass(frozen=True)
 class SourceTasks:
-    """What a source holds: tasks in the order of robot and run, and the listing (size and stamp by path) that tells
-    whether a file is the one that was read."""
+    """Tasks of a source, sorted by robot and run, and the listing (size and stamp by path) by which files are compared
+    with those of an earlier run."""
 
     tasks: tuple[Task, ...]
     listing: dict[str, tuple[int, str]]
 
 
-def make_question(kind: str, robot: str | None, model: str | None, **options: Any) -> RunQuestion:
-    """A question, with the files that `robot` and `model` name on this machine read.
+@cache
+def figures_version() -> str:
+    """Digest of the agent's source and of library versions (16 hex digits): other ones may give other figures."""
+    package = Path(__file__).parents[1]
+    digest = hashlib.sha256(" ".join(version(library) for library in _LIBRARIES).encode())
+    for path in sorted(package.rglob("*")):
+        name = path.relative_to(package)
+        if path.suffix in (".py", ".yaml", ".urdf", ".json") and name.parts[0] not in _NO_FIGURES:
+            digest.update(f"{name}\0".encode() + path.read_bytes())
+    return digest.hexdigest()[:16]
 
-    A `model` that is no file here is a name to look for in or above every run.
+
+def make_question(kind: str, robot: str | None, model: str | None, **options: Any) -> RunQuestion:
+    """A question, with the robot and the model file that are named.
+
+    A `model` that is no local file is a name to look for in or above every run.
 
     Raises:
         InputError: a robot or a file that cannot be used, or an unknown effect, method, structure or cut-off.
@@ -111,26 +128,19 @@ def make_question(kind: str, robot: str | None, model: str | None, **options: An
     from agent.diagnosis import check_effects
     from agent.estimation import EstimationSettings
     from agent.pipeline import check_structure
-    from agent.robot import builtin_robots, load_robot
+    from agent.robot import load_robot
 
     # what no run can answer is reported once, before any is run
     check_effects(options.get("without", ()))
     EstimationSettings.create(cutoff=options.get("cutoff"), method=options.get("method"))
     check_structure(options.get("structure", "rigid"))
-    name = ""
-    given: list[Given] = []
-    if robot is not None:
-        load_robot(robot)
-        if robot in builtin_robots():
-            name = robot
-        else:
-            given += _description(Path(robot))
+    content = None
     if model and Path(model).is_file():
-        given.append(Given(Path(model).name, Path(model).read_bytes()))
-        model = Path(model).name
+        content, model = Path(model).read_bytes(), Path(model).name
     elif model and ("/" in model or "\\" in model):
         raise InputError(f"{model}: no such model file; name one, or the name that it has in or above every run")
-    return RunQuestion(kind, name, model or "", given=tuple(given), **options)
+    described = None if robot is None else load_robot(robot)
+    return RunQuestion(kind, described, model or "", content, **options)
 
 
 def find_tasks(store: Store, question: RunQuestion) -> SourceTasks:
@@ -139,7 +149,7 @@ def find_tasks(store: Store, question: RunQuestion) -> SourceTasks:
     Raises:
         InputError: there is no folder with logs, or none of them has the model that was named.
     """
-    wanted = {_STATE, _ROBOT, _PAGE, RUN_MODEL, question.model}
+    wanted = {_STATE, _ROBOT, _PAGE, RUN_MODEL, question.wanted_model}
     folders: dict[str, dict[str, StoredFile]] = {}
     listing: dict[str, tuple[int, str]] = {}
     for file in store.files():
@@ -147,47 +157,40 @@ def find_tasks(store: Store, question: RunQuestion) -> SourceTasks:
             folders.setdefault(file.folder, {})[file.name] = file
         if file.name in wanted or file.name.endswith((".mcap", ".urdf", ".xml")):
             listing[file.path] = (file.size, file.stamp)
-    tasks = [task for folder in folders for task in _task(store, question, folders, folder)]
+    found = (_task(store, question, folders, folder) for folder in folders)
+    tasks = sorted((task for task in found if task.logs), key=lambda task: (task.robot, task.run))
     if not tasks:
         raise InputError(f"{store.url}: no folder in it has logs (*.mcap) for {question.kind}")
-    if _needs_robot(question) and all(task.description is None and task.state is None for task in tasks):
+    # what robot it is, a validation's model says, and a diagnosis's
+    told = question.robot is not None or question.kind == "validate" or question.model
+    if not told and all(task.description is None and task.state is None for task in tasks):
         raise InputError(
             f"{store.url}: there is no {_ROBOT} in or above any run; put one there, or name the robot with --robot"
         )
-    model = question.model
-    if model and all(task.model is None for task in tasks) and model not in (one.name for one in question.given):
+    model = question.wanted_model
+    if model and all(task.model is None for task in tasks):
         raise InputError(
             f"{store.url}: no run in it has {model} in or above it; name a model file with --model, or the name that "
             "it has there"
         )
-    tasks.sort(key=lambda task: (task.robot, task.run))
     return SourceTasks(tuple(tasks), listing)
 
 
-def _needs_robot(question: RunQuestion) -> bool:
-    """Whether nothing but the source can say what robot it is; a validation's model does, and a diagnosis's."""
-    given = any(PurePosixPath(one.name).name == _ROBOT for one in question.given)
-    return not (question.robot or given or question.kind == "validate" or question.model)
-
-
-def _task(
-    store: Store, question: RunQuestion, folders: dict[str, dict[str, StoredFile]], folder: str
-) -> Iterator[Task]:
+def _task(store: Store, question: RunQuestion, folders: Mapping[str, Mapping[str, StoredFile]], folder: str) -> Task:
+    """The task of a folder; without logs where it is none."""
     here = folders[folder]
     state = here.get(_STATE)
     patterns = _OF_A_RUN[question.kind] if state is not None else ("*.mcap",)
     # as a shell sorts them, within each pattern
-    logs = [here[name] for pattern in patterns for name in sorted(fnmatch.filter(here, pattern))]
-    if not logs:
-        return
-    given = {PurePosixPath(one.name).name for one in question.given}
-    asked = question.robot or _ROBOT in given
-    above = None if asked else _nearest(folders, folder, _ROBOT)
-    described = above or (here.get(RUN_MODEL) if state is not None and not asked else None)
-    model = None if not question.model or question.model in given else _nearest(folders, folder, question.model)
+    logs = tuple(here[name] for pattern in patterns for name in sorted(fnmatch.filter(here, pattern)))
+    above = described = None
+    if question.robot is None:
+        above = _nearest(folders, folder, _ROBOT)
+        described = above or (here.get(RUN_MODEL) if state is not None else None)
+    model = _nearest(folders, folder, question.wanted_model)
     page = here[_PAGE].path if _PAGE in here else ""
-    robot = _whose(store, folder, above, state)
-    yield Task(question, store.url, robot, folder, tuple(logs), described, model, state, page)
+    robot = _whose(store, folder, above, state) if logs else ""
+    return Task(question, store.url, robot, folder, logs, described, model, state, page)
 
 
 def _whose(store: Store, folder: str, described: StoredFile | None, state: StoredFile | None) -> str:
@@ -197,33 +200,17 @@ def _whose(store: Store, folder: str, described: StoredFile | None, state: Store
     if parent != ".":
         return parent
     if state is not None:
-        try:
+        # a state that is none says nothing of the run
+        with contextlib.suppress(ValueError, RecursionError, AttributeError, FileNotFoundError):
             told = json.loads(store.read(state.path))
             found = told.get("serial") or told.get("robot")
             if isinstance(found, str):
                 return found
-        except (ValueError, RecursionError, AttributeError, FileNotFoundError):
-            pass  # a state that is none says nothing of the run
     return folder if folder != "." else PurePosixPath(store.url.rstrip("/")).name
 
 
-def _nearest(folders: dict[str, dict[str, StoredFile]], folder: str, name: str) -> StoredFile | None:
+def _nearest(folders: Mapping[str, Mapping[str, StoredFile]], folder: str, name: str) -> StoredFile | None:
     """A file of this name in a folder or the nearest one above it, within the source."""
     path = PurePosixPath(folder)
-    for place in (path, *path.parents):
-        found = folders.get(str(place), {}).get(name)
-        if found is not None:
-            return found
-    return None
-
-
-def _description(path: Path) -> Sequence[Given]:
-    """A description and its URDF, at places as they have them to each other."""
-    from agent.core import read_yaml
-
-    path = path / _ROBOT if path.is_dir() else path
-    urdf = PurePosixPath(str(read_yaml(path)["urdf"]))
-    described = Given("/".join(["above"] * urdf.parts.count("..") + [_ROBOT]), path.read_bytes())
-    if urdf.is_absolute():  # the workers have to have it there, too
-        return [described]
-    return [described, Given(posixpath.normpath(f"{described.name}/../{urdf}"), (path.parent / urdf).read_bytes())]
+    places = (folders.get(str(place), {}) for place in (path, *path.parents))
+    return next((files[name] for files in places if name in files), None)

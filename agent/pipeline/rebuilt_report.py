@@ -20,7 +20,7 @@ def rebuild_report(run: Path, console: Console) -> Path:
     Raises:
         InputError: the run is not complete, something the page needs is missing, or another version wrote the run.
     """
-    past, _ = read_run(run)
+    past = read_run(run)
     if not past.complete:
         raise InputError(f"{run}: {_unfinished(run, past)}; there is nothing to report yet")
     with readable(run):

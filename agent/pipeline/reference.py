@@ -13,7 +13,7 @@ import numpy as np
 from agent.core import InputError, read_json
 from agent.pipeline import planning
 from agent.recipe import Recipe
-from agent.runs import PastRun, approved_parts, current_model, differences, open_history, problem, run_key
+from agent.runs import History, PastRun, approved_parts, current_model, differences, problem, run_key
 
 if TYPE_CHECKING:
     from agent.model import IdentifiedModel
@@ -43,9 +43,9 @@ def last_accepted(recipe: Recipe, logs: Path, now: datetime) -> PastRun:
     key = run_key(recipe)
     others: list[PastRun] = []
     if logs.is_dir():
-        with open_history(logs) as history:
-            past = history.last_accepted(recipe.robot.name, key["loop"], key["controller"], now)
-            others = [run for run in history.runs(recipe.robot.name) if run.accepted]
+        history = History(logs)
+        past = history.last_accepted(recipe.robot.name, key["loop"], key["controller"], now)
+        others = [run for run in history.runs(recipe.robot.name) if run.accepted]
         if past is not None:
             return past
     raise InputError(
@@ -91,8 +91,7 @@ def find_reference(recipe: Recipe, logs: Path, past: PastRun) -> Reference:
 
 
 def _loop_of(logs: Path, run: str) -> str:
-    with open_history(logs) as history:
-        return next((past.loop for past in history.runs() if past.run == run), "")
+    return next((past.loop for past in History(logs).runs() if past.run == run), "")
 
 
 def check_loop(recipe: Recipe, loop: StoredLoop) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from agent.core import AgentError, Console, InputError, write_atomically
 from agent.pipeline.drift_check import diagnose_if_worse, joint_moves, moving_rmse, worse_joints
 from agent.recipe import Recipe
-from agent.runs import RunFolder, current_runs, last_accepted, open_history
+from agent.runs import History, RunFolder, current_runs, last_accepted
 
 if TYPE_CHECKING:
     from agent.recording import Log
@@ -89,13 +89,13 @@ def write_index(logs: Path, robot: str | None = None, serial: str | None = None)
     from agent.report import IndexData, index_page
     from agent.runs import parameter_trends, watch
 
-    with open_history(logs) as history:
-        runs = history.runs(robot, serial)
-        if not runs:
-            raise InputError(f"{logs}: {history.why_none(robot, serial)}")
-        watched = watch(runs)
-        latest = {run for one in watched for trend in one.trends[:1] for run in trend.runs}
-        parameters = history.parameters(latest)
+    history = History(logs)
+    runs = history.runs(robot, serial)
+    if not runs:
+        raise InputError(f"{logs}: {history.why_none(robot, serial)}")
+    watched = watch(runs)
+    latest = {run for one in watched for trend in one.trends[:1] for run in trend.runs}
+    parameters = history.parameters(latest)
     by_name = {run.run: run for run in runs}
     courses = [
         parameter_trends([by_name[name] for name in one.trends[0].runs], parameters) if one.trends else []
@@ -116,8 +116,7 @@ def watch_lines(logs: Path, robot: str, serial: str) -> list[str]:
     """Alarms and warnings of one machine's history, a sentence each."""
     from agent.runs import watch
 
-    with open_history(logs) as history:
-        return [line for one in watch(history.runs(robot, serial)) for line in one.lines()]
+    return [line for one in watch(History(logs).runs(robot, serial)) for line in one.lines()]
 
 
 def _cycle_errors(log: Log, prediction: Prediction) -> np.ndarray:

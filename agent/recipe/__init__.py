@@ -1,4 +1,4 @@
-"""Recipes: one validated object per file, SI inside. Millimetres and degrees end here."""
+"""Recipes: one validated object per file, in SI units."""
 
 import lazy_loader
 

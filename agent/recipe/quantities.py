@@ -1,4 +1,4 @@
-"""Values of a recipe with their units, as pydantic types: what is read is SI."""
+"""Values of a recipe with their units, as pydantic types that convert to SI."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from agent.core import Bare, Dimension, InputError, Quantity, parse_quantity
 
 FULL_TURN = 6.283185307179586
 
-#: What a number without a unit may be. Arms reach a few metres, no tool is turned twice, no gate lets a tenth through.
+#: Largest plausible numbers without a unit: an arm reaches a few metres, and an angle is at most one turn.
 BARE_PLACE = Bare("mm", 10.0)
 BARE_REACH = Bare("mm", 2.0)
 BARE_ANGLE = Bare("deg", FULL_TURN)
@@ -30,7 +30,7 @@ GateRatio = Annotated[float, Quantity(Dimension.RATIO, Bare("%", 0.1))]
 
 
 def _joint_position(value: Any) -> Any:
-    # Whether it is an angle or a length is the joint's to say, so the text stays until the robot is known.
+    # The joint decides whether it is an angle or a length, so the text is kept until the robot is known.
     try:
         parse_quantity(value, Dimension.ANGLE)
     except InputError as error:

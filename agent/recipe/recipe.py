@@ -2,17 +2,27 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
-from collections.abc import Iterator
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from agent.core import Dimension, InputError, find_faults, line_of, parse_quantity, read_yaml, without_faults
-from agent.motion import MotionSettings
+import numpy as np
+
+from agent.core import (
+    Dimension,
+    InputError,
+    find_faults,
+    line_of,
+    parse_quantity,
+    read_yaml,
+    sha256_text,
+    without_faults,
+)
+from agent.motion import MotionSettings, pose_of
 from agent.recipe.quantities import BARE_ANGLE, BARE_PLACE
-from agent.recipe.ranges import range_faults
 from agent.recipe.schema import (
     ControllerSection,
     EstimateSection,
@@ -21,10 +31,10 @@ from agent.recipe.schema import (
     RecipeDocument,
     RecordSection,
     SearchSection,
+    ToolSection,
     ValidateSection,
     ViaPointsSection,
 )
-from agent.recipe.tool import tool_of
 from agent.robot import Box, RobotDescription, builtin_robots, load_robot
 from drivers.texts import place_of
 
@@ -32,10 +42,15 @@ if TYPE_CHECKING:
     from agent.motion import Dialect
     from agent.robot import Tool
 
+Location = tuple[str, ...]
+#: No joint with stops goes farther from its zero [rad]. The widest wrists turn seven times and a half to either side,
+#: and a description in degrees has a joint that goes to 63 or more.
+_FARTHEST = 20 * np.pi
+
 
 @dataclass(frozen=True)
 class CellDescription:
-    """What stands around the robot, and how far each joint may go there.
+    """Obstacles around the robot, and ranges of joints.
 
     `joint_ranges`: by joint name, (lower, upper) [rad, m], where a cable or the cell allows less than the joint itself.
     """
@@ -63,10 +78,9 @@ class MotionPlan:
 
 @dataclass(frozen=True, eq=False)
 class Recipe:
-    """One recipe file. `text` is what it said, `sha256` (hex) of that text, `path` where it was.
+    """One recipe file: its path, text and SHA-256 (hex), and its sections.
 
-    `robot_source` is what `--robot` takes for the same robot: a built-in name, or a path from here. Sections that no
-    stage needs in another form are as they were written.
+    `robot_source` is what `--robot` takes for the same robot: a built-in name, or a path from the working folder.
     """
 
     path: Path
@@ -111,9 +125,9 @@ def load_recipe(path: Path | str) -> Recipe:
 
 
 def examine_recipe(path: Path | str) -> tuple[Recipe | None, list[str]]:
-    """A recipe and all its faults, as lines. Keys that are wrong and may be left out have their defaults in it.
+    """A recipe and all its faults, one line each. Optional keys that are wrong have their defaults in it.
 
-    It is None where something is wrong that nothing can stand in for.
+    The recipe is None where a required key is wrong.
 
     Raises:
         InputError: no such file, or not YAML.
@@ -149,7 +163,7 @@ def _dialect(controller: ControllerSection) -> Dialect:
 
 
 def _document(path: Path, data: Any, faults: dict[tuple[Any, ...], str]) -> RecipeDocument | None:
-    """The document without its faulty keys, or without what holds them, if it can be."""
+    """The document without its faulty keys, or without the sections that hold them; None if that is no recipe."""
     while faults:
         data = without_faults(data, faults)
         before, faults = faults, find_faults(path, data, RecipeDocument)
@@ -167,15 +181,11 @@ def recipe_schema() -> dict[str, Any]:
     }
 
 
-def _contradictions(
-    path: Path, document: RecipeDocument, robot: RobotDescription
-) -> Iterator[tuple[tuple[str, ...], str]]:
-    """What is wrong between values that are each right by themselves."""
+def _contradictions(path: Path, document: RecipeDocument, robot: RobotDescription) -> Iterator[tuple[Location, str]]:
+    """Contradictions between values that are each valid."""
     from agent.motion import dialects
-    from drivers.errors import ConfigurationError
-    from drivers.registry import available, create
 
-    for fault in range_faults(robot, document.cell.joint_ranges):
+    for fault in _range_faults(robot, document.cell.joint_ranges):
         yield ("robot",), f"{document.robot}: {fault}"
     limits = robot.cartesian_limits
     speeds = {("motion", "speed"): document.motion.speed, ("validate", "speed"): document.validate_.speed}
@@ -186,14 +196,7 @@ def _contradictions(
     if cutoff >= rate / 2:
         message = f"{cutoff:g} Hz is not below half of record.rate, {rate / 2:g} Hz: no such filter exists"
         yield ("estimate", "filter", "cutoff"), message
-    if document.controller.driver not in available():
-        message = f"there is no driver {place_of(document.controller.driver)!r}; allowed are {', '.join(available())}"
-        yield ("controller", "driver"), message
-    else:
-        try:
-            create(document.controller.driver, document.controller.address)  # opens nothing
-        except ConfigurationError as error:
-            yield ("controller", "address"), str(error)
+    yield from _controller_faults(document.controller)
     yield from _motion_contradictions(path, document, robot)
     for name in document.cell.joint_ranges:
         try:
@@ -234,6 +237,47 @@ def _motion_contradictions(
         yield ("search", "interpolator"), message + (", or the .yaml file of a learned one" if learns else "")
 
 
+def _controller_faults(controller: ControllerSection) -> Iterator[tuple[Location, str]]:
+    from drivers.errors import ConfigurationError
+    from drivers.registry import available, create
+
+    if controller.driver not in available():
+        message = f"there is no driver {place_of(controller.driver)!r}; allowed are {', '.join(available())}"
+        yield ("controller", "driver"), message
+        return
+    try:
+        create(controller.driver, controller.address)  # opens nothing
+    except ConfigurationError as error:
+        yield ("controller", "address"), str(error)
+
+
+def _range_faults(robot: RobotDescription, narrowed: Collection[str]) -> Iterator[str]:
+    """What keeps a motion from being judged by the joints' ranges: those that are missing, or look like degrees.
+
+    A recipe is what arms are moved by; a log needs no limits to be read. `narrowed`: names of joints whose range is
+    given elsewhere.
+    """
+    asked = [joint for joint in robot.joints if joint.name not in narrowed]
+    elements = {e.get("name"): e for e in ElementTree.fromstring(robot.urdf).findall("joint")}
+    for joint in asked:
+        kind = elements[joint.name].get("type")
+        missing = [end for end in ("lower", "upper") if np.isinf(getattr(joint, end))]
+        if missing and kind != "continuous":
+            yield (
+                f"joint {joint.name!r} is {kind}, and its URDF gives it no {' and no '.join(missing)} limit, so that "
+                "nothing would keep a motion from its stops: put <limit lower=... upper=...> into the URDF "
+                f"({'m' if joint.prismatic else 'rad'}) or a range into cell.joint_ranges"
+                f"{'' if joint.prismatic else '; a joint that turns without end is continuous'}"
+            )
+    far = [joint for joint in asked if not joint.prismatic and _FARTHEST < max(-joint.lower, joint.upper) < np.inf]
+    if far:
+        yield (
+            f"joint {far[0].name!r}{f' and {len(far) - 1} more' if far[1:] else ''}: a range of {far[0].lower:g} to "
+            f"{far[0].upper:g} rad, more than ten turns from zero, looks like degrees; a URDF has radians. Where it is "
+            "meant so, say in cell.joint_ranges how far the joint may go, or make it continuous"
+        )
+
+
 def _recipe(path: Path, document: RecipeDocument, robot: RobotDescription) -> Recipe:
     from agent.motion import is_file_name
 
@@ -248,10 +292,10 @@ def _recipe(path: Path, document: RecipeDocument, robot: RobotDescription) -> Re
     resolved = {
         "path": path,
         "text": text,
-        "sha256": hashlib.sha256(text.encode("utf-8")).hexdigest(),
+        "sha256": sha256_text(text),
         "robot": robot,
         "robot_source": document.robot if document.robot in builtin_robots() else str(path.parent / document.robot),
-        "tool": tool_of(document.tool),
+        "tool": None if document.tool is None else _tool(document.tool),
         "cell": CellDescription(
             tuple(Box(entry.name, entry.box.min, entry.box.max) for entry in document.cell.keep_out),
             {name: _joint_range(name, document, robot) for name in document.cell.joint_ranges},
@@ -276,3 +320,12 @@ def _joint_range(name: str, document: RecipeDocument, robot: RobotDescription) -
             f"{lower:g} to {upper:g} {unit} is outside the joint's own range, {joint.lower:g} to {joint.upper:g} {unit}"
         )
     return lower, upper
+
+
+def _tool(section: ToolSection) -> Tool:
+    from agent.robot import Tool
+
+    frame = pose_of(section.frame)
+    # The recipe's centre of mass is in the flange's frame, as on a controller's panel; `Tool` has it in the TCP's.
+    flange = np.zeros(3) if section.centre_of_mass is None else np.array(section.centre_of_mass)
+    return Tool(frame=frame, mass=section.mass, centre_of_mass=frame[:3, :3].T @ (flange - frame[:3, 3]))

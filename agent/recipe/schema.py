@@ -1,4 +1,4 @@
-"""The recipe as it is written: one pydantic model a section. Units end here; the values are SI afterwards."""
+"""The sections of a recipe file as pydantic models; values are SI after validation."""
 
 from __future__ import annotations
 

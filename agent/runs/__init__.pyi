@@ -21,11 +21,11 @@ from .folder import (
     write_json as write_json,
 )
 from .history import (
+    History as History,
     find_run as find_run,
     history_json as history_json,
     history_table as history_table,
     last_accepted as last_accepted,
-    open_history as open_history,
 )
 from .lock import robot_lock as robot_lock
 from .loop_store import (
@@ -36,11 +36,11 @@ from .loop_store import (
     stored_loops as stored_loops,
 )
 from .past_run import PastRun as PastRun, read_object as read_object, read_run as read_run, readable as readable
-from .series import FrictionSeries as FrictionSeries, SeriesChange as SeriesChange, find_change as find_change
 from .trends import (
     PRACTICAL as PRACTICAL,
     Trend as Trend,
     Watch as Watch,
+    friction_trends as friction_trends,
     parameter_trends as parameter_trends,
     watch as watch,
 )

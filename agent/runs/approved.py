@@ -1,8 +1,8 @@
-"""What a motion was approved with: everything that decides where the arm goes, by part and as one digest.
+"""The inputs a motion was approved with: everything that decides where the arm goes, by part and as one digest.
 
-A plan, a stored loop, a run and an authorisation carry the digest. Whoever is about to move compares it with what the
-recipe and the files beside it say now, and names what differs. It protects against mistakes and changed files, not
-against somebody who may write all of them: docs/security.md says where that ends.
+A plan, a stored loop, a run and an authorisation carry the digest. Before the arm moves, it is compared with what the
+recipe and its files say now, and every difference is named. This protects against mistakes and changed files, not
+against somebody who may write all of them (docs/security.md).
 """
 
 from __future__ import annotations
@@ -10,13 +10,12 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterator
-from dataclasses import asdict, is_dataclass
-from enum import Enum
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic_core import to_jsonable_python
 
 from agent.core import InputError, read_json, sha256_file, sha256_text
 from agent.recipe import Recipe, ViaPointsSection
@@ -39,21 +38,21 @@ _ABSENT = object()
 
 
 def problem(recipe: Recipe) -> dict[str, Any]:
-    """All that a loop is searched for, checked against and planned with, as plain data.
+    """Everything a loop is searched, checked and planned with, as plain data.
 
-    Files count by their content, not by where they lie.
+    Files count by their content, not by their path.
     """
     parts = {
         # no loop depends on what a person may mount for another motion
         "robot": {key: value for key, value in recipe.robot.to_dict().items() if key != "rated_payload"},
-        "tool": _plain(recipe.tool),
-        "cell": _plain(recipe.cell),
+        "tool": recipe.tool,
+        "cell": recipe.cell,
         "sub_region": _sub_region(recipe.motion.via_points),
-        "settings": _plain(recipe.motion.settings),
+        "settings": recipe.motion.settings,
         "rate": recipe.record.rate,
         "interpolator": _interpolator(recipe.interpolator),
     }
-    return json.loads(json.dumps(parts))  # lists for tuples, as it comes back from a file
+    return to_jsonable_python(parts, fallback=np.ndarray.tolist)  # as it comes back from a file
 
 
 def _sub_region(via: ViaPointsSection) -> dict[str, Any]:
@@ -91,10 +90,10 @@ def approve(run: RunFolder, recipe: Recipe) -> None:
 
 
 def check_approved(run: RunFolder, recipe: Recipe) -> None:
-    """What a recipe means now is what a run was planned with.
+    """Check that a recipe still means what the run was planned with.
 
     Raises:
-        InputError: it is not; every part that differs is named, or its record is missing or was changed.
+        InputError: it does not (every part that differs is named), or the record is missing or was changed.
     """
     then, now = approved_parts(run.path, run.state), problem(recipe)
     if digest(then) != digest(now):
@@ -123,13 +122,11 @@ def differences(then: dict[str, Any], now: dict[str, Any]) -> str:
     for place, before, after in _differing(then, now):
         part, rest = _where(place)
         found.setdefault(part, []).append(f"{rest} {_change(before, after)}".strip())
-    sentences = []
-    for part, changes in found.items():
-        more = f" and {len(changes) - _MAX_LISTED} more" if len(changes) > _MAX_LISTED else ""
-        sentences.append(
-            f"{part} differs from the one this run was planned with: {', '.join(changes[:_MAX_LISTED])}{more}"
-        )
-    return "; ".join(sentences)
+    return "; ".join(
+        f"{part} differs from the one this run was planned with: {', '.join(changes[:_MAX_LISTED])}"
+        + (f" and {len(changes) - _MAX_LISTED} more" if len(changes) > _MAX_LISTED else "")
+        for part, changes in found.items()
+    )
 
 
 def _where(place: tuple[str, ...]) -> tuple[str, str]:
@@ -181,7 +178,7 @@ def _by_name(value: Any) -> dict[str, Any] | None:
 
 
 def _interpolator(name: str) -> Any:
-    """Its name, with what tells one installed or licensed interpolator from another of that name."""
+    """Its name, with the files or the package version that identify it."""
     from agent.motion import ARM, CONTROLLER, ENTRY_POINTS, LIBRARY, is_file_name
 
     if is_file_name(name):
@@ -201,19 +198,3 @@ def _file_digest(path: Path) -> str:
         return sha256_file(path)
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
-
-
-def _plain(value: Any) -> Any:
-    if is_dataclass(value) and not isinstance(value, type):
-        return {key: _plain(item) for key, item in asdict(value).items()}
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
-    if isinstance(value, np.ndarray):
-        return value.tolist()
-    if isinstance(value, Enum):
-        return value.value
-    if isinstance(value, Path):
-        return str(value)
-    return value

@@ -1,6 +1,8 @@
-"""Whether a series of runs changed, beside what it follows anyway: least-squares courses, t-tests against no change.
+"""Tests whether a series of runs changed, given a known covariate: least-squares fits, t-tests against no change.
 
-The variance of a test is widened by (1 + ρ) / (1 - ρ) where residuals are autocorrelated.
+Three kinds of change are tried: a drift along time, a drift along the number of runs, and a step after every run. The
+likeliest is reported; its p-value is corrected for the number of alternatives (Bonferroni). The variance of a test is
+widened by (1 + ρ) / (1 - ρ) where residuals are autocorrelated. The caller decides what is significant.
 """
 
 from __future__ import annotations
@@ -9,17 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-_SIGNIFICANT = 4.0  # deviations by which a background must stand out from its noise to tell its coefficient
-
-
-def line(values: np.ndarray) -> np.ndarray:
-    """(R,) centred, and 1 from end to end."""
-    return (values - values.mean()) / max(float(np.ptp(values)), 1e-300)
+_SIGNIFICANT = 4.0  # standard deviations by which the covariate's power must exceed its noise
+_SEGMENT = 3  # fewest runs on either side of a step
 
 
 @dataclass(frozen=True, eq=False)
 class Background:
-    """What a series follows besides its own change: a covariate (R,), and what is known of its coefficient.
+    """The covariate (R,) of a series, with the prior `coefficient` and its standard deviation `std`.
 
     `noise` is the variance of the covariate's own noise.
     """
@@ -31,14 +29,52 @@ class Background:
 
     @property
     def varies(self) -> bool:
-        """Whether there is anything to follow."""
+        """Whether the covariate changes at all."""
         return bool(np.ptp(self.covariate) > 0)
+
+
+@dataclass(frozen=True, eq=False)
+class SeriesChange:
+    """The likeliest change of a series.
+
+    `kind` is drift or step, a step after run `place`; `size` over the whole window with its `deviation`; `shape` (R,)
+    is 1 from end to end; `probability` that chance does as much. `drift` and `drift_deviation` are of what is linear in
+    time, whatever the likeliest is.
+    """
+
+    kind: str
+    place: int
+    size: float
+    deviation: float
+    probability: float
+    shape: np.ndarray
+    drift: float
+    drift_deviation: float
+
+
+def line(values: np.ndarray) -> np.ndarray:
+    """(R,) centred, and 1 from end to end."""
+    return (values - values.mean()) / max(float(np.ptp(values)), 1e-300)
+
+
+def find_change(y: np.ndarray, times: np.ndarray, background: Background) -> SeriesChange:
+    """The likeliest change of y (R,), its background taken out."""
+    number = np.arange(len(y))
+    places = np.arange(_SEGMENT, len(y) - _SEGMENT + 1)
+    # age wears, and so does use
+    shapes = np.vstack([line(times), line(number), (number >= places[:, None]) - 0.5])
+    sizes, deviations, p_values = sizes_of_change(y, background, shapes)
+    paid = p_values * 2 * np.repeat([2, len(places)], [2, len(places)])
+    best = int(np.argmin(paid))
+    kind, place = ("drift", 1) if best < 2 else ("step", int(places[best - 2]))
+    size, deviation, probability = float(sizes[best]), float(deviations[best]), min(1.0, float(paid[best]))
+    return SeriesChange(kind, place, size, deviation, probability, shapes[best], float(sizes[0]), float(deviations[0]))
 
 
 def fit_course(y: np.ndarray, background: Background, shape: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
     """Parameters (p,) and design (R, p): a mean, the background where it varies, the shape where there is one.
 
-    What is known of the background's coefficient is one more row; it weighs what the noise of a fit without it says.
+    The prior of the background's coefficient is one more row, weighted by the noise of a fit without it.
     """
     columns = [np.ones(len(y))]
     if background.varies:
@@ -59,11 +95,10 @@ def fit_course(y: np.ndarray, background: Background, shape: np.ndarray | None) 
 def sizes_of_change(
     y: np.ndarray, background: Background, shapes: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Size of each of the `shapes` (K, R) in y (R,) beside the background, its deviation, and the probability of as
-    much by chance, (K,) each.
+    """Sizes, their deviations and their probabilities by chance, (K,) each, of `shapes` (K, R) in y (R,).
 
-    Where the background goes along with the shape, little but its own noise is left to tell its coefficient by, which
-    would come out as zero. So that noise is taken from what the data say of it, and what was known before decides.
+    Where the background is nearly collinear with the shape, mostly noise is left to estimate its coefficient, which
+    would be biased towards zero. So the noise is subtracted from its power, and the prior decides.
     """
     from scipy.special import stdtr
 
@@ -71,7 +106,7 @@ def sizes_of_change(
     shapes = shapes - shapes.mean(axis=1, keepdims=True)
     power, degrees_of_freedom = np.sum(shapes**2, axis=1), len(y) - 2 - background.varies
     raw = shapes @ y / power
-    coefficient, std, along = np.zeros(len(shapes)), np.zeros(len(shapes)), np.zeros(len(shapes))
+    coefficient, std, along = np.zeros((3, len(shapes)))
     common = np.zeros(len(y))
     if background.varies:
         common = background.covariate - background.covariate.mean()
@@ -88,14 +123,8 @@ def sizes_of_change(
     return np.where(known, sizes, 0.0), np.where(known, deviations, np.inf), np.where(known, p_values, 1.0)
 
 
-def size_of_change(y: np.ndarray, background: Background, shape: np.ndarray) -> tuple[float, float, float]:
-    """The same of one shape (R,)."""
-    size, deviation, p_value = sizes_of_change(y, background, shape[None])
-    return float(size[0]), float(deviation[0]), float(p_value[0])
-
-
 def _coefficients(y: np.ndarray, common: np.ndarray, background: Background) -> tuple[np.ndarray, np.ndarray]:
-    """Coefficients (K,) of the background in y (K, R), both without the shapes, and their deviations."""
+    """Coefficients (K,) of the background in y (K, R), with the shapes projected out of both, and their deviations."""
     runs = y.shape[1]
     noise = runs * background.noise
     seen = np.sum(common**2, axis=1) - noise
@@ -112,7 +141,7 @@ def _coefficients(y: np.ndarray, common: np.ndarray, background: Background) -> 
 
 
 def _widened(left: np.ndarray, degrees_of_freedom: int) -> np.ndarray:
-    """Variance (K,) of the noise from residuals (K, R), for what their autocorrelation makes of a mean."""
+    """Variance (K,) of the noise from residuals (K, R), widened for their autocorrelation."""
     energy = np.sum(left**2, axis=1)
     rho = np.clip(np.sum(left[:, 1:] * left[:, :-1], axis=1) / np.maximum(energy, 1e-300), 0.0, 0.9)
     return energy / degrees_of_freedom * (1 + rho) / (1 - rho)

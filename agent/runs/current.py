@@ -1,4 +1,4 @@
-"""The robot's current model: one place that names it, moved in one step, with every earlier one kept.
+"""The robot's current model: one link names it, one rename moves it, and every earlier one is kept.
 
 `logs/models/<robot>_<serial>/versions/<number>/` holds `model.json` and `about.json` and is never changed again;
 `current` is a link to one of them, replaced in one rename. So `logs/models/<robot>_<serial>/current/model.json` is
@@ -7,19 +7,21 @@ always a whole model. Nothing here writes to a controller.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import re
 import shutil
+from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from agent.core import AgentError, Console, InputError, read_json, sha256_file, sha256_text
-from agent.runs.folder import RunFolder, write_json
-from agent.runs.history import open_history, which_machine
-from agent.runs.past_run import controller_key, read_run
+from agent.core import AgentError, Console, InputError, read_json, sha256_file, sha256_text, written_whole
+from agent.runs.folder import RunFolder, from_plain, write_json
+from agent.runs.history import which_machine
+from agent.runs.past_run import controller_key, read_parameters, read_run
 
 if TYPE_CHECKING:
     from agent.recipe import Recipe
@@ -31,7 +33,7 @@ _LONGEST_NAME = 200
 
 @dataclass(frozen=True)
 class Applied:
-    """A model that was made current: `model` its file, `run` where it comes from, `previous` the version before."""
+    """A model that was made current: its file, the run it comes from, and the version before it."""
 
     model: Path
     run: str
@@ -63,7 +65,8 @@ def apply_run(logs: Path, run: Path) -> Applied:
         InputError: no model, not accepted, or no longer the file that was accepted.
         AgentError: it cannot be written; the current model is what it was.
     """
-    past, _ = read_run(run)
+    past = read_run(run)
+    read_parameters(run)  # a damaged model is not applied
     if past.kind == "diagnose":
         raise InputError(f"{run}: this run is a diagnosis and made no model; apply a calibration or a recalibration")
     if not past.accepted:
@@ -83,10 +86,10 @@ def apply_run(logs: Path, run: Path) -> Applied:
         before = None
     if before is not None and before.sha256 == sha256 and before.run == past.run:
         return before
-    try:
+    with _writable(place):
         version = _fresh(place / "versions")
-        shutil.copyfile(model, version / "model.json")
-        _flush(version / "model.json")
+        with written_whole(version / "model.json") as beside:
+            shutil.copyfile(model, beside)
         about = {
             "schema": "current/1",
             "run": past.run,
@@ -98,8 +101,6 @@ def apply_run(logs: Path, run: Path) -> Applied:
         }
         write_json(version / "about.json", about)
         _point(place, version.name)
-    except OSError as error:
-        raise AgentError(f"{place}: the model cannot be applied: {error.strerror}; free space or rights?") from None
     return _about(place / "current")
 
 
@@ -122,24 +123,20 @@ def _all_current(logs: Path) -> tuple[dict[Path, Applied], list[str]]:
 
 
 def apply_previous(logs: Path, robot: str | None = None, serial: str | None = None) -> Applied:
-    """Go back to the model that was current before; once more goes further back.
+    """Go back to the model that was current before; every further call goes one more back.
 
     Raises:
         InputError: nothing was applied before, or it is not clear on which robot.
     """
     found, damaged = _all_current(logs)
-    places = [
-        (place, about)
-        for place, about in found.items()
-        if robot in (None, about.robot) and serial in (None, about.serial)
-    ]
+    places = [one for one in found.items() if robot in (None, one[1].robot) and serial in (None, one[1].serial)]
     if not places and damaged:
         raise InputError("; ".join(damaged))
-    if not places and found:
-        names = ", ".join(f"{about.robot} {about.serial}".strip() for about in found.values())
-        raise InputError(f"{logs / _FOLDER}: no model was applied of {which_machine(robot, serial)}; there is: {names}")
-    if not places:
+    there = ", ".join(f"{about.robot} {about.serial}".strip() for about in found.values())
+    if not found:
         raise InputError(f"{logs / _FOLDER}: no model was applied yet, so there is none to go back from")
+    if not places:
+        raise InputError(f"{logs / _FOLDER}: no model was applied of {which_machine(robot, serial)}; there is: {there}")
     if len(places) > 1:
         names = ", ".join(f"{about.robot} {about.serial}".strip() for _, about in places)
         raise InputError(f"several robots have a current model ({names}); say which with --robot and --serial")
@@ -147,15 +144,13 @@ def apply_previous(logs: Path, robot: str | None = None, serial: str | None = No
     if about.previous is None:
         raise InputError(f"{place}: {about.run} was the first model applied; there is none before it")
     _about(place / "versions" / about.previous)  # a damaged one is not gone back to
-    try:
+    with _writable(place):
         _point(place, about.previous)
-    except OSError as error:
-        raise AgentError(f"{place}: the model cannot be applied: {error.strerror}; free space or rights?") from None
     return _about(place / "current")
 
 
 def run_key(recipe: Recipe) -> dict[str, str]:
-    """Facts about a run by which later ones find it: its loop's key and its controller."""
+    """The loop's key and the controller, by which later runs find this one."""
     from agent.runs.loop_store import loop_key
 
     return {
@@ -165,14 +160,12 @@ def run_key(recipe: Recipe) -> dict[str, str]:
 
 
 def register_run(run: RunFolder, console: Console) -> None:
-    """Take a complete run into the history; the first accepted model of a robot becomes its current one.
+    """The first accepted model of a robot becomes its current one.
 
     Later ones are made current by `agent apply`, or by a recalibration, which was told to.
     """
     logs = run.path.parent
     try:
-        with open_history(logs):
-            pass
         if run.state["status"] == "finished" and current_model(logs, run.state["robot"], run.state["serial"]) is None:
             apply_run(logs, run.path)
     except AgentError as error:  # the run itself is complete, and `agent history` finds it again
@@ -181,13 +174,8 @@ def register_run(run: RunFolder, console: Console) -> None:
 
 def _about(version: Path) -> Applied:
     try:
-        data = read_json(version / "about.json")
-        data.pop("schema")
-        applied = Applied(model=version / "model.json", **data)
-        for field in (applied.run, applied.robot, applied.serial, applied.sha256, applied.previous or ""):
-            if not isinstance(field, str):
-                raise ValueError("texts are expected in it")
-    except (InputError, OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        applied = from_plain(Applied, {**read_json(version / "about.json"), "model": version / "model.json"})
+    except (InputError, OSError, ValueError, TypeError) as error:
         raise InputError(f"{version / 'about.json'}: cannot be read ({error}); apply a run again") from None
     if not applied.model.is_file() or sha256_file(applied.model) != applied.sha256:
         raise InputError(f"{applied.model}: missing or changed since it was applied; apply a run again")
@@ -195,9 +183,9 @@ def _about(version: Path) -> Applied:
 
 
 def _place(logs: Path, robot: str, serial: str) -> Path:
-    """The folder of one machine, and of no other: a name that others could have too ends in its digest.
+    """The folder of one machine: a name that another machine could have too ends in a digest.
 
-    A folder that an earlier version named without the digest stays that of the machine it says it is of.
+    A folder that an earlier version named without the digest stays with the machine named inside it.
     """
     name = re.sub(r"[^A-Za-z0-9._-]", "_", f"{robot}_{serial}" if serial else robot)[:_LONGEST_NAME]
     plain = logs / _FOLDER / name
@@ -226,9 +214,12 @@ def _fresh(versions: Path) -> Path:
     return path
 
 
-def _flush(path: Path) -> None:
-    with open(path, "rb+") as file:
-        os.fsync(file.fileno())
+@contextlib.contextmanager
+def _writable(place: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise AgentError(f"{place}: the model cannot be applied: {error.strerror}; free space or rights?") from None
 
 
 def _point(place: Path, version: str) -> None:

@@ -1,4 +1,4 @@
-"""Whether a recalibration is due, by a clock that may have been wrong, or be wrong now. All times carry their zone."""
+"""Whether a recalibration is due, given that the clock may be or have been wrong. All times carry their zone."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from datetime import UTC, datetime, timedelta
 
 from agent.runs.past_run import PastRun
 
-#: A run that is due within this part of its interval is due: a clock is never to the second.
+#: A run counts as due this share of its interval early: no timer is exact to the second.
 _EARLY = 0.01
-#: A timer goes by local time, so once a year one of its days lasts 23 hours; with the minutes that it may be late.
+#: A timer goes by local time: once a year a day lasts 23 hours, and the timer may be some minutes late.
 _SHORT_DAY = timedelta(hours=1, minutes=15)
 _DAY = timedelta(days=1)
 
@@ -28,7 +28,7 @@ def too_early(past: PastRun, every: float, now: datetime) -> str:
 
 
 def wrong_clock(past: PastRun, now: datetime) -> str:
-    """What is said of a run that was recorded in the future; empty where it was not."""
+    """Message about a run that is dated in the future; empty where it is not."""
     if not past.in_future(now):
         return ""
     return (

@@ -1,4 +1,4 @@
-"""The run folder: what a run has finished, so that nothing is lost and it can go on."""
+"""The run folder: records every finished step, so that a stopped run can be resumed."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ import contextlib
 import json
 import platform
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, TypeVar
 
 from agent.core import (
     AgentError,
@@ -23,10 +24,24 @@ from agent.core import (
 )
 
 _STATE = "state.json"
+Kind = TypeVar("Kind")
+
+
+@dataclass
+class RunState:
+    """What every run's state has."""
+
+    schema: Literal["run/1"]
+    robot: str
+    started: str
+    status: str
+    steps: dict[str, dict[str, Any]]
+    inputs_sha256: dict[str, str]
+    versions: dict[str, str]
 
 
 class RunFolder:
-    """`logs/<UTC>_<robot>/`: files are written beside and renamed; an existing run is never overwritten.
+    """`logs/<UTC>_<robot>/`: files are written whole or not at all; an existing run is never overwritten.
 
     `state.json` holds the finished steps with what they found, the status (`running`, `finished`, `rejected`,
     `stopped`) and, for a stopped run, where and why.
@@ -65,7 +80,7 @@ class RunFolder:
 
     @classmethod
     def open(cls, path: Path, recipe_sha256: str, check: Callable[[RunFolder], None] = lambda run: None) -> RunFolder:
-        """Open a calibration to go on with it; `check` may refuse it before anything is written.
+        """Open a calibration to resume it; `check` may refuse it before anything is written.
 
         Raises:
             InputError: no such run or one of another kind, a damaged state, or the recipe changed since.
@@ -76,12 +91,13 @@ class RunFolder:
         kind = state.get("kind") if isinstance(state, dict) else None
         if kind in ("recalibrate", "diagnose"):
             raise InputError(f"{path}: only calibrations are gone on with; start this one again: `agent {kind}`")
-        schema = state.get("schema") if isinstance(state, dict) else None
-        if schema != "run/1" or not _whole(state):
+        try:
+            from_plain(RunState, state)
+        except ValueError as error:
             raise InputError(
-                f"{path / _STATE}: damaged, or of another version of the agent (schema {str(schema)[:20]!r}); start a "
-                "new run without --resume"
-            )
+                f"{path / _STATE}: damaged, or of another version of the agent ({error}); start a new run without "
+                "--resume"
+            ) from None
         if state["inputs_sha256"].get("recipe.yaml") != recipe_sha256:
             raise InputError(f"{path}: this run was started with another recipe; start a new run without --resume")
         if state["status"] in ("finished", "rejected"):
@@ -125,10 +141,10 @@ class RunFolder:
         return self.path / name
 
     def check_file(self, name: str, sha256: str | None) -> None:
-        """A file of this run is what it was when it was finished.
+        """Check that a file of this run has not changed since its step finished.
 
         Raises:
-            InputError: it is missing, it was changed, or nothing is known of it.
+            InputError: it is missing, was changed, or has no recorded checksum.
         """
         path = self.path / name
         if not path.is_file() or sha256 is None or sha256_file(path) != sha256:
@@ -172,23 +188,25 @@ def write_json(path: Path, data: Any) -> Path:
     return write_atomically(path, json.dumps(finite(data), indent=2, allow_nan=False) + "\n")
 
 
+def from_plain(kind: type[Kind], data: dict[str, Any]) -> Kind:
+    """A dataclass from what a file said.
+
+    Raises:
+        ValueError: a value is missing, or of the wrong type.
+    """
+    from pydantic import TypeAdapter, ValidationError
+
+    try:
+        return TypeAdapter(kind).validate_python(data)
+    except ValidationError as error:
+        fault = error.errors()[0]
+        raise ValueError(f"{'.'.join(map(str, fault['loc']))}: {fault['msg']}") from None
+
+
 def versions() -> dict[str, str]:
     """Versions of the agent and of what its figures depend on."""
     packages = ("calibration-agent", "numpy", "scipy", "pin", "mcap")
     return {"python": platform.python_version(), **{package: package_version(package) for package in packages}}
-
-
-def _whole(state: dict[str, Any]) -> bool:
-    """Whether a state has what every run's has."""
-    steps, inputs = state.get("steps"), state.get("inputs_sha256")
-    return (
-        isinstance(steps, dict)
-        and all(isinstance(step, dict) for step in steps.values())
-        and isinstance(inputs, dict)
-        and isinstance(state.get("versions"), dict)
-        and all(isinstance(value, str) for value in (*inputs.values(), *state["versions"].values()))
-        and all(isinstance(state.get(key), str) for key in ("robot", "started", "status"))
-    )
 
 
 def _fresh_folder(root: Path, name: str) -> Path:

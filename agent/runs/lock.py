@@ -1,9 +1,9 @@
-"""One run at a time on one robot: a lock for everybody on this machine, whatever folder and user the agent runs in.
+"""One run at a time per robot: a lock for all users and folders of this machine.
 
-Every run has a file of its own, which it alone can write to, and holds the system's lock on it (`fcntl`), so the end of
-a process, however it comes, lets go of it. A robot is busy where somebody else holds a file of it. A lock for which
-reading is enough counts for nothing, so no user can hold what is another's; nor can a file that somebody has put there
-keep a run from making its own.
+Every run makes a file that only its user can write to, and holds the system's exclusive lock on it (`fcntl`), which the
+system releases when the process ends, however it ends. A robot is busy while somebody else holds one of its files.
+Shared locks, for which read access is enough, are ignored, so no user can block another; neither can a file that
+somebody else put there.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import random
 import secrets
 import stat
 import time
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -30,15 +31,15 @@ _READ = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK
 _LEFT = 3600.0  # s old at least are files that count as left behind
 _PATIENCE = 0.1  # s, for two runs that begin at once
 
-#: How often this process holds a lock, and its file, by process and robot; a forked one holds none.
-_held: dict[tuple[int, str], tuple[int, Path]] = {}
-#: Files of this process: whoever closes one lets go of its lock.
+#: How often this process holds a lock, by process and robot; a forked one holds none.
+_held: Counter[tuple[int, str]] = Counter()
+#: Files of this process: closing one releases its lock.
 _own: set[tuple[int, Path]] = set()
 
 
 @contextlib.contextmanager
 def robot_lock(driver: str, address: str) -> Iterator[None]:
-    """Hold the lock of one controller, however its address is spelt. A process that holds it may take it again.
+    """Hold the lock of one controller, however its address is spelt. A process may take its own lock again.
 
     Raises:
         BusyError: another run holds it.
@@ -53,29 +54,24 @@ def robot_lock(driver: str, address: str) -> Iterator[None]:
 @contextlib.contextmanager
 def _locked(endpoint: str, robot: str) -> Iterator[None]:
     key = os.getpid(), _digest(endpoint)
-    if key in _held:
-        count, path = _held[key]
-        _held[key] = count + 1, path
+    taken = None
+    if not _held[key]:
         try:
-            yield
-        finally:
-            _held[key] = count, path
-        return
-    try:
-        path, descriptor = _take(key[1], robot)
-    except OSError as error:
-        raise AgentError(f"{_folder()}: the robot's lock cannot be made there: {error.strerror}; rights?") from None
-    _held[key] = 1, path
+            taken = _take(key[1], robot)
+        except OSError as error:
+            raise AgentError(f"{_folder()}: the robot's lock cannot be made there: {error.strerror}; rights?") from None
+    _held[key] += 1
     try:
         yield
     finally:
-        del _held[key]
-        _let_go(path, descriptor)
-        _take_leftovers_away()
+        _held[key] -= 1
+        if taken is not None:
+            _let_go(*taken)
+            _take_leftovers_away()
 
 
 def lock_files(driver: str, address: str) -> list[Path]:
-    """The files of those who hold the lock of a controller, or have left one."""
+    """Lock files of a controller, held or left behind."""
     return [path for one in endpoints(driver, address) for path in _folder().glob(_NAME.format(_digest(one), "*", "*"))]
 
 
@@ -88,7 +84,7 @@ def _folder() -> Path:
 
 
 def _for_all(folder: Path) -> bool:
-    """Whether every user may write there, so that all come to the same answer."""
+    """Whether every user may write there, so that all users choose the same folder."""
     try:
         mode = folder.stat().st_mode
     except OSError:
@@ -99,7 +95,7 @@ def _for_all(folder: Path) -> bool:
 def _take(name: str, robot: str) -> tuple[Path, int]:
     """A file of this process, and a descriptor that holds it.
 
-    Of two that begin at once each holds a file before it looks for the other's, so at least one sees the other.
+    Each process holds its file before it looks for others, so of two that begin at once at least one sees the other.
     """
     until = time.monotonic() + _PATIENCE
     while True:

@@ -1,4 +1,4 @@
-"""Loops that were found, kept for later: one JSON file each, by robot, tool, sub-region and checksum."""
+"""Loops kept for later runs: one JSON file each, found by robot, tool, sub-region and checksum."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from agent.core import InputError, read_json, sha256_text
 from agent.recipe import Recipe
 from agent.runs.approved import digest, problem
-from agent.runs.folder import make_folder, write_json
+from agent.runs.folder import from_plain, make_folder, write_json
 
 #: Where loops are kept by default: among the runs.
 FOLDER = Path("logs") / "trajectories"
@@ -23,7 +23,7 @@ _SCHEMA = "loop/1"
 class StoredLoop:
     """A loop with the program that runs it.
 
-    `key` is the SHA-256 of all that the loop was searched for (robot, tool, sub-region, motion settings, period,
+    `key` is the SHA-256 of everything the loop depends on (robot, tool, sub-region, motion settings, period,
     interpolator); `checksum` that of the program's text, as a controller reports it. `tool` and `sub_region` are plain
     data; poses (K) (4, 4), start (n,) [rad]; `fitness` over all samples; `created` in UTC, ISO 8601.
     """
@@ -98,7 +98,7 @@ def stored_loops(folder: Path = FOLDER, damaged: list[str] | None = None) -> lis
     """All loops in a folder, by robot, sub-region and age, newest first; none where there is no folder.
 
     Args:
-        damaged: takes what is to be said of files that cannot be read; without it, they are an error.
+        damaged: collects messages about files that cannot be read; without it, they are an error.
 
     Raises:
         InputError: a file that is damaged, or whose program is not the one of its checksum.
@@ -112,14 +112,15 @@ def stored_loops(folder: Path = FOLDER, damaged: list[str] | None = None) -> lis
                 raise
             damaged.append(str(error))
     loops.sort(key=lambda loop: loop.created, reverse=True)
-    return sorted(loops, key=lambda loop: (loop.robot, loop.key))
+    loops.sort(key=lambda loop: (loop.robot, loop.key))
+    return loops
 
 
 def find_loop(recipe: Recipe, folder: Path = FOLDER, program: str | None = None) -> StoredLoop | None:
     """The newest loop kept for a recipe's robot, tool, sub-region and motion settings, or None.
 
     Args:
-        program: SHA-256 (hex) of the program's text, where it has to be a certain one.
+        program: SHA-256 (hex) of the program's text, to accept only that one.
 
     Raises:
         InputError: there is none among those that can be read, and some cannot; or what the file says of the tool and
@@ -152,13 +153,8 @@ def _read(path: Path) -> StoredLoop:
         data = read_json(path)
         if data.pop("schema") != _SCHEMA:
             raise ValueError("another schema")
-        for key in ("genome", "poses", "start"):
-            data[key] = _tuples(np.array(data[key], dtype=float))
-        loop = StoredLoop(**data)
-        for key in ("key", "robot", "created", "program", "program_name", "checksum"):
-            if not isinstance(data[key], str):
-                raise ValueError(f"{key} is no text")
-    except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
+        loop = from_plain(StoredLoop, data)
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError(f"{path}: not a stored loop ({error}); move it away") from None
     if sha256_text(loop.program) != loop.checksum:
         raise InputError(f"{path}: its program is not the one that was stored (checksum differs); move it away")
@@ -166,7 +162,5 @@ def _read(path: Path) -> StoredLoop:
 
 
 def _tuples(array: np.ndarray) -> Any:
-    def nested(value: Any) -> Any:
-        return tuple(nested(item) for item in value) if isinstance(value, list) else value
-
-    return nested(np.asarray(array, dtype=float).tolist())
+    rows = array.tolist()
+    return tuple(tuple(map(tuple, row)) if array.ndim == 3 else row for row in rows)

@@ -1,4 +1,4 @@
-"""A past run as its folder tells it, whoever wrote that folder: every value is looked at before anybody uses it."""
+"""A past run, read from its folder. Whoever wrote the folder, every value is checked before it is used."""
 
 from __future__ import annotations
 
@@ -6,22 +6,23 @@ import contextlib
 import math
 import os
 import re
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from agent.core import InputError, error_text, sha256_text
 from drivers.texts import place_of
 
-#: Clocks differ by so much without being wrong.
+#: Difference between two clocks that still counts as normal.
 AHEAD = timedelta(minutes=5)
+Value = TypeVar("Value")
 _KEYED = re.compile(r"\S+ \S*,… [0-9a-f]{12}")
 
 
 def controller_key(text: str) -> str:
-    """Driver and address of a controller, with a digest in the place of the address's options: they may be secret."""
+    """Driver and address of a controller; the address's options, which may be secret, are replaced by a digest."""
     driver, _, address = text.partition(" ")
     place = place_of(address)
     if place == address or _KEYED.fullmatch(text):
@@ -33,11 +34,11 @@ def controller_key(text: str) -> str:
 class PastRun:
     """One run folder.
 
-    `kind` is `calibrate`, `recalibrate` or `diagnose`; `status` that of the run folder (`finished` is accepted where
-    there is a gate, `rejected` is the gate's word); `loop` the key of its stored loop, `program` the SHA-256 of its
-    program, `reference` the run whose model it was compared with, `reason` why it was rejected or stopped; `worst` the
+    `kind` is `calibrate`, `recalibrate` or `diagnose`. `status` is that of the run folder; where there is a gate,
+    `finished` means accepted and `rejected` not. `loop` is the key of its stored loop, `program` the SHA-256 of its
+    program, `reference` the run whose model it was compared with, `reason` why it was rejected or stopped, `worst` the
     largest normalised RMSE of any axis. `data` holds joints, normalised_rmse, gate, the conditions of the run, the
-    `verdict` of a diagnosis, and `watch`: what the trends of this machine said after it, a sentence each.
+    `verdict` of a diagnosis, and `watch`, the messages of the trends after the run.
     """
 
     run: str
@@ -60,7 +61,7 @@ class PastRun:
         return datetime.fromisoformat(self.started)
 
     def in_future(self, now: datetime | None = None) -> bool:
-        """Whether it was started later than now, by clocks of which one was wrong."""
+        """Whether it is dated in the future, so that one of the clocks was wrong."""
         return self.time > (now or datetime.now(UTC)) + AHEAD
 
     @property
@@ -90,7 +91,7 @@ class PastRun:
 
     @property
     def outcome(self) -> str:
-        """What came of it, in a word or two: the gate's, or the diagnosis's."""
+        """The gate's decision or the diagnosis's verdict, in a word or two."""
         finished = "accepted" if self.accepted else self.data["verdict"].replace("_", " ")
         if self.accepted and not self.judged:
             finished = "not judged"
@@ -114,8 +115,8 @@ class PastParameter:
     deviation: float
 
 
-def read_run(path: Path) -> tuple[PastRun, list[PastParameter]]:
-    """What a run folder says.
+def read_run(path: Path) -> PastRun:
+    """What a run folder says, without its model.
 
     Raises:
         InputError: one of its files cannot be read.
@@ -124,12 +125,31 @@ def read_run(path: Path) -> tuple[PastRun, list[PastParameter]]:
         return _read_run(path)
 
 
-@contextlib.contextmanager
-def readable(run: Path) -> Iterator[None]:
-    """Turns what damaged files of a run, or those of another version, lead to into one message.
+def read_parameters(path: Path) -> list[PastParameter]:
+    """What the model of a run folder says, in the model's order; nothing where there is none.
 
     Raises:
-        InputError: with what is missing or wrong, and what there is to do.
+        InputError: it cannot be read.
+    """
+    with readable(path):
+        model = _optional(path / "model.json")
+        return [
+            PastParameter(
+                _text(entry["name"], "a parameter's name"),
+                _text(entry["unit"], "a parameter's unit"),
+                _number(entry["value"], entry["name"]),
+                _number(entry["standard_deviation"], entry["name"]),
+            )
+            for entry in [*model.get("base_parameters", []), *model.get("friction", [])]
+        ]
+
+
+@contextlib.contextmanager
+def readable(run: Path) -> Iterator[None]:
+    """Turn errors from damaged files of a run, or from those of another version, into one message.
+
+    Raises:
+        InputError: with what is missing or wrong, and what to do.
     """
     try:
         yield
@@ -142,53 +162,37 @@ def readable(run: Path) -> Iterator[None]:
         ) from error
 
 
-def _read_run(path: Path) -> tuple[PastRun, list[PastParameter]]:
-    state = read_object(path / "state.json")
-    result = read_object(path / "result.json") if os.path.lexists(path / "result.json") else {}
+def _read_run(path: Path) -> PastRun:
+    state, result = read_object(path / "state.json"), _optional(path / "result.json")
     validation, gate = result.get("validation", {}), result.get("gate", {})
+    joints = _list(_text, validation.get("joints", []), "joints")
     figures = _numbers(validation.get("normalised_rmse", []), "normalised_rmse")
-    known = [value for value in figures if value is not None]
     limit = gate.get("normalised_rmse")
-    data = {
-        "joints": _texts(validation.get("joints", []), "joints"),
-        "normalised_rmse": figures,
-        "rmse": _numbers(validation.get("rmse", []), "rmse"),
-        "gate": None if limit is None else _number(limit, "gate"),
-        "not_judged": _texts(gate.get("not_judged", []), "not_judged"),
-        "conditions": _conditions(result.get("conditions", {}), validation.get("joints", [])),
-        "verdict": _text(result, "verdict"),
-        "watch": _texts(state.get("watch", []), "watch"),
-    }
-    run = PastRun(
-        run=_checked(path.name, "the name"),
-        robot=_checked(state["robot"], "robot"),
-        serial=_text(state, "serial"),
-        kind=_text(state, "kind", "calibrate"),
+    texts = ("serial", "controller", "loop", "program", "reference")
+    return PastRun(
+        run=_text(path.name, "the name"),
+        robot=_text(state["robot"], "robot"),
+        kind=_text(state.get("kind", "calibrate"), "kind"),
         started=_in_utc(state["started"]),
-        status=_checked(state["status"], "status"),
-        controller=_text(state, "controller"),
-        loop=_text(state, "loop"),
-        program=_text(state, "program"),
-        reference=_text(state, "reference"),
+        status=_text(state["status"], "status"),
         reason=_one_line(result.get("reason", "") or _named(result) or state.get("stopped", {}).get("reason", "")),
-        worst=max(known, default=None),
-        data=data,
+        worst=max((value for value in figures if value is not None), default=None),
+        data={
+            "joints": joints,
+            "normalised_rmse": figures,
+            "rmse": _numbers(validation.get("rmse", []), "rmse"),
+            "gate": None if limit is None else _number(limit, "gate"),
+            "not_judged": _list(_text, gate.get("not_judged", []), "not_judged"),
+            "conditions": _conditions(result.get("conditions", {}), joints),
+            "verdict": _text(result.get("verdict", ""), "verdict"),
+            "watch": _list(_text, state.get("watch", []), "watch"),
+        },
+        **{key: _text(state.get(key, ""), key) for key in texts},
     )
-    model = read_object(path / "model.json") if os.path.lexists(path / "model.json") else {}
-    rows = [*model.get("base_parameters", []), *model.get("friction", [])]
-    return run, [
-        PastParameter(
-            _checked(p["name"], "a parameter's name"),
-            _checked(p["unit"], "a parameter's unit"),
-            _number(p["value"], p["name"]),
-            _number(p["standard_deviation"], p["name"]),
-        )
-        for p in rows
-    ]
 
 
 def _conditions(found: dict[str, Any], joints: list[str]) -> dict[str, Any]:
-    """Those that the trends use are what they expect."""
+    """The conditions of a run, once those that the trends use are checked."""
     for level in found.get("friction", []):
         if level["joint"] not in joints:
             raise ValueError(f"friction of {level['joint']!r}, which is none of the joints")
@@ -202,12 +206,12 @@ def _conditions(found: dict[str, Any], joints: list[str]) -> dict[str, Any]:
 
 
 def _one_line(text: str) -> str:
-    """A reason may be the words of a controller, or of several lines."""
-    return _checked(" ".join("".join(c if c.isprintable() else " " for c in text).split()), "reason")
+    """A reason on one line; it may come from a controller or have several."""
+    return _text(" ".join("".join(c if c.isprintable() else " " for c in text).split()), "reason")
 
 
 def _in_utc(stamp: str) -> str:
-    """The same time, in the one zone by which runs are put in order; without a zone it is that already."""
+    """The same time in UTC; a time without a zone is taken as UTC."""
     time = datetime.fromisoformat(stamp)
     return (time if time.tzinfo else time.replace(tzinfo=UTC)).astimezone(UTC).isoformat(timespec="seconds")
 
@@ -229,8 +233,12 @@ def read_object(path: Path) -> dict[str, Any]:
     return data
 
 
+def _optional(path: Path) -> dict[str, Any]:
+    return read_object(path) if os.path.lexists(path) else {}
+
+
 def _named(result: dict[str, Any]) -> str:
-    """What a diagnosis named, and where; empty of any other run, or where the file has it in another form."""
+    """The causes that a diagnosis named, and where; empty for any other run or form."""
     causes = result.get("causes", ())
     try:
         return "; ".join(f"{cause['effect']} on {', '.join(cause['joints']) or 'the whole arm'}" for cause in causes)
@@ -238,22 +246,12 @@ def _named(result: dict[str, Any]) -> str:
         return ""
 
 
-def _text(data: dict[str, Any], key: str, otherwise: str = "") -> str:
-    return _checked(data.get(key, otherwise), key)
-
-
-def _checked(value: Any, what: str) -> str:
-    """A text that the database, a terminal and a page can take."""
+def _text(value: Any, what: str) -> str:
+    """A printable text, as terminals and pages need it."""
     if not isinstance(value, str) or not value.isprintable():
         raise ValueError(f"{what} is no text")
     value.encode()  # half a character is none
     return value
-
-
-def _numbers(values: Any, what: str) -> list[float | None]:
-    if not isinstance(values, list):
-        raise ValueError(f"{what} is no list")
-    return [None if value is None else _number(value, what) for value in values]
 
 
 def _number(value: Any, what: str) -> float:
@@ -262,7 +260,11 @@ def _number(value: Any, what: str) -> float:
     return float(value)
 
 
-def _texts(values: Any, what: str) -> list[str]:
+def _numbers(values: Any, what: str) -> list[float | None]:
+    return _list(lambda value, name: None if value is None else _number(value, name), values, what)
+
+
+def _list(checked: Callable[[Any, str], Value], values: Any, what: str) -> list[Value]:
     if not isinstance(values, list):
         raise ValueError(f"{what} is no list")
-    return [_checked(value, what) for value in values]
+    return [checked(value, what) for value in values]

@@ -1,4 +1,4 @@
-"""What changes from run to run: wear told from warm-up, step from drift, and how long until a limit.
+"""What changes from run to run: wear distinguished from warm-up, step from drift, and how long until a limit.
 
 One series is the friction of an axle at one speed, as runs of the same program found it. With y its logarithm,
 
@@ -6,62 +6,114 @@ One series is the friction of an axle at one speed, as runs of the same program 
 
 c is what the other axles' friction did at the same time (their median): warm-up is common to all, wear is not. How
 strongly this axle warms, b, is known from within the runs: a cold arm warms up while it moves, the colder the faster,
-so b is how its relative rate of change follows the others' from run to run; about 1 (deviation 1) where nothing tells.
-Without that, a warm-up that goes along with time could not be told from wear. Arms of fewer axles have the rate itself
-in place of c.
+so b is the slope of its relative rate of change over the others' from run to run, with a prior of 1 ± 1. Without that,
+warm-up that goes along with time could not be distinguished from wear. Arms with fewer axles use the rate itself in
+place of c (`agent.runs.warm_up`).
 
-What is left is tested as a drift, linear in time or in the number of runs, and as a step after run k. Each is a t-test
-against no change (`agent.runs.changes`); alternatives pay for their number, and all series of a machine share
-`FALSE_ALARMS` (Bonferroni). An alarm is a change that is no chance and of practical size.
+The rest is tested for a drift, linear in time or in the number of runs, and for a step after run k. Each is a t-test
+against no change (`agent.runs.changes`), corrected for the number of alternatives. Here all series of a machine share
+`FALSE_ALARMS` (Bonferroni); over a fleet the false discovery rate decides. An alarm is a significant change of
+practical size.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from agent.runs.changes import Background, fit_course, line, size_of_change
+from agent.runs.changes import Background, SeriesChange, find_change, fit_course, line, sizes_of_change
 from agent.runs.past_run import PastParameter, PastRun
-from agent.runs.series import FrictionSeries, find_change
-from agent.runs.warm_up import FEWEST, common_rate, warm_up_rates
+from agent.runs.warm_up import FEWEST, common_rate, warm_up_backgrounds
 
 #: Probability of an alarm of any series of a machine without change.
 FALSE_ALARMS = 1e-3
 #: Relative change of an axle's friction that matters.
 PRACTICAL = 0.03
-#: How many of the latest runs are looked at.
+#: Number of latest runs that are used.
 WINDOW = 40
 _DAY = 86_400.0
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Trend:
-    """One series over the runs looked at, and what was found in it.
+    """One series over R runs, and the likeliest change in it; the caller sets `significant`.
 
-    times (R,) [days since the first], values (R,), deviations (R,); `expected` (R,) is the fitted course. `kind` is
-    `none`, `drift` or `step`; `change` is over the whole window (relative for friction) with its `deviation`; `since`
-    the run after which a step came; `probability` that chance does as much; `common` the part of the course (R,) that
-    warm-up explains.
+    `quantity` of a `joint` `at` a speed, or the name of a parameter without a joint; times (R,) [days since the first],
+    values (R,), deviations (R,). Tested is the logarithm where `scale` is 0, else the values divided by it. `practical`
+    is the smallest size of change that matters.
     """
 
-    name: str
+    quantity: str
     joint: str
     unit: str
     runs: tuple[str, ...]
     times: np.ndarray
     values: np.ndarray
     deviations: np.ndarray
-    expected: np.ndarray
-    common: np.ndarray
-    kind: str
-    change: float
-    deviation: float
-    probability: float
-    since: str
-    alarm: bool
+    background: Background
+    at: str = ""
+    scale: float = 0.0
+    practical: float = PRACTICAL
+    significant: bool = False
+
+    @cached_property
+    def found(self) -> SeriesChange:
+        """The likeliest change, whether it is significant or not."""
+        return find_change(self._looked_at, self.times, self.background)
+
+    @property
+    def name(self) -> str:
+        """Quantity, joint and speed, in words."""
+        return f"{self.quantity} of {self.joint}{self.at}" if self.joint else self.quantity
+
+    @property
+    def kind(self) -> str:
+        """`none`, `drift` or `step`."""
+        return self.found.kind if self.significant else "none"
+
+    @property
+    def change(self) -> float:
+        """Over the whole window, relative for friction."""
+        return (float(np.expm1(self.found.size)) if self.joint else self.found.size) if self.significant else 0.0
+
+    @property
+    def probability(self) -> float:
+        """p-value of the likeliest change."""
+        return self.found.probability
+
+    @property
+    def since(self) -> str:
+        """The run after which a step came."""
+        return self.runs[self.found.place - 1] if self.kind == "step" else ""
+
+    @property
+    def alarm(self) -> bool:
+        """Whether the change is significant and of practical size."""
+        return bool(self.joint and self.significant and abs(self.found.size) >= self.practical)
+
+    @property
+    def expected(self) -> np.ndarray:
+        """(R,) the fitted course."""
+        fit, design = self._course
+        return design @ fit * self.scale if self.scale else np.exp(design @ fit)
+
+    @property
+    def common(self) -> np.ndarray:
+        """(R,) the part of the course that warm-up explains."""
+        fit, design = self._course
+        return design[:, 1] * fit[1] if self.background.varies else np.zeros(len(self.values))
+
+    @property
+    def _looked_at(self) -> np.ndarray:
+        return self.values / self.scale if self.scale else np.log(self.values)
+
+    @property
+    def _course(self) -> tuple[np.ndarray, np.ndarray]:
+        return fit_course(self._looked_at, self.background, self.found.shape if self.significant else None)
 
     def text(self) -> str:
         """One sentence."""
@@ -79,7 +131,7 @@ class Trend:
             "joint": self.joint,
             "kind": self.kind,
             "change": self.change,
-            "standard_deviation": self.deviation if np.isfinite(self.deviation) else None,
+            "standard_deviation": self.found.deviation if np.isfinite(self.found.deviation) else None,
             "probability_by_chance": self.probability,
             "since": self.since or None,
             "alarm": self.alarm,
@@ -88,7 +140,7 @@ class Trend:
 
 @dataclass(frozen=True)
 class Warning:
-    """A limit that comes near: in how many days, or already beyond it (0)."""
+    """A limit that is reached in some days, or is exceeded already (0)."""
 
     joint: str
     days: float
@@ -97,18 +149,17 @@ class Warning:
 
 @dataclass(frozen=True, eq=False)
 class Watch:
-    """What the history of one machine's loop says: friction trends, warnings, and the warm-up covariate (R,) [1/s]."""
+    """What the history of one machine's loop says: friction trends and warnings."""
 
     robot: str
     serial: str
     program: str
     trends: tuple[Trend, ...]
     warnings: tuple[Warning, ...]
-    warm_up: np.ndarray
 
     @property
     def alarms(self) -> tuple[Trend, ...]:
-        """Trends that are no chance and of practical size; the strongest of each joint."""
+        """Significant trends of practical size; the strongest of each joint."""
         best: dict[str, Trend] = {}
         for trend in self.trends:
             if trend.alarm and (trend.joint not in best or abs(trend.change) > abs(best[trend.joint].change)):
@@ -131,9 +182,36 @@ class Watch:
         }
 
 
+def friction_trends(
+    runs: tuple[str, ...],
+    times: np.ndarray,
+    joints: Sequence[str],
+    levels: Sequence[tuple[str, float]],
+    values: np.ndarray,
+    deviations: np.ndarray,
+    rates: np.ndarray,
+    rate_stds: np.ndarray,
+) -> Iterator[Trend]:
+    """Trends of one machine's friction; the caller decides which are significant.
+
+    Parameters
+    ----------
+    runs, times: names of R runs of one program, and days since the first (R,).
+    joints, levels: names of the axles (n), and joint and speed [rad/s] of each level (K).
+    values, deviations, rates, rate_stds: as in `agent.runs.warm_up.warm_up_backgrounds`.
+    """
+    axles = [joints.index(joint) for joint, _ in levels]
+    for k, background in warm_up_backgrounds(axles, values, deviations, rates, rate_stds):
+        joint, speed = levels[k]
+        at = f" at {speed:.2g} rad/s"
+        yield Trend("friction", joint, "N·m", runs, times, values[:, k], deviations[:, k], background, at)
+
+
 def watch(runs: Sequence[PastRun]) -> list[Watch]:
-    """Look at the latest runs of every machine and program; those with too few runs are left out, and so are runs
-    dated in the future, whose place in time nobody knows."""
+    """Trends over the latest runs of every machine and program with enough runs.
+
+    Runs dated in the future are left out: nobody knows when they were.
+    """
     groups: dict[tuple[str, str, str], list[PastRun]] = {}
     for run in runs:
         if run.complete and run.data["conditions"].get("friction") and not run.in_future():
@@ -141,19 +219,14 @@ def watch(runs: Sequence[PastRun]) -> list[Watch]:
     return [_watch(key, group[-WINDOW:]) for key, group in groups.items() if len(group) >= FEWEST]
 
 
-def parameter_trends(
-    runs: Sequence[PastRun], parameters: dict[str, list[PastParameter]], joints: dict[str, str] | None = None
-) -> list[Trend]:
-    """Course of every parameter that all of these runs have; never an alarm, friction levels decide.
-
-    `runs` are of one machine and program, as the trends of a `Watch` are.
-    """
+def parameter_trends(runs: Sequence[PastRun], parameters: dict[str, list[PastParameter]]) -> list[Trend]:
+    """Trends of every parameter that all of these runs, of one machine and program, have; they raise no alarm."""
     runs = list(runs)[-WINDOW:]
     if len(runs) < FEWEST:
         return []
     tables = [{p.name: p for p in parameters.get(run.run, [])} for run in runs]
     names = [name for name in tables[-1] if all(name in table for table in tables)]
-    times, rate = _times(runs), Background(common_rate(*warm_up_rates(runs)))
+    times, rate = _times(runs), Background(common_rate(*_rates(runs)))
     found = []
     for name in names:
         values = np.array([table[name].value for table in tables])
@@ -161,90 +234,56 @@ def parameter_trends(
             continue  # kept from run to run, not estimated
         deviations = np.array([table[name].deviation for table in tables])
         scale = max(float(np.median(np.abs(values))), 1e-300)
-        found.append(_trend(name, "", tables[-1][name].unit, runs, times, values, deviations, scale, rate, len(names)))
+        unit, runs_of = tables[-1][name].unit, tuple(run.run for run in runs)
+        found.append(Trend(name, "", unit, runs_of, times, values, deviations, rate, scale=scale))
+    _decide(found, len(names))
     return found
 
 
+def _decide(trends: Sequence[Trend], series: int) -> None:
+    """Bonferroni over all series of a machine."""
+    for trend in trends:
+        trend.significant = trend.probability < FALSE_ALARMS / series
+
+
 def _watch(key: tuple[str, str, str], runs: list[PastRun]) -> Watch:
-    robot, serial, program = key
-    levels = runs[-1].data["conditions"]["friction"]
-    runs = [run for run in runs if len(run.data["conditions"]["friction"]) == len(levels)]
-    times, (rates, rate_stds) = _times(runs), warm_up_rates(runs)
-    axles = list(runs[-1].data["joints"])
-    of_level = tuple(axles.index(level["joint"]) for level in levels)
-    series = FrictionSeries(times, of_level, _column(runs, "value"), _column(runs, "from_run_to_run"), rates, rate_stds)
-    trends = []
-    for k, background in series.backgrounds():
-        name = f"friction of {levels[k]['joint']} at {levels[k]['speed']:.2g} rad/s"
-        values, deviations = series.values[:, k], series.deviations[:, k]
-        found = _trend(name, levels[k]["joint"], "N·m", runs, times, values, deviations, None, background, len(levels))
-        trends.append(found)
-    warnings = tuple(_warnings(runs, times, trends))
-    return Watch(robot, serial, program, tuple(trends), warnings, common_rate(rates, rate_stds))
-
-
-def _trend(
-    name: str,
-    joint: str,
-    unit: str,
-    runs: Sequence[PastRun],
-    times: np.ndarray,
-    values: np.ndarray,
-    deviations: np.ndarray,
-    scale: float | None,
-    background: Background,
-    series: int,
-) -> Trend:
-    """Test one series (R,) for a drift and for steps, beside what all axles share.
-
-    It is looked at as its logarithm, where `scale` is None, or as a multiple of `scale`.
-    """
-    y = np.log(values) if scale is None else values / scale
-    found = find_change(y, times, background)
-    significant = found.probability < FALSE_ALARMS / series
-    fit, design = fit_course(y, background, found.shape if significant else None)
-    common = design[:, 1] * fit[1] if background.varies else np.zeros(len(y))
-    expected = np.exp(design @ fit) if scale is None else design @ fit * scale
-    return Trend(
-        name=name,
-        joint=joint,
-        unit=unit,
-        runs=tuple(run.run for run in runs),
-        times=times,
-        values=values,
-        deviations=deviations,
-        expected=expected,
-        common=common,
-        kind=found.kind if significant else "none",
-        change=float(np.expm1(found.size) if joint else found.size) if significant else 0.0,
-        deviation=found.deviation,
-        probability=found.probability,
-        since=runs[found.place - 1].run if significant and found.kind == "step" else "",
-        alarm=bool(joint and significant and abs(found.size) >= PRACTICAL),
+    met = runs[-1].data["conditions"]["friction"]
+    runs = [run for run in runs if len(run.data["conditions"]["friction"]) == len(met)]
+    values, deviations = (
+        np.array([[level[key] for level in run.data["conditions"]["friction"]] for run in runs], dtype=float)
+        for key in ("value", "from_run_to_run")
     )
+    names, times = tuple(run.run for run in runs), _times(runs)
+    levels = [(level["joint"], level["speed"]) for level in met]
+    joints = runs[-1].data["joints"]
+    trends = tuple(friction_trends(names, times, joints, levels, values, deviations, *_rates(runs)))
+    _decide(trends, len(levels))
+    return Watch(*key, trends, tuple(_warnings(runs, times, trends)))
 
 
 def _warnings(runs: Sequence[PastRun], times: np.ndarray, trends: Sequence[Trend]) -> list[Warning]:
-    """Drifts that carry an axle's friction, or the prediction error, to the gate within as long as was looked at."""
-    found = []
-    span = max(float(np.ptp(times)), 1e-9)
+    """Drifts of the prediction error or of friction that reach the gate within the time span of these runs."""
     latest = runs[-1].data
+    gate, span = latest["gate"], max(float(np.ptp(times)), 1e-9)
+    if gate is None:
+        return []
+    found = []
     for joint, figures in _errors(runs).items():
-        gate = latest["gate"]
-        if gate is None or not np.isfinite(figures).all():
+        if not np.isfinite(figures).all():
             continue
-        size, deviation, probability = size_of_change(figures, Background(np.zeros(len(figures))), line(times))
+        shape = line(times)[None]
+        (size,), (deviation,), (probability,) = sizes_of_change(figures, Background(np.zeros(len(figures))), shape)
         if size <= 0 or probability * len(latest["joints"]) > FALSE_ALARMS or not np.isfinite(deviation):
             continue
-        days = max(0.0, (gate - figures[-3:].mean()) / size * span)
+        days = float(max(0.0, (gate - figures[-3:].mean()) / size * span))
         if days <= span:
             text = f"{joint}: the prediction error grows and reaches the gate of {100 * gate:g} % in {_in(days)}"
             found.append(Warning(joint, days, text))
     for trend in trends:
         nominal = latest["conditions"]["nominal_torque"][latest["joints"].index(trend.joint)]
-        if trend.kind != "drift" or not trend.alarm or latest["gate"] is None or nominal is None:
+        if trend.kind != "drift" or not trend.alarm or nominal is None:
             continue
-        limit = latest["gate"] * nominal
+        limit = gate * nominal
         rate = (np.exp(trend.change) - 1) * np.median(trend.values) / span
         gone = trend.expected[-1] - trend.expected[0]
         days = max(0.0, (limit - abs(gone)) / max(abs(rate), 1e-300))
@@ -259,15 +298,17 @@ def _warnings(runs: Sequence[PastRun], times: np.ndarray, trends: Sequence[Trend
 
 def _errors(runs: Sequence[PastRun]) -> dict[str, np.ndarray]:
     """Normalised prediction error over the runs (R,), by joint; NaN where a run has none."""
-    joints = runs[-1].data["joints"]
     table = [dict(zip(run.data["joints"], run.data["normalised_rmse"], strict=True)) for run in runs]
-    values = {joint: [row.get(joint) for row in table] for joint in joints}
-    return {joint: np.array([np.nan if v is None else v for v in column]) for joint, column in values.items()}
+    return {joint: np.array([row.get(joint) for row in table], dtype=float) for joint in runs[-1].data["joints"]}
 
 
-def _column(runs: Sequence[PastRun], key: str) -> np.ndarray:
-    """(R, levels)."""
-    return np.array([[level[key] for level in run.data["conditions"]["friction"]] for run in runs], dtype=float)
+def _rates(runs: Sequence[PastRun]) -> list[np.ndarray]:
+    """Two arrays (R, n): relative change of friction per second while a run lasted, and its deviation; NaN where
+    unknown."""
+    n = len(runs[-1].data["joints"])
+    told = [run.data["conditions"].get("warm_up", {}) for run in runs]
+    columns = [[one.get(key, []) for one in told] for key in ("rate_per_s", "standard_deviation")]
+    return [np.array([row if len(row) == n else [None] * n for row in rows], dtype=float) for rows in columns]
 
 
 def _times(runs: Sequence[PastRun]) -> np.ndarray:

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from agent.core.errors import InputError
-from agent.fleet import figures, make_question, simulate, store
+from agent.fleet import make_question, simulate, store, worker
 from agent.recording import read_log, write_log
 from tests.fleet.conftest import rows_of
 
@@ -69,7 +69,7 @@ def test_a_mass_that_a_log_names_counts_in_a_diagnosis_and_is_refused_elsewhere(
 
     def answer(kind: str, path: Path, model: Path | None) -> dict:
         question = make_question(kind, described, None if model is None else str(model))
-        return figures.WORK[kind](question, described, model, [path], figures.Notes())[0]
+        return worker.answer(question, described, model, [path])[0]
 
     for kind, known, reason in (
         ("estimate", None, "leave it out"),

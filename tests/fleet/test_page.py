@@ -44,6 +44,7 @@ def test_a_run_that_failed_is_a_reason_and_pages_of_runs_are_linked(command, pla
     here, out = tmp_path / "plant", tmp_path / "result"
     for robot in ("robot_0000", "robot_0005"):
         shutil.copytree(plant / robot, here / robot)
+    shutil.copytree(plant / "robot_0005" / "bad", here / "robot_0007" / "bad")  # and no run with figures
     (page_of,) = [path for path in sorted((here / "robot_0000").iterdir()) if path.is_dir()][:1]
     (page_of / "report.html").write_text("<p>the run</p>", encoding="utf-8")
     shutil.copytree(estimated, out)
@@ -51,8 +52,9 @@ def test_a_run_that_failed_is_a_reason_and_pages_of_runs_are_linked(command, pla
     command("fleet", "estimate", here, "-o", out, "-q")
     write_page(str(out), out=str(tmp_path / "page.html"))
     machines = {one["robot"]: one for one in _data(tmp_path / "page.html")["machines"]}
-    assert len(machines["robot_0005"]["why"]) == 1
-    assert "not an MCAP file" in machines["robot_0005"]["why"][0]
+    for robot, reason in (("robot_0005", "not an MCAP file"), ("robot_0007", "no robot.yaml")):
+        assert [reason in why for why in machines[robot]["why"]] == [True]
+    assert (machines["robot_0007"]["joints"], machines["robot_0007"]["courses"]) == ([], [])
     links = [run[4] for run in machines["robot_0000"]["runs"]]
     assert [bool(link) for link in links] == [True, False]
     assert (tmp_path / links[0]).read_text(encoding="utf-8") == "<p>the run</p>"

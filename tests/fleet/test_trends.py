@@ -14,10 +14,9 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from hypothesis import given, strategies as st
 
 from agent.core.errors import InputError
-from agent.fleet.discoveries import false_discovery_levels, find_families, read_columns
+from agent.fleet.families import find_families, read_columns
 from agent.fleet.simulate import simulate_fleet
 from agent.fleet.trends import fleet_trends
 
@@ -52,6 +51,10 @@ def test_wear_steps_and_the_family_are_found(command, year: Path, tmp_path: Path
     assert table.num_rows == found["series"] == 720
     assert sum(table["alarm"].to_pylist()) == len(truth)
     assert set(table["lubricant_batch"].to_pylist()) > {"B07"}
+    chances, levels = (np.array(table[name]) for name in ("probability_by_chance", "false_discovery_level"))
+    for rate in (0.01, 0.1, 0.5):  # Benjamini and Hochberg 1995
+        passed = np.flatnonzero(np.sort(chances) <= rate * np.arange(1, 721) / 720)
+        assert np.array_equal(levels <= rate, chances <= np.sort(chances)[passed[-1]])
 
 
 def test_a_step_is_dated(year: Path):
@@ -84,15 +87,6 @@ def test_few_runs_say_nothing_and_no_result_is_usage(command, estimated: Path, t
         command("fleet", "trends", estimated, "--columns", tmp_path / "t.csv")
 
 
-@given(st.lists(st.floats(0, 1), min_size=1, max_size=30))
-def test_levels_are_those_of_benjamini_and_hochberg(chances: list[float]):
-    levels = false_discovery_levels(np.array(chances))
-    for rate in (0.01, 0.1, 0.5):
-        ranked = sorted(chances)
-        passed = [k for k, chance in enumerate(ranked, 1) if chance * len(ranked) / k <= rate]
-        assert np.sum(levels <= rate) == sum(chance <= ranked[max(passed) - 1] for chance in ranked if passed)
-
-
 def test_a_family_needs_machines_that_differ(tmp_path: Path):
     (tmp_path / "t.csv").write_text("robot,cell\n" + "".join(f"r{k},{k % 2}\n" for k in range(40)), encoding="utf-8")
     columns = read_columns([tmp_path / "t.csv"])
@@ -114,7 +108,7 @@ def test_a_thousand_machines_over_a_year(tmp_path: Path, measured):
     simulate_fleet("comau_ns16", 1000, 52, seed, str(tmp_path / "year"), rows=True)
     truth = _truth(tmp_path / "year")
     found = fleet_trends(str(tmp_path / "year"), [tmp_path / "year" / "_machines.csv"])
-    alarms = {(one.robot, one.joint) for one in found.alarms}
+    alarms = {(one.robot, one.trend.joint) for one in found.alarms}
     worn = {key for key, kind in truth.items() if kind == "wear"}
     false = 100 * len(alarms - truth.keys()) / len(alarms)
     measured("1 000 machines x 52 weeks: worn axles found", len(worn & alarms), "of 20", "20", worn <= alarms)

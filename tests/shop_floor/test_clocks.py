@@ -12,7 +12,7 @@ from hypothesis import given, strategies as st
 
 from agent.runs.due import too_early, wrong_clock
 from agent.runs.folder import RunFolder
-from agent.runs.history import open_history
+from agent.runs.history import History
 from agent.runs.past_run import PastRun
 from agent.runs.trends import watch
 
@@ -72,21 +72,21 @@ def test_runs_are_in_order_of_time_whatever_zone_they_were_written_in(write_runs
     _redate(first, "2026-03-01T02:00:00+14:00")  # the last day of February
     _redate(second, "2026-03-01T00:30:00")
     _redate(third, "2026-02-28T22:00:00-12:00")
-    with open_history(logs) as history:
-        assert [run.run for run in history.runs()] == [first.name, second.name, third.name]
-        assert [run.started for run in history.runs()][2] == "2026-03-01T10:00:00+00:00"
+    history = History(logs)
+    assert [run.run for run in history.runs()] == [first.name, second.name, third.name]
+    assert [run.started for run in history.runs()][2] == "2026-03-01T10:00:00+00:00"
 
 
 def test_a_run_of_the_future_is_the_reference_only_where_there_is_no_other(write_runs):
     logs = write_runs(3)
     first, _, third = _runs(logs)
     _redate(third, "2041-01-01T00:00:00+00:00")
-    with open_history(logs) as history:
-        assert history.last_accepted("comau_ns16", "l", "tcp x", NOW).run != third.name
-        assert history.last_accepted("comau_ns16", "l", "tcp x", datetime(1970, 1, 2, tzinfo=UTC)).run == third.name
+    history = History(logs)
+    assert history.last_accepted("comau_ns16", "l", "tcp x", NOW).run != third.name
+    assert history.last_accepted("comau_ns16", "l", "tcp x", datetime(1970, 1, 2, tzinfo=UTC)).run == third.name
     _redate(first, "yesterday")
-    with open_history(logs) as history:
-        assert [first.name in said for said in history.damaged] == [True]
+    history = History(logs)
+    assert [first.name in said for said in history.damaged] == [True]
 
 
 def test_a_clock_that_is_set_back_in_a_run_loses_nothing_of_it(write_runs, tmp_path, monkeypatch):
@@ -109,23 +109,23 @@ def test_a_clock_that_is_set_back_in_a_run_loses_nothing_of_it(write_runs, tmp_p
 
     logs = write_runs(2)
     last = _runs(logs)[-1] / "state.json"
-    with open_history(logs) as history:
-        assert history.runs()[-1].accepted
+    history = History(logs)
+    assert history.runs()[-1].accepted
     written = last.stat().st_mtime
     state = json.loads(last.read_text(encoding="utf-8"))
     last.write_text(json.dumps(state | {"status": "stopped"}), encoding="utf-8")
     os.utime(last, (written - DAY, written - DAY))
-    with open_history(logs) as history:
-        assert history.runs()[-1].status == "stopped"
+    history = History(logs)
+    assert history.runs()[-1].status == "stopped"
 
 
 def test_trends_leave_out_what_nobody_can_put_in_time(write_runs):
     logs = write_runs(12, wear=2)
-    with open_history(logs) as history:
-        (before,) = watch(history.runs()[:-1])
+    history = History(logs)
+    (before,) = watch(history.runs()[:-1])
     _redate(_runs(logs)[-1], "2999-01-01T00:00:00+00:00")
-    with open_history(logs) as history:
-        (after,) = watch(history.runs())
+    history = History(logs)
+    (after,) = watch(history.runs())
     assert after.to_dict() == before.to_dict()
 
 

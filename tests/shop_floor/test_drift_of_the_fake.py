@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.runs.history import open_history
+from agent.runs.history import History
 from agent.runs.trends import watch
 
 RUNS = 20
@@ -42,8 +42,8 @@ def _history(shop: Path, run_agent, start_controller, seed: int, worn: str | Non
         run = run_agent("recalibrate", "recipe.yaml", "-q")
         machine.end()
         assert run.returncode == 0, run.stderr
-    with open_history(shop / "logs") as history:
-        return tuple(watch(history.runs()))
+    history = History(shop / "logs")
+    return tuple(watch(history.runs()))
 
 
 @pytest.mark.verify

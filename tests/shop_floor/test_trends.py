@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import pytest
 
-from agent.runs.history import open_history
+from agent.runs.history import History
 from agent.runs.trends import FALSE_ALARMS, FEWEST, parameter_trends, watch
 
 
 def _watch(logs):
-    with open_history(logs) as history:
-        (one,) = watch(history.runs())
-        return one, parameter_trends(history.runs(), history.parameters())
+    history = History(logs)
+    (one,) = watch(history.runs())
+    return one, parameter_trends(history.runs(), history.parameters())
 
 
 @pytest.mark.parametrize("cooling", [False, True])
@@ -74,8 +74,8 @@ def test_the_series_of_a_machine_share_its_false_alarms(write_runs):
 
 
 def test_few_runs_say_nothing(write_runs):
-    with open_history(write_runs(FEWEST - 1)) as history:
-        assert watch(history.runs()) == []
+    history = History(write_runs(FEWEST - 1))
+    assert watch(history.runs()) == []
 
 
 def test_an_arm_of_two_axles_goes_by_the_warm_up_within_its_runs(write_runs):

@@ -18,7 +18,7 @@ from agent.report.figures import motion_box_plot
 from agent.report.run_page import _colour, _headline
 from agent.robot import RobotDescription, load_robot
 from agent.robot.torque_figures import figure_text, not_judged_text
-from agent.runs.history import History, history_json, history_table, open_history
+from agent.runs.history import History, history_json, history_table
 
 NAMES = ("j1", "j2")
 
@@ -77,10 +77,9 @@ def test_history(tmp_path: Path, shares, row):
     state = {"robot": "arm", "started": "2026-01-01T00:00:00+00:00", "status": "finished"}
     (run / "state.json").write_text(json.dumps(state), encoding="utf-8")
     (run / "result.json").write_text(json.dumps(result(*shares)), encoding="utf-8")
-    with open_history(tmp_path) as history:
-        assert isinstance(history, History)
-        table = history_table(history.runs())
-        (told,) = history_json(history, history.runs())["runs"]
+    history = History(tmp_path)
+    table = history_table(history.runs())
+    (told,) = history_json(history, history.runs())["runs"]
     assert row in table
     assert "nan" not in table
     assert told["accepted"] is (None if row.startswith("not judged") else True)
