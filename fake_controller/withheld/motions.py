@@ -10,9 +10,9 @@ from agent.core import InputError
 from agent.link import check_cell
 from agent.motion import (
     JointTarget,
-    MotionSettings,
     Move,
     MoveType,
+    Pdl2Settings,
     Termination,
     create_interpolator,
     with_frames,
@@ -80,9 +80,9 @@ def _draw_cycle(recipe: Recipe, name: str, rng: np.random.Generator, cycle: floa
     return moves
 
 
-def _settings(recipe: Recipe, speed: float) -> MotionSettings:
+def _settings(recipe: Recipe, speed: float) -> Pdl2Settings:
     """With the tool, on whose path a corner between joint moves is flown: a controller has that of its last program."""
-    return with_frames(MotionSettings(speed_override=speed), recipe.tool)
+    return with_frames(Pdl2Settings(speed_override=speed), recipe.tool)
 
 
 def _seconds(robot: RobotDescription, way: np.ndarray, speed: float) -> float:
