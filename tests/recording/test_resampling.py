@@ -10,7 +10,7 @@ import pytest
 
 from agent.core.errors import InputError
 from agent.recording import Log, read_log, write_log
-from agent.recording.mcap.output import RecordingError
+from agent.recording.mcap.log_file import RecordingError
 from agent.recording.resampling import resampled
 
 

@@ -17,7 +17,7 @@ from mcap_ros2.decoder import DecoderFactory
 from agent.core.errors import InputError
 from agent.recording import LogWriter, read_log
 from agent.recording.mcap.joint_state import layout_for
-from agent.recording.mcap.output import RecordingError
+from agent.recording.mcap.log_file import RecordingError
 
 names = st.lists(st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=12), min_size=1, max_size=7)
 
@@ -30,8 +30,7 @@ def test_messages_are_what_the_support_library_writes(tools, names, velocity, ef
     numbers = hnp.arrays(float, (1, len(names)), elements=st.floats(width=64))
     arrays = [data.draw(numbers), data.draw(numbers) if velocity else None, data.draw(numbers) if effort else None]
     layout = layout_for(names, velocity, effort)
-    ours = np.empty((1, len(layout.template)), np.uint8)
-    layout.fill(ours, np.array([seconds * 10**9 + nanoseconds]), arrays)
+    ours = layout.filled(np.array([seconds * 10**9 + nanoseconds]), arrays)
 
     from agent.recording.mcap.joint_state import SCHEMA_NAME, SCHEMA_TEXT
 

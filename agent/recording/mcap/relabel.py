@@ -46,7 +46,7 @@ def relabelled(source: Path, target: Path, start: float, facts: Mapping[str, str
                     times = start + (group.stamp - first) / _NANO
                     file.write_states(topic, times, group.position, group.velocity, group.effort)
             for cycle in json.loads(run.get("cycle_starts_s", "[]")):
-                file.cycle_start(cycle)
+                file.cycle_start(start + cycle)
             file.finish(padding)
         finally:
             file.close()
