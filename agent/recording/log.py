@@ -52,8 +52,8 @@ class Log:
     reference_position, planned_position (S, n) or None: set-points of the controller, and what was planned, on the
     same stamps (NaN where there is none). `sample_rate` [Hz] is that of intervals without a missing sample; `even`: the
     samples were taken on a grid, however late their stamps are. `segments`
-    are [start, stop) sample ranges without a gap in them: stretches of at most 10 ms or two samples may be missing, see
-    `agent.recording.resampled`; `breaks` [s] are those of their starts at which a position jumps. `stamp` is the first
+    are [start, stop) sample ranges without a gap in them: stretches of at most 10 ms or two samples may be missing;
+    `breaks` [s] are those of their starts at which a position jumps. `stamp` is the first
     sample's controller time [s], `sha256` of the file that was read. `scratch` owns the arrays of a long log.
     """
 
