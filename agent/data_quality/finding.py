@@ -74,16 +74,6 @@ class Recordings:
         """(n,) joints that move."""
         return np.asarray(self.highest - self.lowest > MOVING)
 
-    @cached_property
-    def weakest(self) -> np.ndarray:
-        """(n,) most negative torque."""
-        return np.min([effort.min(axis=0) for effort in self.efforts], axis=0)
-
-    @cached_property
-    def strongest(self) -> np.ndarray:
-        """(n,) most positive torque."""
-        return np.max([effort.max(axis=0) for effort in self.efforts], axis=0)
-
     def named(self, which: np.ndarray) -> tuple[str, ...]:
         """Names of the joints of a mask (n,) or of numbers."""
         return tuple(np.array(self.robot.joint_names)[which].tolist())

@@ -22,11 +22,11 @@ from agent.recording.mapping import (
     Mapping,
     PositionColumns,
     load_mapping,
+    preset_map,
     units_of,
 )
 from agent.recording.mcap.log_file import CURRENTS, nanoseconds, write_log
-from agent.recording.presets import preset_map
-from agent.recording.repair.limits import LIMITS, impossible
+from agent.recording.repair.outliers import LIMITS, impossible
 from agent.recording.repair.stamps import put_in_order, spacing_of, stand_still
 from agent.recording.scratch import Scratch
 from agent.recording.tables import read_table

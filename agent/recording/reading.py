@@ -16,8 +16,7 @@ from agent.recording.mcap.log_file import PLANNED, REFERENCES, RUN
 from agent.recording.mcap.scan import Messages, Scan, scan
 from agent.recording.mcap.topics import choose_topics, joint_names, namesake
 from agent.recording.repair.jumps import Mended, mend_jumps
-from agent.recording.repair.limits import impossible
-from agent.recording.repair.spikes import find_spikes
+from agent.recording.repair.outliers import find_spikes, impossible
 from agent.recording.repair.stamps import BRIDGED, Order, far_off, match, put_in_order, spacing_of
 from agent.recording.scratch import Scratch
 from agent.robot import RobotDescription
