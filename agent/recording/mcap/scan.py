@@ -45,7 +45,7 @@ from agent.recording.scratch import Scratch
 _MAGIC = b"\x89MCAP0\r\n"
 _LFS, _LFS_SIZE = b"version https://git-lfs", 32
 _RECORD = struct.Struct("<BQ")
-_MESSAGE_HEAD = 22
+_MESSAGE, _MESSAGE_HEAD = int(Opcode.MESSAGE), 22
 _BLOCK = 2**20  # bytes
 #: Collected messages are decoded together once they take this much [bytes].
 _BATCH = 2**20
@@ -212,13 +212,16 @@ def _chunk_data(path: Path, body: bytes, whole: bool, unpacked_size: _UnpackedSi
 
 def _take_records(records: bytes, messages: _Collector) -> bool:
     """Take schemas, channels and messages of a chunk. Returns whether the last record is whole."""
-    at, end = 0, len(records)
+    at, end, unpack = 0, len(records), _RECORD.unpack_from
     while at + _RECORD.size <= end:
-        opcode, length = _RECORD.unpack_from(records, at)
+        opcode, length = unpack(records, at)
         start, at = at + _RECORD.size, at + _RECORD.size + length
         if at > end:
             return False
-        messages.take(opcode, records[start:at])
+        if opcode == _MESSAGE and length >= _MESSAGE_HEAD:  # nearly all are, and a call for each counts
+            messages.message(records[start] | records[start + 1] << 8, records[start + _MESSAGE_HEAD : at])
+        else:
+            messages.take(opcode, records[start:at])
     return at == end
 
 
@@ -231,13 +234,13 @@ class _Collector:
         self._channels: dict[int, tuple[str, bool]] = {}
         self._layouts: dict[tuple[int, int], list[JointStateLayout]] = defaultdict(list)
         self._layout_count = 0
-        self._waiting: dict[tuple[int, int], list[tuple[int, bytes]]] = defaultdict(list)
+        self._waiting: dict[tuple[int, int], tuple[list[int], list[bytes]]] = defaultdict(lambda: ([], []))
         self._size = 0
         self._place = 0
 
     def take(self, opcode: int, body: bytes) -> None:
         """A record of an MCAP file; one that cannot be read is ignored."""
-        if opcode == Opcode.MESSAGE:
+        if opcode == _MESSAGE:
             if len(body) >= _MESSAGE_HEAD:
                 self.message(body[0] | body[1] << 8, body[_MESSAGE_HEAD:])
         elif opcode == Opcode.SCHEMA:
@@ -262,13 +265,10 @@ class _Collector:
         if channel not in self._channels:
             return
         if data.startswith(ZSTD):
-            try:
-                data = _unzstd(data, _MOST_MESSAGE)
-            except zstandard.ZstdError:
-                data = b""
-            if len(data) > _MOST_MESSAGE:
-                data = b""
-        self._waiting[channel, len(data)].append((self._place, data))
+            data = _message_data(data)
+        places, waiting = self._waiting[channel, len(data)]
+        places.append(self._place)
+        waiting.append(data)
         self._place += 1
         self._size += len(data)
         if self._size >= _BATCH:
@@ -276,10 +276,9 @@ class _Collector:
 
     def decode(self) -> None:
         """Decode what was collected, messages of one channel and length together."""
-        for (channel, length), waiting in self._waiting.items():
-            order, data = zip(*waiting, strict=True)
-            messages = np.frombuffer(b"".join(data), np.uint8).reshape(len(data), length)
-            self._decode_alike(channel, messages, np.array(order))
+        for (channel, length), (places, waiting) in self._waiting.items():
+            messages = np.frombuffer(b"".join(waiting), np.uint8).reshape(len(waiting), length)
+            self._decode_alike(channel, messages, np.array(places))
         self._waiting.clear()
         self._size = 0
 
@@ -314,6 +313,14 @@ class _Collector:
             return None
         self._layout_count += 1
         return layout
+
+
+def _message_data(packed: bytes) -> bytes:
+    """A message that was compressed by itself; empty where it is damaged or takes too much memory."""
+    with suppress(zstandard.ZstdError):
+        data = _unzstd(packed, _MOST_MESSAGE)
+        return data if len(data) <= _MOST_MESSAGE else b""
+    return b""
 
 
 def _unzstd(data: bytes, size: int) -> bytes:
