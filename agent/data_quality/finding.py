@@ -1,4 +1,4 @@
-"""What a check of recorded data finds, and the recordings that it looks at."""
+"""Findings of the checks of recorded data, and the recordings that are checked."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a fitted model says of the logs and the description that it was made from."""
+"""Checks of a fitted model that point to mistakes in its logs or its description."""
 
 from __future__ import annotations
 

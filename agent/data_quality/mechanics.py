@@ -50,7 +50,7 @@ _SAMPLES_PER_PARAMETER = 4.0  # independent samples for each parameter: a short 
 _ONE_WAY = 0.02  # of the time in motion that a joint goes the other way: less tells no friction from an offset
 _LENGTHS = (0.8, 1.25, 0.65, 0.7, 0.75, 0.85, 0.9, 1.1, 1.15, 1.2, 1.35, 1.5)  # times the described: the first two test
 _LENGTH_GAIN = 0.2  # of a length that is named: of six real arms and simulated ones the right lengths gain 0.06 at most
-_UNISON = 0.98  # correlation of two joints beyond which neither can be told from the other
+_UNISON = 0.98  # correlation of two joints beyond which they cannot be distinguished
 _TILT = np.radians(3.0)  # of gravity from the described direction: a smaller one is within what descriptions leave open
 
 
@@ -84,7 +84,7 @@ class _Fit:
 
 
 def implausible_mechanics(of: Recordings) -> Iterator[QualityFinding]:
-    """What a fit to the samples says; of what only fits better, where one to more logs, if any, has a doubt too."""
+    """Findings of a fit to the samples. A mistake that only fits better must also do so with further logs, if any."""
     samples = of.samples
     if samples is not None:
         more = [*of.logs, *(log for log in of.others if log.effort is not None)] if of.others else []
@@ -289,7 +289,7 @@ def _mistakes(plain: RigidFit, driven: np.ndarray) -> Iterator[_Mistake]:
 
 
 def _tilted(bodies: Bodies, samples: FitSamples) -> Iterator[RobotDescription]:
-    """The robot with the direction of gravity that fits best, where it is none of what was tried anyway."""
+    """The robot with the direction of gravity that fits best, unless it is nearly the described one."""
     robot = bodies.robot
     gravity = fitted_gravity(bodies, samples)
     described = np.array(robot.gravity)
@@ -299,7 +299,7 @@ def _tilted(bodies: Bodies, samples: FitSamples) -> Iterator[RobotDescription]:
 
 
 def _in_unison(q: np.ndarray) -> np.ndarray:
-    """(n, n) pairs of joints that move alike, so that what one does cannot be told from what the other does."""
+    """(n, n) pairs of joints that move alike and so cannot be distinguished."""
     moved = np.ptp(q, axis=0) > 0
     alike = np.zeros((q.shape[1], q.shape[1]), bool)
     if moved.sum() > 1:
@@ -309,7 +309,7 @@ def _in_unison(q: np.ndarray) -> np.ndarray:
 
 
 def _fitted(fit: RigidFit, torque: np.ndarray) -> _Fit:
-    """What a rigid arm leaves of a torque (S, n), and whether what explains it would drive the joints on."""
+    """The part of a torque (S, n) that a rigid arm leaves, and whether the fit would drive joints on."""
     s, bodies = fit.samples, fit.bodies
     solution = fit.solution(torque)
     square = np.sum(torque**2, axis=0)

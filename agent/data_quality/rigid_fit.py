@@ -32,7 +32,7 @@ _LEAST = 1e-10  # squared error of a joint, relative to its torque, below which 
 @dataclass(frozen=True, eq=False)
 class FitSamples:
     """S low-passed samples: q, qd, qdd, torque and the direction of motion, all (S, n), and the `fold` (S,) that each
-    is held out with; so many are `independent`."""
+    is held out with; `independent` is the number of independent samples."""
 
     q: np.ndarray
     qd: np.ndarray
@@ -115,8 +115,8 @@ class Bodies:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """What a rigid arm makes of a torque (S, n): parameters (p,), their covariance (p, p), and the part of each joint's
-    torque (n,) that is left."""
+    """A fit to a torque (S, n): parameters (p,), their covariance (p, p), and the part of each joint's torque (n,) that
+    is left."""
 
     parameters: np.ndarray
     covariance: np.ndarray

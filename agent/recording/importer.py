@@ -52,7 +52,7 @@ def import_log(
     τ = Cᵀ diag(g) τ_m; a current i by its torque constant first, τ_m = k i.
 
     Returns:
-        What there is to say about it: rows, samples, repairs.
+        Notes on rows, samples and repairs.
 
     Raises:
         InputError: a table cannot be read, the mapping does not fit it or the robot, or the output is not an .mcap.
@@ -274,7 +274,7 @@ class _Source:
         return selected
 
     def episodes(self) -> str:
-        """What to say of a table with several recordings, each with a clock of its own; empty where it has one."""
+        """The text about a table with several recordings, each with its own clock; empty where it has one."""
         for table in self._tables:
             for name, column in table.columns.items():
                 if self._mapping.entries.rows is None and "episode" in name.lower() and len(np.unique(column)) > 1:

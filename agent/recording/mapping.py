@@ -28,7 +28,7 @@ OF_NOMINAL = {"%": 1e-2, "percent": 1e-2, "‰": 1e-3, "per mille": 1e-3}
 
 #: The map of each recorder.
 PRESETS = {"ur-rtde": "ur_recording.yaml", "ur-record": "ur_recording.yaml"}
-#: What a recording may leave out.
+#: Quantities that a recording may lack.
 _OPTIONAL = ("velocity", "effort", "reference_position")
 
 
@@ -44,7 +44,7 @@ def _one_or_list(what: str, *types: type) -> BeforeValidator:
     return BeforeValidator(check)
 
 
-#: What a factor has to be; a larger one is a slip of the keys.
+#: The limits of a factor; a larger one is a typing mistake.
 USABLE = "a finite number other than 0 is expected"
 _LARGEST = 1e100
 

@@ -206,7 +206,7 @@ def _table(groups: list[Messages], names: tuple[str, ...], scratch: Scratch) -> 
 
 
 def _without(field: str, bare: Sequence[str], names: Sequence[str]) -> str:
-    """What to say of a quantity that some of the joints lack."""
+    """Text about a quantity that some of the joints lack."""
     whose = f" of {', '.join(bare)}" if 0 < len(bare) < len(names) else ""
     return f"samples without a finite {field}{whose}, so all {field} left out"
 
@@ -329,7 +329,7 @@ def _file_repairs(found: Scan, topic: str, end: float) -> list[Repair]:
 
 
 def _run_repairs(run: dict[str, str], seen: Sequence[Repair]) -> list[Repair]:
-    """What the writer counted and the stamps do not show."""
+    """Losses that the writer counted and the stamps do not show."""
     missing = sum(repair.count for repair in seen if "missing samples" in repair.kind)
     repairs = []
     for key, kind, known in (

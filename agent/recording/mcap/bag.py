@@ -66,7 +66,7 @@ def bag_files(folder: Path) -> list[Path]:
 
 
 def too_much(path: Path, most: int) -> str:
-    """What to say of a file that unpacks to more than the `most` bytes that are allowed."""
+    """The text about a file that unpacks to more than the `most` bytes that are allowed."""
     times = most / max(path.stat().st_size, 1)
     return (
         f"{path}: unpacks to more than {times:.0f} times its size ({most >> 20} MiB), as no recording of a motion does"

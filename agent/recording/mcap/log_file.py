@@ -324,8 +324,8 @@ def write_log(path: Path, log: Log, further: Mapping[str, Sequence[Any]] | None 
         RecordingError: the file cannot be written.
     """
     try:
-        with written_whole(path) as beside:
-            _write_whole(beside, log, further or {})
+        with written_whole(path) as unfinished:
+            _write_whole(unfinished, log, further or {})
     except OSError as error:
         raise RecordingError(path, error.strerror) from None
     except RecordingError as error:

@@ -23,7 +23,7 @@ def relabelled(source: Path, target: Path, start: float, facts: Mapping[str, str
     start : float
         Stamp [s] of the copy's first sample; receive times are the stamps.
     facts : Mapping
-        What the record `run` says besides robot, motion, rate and cycle starts.
+        Entries of the record `run` in addition to robot, motion, rate and cycle starts.
     padding : int
         Bytes of padding, which hide how well the samples compress.
 

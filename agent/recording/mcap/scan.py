@@ -1,4 +1,4 @@
-"""What a recording holds of joint states, whoever wrote it and however it ends.
+"""Finds the joint states of a recording, whatever program wrote it, complete or cut off.
 
 The records of an MCAP file are walked one after the other, without the index, so a file without one or cut off at any
 byte gives what it has. The library's stream reader would lose the chunk that is cut off. Messages are collected on the

@@ -21,9 +21,9 @@ _EVERY = 8  # samples, of those that tell what is usual
 
 
 def impossible(values: np.ndarray, field: str, scratch: Scratch) -> np.ndarray:
-    """(S,) which samples of `position`, `velocity` or `effort` (S, n) hold such a number; not a number is none.
+    """(S,) samples of `position`, `velocity` or `effort` (S, n) with a number that no arm can have; NaN does not count.
 
-    A velocity or effort a thousand times what 99 % of the samples keep is one too.
+    A velocity or effort a thousand times what 99 % of the samples keep counts as well.
     """
     some = np.abs(values[::_EVERY])
     largest = np.quantile(np.where(np.isfinite(some), some, 0.0), 0.99, axis=0) if len(values) else 0.0

@@ -19,7 +19,7 @@ BRIDGED = 0.010
 _JITTER = 0.2
 #: With more than this part of the intervals so, the stamps jitter around a grid, or the sampling is irregular.
 _JITTERING = 0.05
-#: So many repairs of a kind stand alone; more are summed up.
+#: Repairs of a kind that are listed one by one; more are summed up.
 _LISTED = 10
 #: Samples, and seconds, by which two stretches in order must overlap to be two recordings in one file.
 _OVERLAP_SAMPLES, _OVERLAP_TIME = 50, 0.5
