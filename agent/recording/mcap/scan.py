@@ -99,9 +99,9 @@ def scan(path: Path) -> Scan:
         InputError: no such file, neither an MCAP file nor a bag, or a compression that nobody here knows.
     """
     found, digest, unpacked_size = Scan(), hashlib.sha256(), _UnpackedSize(path)
+    messages = _Collector(found)
     try:
         for part in bag_files(path) if path.is_dir() else [path]:
-            messages = _Collector(found)
             with unpacked(part) as (content, name):
                 magic = content.read(len(SQLITE))
                 content.seek(0)
@@ -111,7 +111,7 @@ def scan(path: Path) -> Scan:
                     found.closed, found.dropped = found.closed and not missing, found.dropped + missing
                 else:
                     _read_mcap(path, content, messages, unpacked_size)
-            messages.decode()
+            messages.end_file()
             with open(part, "rb") as file:
                 while block := file.read(_BLOCK):
                     digest.update(block)
@@ -226,7 +226,7 @@ def _take_records(records: bytes, messages: _Collector) -> bool:
 
 
 class _Collector:
-    """Decodes messages of joint states, of one file; the next one of a bag numbers its channels anew."""
+    """Decodes messages of joint states."""
 
     def __init__(self, found: Scan):
         self.found = found
@@ -273,6 +273,12 @@ class _Collector:
         self._size += len(data)
         if self._size >= _BATCH:
             self.decode()
+
+    def end_file(self) -> None:
+        """Decode what is left; the next file of a bag numbers its channels anew."""
+        self.decode()
+        for numbered in (self._schemas, self._channels, self._layouts):
+            numbered.clear()
 
     def decode(self) -> None:
         """Decode what was collected, messages of one channel and length together."""
