@@ -211,12 +211,12 @@ def _chunk_data(path: Path, body: bytes, whole: bool, unpacked_size: _UnpackedSi
 
 
 def _take_records(records: bytes, messages: _Collector) -> bool:
-    """Take schemas, channels and messages of a chunk. Returns whether the last record is whole."""
+    """Take schemas, channels and messages of a chunk. Returns whether the records go on to its end."""
     at, end, unpack = 0, len(records), _RECORD.unpack_from
     while at + _RECORD.size <= end:
         opcode, length = unpack(records, at)
         start, at = at + _RECORD.size, at + _RECORD.size + length
-        if at > end:
+        if at > end or opcode == 0:  # no record has it; zeros would be walked nine bytes at a time
             return False
         if opcode == _MESSAGE and length >= _MESSAGE_HEAD:  # nearly all are, and a call for each counts
             messages.message(records[start] | records[start + 1] << 8, records[start + _MESSAGE_HEAD : at])
