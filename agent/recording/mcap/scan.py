@@ -78,7 +78,7 @@ class Scan:
 
     closed: the writer finished every file; dropped: bytes that could not be read at its end; damaged: numbers of the
     chunks left out; unreadable: messages by topic that are no joint states; sha256: of the whole file; scratch: where
-    the numbers of a long log are.
+    the numbers of a long log are; file_size, unpacked_size: of MCAP files and of their chunks [bytes].
     """
 
     scratch: Scratch = field(default_factory=Scratch)
@@ -90,6 +90,8 @@ class Scan:
     damaged: list[int] = field(default_factory=list)
     unreadable: dict[str, int] = field(default_factory=lambda: defaultdict(int))
     sha256: str = ""
+    file_size: int = 0
+    unpacked_size: int = 0
 
 
 def scan(path: Path) -> Scan:
@@ -98,7 +100,7 @@ def scan(path: Path) -> Scan:
     Raises:
         InputError: no such file, neither an MCAP file nor a bag, or a compression that nobody here knows.
     """
-    found, digest, unpacked_size = Scan(), hashlib.sha256(), _UnpackedSize(path)
+    found, digest = Scan(), hashlib.sha256()
     messages = _Collector(found)
     try:
         for part in bag_files(path) if path.is_dir() else [path]:
@@ -110,7 +112,7 @@ def scan(path: Path) -> Scan:
                     missing = read(part, name, messages, TYPES)
                     found.closed, found.dropped = found.closed and not missing, found.dropped + missing
                 else:
-                    _read_mcap(path, content, messages, unpacked_size)
+                    _read_mcap(path, content, messages)
             messages.end_file()
             with open(part, "rb") as file:
                 while block := file.read(_BLOCK):
@@ -123,7 +125,7 @@ def scan(path: Path) -> Scan:
     return found
 
 
-def _read_mcap(path: Path, file: IO[bytes], messages: _Collector, unpacked_size: _UnpackedSize) -> None:
+def _read_mcap(path: Path, file: IO[bytes], messages: _Collector) -> None:
     found, size, chunks = messages.found, os.fstat(file.fileno()).st_size, 0
     magic = file.read(len(_MAGIC))
     if magic != _MAGIC:
@@ -133,12 +135,12 @@ def _read_mcap(path: Path, file: IO[bytes], messages: _Collector, unpacked_size:
         raise InputError(
             f"{path}: {what}; a log is an MCAP file or a bag of ROS, with sensor_msgs/msg/JointState messages"
         )
-    unpacked_size.of_files += size
+    found.file_size += size
     for opcode, body, whole in _records(file, size, found):
         chunks += opcode == Opcode.CHUNK
         try:
             if opcode == Opcode.CHUNK:
-                data = _chunk_data(path, body, whole, unpacked_size)
+                data = _chunk_data(path, body, whole, found)
                 if not _take_records(data, messages) and whole:
                     found.damaged.append(chunks)
             elif opcode == Opcode.METADATA:
@@ -168,30 +170,24 @@ def _records(file: IO[bytes], size: int, found: Scan) -> Iterator[tuple[int, byt
         yield opcode, file.read(length), True
 
 
-class _UnpackedSize:
-    """Refuses what would fill memory or disk: a chunk may declare anything."""
+def _check_unpacked(path: Path, found: Scan, size: int) -> None:
+    """Refuse what would fill memory or disk: a chunk may declare any `size` [bytes].
 
-    def __init__(self, path: Path):
-        self._path = path
-        self.of_files = self._unpacked = 0
-
-    def add(self, size: int) -> None:
-        """
-        Raises:
-            InputError: the chunk, or all chunks together, declare more than any recording has.
-        """
-        self._unpacked += size
-        if size > MOST_UNPACKED:
-            raise InputError(
-                f"{self._path}: a chunk of {size / 2**20:.0f} MiB before compression; at most {MOST_UNPACKED >> 20} "
-                "MiB can be read: write the file anew with smaller chunks"
-            )
-        most = min(max(MOST_UNPACKED, MOST_TIMES * self.of_files), max(_MOST_OF_SMALL, _OF_LARGE * self.of_files))
-        if self._unpacked > most:
-            raise InputError(too_much(self._path, most))
+    Raises:
+        InputError: the chunk, or all chunks together, declare more than any recording has.
+    """
+    found.unpacked_size += size
+    if size > MOST_UNPACKED:
+        raise InputError(
+            f"{path}: a chunk of {size / 2**20:.0f} MiB before compression; at most {MOST_UNPACKED >> 20} "
+            "MiB can be read: write the file anew with smaller chunks"
+        )
+    most = min(max(MOST_UNPACKED, MOST_TIMES * found.file_size), max(_MOST_OF_SMALL, _OF_LARGE * found.file_size))
+    if found.unpacked_size > most:
+        raise InputError(too_much(path, most))
 
 
-def _chunk_data(path: Path, body: bytes, whole: bool, unpacked_size: _UnpackedSize) -> bytes:
+def _chunk_data(path: Path, body: bytes, whole: bool, found: Scan) -> bytes:
     """The records of a chunk, as far as they go; an error of `_DAMAGED` where they are not what it declares."""
     chunk = Chunk.read(_stream(body))  # of a chunk that is cut off, the data that are there
     if not chunk.compression:
@@ -201,7 +197,7 @@ def _chunk_data(path: Path, body: bytes, whole: bool, unpacked_size: _UnpackedSi
             f"{path}: compressed with {chunk.compression!r}; zstd, lz4 and none can be read: convert the file"
         )
     else:
-        unpacked_size.add(chunk.uncompressed_size)
+        _check_unpacked(path, found, chunk.uncompressed_size)
         data = unpack(chunk.data, chunk.uncompressed_size)
         if len(data) > chunk.uncompressed_size:
             raise EndOfFile("it holds more than it declares")
