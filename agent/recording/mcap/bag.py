@@ -102,14 +102,14 @@ def unpacked(path: Path) -> Iterator[tuple[IO[bytes], str]]:
             yield plain, plain.name
 
 
-class _Messages(Protocol):
+class _BagTaker(Protocol):
     """Who takes the topics and messages of a bag; numbers are those of the bag."""
 
     def channel(self, number: int, topic: str, kind: str, encoding: str) -> None: ...
     def message(self, channel: int, data: bytes) -> None: ...
 
 
-def read_database(path: Path, file: str, messages: _Messages, types: tuple[str, ...]) -> int:
+def read_database(path: Path, file: str, messages: _BagTaker, types: tuple[str, ...]) -> int:
     """Take the topics of a sqlite3 bag and the messages of those types; `path` is named in errors.
 
     Returns:
@@ -140,7 +140,7 @@ def read_database(path: Path, file: str, messages: _Messages, types: tuple[str, 
     return 0
 
 
-def read_ros1(path: Path, file: str, messages: _Messages, types: tuple[str, ...]) -> int:
+def read_ros1(path: Path, file: str, messages: _BagTaker, types: tuple[str, ...]) -> int:
     """Take the topics of a ROS 1 bag and the messages of those types; `path` is named in errors.
 
     Returns:
