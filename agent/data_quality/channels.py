@@ -76,7 +76,8 @@ def _second_motion(log: Log, robot: RobotDescription) -> np.ndarray | None:
 
 def dead_channels(of: Recordings) -> Iterator[QualityFinding]:
     """Torque that never changes while its joint moves."""
-    dead = of.named(of.moving & (of.strongest - of.weakest <= _NOTHING))
+    weakest, strongest = (f([f(e, axis=0) for e in of.efforts], axis=0) for f in (np.min, np.max))
+    dead = of.named(of.moving & (strongest - weakest <= _NOTHING))
     if dead:
         text = f"the torque of {', '.join(dead)} never changes while it moves: its channel is dead"
         yield QualityFinding(text, dead, advice="check the topic, the map or the driver's configuration")
@@ -94,11 +95,11 @@ def unsigned_channels(of: Recordings) -> Iterator[QualityFinding]:
 
 def unsigned_torque(logs: Sequence[Log]) -> np.ndarray:
     """(n,) joints whose torque is an amount without a sign; all of the logs have torque."""
-    low, high = (np.array([f(log.position, axis=0) for log in logs]) for f in (np.min, np.max))
     efforts = [log.effort for log in logs if log.effort is not None]
-    weakest, strongest = (np.array([f(e, axis=0) for e in efforts]) for f in (np.min, np.max))
-    live = (high.max(axis=0) - low.min(axis=0) > MOVING) & (strongest.max(axis=0) - weakest.min(axis=0) > _NOTHING)
-    unsigned = live & (weakest.min(axis=0) >= 0)
+    low, high = (f([f(log.position, axis=0) for log in logs], axis=0) for f in (np.min, np.max))
+    weakest, strongest = (f([f(e, axis=0) for e in efforts], axis=0) for f in (np.min, np.max))
+    live = (high - low > MOVING) & (strongest - weakest > _NOTHING)
+    unsigned = live & (weakest >= 0)
     # one joint of several that carries its load one way may come near zero; one that turns back at it does not
     least, near = (0.05, 0.1) if unsigned.sum() == live.sum() else (0.02, 0.02)
     reaches_zero = [_reaches_zero(logs, efforts, k, least, near) for k in range(len(unsigned))]
@@ -194,12 +195,8 @@ def _velocity_ratio(log: Log, joint: int) -> float | None:
     assert log.velocity is not None
     window = max(2, int(0.1 * log.sample_rate))
     path = _path(log, joint)
-    travelled: list[np.ndarray] = []
-    by_velocity: list[np.ndarray] = []
-    for first, stop in log.segments:
-        for values, parts in ((log.position[first:stop, joint], travelled), (path[first:stop], by_velocity)):
-            parts.append(values[window::window] - values[:-window:window][: len(values[window::window])])
-    x, y = np.concatenate(travelled), np.concatenate(by_velocity)
+    steps = [(np.diff(log.position[a:b:window, joint]), np.diff(path[a:b:window])) for a, b in log.segments]
+    x, y = (np.concatenate(values) for values in zip(*steps, strict=True))
     if len(x) < 10 or np.abs(x).sum() < 10 * MOVING or not y.any():
         return None
     slope = float(x @ y / (x @ x))

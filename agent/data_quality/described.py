@@ -1,4 +1,4 @@
-"""What the described masses say of torques that fit a rigid arm: direction and presence of gravity, unit of torque.
+"""Compares torques with the described masses: direction and presence of gravity, unit of torque.
 
 A pendulum's torque fits gravity in any direction of its plane of motion, as its centre of mass is free; so do slow
 motions of an arm with gravity upside down, or torques without any. The gravity torque of the fit is known all the same,
@@ -132,8 +132,8 @@ def described_weight(of: Recordings) -> Iterator[QualityFinding]:
 
 
 def _other_unit(of: Recordings, joints: np.ndarray, times: np.ndarray, judged: int) -> Iterator[QualityFinding]:
-    """Torque of `joints` (k,) that is so many `times` (k,) what the described masses weigh; `judged` joints have weight
-    enough to be judged at all."""
+    """Torque of `joints` (k,) that is a multiple `times` (k,) of the described gravity torque; `judged` counts the
+    joints with enough weight to be judged."""
     robot = of.robot
     off = (times < _SCALES[0]) | (times > _SCALES[1])
     size = float(np.exp(np.mean(np.log(times))))

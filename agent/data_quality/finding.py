@@ -1,4 +1,4 @@
-"""What a check of recorded data finds, and the recordings that it looks at."""
+"""Findings of the checks of recorded data, and the recordings that are checked."""
 
 from __future__ import annotations
 
@@ -73,16 +73,6 @@ class Recordings:
     def moving(self) -> np.ndarray:
         """(n,) joints that move."""
         return np.asarray(self.highest - self.lowest > MOVING)
-
-    @cached_property
-    def weakest(self) -> np.ndarray:
-        """(n,) most negative torque."""
-        return np.min([effort.min(axis=0) for effort in self.efforts], axis=0)
-
-    @cached_property
-    def strongest(self) -> np.ndarray:
-        """(n,) most positive torque."""
-        return np.max([effort.max(axis=0) for effort in self.efforts], axis=0)
 
     def named(self, which: np.ndarray) -> tuple[str, ...]:
         """Names of the joints of a mask (n,) or of numbers."""

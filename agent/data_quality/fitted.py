@@ -1,4 +1,4 @@
-"""What a fitted model says of the logs and the description that it was made from."""
+"""Checks of a fitted model that point to mistakes in its logs or its description."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from agent.data_quality.finding import QualityFinding
-from agent.data_quality.rigid_fit import torque_noise
 from agent.model import IdentifiedModel
 from agent.recording import Log
 
@@ -41,8 +40,9 @@ def _negative_rotors(model: IdentifiedModel) -> Iterator[QualityFinding]:
 
 
 def _large_errors(model: IdentifiedModel, logs: Sequence[Log]) -> Iterator[QualityFinding]:
-    noise = np.sqrt(np.mean([torque_noise(log, model.cutoff) ** 2 for log in logs], axis=0))
-    torque = np.concatenate([log.effort for log in logs if log.effort is not None])
+    efforts = [(log.effort, log.sample_rate) for log in logs if log.effort is not None]
+    noise = np.sqrt(np.mean([_torque_noise(effort, rate, model.cutoff) ** 2 for effort, rate in efforts], axis=0))
+    torque = np.concatenate([effort for effort, _ in efforts])
     size = np.sqrt(np.mean(torque**2, axis=0))
     large = (model.held_out_rmse > _FAR * noise) & (model.held_out_rmse > _MUCH * size)
     if large.any():
@@ -56,3 +56,9 @@ def _large_errors(model: IdentifiedModel, logs: Sequence[Log]) -> Iterator[Quali
             "`agent diagnose` with this model says which",
             refuses=False,
         )
+
+
+def _torque_noise(effort: np.ndarray, rate: float, cutoff: float) -> np.ndarray:
+    """(n,) standard deviation of white noise on a torque (S, n), as a filter at `cutoff` [Hz] leaves it."""
+    fourth = np.median(np.abs(np.diff(effort, 4, axis=0)), axis=0) / (0.6745 * np.sqrt(70))
+    return np.asarray(fourth * np.sqrt(min(1.0, 2 * cutoff / rate)))

@@ -1,4 +1,4 @@
-"""Checks by fits of a rigid arm: gravity, units, signs and swapped joints.
+"""Checks by fits of a rigid arm: gravity, units, signs, swapped joints, lengths.
 
 A plain rigid arm with Coulomb and viscous friction and offsets, free in all its parameters, is fitted to a few hundred
 samples, and again to what the log would be had one thing in it been mistaken: gravity, a unit, a sign, two joints. What
@@ -30,11 +30,10 @@ from agent.data_quality.rigid_fit import (
     FOLDS,
     Bodies,
     FitSamples,
-    HeldOutFit,
+    RigidFit,
     fit_samples,
     fitted_gravity,
     overfitted,
-    solved,
 )
 from agent.recording import Log
 from agent.robot import RobotDescription
@@ -51,32 +50,41 @@ _SAMPLES_PER_PARAMETER = 4.0  # independent samples for each parameter: a short 
 _ONE_WAY = 0.02  # of the time in motion that a joint goes the other way: less tells no friction from an offset
 _LENGTHS = (0.8, 1.25, 0.65, 0.7, 0.75, 0.85, 0.9, 1.1, 1.15, 1.2, 1.35, 1.5)  # times the described: the first two test
 _LENGTH_GAIN = 0.2  # of a length that is named: of six real arms and simulated ones the right lengths gain 0.06 at most
-_UNISON = 0.98  # correlation of two joints beyond which neither can be told from the other
+_UNISON = 0.98  # correlation of two joints beyond which they cannot be distinguished
 _TILT = np.radians(3.0)  # of gravity from the described direction: a smaller one is within what descriptions leave open
 
 
-_Regressor = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
-#: What it is, the torque channel of every joint without it, its sign, and the joints (from 0) that it is about.
-_Mistake = tuple[str, np.ndarray, np.ndarray, tuple[int, ...]]
+@dataclass(frozen=True, eq=False)
+class _Mistake:
+    """text: what it is; fit, torque (S, n): motion and torque without it; about: its joints, from 0; gain: the least
+    with which it is named."""
+
+    text: str
+    fit: RigidFit
+    torque: np.ndarray
+    about: tuple[int, ...]
+    gain: float = _GAIN
 
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
-    """unexplained: part of the torque that is left, per joint (n,) and of all; gravity (S, n) torque along
-    the samples; pushing (n,): part of each joint's
-    torque by which friction, and by which its own inertia, drives it on, and how far that is known; positive ones are
-    wrong. enough: whether the samples are many enough for their parameters to compare fits."""
+    """left (n,), unexplained: part of the torque that is left, per joint and of all; pushing (n,): part of each joint's
+    torque by which friction, or its own inertia, drives it on, and the deviation of that; positive ones are wrong."""
 
-    joints: np.ndarray
+    left: np.ndarray
     unexplained: float
-    gravity: np.ndarray
+    gravity: np.ndarray  # (S, n) torque along the samples
     pushing: np.ndarray
     deviation: np.ndarray
-    enough: bool
+
+    @property
+    def driven_on(self) -> np.ndarray:
+        """Joints (from 0) that are clearly driven on."""
+        return np.flatnonzero(self.pushing > np.maximum(_DRIVING, _SIGNIFICANT * self.deviation))
 
 
 def implausible_mechanics(of: Recordings) -> Iterator[QualityFinding]:
-    """What a fit to the samples says; of what only fits better, where one to more logs, if any, has a doubt too."""
+    """Findings of a fit to the samples. A mistake that only fits better must also do so with further logs, if any."""
     samples = of.samples
     if samples is not None:
         more = [*of.logs, *(log for log in of.others if log.effort is not None)] if of.others else []
@@ -89,35 +97,45 @@ def implausible_mechanics(of: Recordings) -> Iterator[QualityFinding]:
 
 
 def _mechanics(robot: RobotDescription, samples: FitSamples, more: Sequence[Log]) -> Iterator[QualityFinding]:
-    plain = _fit(robot, samples)
-    names = robot.joint_names
-    if not plain.enough or overfitted(robot, samples, plain.joints):
+    plain = RigidFit(Bodies(robot), samples)
+    if not _says_something(plain):
         return
-    pushed = _driven_on(plain)
+    fit = _fitted(plain, samples.torque)
+    pushed, names = fit.driven_on, robot.joint_names
     still = np.flatnonzero(np.ptp(samples.q, axis=0) < 1e-6)
-    share = f"a rigid arm explains {100 * max(0.0, 1 - plain.unexplained):.0f} % of the torque, whatever its parameters"
+    share = f"a rigid arm explains {100 * max(0.0, 1 - fit.unexplained):.0f} % of the torque, whatever its parameters"
     size = np.std(samples.torque, axis=0)
     for k in still:
-        if plain.joints[k] > _UNEXPLAINED and size[k] > 0.1 * size.max():
+        if fit.left[k] > _UNEXPLAINED and size[k] > 0.1 * size.max():
             text = f"{names[k]} is stuck: its position never changes, and its torque is not that of a joint that stands"
             yield QualityFinding(text, (names[k],))
             return
-    fits = plain.joints.mean() < _EXACT and not len(pushed)
-    likeliest = None if fits else _likeliest(robot, samples, pushed, plain.pushing)
-    if plain.unexplained > _UNEXPLAINED:
+    right = fit.left.mean() < _EXACT and not len(pushed)
+    likeliest = None if right else _likeliest(plain, fit)
+    if fit.unexplained > _UNEXPLAINED:
         found = likeliest or QualityFinding(
             "torque and motion do not belong together, and no mistake tried explains it"
         )
         yield replace(found, text=f"{found.text}: {share}")
     elif len(pushed):
         whose = ", ".join(names[k] for k in pushed)
-        found = likeliest or QualityFinding(f"torque and motion of {whose} have opposite signs", robot.joint_names)
-        push = f"friction and inertia would drive {whose} on, by {100 * plain.pushing.max():.0f} % of its torque"
+        found = likeliest or QualityFinding(f"torque and motion of {whose} have opposite signs", names)
+        push = f"friction and inertia would drive {whose} on, by {100 * fit.pushing.max():.0f} % of its torque"
         yield replace(found, text=f"{found.text}: {push}")
     elif likeliest and not _refuted(robot, more):
         yield replace(likeliest, text=f"{likeliest.text}: much more of the torque would be explained")
     else:
-        yield from described_gravity(robot, samples, plain.gravity, plain.unexplained)
+        yield from described_gravity(robot, samples, fit.gravity, fit.unexplained)
+
+
+def _says_something(plain: RigidFit) -> bool:
+    """Whether samples are many enough for their parameters, and what is held out is predicted, to compare fits."""
+    s = plain.samples
+    rows = plain.columns.reshape(s.q.size, -1)
+    length = np.linalg.norm(rows, axis=0)
+    known = np.linalg.matrix_rank(rows / np.where(length > 0, length, 1.0), rtol=1e-7)
+    independent = s.q.shape[1] * min(len(s.q), s.independent)
+    return independent > _SAMPLES_PER_PARAMETER * known and not overfitted(plain, s.torque)
 
 
 def _refuted(robot: RobotDescription, more: Sequence[Log]) -> bool:
@@ -135,8 +153,8 @@ def _clearest(of: Recordings) -> FitSamples | None:
     largest = of.robot.max_acceleration
 
     def clarity(samples: FitSamples) -> float:
-        left = max(float(_fit(of.robot, samples).joints.mean()), _EXACT)
-        return float(np.sqrt(np.mean((samples.qdd / largest) ** 2))) / left
+        left = RigidFit(Bodies(of.robot), samples).solution(samples.torque).left
+        return float(np.sqrt(np.mean((samples.qdd / largest) ** 2))) / max(float(left.mean()), _EXACT)
 
     return max(each, key=clarity, default=None)
 
@@ -149,11 +167,11 @@ def _wrong_lengths(
     Where `samples` are of one log, that length must not explain less of all logs `together`: one motion alone excites
     little, and another length may stand for its friction.
     """
-    plain = _fit(robot, samples)
-    if not plain.enough or overfitted(robot, samples, plain.joints):
+    plain = RigidFit(Bodies(robot), samples)
+    if not _says_something(plain):
         return
-    gain = _gain_by_length(robot, samples)
-    of_all = None if together is None else _gain_by_length(robot, together)
+    gain = _gain_by_length(plain)
+    of_all = None if together is None else _gain_by_length(RigidFit(Bodies(robot), together))
     tried = [(*gain(joint, times), joint, times) for joint in range(1, robot.dof) for times in _LENGTHS[:2]]
     better = [(mean, joint, times) for mean, error, joint, times in tried if mean > max(_LENGTH_GAIN, _CERTAIN * error)]
     better = [entry for entry in better if of_all is None or of_all(*entry[1:])[0] > 0]
@@ -170,21 +188,24 @@ def _wrong_lengths(
         )
 
 
-def _gain_by_length(robot: RobotDescription, samples: FitSamples) -> Callable[[int, float], tuple[float, float]]:
+def _gain_by_length(plain: RigidFit) -> Callable[[int, float], tuple[float, float]]:
     """Return what another distance of a joint (from 0) from the one before gains: mean over folds, standard error."""
-    bodies = Bodies(robot)
-    precision = bodies.precision(samples)
-    order, sign = np.arange(robot.dof), np.ones(robot.dof)
-    before = HeldOutFit(bodies, samples, precision).errors(order, sign)
+    samples, robot = plain.samples, plain.bodies.robot
+    before, precision = plain.errors(samples.torque), plain.bodies.precision(samples)
 
     def gain(joint: int, times: float) -> tuple[float, float]:
         other = _with_length(robot, joint, times)
         if other is None:
             return -np.inf, 0.0
-        gains = np.log(before / HeldOutFit(Bodies(other), samples, precision).errors(order, sign)).sum(axis=1)
-        return float(gains.mean()), float(gains.std(ddof=1) / np.sqrt(FOLDS))
+        return _gain(before, RigidFit(Bodies(other), samples, precision).errors(samples.torque))
 
     return gain
+
+
+def _gain(before: np.ndarray, after: np.ndarray) -> tuple[float, float]:
+    """Mean over folds of the gain from squared errors (FOLDS, n), and its standard error."""
+    gains = (np.log(before) - np.log(after)).sum(axis=1)
+    return float(gains.mean()), float(gains.std(ddof=1) / np.sqrt(FOLDS))
 
 
 def _with_length(robot: RobotDescription, joint: int, times: float) -> RobotDescription | None:
@@ -198,96 +219,77 @@ def _with_length(robot: RobotDescription, joint: int, times: float) -> RobotDesc
     return replace(robot, urdf=ElementTree.tostring(root, encoding="unicode"))
 
 
-def _driven_on(fit: _Fit) -> np.ndarray:
-    return np.flatnonzero(fit.pushing > np.maximum(_DRIVING, _SIGNIFICANT * fit.deviation))
-
-
-def _likeliest(
-    robot: RobotDescription, samples: FitSamples, pushed: np.ndarray, pushing: np.ndarray
-) -> QualityFinding | None:
+def _likeliest(plain: RigidFit, fit: _Fit) -> QualityFinding | None:
     """The mistake that explains clearly more of what is held out than the log as it is; None where none does.
 
-    Where joints are `pushed` on, it is one that is about one of them; one that flips the torque or the position of a
+    Where joints are pushed on, it is one that is about one of them; one that flips the torque or the position of a
     joint against the other is none where friction and inertia brake that joint.
     """
-    bodies = Bodies(robot)
-    precision = bodies.precision(samples)
-    plain = HeldOutFit(bodies, samples, precision)
-    before = plain.errors(np.arange(robot.dof), np.ones(robot.dof))
-    tried = []
-    for fit, mistakes in _mistakes(bodies, samples, plain, precision, pushing > 0):
-        for what, order, sign, about in mistakes:
-            if len(pushed) and not set(pushed.tolist()) & set(about):
-                continue
-            after = fit.errors(order, sign)
-            gains = np.log(before / after).sum(axis=1)
-            whole = fit is not plain and np.any(order != np.arange(robot.dof))
-            least = _SLIDE_GAIN if whole and len({robot.joints[k].prismatic for k in about}) > 1 else _GAIN
-            if gains.mean() > max(least, _CERTAIN * gains.std(ddof=1) / np.sqrt(FOLDS)):
-                tried.append((float(gains.mean()), what, about, fit.bodies.robot, fit.undone(order, sign)))
-    tried = [each for each in tried if not len(_driven_on(_fit(*each[3:])))]  # else it is no better an arm
-    best = max((gain for gain, *_ in tried), default=0.0)
-    for gain, what, about, mended, _ in tried:
+    before, pushed = plain.errors(plain.samples.torque), set(fit.driven_on.tolist())
+    tried: list[tuple[float, _Mistake]] = []
+    for mistake in _mistakes(plain, fit.pushing > 0):
+        if pushed and not pushed & set(mistake.about):
+            continue
+        gain, error = _gain(before, mistake.fit.errors(mistake.torque))
+        # one without which joints are driven on is no better an arm
+        if gain > max(mistake.gain, _CERTAIN * error) and not len(_fitted(mistake.fit, mistake.torque).driven_on):
+            tried.append((gain, mistake))
+    best = max((gain for gain, _ in tried), default=0.0)
+    for gain, mistake in tried:
         if gain > best - _AS_GOOD:
+            robot, mended = plain.bodies.robot, mistake.fit.bodies.robot
             advice = ""
             if mended.gravity != robot.gravity:
                 advice = MEND_GRAVITY if any(mended.gravity) else WITH_GRAVITY
-            return QualityFinding(what, tuple(robot.joint_names[k] for k in about), advice=advice)
+            return QualityFinding(mistake.text, tuple(robot.joint_names[k] for k in mistake.about), advice=advice)
     return None
 
 
-def _mistakes(
-    bodies: Bodies, s: FitSamples, plain: HeldOutFit, precision: np.ndarray, driven: np.ndarray
-) -> Iterator[tuple[HeldOutFit, list[_Mistake]]]:
-    """Fits to the motion as it would be without a mistake, each with the mistakes it can undo, the likelier first."""
-    robot = bodies.robot
+def _mistakes(plain: RigidFit, driven: np.ndarray) -> Iterator[_Mistake]:
+    """Mistakes and what the log would be without them, the likelier first."""
+    bodies, s = plain.bodies, plain.samples
+    robot, torque, precision = bodies.robot, s.torque, bodies.precision(s)
     names, n = robot.joint_names, robot.dof
     everyone = tuple(range(n))
     given: np.ndarray = np.arange(n)
-    signs: np.ndarray = np.ones(n)
     turning = ~np.array([joint.prismatic for joint in robot.joints])
 
-    def fit(of: Bodies = bodies, scale: np.ndarray = signs, order: np.ndarray = given) -> HeldOutFit:
-        return HeldOutFit(of, moved(scale, order), precision)
-
-    def moved(scale: np.ndarray, order: np.ndarray) -> FitSamples:
+    def moved(scale: np.ndarray | float = 1.0, order: np.ndarray = given) -> RigidFit:
         q, qd, qdd = (values[:, order] * scale for values in (s.q, s.qd, s.qdd))
-        return replace(s, q=q, qd=qd, qdd=qdd, direction=s.direction[:, order] * np.sign(scale))
+        motion = replace(s, q=q, qd=qd, qdd=qdd, direction=s.direction[:, order] * np.sign(scale))
+        return RigidFit(bodies, motion, precision)
 
     for other in (*gravity_axes(robot), *_tilted(bodies, s)):
-        yield fit(Bodies(other)), [(gravity_text(robot, other), given, signs, everyone)]
-    weightless = replace(robot, gravity=(0.0, 0.0, 0.0))
-    yield fit(Bodies(weightless)), [("these torques carry no gravity", given, signs, everyone)]
-    degrees = np.where(turning, np.pi / 180, 1.0)
+        yield _Mistake(gravity_text(robot, other), RigidFit(Bodies(other), s, precision), torque, everyone)
+    weightless = Bodies(replace(robot, gravity=(0.0, 0.0, 0.0)))
+    yield _Mistake("these torques carry no gravity", RigidFit(weightless, s, precision), torque, everyone)
     if np.abs(s.q[:, turning]).max(initial=0.0) > np.pi:
-        yield fit(scale=degrees), [("positions look like degrees", given, signs, everyone)]
+        yield _Mistake("positions look like degrees", moved(np.where(turning, np.pi / 180, 1.0)), torque, everyone)
     alike = _in_unison(s.q)
     for k in np.flatnonzero(~alike.any(axis=0)).tolist():
         sign = np.where(given == k, -1.0, 1.0)
-        turned: list[_Mistake] = [(f"position and torque of {names[k]} look flipped", given, sign, (k,))]
+        flipped = moved(sign)
         if driven[k]:
-            yield plain, [(f"the torque of {names[k]} looks flipped", given, sign, (k,))]
-            turned.insert(0, (f"the position of {names[k]} looks flipped", given, signs, (k,)))
-        yield fit(scale=sign), turned
-    for a, b in combinations(range(n), 2):
-        if alike[a].any() or alike[b].any():
-            continue
+            yield _Mistake(f"the torque of {names[k]} looks flipped", plain, torque * sign, (k,))
+            yield _Mistake(f"the position of {names[k]} looks flipped", flipped, torque, (k,))
+        yield _Mistake(f"position and torque of {names[k]} look flipped", flipped, torque * sign, (k,))
+    for a, b in combinations(np.flatnonzero(~alike.any(axis=0)).tolist(), 2):
         order = given.copy()
         order[[a, b]] = b, a
         who = f"{names[a]} and {names[b]}"
-        yield plain, [(f"the torques of {who} look swapped", order, signs, (a, b))]
-        both: list[_Mistake] = [(f"the positions of {who} look swapped", given, signs, (a, b))]
+        yield _Mistake(f"the torques of {who} look swapped", plain, torque[:, order], (a, b))
+        swapped = moved(order=order)
+        yield _Mistake(f"the positions of {who} look swapped", swapped, torque, (a, b))
         if turning[a] == turning[b]:
-            both.append((f"{who} look swapped", order, signs, (a, b)))
-        yield fit(order=order), both
-        if turning[a] != turning[b] and swap_in_range(robot, s.q.min(axis=0), s.q.max(axis=0), a, b):
-            undone = moved(signs, order)  # its parameters have other sizes: force and torque are of other units
-            sizes = bodies.precision(replace(undone, torque=s.torque[:, order]))
-            yield HeldOutFit(bodies, undone, sizes), [(f"{who} look swapped", order, signs, (a, b))]
+            yield _Mistake(f"{who} look swapped", swapped, torque[:, order], (a, b))
+        elif swap_in_range(robot, s.q.min(axis=0), s.q.max(axis=0), a, b):
+            # its parameters have other sizes: force and torque are of other units
+            undone = replace(swapped.samples, torque=torque[:, order])
+            yield _Mistake(f"{who} look swapped", RigidFit(bodies, undone), undone.torque, (a, b), _SLIDE_GAIN)
 
 
 def _tilted(bodies: Bodies, samples: FitSamples) -> Iterator[RobotDescription]:
-    """The robot with the direction of gravity that fits best, where it is none of what was tried anyway."""
+    """The robot with the direction of gravity that fits best, unless it is nearly the described one."""
     robot = bodies.robot
     gravity = fitted_gravity(bodies, samples)
     described = np.array(robot.gravity)
@@ -297,7 +299,7 @@ def _tilted(bodies: Bodies, samples: FitSamples) -> Iterator[RobotDescription]:
 
 
 def _in_unison(q: np.ndarray) -> np.ndarray:
-    """(n, n) pairs of joints that move alike, so that what one does cannot be told from what the other does."""
+    """(n, n) pairs of joints that move alike and so cannot be distinguished."""
     moved = np.ptp(q, axis=0) > 0
     alike = np.zeros((q.shape[1], q.shape[1]), bool)
     if moved.sum() > 1:
@@ -306,43 +308,31 @@ def _in_unison(q: np.ndarray) -> np.ndarray:
     return alike
 
 
-def _fit(robot: RobotDescription, s: FitSamples) -> _Fit:
-    """What the log leaves unexplained as it is, and whether what explains it would drive the joints on."""
-    bodies = Bodies(robot)
-    fit = solved(bodies, s)
-    count, n = s.q.shape
-    total = np.linalg.norm(s.torque)
-    independent, known = n * min(count, s.independent), np.count_nonzero(fit.known)
-    push = _push(robot, s, fit.columns, bodies.regressor) / fit.scale[:, None] / fit.length
-    variance = max(float(np.mean(fit.joints**2)), _EXACT**4) * count * n / max(independent - known, 1e-9)
-    # with what the torques could hold, or directions that few seconds leave open would push by any amount
-    information = (fit.directions.T * fit.sizes**2) @ fit.directions / variance
-    precision = information + np.diag(bodies.precision(s) * min(1.0, s.independent / count) / fit.length**2)
-    likely = np.linalg.solve(precision, information @ (fit.solution * fit.length))
-    scatter = np.sqrt(np.maximum(np.sum(push * np.linalg.solve(precision, push.T).T, axis=1), 0.0))
-    return _Fit(
-        fit.joints,
-        float(np.linalg.norm(fit.error) / total) if total > 0 else 0.0,
-        bodies.regressor(s.q, 0 * s.q, 0 * s.q) @ fit.solution[: 11 * n],
-        push @ likely,
-        scatter,
-        bool(independent > _SAMPLES_PER_PARAMETER * known),
-    )
+def _fitted(fit: RigidFit, torque: np.ndarray) -> _Fit:
+    """The part of a torque (S, n) that a rigid arm leaves, and whether the fit would drive joints on."""
+    s, bodies = fit.samples, fit.bodies
+    solution = fit.solution(torque)
+    square = np.sum(torque**2, axis=0)
+    scale = np.sqrt(np.where(square > 0, square, len(torque)) / len(torque))
+    push = _push(fit) / scale[:, None]
+    scatter = np.sqrt(np.maximum(np.sum((push @ solution.covariance) * push, axis=1), 0.0))
+    unexplained = float(np.sqrt(np.sum(solution.left**2 * square) / max(float(square.sum()), 1e-300)))
+    gravity = bodies.regressor(s.q, 0 * s.q, 0 * s.q) @ solution.parameters[: 11 * bodies.robot.dof]
+    return _Fit(solution.left, unexplained, gravity, push @ solution.parameters, scatter)
 
 
-def _push(robot: RobotDescription, s: FitSamples, columns: np.ndarray, rigid: _Regressor) -> np.ndarray:
+def _push(fit: RigidFit) -> np.ndarray:
     """(n, p): torque by which each joint drives itself on, by friction and by its own inertia, a unit of parameter."""
-    n = robot.dof
-    bodies = columns.shape[2] - 3 * n
+    s, columns, n = fit.samples, fit.columns, fit.bodies.robot.dof
+    friction = slice(11 * n, 13 * n)
     push = np.zeros((n, columns.shape[2]))
     some = s.q[:: max(1, len(s.q) // 10)]
-    at_rest = rigid(some, 0 * some, 0 * some)
+    at_rest = fit.bodies.regressor(some, 0 * some, 0 * some)
     for k in range(n):
         speed = max(float(np.sqrt(np.mean(s.qd[:, k] ** 2))), 1e-12)
-        rub = np.mean(columns[:, k] * s.qd[:, k, None], axis=0) / speed
         moving = s.direction[:, k][np.abs(s.direction[:, k]) > 0.5]
         if len(moving) and min(np.mean(moving > 0), np.mean(moving < 0)) > _ONE_WAY:
-            push[k, bodies : bodies + 2 * n] = -rub[bodies : bodies + 2 * n]
-        inertia = (rigid(some, 0 * some, np.tile(np.eye(n)[k], (len(some), 1))) - at_rest)[:, k]
-        push[k, :bodies] = -np.mean(inertia, axis=0) * np.sqrt(np.mean(s.qdd[:, k] ** 2))
+            push[k, friction] = -np.mean(columns[:, k, friction] * s.qd[:, k, None], axis=0) / speed
+        inertia = (fit.bodies.regressor(some, 0 * some, np.tile(np.eye(n)[k], (len(some), 1))) - at_rest)[:, k]
+        push[k, : 11 * n] = -np.mean(inertia, axis=0) * np.sqrt(np.mean(s.qdd[:, k] ** 2))
     return push

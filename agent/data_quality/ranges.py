@@ -12,7 +12,7 @@ from agent.robot import Dynamics, RobotDescription
 _TOO_FAR = {"degrees": 5.0, "mm": 100.0}  # times the joint's range: a tenth of what the unit makes of it, at most
 _TOO_FAST = {"degrees": 10.0, "mm": 100.0}  # times its highest speed
 _LEAST = {"degrees": np.pi, "mm": 0.0}  # rad or m that some joint comes to, at least
-_BEYOND = 0.2  # of its range, by which a slide comes out of it that is none
+_BEYOND = 0.2  # of its range, by which a joint must leave it to be taken for another one
 _WITHIN = 0.02  # likewise, where it is still taken to be inside
 _TOO_STRONG = 100.0  # times what the description says of the drive
 _HEAVIEST = 1000.0  # kg for each square metre of reach: of 13 arms, real and simulated, the heaviest has 510

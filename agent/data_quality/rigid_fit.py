@@ -1,4 +1,4 @@
-"""A rigid arm fitted to samples by plain least squares, and how well it predicts what was held out.
+"""A rigid arm fitted to samples by weighted least squares, and how well it predicts what was held out.
 
 Mistakes are judged by likelihood: with e_j the squared error of joint j on a part of the logs held out, a mistake gains
 Σ_j log(e_j as it is / e_j with it undone), twice the log-likelihood ratio for each independent sample when the noise of
@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import product
 
 import numpy as np
 
@@ -33,7 +32,7 @@ _LEAST = 1e-10  # squared error of a joint, relative to its torque, below which 
 @dataclass(frozen=True, eq=False)
 class FitSamples:
     """S low-passed samples: q, qd, qdd, torque and the direction of motion, all (S, n), and the `fold` (S,) that each
-    is held out with; so many are `independent`."""
+    is held out with; `independent` is the number of independent samples."""
 
     q: np.ndarray
     qd: np.ndarray
@@ -67,14 +66,6 @@ def fit_samples(logs: Sequence[Log]) -> FitSamples | None:
         return None
     q, qd, qdd, torque, direction = np.split(rows, 5, axis=1)
     return FitSamples(q, qd, qdd, torque, direction, fold, independent)
-
-
-def torque_noise(log: Log, cutoff: float) -> np.ndarray:
-    """(n,) standard deviation of white noise on the torque, from sample to sample, as a filter at `cutoff` [Hz] leaves
-    it."""
-    assert log.effort is not None
-    fourth = np.median(np.abs(np.diff(log.effort, 4, axis=0)), axis=0) / (0.6745 * np.sqrt(70))
-    return np.asarray(fourth * np.sqrt(min(1.0, 2 * cutoff / log.sample_rate)))
 
 
 class Bodies:
@@ -122,53 +113,70 @@ class Bodies:
         )
 
 
-class HeldOutFit:
-    """Second moments of a motion's columns with themselves and with every joint's torque, per fold and joint.
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """A fit to a torque (S, n): parameters (p,), their covariance (p, p), and the part of each joint's torque (n,) that
+    is left."""
 
-    Torques that are swapped or flipped are fits to the same moments.
+    parameters: np.ndarray
+    covariance: np.ndarray
+    left: np.ndarray
+
+
+class RigidFit:
+    """Fits of links, rotors, friction and offsets to torques of one motion, every joint weighted by what it leaves.
+
+    `precision` (p,) is that of the prior.
     """
 
-    def __init__(self, bodies: Bodies, s: FitSamples, precision: np.ndarray):
-        columns = bodies.columns(s)
-        self.bodies, self._samples = bodies, s
-        folds = [np.flatnonzero(s.fold == fold) for fold in range(FOLDS)]
-        self._precision = precision
-        self._rows = np.array([len(rows) for rows in folds])
-        self._torque = np.array([np.sum(s.torque[rows] ** 2, axis=0) for rows in folds])
-        centred = s.torque - s.torque.mean(axis=0)
-        self._alone = np.array([np.sum(centred[rows] ** 2, axis=0) for rows in folds])
-        parts = [[columns[rows, joint] for joint in range(s.q.shape[1])] for rows in folds]
-        self._own = np.array([[part.T @ part for part in joints] for joints in parts])
-        self._own_all = self._own.sum(axis=0)
-        self._with = np.array(
-            [[s.torque[rows].T @ part for part in joints] for rows, joints in zip(folds, parts, strict=True)]
+    def __init__(self, bodies: Bodies, s: FitSamples, precision: np.ndarray | None = None):
+        self.bodies, self.samples = bodies, s
+        self.columns = bodies.columns(s)
+        self._precision = bodies.precision(s) if precision is None else precision
+        self._folds = [np.flatnonzero(s.fold == fold) for fold in range(FOLDS)]
+        parts = [self.columns[rows].swapaxes(0, 1) for rows in self._folds]
+        self._own = np.array([part.swapaxes(1, 2) @ part for part in parts])
+
+    def solution(self, torque: np.ndarray) -> Solution:
+        """The fit to all samples of a torque (S, n)."""
+        cross, square, _ = self._moments(torque)
+        own, cross, square = self._own.sum(axis=0), cross.sum(axis=0), square.sum(axis=0)
+        parameters, weights = self._weighted(own, cross, square)
+        left = np.maximum(_squared(parameters, own, cross, square), 0.0)
+        each = max(1.0, len(torque) / max(self.samples.independent, 1.0))  # rows for each independent sample
+        matrix = _sum(weights, own) + np.diag(self._precision)
+        scale = 1 / np.sqrt(np.diagonal(matrix))
+        covariance = each * scale * np.linalg.inv(matrix * np.outer(scale, scale)) * scale[:, None]
+        return Solution(parameters, covariance, np.sqrt(left / np.maximum(square, 1e-300)))
+
+    def errors(self, torque: np.ndarray) -> np.ndarray:
+        """(FOLDS, n) squared error held out of a torque (S, n), at most that of a constant one."""
+        cross, square, alone = self._moments(torque)
+        own_all, cross_all, square_all = self._own.sum(axis=0), cross.sum(axis=0), square.sum(axis=0)
+        _, weights = self._weighted(own_all, cross_all, square_all)
+        matrices = _sum(weights, own_all) - _sum(weights, self._own)
+        solutions = self._solve(matrices, weights @ (cross_all - cross))
+        held_out = [_squared(*of_fold) for of_fold in zip(solutions, self._own, cross, square, strict=True)]
+        least = _LEAST * square_all + 1e-300
+        return np.minimum(np.maximum(held_out, least), np.maximum(alone, least))
+
+    def _moments(self, torque: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Per fold and joint: torque times columns (FOLDS, n, p), squared torque, squared change of torque."""
+        cross = np.array([np.einsum("sj,sjp->jp", torque[rows], self.columns[rows]) for rows in self._folds])
+        square, alone = (
+            np.array([np.sum(values[rows] ** 2, axis=0) for rows in self._folds])
+            for values in (torque, torque - torque.mean(axis=0))
         )
+        return cross, square, alone
 
-    def undone(self, order: np.ndarray, sign: np.ndarray) -> FitSamples:
-        """The samples with the torque of channel order[j], times sign[j], on every joint j."""
-        return replace(self._samples, torque=self._samples.torque[:, order] * sign)
-
-    def errors(self, order: np.ndarray, sign: np.ndarray) -> np.ndarray:
-        """(FOLDS, n) squared error held out of every torque channel, at most that of a constant torque.
-
-        Joint j has the torque of channel order[j], times sign[j].
-        """
-        joints = np.arange(len(order))
-        own, cross = self._own, self._with[:, joints, order] * sign[:, None]
-        torque = self._torque[:, order]
-        own_all, cross_all, torque_all = self._own_all, cross.sum(axis=0), torque.sum(axis=0)
-        least = _LEAST * torque_all + 1e-300
-        left = torque_all
+    def _weighted(self, own: np.ndarray, cross: np.ndarray, square: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Parameters (p,) and weights (n,) from moments (n, p, p), (n, p), (n,)."""
+        left, least = square, _LEAST * square + 1e-300
         for _ in range(_ROUNDS):
-            weights = self._rows.sum() / np.maximum(left, least)
-            solution = self._solve(_weighted(weights, own_all), weights @ cross_all)
-            left = _squared(solution, own_all, cross_all, torque_all)
-        weights = self._rows.sum() / np.maximum(left, least)
-        without = _weighted(weights, own_all) - _weighted(weights, own), weights @ (cross_all - cross)
-        errors = np.empty(torque.shape)
-        for fold, solution in enumerate(self._solve(*without)):
-            errors[fold, order] = np.maximum(_squared(solution, own[fold], cross[fold], torque[fold]), least)
-        return np.minimum(errors, np.maximum(self._alone, least[np.argsort(order)]))
+            weights = len(self.columns) / np.maximum(left, least)
+            parameters = self._solve(_sum(weights, own), weights @ cross)
+            left = _squared(parameters, own, cross, square)
+        return parameters, len(self.columns) / np.maximum(left, least)
 
     def _solve(self, matrix: np.ndarray, side: np.ndarray) -> np.ndarray:
         """(…, p) solutions of normal equations (…, p, p) with sides (…, p), the prior added."""
@@ -178,98 +186,61 @@ class HeldOutFit:
         return np.asarray(scale * np.linalg.solve(scaled, (scale * side)[..., None])[..., 0])
 
 
-def _weighted(weights: np.ndarray, own: np.ndarray) -> np.ndarray:
+def _sum(weights: np.ndarray, own: np.ndarray) -> np.ndarray:
     """(…, p, p) sum over joints of moments (…, n, p, p), weighted (n,)."""
-    size = own.shape[-1]
-    return (weights @ own.reshape(*own.shape[:-2], size * size)).reshape(*own.shape[:-3], size, size)
+    return np.tensordot(own, weights, axes=(-3, 0))
 
 
-def _squared(solution: np.ndarray, own: np.ndarray, cross: np.ndarray, torque: np.ndarray) -> np.ndarray:
+def _squared(solution: np.ndarray, own: np.ndarray, cross: np.ndarray, square: np.ndarray) -> np.ndarray:
     """(n,) squared error of a solution (p,) from moments (n, p, p), (n, p), (n,)."""
-    return torque - 2 * cross @ solution + (own @ solution) @ solution
-
-
-@dataclass(frozen=True, eq=False)
-class Solved:
-    """columns (S, n, p) and what least squares makes of them: solution (p,), joints (n,) part of each torque left."""
-
-    columns: np.ndarray
-    scale: np.ndarray
-    length: np.ndarray
-    sizes: np.ndarray
-    directions: np.ndarray
-    known: np.ndarray
-    solution: np.ndarray
-    error: np.ndarray
-    joints: np.ndarray
-
-
-def solved(bodies: Bodies, s: FitSamples) -> Solved:
-    """Rigid links, rotors, Coulomb, viscous and offset, by least squares with every joint weighted alike."""
-    count, n = s.q.shape
-    columns = bodies.columns(s)
-    scale = np.sqrt(np.mean(s.torque**2, axis=0))
-    scale = np.where(scale > 0, scale, 1.0)
-    a = (columns / scale[None, :, None]).reshape(count * n, -1)
-    length = np.linalg.norm(a, axis=0)
-    length[length == 0] = 1.0
-    u, sizes, directions = np.linalg.svd(a / length, full_matrices=False)
-    known = sizes > 1e-7 * sizes[0]
-    solution = directions[known].T @ ((u[:, known].T @ (s.torque / scale).ravel()) / sizes[known]) / length
-    error = s.torque - columns @ solution
-    joints = np.linalg.norm(error, axis=0) / (scale * np.sqrt(count))
-    return Solved(columns, scale, length, sizes, directions, known, solution, error, joints)
+    return np.asarray(square - 2 * cross @ solution + (own @ solution) @ solution)
 
 
 def fitted_gravity(bodies: Bodies, s: FitSamples) -> np.ndarray:
     """(3,) gravity [m/s²] in the base frame of the described size, in the direction with which the samples fit best.
 
-    Columns are linear in gravity, so that moments with each component of it serve all directions. These are tried
-    about a sphere, then nearer and nearer to the best.
+    Columns are linear in gravity, so that moments with each component of it serve all directions.
     """
-    count, n = s.q.shape
-    robot, rest = bodies.robot, np.zeros((count, n))
-    size = float(np.linalg.norm(robot.gravity)) or 9.80665
-    x = Bodies(replace(robot, gravity=(0.0, 0.0, 0.0))).columns(s)
-    parts = [x]
-    for axis in size * np.eye(3):
-        part = np.zeros_like(x)
-        part[:, :, : 11 * n] = Bodies(replace(robot, gravity=tuple(axis.tolist()))).regressor(s.q, rest, rest)
-        parts.append(part)
-    by_joint = [np.array([part[:, k] for part in parts]) for k in range(n)]  # (4, S, p) each
-    own_each = np.array([np.einsum("isa,jsb->ijab", a, a, optimize=True) for a in by_joint])
-    cross_each = np.array([a.transpose(0, 2, 1) @ s.torque[:, k] for k, a in enumerate(by_joint)])
-    prior, left = np.diag(bodies.precision(s)), np.sum(s.torque**2, axis=0)
-    corners = [d / np.linalg.norm(d) for d in np.array(list(product((-1.0, 0.0, 1.0), repeat=3))) if d.any()]
-    best = np.zeros(3)
+    from scipy.optimize import minimize
+
+    size = float(np.linalg.norm(bodies.robot.gravity)) or 9.80665
+    none, *each = (
+        Bodies(replace(bodies.robot, gravity=tuple(gravity))).columns(s)
+        for gravity in size * np.vstack([np.zeros(3), np.eye(3)])
+    )
+    parts = np.array([none, *(columns - none for columns in each)]).transpose(2, 0, 1, 3)  # (n, 4, S, p)
+    own = np.array([np.einsum("isa,jsb->ijab", part, part, optimize=True) for part in parts])
+    cross = np.einsum("nisa,sn->nia", parts, s.torque)
+    square = np.sum(s.torque**2, axis=0)
+    prior = np.diag(bodies.precision(s))
+
+    def left(gravity: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        """(n,) squared error with gravity (3,) in this direction."""
+        along = np.append(1.0, gravity / np.linalg.norm(gravity))
+        own_all, cross_all = np.tensordot(own, np.outer(along, along), axes=([1, 2], [0, 1])), along @ cross
+        solution = np.linalg.solve(_sum(weights, own_all) + prior, weights @ cross_all)
+        return _squared(solution, own_all, cross_all, square)
+
+    axes = np.vstack([np.eye(3), -np.eye(3)])
+    best, errors = np.zeros(3), square
     for _ in range(_ROUNDS):
-        weights = count / np.maximum(left, 1e-12 * np.sum(s.torque**2, axis=0) + 1e-300)
-        own, cross = (np.tensordot(weights, each, axes=1) for each in (own_each, cross_each))
+        weights = len(s.q) / np.maximum(errors, 1e-12 * square + 1e-300)
 
-        def solution(direction: np.ndarray, own: np.ndarray = own, cross: np.ndarray = cross) -> np.ndarray:
-            along = np.append(1.0, direction)
-            return np.linalg.solve(np.tensordot(np.outer(along, along), own, axes=2) + prior, along @ cross)
+        def misfit(gravity: np.ndarray, weights: np.ndarray = weights) -> float:
+            return float(weights @ left(gravity, weights))
 
-        def explained(direction: np.ndarray, cross: np.ndarray = cross) -> float:
-            return float(np.append(1.0, direction) @ cross @ solution(direction))
-
-        best = best if best.any() else max(corners, key=explained)
-        for reach in 0.4 * 0.5 ** np.arange(8):
-            for d in corners:
-                near = best + reach * d
-                best = max((best, near / np.linalg.norm(near)), key=explained)
-        fit = solution(best)
-        along = np.append(1.0, best)
-        left = np.array([np.sum((s.torque[:, k] - along @ (a @ fit)) ** 2) for k, a in enumerate(by_joint)])
-    return np.asarray(size * best)
+        best = best / np.linalg.norm(best) if best.any() else min(axes, key=misfit)
+        around = best + 0.3 * np.vstack([np.zeros(3), np.eye(3)])
+        options = {"initial_simplex": around, "xatol": 1e-3, "fatol": 1e-3}
+        best = minimize(misfit, best, method="Nelder-Mead", options=options).x
+        errors = left(best, weights)
+    return np.asarray(size * best / np.linalg.norm(best))
 
 
-def overfitted(robot: RobotDescription, s: FitSamples, joints: np.ndarray) -> bool:
-    """Whether what is held out is predicted so much worse than it is fitted that few seconds say nothing of mistakes.
+def overfitted(fit: RigidFit, torque: np.ndarray) -> bool:
+    """Whether a torque (S, n) is predicted so much worse than it is fitted that few seconds say nothing of mistakes.
 
-    joints (n,): part of each torque that a fit to all samples leaves. The joints' median decides.
+    The joints' median decides.
     """
-    bodies = Bodies(robot)
-    held_out = HeldOutFit(bodies, s, bodies.precision(s)).errors(np.arange(robot.dof), np.ones(robot.dof))
-    left = np.sqrt(held_out.sum(axis=0) / np.maximum(np.sum(s.torque**2, axis=0), 1e-300))
-    return bool(np.median(left / np.maximum(joints, 0.01)) > _OVERFITTED)
+    left = np.sqrt(fit.errors(torque).sum(axis=0) / np.maximum(np.sum(torque**2, axis=0), 1e-300))
+    return bool(np.median(left / np.maximum(fit.solution(torque).left, 0.01)) > _OVERFITTED)

@@ -26,7 +26,7 @@ class ColumnTable:
     notes: tuple[str, ...] = ()
 
     def name(self, key: str | int) -> str | None:
-        """Of a column by name, or by number from 1; None if there is none."""
+        """Name of a column, found by name or by number from 1; None if there is no such column."""
         if isinstance(key, int):
             return list(self.columns)[key - 1] if 1 <= key <= len(self.columns) else None
         for text in (key, key.lstrip("#% ")):  # a comment that holds the names
@@ -36,7 +36,7 @@ class ColumnTable:
         return None
 
     def column(self, key: str | int) -> np.ndarray | None:
-        """(S,) by name, or by number from 1; None if there is none."""
+        """Column (S,), found by name or by number from 1; None if there is no such column."""
         name = self.name(key)
         return None if name is None else self.columns[name]
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from fnmatch import fnmatch
 from pathlib import Path
@@ -22,13 +22,12 @@ from agent.recording.mapping import (
     Mapping,
     PositionColumns,
     load_mapping,
+    preset_map,
     units_of,
 )
 from agent.recording.mcap.log_file import CURRENTS, nanoseconds, write_log
-from agent.recording.presets import preset_map
-from agent.recording.repair.limits import LIMITS, impossible
+from agent.recording.repair.outliers import LIMITS, impossible
 from agent.recording.repair.stamps import put_in_order, spacing_of, stand_still
-from agent.recording.resampling import resampled
 from agent.recording.scratch import Scratch
 from agent.recording.tables import read_table
 from agent.robot import RobotDescription
@@ -53,7 +52,7 @@ def import_log(
     τ = Cᵀ diag(g) τ_m; a current i by its torque constant first, τ_m = k i.
 
     Returns:
-        What there is to say about it: rows, samples, repairs.
+        Notes on rows, samples and repairs.
 
     Raises:
         InputError: a table cannot be read, the mapping does not fit it or the robot, or the output is not an .mcap.
@@ -93,7 +92,7 @@ def mapped_joints(map_or_preset: Path | str) -> int:
 def _assemble(
     robot: RobotDescription, mapping: Mapping, source: _Source, output: Path
 ) -> tuple[Log, list[str], np.ndarray | None]:
-    """The log, what there is to say, and motor currents (S, n) [A] where the columns are currents."""
+    """The log, notes about it, and motor currents (S, n) [A] where the columns are currents."""
     entries = mapping.entries
     values = {
         "position": source.position("position", entries.position),
@@ -101,8 +100,8 @@ def _assemble(
         "effort": None if entries.effort is None else source.effort(entries.effort),
         "reference_position": source.position("reference_position", entries.reference_position),
         "planned_position": source.position("planned_position", entries.planned_position),
+        "current": source.current,
     }
-    values["current"] = source.current
     present = {name: array for name, array in values.items() if array is not None}
     time = source.time()
     late = np.abs(time) > _LATEST
@@ -110,46 +109,19 @@ def _assemble(
         key = "rate" if entries.time is None else "time"
         mapping.fault(key, f"times go up to {np.nanmax(np.abs(time)):.3g} s: is the unit right?")
     time[late] = np.nan
-    rows, notes = _common_rows(mapping, time, present)
-    time = time[:rows]
-    inside = source.selected(rows)
-    if mapping.preset:
-        repeats = inside & np.append(False, np.diff(time) == 0)
-        inside &= ~repeats
-        if repeats.any():
-            source.notes.append(f"{counted(int(repeats.sum()), 'row')} with the time of the row before, dropped")
-    notes = [*source.notes, *notes]
-    if entries.window is not None:
-        inside &= ~(time < entries.window.start) & ~(time >= entries.window.stop)
-        if not (inside & np.isfinite(time)).any():
-            span = f"{np.nanmin(time):.15g} s to {np.nanmax(time):.15g} s" if np.isfinite(time).any() else "nowhere"
-            mapping.fault("window", f"no row is in it; the rows go from {span}")
-    whole, torn = np.isfinite(time), np.zeros(rows, bool)
-    for name, array in present.items():
-        whole &= np.all(np.isfinite(array[:rows]), axis=1)
-        torn |= impossible(array[:rows], name if name in LIMITS else "position", Scratch())
-    keep = inside & whole & ~torn
-    if np.count_nonzero(inside & whole) >= 2 > np.count_nonzero(keep):
-        mapping.fault("position", "nearly every row holds a number that no arm can have: are the units right?")
-    if np.count_nonzero(keep) < 2:
-        mapping.fault("position", "fewer than two rows hold a number in every column that the mapping names")
-    for broken, kind in (
-        (inside & ~whole, "without a number in every column"),
-        (inside & whole & torn, "with a number that no arm can have"),
-    ):
-        if broken.any():
-            first = np.argmax(broken) + 1
-            notes.append(f"{counted(int(np.count_nonzero(broken)), 'row')} {kind}, dropped; the first is row {first}")
-    present = {name: array[:rows][keep] for name, array in present.items()}
+    rows, cut_off = _common_rows(mapping, time, present)
+    time, present = time[:rows], {name: array[:rows] for name, array in present.items()}
+    inside = source.selected(time)
+    notes = [*source.notes, *cut_off]
+    keep = _usable(mapping, time, present, inside, notes)
+    present = {name: array[keep] for name, array in present.items()}
     stamp = nanoseconds(time[keep])
-    measured = [present[name] for name in ("position", "effort") if name in present]
     if np.any(np.diff(stamp) < 0) and (several := source.episodes()):
         mapping.fault("time", several)
-    order = put_in_order(stamp, measured, source.clock)
+    order = put_in_order(stamp, [present[name] for name in ("position", "effort") if name in present], source.clock)
     present = {name: array[order.rows] for name, array in present.items()}
     spacing = spacing_of(order.stamp, entries.rate)
     repairs = (*order.repairs, *spacing.repairs)
-    notes += [str(repair) for repair in repairs]
     machine = {key: value for key in MACHINE if (value := getattr(entries, key)) is not None}
     arrays: dict[str, Any] = {name: present.get(name) for name in ARRAYS}
     log = Log(
@@ -163,7 +135,31 @@ def _assemble(
         metadata={"robot": robot.name, "motion": entries.motion, **machine},
         repairs=repairs,
     )
-    return log, notes, present.get("current")
+    return log, [*notes, *map(str, repairs)], present.get("current")
+
+
+def _usable(
+    mapping: Mapping, time: np.ndarray, values: dict[str, np.ndarray], inside: np.ndarray, notes: list[str]
+) -> np.ndarray:
+    """(S,) rows of those `inside` with a possible number in every column."""
+    whole, torn = np.isfinite(time), np.zeros(len(time), bool)
+    for name, array in values.items():
+        whole &= np.all(np.isfinite(array), axis=1)
+        torn |= impossible(array, name if name in LIMITS else "position", Scratch())
+    keep = inside & whole & ~torn
+    if np.count_nonzero(keep) < 2:
+        reason = "fewer than two rows hold a number in every column that the mapping names"
+        if np.count_nonzero(inside & whole) >= 2:
+            reason = "nearly every row holds a number that no arm can have: are the units right?"
+        mapping.fault("position", reason)
+    for broken, kind in (
+        (inside & ~whole, "without a number in every column"),
+        (inside & whole & torn, "with a number that no arm can have"),
+    ):
+        if broken.any():
+            first = np.argmax(broken) + 1
+            notes.append(f"{counted(int(np.count_nonzero(broken)), 'row')} {kind}, dropped; the first is row {first}")
+    return keep
 
 
 def _common_rows(mapping: Mapping, time: np.ndarray, values: dict[str, np.ndarray]) -> tuple[int, list[str]]:
@@ -179,25 +175,37 @@ def _common_rows(mapping: Mapping, time: np.ndarray, values: dict[str, np.ndarra
 
 def _decimated(log: Log, factor: int, notes: list[str]) -> Log:
     """Every `factor`-th sample, after a zero-phase Butterworth filter of order 8 (forward and backward) at 0.8 of the
-    new Nyquist frequency, the same on every column; it never sees what lies outside the window."""
+    new Nyquist frequency, the same on every column; it never sees what lies outside the window.
+
+    A log that had to be repaired is laid on an even grid first, segment by segment: by cubic splines (not-a-knot),
+    effort by a monotone cubic (Fritsch and Carlson, SIAM J. Numer. Anal. 17, 1980), which does not overshoot where
+    friction steps.
+    """
+    from scipy.interpolate import CubicSpline, PchipInterpolator
     from scipy.signal import butter, sosfiltfilt
 
-    if log.repairs:
-        log = resampled(log)
-        notes.append(f"interpolated to even {log.sample_rate:.6g} Hz before it was filtered")
     cutoff = 0.4 * log.sample_rate / factor
     sections = butter(8, cutoff, fs=log.sample_rate, output="sos")
+    grids = [(first, stop, log.t[first:stop]) for first, stop in log.segments]
+    if log.repairs:
+        ends = [(first, stop, log.t[first], log.t[stop - 1]) for first, stop in log.segments if stop - first > 1]
+        grids = [(a, b, np.arange(start, end + 1e-9, 1 / log.sample_rate)) for a, b, start, end in ends]
+        notes.append(f"interpolated to even {log.sample_rate:.6g} Hz before it was filtered")
 
-    def filtered(values: np.ndarray) -> np.ndarray:
-        parts = [values[first:stop] for first, stop in log.segments]
-        return np.concatenate(
-            [sosfiltfilt(sections, p, axis=0, padlen=min(20 * factor, len(p) - 1))[::factor] for p in parts]
-        )
+    def thinned(values: np.ndarray, curve: Callable[..., Any] = CubicSpline) -> np.ndarray:
+        parts = []
+        for first, stop, grid in grids:
+            part = values[first:stop]
+            if log.repairs:
+                part = curve(log.t[first:stop], part)(np.minimum(grid, log.t[stop - 1]))
+            parts.append(sosfiltfilt(sections, part, axis=0, padlen=min(20 * factor, len(part) - 1))[::factor])
+        return np.concatenate(parts)
 
-    t = np.concatenate([log.t[first:stop:factor] for first, stop in log.segments])
+    t = np.concatenate([grid[::factor] for _, _, grid in grids])
     spacing = spacing_of(nanoseconds(t), log.sample_rate / factor)
     notes.append(f"every {factor}th sample, after a zero-phase filter at {cutoff:.4g} Hz")
-    return log.with_arrays(filtered, t=t, sample_rate=spacing.rate, segments=spacing.segments)
+    effort = None if log.effort is None else thinned(log.effort, PchipInterpolator)
+    return log.with_arrays(thinned, effort=effort, t=t, sample_rate=spacing.rate, segments=spacing.segments)
 
 
 class _Source:
@@ -244,26 +252,37 @@ class _Source:
         self.clock = str(table.path)
         return time
 
-    def selected(self, rows: int) -> np.ndarray:
-        """(rows,) which of the rows `rows:` takes; all without it."""
-        wanted = self._mapping.entries.rows
-        if wanted is None:
-            return np.ones(rows, bool)
-        table = self._table("rows", wanted.file, [wanted.column])
-        (column,) = self._numbers("rows.column", table, [wanted.column])
-        if len(column) < rows:
-            self._mapping.fault("rows.column", f"{table.path}: {len(column)} rows, where other columns have {rows}")
-        selected: np.ndarray = column[:rows] == wanted.equals
-        if not selected.any():
-            values = np.unique(column[np.isfinite(column)])
-            listed = ", ".join(f"{value:g}" for value in values[:_SHOWN_VALUES])
-            listed += ", …" if len(values) > _SHOWN_VALUES else ""
-            self._mapping.fault("rows.equals", f"no row has {wanted.column} {wanted.equals:g}; there are {listed}")
-        self.notes.append(f"{np.count_nonzero(selected)} of {rows} rows have {wanted.column} {wanted.equals:g}")
+    def selected(self, time: np.ndarray) -> np.ndarray:
+        """(S,) which of the rows at times (S,) [s] `rows:` and `window:` take; of a preset, each time once."""
+        entries = self._mapping.entries
+        selected = np.ones(len(time), bool)
+        if (wanted := entries.rows) is not None:
+            table = self._table("rows", wanted.file, [wanted.column])
+            (column,) = self._numbers("rows.column", table, [wanted.column])
+            if len(column) < len(time):
+                what = f"{table.path}: {len(column)} rows, where other columns have {len(time)}"
+                self._mapping.fault("rows.column", what)
+            selected = column[: len(time)] == wanted.equals
+            if not selected.any():
+                values = np.unique(column[np.isfinite(column)])
+                listed = ", ".join(f"{value:g}" for value in values[:_SHOWN_VALUES])
+                listed += ", …" if len(values) > _SHOWN_VALUES else ""
+                self._mapping.fault("rows.equals", f"no row has {wanted.column} {wanted.equals:g}; there are {listed}")
+            self.notes.append(f"{selected.sum()} of {len(time)} rows have {wanted.column} {wanted.equals:g}")
+        repeats = selected & np.append(False, np.diff(time) == 0)
+        if self._mapping.preset and repeats.any():
+            selected = selected & ~repeats
+            self.notes.append(f"{counted(int(repeats.sum()), 'row')} with the time of the row before, dropped")
+        if entries.window is not None:
+            selected = selected & ~(time < entries.window.start) & ~(time >= entries.window.stop)
+            known = time[np.isfinite(time)]
+            if not np.isfinite(time[selected]).any():
+                span = f"{known.min():.15g} s to {known.max():.15g} s" if len(known) else "nowhere"
+                self._mapping.fault("window", f"no row is in it; the rows go from {span}")
         return selected
 
     def episodes(self) -> str:
-        """What to say of a table with several recordings, each with a clock of its own; empty where it has one."""
+        """The text about a table with several recordings, each with its own clock; empty where it has one."""
         for table in self._tables:
             for name, column in table.columns.items():
                 if self._mapping.entries.rows is None and "episode" in name.lower() and len(np.unique(column)) > 1:
@@ -313,12 +332,14 @@ class _Source:
     def _nominal_torques(self, side: str) -> np.ndarray:
         """(n,) [N·m] of the motors, or of the joints."""
         nominal = self._robot.nominal_torque
-        if np.isnan(nominal).any():
-            missing = ", ".join(n for n, k in zip(self._robot.joint_names, nominal, strict=True) if np.isnan(k))
-            self._mapping.fault(
-                "effort.unit", f"shares of nominal torque need nominal_motor_torque of {missing} in robot.yaml"
-            )
+        if missing := self._missing(nominal):
+            what = f"shares of nominal torque need nominal_motor_torque of {missing} in robot.yaml"
+            self._mapping.fault("effort.unit", what)
         return nominal / np.abs(self._robot.gear_ratios) if side == "motor" else nominal
+
+    def _missing(self, values: np.ndarray) -> str:
+        """Names of the joints whose value is not known."""
+        return ", ".join(name for name, value in zip(self._robot.joint_names, values, strict=True) if np.isnan(value))
 
     def _to_joints(self, values: np.ndarray, side: str) -> np.ndarray:
         if side == "joint":
@@ -426,8 +447,7 @@ class _Source:
         if given is None:
             given = [np.nan if joint.torque_constant is None else joint.torque_constant for joint in self._robot.joints]
         constants = np.array(self._per_joint("effort.torque_constant", given, None), dtype=float)
-        if np.isnan(constants).any():
-            missing = ", ".join(n for n, k in zip(self._robot.joint_names, constants, strict=True) if np.isnan(k))
+        if missing := self._missing(constants):
             if self._mapping.preset:
                 self.notes.append(f"currents are kept on {CURRENTS}; torques need the torque_constant of {missing}")
                 return None

@@ -15,7 +15,7 @@ from agent.recording.scratch import Scratch
 
 #: Keys of `Log.metadata` that say whose motion it is, where that is known.
 MACHINE = ("serial", "tool", "controller")
-#: Key of `Log.metadata`: the motion was put together from pieces that differ, and is held out in so many parts.
+#: Key of `Log.metadata`: number of parts in which a motion of pieces that differ is held out.
 PARTS = "parts"
 #: Parts of a motion planned for a diagnosis: after one short look, it would else be predicted from that alone.
 PLANNED_PARTS = "2"
@@ -23,7 +23,7 @@ PLANNED_PARTS = "2"
 ARRAYS = ("position", "velocity", "effort", "reference_position", "planned_position")
 #: An earlier stamp [s] is a controller's time since it was switched on.
 _FIRST_DATE = 946_684_800.0
-_AROUND = 1.0  # s beside a cycle that is cut out of a log: more than filters drop at its ends
+_AROUND = 1.0  # s kept on either side of a cycle that is cut out of a log: filters drop less at its ends
 
 
 def machines_of(logs: Sequence[Log]) -> dict[str, list[str]]:
@@ -52,8 +52,8 @@ class Log:
     reference_position, planned_position (S, n) or None: set-points of the controller, and what was planned, on the
     same stamps (NaN where there is none). `sample_rate` [Hz] is that of intervals without a missing sample; `even`: the
     samples were taken on a grid, however late their stamps are. `segments`
-    are [start, stop) sample ranges without a gap in them: stretches of at most 10 ms or two samples may be missing, see
-    `agent.recording.resampled`; `breaks` [s] are those of their starts at which a position jumps. `stamp` is the first
+    are [start, stop) sample ranges without a gap in them: stretches of at most 10 ms or two samples may be missing;
+    `breaks` [s] are those of their starts at which a position jumps. `stamp` is the first
     sample's controller time [s], `sha256` of the file that was read. `scratch` owns the arrays of a long log.
     """
 

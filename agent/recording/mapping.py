@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, Literal, NoReturn
 
+import numpy as np
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from agent.core import Dimension, InputError, Quantity, line_of, read_yaml, validate_document
+from agent.recording.column_table import ColumnTable
 
 Side = Literal["motor", "joint"]
 _TURN = 6.283185307179586
@@ -20,6 +24,12 @@ _FORCE = {"N": 1.0, "mN": 1e-3, "kN": 1e3}
 CURRENT = {"A": 1.0, "mA": 1e-3}
 #: A share of the nominal torque, as drives report it.
 OF_NOMINAL = {"%": 1e-2, "percent": 1e-2, "‰": 1e-3, "per mille": 1e-3}
+
+
+#: The map of each recorder.
+PRESETS = {"ur-rtde": "ur_recording.yaml", "ur-record": "ur_recording.yaml"}
+#: Quantities that a recording may lack.
+_OPTIONAL = ("velocity", "effort", "reference_position")
 
 
 def _one_or_list(what: str, *types: type) -> BeforeValidator:
@@ -34,7 +44,7 @@ def _one_or_list(what: str, *types: type) -> BeforeValidator:
     return BeforeValidator(check)
 
 
-#: What a factor has to be; a larger one is a slip of the keys.
+#: The limits of a factor; a larger one is a typing mistake.
 USABLE = "a finite number other than 0 is expected"
 _LARGEST = 1e100
 
@@ -195,6 +205,31 @@ def load_mapping(path: Path) -> Mapping:
     """
     document = read_yaml(path)
     return Mapping(path, document, validate_document(path, document, ImportMap))
+
+
+def preset_map(name: str, tables: Sequence[ColumnTable]) -> tuple[Mapping, list[str]]:
+    """The map of a recorder for these tables, and what there is to say: quantities and marks that they do not have.
+
+    Raises:
+        InputError: there is no such preset.
+    """
+    if name not in PRESETS:
+        raise InputError(f"--preset {name!r} is not known; there are {', '.join(PRESETS)}")
+    mapping = load_mapping(Path(str(files("agent.recording") / PRESETS[name])))
+    changes: dict[str, None] = {}
+    notes = []
+    for quantity in _OPTIONAL:
+        columns = getattr(mapping.entries, quantity).columns
+        if not any(all(table.column(column) is not None for column in columns) for table in tables):
+            changes[quantity] = None
+            notes.append(f"no {columns[0]} and its like: {quantity} is left out")
+    rows = mapping.entries.rows
+    if rows is not None:
+        marks = [column for table in tables if (column := table.column(rows.column)) is not None]
+        if not any(np.any(mark == rows.equals) for mark in marks):
+            changes["rows"] = None
+            notes.append(f"no row has {rows.column} {rows.equals:g} (a program runs), so all rows are taken")
+    return replace(mapping, entries=mapping.entries.model_copy(update=changes), preset=True), notes
 
 
 def units_of(quantity: str, linear: bool) -> dict[str, float]:

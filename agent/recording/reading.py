@@ -16,13 +16,13 @@ from agent.recording.mcap.log_file import PLANNED, REFERENCES, RUN
 from agent.recording.mcap.scan import Messages, Scan, scan
 from agent.recording.mcap.topics import choose_topics, joint_names, namesake
 from agent.recording.repair.jumps import Mended, mend_jumps
-from agent.recording.repair.limits import impossible
-from agent.recording.repair.spikes import find_spikes
-from agent.recording.repair.stamps import BRIDGED, far_off, match, put_in_order, spacing_of
+from agent.recording.repair.outliers import find_spikes, impossible
+from agent.recording.repair.stamps import BRIDGED, Order, far_off, match, put_in_order, spacing_of
 from agent.recording.scratch import Scratch
 from agent.robot import RobotDescription
 
 _NANO = 1_000_000_000
+_FIELDS = ("position", "velocity", "effort")
 #: Set-points belong to a sample if their stamps differ by at most this part of the period.
 _SAME_STAMP = 0.1
 #: [rad or m] A joint that travels further than this in a log moves.
@@ -43,10 +43,10 @@ class _Table:
     repairs: tuple[Repair, ...]
     without_effort: tuple[str, ...] = ()
 
-    @property
-    def measured(self) -> list[np.ndarray]:
-        """What tells one sample from another."""
-        return [values for field, values in self.arrays.items() if field != "velocity"]
+    def in_order(self, name: str) -> Order:
+        """Which samples to take, by their stamps; velocity does not tell one sample from another."""
+        measured = [values for field, values in self.arrays.items() if field != "velocity"]
+        return put_in_order(self.stamp, measured, name)
 
 
 def read_log(path: str | Path, robot: RobotDescription | None = None, topic: str | None = None) -> Log:
@@ -68,7 +68,7 @@ def read_log(path: str | Path, robot: RobotDescription | None = None, topic: str
     table = _table([group for one in chosen.topics for group in found.topics.pop(one)], names, found.scratch)
     if table is None:
         raise InputError(f"{path}: {topic}: no message holds a finite position of every joint ({', '.join(names)})")
-    order = put_in_order(table.stamp, table.measured, str(path))
+    order = table.in_order(str(path))
     arrays, rows = table.arrays, order.rows
     if len(rows) < len(table.stamp) or np.any(np.diff(rows) != 1):
         arrays = _taken(found.scratch, arrays, rows)
@@ -159,14 +159,15 @@ def _cut(segments: Sequence[tuple[int, int]], cuts: Sequence[int]) -> tuple[tupl
 
 def _table(groups: list[Messages], names: tuple[str, ...], scratch: Scratch) -> _Table | None:
     """Whole, finite samples of the named joints, and what was left out."""
-    if not any(set(names) <= set(group.layout.names) for group in groups):
-        return _joined(groups, names, scratch)
-    others = [group for group in groups if not set(names) <= set(group.layout.names)]
-    ours = [group for group in groups if set(names) <= set(group.layout.names)]
-    usable = [group for group in ours if group.layout.whole]
+    others: list[Messages] = []
+    torn: list[Messages] = []
+    usable: list[Messages] = []
+    for group in groups:
+        ours = set(names) <= set(group.layout.names)
+        (usable if ours and group.layout.whole else torn if ours else others).append(group)
     if not usable:
-        return None
-    stamps = np.concatenate([group.stamp for group in ours])
+        return None if torn else _joined(groups, names, scratch)
+    stamps = np.concatenate([group.stamp for group in (*usable, *torn)])
     first = int(stamps[~far_off(stamps)].min())
     stamp = np.concatenate([group.stamp for group in usable])
     order = np.concatenate([group.order for group in usable])
@@ -174,7 +175,7 @@ def _table(groups: list[Messages], names: tuple[str, ...], scratch: Scratch) -> 
     repairs: list[Repair] = []
     arrays: dict[str, np.ndarray] = {}
     bare: dict[str, tuple[str, ...]] = {}
-    for field in ("position", "velocity", "effort"):
+    for field in _FIELDS:
         values = _column(usable, field, names, scratch)
         known = np.concatenate([np.isfinite(values[part]) for part in scratch.parts(len(values))])
         unknown = ~np.all(known, axis=1)
@@ -183,8 +184,8 @@ def _table(groups: list[Messages], names: tuple[str, ...], scratch: Scratch) -> 
             if any(getattr(group, field) is not None for group in usable):
                 repairs.append(_repair(_without(field, bare[field], names), stamp[unknown], first))
             continue
-        torn = impossible(values, field, scratch) & ~unknown
-        for rows, kind in ((unknown, f"without a finite {field}"), (torn, f"with a {field} that no arm can have")):
+        wild = impossible(values, field, scratch) & ~unknown
+        for rows, kind in ((unknown, f"without a finite {field}"), (wild, f"with a {field} that no arm can have")):
             if (rows & keep).any():
                 repairs.append(_repair(f"samples {kind}, dropped", stamp[rows & keep], first))
             keep &= ~rows
@@ -194,12 +195,10 @@ def _table(groups: list[Messages], names: tuple[str, ...], scratch: Scratch) -> 
     if not keep.all() or np.any(np.diff(order) < 0):
         rows = np.argsort(order, kind="stable")
         rows = rows[keep[rows]]
-        stamp = stamp[rows]
-        arrays = _taken(scratch, arrays, rows)
-    torn_up = [group for group in ours if not group.layout.whole]
+        stamp, arrays = stamp[rows], _taken(scratch, arrays, rows)
     for kind, left_out in (
         ("messages of other joints, left out", others),
-        ("samples with arrays of wrong length, dropped", torn_up),
+        ("samples with arrays of wrong length, dropped", torn),
     ):
         if left_out:
             repairs.append(_repair(kind, np.concatenate([group.stamp for group in left_out]), first))
@@ -207,7 +206,7 @@ def _table(groups: list[Messages], names: tuple[str, ...], scratch: Scratch) -> 
 
 
 def _without(field: str, bare: Sequence[str], names: Sequence[str]) -> str:
-    """What to say of a quantity that some of the joints lack."""
+    """Text about a quantity that some of the joints lack."""
     whose = f" of {', '.join(bare)}" if 0 < len(bare) < len(names) else ""
     return f"samples without a finite {field}{whose}, so all {field} left out"
 
@@ -217,19 +216,15 @@ def _joined(groups: list[Messages], names: tuple[str, ...], scratch: Scratch) ->
 
     Where stamps are the same the values stay as they are; else those of the others are interpolated.
     """
-    parts = _parts(groups, names)
-    tables = {part: _table(messages, part, scratch) for part, messages in parts.items()}
+    tables = {part: _table(messages, part, scratch) for part, messages in _parts(groups, names).items()}
     ordered = {part: _by_stamp(table) for part, table in tables.items() if table is not None and len(table.stamp) > 1}
     if len(ordered) < len(tables) or {name for part in ordered for name in part} != set(names):
         return None
     base = min(ordered.values(), key=lambda table: len(table.stamp))
-    near = np.ones(len(base.stamp), bool)
-    arrays: dict[str, np.ndarray] = {}
-    for field in ("position", "velocity", "effort"):
-        if all(field in table.arrays for table in ordered.values()):
-            arrays[field] = np.empty((len(base.stamp), len(names)))
     first = min(table.first for table in ordered.values())
-    t = (base.stamp - first) / _NANO
+    t, near = (base.stamp - first) / _NANO, np.ones(len(base.stamp), bool)
+    fields = [field for field in _FIELDS if all(field in table.arrays for table in ordered.values())]
+    arrays = {field: np.empty((len(t), len(names))) for field in fields}
     for part, table in ordered.items():
         times = (table.stamp - first) / _NANO
         after = np.clip(np.searchsorted(times, t), 1, len(times) - 1)
@@ -300,7 +295,7 @@ def _set_points(
         repairs.append(Repair(f"{topic}: messages without a position of every joint, left out", 0.0, total))
         return None
     try:
-        order = put_in_order(table.stamp, table.measured, topic)
+        order = table.in_order(topic)
     except InputError:
         repairs.append(Repair(f"{topic}: messages with unusable stamps, left out", 0.0, total))
         return None
@@ -334,7 +329,7 @@ def _file_repairs(found: Scan, topic: str, end: float) -> list[Repair]:
 
 
 def _run_repairs(run: dict[str, str], seen: Sequence[Repair]) -> list[Repair]:
-    """What the writer counted and the stamps do not show."""
+    """Losses that the writer counted and the stamps do not show."""
     missing = sum(repair.count for repair in seen if "missing samples" in repair.kind)
     repairs = []
     for key, kind, known in (

@@ -74,7 +74,7 @@ class Scratch:
                 self._release()
 
     def parts(self, size: int) -> Iterator[slice]:
-        """`each` of the parts that `size` rows are cut into, small beside a long log."""
+        """`each` of the parts that `size` rows are cut into; a part is small compared with a long log."""
         return self.each(slice(first, min(first + _ROWS, size)) for first in range(0, size, _ROWS))
 
     def _release(self) -> None:

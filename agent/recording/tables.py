@@ -1,21 +1,28 @@
-"""Columns of numbers out of files, each by the library that knows the format."""
+"""Columns of numbers out of files, each by the library that knows the format.
+
+A few megabytes of a compressed file may hold gigabytes, so its size in memory is found out before it is read.
+"""
 
 from __future__ import annotations
 
 import zipfile
+import zlib
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from agent.core import InputError, needed
 from agent.recording.column_table import ColumnTable
-from agent.recording.table_sizes import check_mat, check_unzipped, check_values, number_columns
 from agent.recording.text_tables import Row, read_text, table_of_rows
 
 #: Columns that one matrix of a MAT file may hold; a wider one is no table of samples.
 _MAX_COLUMNS = 256
+#: Numbers that one table may hold: an hour of 37 columns at 500 Hz, 512 MiB in memory.
+_MOST_VALUES = 2**26
+_MAT_HEADER, _MAT_TAG, _MAT_COMPRESSED = 128, 8, 15  # bytes, bytes, data type
+_PIECE = 2**20  # bytes
 
 
 def read_table(path: Path) -> ColumnTable:
@@ -40,10 +47,50 @@ def read_table(path: Path) -> ColumnTable:
     return table
 
 
+def _check_values(path: Path, values: int) -> None:
+    """
+    Raises:
+        InputError: more numbers than a table may hold.
+    """
+    if values > _MOST_VALUES:
+        raise InputError(
+            f"{path}: holds more than {_MOST_VALUES} numbers ({_MOST_VALUES >> 17} MiB in memory), the limit for one "
+            "table; split the recording, or leave out columns that are not needed"
+        )
+
+
+def _check_unzipped(path: Path) -> None:
+    """Check what a zipped table (.npz, .xlsx) says it unpacks to; any other file takes no more than its own size."""
+    if zipfile.is_zipfile(path):
+        with zipfile.ZipFile(path) as file:
+            _check_values(path, sum(entry.file_size for entry in file.infolist()) // 8)
+
+
+def _check_mat(path: Path) -> None:
+    """Unpack every compressed variable (versions 5 to 7) in pieces, and keep none; a damaged file is left to SciPy."""
+    unpacked = 0
+    with open(path, "rb") as file:
+        order: Literal["big", "little"] = "big" if file.read(_MAT_HEADER)[-2:] == b"MI" else "little"
+        while len(tag := file.read(_MAT_TAG)) == _MAT_TAG:
+            kind, size = int.from_bytes(tag[:4], order), int.from_bytes(tag[4:], order)
+            end = file.tell() + size
+            unpack = zlib.decompressobj()
+            while kind == _MAT_COMPRESSED and file.tell() < end and not unpack.eof:
+                data = file.read(min(_PIECE, end - file.tell()))
+                while data and not unpack.eof:
+                    try:
+                        unpacked += len(unpack.decompress(data, _PIECE))
+                    except zlib.error:
+                        return
+                    _check_values(path, unpacked // 8)
+                    data = unpack.unconsumed_tail
+            file.seek(end)
+
+
 def _read_mat(path: Path) -> ColumnTable:
     from scipy.io import loadmat
 
-    check_mat(path)
+    _check_mat(path)
     try:
         content = loadmat(path, squeeze_me=True, struct_as_record=False)
     except NotImplementedError:  # MATLAB 7.3 is HDF5
@@ -85,7 +132,7 @@ def _read_hdf5(path: Path) -> ColumnTable:
         kind = item.attrs.get("MATLAB_class", b"double")
         if isinstance(item, h5py.Dataset) and item.shape and not name.startswith("#") and kind != b"char":
             sizes.append(item.size)
-            check_values(path, sum(sizes))
+            _check_values(path, sum(sizes))
             values = np.squeeze(item[()])
             # MATLAB stores its matrices column by column, so they come transposed
             _flatten(name.replace("/", "."), values.T if "MATLAB_class" in item.attrs else values, columns, constants)
@@ -102,7 +149,7 @@ def _read_numpy(path: Path) -> ColumnTable:
     """Arrays by name; of a single array, the columns by number, or by the names of its fields."""
     columns: dict[str, np.ndarray] = {}
     constants: dict[str, float] = {}
-    check_unzipped(path)
+    _check_unzipped(path)
     try:
         content = np.load(path, allow_pickle=False)
         arrays = {"": content} if isinstance(content, np.ndarray) else {name: content[name] for name in content.files}
@@ -122,7 +169,7 @@ def _read_numpy(path: Path) -> ColumnTable:
 def _read_workbook(path: Path) -> ColumnTable:
     """The sheet with the most rows."""
     openpyxl = needed("openpyxl", f"{path}: reading Excel", "tables")
-    check_unzipped(path)
+    _check_unzipped(path)
     try:
         book = openpyxl.load_workbook(path, read_only=True, data_only=True)
         sheets = [[[_text(value) for value in row] for row in sheet.values] for sheet in book.worksheets]
@@ -142,11 +189,22 @@ def _text(value: Any) -> str:
 
 def _read_parquet(path: Path) -> ColumnTable:
     needed("pyarrow", f"{path}: reading Parquet", "tables")
-    from pyarrow import ArrowException, parquet
+    from pyarrow import ArrowException, parquet, types
+
+    def numbers(kind: Any) -> bool:
+        """Whether numbers or times may be in it; texts are never read."""
+        while types.is_list(kind) or types.is_large_list(kind) or types.is_fixed_size_list(kind):
+            kind = kind.value_type
+        return any(numbers(part.type) for part in kind) if types.is_struct(kind) else types.is_primitive(kind)
 
     try:
         with parquet.ParquetFile(path) as file:
-            content = file.read(number_columns(path, file)).flatten()  # fields of structs become columns
+            names = [column.name for column in file.schema_arrow if numbers(column.type)]
+            groups = [file.metadata.row_group(k) for k in range(file.metadata.num_row_groups)]
+            parts = [(group.column(k), group.num_rows) for group in groups for k in range(group.num_columns)]
+            sizes = [max(part.num_values, rows) for part, rows in parts if part.path_in_schema.split(".")[0] in names]
+            _check_values(path, sum(sizes))
+            content = file.read(names).flatten()  # fields of structs become columns
     except ArrowException as error:
         raise InputError(f"{path}: not a readable Parquet file: {error}") from None
     columns: dict[str, np.ndarray] = {}

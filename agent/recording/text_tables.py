@@ -175,7 +175,7 @@ def _cells(line: str) -> list[Cell]:
 
 
 def _cell(text: str) -> Cell:
-    """What a field holds; vectors are such as `[0.1, 0.2]` or `0.1 0.2`."""
+    """The value of a field; vectors look like `[0.1, 0.2]` or `0.1 0.2`."""
     if text.lower() in _MISSING:
         return None
     number = _number(text)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from agent.data_quality.rigid_fit import FOLDS, Bodies, FitSamples, overfitted, solved
+from agent.data_quality.rigid_fit import FOLDS, Bodies, FitSamples, RigidFit, overfitted
 
 
 @pytest.mark.parametrize(("count", "expected"), [(16, True), (400, False)])
@@ -20,4 +20,4 @@ def test_a_fit_that_says_nothing_of_what_is_held_out_accuses_no_joint(arm, multi
     torque = bodies.columns(samples) @ rng.normal(size=14 * 7)
     torque += 0.1 * np.std(torque, axis=0) * rng.normal(size=q.shape)
     samples = FitSamples(q, qd, qdd, torque, samples.direction, fold, float(count))
-    assert overfitted(robot, samples, solved(bodies, samples).joints) is expected
+    assert overfitted(RigidFit(bodies, samples), torque) is expected

@@ -74,6 +74,14 @@ def test_a_folder_of_two_files_is_one_log(whole: Path, tmp_path: Path):
     assert log.name == "bag"
     np.testing.assert_array_equal(log.t, expected.t)
     np.testing.assert_array_equal(log.effort, expected.effort)
+    assert log.repairs == ()
+    messages = _messages(slice(0, 250))
+    messages[100]["position"] = [np.nan] * 3
+    write_foreign(folder / "bag_0.mcap", messages)
+    assert [repair.kind for repair in read_log(folder).repairs] == [
+        "samples without a finite position, dropped",
+        "missing samples, short enough to interpolate",
+    ]
 
 
 def test_a_database_is_a_log_alone_and_in_its_folder(whole: Path, tmp_path: Path):

@@ -138,6 +138,31 @@ def test_decimation_keeps_slow_motion_and_removes_what_it_cannot_carry(convert, 
     assert any("every 10th sample, after a zero-phase filter at 200 Hz" in note for note in notes)
 
 
+@pytest.fixture
+def uneven(tmp_path):
+    """A table of about 500 Hz with jitter and a gap of half a second: a 1 Hz motion, and its sign as effort."""
+    t = np.cumsum(np.random.default_rng(2).uniform(0.001, 0.003, 4000))
+    t[2000:] += 0.5
+    q = np.sin(2 * np.pi * (t - t[0]))
+    np.savetxt(tmp_path / "uneven.csv", np.column_stack([t, q, 0.1 * q, np.sign(q), np.sign(q)]), delimiter=",")
+    return tmp_path / "uneven.csv"
+
+
+UNEVEN = "time: {column: 1}\nposition: {columns: [2, 3]}\neffort: {columns: [4, 5]}\ndecimate: "
+
+
+def test_decimation_lays_uneven_samples_on_an_even_grid_first(convert, uneven):
+    log, notes = convert(UNEVEN + "2\n", uneven)
+    assert any("interpolated to even" in note for note in notes)
+    assert len(log.segments) == 2
+    for start, stop in log.segments:
+        np.testing.assert_allclose(np.diff(log.t[start:stop]), 1 / log.sample_rate, rtol=1e-5)
+        inside = slice(start + 50, stop - 50)
+        np.testing.assert_allclose(log.position[inside, 0], np.sin(2 * np.pi * log.t[inside]), atol=1e-4)
+        steady = inside, np.abs(log.position[inside, 0]) > 0.5
+        np.testing.assert_allclose(np.abs(log.effort[steady[0], 0][steady[1]]), 1.0, atol=1e-3)
+
+
 def test_columns_of_several_files(convert, tmp_path, table):
     path, values = table
     np.savetxt(tmp_path / "other.csv", values[:398, 5:7], delimiter=";", header="q1;q2", comments="# ", fmt="%.17g")

@@ -15,7 +15,7 @@ from mcap.writer import CompressionType
 
 from agent.core.errors import InputError
 from agent.recording import LogWriter, read_log
-from agent.recording.mcap.output import RecordingError
+from agent.recording.mcap.log_file import RecordingError
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -15,9 +15,9 @@ from mcap.stream_reader import StreamReader
 from mcap_ros2.decoder import DecoderFactory
 
 from agent.core.errors import InputError
-from agent.recording import LogWriter, read_log
+from agent.recording import Log, LogWriter, read_log, write_log
 from agent.recording.mcap.joint_state import layout_for
-from agent.recording.mcap.output import RecordingError
+from agent.recording.mcap.log_file import RecordingError
 
 names = st.lists(st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=12), min_size=1, max_size=7)
 
@@ -30,8 +30,7 @@ def test_messages_are_what_the_support_library_writes(tools, names, velocity, ef
     numbers = hnp.arrays(float, (1, len(names)), elements=st.floats(width=64))
     arrays = [data.draw(numbers), data.draw(numbers) if velocity else None, data.draw(numbers) if effort else None]
     layout = layout_for(names, velocity, effort)
-    ours = np.empty((1, len(layout.template)), np.uint8)
-    layout.fill(ours, np.array([seconds * 10**9 + nanoseconds]), arrays)
+    ours = layout.filled(np.array([seconds * 10**9 + nanoseconds]), arrays)
 
     from agent.recording.mcap.joint_state import SCHEMA_NAME, SCHEMA_TEXT
 
@@ -304,3 +303,52 @@ def test_a_disk_that_takes_nothing_is_an_error_and_loses_nothing(tools, tmp_path
             writer.write(tools.cut(block, slice(50, 100)))
         slow_disk.set()
     np.testing.assert_array_equal(read_log(path).position, block.position)
+
+
+@pytest.fixture
+def uneven() -> Log:
+    """Two stretches of a 1 Hz motion with a gap between them, unevenly sampled at about 500 Hz."""
+    rng = np.random.default_rng(2)
+    t = np.cumsum(rng.uniform(0.001, 0.003, 2000))
+    t[1000:] += 0.5
+    t -= t[0]
+    q = np.sin(2 * np.pi * t)[:, None] * [1.0, 2.0]
+    planned = q.copy()
+    planned[:300] = np.nan
+    return Log(
+        path=Path("uneven.mcap"),
+        joint_names=("a", "b"),
+        t=t,
+        position=q,
+        velocity=None,
+        effort=np.sign(q),
+        reference_position=q,
+        planned_position=planned,
+        sample_rate=500.0,
+        stamp=7.0,
+        segments=((0, 1000), (1000, 2000)),
+        cycle_starts=(0.0, 1.0),
+        metadata={"robot": "arm", "motion": "test"},
+    )
+
+
+def test_a_log_in_memory_needs_a_folder(uneven, tmp_path):
+    (tmp_path / "file").touch()
+    for folder, reason in (("missing", "No such file or directory"), ("file", "Not a directory")):
+        with pytest.raises(RecordingError, match=rf"{folder}/copy.mcap: the log cannot be written: {reason}"):
+            write_log(tmp_path / folder / "copy.mcap", uneven)
+
+
+def test_a_log_in_memory_goes_to_a_file_and_back(uneven, tmp_path):
+    path = tmp_path / "copy.mcap"
+    write_log(path, uneven)
+    write_log(path, uneven)  # replaces it
+    log = read_log(path)
+    for name in ("position", "effort", "reference_position", "planned_position"):
+        np.testing.assert_array_equal(getattr(log, name), getattr(uneven, name))
+    np.testing.assert_allclose(log.t, uneven.t, atol=2e-9)
+    assert log.velocity is None
+    assert log.stamp == 7.0
+    assert log.segments == uneven.segments
+    np.testing.assert_allclose(log.cycle_starts, uneven.cycle_starts, atol=1e-9)
+    assert [p.name for p in tmp_path.iterdir()] == ["copy.mcap"]

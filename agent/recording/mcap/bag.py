@@ -1,8 +1,7 @@
 """Bags of ROS: a folder with its `metadata.yaml`, sqlite3 files, ROS 1 bags, and files that are compressed as a whole.
 
 A row of the table `messages` is a CDR message of a row of `topics`, as a message of an MCAP file is one of its channel
-(rosbag2_storage_default_plugins, sqlite_storage.cpp). So rows become records of an MCAP file, and one reader decodes
-both.
+(rosbag2_storage_default_plugins, sqlite_storage.cpp), and one reader decodes both.
 """
 
 from __future__ import annotations
@@ -10,17 +9,15 @@ from __future__ import annotations
 import gzip
 import re
 import sqlite3
-import struct
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from tempfile import NamedTemporaryFile
-from typing import IO, Any
+from typing import IO, Any, Protocol
 from urllib.parse import quote
 
 import lz4.frame
 import zstandard
-from mcap.opcode import Opcode
 
 from agent.core import InputError, needed, read_yaml
 
@@ -36,17 +33,6 @@ _COMPRESSED: dict[bytes, Callable[[IO[bytes]], Any]] = {
 }
 _BLOCK = 2**20
 _NUMBERED = re.compile(r"(.+)_(\d+)\.(?:mcap|db3)(?:\.\w+)?")
-_JOINT_STATE = "sensor_msgs/msg/JointState"
-_RECORD = struct.Struct("<BQ")
-_MESSAGE = struct.Struct("<HIQQ")
-
-
-class CutOffError(Exception):
-    """A file ends before its content does; `missing` bytes."""
-
-    def __init__(self, missing: int):
-        super().__init__(f"{missing} bytes missing")
-        self.missing = missing
 
 
 def bag_files(folder: Path) -> list[Path]:
@@ -80,7 +66,7 @@ def bag_files(folder: Path) -> list[Path]:
 
 
 def too_much(path: Path, most: int) -> str:
-    """What to say of a file that unpacks to more than the `most` bytes that are allowed."""
+    """The text about a file that unpacks to more than the `most` bytes that are allowed."""
     times = most / max(path.stat().st_size, 1)
     return (
         f"{path}: unpacks to more than {times:.0f} times its size ({most >> 20} MiB), as no recording of a motion does"
@@ -116,40 +102,49 @@ def unpacked(path: Path) -> Iterator[tuple[IO[bytes], str]]:
             yield plain, plain.name
 
 
-def database_records(path: Path, file: str, types: tuple[str, ...]) -> Iterator[bytes]:
-    """The topics of a sqlite3 bag and the messages of those types, as MCAP records; `path` is named in messages.
+class _BagTaker(Protocol):
+    """Who takes the topics and messages of a bag; numbers are those of the bag."""
+
+    def channel(self, number: int, topic: str, kind: str, encoding: str) -> None: ...
+    def message(self, channel: int, data: bytes) -> None: ...
+
+
+def read_database(path: Path, file: str, messages: _BagTaker, types: tuple[str, ...]) -> int:
+    """Take the topics of a sqlite3 bag and the messages of those types; `path` is named in errors.
+
+    Returns:
+        Bytes that are missing at its end, where it is cut off after messages that can be read.
 
     Raises:
         InputError: no sqlite3 file, or none of a bag.
-        CutOffError: after the messages that can be read, where the file is cut off.
     """
     count = 0
     try:
-        connection = sqlite3.connect(f"file:{quote(str(Path(file).resolve()))}?mode=ro", uri=True)
-        try:
+        with closing(sqlite3.connect(f"file:{quote(str(Path(file).resolve()))}?mode=ro", uri=True)) as connection:
             connection.execute("PRAGMA writable_schema=ON")  # else a file that is cut off is not opened at all
             topics = connection.execute("SELECT id, name, type, serialization_format FROM topics").fetchall()
-            for number, name, kind, encoding in topics:
-                yield from _channel(number, name, kind, encoding)
+            for number, *about in topics:
+                messages.channel(number, *map(str, about))
             wanted = [number for number, _, kind, _ in topics if kind in types]
             marks = ",".join("?" * len(wanted))
             # in the order of the file, in which they were recorded: a sort would need all of it
-            rows = connection.execute(
-                f"SELECT topic_id, timestamp, data FROM messages WHERE topic_id IN ({marks})", wanted
-            )
-            for number, stamp, data in rows:
-                yield _record(Opcode.MESSAGE, _MESSAGE.pack(number, 0, stamp, stamp) + data)
+            for number, data in connection.execute(
+                f"SELECT topic_id, data FROM messages WHERE topic_id IN ({marks})", wanted
+            ):
+                messages.message(number, bytes(data))
                 count += 1
-        finally:
-            connection.close()
-    except (sqlite3.Error, struct.error, TypeError, AttributeError, UnicodeError) as error:
-        if count:
-            raise CutOffError(_missing(file)) from None
-        raise InputError(f"{path}: no sqlite3 bag of ROS 2, or a damaged one: {error}") from None
+    except (sqlite3.Error, TypeError, UnicodeError) as error:
+        if count == 0:
+            raise InputError(f"{path}: no sqlite3 bag of ROS 2, or a damaged one: {error}") from None
+        return _missing(file)
+    return 0
 
 
-def ros1_records(path: Path, file: str) -> Iterator[bytes]:
-    """The topics of a ROS 1 bag and its joint states, as MCAP records; `path` is named in messages.
+def read_ros1(path: Path, file: str, messages: _BagTaker, types: tuple[str, ...]) -> int:
+    """Take the topics of a ROS 1 bag and the messages of those types; `path` is named in errors.
+
+    Returns:
+        0: a bag that is cut off cannot be read.
 
     Raises:
         InputError: the library is not installed, or the bag was not closed or is damaged.
@@ -160,10 +155,10 @@ def ros1_records(path: Path, file: str) -> Iterator[bytes]:
     try:
         with bags.Reader(file) as reader:
             for connection in reader.connections:
-                yield from _channel(connection.id, connection.topic, connection.msgtype, "ros1")
-            wanted = [one for one in reader.connections if one.msgtype == _JOINT_STATE]
-            for connection, stamp, raw in reader.messages(wanted) if wanted else ():
-                yield _record(Opcode.MESSAGE, _MESSAGE.pack(connection.id, 0, stamp, stamp) + raw)
+                messages.channel(connection.id, connection.topic, connection.msgtype, "ros1")
+            wanted = [one for one in reader.connections if one.msgtype in types]
+            for connection, _, raw in reader.messages(wanted) if wanted else ():
+                messages.message(connection.id, bytes(raw))
     except InputError:
         raise
     except Exception as error:  # rosbags raises whatever a damaged file leads it to
@@ -171,6 +166,7 @@ def ros1_records(path: Path, file: str) -> Iterator[bytes]:
             f"{path}: a ROS 1 bag that was not closed by its recorder, or a damaged one ({error}): rosbag reindex "
             f"{path.name}"
         ) from None
+    return 0
 
 
 def _missing(file: str) -> int:
@@ -180,16 +176,3 @@ def _missing(file: str) -> int:
         size = database.seek(0, 2)
     page = int.from_bytes(head[16:18], "big")
     return max(0, (65536 if page == 1 else page) * int.from_bytes(head[28:32], "big") - size)
-
-
-def _channel(number: int, name: str, kind: str, encoding: str) -> Iterator[bytes]:
-    yield _record(Opcode.SCHEMA, struct.pack("<H", number) + _texts(kind, "ros2msg", ""))
-    yield _record(Opcode.CHANNEL, struct.pack("<HH", number, number) + _texts(name, encoding, ""))
-
-
-def _record(opcode: Opcode, body: bytes) -> bytes:
-    return _RECORD.pack(opcode, len(body)) + body
-
-
-def _texts(*texts: str) -> bytes:
-    return b"".join(struct.pack("<I", len(text.encode())) + text.encode() for text in texts)

@@ -1,12 +1,13 @@
-"""`sensor_msgs/msg/JointState` in CDR, many messages at a time.
+"""`sensor_msgs/msg/JointState`, many messages at a time.
 
-As long as names and array lengths stay the same, every number of a message lies at the same offset. So one message is
-parsed for its layout, and all others of that layout are read and written as columns of a byte array (K, L).
+As long as names and array lengths stay the same, every number of a message lies at the same offset. One message is
+parsed for its layout; all others of that layout are read and written as columns of a byte array (K, L).
 
-CDR (OMG DDSI-RTPS 2.3, 10): 4 bytes of encapsulation (second byte 1: little endian), then the fields, each aligned to
-its own size counted from the end of those 4 bytes; a string is a uint32 length, its bytes and a NUL; a sequence is a
-uint32 length and its elements. JointState is a header (stamp int32 + uint32, frame_id), names and three sequences of
-float64, each as long as the names or empty.
+CDR (OMG DDSI-RTPS 2.3, 10) begins with 4 bytes of encapsulation (second byte 1: little endian). Each field is aligned
+to its own size, counted from the end of those bytes. A string is a uint32 length, its bytes and a NUL; a sequence is a
+uint32 length and its elements. JointState is a header (stamp int32 + uint32, frame_id), names, and three sequences of
+float64, each as long as the names or empty. ROS 1 has a sequence number in the place of the encapsulation, packs the
+same fields without alignment, little endian, and ends no string with a NUL.
 """
 
 from __future__ import annotations
@@ -33,8 +34,7 @@ MSG: builtin_interfaces/Time
 int32 sec
 uint32 nanosec
 """
-_STAMP = 4
-_AFTER_STAMP = 12
+_STAMP = slice(4, 12)
 _NANO = 1_000_000_000
 
 
@@ -66,8 +66,7 @@ class JointStateLayout:
 
     def stamps(self, messages: np.ndarray) -> np.ndarray:
         """(K,) header stamps [ns] of messages (K, L)."""
-        raw = np.ascontiguousarray(messages[:, _STAMP:_AFTER_STAMP])
-        fields = raw.view(np.dtype([("sec", self.order + "i4"), ("nanosec", self.order + "u4")]))[:, 0]
+        fields = np.ascontiguousarray(messages[:, _STAMP]).view(self._stamp_type)[:, 0]
         return fields["sec"].astype(np.int64) * _NANO + fields["nanosec"]
 
     def array(self, messages: np.ndarray, index: int) -> np.ndarray | None:
@@ -78,118 +77,86 @@ class JointStateLayout:
         raw = np.ascontiguousarray(messages[:, offset : offset + 8 * length])
         return raw.view(self.order + "f8").astype(float, copy=False)
 
-    def fill(self, messages: np.ndarray, stamps: np.ndarray, arrays: Sequence[np.ndarray | None]) -> None:
-        """Write K messages into the bytes (K, L): stamps (K,) [ns] and the arrays (K, n) that the layout has."""
-        messages[:] = self.template
-        fields = np.empty(len(stamps), dtype=[("sec", self.order + "i4"), ("nanosec", self.order + "u4")])
+    def filled(self, stamps: np.ndarray, arrays: Sequence[np.ndarray | None]) -> np.ndarray:
+        """(K, L) bytes of messages with stamps (K,) [ns] and the arrays (K, n) that the layout has."""
+        messages = np.tile(self.template, (len(stamps), 1))
+        fields = np.empty(len(stamps), self._stamp_type)
         fields["sec"], fields["nanosec"] = np.divmod(stamps, _NANO)
-        messages[:, _STAMP:_AFTER_STAMP] = fields.view(np.uint8).reshape(len(stamps), 8)
+        messages[:, _STAMP] = fields.view(np.uint8).reshape(len(stamps), 8)
         for (offset, length), values in zip(self.arrays, arrays, strict=True):
             if length:
                 numbers = np.ascontiguousarray(values, dtype=self.order + "f8")
                 messages[:, offset : offset + 8 * length] = numbers.view(np.uint8)
+        return messages
+
+    @property
+    def _stamp_type(self) -> np.dtype:
+        return np.dtype([("sec", self.order + "i4"), ("nanosec", self.order + "u4")])
 
 
 def layout_for(
     names: Sequence[str], velocity: bool = True, effort: bool = True, position: bool = True
 ) -> JointStateLayout:
-    """The layout of messages with these names, an empty frame_id, and position, velocity and effort or not."""
-    data = bytearray(b"\x00\x01\x00\x00" + bytes(8))
-    data += struct.pack("<I", 1) + b"\0"
-    data += bytes(-len(data) % 4) + struct.pack("<I", len(names))
-    for name in names:
-        text = name.encode() + b"\0"
-        data += bytes(-len(data) % 4) + struct.pack("<I", len(text)) + text
+    """The CDR layout of messages with these names, an empty frame_id, and position, velocity and effort or not."""
+    data = bytearray(b"\x00\x01\x00\x00" + bytes(8) + struct.pack("<I", 1) + b"\0")
+
+    def add_length(length: int) -> None:
+        data.extend(bytes(-len(data) % 4) + struct.pack("<I", length))
+
+    add_length(len(names))
+    for text in (name.encode() + b"\0" for name in names):
+        add_length(len(text))
+        data.extend(text)
     for present in (position, velocity, effort):
-        data += bytes(-len(data) % 4) + struct.pack("<I", len(names) if present else 0)
+        add_length(len(names) if present else 0)
         if present:
-            data += bytes((4 - len(data)) % 8) + bytes(8 * len(names))
+            data.extend(bytes((4 - len(data)) % 8) + bytes(8 * len(names)))
     return parse_layout(bytes(data))
 
 
-def parse_layout(message: bytes) -> JointStateLayout:
-    """The layout of one message.
+def parse_layout(message: bytes, ros1: bool = False) -> JointStateLayout:
+    """The layout of one message, in CDR or in the serialisation of ROS 1.
 
     Raises:
-        ValueError: not a JointState in plain CDR.
+        ValueError: not a JointState in this serialisation.
     """
-    if len(message) < _AFTER_STAMP or message[0] != 0 or message[1] > 1:
+    if len(message) < _STAMP.stop or not (ros1 or (message[0] == 0 and message[1] <= 1)):
         raise ValueError("not plain CDR")
-    cursor = _Cursor(message)
-    cursor.text()
-    names = tuple(cursor.text() for _ in range(cursor.length()))
-    position, velocity, effort = (cursor.numbers() for _ in range(3))
-    return JointStateLayout(
-        names=names,
-        template=np.frombuffer(message, np.uint8),
-        structure=np.frombuffer(bytes(cursor.structure), np.uint8),
-        arrays=(position, velocity, effort),
-        order=cursor.order,
-    )
+    order = "<" if ros1 or message[1] else ">"
+    structure = np.zeros(len(message), np.uint8)
+    structure[:2] = 0 if ros1 else 255
+    at = _STAMP.stop
 
-
-def from_ros1(message: bytes) -> bytes:
-    """The CDR of a message in the serialisation of ROS 1: packed, little endian, with a sequence number in its header.
-
-    Raises:
-        ValueError: not a JointState.
-    """
-    at = 12
-
-    def taken(size: int) -> bytes:
+    def take(size: int) -> slice:
         nonlocal at
-        part, at = message[at : at + size], at + size
-        if len(part) < size:
+        part = slice(at, at + size)
+        if part.stop > len(message):
             raise ValueError("the message ends within a field")
+        at = part.stop
         return part
 
-    def count() -> int:
-        return int.from_bytes(taken(4), "little")
+    def align(size: int) -> None:
+        nonlocal at
+        at += 0 if ros1 else (4 - at) % size
 
-    taken(count())  # frame_id
-    names = [taken(count()).decode() for _ in range(count())]
-    arrays = [np.frombuffer(taken(8 * count()), "<f8") for _ in range(3)]
-    data = bytearray(b"\x00\x01\x00\x00" + message[4:12] + struct.pack("<I", 1) + b"\0")
-    data += bytes(-len(data) % 4) + struct.pack("<I", len(names))
-    for text in (name.encode() + b"\0" for name in names):
-        data += bytes(-len(data) % 4) + struct.pack("<I", len(text)) + text
-    for values in arrays:
-        data += bytes(-len(data) % 4) + struct.pack("<I", len(values))
-        data += (bytes((4 - len(data)) % 8) if len(values) else b"") + values.tobytes()
-    return bytes(data)
+    def length() -> int:
+        align(4)
+        part = take(4)
+        structure[part] = 255
+        return int.from_bytes(message[part], "little" if order == "<" else "big")
 
+    def text() -> str:
+        part = take(length())
+        structure[part] = 255
+        return message[part].rstrip(b"\0").decode()
 
-class _Cursor:
-    """Walks over a message and marks the bytes that make up its structure."""
+    def numbers() -> tuple[int, int]:
+        count = length()
+        if count:
+            align(8)
+        return take(8 * count).start, count
 
-    def __init__(self, message: bytes):
-        self.message = message
-        self.order = "<" if message[1] else ">"
-        self.structure = bytearray(len(message))
-        self.structure[:2] = b"\xff\xff"
-        self._at = _AFTER_STAMP
-
-    def length(self) -> int:
-        self._at += -self._at % 4
-        raw = self._take(4, structure=True)
-        return int.from_bytes(raw, "little" if self.order == "<" else "big")
-
-    def text(self) -> str:
-        return self._take(self.length(), structure=True).rstrip(b"\0").decode()
-
-    def numbers(self) -> tuple[int, int]:
-        length = self.length()
-        if length:
-            self._at += (4 - self._at) % 8
-        offset = self._at
-        self._take(8 * length, structure=False)
-        return offset, length
-
-    def _take(self, size: int, structure: bool) -> bytes:
-        start, stop = self._at, self._at + size
-        if stop > len(self.message):
-            raise ValueError("the message ends within a field")
-        if structure:
-            self.structure[start:stop] = b"\xff" * size
-        self._at = stop
-        return self.message[start:stop]
+    text()
+    names = tuple(text() for _ in range(length()))
+    arrays = (numbers(), numbers(), numbers())
+    return JointStateLayout(names, np.frombuffer(message, np.uint8), structure, arrays, order)

@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 import json
+import os
 import struct
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from contextlib import suppress
 from pathlib import Path
-from typing import Any, Protocol
+from typing import IO, Any, cast
 
 import numpy as np
+from mcap.data_stream import RecordBuilder
+from mcap.records import Channel, McapRecord, Metadata, Schema
+from mcap.writer import Writer
 
-from agent.core import package_version, written_whole
+from agent.core import AgentError, InputError, package_version, written_whole
 from agent.recording.log import Log
-from agent.recording.mcap.foxglove import FOXGLOVE_LAYOUT as LAYOUT_NAME, foxglove_layout
+from agent.recording.mcap.foxglove import FOXGLOVE_LAYOUT, foxglove_layout
 from agent.recording.mcap.joint_state import SCHEMA_NAME, SCHEMA_TEXT, JointStateLayout, layout_for
-from agent.recording.mcap.output import CHUNK_SIZE, MESSAGE_HEAD, McapOutput, RecordingError
 from agent.recording.repair.sequence import SequenceCheck
+from drivers.protocol import SampleBlock
 
 STATES = "/joint_states"
 REFERENCES = "/joint_references"
@@ -28,40 +32,37 @@ STATUS = "/controller_status"
 RUN = "run"
 #: Longest stretch of data, and of waiting, that a killed process may lose [s]; the contract allows one second.
 FLUSH_INTERVAL = 0.5
+#: Uncompressed size at which a chunk is closed [bytes]: 64 KiB, less the message that comes on top.
+_CHUNK_SIZE = 60 * 1024
+_ROWS = 1000  # samples encoded at a time
 _NANO = 1_000_000_000
 
 
-class LoggedSamples(Protocol):
-    """K samples of n joints, as a driver delivers them: (K,) and (K, n) arrays; None where there are no values.
+class RecordingError(AgentError):
+    """A log cannot be written: disk full, read-only, too slow or no rights; `reason` is the system's. What was written
+    before stays readable."""
 
-    `current` (K, n) of the motors [A]; `received` is the receive time [s], 0 where the driver has none.
-    """
+    def __init__(
+        self,
+        path: Path,
+        reason: str | None,
+        kept: int = 0,
+        advice: str = "free space, or choose a folder with write permission",
+    ):
+        what = f"; {kept} bytes recorded before are in the file and readable" if kept else ""
+        super().__init__(f"{path}: the log cannot be written: {reason}; {advice}{what}")
+        self.reason = reason
 
-    @property
-    def sequence(self) -> np.ndarray: ...
-    @property
-    def time(self) -> np.ndarray: ...
-    @property
-    def position(self) -> np.ndarray: ...
-    @property
-    def velocity(self) -> np.ndarray | None: ...
-    @property
-    def torque(self) -> np.ndarray | None: ...
-    @property
-    def reference_position(self) -> np.ndarray | None: ...
-    @property
-    def reference_velocity(self) -> np.ndarray | None: ...
-    @property
-    def received(self) -> float: ...
-    @property
-    def current(self) -> np.ndarray | None: ...
+
+_Arrays = tuple[np.ndarray | None, np.ndarray | None, np.ndarray | None]  # position, velocity, effort: (K, n) each
 
 
 class LogFile:
     """Writes one log. The file is readable, up to the last flush, at any moment of its life.
 
     The record `run` is written at the start, for whoever reads the log of a killed writer, and again, with what is
-    known only then, at the end; the index at the file's end names the last one.
+    known only then, at the end; the index at the file's end names the last one. Schemas and channels also stand outside
+    the chunks, so that a damaged chunk takes no definitions with it.
 
     Args:
         joint_names: as in the robot description.
@@ -91,16 +92,18 @@ class LogFile:
         self._run = {"robot": robot, "motion": motion, **(facts or {})}
         if sample_rate is not None:
             self._run["sample_rate_hz"] = f"{sample_rate:.12g}"
-        self._layouts: dict[tuple[bool, bool, bool], JointStateLayout] = {}
+        self._layouts: dict[tuple[bool, ...], JointStateLayout] = {}
+        self._schemas: dict[str, int] = {}
         self._channels: dict[str, int] = {}
         self._first: int | None = None
         self._flushed = 0
         self._receive_offset = 0
         self._cycle_starts: list[float] = []
-        self._out = McapOutput(path, "ros2", f"calibration-agent {package_version()}")
-        self._schema = self._out.add_schema(SCHEMA_NAME, "ros2msg", SCHEMA_TEXT)
+        self._file = _KeptFile(path)
+        self._writer = Writer(cast(IO[bytes], self._file), chunk_size=_CHUNK_SIZE)
+        self._writer.start("ros2", f"calibration-agent {package_version()}")
         self._channel(STATES)
-        self._out.add_metadata(RUN, self._run, indexed=False)
+        self._file.write(_record(Metadata(RUN, self._run)))
 
     @property
     def lost(self) -> int:
@@ -112,7 +115,7 @@ class LogFile:
         """Samples that came again and were left out."""
         return self._sequence.repeated
 
-    def write(self, samples: LoggedSamples) -> None:
+    def write(self, samples: SampleBlock) -> None:
         """Add measured samples and, where there are any, the set-points of the controller."""
         lost = self.lost
         keep = self._sequence.take(samples.sequence, samples.time)
@@ -120,17 +123,16 @@ class LogFile:
         if len(stamps) == 0:
             return
         if self._first is None:
-            self._first = self._flushed = int(stamps[0])
+            self._flushed = int(stamps[0])
         received = int((samples.received or self._clock()) * _NANO)
         self._receive_offset = received - int(stamps[-1])
-        states = (samples.position, samples.velocity, samples.torque)
-        topics = [(STATES, [None if values is None else np.asarray(values)[keep] for values in states])]
+        topics: dict[str, _Arrays] = {STATES: (samples.position, samples.velocity, samples.torque)}
         if samples.reference_position is not None:
-            references = (samples.reference_position, samples.reference_velocity, None)
-            topics.append((REFERENCES, [None if values is None else np.asarray(values)[keep] for values in references]))
+            topics[REFERENCES] = (samples.reference_position, samples.reference_velocity, None)
         if samples.current is not None:
-            topics.append((CURRENTS, [None, None, np.asarray(samples.current)[keep]]))
-        self._append(topics, stamps, np.full(len(stamps), received), np.asarray(samples.sequence)[keep])
+            topics[CURRENTS] = (None, None, samples.current)
+        kept = {topic: tuple(_rows(values, keep) for values in arrays) for topic, arrays in topics.items()}
+        self._append(kept, stamps, np.full(len(stamps), received), np.asarray(samples.sequence)[keep])
         if self.lost > lost:
             self.event(f"{self.lost - lost} samples lost up to controller time {stamps[-1] / _NANO:.6f} s")
         if abs(int(stamps[-1]) - self._flushed) >= FLUSH_INTERVAL * _NANO:
@@ -147,8 +149,9 @@ class LogFile:
     ) -> None:
         """Add joint states of any kind, set-points too, for controller times (K,) [s]: (K, n) each."""
         stamps = nanoseconds(times)
-        arrays = [None if values is None else np.asarray(values) for values in (position, velocity, effort)]
-        self._append([(topic, arrays)], stamps, stamps + self._receive_offset, np.arange(len(stamps)))
+        self._append(
+            {topic: (position, velocity, effort)}, stamps, stamps + self._receive_offset, np.arange(len(stamps))
+        )
 
     def cycle_start(self, time: float) -> None:
         """Note a controller time [s] at which the motion begins anew."""
@@ -165,18 +168,14 @@ class LogFile:
     def event(self, text: str) -> None:
         """Note what happened, on /controller_status at the receive time."""
         data = text.encode() + b"\0"
-        message = np.frombuffer(b"\x00\x01\x00\x00" + struct.pack("<I", len(data)) + data, np.uint8)
-        now = np.array([int(self._clock() * _NANO)])
-
-        def fill(rows: np.ndarray) -> None:
-            rows[:] = message
-
-        self._out.add_messages(self._channel(STATUS), now, np.zeros(1), len(message), fill)
+        now = int(self._clock() * _NANO)
+        channel = self._channel(STATUS, "std_msgs/msg/String", "string data\n")
+        self._writer.add_message(channel, now, b"\x00\x01\x00\x00" + struct.pack("<I", len(data)) + data, now)
 
     def flush(self) -> None:
         """Hand over to the operating system what is still in memory, and see that the file is still there."""
-        self._out.flush()
-        self._out.check_kept()
+        self._writer.flush()
+        self._file.check_kept()
 
     def finish(self, padding: int = 0) -> None:
         """Write the final record `run`, bytes of padding if asked for, and the index, and wait for the disk."""
@@ -185,57 +184,134 @@ class LogFile:
             first = (self._first or 0) / _NANO
             run["cycle_starts_s"] = json.dumps([round(start - first, 9) for start in self._cycle_starts])
         run["lost_samples"], run["repeated_samples"] = str(self.lost), str(self.repeated)
-        self._out.add_metadata(RUN, run)
-        self._out.add_attachment(LAYOUT_NAME, "application/json", foxglove_layout(self._names).encode())
+        self._writer.add_metadata(RUN, run)
+        layout = foxglove_layout(self._names).encode()
+        self._writer.add_attachment(0, 0, FOXGLOVE_LAYOUT, "application/json", layout)
         if padding:
-            self._out.add_attachment("padding", "application/octet-stream", bytes(padding))
-        self._out.finish()
-        self._out.sync()
-        self._out.check_kept()
+            self._writer.add_attachment(0, 0, "padding", "application/octet-stream", bytes(padding))
+        self._writer.finish()
+        self._file.sync()
+        self._file.check_kept()
 
     def close(self) -> None:
-        """Let go of the file, finished or not."""
-        self._out.close()
+        """Close the file, finished or not."""
+        self._file.close()
 
     def _append(
         self,
-        topics: list[tuple[str, list[np.ndarray | None]]],
+        topics: Mapping[str, Sequence[np.ndarray | None]],
         stamps: np.ndarray,
         log_times: np.ndarray,
         sequences: np.ndarray,
     ) -> None:
-        layouts = [self._layout(arrays) for _, arrays in topics]
-        size = sum(MESSAGE_HEAD + len(layout.template) for layout in layouts)
-        start = 0
-        while start < len(stamps):
-            room = max(1, (self._out.room if self._out.room >= size else CHUNK_SIZE) // size)
-            part = slice(start, start + room)
-            for (topic, arrays), layout in zip(topics, layouts, strict=True):
-                rows = [None if values is None else values[part] for values in arrays]
+        if STATES in topics and self._first is None and len(stamps):
+            self._first = int(stamps[0])
+        numbers = (np.asarray(sequences, np.int64) & 0xFFFFFFFF).tolist()
+        times = np.maximum(log_times, 0).tolist()
+        for start in range(0, len(stamps), _ROWS):
+            part = slice(start, start + _ROWS)
+            for topic, arrays in topics.items():
+                channel = self._channel(topic)
+                rows = self._layout(arrays).filled(stamps[part], [_rows(values, part) for values in arrays])
+                for row, log_time, number in zip(rows, times[part], numbers[part], strict=True):
+                    self._writer.add_message(channel, log_time, row.tobytes(), log_time, number)
 
-                def fill(
-                    messages: np.ndarray, layout: JointStateLayout = layout, rows: list[np.ndarray | None] = rows
-                ) -> None:
-                    layout.fill(messages, stamps[part], rows)  # noqa: B023  called before `part` moves on
-
-                self._out.add_messages(
-                    self._channel(topic), log_times[part], sequences[part], len(layout.template), fill
-                )
-            start += room
-
-    def _layout(self, arrays: list[np.ndarray | None]) -> JointStateLayout:
-        key = (arrays[1] is not None, arrays[2] is not None, arrays[0] is not None)
+    def _layout(self, arrays: Sequence[np.ndarray | None]) -> JointStateLayout:
+        position, velocity, effort = key = tuple(values is not None for values in arrays)
         if key not in self._layouts:
-            self._layouts[key] = layout_for(self._names, *key)
+            self._layouts[key] = layout_for(self._names, velocity, effort, position)
         return self._layouts[key]
 
-    def _channel(self, topic: str) -> int:
+    def _channel(self, topic: str, kind: str = SCHEMA_NAME, text: str = SCHEMA_TEXT) -> int:
         if topic not in self._channels:
-            schema = self._schema
-            if topic == STATUS:
-                schema = self._out.add_schema("std_msgs/msg/String", "ros2msg", "string data\n")
-            self._channels[topic] = self._out.add_channel(topic, "cdr", schema)
+            if kind not in self._schemas:
+                self._schemas[kind] = self._writer.register_schema(kind, "ros2msg", text.encode())
+                self._file.write(_record(Schema(self._schemas[kind], text.encode(), "ros2msg", kind)))
+            schema = self._schemas[kind]
+            self._channels[topic] = self._writer.register_channel(topic, "cdr", schema)
+            self._file.write(_record(Channel(self._channels[topic], topic, "cdr", {}, schema)))
         return self._channels[topic]
+
+
+class _KeptFile:
+    """A file that only grows, by whole records; whoever deletes, replaces or truncates it is noticed.
+
+    Every write goes to the operating system at once.
+    """
+
+    def __init__(self, path: Path):
+        self._path = path
+        self._end = 0
+        try:
+            # At the end of the file, wherever that is: else a file that was truncated grows to its size again.
+            self._file = open(path, "xb", buffering=0, opener=_appending)  # noqa: SIM115  closed by `close`
+        except FileExistsError:
+            raise InputError(f"{path}: exists already; a recording is never overwritten, name another file") from None
+        except OSError as error:
+            raise RecordingError(path, error.strerror) from None
+
+    def tell(self) -> int:
+        return self._end
+
+    def write(self, data: bytes) -> int:
+        rest = memoryview(data)
+        try:
+            while rest:
+                rest = rest[self._file.write(rest) :]
+        except OSError as error:
+            with suppress(OSError):  # else the reader meets half a record, which it can deal with
+                self._file.truncate(self._end)
+            raise RecordingError(self._path, error.strerror, self._end) from None
+        self._end += len(data)
+        return len(data)
+
+    def flush(self) -> None:
+        """Nothing waits in memory."""
+
+    def sync(self) -> None:
+        """Wait until the disk has everything: a power cut cannot lose it any more."""
+        try:
+            os.fsync(self._file.fileno())
+        except OSError as error:
+            raise RecordingError(self._path, error.strerror, self._end) from None
+
+    def check_kept(self) -> None:
+        """
+        Raises:
+            RecordingError: the file is not at its path any more, or shorter than what was written: somebody deleted,
+                replaced or truncated it, or its file system is gone. The system says nothing of that when it writes.
+        """
+        try:
+            here, there = os.fstat(self._file.fileno()), os.stat(self._path)
+        except OSError as error:
+            raise self._lost(error.strerror or str(error)) from None
+        if (here.st_dev, here.st_ino) != (there.st_dev, there.st_ino):
+            raise self._lost("another file is in its place")
+        if here.st_size != self._end:
+            raise self._lost(f"it has {here.st_size} bytes, and {self._end} were written")
+
+    def close(self) -> None:
+        self._file.close()
+
+    def _lost(self, how: str) -> RecordingError:
+        advice = "what was recorded of this motion is lost or damaged; record it again, where nobody touches the file"
+        return RecordingError(
+            self._path, f"it was deleted, replaced or changed while it was recorded ({how})", 0, advice
+        )
+
+
+def _appending(path: str, flags: int) -> int:
+    return os.open(path, flags | os.O_APPEND, 0o666)
+
+
+def _record(record: McapRecord) -> bytes:
+    builder = RecordBuilder()
+    record.write(builder)
+    return builder.end()
+
+
+def _rows(values: np.ndarray | None, which: np.ndarray | slice) -> np.ndarray | None:
+    return None if values is None else np.asarray(values)[which]
 
 
 def write_log(path: Path, log: Log, further: Mapping[str, Sequence[Any]] | None = None) -> None:
@@ -248,8 +324,8 @@ def write_log(path: Path, log: Log, further: Mapping[str, Sequence[Any]] | None 
         RecordingError: the file cannot be written.
     """
     try:
-        with written_whole(path) as beside:
-            _write_whole(beside, log, further or {})
+        with written_whole(path) as unfinished:
+            _write_whole(unfinished, log, further or {})
     except OSError as error:
         raise RecordingError(path, error.strerror) from None
     except RecordingError as error:
@@ -263,11 +339,11 @@ _OWN = ("robot", "motion", "sample_rate_hz", "cycle_starts_s")
 def _write_whole(path: Path, log: Log, further: Mapping[str, Sequence[Any]]) -> None:
     times = log.stamp + log.t
     run = log.metadata
-    robot, motion = run.get("robot", ""), run.get("motion", "")
     facts = {key: value for key, value in run.items() if key not in _OWN}
-    file = LogFile(path, log.joint_names, robot, motion, log.sample_rate, clock=lambda: times[0], facts=facts)
+    robot, motion = run.get("robot", ""), run.get("motion", "")
+    file = LogFile(path, log.joint_names, robot, motion, log.sample_rate, facts=facts)
     try:
-        file.write(_Block(np.arange(len(times)), times, log.position, log.velocity, log.effort))
+        file.write_states(STATES, times, log.position, log.velocity, log.effort)
         for topic, position in ((REFERENCES, log.reference_position), (PLANNED, log.planned_position)):
             if position is not None:
                 known = np.all(np.isfinite(position), axis=1)
@@ -279,21 +355,6 @@ def _write_whole(path: Path, log: Log, further: Mapping[str, Sequence[Any]]) -> 
         file.finish()
     finally:
         file.close()
-
-
-@dataclass(frozen=True, eq=False)
-class _Block:
-    """Samples that come from memory; arrays as in `LoggedSamples`."""
-
-    sequence: np.ndarray
-    time: np.ndarray
-    position: np.ndarray
-    velocity: np.ndarray | None
-    torque: np.ndarray | None
-    reference_position: np.ndarray | None = None
-    reference_velocity: np.ndarray | None = None
-    received: float = 0.0
-    current: np.ndarray | None = None
 
 
 def nanoseconds(times: np.ndarray) -> np.ndarray:

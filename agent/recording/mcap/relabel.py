@@ -23,7 +23,7 @@ def relabelled(source: Path, target: Path, start: float, facts: Mapping[str, str
     start : float
         Stamp [s] of the copy's first sample; receive times are the stamps.
     facts : Mapping
-        What the record `run` says besides robot, motion, rate and cycle starts.
+        Entries of the record `run` in addition to robot, motion, rate and cycle starts.
     padding : int
         Bytes of padding, which hide how well the samples compress.
 
@@ -46,7 +46,7 @@ def relabelled(source: Path, target: Path, start: float, facts: Mapping[str, str
                     times = start + (group.stamp - first) / _NANO
                     file.write_states(topic, times, group.position, group.velocity, group.effort)
             for cycle in json.loads(run.get("cycle_starts_s", "[]")):
-                file.cycle_start(cycle)
+                file.cycle_start(start + cycle)
             file.finish(padding)
         finally:
             file.close()

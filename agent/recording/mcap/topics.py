@@ -44,30 +44,19 @@ def choose_topics(
     if robot is None:
         return _without_robot(path, topics)
     chosen = _holding(topics, robot.joint_names)
-    if len(chosen) > 1 and len({name for topic in chosen for name in _names(topics[topic])}) < sum(
-        len(_names(topics[topic])) for topic in chosen
-    ):
-        one_arm = all(set(robot.joint_names) <= _names(topics[topic]) for topic in chosen)
+    if not chosen:
+        raise InputError(f"{path}: {_of_another_robot(topics, robot, named)}")
+    names = [name for topic in chosen for name in _names(topics[topic])]
+    if len(chosen) > 1 and len(set(names)) < len(names):
+        one_arm = all(set(robot.joint_names) <= set(_names(topics[topic])) for topic in chosen)
         what = "hold the joints of the robot" if one_arm else "hold joints of the same names"
         raise InputError(f"{path}: several topics {what}: {_listed(topics)}. Say which with --topic")
-    if not chosen:
-        _refuse_other_robot(path, topics, robot, named)
-    left = [topic for topic in topics if topic not in chosen]
-    repairs = [
-        Repair(f"messages of another topic, left out: {_listed({topic: topics[topic]})}", 0.0, _count(topics[topic]))
-        for topic in left
-    ]
+    repairs = []
+    for topic, groups in topics.items():
+        if topic not in chosen:
+            kind = f"messages of another topic, left out: {_listed({topic: groups})}"
+            repairs.append(Repair(kind, 0.0, sum(len(group.stamp) for group in groups)))
     return ChosenTopics(tuple(chosen), robot.joint_names, tuple(repairs))
-
-
-def _may_be_states(topic: str, groups: Sequence[Messages], robot: RobotDescription | None) -> bool:
-    """Whether a topic may hold measured states: by its name, or of the robot's joints with torque."""
-    if topic.endswith(_OTHERS):
-        return False
-    if topic.endswith(_USUAL):
-        return True
-    joints = () if robot is None else robot.joint_names
-    return any(set(joints) & set(group.layout.names) and group.effort is not None for group in groups)
 
 
 def joint_names(path: Path, found: Scan, wanted: str | None) -> tuple[str, ...]:
@@ -77,7 +66,7 @@ def joint_names(path: Path, found: Scan, wanted: str | None) -> tuple[str, ...]:
         InputError: there is no such topic.
     """
     topics = _candidates(path, found, None, wanted)
-    return tuple(dict.fromkeys(name for groups in topics.values() for name in _in_order(groups)))
+    return tuple(dict.fromkeys(name for groups in topics.values() for name in _names(groups)))
 
 
 def _candidates(
@@ -85,12 +74,19 @@ def _candidates(
 ) -> dict[str, list[Messages]]:
     """Topics that may hold the measured states, or the one that is wanted."""
     groups = {topic: found.topics[topic] for topic in sorted(found.topics) if found.topics[topic]}
-    topics = {topic: messages for topic, messages in groups.items() if _may_be_states(topic, messages, robot)}
     if wanted is not None:
         name = next((topic for topic in groups if topic.strip("/") == wanted.strip("/")), None)
         if name is None:
             raise InputError(f"{path}: no joint states on the topic {wanted}; it has {_listed(groups) or 'none'}")
         return {name: groups[name]}
+    joints = set() if robot is None else set(robot.joint_names)
+
+    def may_be_states(topic: str) -> bool:
+        """By its name, or of the robot's joints with torque."""
+        own = any(joints & set(group.layout.names) and group.effort is not None for group in groups[topic])
+        return not topic.endswith(_OTHERS) and (topic.endswith(_USUAL) or own)
+
+    topics = {topic: groups[topic] for topic in groups if may_be_states(topic)}
     if not topics:
         raise InputError(f"{path}: {_no_joint_states(found, groups)}")
     return topics
@@ -125,30 +121,25 @@ def _holding(topics: dict[str, list[Messages]], joints: Sequence[str]) -> list[s
     the only one with torques."""
     wanted = set(joints)
     whole = [t for t, groups in topics.items() if any(wanted <= set(group.layout.names) for group in groups)]
-    whole = whole or [topic for topic, groups in topics.items() if wanted <= _names(groups)]
-    if len(whole) > 1:
-        with_torque = [topic for topic in whole if any(group.effort is not None for group in topics[topic])]
-        return with_torque if len(with_torque) == 1 else whole
-    if whole:
-        return whole
-    parts = [topic for topic, groups in topics.items() if wanted & _names(groups)]
-    together = {name for topic in parts for name in _names(topics[topic])}
-    return parts if wanted <= together else []
+    whole = whole or [topic for topic, groups in topics.items() if wanted <= set(_names(groups))]
+    if not whole:
+        parts = [topic for topic, groups in topics.items() if wanted & set(_names(groups))]
+        return parts if wanted <= {name for topic in parts for name in _names(topics[topic])} else []
+    with_torque = [topic for topic in whole if any(group.effort is not None for group in topics[topic])]
+    return with_torque if len(with_torque) == 1 else whole
 
 
-def _refuse_other_robot(
-    path: Path, topics: dict[str, list[Messages]], robot: RobotDescription, named: str | None
-) -> None:
+def _of_another_robot(topics: dict[str, list[Messages]], robot: RobotDescription, named: str | None) -> str:
     known = {name for groups in topics.values() for name in _names(groups)}
     missing = ", ".join(name for name in robot.joint_names if name not in known)
     of = f"of robot {named!r}, " if named else ""
-    joints = _listed(topics) if len(topics) > 1 else ", ".join(_in_order(next(iter(topics.values()))))
+    joints = _listed(topics) if len(topics) > 1 else ", ".join(_names(next(iter(topics.values()))))
     prefixes = _prefixes(known, robot.joint_names)
     advice = "Name the robot description that belongs to the log"
     if prefixes:
         advice = f"Its names begin with {' or '.join(prefixes)}: give the joints of one arm these names in robot.yaml"
-    raise InputError(
-        f"{path}: the log is {of}not of robot {robot.name!r}: {missing} missing, its joints are "
+    return (
+        f"the log is {of}not of robot {robot.name!r}: {missing} missing, its joints are "
         f"{joints or 'without names'}. {advice}"
     )
 
@@ -159,20 +150,13 @@ def _prefixes(known: set[str], joints: Sequence[str]) -> list[str]:
     return sorted(prefix for prefix in found if all(prefix + joint in known for joint in joints))
 
 
-def _names(groups: Sequence[Messages]) -> set[str]:
-    return set(_in_order(groups))
-
-
-def _in_order(groups: Sequence[Messages]) -> list[str]:
+def _names(groups: Sequence[Messages]) -> list[str]:
+    """Each once, in the order of the messages."""
     return list(dict.fromkeys(name for group in groups for name in group.layout.names))
 
 
-def _count(groups: Sequence[Messages]) -> int:
-    return sum(len(group.stamp) for group in groups)
-
-
 def _listed(topics: dict[str, list[Messages]]) -> str:
-    return "; ".join(f"{topic} ({', '.join(_in_order(groups)) or 'no names'})" for topic, groups in topics.items())
+    return "; ".join(f"{topic} ({', '.join(_names(groups)) or 'no names'})" for topic, groups in topics.items())
 
 
 def _no_joint_states(found: Scan, groups: dict[str, list[Messages]]) -> str:

@@ -1,24 +1,25 @@
-"""Recording beside the link: the disk may be slow, the link never waits for it."""
+"""Recording next to the link: the disk may be slow, the link never waits for it."""
 
 from __future__ import annotations
 
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from queue import Empty, SimpleQueue
 from types import TracebackType
+from typing import Any
 
 import numpy as np
 
-from agent.recording.mcap.log_file import FLUSH_INTERVAL, PLANNED, TEMPERATURES, LogFile, LoggedSamples
-from agent.recording.mcap.output import RecordingError
+from agent.recording.mcap.log_file import FLUSH_INTERVAL, PLANNED, TEMPERATURES, LogFile, RecordingError
+from drivers.protocol import SampleBlock
 
-#: What may wait in memory for a slow disk [bytes]: half an hour of six joints at 500 Hz.
+#: Limit of what waits in memory for a slow disk [bytes]: half an hour of six joints at 500 Hz.
 BACKLOG_LIMIT = 256 * 2**20
-#: So long a disk may take nothing while a motion is recorded [s]; what waits would be lost with the process.
+#: Longest time a disk may take nothing while a motion is recorded [s]; what waits would be lost with the process.
 STALL_LIMIT = 10.0
-#: How long a closed log may wait for a disk that takes nothing at all [s].
+#: Longest time a closed log may wait for a disk that takes nothing at all [s].
 CLOSE_LIMIT = 60.0
 
 
@@ -34,12 +35,9 @@ class LogWriter:
     Args:
         path: file to write; it must not exist.
         joint_names: as in the robot description.
-        robot, motion: of the record `run`.
-        sample_rate: nominal [Hz].
-        clock: receive time [s], for blocks that come without one.
         backlog_limit: [bytes].
         stall_limit: [s].
-        facts: what else the record `run` says.
+        robot, motion, sample_rate, clock, facts: as in `LogFile`.
 
     Raises:
         InputError: the file exists.
@@ -64,13 +62,12 @@ class LogWriter:
         self._file = LogFile(self.path, joint_names, robot, motion, sample_rate, clock, facts)
         self._limit = backlog_limit
         self._stall_limit = stall_limit
-        self._jobs: deque[tuple[int, Callable[[], None]]] = deque()
-        self._backlog = 0
+        self._jobs: SimpleQueue[tuple[int, Callable[[], Any]] | None] = SimpleQueue()
+        self._handed = self._done = 0  # bytes
+        self._steps = 0
         self._busy_since: float | None = None
-        self._done = 0
         self._failure: BaseException | None = None
         self._closing = False
-        self._changed = threading.Condition()
         self._thread = threading.Thread(target=self._work, name=f"log {self.path.name}", daemon=True)
         self._thread.start()
 
@@ -87,15 +84,22 @@ class LogWriter:
     @property
     def backlog(self) -> int:
         """Bytes that were handed over and have not gone through the writer yet."""
-        return self._backlog
+        return 0 if self._failure is not None else self._handed - self._done
 
-    def write(self, block: LoggedSamples) -> None:
+    def write(self, block: SampleBlock) -> None:
         """Add measured samples with their set-points. The arrays must not change afterwards."""
         references = (block.reference_position, block.reference_velocity)
         arrays = (block.position, block.velocity, block.torque, block.current, *references)
         size = sum(values.nbytes for values in arrays if values is not None) + block.time.nbytes
         self._put(size, lambda: self._file.write(block))
-        self._check()
+        if self._failure is not None:
+            raise self._failure
+        since = self._busy_since
+        stalled = 0.0 if since is None else time.monotonic() - since
+        if self.backlog > self._limit:
+            raise self._too_slow(f"{self.backlog >> 20} MiB wait for it")
+        if stalled > self._stall_limit:
+            raise self._too_slow(f"it has taken nothing for {stalled:.0f} s")
 
     def write_planned(self, time: np.ndarray, position: np.ndarray, velocity: np.ndarray | None = None) -> None:
         """Add what was planned for controller times (K,) [s]: position and velocity (K, n)."""
@@ -104,8 +108,7 @@ class LogWriter:
     def write_temperatures(self, readings: Sequence[tuple[float, np.ndarray]]) -> None:
         """Add temperatures of the motors: controller time [s] and (n,) [°C] of each reading."""
         if readings:
-            times = np.array([time for time, _ in readings])
-            values = np.array([values for _, values in readings])
+            times, values = (np.array(column) for column in zip(*readings, strict=True))
             self._put(values.nbytes, lambda: self._file.write_states(TEMPERATURES, times, effort=values))
 
     def cycle_start(self, time: float) -> None:
@@ -128,12 +131,11 @@ class LogWriter:
         """Write all that waits, and the index. Safe to call twice."""
         if self._closing:
             return
-        with self._changed:
-            self._closing = True
-            self._changed.notify()
-        done = -1
-        while self._thread.is_alive() and done != self._done:
-            done = self._done
+        self._closing = True
+        self._jobs.put(None)
+        steps = -1
+        while self._thread.is_alive() and steps != self._steps:
+            steps = self._steps
             self._thread.join(CLOSE_LIMIT)
         if self._thread.is_alive():
             raise self._too_slow(f"it has taken nothing for {CLOSE_LIMIT:g} s")
@@ -152,56 +154,37 @@ class LogWriter:
             if failure is not error:
                 error.add_note(str(failure))
 
-    def _check(self) -> None:
-        """Raises:
-        RecordingError: the disk does not take what it is given.
-        """
-        with self._changed:
-            if self._failure is not None:
-                raise self._failure
-            stalled = 0.0 if self._busy_since is None else time.monotonic() - self._busy_since
-        if self._backlog > self._limit:
-            raise self._too_slow(f"{self._backlog >> 20} MiB wait for it")
-        if stalled > self._stall_limit:
-            raise self._too_slow(f"it has taken nothing for {stalled:.0f} s")
-
     def _too_slow(self, how: str) -> RecordingError:
         return RecordingError(self.path, f"the disk is too slow: {how}", advice="choose a folder on a faster disk")
 
-    def _put(self, size: int, job: Callable[[], None]) -> None:
-        with self._changed:
-            if self._failure is None:
-                self._jobs.append((size, job))
-                self._backlog += size
-                self._changed.notify()
+    def _put(self, size: int, job: Callable[[], Any]) -> None:
+        if self._failure is None:
+            self._handed += size
+            self._jobs.put((size, job))
 
     def _work(self) -> None:
         try:
-            self._write_jobs()
+            due = time.monotonic() + FLUSH_INTERVAL
+            while (entry := self._next(due)) is not None:
+                size, job = entry
+                job()
+                if time.monotonic() >= due:
+                    self._file.flush()
+                    due = time.monotonic() + FLUSH_INTERVAL
+                self._done += size
+                self._busy_since = None
+                self._steps += 1
             self._file.finish()
         except BaseException as failure:  # raised again in the thread that writes
-            with self._changed:
-                self._failure = failure
-                self._jobs.clear()
-                self._backlog = 0
+            self._failure, self._jobs = failure, SimpleQueue()
         finally:
             self._file.close()
 
-    def _write_jobs(self) -> None:
-        due = time.monotonic() + FLUSH_INTERVAL
-        while True:
-            with self._changed:
-                self._changed.wait_for(lambda: self._jobs or self._closing, max(0.0, due - time.monotonic()))
-                size, job = self._jobs.popleft() if self._jobs else (0, None)
-                self._busy_since = time.monotonic()
-                if job is None and self._closing:
-                    return
-            if job is not None:
-                job()
-            if time.monotonic() >= due:
-                self._file.flush()
-                due = time.monotonic() + FLUSH_INTERVAL
-            with self._changed:
-                self._backlog -= size
-                self._busy_since = None
-                self._done += 1
+    def _next(self, due: float) -> tuple[int, Callable[[], Any]] | None:
+        """The next job and its size [bytes], or one that does nothing where a flush is due; None at the end."""
+        try:
+            return self._jobs.get(timeout=max(0.0, due - time.monotonic()))
+        except Empty:
+            return 0, lambda: None
+        finally:
+            self._busy_since = time.monotonic()

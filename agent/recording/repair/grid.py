@@ -92,7 +92,7 @@ def settled(number: np.ndarray, place: np.ndarray, position: np.ndarray) -> np.n
     noise = np.median(np.abs(np.diff(position, 4, axis=0)), axis=0) / 5.6  # of white noise σ: √70 σ · 0.67
     steps = np.abs(np.diff(position, axis=0))
     noise = np.maximum(noise, 1e-3 * np.std(np.diff(position, axis=0), axis=0))
-    # of a joint that mostly stands on one count the median is nought, and every step of it would be no noise
+    # the median is zero for a joint that mostly stays on one count; then a step of one count is the noise
     noise = np.maximum(noise, np.min(np.where(steps > 0, steps, np.inf), axis=0, initial=np.inf) / np.sqrt(12))
     noise = np.where(np.isfinite(noise), noise, 0.0)
     moving = noise > 0

@@ -1,7 +1,7 @@
 """Positions that no arm can have reached: encoders that wrap around, single wrong samples, lost counts.
 
-A joint that moves further between two samples than five times its highest speed allows, and 10 ms of that besides for
-stamps that are late, did not move: something happened to its position.
+A joint cannot move further between two samples than five times its highest speed allows, plus 10 ms of it for late
+stamps. Where it seems to, something happened to its position.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _TIMES, _LATE = 5.0, 0.010  # of the highest speed; s
 _TURN = 2 * np.pi
 #: No encoder wraps after more turns than this; in larger numbers every step is near some whole turn.
 _MOST_TURNS = 100
-#: So many samples in a row may be wrong and dropped; a longer stretch is where the joint was.
+#: Longest run of wrong samples that is dropped; after a longer one the joint is taken to be there.
 _TORN = 5
 #: With other jumps in more than this part of the samples it is the description or a unit that is wrong.
 _MAX_SHARE = 0.01

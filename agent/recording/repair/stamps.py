@@ -19,7 +19,7 @@ BRIDGED = 0.010
 _JITTER = 0.2
 #: With more than this part of the intervals so, the stamps jitter around a grid, or the sampling is irregular.
 _JITTERING = 0.05
-#: So many repairs of a kind stand alone; more are summed up.
+#: Repairs of a kind that are listed one by one; more are summed up.
 _LISTED = 10
 #: Samples, and seconds, by which two stretches in order must overlap to be two recordings in one file.
 _OVERLAP_SAMPLES, _OVERLAP_TIME = 50, 0.5
@@ -166,11 +166,8 @@ def _gaps(interval: np.ndarray, period: float, usual: float) -> np.ndarray:
 def match(stamp: np.ndarray, others: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
     """For each of the stamps (S,) [ns] the nearest of the sorted `others`: index (S,), and (S,) whether it is within
     `tolerance` [s]."""
-    right = (
-        np.clip(np.searchsorted(others, stamp), 1, len(others) - 1) if len(others) > 1 else np.zeros(len(stamp), int)
-    )
-    left = np.maximum(right - 1, 0)
-    nearest = np.where(np.abs(others[left] - stamp) <= np.abs(others[right] - stamp), left, right)
+    place = np.interp(stamp - others[0], others - others[0], np.arange(len(others)))
+    nearest = np.rint(place).astype(int)
     return nearest, np.abs(others[nearest] - stamp) <= tolerance * _NANO
 
 
@@ -220,9 +217,9 @@ def _refuse_two_recordings(stamp: np.ndarray, rows: np.ndarray, name: str) -> No
 def _spread(stamp: np.ndarray) -> np.ndarray:
     """Sorted stamps (S,) of which several are equal, spread evenly up to the next one."""
     distinct, start, count = np.unique(stamp, return_index=True, return_counts=True)
-    ends = np.append(distinct[1:], distinct[-1] + (distinct[-1] - distinct[-2]) * count[-1] // count[-2])
-    place = np.arange(len(stamp)) - np.repeat(start, count)
-    return np.repeat(distinct, count) + place * np.repeat(ends - distinct, count) // np.repeat(count, count)
+    end = distinct[-1] + (distinct[-1] - distinct[-2]) * count[-1] // count[-2]
+    known = np.append(distinct, end) - distinct[0]
+    return distinct[0] + np.interp(np.arange(len(stamp)), np.append(start, len(stamp)), known).astype(np.int64)
 
 
 def _summed(kind: str, times: np.ndarray, which: np.ndarray) -> list[Repair]:
