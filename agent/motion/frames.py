@@ -4,7 +4,7 @@ the robot's base."""
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -23,13 +23,16 @@ from agent.motion.program import (
 if TYPE_CHECKING:
     from agent.robot import Tool
 
+#: The settings of one controller's language, or of all.
+Settings = TypeVar("Settings", bound=MotionSettings)
+
 
 def tool_frame(tool: Tool | None) -> np.ndarray:
     """(4, 4) of the tool centre point in the flange's frame [m]."""
     return np.eye(4) if tool is None else np.asarray(tool.frame, dtype=float)
 
 
-def with_frames(settings: MotionSettings, tool: Tool | None) -> MotionSettings:
+def with_frames(settings: Settings, tool: Tool | None) -> Settings:
     """The settings for poses of this tool's centre point in the robot's base."""
     return settings.changed(base=NO_FRAME, tool=frame_of(tool_frame(tool)), uframe=NO_FRAME)
 
