@@ -61,8 +61,7 @@ class _Thread:
     run: Run
     handle: int
     wake: int = 0
-    waits_for: str = ""  # "motion", "rest", "thread", or nothing
-    joined: int = 0
+    waits_for: str = ""  # "motion", "rest", or nothing
     answer: Any = None
     held: Request | None = None
     over: bool = False
@@ -390,9 +389,8 @@ class UrCell(UrState):
             self.reference = moving.position[index] + (moving.at - index) * (
                 moving.position[ahead] - moving.position[index]
             )
-        if self._program is not None:
-            for thread in self._program.threads:
-                thread.waits_for = "" if thread.waits_for in ("rest", "motion") else thread.waits_for
+        for thread in [] if self._program is None else self._program.threads:
+            thread.waits_for = ""
 
     # Programs
 

@@ -15,49 +15,18 @@ from fake_controller.ur.state import UrState
 
 #: Functions that change nothing of what is simulated.
 _WITHOUT_CONSEQUENCE = (
-    "enable_external_ft_sensor",
-    "end_force_mode",
-    "end_freedrive_mode",
-    "end_teach_mode",
-    "force_mode_set_damping",
-    "force_mode_set_gain_scaling",
-    "ft_rtde_input_enable",
-    "popup",
-    "set_analog_out",
-    "set_configurable_digital_out",
-    "set_digital_out",
-    "set_standard_analog_out",
-    "set_standard_digital_out",
-    "set_tool_digital_out",
-    "zero_ftsensor",
-)
+    "enable_external_ft_sensor", "end_force_mode", "end_freedrive_mode", "end_teach_mode", "force_mode_set_damping",
+    "force_mode_set_gain_scaling", "ft_rtde_input_enable", "popup", "set_analog_out", "set_configurable_digital_out",
+    "set_digital_out", "set_standard_analog_out", "set_standard_digital_out", "set_tool_digital_out", "zero_ftsensor",
+)  # fmt: skip
 #: Functions that a script may name, and that this controller does not carry out.
 _NOT_SIMULATED = (
-    "direct_torque",
-    "force_mode",
-    "freedrive_mode",
-    "get_freedrive_status",
-    "get_actual_joint_positions_history",
-    "get_coriolis_and_centrifugal_torques",
-    "get_jacobian",
-    "get_joint_torques",
-    "get_jacobian_time_derivative",
-    "get_mass_matrix",
-    "get_target_tcp_speed",
-    "get_target_waypoint",
-    "optimovej",
-    "optimovel",
-    "servoc",
-    "servoj",
-    "socket_close",
-    "socket_open",
-    "socket_read_string",
-    "socket_send_string",
-    "speedj",
-    "speedl",
-    "teach_mode",
+    "direct_torque", "force_mode", "freedrive_mode", "get_freedrive_status", "get_actual_joint_positions_history",
+    "get_coriolis_and_centrifugal_torques", "get_jacobian", "get_joint_torques", "get_jacobian_time_derivative",
+    "get_mass_matrix", "get_target_tcp_speed", "get_target_waypoint", "optimovej", "optimovel", "servoc", "servoj",
+    "socket_close", "socket_open", "socket_read_string", "socket_send_string", "speedj", "speedl", "teach_mode",
     "tool_contact",
-)
+)  # fmt: skip
 _NO_INERTIA = (0.0,) * 6
 _PURE: dict[str, Callable[..., Any]] = {
     **{name: getattr(math, name) for name in ("acos", "asin", "atan", "atan2", "ceil", "cos", "floor")},
