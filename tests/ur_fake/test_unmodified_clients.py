@@ -6,7 +6,8 @@ import os
 import signal
 import subprocess
 import sys
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
+from functools import cache
 
 import numpy as np
 import pytest
@@ -60,12 +61,18 @@ def process(*command, says):
             running.kill()
 
 
-@contextmanager
-def robot(version=(5, 12, 6, 1102099), mode="auto"):
-    """The address of a robot."""
-    address = free_loopback()
-    with process("-c", SERVER, *map(str, version), mode, address, says="up"):
-        yield address
+@pytest.fixture(scope="module")
+def robot():
+    """The address of a robot of a version, in remote (auto) or local mode (teach)."""
+    with ExitStack() as running:
+
+        @cache
+        def started(version=(5, 12, 6, 1102099), mode="auto"):
+            address = free_loopback()
+            running.enter_context(process("-c", SERVER, *map(str, version), mode, address, says="up"))
+            return address
+
+        yield started
 
 
 def waited_for(holds):
@@ -74,12 +81,9 @@ def waited_for(holds):
 
 
 @pytest.mark.parametrize("upper", [False, True])
-@pytest.mark.parametrize("version", [(5, 12, 6, 0), CB3])
-def test_receive_gets_all_of_its_default_fields(version, upper):
-    with (
-        robot(version) as address,
-        disconnecting(rtde_receive.RTDEReceiveInterface(address, -1.0, [], False, upper)) as client,
-    ):
+@pytest.mark.parametrize("version", [(5, 12, 6, 1102099), CB3])
+def test_receive_gets_all_of_its_default_fields(robot, version, upper):
+    with disconnecting(rtde_receive.RTDEReceiveInterface(robot(version), -1.0, [], False, upper)) as client:
         first = client.getTimestamp()
         assert waited_for(lambda: client.getTimestamp() > first)
         np.testing.assert_allclose(client.getTargetQ(), HOME)
@@ -91,9 +95,9 @@ def test_receive_gets_all_of_its_default_fields(version, upper):
         assert len(client.getActualTCPPose()) == 6
 
 
-def test_receive_records_a_file(tmp_path):
+def test_receive_records_a_file(robot, tmp_path):
     path = tmp_path / "log.csv"
-    with robot() as address, disconnecting(rtde_receive.RTDEReceiveInterface(address)) as client:
+    with disconnecting(rtde_receive.RTDEReceiveInterface(robot())) as client:
         first = client.getTimestamp()
         assert client.startFileRecording(str(path))
         assert waited_for(lambda: client.getTimestamp() > first + 0.5)
@@ -103,13 +107,13 @@ def test_receive_records_a_file(tmp_path):
     assert float(rows[-1]["timestamp"]) > float(rows[0]["timestamp"])
 
 
-def test_receive_says_that_a_field_is_missing():
-    with robot(CB3) as address, pytest.raises(RuntimeError, match="not found"):
-        rtde_receive.RTDEReceiveInterface(address, -1.0, ["timestamp", "ft_raw_wrench"])
+def test_receive_says_that_a_field_is_missing(robot):
+    with pytest.raises(RuntimeError, match="not found"):
+        rtde_receive.RTDEReceiveInterface(robot(CB3), -1.0, ["timestamp", "ft_raw_wrench"])
 
 
-def test_dashboard():
-    with robot() as address, disconnecting(dashboard_client.DashboardClient(address)) as client:
+def test_dashboard(robot):
+    with disconnecting(dashboard_client.DashboardClient(robot())) as client:
         client.connect()
         assert client.polyscopeVersion() == "5.12.6.1102099"
         assert client.getSerialNumber().isdigit()
@@ -124,17 +128,17 @@ def test_dashboard():
         ):
             with pytest.raises(RuntimeError, match=said):
                 refused()
-    with robot(mode="teach") as address, disconnecting(dashboard_client.DashboardClient(address)) as client:
+    with disconnecting(dashboard_client.DashboardClient(robot(mode="teach"))) as client:
         client.connect()
         assert client.isInRemoteControl() is False
         with pytest.raises(RuntimeError, match="switch robot to Remote Control"):
             client.play()
 
 
-def test_script():
+def test_script(robot):
     job = "def job():\n  write_output_integer_register(24, 5)\n  sleep(0.1)\nend\n"
-    with robot() as address, clients(Rtde(address, "output_int_register_24", "runtime_state")) as watcher:
-        with disconnecting(script_client.ScriptClient(address, 5, 12)) as client:
+    with clients(Rtde(robot(), "output_int_register_24", "runtime_state")) as watcher:
+        with disconnecting(script_client.ScriptClient(robot(), 5, 12)) as client:
             client.connect()
             assert client.sendScriptCommand(job)
             watcher.until(lambda sample: sample["output_int_register_24"] == 5)
@@ -164,6 +168,6 @@ def test_control_runs_its_own_script_on_the_published_ports():
         running.send_signal(signal.SIGTERM)
 
 
-def test_control_asks_for_remote_mode():
-    with robot(mode="teach") as address, pytest.raises(RuntimeError, match="remote control"):
-        rtde_control.RTDEControlInterface(address)
+def test_control_asks_for_remote_mode(robot):
+    with pytest.raises(RuntimeError, match="remote control"):
+        rtde_control.RTDEControlInterface(robot(mode="teach"))
