@@ -226,8 +226,18 @@ def test_a_stop_can_be_disobeyed_and_a_clock_go_back(start_ur):
         rtde.until(lambda sample: sample["timestamp"] < before)
 
 
-def test_a_client_that_reads_nothing_is_left_out_and_then_dropped(start_ur):
-    """Real time does not wait for it; another client gets every sample meanwhile."""
+def test_a_client_that_does_not_read_is_dropped(start_ur):
+    """A cell in no hurry waits for it, but not for long."""
+    ur = start_ur()
+    with clients(Rtde(ur.address, *FIELDS), Rtde(ur.address, "timestamp")) as (idle, reader):
+        first = reader.sample()["timestamp"]
+        reader.until(lambda sample: sample["timestamp"] > first + 1.5)
+        with pytest.raises((EOFError, ConnectionError)):
+            idle.until(lambda sample: sample["timestamp"] > first + 1.5)
+
+
+def test_a_client_of_state_that_does_not_read_misses_it_and_nobody_else_does(start_ur):
+    """Real time waits for nobody."""
     ur = start_ur(clock="real")
     with clients(Wire(ur.address, 30003), Rtde(ur.address, "timestamp")) as (idle, reader):
         idle.socket.setsockopt(1, 8, 4096)  # SOL_SOCKET, SO_RCVBUF
