@@ -111,7 +111,7 @@ def agent_side(logs: dict, folder: Path) -> dict:
     from agent.excitation import Candidates, LoopProblem
     from agent.excitation.criterion import one_blas_thread
     from agent.motion import ViaRegions
-    from agent.motion.program import FlyTrajectory, FlyType, MotionSettings
+    from agent.motion.pdl2.settings import FlyTrajectory, FlyType, Pdl2Settings
     from agent.validation import validate
 
     rows = []
@@ -131,7 +131,7 @@ def agent_side(logs: dict, folder: Path) -> dict:
             relative = np.linalg.norm(error, axis=0) / np.linalg.norm(measured, axis=0)
             total = float(np.linalg.norm(error) / np.linalg.norm(measured))
             rows.append((f"figaroh, {found['label']}", total, relative, float(found["seconds"])))
-        settings = MotionSettings(
+        settings = Pdl2Settings(
             fly_type=FlyType.FLY_CART, fly_trajectory=FlyTrajectory.FLY_TOL, fly_distance=0.02, linear_speed=1.0
         )
         regions = ViaRegions.from_box(POINTS, *REGION.values())

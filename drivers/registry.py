@@ -51,6 +51,11 @@ def create(name: str, address: str, **options: object) -> Driver:
     return driver
 
 
+def dialect(name: str) -> str:
+    """Name of the program language that a driver's controllers take: its `dialect`, PDL2 where it declares none."""
+    return getattr(_load(name), "dialect", "pdl2")
+
+
 def _load(name: str) -> Callable[..., Driver] | None:
     if name in _BUILT_IN:
         module, _, attribute = _BUILT_IN[name].partition(":")

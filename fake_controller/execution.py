@@ -10,7 +10,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from agent.core import InputError
-from agent.motion import Delay, Interpolator, JointTarget, MotionError, Move, Statement, Target, Termination, Trajectory
+from agent.motion import (
+    Delay,
+    Interpolator,
+    JointTarget,
+    MotionError,
+    Move,
+    Pdl2Settings,
+    Statement,
+    Target,
+    Termination,
+    Trajectory,
+)
 from drivers.wire.reasons import EndReason
 from fake_controller.astray import Astray
 from fake_controller.plant import Plant
@@ -133,7 +144,7 @@ class Planner:
             if len(self._plans) > self._remembered:
                 self._plans.popitem(last=False)
         self._plans.move_to_end(key)
-        settings = moves[-1].settings
+        settings = Pdl2Settings.of(moves[-1].settings)
         fine = settings.termination is Termination.FINE
         return Chain(trajectory, settings.termination, settings.tolerance_fine if fine else settings.tolerance_coarse)
 

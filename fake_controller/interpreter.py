@@ -28,12 +28,12 @@ from agent.motion import (
     Joints,
     JointTarget,
     Memory,
-    MotionSettings,
     Move,
     MoveStatement,
     MoveType,
     OrientationType,
     Pdl2Error,
+    Pdl2Settings,
     Pos,
     Program,
     SpeedOption,
@@ -209,7 +209,7 @@ def _matrix(value: Value) -> Frame:
     return tuple(tuple(row) for row in Transform.of_pos(_fields(value)).matrix.tolist())
 
 
-def _settings(system: dict[str, Value]) -> MotionSettings:
+def _settings(system: dict[str, Value]) -> Pdl2Settings:
     """The interpolator's view of system variables: SI, overrides multiplied, no frames but the tool's."""
 
     def number(name: str) -> float:
@@ -221,7 +221,7 @@ def _settings(system: dict[str, Value]) -> MotionSettings:
     tool = _matrix(system["$TOOL"])
     # Poses are in the robot's base by now; where the robot stands still matters to Euler angles of the world.
     world = _matrix(system["$BASE"]) if word("$ORNT_TYPE") == "EUL_WORLD" else None
-    return MotionSettings(
+    return Pdl2Settings(
         fly_type=FlyType(word("$FLY_TYPE")),
         fly_trajectory=FlyTrajectory(word("$FLY_TRAJ")),
         fly_distance=number("$FLY_DIST") * 1e-3,

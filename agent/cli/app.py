@@ -78,7 +78,7 @@ def plan(
     as_json: opt.AsJson = False,
     messages: opt.Messages = None,
 ) -> None:
-    """Search for the via-points only: trajectory, margins to every limit, the .pdl. Opens no port."""
+    """Search for the via-points only: trajectory, margins to every limit, the program. Opens no port."""
     from agent.pipeline import plan_recipe
     from agent.recipe import load_recipe
 
@@ -121,7 +121,7 @@ def calibrate(
 @app.command()
 def record(
     recipe: opt.RecipePath,
-    program: Annotated[Path, typer.Option("--program", metavar="P", help="PDL2 program to run")],
+    program: Annotated[Path, typer.Option("--program", metavar="P", help="program to run")],
     out: Annotated[Path | None, typer.Option("-o", "--out", metavar="LOG", help="log to write")] = None,
     load: opt.KnownLoad = None,
     yes: opt.Yes = False,

@@ -22,7 +22,6 @@ from agent.motion import (
     Move,
     MoveType,
     Statement,
-    Termination,
     create_interpolator,
     with_frames,
 )
@@ -162,7 +161,7 @@ class Pieces:
         for pose in poses[1:]:
             joints.append(kinematics.solve(pose, joints[-1]))
         settings = self._settings(draw.speed)
-        fine = settings.changed(termination=Termination.FINE)
+        fine = settings.stopping()
         statements: list[Statement] = []
         for target in joints[1:]:
             if draw.kind == "stops":
@@ -181,7 +180,7 @@ class Pieces:
             turn /= 2
             if turn < _LEAST_TURN:
                 return None
-        calm = self._settings(1.0).changed(speed_override=draw.speed, termination=Termination.FINE)
+        calm = self._settings(1.0).changed(speed_override=draw.speed).stopping()
         statements: list[Statement] = []
         for step in range(1, _STEPS + 1):
             for side in (1.0, -1.0):

@@ -16,20 +16,20 @@ if TYPE_CHECKING:
 #: Key of `experiment.json`: SHA-256 of the program that it is about.
 PROGRAM_SHA256 = "program_sha256"
 SCHEMA = "experiment/1"
-_COMMENT = "  -- planned with this at the flange: "
+_COMMENT = "planned with this at the flange: "
 
 
-def with_payload(text: str, load: Tool) -> str:
-    """A program whose second line says what it was planned with, wherever it is copied to."""
+def with_payload(text: str, load: Tool, comment: str) -> str:
+    """A program whose second line, a `comment`, says what it was planned with, wherever it is copied to."""
     from agent.model import payload_text
 
     first, rest = text.split("\n", 1)
-    return f"{first}\n{_COMMENT}{payload_text(load)}\n{rest}"
+    return f"{first}\n  {comment} {_COMMENT}{payload_text(load)}\n{rest}"
 
 
 def planned_load(text: str) -> str | None:
     """What a program says it was planned with; None where it says nothing."""
-    found = re.search(rf"^{_COMMENT}(.+)$", text, re.MULTILINE)
+    found = re.search(rf"^  \S+ {_COMMENT}(.+)$", text, re.MULTILINE)
     return found[1].strip() if found else None
 
 

@@ -11,7 +11,7 @@ from agent.core import Console, InputError
 from agent.recipe import Recipe
 
 if TYPE_CHECKING:
-    from agent.motion import Trajectory
+    from agent.motion import Dialect, Trajectory
     from agent.robot import Tool, TorqueLimits
 
 #: Torques are looked at in every so many set-points, as a search does.
@@ -21,19 +21,21 @@ _EVERY = 10
 _SAME = 1e-6
 
 
-def plan_statements(recipe: Recipe, text: str, path: str, start: np.ndarray) -> tuple[str, list[Trajectory]]:
-    """Name of a PDL2 program, and its set-points from stop to stop when the arm stands at `start` (n,).
+def plan_statements(
+    recipe: Recipe, text: str, path: str, start: np.ndarray, dialect: Dialect | None = None
+) -> tuple[str, list[Trajectory]]:
+    """Name of a program, and its set-points from stop to stop when the arm stands at `start` (n,).
+
+    The text is of the recipe's dialect, unless another one is given.
 
     Raises:
-        Pdl2Error: the text is not the motion subset of PDL2.
+        InputError: the text is not the motion subset of its dialect.
         MotionError: it breaks a limit.
     """
-    from agent.motion import create_interpolator, parse_program, stop_to_stop, way_key
+    from agent.motion import create_interpolator, stop_to_stop, way_key
 
-    program = parse_program(text, path, recipe.robot)
-    interpolator = create_interpolator(
-        recipe.search.interpolator, recipe.robot, recipe.tool, period=1.0 / recipe.record.rate
-    )
+    program = (dialect or recipe.dialect).read(text, path, recipe.robot)
+    interpolator = create_interpolator(recipe.interpolator, recipe.robot, recipe.tool, period=1.0 / recipe.record.rate)
     chains: list[Trajectory] = []
     known: dict[tuple[object, ...], list[Trajectory]] = {}
     for moves in stop_to_stop(program.run()):

@@ -123,9 +123,9 @@ class RobotLink:
 
         recipe = self._recipe
         interpolator = create_interpolator(
-            recipe.search.interpolator, recipe.robot, recipe.tool, period=1.0 / recipe.record.rate
+            recipe.interpolator, recipe.robot, recipe.tool, period=1.0 / recipe.record.rate
         )
-        slow = slow_version(program, recipe.robot, interpolator, self.position())
+        slow = slow_version(program, recipe.robot, recipe.dialect, interpolator, self.position())
         for chain in slow.chains:
             check_cell(recipe, chain)
         if self._guard.takes_points:
@@ -142,10 +142,10 @@ class RobotLink:
 
     def planned(self, name: str, text: str, chains: Sequence[Trajectory]) -> PlannedProgram:
         """A program as it would be run, with what was planned of it from stop to stop."""
-        from agent.motion import left_open, parse_program
+        from agent.motion import left_open
 
-        statements = list(parse_program(text, name, self._recipe.robot).run())
-        frames = left_open(statements, self._recipe.tool)
+        statements = list(self._recipe.dialect.read(text, name, self._recipe.robot).run())
+        frames = left_open(statements, self._recipe.tool, self._recipe.dialect.frame_names)
         program = PlannedProgram(name, text, tuple(chains), pauses=pauses(statements), frames=frames)
         return self._with_points(program) if self._guard.takes_points else program
 
@@ -267,7 +267,7 @@ def record_program_file(
     runs: Path = Path("logs"),
     payload: str | None = None,
 ) -> Recording:
-    """Run a PDL2 program that somebody wrote, and record it (None: beside it, as .mcap); `runs` as in `open_link`.
+    """Run a program that somebody wrote, and record it (None: beside it, as .mcap); `runs` as in `open_link`.
 
     `payload` is a mass that is mounted at the flange on purpose, which the log says then.
 
@@ -281,7 +281,7 @@ def record_program_file(
     from agent.model import known_payload
 
     if program.is_dir():
-        raise InputError(f"{program}: is a folder; name the PDL2 program to run with --program")
+        raise InputError(f"{program}: is a folder; name the program to run with --program")
     log = log or program.with_suffix(".mcap")
     if log.exists():
         raise InputError(f"{log}: exists already; name another log with -o")

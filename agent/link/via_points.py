@@ -13,6 +13,7 @@ from agent.motion import (
     FlyType,
     Move,
     MoveType,
+    Pdl2Settings,
     SpeedOption,
     pose_in_robot_base,
     stop_to_stop,
@@ -70,7 +71,7 @@ def _point(
 ) -> ViaPoint:
     from agent.robot import kinematics_for
 
-    settings = move.settings
+    settings = Pdl2Settings.of(move.settings)
     if move.type is not MoveType.LINEAR or settings.speed_option is not SpeedOption.SPD_LIN:
         raise InputError(_cannot(name, move, "only MOVE LINEAR at a linear speed, and single MOVE JOINT to a stop"))
     if move.fly and (settings.fly_type, settings.fly_trajectory) != (FlyType.FLY_CART, FlyTrajectory.FLY_TOL):

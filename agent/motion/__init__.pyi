@@ -1,3 +1,9 @@
+from .dialect import (
+    Dialect as Dialect,
+    dialect as dialect,
+    dialect_of as dialect_of,
+    program_suffixes as program_suffixes,
+)
 from .fly.interpolator import FlyInterpolator as FlyInterpolator
 from .fly_parameters import FlyParameters as FlyParameters
 from .frames import (
@@ -16,13 +22,20 @@ from .learned import (
 from .learning import Learner as Learner, RecordedMove as RecordedMove
 from .loop import loop_moves as loop_moves
 from .orl_calls import ARM as ARM, CONTROLLER as CONTROLLER, LIBRARY as LIBRARY
-from .path.rotation import pose_of as pose_of
 from .pdl2.errors import Pdl2Error as Pdl2Error
 from .pdl2.evaluation import Memory as Memory, Value as Value, evaluate as evaluate, subscript as subscript
 from .pdl2.frames import pose_to_pos as pose_to_pos
 from .pdl2.interpreter import Program as Program
 from .pdl2.listing import listing_beside as listing_beside
 from .pdl2.reader import job_text as job_text, parse_program as parse_program
+from .pdl2.settings import (
+    FlyTrajectory as FlyTrajectory,
+    FlyType as FlyType,
+    OrientationType as OrientationType,
+    Pdl2Settings as Pdl2Settings,
+    SpeedOption as SpeedOption,
+    Termination as Termination,
+)
 from .pdl2.tree import (
     Assignment as Assignment,
     Block as Block,
@@ -41,18 +54,13 @@ from .pdl2.writer import write_loop_program as write_loop_program, write_program
 from .program import (
     CartesianTarget as CartesianTarget,
     Delay as Delay,
-    FlyTrajectory as FlyTrajectory,
-    FlyType as FlyType,
     Frame as Frame,
     JointTarget as JointTarget,
     MotionSettings as MotionSettings,
     Move as Move,
     MoveType as MoveType,
-    OrientationType as OrientationType,
-    SpeedOption as SpeedOption,
     Statement as Statement,
     Target as Target,
-    Termination as Termination,
     stop_to_stop as stop_to_stop,
     way_key as way_key,
 )
@@ -62,4 +70,5 @@ from .registry import (
     create_interpolator as create_interpolator,
     interpolator_names as interpolator_names,
 )
+from .rotation import pose_of as pose_of
 from .trajectory import Trajectory as Trajectory

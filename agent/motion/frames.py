@@ -23,9 +23,6 @@ from agent.motion.program import (
 if TYPE_CHECKING:
     from agent.robot import Tool
 
-#: System variables and the fields of MotionSettings that they stand in.
-FRAMES = {"$BASE": "base", "$TOOL": "tool", "$UFRAME": "uframe"}
-
 
 def tool_frame(tool: Tool | None) -> np.ndarray:
     """(4, 4) of the tool centre point in the flange's frame [m]."""
@@ -40,7 +37,7 @@ def with_frames(settings: MotionSettings, tool: Tool | None) -> MotionSettings:
 def pose_in_robot_base(target: Target, settings: MotionSettings) -> np.ndarray:
     """(4, 4) where a Cartesian target is [m]: base⁻¹ · uframe · pose.
 
-    `$BASE` is where the robot stands in the world, `$UFRAME` where the work is in it; a pose is given in `$UFRAME`.
+    `base` is where the robot stands in the world, `uframe` where the work is in it; a pose is given in `uframe`.
     """
     assert isinstance(target, CartesianTarget)
     pose = np.asarray(target.pose, dtype=float)
@@ -49,20 +46,23 @@ def pose_in_robot_base(target: Target, settings: MotionSettings) -> np.ndarray:
     return pose if settings.base in (None, NO_FRAME) else np.linalg.solve(matrix_of(settings.base), pose)
 
 
-def left_open(statements: Iterable[Statement], tool: Tool | None) -> Mapping[str, np.ndarray]:
+def left_open(statements: Iterable[Statement], tool: Tool | None, names: Mapping[str, str]) -> Mapping[str, np.ndarray]:
     """The frames (4, 4) [m] that a plan of these statements takes for granted, as the program does not set them.
 
     A move to a pose needs all three, a straight line or an arc between joint positions the tool, and so does a joint
     move that flies by its target, as the distance from it is the tool's; one that stops there needs none.
+
+    Args:
+        names: of the frames that the dialect has (`Dialect.frame_names`).
     """
     needed: set[str] = set()
     for move in statements:
         if not isinstance(move, Move):
             continue
         if any(isinstance(target, CartesianTarget) for target in (move.target, move.via)):
-            names = {*FRAMES}
+            frames = {*names}
         else:
-            names = set() if move.type is MoveType.JOINT and not move.fly else {"$TOOL"}
-        needed |= {name for name in names if getattr(move.settings, FRAMES[name]) is None}
-    taken = {"$BASE": np.eye(4), "$TOOL": tool_frame(tool), "$UFRAME": np.eye(4)}
-    return {name: taken[name] for name in FRAMES if name in needed}
+            frames = set() if move.type is MoveType.JOINT and not move.fly else {"tool"}
+        needed |= {frame for frame in frames if getattr(move.settings, frame) is None}
+    taken = {"base": np.eye(4), "tool": tool_frame(tool), "uframe": np.eye(4)}
+    return {names[frame]: taken[frame] for frame in names if frame in needed}

@@ -17,16 +17,8 @@ from agent.motion.fly.interpolator import FlyInterpolator
 from agent.motion.fly_parameters import FlyParameters
 from agent.motion.frames import pose_in_robot_base
 from agent.motion.interpolator import MotionError
-from agent.motion.program import (
-    CartesianTarget,
-    FlyTrajectory,
-    FlyType,
-    JointTarget,
-    MotionSettings,
-    Move,
-    Target,
-    matrix_of,
-)
+from agent.motion.pdl2.settings import FlyTrajectory, FlyType, Pdl2Settings
+from agent.motion.program import CartesianTarget, JointTarget, MotionSettings, Move, Target, matrix_of
 from agent.robot import RobotDescription, kinematics_for
 
 #: Parts of the way at which motions are compared; how the ends are crept along is lost in the set-points' digits.
@@ -126,13 +118,13 @@ class Learner:
         return self._time(path)
 
     def _path(self) -> FlyParameters:
-        flying = [move for stretch, _ in self._taught for move in stretch.moves if move.fly]
+        flying = [Pdl2Settings.of(move.settings) for stretch, _ in self._taught for move in stretch.moves if move.fly]
         if not flying:
             return FlyParameters()
         free = []
-        if any(move.settings.fly_trajectory is FlyTrajectory.FLY_AUTO for move in flying):
+        if any(settings.fly_trajectory is FlyTrajectory.FLY_AUTO for settings in flying):
             free.append(("auto_tightness", 0.0, 1.0))
-        if any(move.settings.fly_type is FlyType.FLY_NORM for move in flying):
+        if any(settings.fly_type is FlyType.FLY_NORM for settings in flying):
             free.append(("norm_acceleration", 0.3, 20.0))
         # A parabola or a circle touches both moves where it takes equal parts of the tool's way, however that turns.
         curves = [
@@ -175,7 +167,8 @@ class Learner:
         return (self._forward(np.asarray(target.position)[None])[0] @ matrix_of(settings.tool))[:3, 3]
 
     def _time(self, path: FlyParameters) -> FlyParameters:
-        slowed = any(move.settings.arm_override < 0.99 for stretch, _ in self._taught for move in stretch.moves)
+        moves = [move for stretch, _ in self._taught for move in stretch.moves]
+        slowed = any(Pdl2Settings.of(move.settings).arm_override < 0.99 for move in moves)
         powers = (1.0, 2.0, 0.0) if slowed else (1.0,)
         shares = [("acceleration", 0.2, 1.0), ("curve_share", 0.1, 1.0)]
         families = []

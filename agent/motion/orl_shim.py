@@ -6,6 +6,7 @@ import ctypes
 from enum import Enum
 
 from agent.motion.orl_calls import MOST_JOINTS, MoveCall, check_status, configuration_flags
+from agent.motion.pdl2.settings import Pdl2Settings
 from agent.motion.program import CartesianTarget, JointTarget
 
 #: Settings by their own names: words number from 0 in the order of our enumerations, overrides are in percent.
@@ -42,7 +43,7 @@ class ShimCalls:
         check_status("calibration_interpolator_period", self._library.calibration_interpolator_period(milliseconds))
 
     def announce(self, call: MoveCall, first: bool) -> None:
-        move, settings = call.move, call.move.settings
+        move, settings = call.move, Pdl2Settings.of(call.move.settings)
         data = ShimMove(
             size=ctypes.sizeof(ShimMove),
             joints=len(call.start),

@@ -14,16 +14,8 @@ from typing import Any
 
 from agent.core import InputError
 from agent.motion.orl_calls import ARM, CONTROLLER, MOST_JOINTS, OK, MoveCall, check_status, configuration_flags
-from agent.motion.program import (
-    CartesianTarget,
-    FlyTrajectory,
-    FlyType,
-    JointTarget,
-    MoveType,
-    OrientationType,
-    SpeedOption,
-    Termination,
-)
+from agent.motion.pdl2.settings import FlyTrajectory, FlyType, OrientationType, Pdl2Settings, SpeedOption, Termination
+from agent.motion.program import CartesianTarget, JointTarget, MoveType
 
 _SILENT, _FIRST_CONTROLLER = 0, 0
 _LINK_DEGREE, _CARTESIAN = 3, 50
@@ -142,7 +134,7 @@ class VendorCalls:
         self._call("ORL_set_interpolation_time", milliseconds)
 
     def announce(self, call: MoveCall, first: bool) -> None:
-        move, settings = call.move, call.move.settings
+        move, settings = call.move, Pdl2Settings.of(call.move.settings)
         if first:
             self._call("ORL_set_position", None, _joints(call.start))
         self._call("ORL_initialize_frames", *(_pose(frame) for frame in (call.base, call.tool, call.uframe)))

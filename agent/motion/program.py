@@ -1,6 +1,6 @@
-"""A motion program as data: what the PDL2 writer writes, the parser yields and the interpolator runs.
+"""A motion program as data: what a dialect writes and reads, and an interpolator runs.
 
-SI units throughout; millimetres and degrees exist in PDL2 text only.
+SI units throughout; millimetres and degrees exist in a dialect's text only.
 """
 
 from __future__ import annotations
@@ -8,60 +8,17 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
+from typing import Self
 
 import numpy as np
 
 
 class MoveType(Enum):
-    """`$MOVE_TYPE` or the trajectory word of a MOVE statement."""
+    """The curve of a move."""
 
     LINEAR = "LINEAR"
     JOINT = "JOINT"
     CIRCULAR = "CIRCULAR"
-
-
-class FlyType(Enum):
-    """`$FLY_TYPE`."""
-
-    FLY_NORM = "FLY_NORM"
-    FLY_CART = "FLY_CART"
-
-
-class FlyTrajectory(Enum):
-    """`$FLY_TRAJ`."""
-
-    FLY_AUTO = "FLY_AUTO"
-    FLY_TOL = "FLY_TOL"
-    FLY_PASS = "FLY_PASS"
-    FLY_FROM = "FLY_FROM"
-
-
-class SpeedOption(Enum):
-    """`$SPD_OPT`."""
-
-    SPD_LIN = "SPD_LIN"
-    SPD_CONST = "SPD_CONST"
-    SPD_JNT = "SPD_JNT"
-    SPD_ROT = "SPD_ROT"
-
-
-class OrientationType(Enum):
-    """`$ORNT_TYPE`."""
-
-    RS_WORLD = "RS_WORLD"
-    RS_TRAJ = "RS_TRAJ"
-    EUL_WORLD = "EUL_WORLD"
-    WRIST_JNT = "WRIST_JNT"
-
-
-class Termination(Enum):
-    """`$TERM_TYPE`."""
-
-    FINE = "FINE"
-    COARSE = "COARSE"
-    JNT_FINE = "JNT_FINE"
-    JNT_COARSE = "JNT_COARSE"
-    NOSETTLE = "NOSETTLE"
 
 
 Frame = tuple[tuple[float, ...], ...]
@@ -81,47 +38,39 @@ def frame_of(matrix: np.ndarray) -> Frame:
 
 @dataclass(frozen=True)
 class MotionSettings:
-    """The system variables in force for one move.
+    """What every controller is told of a move; a dialect derives its own class for what only its controllers know.
 
-    `fly_distance` [m], `fly_percent` and `stress_percent` 1..100, speeds [m/s, rad/s], tolerances [m],
-    overrides as fractions of one. `base`, `tool` and `uframe` are (4, 4) as nested tuples; None is a program that does
-    not say, so that the controller's own are in force: whoever plans then takes its tool, and no base and user frame.
-    The care flags ask for a refusal where the configuration, the turns or a singularity would be passed over;
-    `multi_turn` lets a joint move turn an axis by more than half a turn, as its JOINTPOS says.
+    `fly_distance` [m]: how far a blend keeps from the via-point (a tolerance, a zone, a blend radius: the dialect says
+    which). Speeds [m/s, rad/s]; `speed_override` a fraction of them, and of the joint limits in a joint move. `base`,
+    `tool` and `uframe` are (4, 4) as nested tuples; None is a program that does not say, so that the controller's own
+    are in force: whoever plans then takes its tool, and no base and user frame.
     """
 
-    fly_type: FlyType = FlyType.FLY_NORM
-    fly_trajectory: FlyTrajectory = FlyTrajectory.FLY_AUTO
     fly_distance: float = 0.01
-    fly_percent: float = 100.0
-    stress_percent: float = 50.0
-    speed_option: SpeedOption = SpeedOption.SPD_LIN
     linear_speed: float = 0.25
     rotational_speed: float = 1.0
-    orientation: OrientationType = OrientationType.RS_WORLD
-    termination: Termination = Termination.COARSE
-    tolerance_fine: float = 0.0005
-    tolerance_coarse: float = 0.001
     speed_override: float = 1.0
-    acceleration_override: float = 1.0
-    deceleration_override: float = 1.0
-    arm_override: float = 1.0
     base: Frame | None = None
     tool: Frame | None = None
     uframe: Frame | None = None
-    configuration_care: bool = False
-    turn_care: bool = False
-    singularity_care: bool = False
-    multi_turn: bool = True
 
-    def changed(self, **values: object) -> MotionSettings:
-        """A copy with some variables changed."""
+    def changed(self, **values: object) -> Self:
+        """A copy with some settings changed."""
         return replace(self, **values)  # type: ignore[arg-type]
+
+    def stopping(self) -> Self:
+        """The same for a move whose end the arm has to reach exactly before the program goes on."""
+        return self
+
+    @property
+    def blend(self) -> str:
+        """How the loop passes its via-points, for people."""
+        return f"blends of {1000 * self.fly_distance:g} mm"
 
 
 @dataclass(frozen=True, eq=False)
 class CartesianTarget:
-    """A POS: pose (4, 4) of the TCP [m] in the user frame, and its COMAU configuration string."""
+    """Pose (4, 4) of the TCP [m] in the user frame, and its configuration in the controller's own notation."""
 
     pose: np.ndarray
     configuration: str = ""
@@ -129,7 +78,7 @@ class CartesianTarget:
 
 @dataclass(frozen=True, eq=False)
 class JointTarget:
-    """A JOINTPOS: joint positions (n,) [rad, or m on a prismatic joint]."""
+    """Joint positions (n,) [rad, or m on a prismatic joint]."""
 
     position: np.ndarray
 
@@ -139,7 +88,10 @@ Target = CartesianTarget | JointTarget
 
 @dataclass(frozen=True, eq=False)
 class Move:
-    """One MOVE or (`fly`) MOVEFLY. `via` belongs to CIRCULAR; `name` is the target's variable, `line` its place."""
+    """One move; it stops at its target, or blends into the next one (`fly`).
+
+    `via` belongs to CIRCULAR; `name` is the target's variable, `line` its place in the text.
+    """
 
     type: MoveType
     target: Target
@@ -152,7 +104,7 @@ class Move:
 
 @dataclass(frozen=True)
 class Delay:
-    """DELAY: the arm rests for so many seconds."""
+    """The arm rests for some time [s]."""
 
     seconds: float
 

@@ -14,8 +14,8 @@ from typing import Protocol
 import numpy as np
 
 from agent.core import InputError
-from agent.motion.path import rotation
-from agent.motion.path.rotation import pose_of
+from agent.motion import rotation
+from agent.motion.rotation import pose_of
 
 #: [rad] how far the tool may turn around a task.
 _TASK_CONE = np.radians(10.0)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from agent.core import InputError
+from agent.motion.dialect import Dialect, dialects
 from agent.motion.interpolator import Interpolator
 from agent.motion.learned import is_file_name, load_law
 from agent.robot import RobotDescription
@@ -14,13 +15,13 @@ from agent.robot import RobotDescription
 #: Third parties add interpolators under this entry-point group.
 ENTRY_POINTS = "calibration_agent.interpolators"
 
-# Registered in code as well: a checkout that was never installed has no entry points.
-_BUILT_IN = ("fly", "orl")
 
-
-def interpolator_names() -> tuple[str, ...]:
-    """Names that `create_interpolator` knows: the built-in ones and those of installed packages."""
-    return tuple(sorted({*_BUILT_IN, *(entry.name for entry in entry_points(group=ENTRY_POINTS))}))
+def interpolator_names(dialect: Dialect | None = None) -> tuple[str, ...]:
+    """Names that `create_interpolator` knows: the built-in ones, of one dialect's controllers if it is given, and those
+    of installed packages."""
+    own = {law for one in dialects() for law in one.interpolators}
+    installed = {entry.name for entry in entry_points(group=ENTRY_POINTS)} - own
+    return tuple(sorted({*(own if dialect is None else dialect.interpolators), *installed}))
 
 
 def create_interpolator(name: str, robot: RobotDescription, tool: Any = None, **options: Any) -> Interpolator:

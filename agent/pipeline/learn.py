@@ -130,10 +130,11 @@ def _check_log(log: Log, robot: RobotDescription) -> None:
 
 def _statements(log: Log, robot: RobotDescription) -> list[Statement]:
     """Of the program that was recorded: a file beside the log with its name, or that of its run."""
-    from agent.motion import parse_program
+    from agent.motion import dialect
 
-    beside = log.path.with_suffix(".pdl")
-    of_run = log.path.with_name("program.pdl")
+    pdl2 = dialect("pdl2")  # of the controllers whose law is learned
+    beside = log.path.with_suffix(pdl2.suffix)
+    of_run = log.path.with_name(f"program{pdl2.suffix}")
     chosen = beside if beside.is_file() else of_run if log.path.stem == "excitation" and of_run.is_file() else None
     if chosen is not None:
         try:
@@ -142,7 +143,7 @@ def _statements(log: Log, robot: RobotDescription) -> list[Statement]:
             raise InputError(f"{chosen}: cannot be read: {error}") from None
     else:
         text = _of_the_plan(log)
-    return list(parse_program(text, str(chosen or log.path), robot).run())
+    return list(pdl2.read(text, str(chosen or log.path), robot).run())
 
 
 def _of_the_plan(log: Log) -> str:
@@ -168,7 +169,7 @@ def _stretches(
 ) -> list[tuple[Any, RecordedMove]]:
     """What was moved between stops, by what tells one motion from another; `rests` [s] grows by what stops took."""
     from agent.link import Aligner, moving_segments
-    from agent.motion import FlyInterpolator, Move, RecordedMove, way_key
+    from agent.motion import FlyInterpolator, Move, Pdl2Settings, RecordedMove, way_key
 
     tool = log.metadata.get("tool", "none")
     if tool != "none" and any(isinstance(one, Move) and one.settings.tool is None for one in statements):
@@ -205,7 +206,7 @@ def _stretches(
         even = np.diff(t[a:b]).max() <= 2.5 / log.sample_rate
         if even:
             found.append((way_key(moves), RecordedMove(tuple(moves), t[a:b], q[a:b])))
-        left = moves[-1].settings.termination.value, float(t[b - 1])
+        left = Pdl2Settings.of(moves[-1].settings).termination.value, float(t[b - 1])
         at, stand = last + 1, q[b - 1]
         if at == len(moving):
             break

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from agent.diagnosis import Diagnosis
     from agent.excitation import LoopProblem
     from agent.experiment import Deadline, Experiment, Pick, Piece
-    from agent.motion import Trajectory
+    from agent.motion import Dialect, Trajectory
     from agent.robot import RobotDescription, Tool, TorqueLimits
 
 #: Longest motion that is planned [s].
@@ -46,13 +46,14 @@ class NextMotion:
     text: str
     chains: tuple[Trajectory, ...]
     robot: RobotDescription
+    dialect: Dialect
     load: Tool | None = None
     brakes: bool = False
 
     @property
     def duration(self) -> float:
         """[s] from the first piece's start on, rests included."""
-        return _duration(self.text, self.chains, self.robot)
+        return _duration(self.text, self.chains, self.robot, self.dialect)
 
     def to_dict(self, program: str) -> dict[str, Any]:
         """`next_experiment` of a diagnosis: what is separated, how, and the probability of the right answer."""
@@ -147,7 +148,7 @@ def plan_next(
     experiment = plan_experiment(found, pairs, problem, seconds, recipe.search.seed, deadline.share(_BARE), runs)
     if runs.motion is not None:
         asked = [e.pair for e in experiment.expected]
-        motion = NextMotion(experiment, *runs.motion, recipe.robot, load, brakes_tell(found, asked))
+        motion = NextMotion(experiment, *runs.motion, recipe.robot, recipe.dialect, load, brakes_tell(found, asked))
         if motion.helps():
             return motion
     if seconds < LONGEST:
@@ -247,15 +248,14 @@ def run_otherwise(
         return None
     assert runs.motion is not None
     text, chains = runs.motion
-    return text, _duration(text, chains, recipe.robot)
+    return text, _duration(text, chains, recipe.robot, recipe.dialect)
 
 
-def _duration(text: str, chains: Sequence[Trajectory], robot: RobotDescription) -> float:
+def _duration(text: str, chains: Sequence[Trajectory], robot: RobotDescription, dialect: Dialect) -> float:
     """[s] of a program's motion and of its rests."""
-    from agent.motion import parse_program
     from agent.safety import PlannedProgram, pauses
 
-    rests = pauses(parse_program(text, "program.pdl", robot).run())
+    rests = pauses(dialect.read(text, "program", robot).run())
     return PlannedProgram("program", text, tuple(chains), pauses=rests).duration
 
 
@@ -268,7 +268,7 @@ def write_next(motion: NextMotion, folder: Path) -> dict[str, Any]:
     """
     make_folder(folder, "the experiment")
     check_folder(folder)
-    program = write_atomically(folder / "program.pdl", motion.text)
+    program = write_atomically(folder / f"program{motion.dialect.suffix}", motion.text)
     data = motion.to_dict(str(program))
     write_json(folder / "experiment.json", {"schema": SCHEMA, **data, PROGRAM_SHA256: sha256_text(motion.text)})
     return data
@@ -291,7 +291,7 @@ class _Runs:
     def __call__(self, pieces: Sequence[Piece]) -> bool:
         from agent.motion import MotionError
 
-        start, path = np.asarray(pieces[0].start), f"{self._name}.pdl"
+        start, path = np.asarray(pieces[0].start), f"{self._name}{self._recipe.dialect.suffix}"
         speed = _WAY_SPEED
         while True:
             text = _text(self._recipe, pieces, self._name, speed, self._load)
@@ -304,7 +304,7 @@ class _Runs:
             if over <= _SPEED_ROUND_OFF or speed < _SLOWEST_WAY:
                 break
             speed /= 2
-        took = _duration(text, chains, self._recipe.robot)
+        took = _duration(text, chains, self._recipe.robot, self._recipe.dialect)
         if took > self._seconds:
             self.refused = (
                 f"it takes {took:.0f} s with the ways between its pieces, and {self._seconds:.0f} s are allowed"
@@ -315,13 +315,11 @@ class _Runs:
 
 
 def _text(recipe: Recipe, pieces: Sequence[Piece], name: str, way_speed: float, load: Tool | None) -> str:
-    from agent.motion import JointTarget, Move, MoveType, Statement, Termination, with_frames, write_program
+    from agent.motion import JointTarget, Move, MoveType, Statement, with_frames
 
-    calm = with_frames(recipe.motion.settings, recipe.tool).changed(
-        speed_override=way_speed, termination=Termination.FINE
-    )
+    calm = with_frames(recipe.motion.settings, recipe.tool).changed(speed_override=way_speed).stopping()
     statements: list[Statement] = []
     for piece in pieces:
         statements += [Move(MoveType.JOINT, JointTarget(piece.start), calm), *piece.statements]
-    text = write_program(name, statements, recipe.robot)
-    return text if load is None else with_payload(text, load)
+    text = recipe.dialect.write(name, statements, recipe.robot)
+    return text if load is None else with_payload(text, load, recipe.dialect.comment)

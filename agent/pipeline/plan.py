@@ -24,9 +24,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class PlanFiles:
-    """What `agent plan` wrote: the folder, and what it says of the loop."""
+    """What `agent plan` wrote: the folder, the name of the program's file, and what it says of the loop."""
 
     folder: Path
+    program: str
     motion: PlannedMotion
     search: dict[str, Any]
     description: str
@@ -41,7 +42,7 @@ class PlanFiles:
             "cycle_s": self.motion.loop.trajectory.duration,
             "description": self.description,
             "largest_use_of_limits": self.limit_use,
-            "files": ["program.pdl", "plan.json", "plan.html"],
+            "files": [self.program, "plan.json", "plan.html"],
         }
 
     def text(self) -> str:
@@ -52,7 +53,7 @@ class PlanFiles:
             self.description,
             f"largest use of the joint limits: {use}",
         ]
-        return "\n".join([*lines, *(str(self.folder / name) for name in ("program.pdl", "plan.html"))])
+        return "\n".join([*lines, *(str(self.folder / name) for name in (self.program, "plan.html"))])
 
 
 def plan_recipe(recipe: Recipe, folder: Path, console: Console, engine: TaskEngine | None = None) -> PlanFiles:
@@ -81,12 +82,13 @@ def plan_recipe(recipe: Recipe, folder: Path, console: Console, engine: TaskEngi
     data = planned_motion_data(recipe, motion)
     files = PlanFiles(
         folder,
+        f"program{recipe.dialect.suffix}",
         motion,
         found,
         data.description[0],
         {kind: float(values.max()) for kind, values in data.limit_use.items()},
     )
-    write_atomically(folder / "program.pdl", text)
+    write_atomically(folder / files.program, text)
     write_atomically(folder / "plan.html", plan_report(data, search_data(found), text))
     write_json(folder / "plan.json", {**files.to_dict(), "search": found})
     return files
@@ -180,5 +182,5 @@ def describe(recipe: Recipe, cycle: Trajectory, via_points: int, cycles: int) ->
     slowed = f"; slowed down by {', '.join(binding)}" if binding else ""
     return (
         f"{via_points} via-points, {cycle.duration:.1f} s a cycle, {cycles} cycles at {recipe.motion.speed:g} m/s, "
-        f"{settings.fly_type.value} within {1000 * settings.fly_distance:g} mm{slowed}."
+        f"{settings.blend}{slowed}."
     )

@@ -46,13 +46,14 @@ class Plan:
 
 
 def plan_once(recipe: Recipe, run: RunFolder, console: Console) -> Plan:
-    """Search, or take what an earlier start of this run found. Writes `plan.json` and `program.pdl`.
+    """Search, or take what an earlier start of this run found. Writes `plan.json` and the program.
 
     Raises:
         InputError: the sub-region cannot be reached, or no loop in it keeps all limits.
     """
+    file = f"program{recipe.dialect.suffix}"
     if run.finished("plan"):
-        for name, key in {"plan.json": "plan", "program.pdl": "program"}.items():
+        for name, key in {"plan.json": "plan", file: "program"}.items():
             run.check_file(name, run.state.get(key))
         plan = replan(recipe, run.file("plan.json"))
         if sha256_text(program_text(recipe, plan.excitation)) != run.state["program"]:
@@ -64,11 +65,11 @@ def plan_once(recipe: Recipe, run: RunFolder, console: Console) -> Plan:
     plan = make_plan(recipe, console)
     genomes = [motion.loop.genome.tolist() for motion in plan.validation]
     planned = run.write_json("plan.json", {"schema": "plan/1", "search": plan.search, "validation": genomes})
-    program = run.write_text("program.pdl", program_text(recipe, plan.excitation))
+    program = run.write_text(file, program_text(recipe, plan.excitation))
     run.note(
         plan=sha256_file(planned),
         program=sha256_file(program),
-        inputs_sha256={**run.state["inputs_sha256"], "program.pdl": sha256_file(program)},
+        inputs_sha256={**run.state["inputs_sha256"], file: sha256_file(program)},
     )
     return plan
 
@@ -134,20 +135,20 @@ def loop_problem(recipe: Recipe, speed: float) -> LoopProblem:
         tool=recipe.tool,
         keep_out=recipe.cell.keep_out,
         joint_ranges=recipe.cell.joint_ranges,
-        interpolator=recipe.search.interpolator,
+        interpolator=recipe.interpolator,
         period=1.0 / recipe.record.rate,
     )
 
 
 def program_text(recipe: Recipe, motion: PlannedMotion) -> str:
-    """PDL2 text of a planned motion; it sets every frame itself, so it means the same whatever ran before."""
-    from agent.motion import JointTarget, with_frames, write_loop_program
+    """Program of a planned motion; it sets every frame itself, so it means the same whatever ran before."""
+    from agent.motion import JointTarget, with_frames
 
     settings = with_frames(recipe.motion.settings_at(motion.speed), recipe.tool)
     approach = settings.changed(speed_override=APPROACH_SPEED)
     points = _targets(recipe, motion.loop)
     start = JointTarget(np.asarray(motion.loop.start, dtype=float))
-    return write_loop_program(motion.name, points, settings, motion.cycles, approach, recipe.robot, start)
+    return recipe.dialect.write_loop(motion.name, points, settings, motion.cycles, approach, recipe.robot, start)
 
 
 def programs(
@@ -164,7 +165,7 @@ def programs(
     checked: set[int] = set()
     for motion in motions:
         text = program_text(recipe, motion)
-        _, chains = plan_statements(recipe, text, f"{motion.name}.pdl", start)
+        _, chains = plan_statements(recipe, text, f"{motion.name}{recipe.dialect.suffix}", start)
         for chain in chains:
             if id(chain) not in checked:
                 check_cell(recipe, chain)
@@ -214,10 +215,11 @@ def _task_poses(recipe: Recipe, path: Path) -> np.ndarray:
 
         q = read_log(path, recipe.robot).position
         return Dynamics(recipe.robot, recipe.tool).tcp_pose(q[:: max(1, len(q) // 2000)])
+    from agent.motion import dialect_of
     from agent.robot import kinematics_for
 
     kinematics = kinematics_for(recipe.robot, recipe.tool)
-    _, chains = plan_statements(recipe, _job(recipe, path)[0], str(path), kinematics.middle)
+    _, chains = plan_statements(recipe, _job(recipe, path)[0], str(path), kinematics.middle, dialect_of(path))
     if not chains:
         raise InputError(f"{path}: nothing in this program moves the arm; name the program that does")
     job = chains[1:] or chains  # the first leads from an arbitrary start to the job
@@ -226,15 +228,16 @@ def _task_poses(recipe: Recipe, path: Path) -> np.ndarray:
 
 def _job(recipe: Recipe, path: Path) -> tuple[str, dict[str, int]]:
     """What moves in the program of a job, and how often each word was passed over."""
-    from agent.motion import job_text, listing_beside
+    from agent.motion import dialect_of
 
+    dialect = dialect_of(path) or recipe.dialect
     try:
         text = path.read_text(encoding="utf-8")
-        beside = listing_beside(path)
-        listing = "" if beside is None else beside.read_text(encoding="utf-8", errors="replace")
+        beside = dialect.companion(path)
+        companion = "" if beside is None else beside.read_text(encoding="utf-8", errors="replace")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: cannot be read: {error}") from None
-    return job_text(text, str(path), recipe.robot, listing)
+    return dialect.job(text, str(path), recipe.robot, companion)
 
 
 def _tell_passed_over(recipe: Recipe, console: Console) -> None:

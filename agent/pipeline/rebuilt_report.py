@@ -68,7 +68,7 @@ def _recalibration(run: Path, recipe: Recipe, console: Console) -> str:
 
     (log,) = read_logs([run / "excitation.mcap"], recipe.robot, console)
     comparison = Comparison.from_dict(read_object(run / "comparison.json"))
-    program = (run / "program.pdl").read_text(encoding="utf-8")
+    program = (run / f"program{recipe.dialect.suffix}").read_text(encoding="utf-8")
     prediction = predict_log(_model(run), log)
     return recalibration_page(recipe, program, _result(run), comparison, log, prediction, run)
 

@@ -160,8 +160,9 @@ def _record(
         run.note(serial=link.identity.serial)
         if allowed is not None and (soon := allowed.ends_soon()):
             console.warn(soon)
-        run.write_text("program.pdl", loop.program)
-        what, path = f"the stored loop {loop.checksum[:12]}", f"{loop.program_name}.pdl"
+        suffix = recipe.dialect.suffix
+        run.write_text(f"program{suffix}", loop.program)
+        what, path = f"the stored loop {loop.checksum[:12]}", f"{loop.program_name}{suffix}"
         return record_program(link, run, recipe, console, loop.program, path, "excitation", EXCITATION, what)
 
 

@@ -105,11 +105,11 @@ def check_loop(recipe: Recipe, loop: StoredLoop) -> None:
         InputError: it was changed since it was stored, or is no loop for this recipe.
     """
     from agent.excitation import Candidates
-    from agent.motion import Move, parse_program
+    from agent.motion import Move
     from agent.runs import FOLDER
 
     def moves(text: str) -> list[Move]:
-        program = parse_program(text, f"{loop.program_name}.pdl", recipe.robot)
+        program = recipe.dialect.read(text, f"{loop.program_name}{recipe.dialect.suffix}", recipe.robot)
         return [statement for statement in program.run() if isinstance(statement, Move)]
 
     refused = f"the stored loop {loop.checksum[:12]} is not one that this recipe allows"

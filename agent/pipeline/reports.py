@@ -57,7 +57,7 @@ def recalibration_page(
     )
 
     model = prediction.model
-    *_, cycle = plan_statements(recipe, program, "program.pdl", log.position[0])[1]
+    *_, cycle = plan_statements(recipe, program, "program", log.position[0])[1]
     via_points = np.array(result["loop"]["via_points"])
     motion = motion_data(recipe, cycle, via_points, len(log.cycle_starts))
     return recalibration_report(

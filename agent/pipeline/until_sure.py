@@ -157,7 +157,7 @@ def until_sure(
             if isinstance(motion, NoMotion):
                 rounds.end, rounds.other = motion.text, motion
                 break
-            program = run.write_text(f"{name}.pdl", motion.text).name
+            program = run.write_text(f"{name}{recipe.dialect.suffix}", motion.text).name
             ran = replace(motion, brakes=False).to_dict(program)  # nobody was asked for seconds on the brakes
             rounds.asked.append({"after": result["verdict"], **ran, "verdict": None, "causes": []})
             word = allowed and allowed.for_new_motion(run_key(recipe)["loop"], sha256_text(motion.text), moved)

@@ -29,6 +29,7 @@ from agent.robot import Box, RobotDescription, builtin_robots, load_robot
 from drivers.texts import place_of
 
 if TYPE_CHECKING:
+    from agent.motion import Dialect
     from agent.robot import Tool
 
 
@@ -84,6 +85,16 @@ class Recipe:
     gate: GateSection
     recalibrate: RecalibrateSection
 
+    @property
+    def dialect(self) -> Dialect:
+        """The program language of the controller, as its driver declares it."""
+        return _dialect(self.controller)
+
+    @property
+    def interpolator(self) -> str:
+        """Name or file of the interpolation law; where the recipe names none, the one of the controller's dialect."""
+        return self.search.interpolator or self.dialect.interpolators[0]
+
 
 def load_recipe(path: Path | str) -> Recipe:
     """Read a recipe file and the robot it names.
@@ -130,6 +141,13 @@ def examine_recipe(path: Path | str) -> tuple[Recipe | None, list[str]]:
     return _recipe(path, document, robot), lines
 
 
+def _dialect(controller: ControllerSection) -> Dialect:
+    from agent.motion import dialect
+    from drivers import registry
+
+    return dialect(registry.dialect(controller.driver))
+
+
 def _document(path: Path, data: Any, faults: dict[tuple[Any, ...], str]) -> RecipeDocument | None:
     """The document without its faulty keys, or without what holds them, if it can be."""
     while faults:
@@ -149,11 +167,11 @@ def recipe_schema() -> dict[str, Any]:
     }
 
 
-def _contradictions(  # noqa: C901
+def _contradictions(
     path: Path, document: RecipeDocument, robot: RobotDescription
 ) -> Iterator[tuple[tuple[str, ...], str]]:
     """What is wrong between values that are each right by themselves."""
-    from agent.motion import interpolator_names, is_file_name, load_law
+    from agent.motion import program_suffixes
     from drivers.errors import ConfigurationError
     from drivers.registry import available, create
 
@@ -176,16 +194,7 @@ def _contradictions(  # noqa: C901
             create(document.controller.driver, document.controller.address)  # opens nothing
         except ConfigurationError as error:
             yield ("controller", "address"), str(error)
-    interpolators = interpolator_names()
-    if is_file_name(document.search.interpolator):
-        try:
-            load_law(path.parent / document.search.interpolator, robot)
-        except InputError as error:
-            yield ("search", "interpolator"), str(error)
-    elif document.search.interpolator not in interpolators:
-        message = f"there is no interpolator {document.search.interpolator!r}; allowed are {', '.join(interpolators)}"
-        message += ", or the .yaml file of a learned one"
-        yield ("search", "interpolator"), message
+    yield from _motion_contradictions(path, document, robot)
     for name in document.cell.joint_ranges:
         try:
             _joint_range(name, document, robot)
@@ -193,28 +202,44 @@ def _contradictions(  # noqa: C901
             yield ("cell", "joint_ranges", name), str(error)
     like = document.motion.via_points.like
     if like is not None and not os.path.isfile(path.parent / like):
-        yield ("motion", "via_points", "like"), f"{path.parent / like}: no such file; a program (.pdl) or a log (.mcap)"
+        message = f"{path.parent / like}: no such file; a program ({', '.join(program_suffixes())}) or a log (.mcap)"
+        yield (
+            ("motion", "via_points", "like"),
+            message,
+        )
+
+
+def _motion_contradictions(
+    path: Path, document: RecipeDocument, robot: RobotDescription
+) -> Iterator[tuple[tuple[str, ...], str]]:
+    """FLY settings and interpolators that the controller's program language does not have."""
+    from agent.motion import interpolator_names, is_file_name, load_law
+
+    dialect, chosen = _dialect(document.controller), document.search.interpolator
+    for key in sorted(document.motion.fly.model_fields_set - dialect.fly_keys):
+        allowed = ", ".join(sorted(dialect.fly_keys))
+        yield ("motion", "fly", key), f"not for driver {document.controller.driver}; allowed are {allowed}"
+    allowed_laws = interpolator_names(dialect)
+    if chosen is not None and is_file_name(chosen):
+        try:
+            load_law(path.parent / chosen, robot)
+        except InputError as error:
+            yield ("search", "interpolator"), str(error)
+    elif chosen is not None and chosen not in allowed_laws:
+        message = f"there is no interpolator {chosen!r}; allowed are {', '.join(allowed_laws)}"
+        message += ", or the .yaml file of a learned one"
+        yield ("search", "interpolator"), message
 
 
 def _recipe(path: Path, document: RecipeDocument, robot: RobotDescription) -> Recipe:
     from agent.motion import is_file_name
 
     text = path.read_text(encoding="utf-8")
-    fly = document.motion.fly
-    settings = MotionSettings(
-        fly_type=fly.type,
-        fly_trajectory=fly.trajectory,
-        fly_distance=fly.distance,
-        fly_percent=100.0 * fly.percent,
-        stress_percent=100.0 * fly.stress,
-        linear_speed=document.motion.speed,
-    )
-    if robot.cartesian_limits is not None:
-        settings = settings.changed(rotational_speed=robot.cartesian_limits.rotational_speed)
+    settings = _dialect(document.controller).settings(document.motion.fly.model_dump(), document.motion.speed, robot)
     via_points, search = document.motion.via_points, document.search
     if via_points.like is not None:
         via_points = via_points.model_copy(update={"like": str(path.parent / via_points.like)})
-    if is_file_name(search.interpolator):
+    if search.interpolator is not None and is_file_name(search.interpolator):
         search = search.model_copy(update={"interpolator": str(path.parent / search.interpolator)})
     written = {field.alias or name: getattr(document, name) for name, field in RecipeDocument.model_fields.items()}
     resolved = {

@@ -121,7 +121,7 @@ class CellSection(RecipeSection):
 
 
 class FlySection(RecipeSection):
-    """The system variables of the FLY statement."""
+    """How the loop passes its via-points; all but `distance` are system variables of COMAU's FLY statement."""
 
     type: FlyType = FlyType.FLY_CART
     trajectory: FlyTrajectory = FlyTrajectory.FLY_TOL
@@ -217,7 +217,7 @@ class SearchSection(RecipeSection):
     generations: Annotated[Count, Field(ge=1, le=100_000)] = 40
     seed: Seed = 1
     method: Literal[SEARCH_METHODS] = "genetic"  # type: ignore[valid-type]
-    interpolator: Name = "fly"
+    interpolator: Name | None = None
 
 
 class RecordSection(RecipeSection):

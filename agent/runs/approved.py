@@ -51,7 +51,7 @@ def problem(recipe: Recipe) -> dict[str, Any]:
         "sub_region": _sub_region(recipe.motion.via_points),
         "settings": _plain(recipe.motion.settings),
         "rate": recipe.record.rate,
-        "interpolator": _interpolator(recipe.search.interpolator),
+        "interpolator": _interpolator(recipe.interpolator),
     }
     return json.loads(json.dumps(parts))  # lists for tuples, as it comes back from a file
 
@@ -63,11 +63,12 @@ def _sub_region(via: ViaPointsSection) -> dict[str, Any]:
     if via.like is None:
         kind = "tube" if via.box is None else "box"
         return {kind: {"count": via.count, **getattr(via, kind).model_dump()}}
-    from agent.motion import listing_beside
+    from agent.motion import dialect_of
 
     like = Path(via.like)
     found = {"count": via.count, "path": _file_digest(like), "around": via.around or 0.0}
-    listing = listing_beside(like) if like.suffix.lower() == ".pdl" else None
+    language = dialect_of(like)
+    listing = None if language is None else language.companion(like)
     return {"like": found if listing is None else {**found, "variables": _file_digest(listing)}}
 
 

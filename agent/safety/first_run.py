@@ -16,17 +16,17 @@ from agent.motion import Move, Statement, stop_to_stop, way_key
 from agent.safety.motion import PlannedProgram
 
 if TYPE_CHECKING:
-    from agent.motion import Interpolator, Trajectory
+    from agent.motion import Dialect, Interpolator, Trajectory
     from agent.robot import RobotDescription
 
 #: Highest speed of the tool centre point in a first run [m/s].
 FIRST_SPEED = 0.25
 _ATTEMPTS = 12
-_SLOWEST = 0.01  # PDL2 takes whole percents of speed
+_SLOWEST = 0.01  # as PDL2 takes whole percents of speed
 
 
 def slow_version(
-    program: PlannedProgram, robot: RobotDescription, interpolator: Interpolator, start: np.ndarray
+    program: PlannedProgram, robot: RobotDescription, dialect: Dialect, interpolator: Interpolator, start: np.ndarray
 ) -> PlannedProgram:
     """The program's stretches from stop to stop, up to the first that comes again, slowed down.
 
@@ -36,12 +36,10 @@ def slow_version(
     Raises:
         InputError: it cannot be planned, or not so slowly.
     """
-    from agent.motion import parse_program, write_program
-
     statements: list[Statement] = []
     chains: list[Trajectory] = []
     seen: set[tuple[bytes, tuple[object, ...]]] = set()
-    for moves in stop_to_stop(parse_program(program.text, program.name, robot).run()):
+    for moves in stop_to_stop(dialect.read(program.text, program.name, robot).run()):
         key = np.round(start, 6).tobytes(), way_key(moves)
         if key in seen:
             break
@@ -52,7 +50,7 @@ def slow_version(
             statements += slow
             chains.append(trajectory)
     name = f"{program.name[:26]}_slow"
-    text = write_program(name, statements, robot)
+    text = dialect.write(name, statements, robot)
     return PlannedProgram(name, text, tuple(chains), stands_for=program.checksum, frames=program.frames)
 
 

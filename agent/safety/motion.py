@@ -43,11 +43,11 @@ def pauses(statements: Iterable[Statement]) -> float:
 
 @dataclass(frozen=True, eq=False)
 class PlannedProgram:
-    """PDL2 text under a name, and what we planned of it from stop to stop.
+    """A program under a name, and what we planned of it from stop to stop.
 
     `stands_for`: checksum of the program that this one is the slow version of; empty for any other. `points`: the same
     motion for a controller that takes via-points. `pauses` [s]: rests that the program asks for (DELAY). `frames`:
-    those of the controller that the plan takes for granted, (4, 4) [m] by the name of their system variable; none
+    those of the controller that the plan takes for granted, (4, 4) [m] by their name in the dialect; none
     where the program sets all that it needs.
     """
 

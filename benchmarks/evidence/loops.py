@@ -12,7 +12,7 @@ from agent.core import InputError
 from agent.excitation import Candidates, Criterion, Loop, LoopProblem, LoopScore, ranking
 from agent.excitation.criterion import log_determinant
 from agent.excitation.genetic import genetic
-from agent.motion import JointTarget, MotionError, Move, MoveType, Termination, Trajectory, create_interpolator
+from agent.motion import JointTarget, MotionError, Move, MoveType, Trajectory, create_interpolator
 from agent.pipeline.planning import loop_problem
 from agent.recipe import Recipe
 from agent.robot import KinematicsError, RobotDescription
@@ -88,7 +88,7 @@ class StoppingLoops(LocalLoops):
         return [loop if isinstance(loop, InputError) else self._stopping(loop) for loop in super().loops(genomes)]
 
     def _stopping(self, flown: Loop) -> Planned:
-        settings = self.problem.settings.changed(termination=Termination.FINE)
+        settings = self.problem.settings.stopping()
         moves = tuple(replace(move, fly=False, settings=settings) for move in flown.moves)
         return _planned(self._interpolator.plan, flown.genome, flown.poses, flown.start, moves)
 
@@ -111,7 +111,7 @@ class GlobalLoops(LocalLoops):
     def _anywhere(self, genome: np.ndarray) -> Planned:
         points = self._lower + self._range * genome.reshape(-1, self.problem.robot.dof)
         settings = self.problem.settings.changed(speed_override=self._override)
-        closing = settings.changed(termination=Termination.FINE)
+        closing = settings.stopping()
         moves = tuple(
             [Move(MoveType.JOINT, JointTarget(point), settings, fly=True) for point in points[1:]]
             + [Move(MoveType.JOINT, JointTarget(points[0]), closing)]

@@ -17,6 +17,7 @@ from agent.motion import (
     Move,
     MoveType,
     OrientationType,
+    Pdl2Settings,
     SpeedOption,
     Target,
 )
@@ -69,6 +70,10 @@ class Part:
     via: np.ndarray | None = None
 
     @property
+    def settings(self) -> Pdl2Settings:
+        return Pdl2Settings.of(self.move.settings)
+
+    @property
     def turns_only(self) -> bool:
         return self.leg.length < _NOTHING
 
@@ -100,9 +105,9 @@ class PartMaker:
             if np.max(np.abs(end - start)) < _NOTHING:
                 return None
             return Part(index, move, Leg(start / scale, end / scale, none, np.zeros(3)), None)
-        if move.settings.orientation not in (OrientationType.RS_WORLD, OrientationType.RS_TRAJ):
-            word = move.settings.orientation.value
-            raise MotionError(f"this controller has no $ORNT_TYPE {word}", index, "orientation", 1.0)
+        orientation = Pdl2Settings.of(move.settings).orientation
+        if orientation not in (OrientationType.RS_WORLD, OrientationType.RS_TRAJ):
+            raise MotionError(f"this controller has no $ORNT_TYPE {orientation.value}", index, "orientation", 1.0)
         if before is None:
             pose = kinematics.forward(q[None])[0]
             place, turn = pose[:3, 3], Rotation.from_matrix(pose[:3, :3])
@@ -133,7 +138,7 @@ class PartMaker:
                 end = np.asarray(move.target.position, dtype=float)
         except KinematicsError as error:
             raise MotionError(str(error), index, error.reason, error.excess) from None
-        if not move.settings.multi_turn:
+        if not Pdl2Settings.of(move.settings).multi_turn:
             lower, upper = self.robot.position_limits
             turning = np.array([not joint.prismatic for joint in self.robot.joints]) & (upper - lower > 2 * np.pi)
             end = np.where(turning, start + (end - start + np.pi) % (2 * np.pi) - np.pi, end)
@@ -151,7 +156,7 @@ class PartMaker:
         """How much of either leg the corner between them takes."""
         if first.via is not None or second.via is not None or first.turns_only or second.turns_only:
             return 0.0
-        settings = first.move.settings
+        settings = first.settings
         angle = corner_angle(first.leg, second.leg)
         most = 0.5 * min(first.leg.length, second.leg.length)
         if angle > _SHARPEST:
@@ -188,7 +193,7 @@ class PartMaker:
 
     def programmed(self, part: Part) -> float:
         """Speed along the way that a move's settings ask for and the tool's limits allow."""
-        settings = part.move.settings
+        settings = part.settings
         override = settings.speed_override * settings.arm_override
         if part.kinematics is None:
             return override / float(np.abs(part.leg.direction).max())

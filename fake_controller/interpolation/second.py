@@ -216,7 +216,7 @@ class SecondInterpolator:
             ramp = law.acceleration * float(np.min(robot.max_acceleration / first))
         up = down = ramp
         for part in piece.parts:
-            settings = part.move.settings
+            settings = part.settings
             speed = min(speed, self._maker.programmed(part))
             if settings.speed_option is SpeedOption.SPD_JNT and part.kinematics is not None:
                 speed = min(speed, joints * settings.speed_override * settings.arm_override)

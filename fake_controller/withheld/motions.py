@@ -94,7 +94,5 @@ def _check(recipe: Recipe, moves: Sequence[Move], start: np.ndarray) -> None:
     """Raises:
     InputError: a limit, or the arm's own links.
     """
-    interpolator = create_interpolator(
-        recipe.search.interpolator, recipe.robot, recipe.tool, period=1.0 / recipe.record.rate
-    )
+    interpolator = create_interpolator(recipe.interpolator, recipe.robot, recipe.tool, period=1.0 / recipe.record.rate)
     check_cell(recipe, interpolator.plan(moves, start))

@@ -8,17 +8,8 @@ import pytest
 from agent.core.errors import InputError
 from agent.link.via_points import JOINT_STEP, JOINT_TOLERANCE, via_points
 from agent.motion import create_interpolator, parse_program, write_loop_program, write_program
-from agent.motion.program import (
-    CartesianTarget,
-    FlyTrajectory,
-    FlyType,
-    JointTarget,
-    MotionSettings,
-    Move,
-    MoveType,
-    Termination,
-    stop_to_stop,
-)
+from agent.motion.pdl2.settings import FlyTrajectory, FlyType, Pdl2Settings, Termination
+from agent.motion.program import CartesianTarget, JointTarget, Move, MoveType, stop_to_stop
 from agent.robot import kinematics_for, load_robot
 from agent.safety.motion import PlannedProgram
 
@@ -27,7 +18,7 @@ START = np.radians([0.0, 0.0, -90.0, 0.0, 0.0, 0.0])
 CORNERS = np.radians(
     [[10.0, 0.0, -90.0, 0.0, 40.0, 0.0], [20.0, 5.0, -95.0, 0.0, 45.0, 0.0], [5.0, 8.0, -85.0, 5.0, 50.0, 0.0]]
 )
-FLY = MotionSettings(
+FLY = Pdl2Settings(
     fly_type=FlyType.FLY_CART,
     fly_trajectory=FlyTrajectory.FLY_TOL,
     fly_distance=0.02,

@@ -8,14 +8,14 @@ import pytest
 
 from agent.excitation import LoopProblem
 from agent.motion import ViaRegions
-from agent.motion.program import FlyTrajectory, FlyType, MotionSettings
+from agent.motion.pdl2.settings import FlyTrajectory, FlyType, Pdl2Settings
 from agent.robot import load_robot
 
 
 @pytest.fixture(scope="session")
 def problem() -> LoopProblem:
     """The quickstart's loop."""
-    settings = MotionSettings(
+    settings = Pdl2Settings(
         fly_type=FlyType.FLY_CART, fly_trajectory=FlyTrajectory.FLY_TOL, fly_distance=0.02, linear_speed=1.0
     )
     regions = box()

@@ -17,27 +17,19 @@ import pytest
 from agent.core import InProcess
 from agent.excitation import LoopProblem, search
 from agent.motion import FlyInterpolator, ViaRegions, loop_moves
-from agent.motion.program import (
-    CartesianTarget,
-    FlyTrajectory,
-    FlyType,
-    MotionSettings,
-    Move,
-    MoveType,
-    OrientationType,
-    SpeedOption,
-)
+from agent.motion.pdl2.settings import FlyTrajectory, FlyType, OrientationType, Pdl2Settings, SpeedOption
+from agent.motion.program import CartesianTarget, Move, MoveType
 from agent.robot import kinematics_for, load_robot
 
 STORED = Path(__file__).with_name("same_loop.json")
-CART = MotionSettings(
+CART = Pdl2Settings(
     fly_type=FlyType.FLY_CART, fly_trajectory=FlyTrajectory.FLY_TOL, fly_distance=0.02, linear_speed=1.0
 )
 STYLES = {
     "tolerance": CART,
     "slow": CART.changed(linear_speed=0.1),
     "pass": CART.changed(fly_trajectory=FlyTrajectory.FLY_PASS, fly_distance=0.05),
-    "overlap": MotionSettings(linear_speed=0.5, stress_percent=80.0),
+    "overlap": Pdl2Settings(linear_speed=0.5, stress_percent=80.0),
     "from, Euler": CART.changed(fly_trajectory=FlyTrajectory.FLY_FROM, orientation=OrientationType.EUL_WORLD),
     "joints": CART.changed(speed_option=SpeedOption.SPD_JNT, speed_override=0.5),
     "arc and joint move": CART.changed(linear_speed=0.5),

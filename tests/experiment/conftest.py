@@ -8,7 +8,7 @@ import pytest
 from agent.diagnosis import Diagnosis
 from agent.excitation import LoopProblem
 from agent.motion import ViaRegions
-from agent.motion.program import FlyTrajectory, FlyType, MotionSettings
+from agent.motion.pdl2.settings import FlyTrajectory, FlyType, Pdl2Settings
 from agent.motion.regions import BoxRegion
 from agent.robot import RobotDescription, kinematics_for
 from tests.experiment.examples import one_sided
@@ -30,5 +30,5 @@ def problem() -> LoopProblem:
     arm = make_arm("RRRRRR")
     pose = kinematics_for(arm, None).forward(np.array([[0.2, 0.2, 1.2, 0.3, 0.8, 0.2]]))[0]
     region = BoxRegion(pose, np.full(3, 0.1), 0.3)
-    fly = MotionSettings(fly_type=FlyType.FLY_CART, fly_trajectory=FlyTrajectory.FLY_TOL, fly_distance=0.02)
+    fly = Pdl2Settings(fly_type=FlyType.FLY_CART, fly_trajectory=FlyTrajectory.FLY_TOL, fly_distance=0.02)
     return LoopProblem(robot=arm, regions=ViaRegions((region,) * 4), settings=fly.changed(linear_speed=0.5))

@@ -15,6 +15,7 @@ from agent.core import Console, InputError, RejectedError, write_atomically
 from agent.diagnosis.evidence import null_gains
 from agent.experiment import KINDS, Experiment, as_drawn
 from agent.experiment.pieces import Pieces
+from agent.motion.pdl2.dialect import Pdl2
 from agent.pipeline import GapQuestion, check_plausible, diagnose_files, next_checks, next_experiment
 from agent.pipeline.next_checks import check_arm, check_tool
 from agent.pipeline.next_experiment import LONGEST, NoMotion, plan_next
@@ -98,7 +99,7 @@ def test_where_no_piece_keeps_all_limits_it_names_the_limit_and_not_what_else_wo
 
 
 def test_where_the_time_that_is_left_is_too_short_it_says_how_long_one_would_take(ask, monkeypatch):
-    longer = next_experiment.NextMotion(SimpleNamespace(), "", (), None)  # type: ignore[arg-type]
+    longer = next_experiment.NextMotion(SimpleNamespace(), "", (), None, Pdl2())  # type: ignore[arg-type]
     monkeypatch.setattr(next_experiment.NextMotion, "duration", 34.2)
     asked: list[float] = []
 
@@ -206,7 +207,7 @@ def test_where_the_question_of_a_mass_is_stopped_the_motion_of_the_bare_arm_is_t
     piece = SimpleNamespace(text=lambda robot: "a loop of the bare arm")
     experiment = SimpleNamespace(expected=(), pieces=[piece])
     text = "PROGRAM x\nBEGIN\n  DELAY 4000\nEND x\n"
-    planned = next_experiment.NextMotion(experiment, text, (), load_robot("comau_ns16"))  # type: ignore[arg-type]
+    planned = next_experiment.NextMotion(experiment, text, (), load_robot("comau_ns16"), Pdl2())  # type: ignore[arg-type]
     monkeypatch.setattr(next_experiment, "plan_next", lambda *_, **__: planned)
     monkeypatch.setattr(next_experiment, "mass_beside", fails(why))
     question, shown = asked(why)

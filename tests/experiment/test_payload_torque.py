@@ -17,7 +17,7 @@ from agent.experiment.pieces import Pieces
 from agent.link import check_load, record, record_program_file, torque_limits
 from agent.model import payload_of
 from agent.motion import ViaRegions
-from agent.motion.program import FlyTrajectory, FlyType, MotionSettings
+from agent.motion.pdl2.settings import FlyTrajectory, FlyType, Pdl2Settings
 from agent.motion.regions import BoxRegion
 from agent.robot import Dynamics, TorqueLimits, kinematics_for
 from tests.small_arms import make_arm
@@ -55,7 +55,7 @@ def test_a_limit_holds_with_the_mass_and_not_only_without(seed):
 def test_every_piece_planned_with_a_mass_can_be_borne():
     pose = kinematics_for(ARM, None).forward(np.array([[0.2, 0.2, 1.2, 0.3, 0.8, 0.2]]))[0]
     region = BoxRegion(pose, np.full(3, 0.1), 0.3)
-    fly = MotionSettings(fly_type=FlyType.FLY_CART, fly_trajectory=FlyTrajectory.FLY_TOL, fly_distance=0.02)
+    fly = Pdl2Settings(fly_type=FlyType.FLY_CART, fly_trajectory=FlyTrajectory.FLY_TOL, fly_distance=0.02)
     problem = LoopProblem(robot=ARM, regions=ViaRegions((region,) * 4), settings=fly.changed(linear_speed=0.5))
 
     def drawn(one) -> list:

@@ -13,6 +13,7 @@ from agent.core import AgentError, InputError, RejectedError, sha256_text, write
 from agent.core.console import Console
 from agent.model import CATALOGUE
 from agent.motion import Delay, write_program
+from agent.motion.pdl2.dialect import Pdl2
 from agent.pipeline import until_sure as module
 from agent.pipeline.calibrate import step
 from agent.pipeline.next_checks import check_next
@@ -211,14 +212,14 @@ def test_a_motion_helps_that_tells_one_of_two_of_which_the_other_can_always_be_i
     expected = [SimpleNamespace(before_if=(before, None), after_if=(after, None))]
     expected += [SimpleNamespace(before_if=(1.0, 0.0), after_if=(1.0, 0.1))]
     experiment = SimpleNamespace(expected=expected)
-    assert NextMotion(experiment, "", (), None).helps() is helps  # type: ignore[arg-type]
+    assert NextMotion(experiment, "", (), None, Pdl2()).helps() is helps  # type: ignore[arg-type]
 
 
 def test_a_motion_takes_as_long_as_its_rests_and_its_moves():
     robot = load_robot("comau_ns16")
     text = write_program("experiment", [Delay(4.0), Delay(2.5)], robot)
     chains = (SimpleNamespace(duration=3.0),)
-    assert NextMotion(SimpleNamespace(), text, chains, robot).duration == pytest.approx(9.5)  # type: ignore[arg-type]
+    assert NextMotion(SimpleNamespace(), text, chains, robot, Pdl2()).duration == pytest.approx(9.5)  # type: ignore[arg-type]
 
 
 def pair(first: str, second: str):
@@ -245,7 +246,7 @@ def test_where_no_motion_helps_it_says_where_to_look_for_either():
 def test_a_planned_motion_says_that_seconds_on_the_brakes_come_first(brakes):
     robot, piece = load_robot("comau_ns16"), SimpleNamespace(text=lambda robot: "reversals of joint_2")
     experiment, text = SimpleNamespace(expected=(), pieces=[piece]), write_program("experiment", [Delay(4.0)], robot)
-    motion = NextMotion(experiment, text, (), robot, brakes=brakes)  # type: ignore[arg-type]
+    motion = NextMotion(experiment, text, (), robot, Pdl2(), brakes=brakes)  # type: ignore[arg-type]
     said = motion.to_dict("program.pdl")["motion"]
     assert said.endswith("reversals of joint_2")
     assert ("--drives-off" in said) is brakes

@@ -15,6 +15,7 @@ from agent.core import Console, write_atomically
 from agent.diagnosis import diagnose
 from agent.experiment import open_pairs, tells_apart_by_load
 from agent.experiment.motion import GridMotion
+from agent.motion.pdl2.dialect import Pdl2
 from agent.pipeline.next_experiment import NextMotion
 from agent.pipeline.other_tests import with_a_mass
 from agent.pipeline.planning import loop_problem
@@ -105,7 +106,7 @@ def test_the_page_says_it_beside_the_motion_of_the_bare_arm(ask):
     robot = load_robot("comau_ns16")
     experiment = SimpleNamespace(expected=(), pieces=[SimpleNamespace(text=lambda robot: "a loop")])
     text = "PROGRAM x\nBEGIN\n  DELAY 4000\nEND x\n"
-    said = NextMotion(experiment, text, (), robot).to_dict("x.pdl") | {"with_a_mass": mass.to_dict()}  # type: ignore[arg-type]
+    said = NextMotion(experiment, text, (), robot, Pdl2()).to_dict("x.pdl") | {"with_a_mass": mass.to_dict()}  # type: ignore[arg-type]
     assert mass.text() in unescape(render(Page("Gap", "it is", "plain", planned_sections(said))))
 
 

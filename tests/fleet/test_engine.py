@@ -23,7 +23,7 @@ from agent.core.on_dask import DaskEngine
 from agent.core.parallel import InProcess
 from agent.excitation import LoopProblem, search
 from agent.fleet import make_question, run_fleet
-from agent.motion import MotionSettings, ViaRegions
+from agent.motion import Pdl2Settings, ViaRegions
 from agent.robot import load_robot
 from tests.conftest import end_with_tests
 from tests.fleet.conftest import DaskProcesses, rows_of
@@ -101,7 +101,7 @@ def test_ctrl_c_on_a_terminal_is_for_who_asked_and_not_for_the_workers():
 
 def test_a_search_on_dask_finds_the_loop_of_this_process():
     regions = ViaRegions.from_box(6, [1.0, 0.0, 1.0], [0.3] * 3, [0.0, np.pi, 0.0], 0.3)
-    problem = LoopProblem(load_robot("comau_ns16"), regions, MotionSettings(linear_speed=0.5))
+    problem = LoopProblem(load_robot("comau_ns16"), regions, Pdl2Settings(linear_speed=0.5))
     asked = {"population": 12, "generations": 2, "seed": 3}
     with DaskEngine(workers=2) as engine:
         there = search(problem, **asked, engine=engine)

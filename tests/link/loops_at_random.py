@@ -19,7 +19,8 @@ import pinocchio
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from agent.motion import FlyInterpolator, MotionError, parse_program, stop_to_stop, write_loop_program
-from agent.motion.program import CartesianTarget, FlyTrajectory, FlyType, JointTarget, MotionSettings, frame_of
+from agent.motion.pdl2.settings import FlyTrajectory, FlyType, Pdl2Settings
+from agent.motion.program import CartesianTarget, JointTarget, frame_of
 from agent.robot import Box, Tool
 from agent.robot.drivetrain import torque_per_ampere
 from agent.safety.cell import TOOL_RADIUS, Cell
@@ -59,7 +60,7 @@ def drawn(seed: int) -> Drawn:
         corners = MIDDLE + rng.uniform(-AROUND, AROUND) + np.radians(rng.uniform(-9, 9, (int(rng.integers(3, 7)), 6)))
         distance, speed = float(rng.choice([0.002, 0.01, 0.02, 0.05])), round(float(rng.uniform(0.1, 1.4)), 3)
         poses = [_of_pinocchio(flange(q)) * tool for q in corners]
-        settings = MotionSettings(
+        settings = Pdl2Settings(
             fly_type=FlyType.FLY_CART,
             fly_trajectory=FlyTrajectory.FLY_TOL,
             fly_distance=distance,

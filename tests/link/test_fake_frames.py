@@ -9,19 +9,9 @@ from hypothesis import Phase, given, settings, strategies as st
 
 from agent.motion import FlyInterpolator, parse_program, pose_to_pos, write_program
 from agent.motion.pdl2.frames import pos_to_pose
+from agent.motion.pdl2.settings import FlyTrajectory, FlyType, Pdl2Settings, Termination
 from agent.motion.pdl2.variables import SYSTEM_VARIABLES
-from agent.motion.program import (
-    NO_FRAME,
-    CartesianTarget,
-    FlyTrajectory,
-    FlyType,
-    JointTarget,
-    MotionSettings,
-    Move,
-    MoveType,
-    Termination,
-    frame_of,
-)
+from agent.motion.program import NO_FRAME, CartesianTarget, JointTarget, Move, MoveType, frame_of
 from agent.robot import kinematics_for
 from fake_controller.execution import Planner
 from fake_controller.frames import Transform, tool_point
@@ -64,7 +54,7 @@ def test_the_tool_passes_every_programmed_position(tool, base, uframe, seed, via
     tool, base, uframe = se3(tool), se3(base), se3(uframe)
     rng = np.random.default_rng(via)
     corners = START + np.radians(rng.uniform(-5, 5, (4, 6)))
-    fields = MotionSettings(
+    fields = Pdl2Settings(
         fly_type=FlyType.FLY_CART,
         fly_trajectory=FlyTrajectory.FLY_TOL,
         fly_distance=FLY_DISTANCE,
@@ -110,21 +100,21 @@ def test_both_sides_know_the_same_system_variables():
     assert set(FACTORY) == set(SYSTEM_VARIABLES)
 
 
-def linear(settings: MotionSettings) -> str:
+def linear(settings: Pdl2Settings) -> str:
     pose = pose_to_pos(flange(START + 0.05).homogeneous)
     return write_program("p", [Move(MoveType.LINEAR, CartesianTarget(pos_to_pose(pose)), settings)], ROBOT)
 
 
 def test_a_program_that_sets_no_frames_goes_by_those_of_the_one_before():
     """That is why ours set them all."""
-    framed = MotionSettings(base=NO_FRAME, tool=NO_FRAME, uframe=NO_FRAME)
-    (alone,) = run_on_the_fake(linear(MotionSettings()), dict(FACTORY))
+    framed = Pdl2Settings(base=NO_FRAME, tool=NO_FRAME, uframe=NO_FRAME)
+    (alone,) = run_on_the_fake(linear(Pdl2Settings()), dict(FACTORY))
     (told,) = run_on_the_fake(linear(framed), left_over(3))
     np.testing.assert_allclose(told[-1], alone[-1], atol=1e-9)
     system = dict(FACTORY)
     shifted = framed.changed(uframe=as_tuple(se3((0, 0, 30, 0, 0, 0))))
     run_on_the_fake(linear(shifted), system)
-    (after,) = run_on_the_fake(linear(MotionSettings()), system)
+    (after,) = run_on_the_fake(linear(Pdl2Settings()), system)
     rise = flange(after[-1]).translation - flange(alone[-1]).translation
     np.testing.assert_allclose(rise, [0, 0, 0.03], atol=1e-6)
 

@@ -11,6 +11,7 @@ from agent.core.errors import ControllerError, InputError
 from agent.motion import parse_program
 from agent.motion.frames import left_open
 from agent.motion.pdl2.frames import pos_to_pose
+from agent.motion.pdl2.variables import FRAMES
 from agent.robot import load_robot
 from agent.robot.drivetrain import torque_per_ampere
 from agent.robot.dynamics import Tool
@@ -136,4 +137,4 @@ def test_a_link_that_reads_no_frames_takes_no_program_that_leaves_them_open():
 )
 def test_what_a_program_leaves_open(said, move, names):
     statements = parse_program(f"PROGRAM p\nBEGIN\n  {said}\n  {move}\nEND p\n").run()
-    assert [*left_open(statements, Tool(frame=MOUNTED))] == names
+    assert [*left_open(statements, Tool(frame=MOUNTED), FRAMES)] == names

@@ -9,18 +9,8 @@ import pytest
 from hypothesis import Phase, given, settings, strategies as st
 
 from agent.motion import MotionError
-from agent.motion.program import (
-    CartesianTarget,
-    FlyTrajectory,
-    FlyType,
-    JointTarget,
-    MotionSettings,
-    Move,
-    MoveType,
-    OrientationType,
-    Termination,
-    frame_of,
-)
+from agent.motion.pdl2.settings import FlyTrajectory, FlyType, OrientationType, Pdl2Settings, Termination
+from agent.motion.program import CartesianTarget, JointTarget, Move, MoveType, frame_of
 from fake_controller.interpolation import build_interpolator
 from fake_controller.interpolation.parts import InterpolationLaw, drawn_law
 from fake_controller.interpolation.ramps import RampedMove
@@ -39,7 +29,7 @@ def loop(via: int, distance: float, speed: float, kind: MoveType = MoveType.LINE
     rng = np.random.default_rng(via)
     tool = np.eye(4)
     tool[:3, 3] = rng.uniform(-0.2, 0.2, 3)
-    fields = MotionSettings(
+    fields = Pdl2Settings(
         fly_type=FlyType.FLY_CART,
         fly_trajectory=FlyTrajectory.FLY_TOL,
         fly_distance=distance,

@@ -8,20 +8,8 @@ import numpy as np
 import pytest
 
 from agent.motion import FlyInterpolator
-from agent.motion.program import (
-    CartesianTarget,
-    Delay,
-    FlyTrajectory,
-    FlyType,
-    JointTarget,
-    MotionSettings,
-    Move,
-    MoveType,
-    OrientationType,
-    SpeedOption,
-    Statement,
-    Termination,
-)
+from agent.motion.pdl2.settings import FlyTrajectory, FlyType, OrientationType, Pdl2Settings, SpeedOption, Termination
+from agent.motion.program import CartesianTarget, Delay, JointTarget, Move, MoveType, Statement
 from agent.motion.regions import pose_of
 from agent.robot import Kinematics, RobotDescription, kinematics_for
 
@@ -65,7 +53,7 @@ def random_pose(rng: np.random.Generator) -> np.ndarray:
     return tool_down(CENTRE + (rng.random(3) - 0.5) * SIZE, rng.uniform(-0.3, 0.3, 3))
 
 
-def random_settings(rng: np.random.Generator, **fixed: object) -> MotionSettings:
+def random_settings(rng: np.random.Generator, **fixed: object) -> Pdl2Settings:
     """Every mode and number of the subset."""
 
     def one_of(kind):
@@ -87,7 +75,7 @@ def random_settings(rng: np.random.Generator, **fixed: object) -> MotionSettings
         "deceleration_override": rng.uniform(0.3, 1),
         "arm_override": rng.uniform(0.5, 1),
     }
-    return MotionSettings().changed(**(values | fixed))
+    return Pdl2Settings().changed(**(values | fixed))
 
 
 @pytest.fixture(scope="session")
@@ -125,7 +113,7 @@ def random_lines() -> Callable[..., list[Move]]:
             "stress_percent": rng.uniform(1, 100),
             "linear_speed": 10 ** rng.uniform(-1.3, 0.17),
         }
-        common = MotionSettings().changed(**(base | settings))
+        common = Pdl2Settings().changed(**(base | settings))
         return [
             Move(MoveType.LINEAR, CartesianTarget(random_pose(rng)), common, fly=k < count - 1, name=f"p{k + 1}")
             for k in range(count)

@@ -8,15 +8,8 @@ import numpy as np
 
 from agent.motion import parse_program, write_loop_program
 from agent.motion.interpolator import Interpolator
-from agent.motion.program import (
-    NO_FRAME,
-    CartesianTarget,
-    FlyTrajectory,
-    FlyType,
-    JointTarget,
-    MotionSettings,
-    Move,
-)
+from agent.motion.pdl2.settings import FlyTrajectory, FlyType, Pdl2Settings
+from agent.motion.program import NO_FRAME, CartesianTarget, JointTarget, Move
 from agent.recording import LogWriter
 from agent.robot import RobotDescription, kinematics_for
 from drivers.protocol import SampleBlock
@@ -36,7 +29,7 @@ def loop_program(
     poses[:, :3, 3] += rng.uniform(-spread, spread, (4, 3))
     turns = [_turn(rng.normal(size=3), rng.uniform(0, turn)) for _ in poses]
     poses[:, :3, :3] = [turn @ middle[:3, :3] for turn in turns]
-    settings = MotionSettings(
+    settings = Pdl2Settings(
         fly_type=FlyType.FLY_CART,
         fly_trajectory=FlyTrajectory.FLY_TOL,
         fly_distance=0.02,

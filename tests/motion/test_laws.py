@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from agent.motion import FlyInterpolator, MotionError, Trajectory
-from agent.motion.program import FlyTrajectory, FlyType, Move, MoveType
+from agent.motion.pdl2.settings import FlyTrajectory, FlyType
+from agent.motion.program import Move, MoveType
 
 PERIOD = 0.002
 SEEDS = st.integers(0, 2**32 - 1)

@@ -8,21 +8,11 @@ import numpy as np
 import pytest
 
 from agent.motion import FlyInterpolator, FlyParameters
-from agent.motion.program import (
-    CartesianTarget,
-    Delay,
-    FlyTrajectory,
-    FlyType,
-    JointTarget,
-    MotionSettings,
-    Move,
-    MoveType,
-    OrientationType,
-    SpeedOption,
-)
+from agent.motion.pdl2.settings import FlyTrajectory, FlyType, OrientationType, Pdl2Settings, SpeedOption
+from agent.motion.program import CartesianTarget, Delay, JointTarget, Move, MoveType
 from agent.motion.regions import pose_of
 
-CALM = MotionSettings(fly_type=FlyType.FLY_CART, fly_trajectory=FlyTrajectory.FLY_TOL, fly_distance=0.02)
+CALM = Pdl2Settings(fly_type=FlyType.FLY_CART, fly_trajectory=FlyTrajectory.FLY_TOL, fly_distance=0.02)
 
 
 def line(pose, fly=False, **settings):

@@ -15,17 +15,8 @@ from agent.core.errors import InputError
 from agent.motion import MotionError, create_interpolator
 from agent.motion.orl import OrlInterpolator
 from agent.motion.orl_calls import ARM, CONTROLLER, LIBRARY
-from agent.motion.program import (
-    CartesianTarget,
-    Delay,
-    FlyTrajectory,
-    FlyType,
-    JointTarget,
-    MotionSettings,
-    Move,
-    MoveType,
-    Termination,
-)
+from agent.motion.pdl2.settings import FlyTrajectory, FlyType, Pdl2Settings, Termination
+from agent.motion.program import CartesianTarget, Delay, JointTarget, Move, MoveType
 from agent.motion.regions import pose_of
 
 HEADER = Path(__file__).parents[2] / "docs"
@@ -204,7 +195,7 @@ def heard(library: Path) -> list[str]:
 
 
 def joint_move(q, fly=False, **settings):
-    return Move(MoveType.JOINT, JointTarget(q), MotionSettings(**settings), fly=fly)
+    return Move(MoveType.JOINT, JointTarget(q), Pdl2Settings(**settings), fly=fly)
 
 
 @pytest.mark.parametrize("kind", ["vendor", "shim"])
@@ -298,7 +289,7 @@ def test_what_the_shim_is_told(shim, ns16, home):
     orl = OrlInterpolator(ns16, library=shim)
     heard(shim)
     frame = tuple(tuple(row) for row in pose_of([0.0, 0.0, 0.12, 0.0, 0.0, 0.0]))
-    settings = MotionSettings(fly_distance=0.02, linear_speed=0.7, stress_percent=40.0, arm_override=0.5, tool=frame)
+    settings = Pdl2Settings(fly_distance=0.02, linear_speed=0.7, stress_percent=40.0, arm_override=0.5, tool=frame)
     target = CartesianTarget(pose_of([1.0, 0.1, 0.8, 0.1, 3.0, -0.2]), "S W T1:1")
     way = JointTarget(np.zeros(6))
     with pytest.raises(MotionError, match=r"statement 1.*status -5") as caught:

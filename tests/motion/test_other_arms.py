@@ -9,7 +9,8 @@ import pytest
 
 from agent.core.errors import InputError
 from agent.motion import FlyInterpolator
-from agent.motion.program import CartesianTarget, JointTarget, MotionSettings, Move, MoveType, OrientationType
+from agent.motion.pdl2.settings import OrientationType, Pdl2Settings
+from agent.motion.program import CartesianTarget, JointTarget, Move, MoveType
 from agent.robot import RobotDescription, kinematics_for
 from tests.robot.conftest import build
 
@@ -64,7 +65,7 @@ def test_joint_moves(name):
     robot, start, end = arm(name)
     interpolator = FlyInterpolator(robot)
     middle = JointTarget(0.5 * (start + end) + 0.1)
-    flying = MotionSettings(fly_distance=0.05)
+    flying = Pdl2Settings(fly_distance=0.05)
     trajectory = interpolator.plan(
         [Move(MoveType.JOINT, middle, flying, fly=True), Move(MoveType.JOINT, JointTarget(end), flying)], start
     )
@@ -78,7 +79,7 @@ def test_lines(name):
     kinematics, interpolator = kinematics_for(robot), FlyInterpolator(robot)
     target = kinematics.forward(end[None])[0]
     trajectory = interpolator.plan(
-        [Move(MoveType.LINEAR, CartesianTarget(target), MotionSettings(linear_speed=0.3))], start
+        [Move(MoveType.LINEAR, CartesianTarget(target), Pdl2Settings(linear_speed=0.3))], start
     )
     check_limits(robot, interpolator, trajectory)
     position = trajectory.tcp[:, :3, 3]
@@ -92,6 +93,6 @@ def test_lines(name):
 def test_wrist_jnt_is_for_six_joints():
     robot, start, end = arm("7 axes")
     target = CartesianTarget(kinematics_for(robot).forward(end[None])[0])
-    settings = MotionSettings(orientation=OrientationType.WRIST_JNT)
+    settings = Pdl2Settings(orientation=OrientationType.WRIST_JNT)
     with pytest.raises(InputError, match="WRIST_JNT needs an arm of 6 joints"):
         FlyInterpolator(robot).plan([Move(MoveType.LINEAR, target, settings)], start)

@@ -8,18 +8,10 @@ from hypothesis import given, settings, strategies as st
 
 from agent.core.errors import InputError
 from agent.motion import FlyInterpolator, MotionError
-from agent.motion.program import (
-    CartesianTarget,
-    Delay,
-    FlyTrajectory,
-    FlyType,
-    JointTarget,
-    MotionSettings,
-    Move,
-    MoveType,
-)
+from agent.motion.pdl2.settings import FlyTrajectory, FlyType, Pdl2Settings
+from agent.motion.program import CartesianTarget, Delay, JointTarget, Move, MoveType
 
-PLAIN = MotionSettings(fly_type=FlyType.FLY_CART, fly_trajectory=FlyTrajectory.FLY_TOL, fly_distance=0.02)
+PLAIN = Pdl2Settings(fly_type=FlyType.FLY_CART, fly_trajectory=FlyTrajectory.FLY_TOL, fly_distance=0.02)
 
 
 def line(pose, fly=False, name="", configuration="", **changed):

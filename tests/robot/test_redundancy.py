@@ -7,15 +7,13 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from agent.excitation.candidates import posture
-from agent.motion import FlyInterpolator, ViaRegions, loop_moves
-from agent.motion.path import rotation
-from agent.motion.program import CartesianTarget, FlyTrajectory, FlyType, JointTarget, MotionSettings, Move, MoveType
+from agent.motion import FlyInterpolator, ViaRegions, loop_moves, rotation
+from agent.motion.pdl2.settings import FlyTrajectory, FlyType, Pdl2Settings
+from agent.motion.program import CartesianTarget, JointTarget, Move, MoveType
 from agent.robot import RobotDescription, kinematics_for
 
 MIDDLE = np.array([0.1, 0.5, 0.2, 1.2, 0.1, 0.9, 0.0])
-FLY = MotionSettings(
-    fly_type=FlyType.FLY_CART, fly_trajectory=FlyTrajectory.FLY_TOL, fly_distance=0.02, linear_speed=0.5
-)
+FLY = Pdl2Settings(fly_type=FlyType.FLY_CART, fly_trajectory=FlyTrajectory.FLY_TOL, fly_distance=0.02, linear_speed=0.5)
 
 
 @settings(max_examples=2, deadline=None)
@@ -34,7 +32,7 @@ def test_a_loop_of_the_tool_is_a_loop_of_the_joints(arms: dict[str, RobotDescrip
 def test_a_line_to_joints_ends_at_those_joints_and_is_straight(arms: dict[str, RobotDescription]) -> None:
     kinematics = kinematics_for(arms["seven axes"])
     end = kinematics.nearest(kinematics.forward((MIDDLE + 0.2)[None]), (MIDDLE + 0.4)[None])[0][0]
-    move = Move(MoveType.LINEAR, JointTarget(end), MotionSettings(linear_speed=0.3))
+    move = Move(MoveType.LINEAR, JointTarget(end), Pdl2Settings(linear_speed=0.3))
     trajectory = FlyInterpolator(arms["seven axes"]).plan([move], MIDDLE)
     np.testing.assert_allclose(trajectory.q[-1], end, atol=1e-9)
     way = trajectory.tcp[:, :3, 3] - trajectory.tcp[0, :3, 3]
@@ -45,7 +43,7 @@ def test_a_line_to_joints_ends_at_those_joints_and_is_straight(arms: dict[str, R
 def test_a_line_to_a_pose_takes_the_least_motion(arms: dict[str, RobotDescription]) -> None:
     kinematics = kinematics_for(arms["seven axes"])
     pose = kinematics.forward((MIDDLE + 0.2)[None])[0]
-    move = Move(MoveType.LINEAR, CartesianTarget(pose), MotionSettings(linear_speed=0.3))
+    move = Move(MoveType.LINEAR, CartesianTarget(pose), Pdl2Settings(linear_speed=0.3))
     trajectory = FlyInterpolator(arms["seven axes"]).plan([move], MIDDLE)
     assert np.abs(trajectory.tcp[-1] - pose).max() < 1e-6
     assert np.abs(trajectory.q[-1] - MIDDLE).max() < 0.6

@@ -20,17 +20,8 @@ from agent.cli.main import main as agent
 from agent.core.errors import InputError
 from agent.excitation import Candidates, LoopProblem
 from agent.motion import ViaRegions, write_program
-from agent.motion.program import (
-    NO_FRAME,
-    Delay,
-    FlyTrajectory,
-    FlyType,
-    JointTarget,
-    MotionSettings,
-    Move,
-    MoveType,
-    Statement,
-)
+from agent.motion.pdl2.settings import FlyTrajectory, FlyType, Pdl2Settings
+from agent.motion.program import NO_FRAME, Delay, JointTarget, Move, MoveType, Statement
 from agent.robot import load_robot
 from fake_controller.servers import WIRES
 from tests.conftest import Broker, Emulator
@@ -57,10 +48,10 @@ def has_second_interpolator(seed: int) -> bool:
     return seed % 4 == 3
 
 
-def drawn(seed: int) -> tuple[str, list[Statement], MotionSettings]:
+def drawn(seed: int) -> tuple[str, list[Statement], Pdl2Settings]:
     """What kind of program, its statements, and the settings of its recipe."""
     rng = np.random.default_rng(seed)
-    settings = MotionSettings(
+    settings = Pdl2Settings(
         fly_type=FlyType.FLY_CART,
         fly_trajectory=FlyTrajectory.FLY_TOL,
         fly_distance=float(rng.choice([0.005, 0.02, 0.05])),

@@ -290,11 +290,11 @@ def test_time_of_a_loop(measured):
 
     from agent.motion import FlyInterpolator, ViaRegions, loop_moves
     from agent.motion.interpolator import MotionError
-    from agent.motion.program import FlyTrajectory, FlyType, MotionSettings
+    from agent.motion.pdl2.settings import FlyTrajectory, FlyType, Pdl2Settings
     from agent.robot import KinematicsError, kinematics_for
 
     regions = ViaRegions.from_box(6, (1.0, 0.0, 0.8), (0.5, 0.6, 0.4), (0.0, np.pi, 0.0), np.radians(30))
-    fly = MotionSettings(FlyType.FLY_CART, FlyTrajectory.FLY_TOL, fly_distance=0.02, linear_speed=0.5)
+    fly = Pdl2Settings(FlyType.FLY_CART, FlyTrajectory.FLY_TOL, fly_distance=0.02, linear_speed=0.5)
     interpolator, kinematics = FlyInterpolator(ROBOT, tool()), kinematics_for(ROBOT, tool())
     rng = np.random.default_rng(1)
     boxes = {"clear": [TABLE], "in collision": [TABLE, Box("post", (0.9, -0.1, 0.0), (1.1, 0.1, 0.8))]}

@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 
 from agent.core.errors import ControllerError, InputError
-from agent.motion.program import Delay, JointTarget, MotionSettings, Move, MoveType, stop_to_stop
+from agent.motion.pdl2.dialect import Pdl2
+from agent.motion.pdl2.settings import Pdl2Settings
+from agent.motion.program import Delay, JointTarget, Move, MoveType, stop_to_stop
 from agent.safety.checked import CheckedPrograms
 from agent.safety.first_run import FIRST_SPEED, slow_version
 from agent.safety.motion import PlannedProgram
@@ -106,12 +108,12 @@ def test_the_list_of_checked_programs(tmp_path: Path):
 def test_the_slow_version_is_one_turn_at_no_more_than_the_first_speed(bench):
     from agent.motion import FlyInterpolator, parse_program, write_program
 
-    settings = MotionSettings().changed(linear_speed=1.0)
+    settings = Pdl2Settings().changed(linear_speed=1.0)
     targets = [JointTarget(HOME + np.radians([angle, 0, 0, 0, 0, 0])) for angle in (20.0, -20.0)]
     swing = [Move(MoveType.JOINT, target, settings) for target in targets]
     text = write_program("swing", swing * 5, bench.robot)
     interpolator = FlyInterpolator(bench.robot, period=0.002)
-    slow = slow_version(PlannedProgram("swing", text, ()), bench.robot, interpolator, HOME)
+    slow = slow_version(PlannedProgram("swing", text, ()), bench.robot, Pdl2(), interpolator, HOME)
     assert slow.stands_for == hashlib.sha256(text.encode()).hexdigest()
     assert 0.5 * FIRST_SPEED < slow.speed <= FIRST_SPEED
     assert len(slow.chains) == 3, "from home, there, and back: the fourth stretch would be the second again"
@@ -124,10 +126,10 @@ def test_every_way_is_gone_slowly_also_from_the_same_place(bench):
     from agent.motion import FlyInterpolator, write_program
 
     goals = [HOME + np.radians([angle, 0, 0, 0, 0, 0]) for angle in (5.0, 0.0, -5.0, 0.0)]
-    moves = [Move(MoveType.JOINT, JointTarget(goal), MotionSettings()) for goal in goals]
+    moves = [Move(MoveType.JOINT, JointTarget(goal), Pdl2Settings()) for goal in goals]
     text = write_program("ways", moves * 2, bench.robot)
     interpolator = FlyInterpolator(bench.robot, period=0.002)
-    slow = slow_version(PlannedProgram("ways", text, ()), bench.robot, interpolator, HOME)
+    slow = slow_version(PlannedProgram("ways", text, ()), bench.robot, Pdl2(), interpolator, HOME)
     assert len(slow.chains) == 4
 
 
@@ -138,12 +140,12 @@ def test_a_speed_that_is_no_number_is_not_slow(bench, program):
         def plan(self, moves, start):
             return replace(program().chains[0], path_speed=np.full(500, np.nan))
 
-    text = write_program("swing", [Move(MoveType.JOINT, JointTarget(HOME + 0.1), MotionSettings())], bench.robot)
+    text = write_program("swing", [Move(MoveType.JOINT, JointTarget(HOME + 0.1), Pdl2Settings())], bench.robot)
     with pytest.raises(InputError, match="it still reaches nan m/s"):
-        slow_version(PlannedProgram("swing", text, ()), bench.robot, Blind(), HOME)
+        slow_version(PlannedProgram("swing", text, ()), bench.robot, Pdl2(), Blind(), HOME)
 
 
 def test_a_program_is_cut_where_the_arm_stops():
-    stop, fly = (Move(MoveType.JOINT, JointTarget(HOME), MotionSettings(), fly=fly) for fly in (False, True))
+    stop, fly = (Move(MoveType.JOINT, JointTarget(HOME), Pdl2Settings(), fly=fly) for fly in (False, True))
     assert list(stop_to_stop([fly, Delay(1.0), stop, stop, fly])) == [[fly, stop], [stop], [fly]]
     assert list(stop_to_stop([stop])) == [[stop]]

@@ -16,7 +16,7 @@ import pytest
 from agent.core.errors import InputError
 from agent.excitation import Candidates, LoopProblem
 from agent.motion import ViaRegions
-from agent.motion.program import FlyTrajectory, FlyType, MotionSettings, Termination
+from agent.motion.pdl2.settings import FlyTrajectory, FlyType, Pdl2Settings, Termination
 from agent.motion.trajectory import Trajectory
 from agent.robot import load_robot
 from agent.robot.dynamics import Dynamics
@@ -50,7 +50,7 @@ def drawn(seed: int, kind: str = "ours") -> Drawn:
         6, np.array([1.0, 0.0, 0.8]), np.array([0.5, 0.6, 0.4]), np.radians([0, 180, 0]), np.radians(30)
     )
     while True:
-        settings = MotionSettings(
+        settings = Pdl2Settings(
             fly_type=FlyType.FLY_CART,
             fly_trajectory=FlyTrajectory.FLY_TOL,
             fly_distance=float(rng.choice([0.005, 0.02, 0.05])),

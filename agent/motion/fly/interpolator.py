@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from agent.core import InputError
+from agent.motion import rotation
 from agent.motion.fly.binding import binding_limits
 from agent.motion.fly.profile import ArmLimits
 from agent.motion.fly.runs import RunPlanner
@@ -18,7 +19,6 @@ from agent.motion.fly.setpoints import Run
 from agent.motion.fly.time_law import samples_in
 from agent.motion.fly_parameters import FlyParameters
 from agent.motion.interpolator import MotionError
-from agent.motion.path import rotation
 from agent.motion.path.segments import Segment
 from agent.motion.program import Delay, Statement
 from agent.motion.trajectory import BindingLimit, Trajectory

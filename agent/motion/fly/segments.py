@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from agent.core import InputError
+from agent.motion import rotation
 from agent.motion.frames import pose_in_robot_base, tool_frame
 from agent.motion.interpolator import MotionError
-from agent.motion.path import rotation
 from agent.motion.path.segments import (
     Arc,
     CartesianSegment,
@@ -24,17 +24,8 @@ from agent.motion.path.segments import (
     single_axis,
 )
 from agent.motion.path.solve import motion_error, solve_cartesian, wrist_segment
-from agent.motion.program import (
-    CartesianTarget,
-    Frame,
-    JointTarget,
-    MotionSettings,
-    Move,
-    MoveType,
-    OrientationType,
-    Target,
-    matrix_of,
-)
+from agent.motion.pdl2.settings import OrientationType, Pdl2Settings
+from agent.motion.program import CartesianTarget, Frame, JointTarget, MotionSettings, Move, MoveType, Target, matrix_of
 from agent.robot import Kinematics, KinematicsError, RobotDescription, kinematics_for
 
 if TYPE_CHECKING:
@@ -101,28 +92,30 @@ class SegmentMaker:
             InputError: settings that make no sense.
         """
         label = _label(index, move)
-        _check(move.settings, label)
-        kinematics = self._with_tool(move.settings)
+        settings = Pdl2Settings.of(move.settings)
+        _check(settings, label)
+        kinematics = self._with_tool(settings)
         if move.type is MoveType.JOINT:
             start = _end_joints(pending, rest)
             end = self._joints(index, label, move, kinematics, start)
-            if not move.settings.multi_turn:
+            if not settings.multi_turn:
                 end = np.where(self._turning, start + (end - start + np.pi) % (2 * np.pi) - np.pi, end)
             if np.max(np.abs(end - start)) < _NOTHING:
                 return None
             duration = float(np.max(np.abs(end - start) / self._speeds))
-            return JointSegment(index, label, move.settings, kinematics, start, end, duration)
+            return JointSegment(index, label, settings, kinematics, start, end, duration)
         return self._cartesian(index, label, move, kinematics, pending, rest)
 
     def _cartesian(
         self, index: int, label: str, move: Move, kinematics: Kinematics, pending: Sequence[Segment], rest: np.ndarray
     ) -> Segment | None:
+        settings = Pdl2Settings.of(move.settings)
         start, start_turn = self._end_pose(pending, rest, kinematics)
         end, end_turn = self._pose(label, move.target, move.settings, kinematics)
         curve: Line | Arc = Line(start, end)
         if move.type is MoveType.CIRCULAR:
             curve = self._arc(index, label, move, kinematics, start, end)
-        style = move.settings.orientation
+        style = settings.orientation
         if style is OrientationType.WRIST_JNT:
             return self._wrist(index, label, move, kinematics, curve, _end_joints(pending, rest), end, end_turn)
         if style is OrientationType.EUL_WORLD:
@@ -130,9 +123,9 @@ class SegmentMaker:
         else:
             along = isinstance(curve, Arc) and style is OrientationType.RS_TRAJ
             turn = single_axis(start_turn, end_turn, curve if along else None)
-        careful = move.settings.configuration_care or move.settings.turn_care
+        careful = settings.configuration_care or settings.turn_care
         flags = move.target.configuration if careful and isinstance(move.target, CartesianTarget) else ""
-        segment = CartesianSegment(index, label, move.settings, kinematics, curve, turn, flags, lever=self._lever)
+        segment = CartesianSegment(index, label, settings, kinematics, curve, turn, flags, lever=self._lever)
         if self.robot.dof > 6:
             segment = replace(segment, ends=self._ends(segment, move.target, _end_joints(pending, rest)))
         return None if segment.length < _NOTHING and segment.angle < _NOTHING else segment
@@ -192,7 +185,7 @@ class SegmentMaker:
             raise motion_error(error, index, label) from None
         if curve.length < _NOTHING and np.max(np.abs(target - start)) < _NOTHING:
             return None
-        return wrist_segment(index, label, move.settings, kinematics, curve, np.array([start, target]))
+        return wrist_segment(index, label, Pdl2Settings.of(move.settings), kinematics, curve, np.array([start, target]))
 
     def _joints(self, index: int, label: str, move: Move, kinematics: Kinematics, start: np.ndarray) -> np.ndarray:
         if isinstance(move.target, JointTarget):
@@ -281,7 +274,7 @@ def _label(index: int, move: Move) -> str:
     return f"statement {index + 1}" + (f" ({', '.join(place)})" if place else "")
 
 
-def _check(settings: MotionSettings, label: str) -> None:
+def _check(settings: Pdl2Settings, label: str) -> None:
     for name in _SPEEDS:
         if not 0.0 < getattr(settings, name) < np.inf:
             raise InputError(f"{label}: {name} is {getattr(settings, name)}; it has to be positive")

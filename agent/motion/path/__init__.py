@@ -1,5 +1,5 @@
 """Geometry of a path and its speed profile."""
 
-from agent.motion.path import rotation
+from agent.motion import rotation
 
 __all__ = ["rotation"]

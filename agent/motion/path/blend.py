@@ -18,10 +18,10 @@ from typing import Any
 
 import numpy as np
 
+from agent.motion import rotation
 from agent.motion.fly_parameters import FlyParameters
-from agent.motion.path import rotation
 from agent.motion.path.segments import CartesianSegment, JointSegment, Line, Segment
-from agent.motion.program import FlyTrajectory, FlyType, MotionSettings
+from agent.motion.pdl2.settings import FlyTrajectory, FlyType, Pdl2Settings
 
 _CELLS, _MOST_CELLS = 24, 256
 #: [m] Blends smaller than this are stops.
@@ -162,7 +162,7 @@ def corner_between(before: Segment, after: Segment, parameters: FlyParameters) -
     return corner(size) if size >= _SMALLEST else None
 
 
-def _reach(settings: MotionSettings, half: float, before: Segment, parameters: FlyParameters) -> float:
+def _reach(settings: Pdl2Settings, half: float, before: Segment, parameters: FlyParameters) -> float:
     """[m] how far before the corner the blend may start, by $FLY_TYPE and $FLY_TRAJ."""
     if settings.fly_trajectory is FlyTrajectory.FLY_FROM:
         size = settings.fly_distance

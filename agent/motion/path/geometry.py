@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from agent.motion import rotation
 from agent.motion.fly_parameters import FlyParameters
-from agent.motion.path import rotation
 from agent.motion.path.blend import Corner, blended_length, blended_near, blended_orientation, blended_position, bump
 from agent.motion.path.knots import cells, spacing
 from agent.motion.path.rules import corner_rules, segment_rules

@@ -6,7 +6,7 @@ import numpy as np
 
 from agent.motion.fly_parameters import FlyParameters
 from agent.motion.path.segments import CartesianSegment, JointSegment, Segment
-from agent.motion.program import SpeedOption
+from agent.motion.pdl2.settings import SpeedOption
 
 #: Columns of a row: programmed TCP speed [m/s] and rotational speed [rad/s] (inf: not programmed), part of the joint
 #: speed limits, whether the robot's Cartesian limits apply (1, or inf: not), part of the acceleration limits that

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from agent.motion.path import rotation
-from agent.motion.program import MotionSettings
+from agent.motion import rotation
+from agent.motion.pdl2.settings import Pdl2Settings
 
 #: [m/rad] a rotation counts as that much travel where a move hardly does anything but rotate.
 ROTATION_LEVER = 0.1
@@ -188,7 +188,7 @@ class CartesianSegment:
 
     move: int
     label: str
-    settings: MotionSettings
+    settings: Pdl2Settings
     kinematics: Any
     curve: Line | Arc
     turn: SingleAxis | EulerAngles
@@ -239,7 +239,7 @@ class WristSegment:
 
     move: int
     label: str
-    settings: MotionSettings
+    settings: Pdl2Settings
     kinematics: Any
     curve: Line | Arc
     start: np.ndarray
@@ -268,7 +268,7 @@ class JointSegment:
 
     move: int
     label: str
-    settings: MotionSettings
+    settings: Pdl2Settings
     kinematics: Any
     start: np.ndarray
     end: np.ndarray

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from agent.motion import rotation
 from agent.motion.interpolator import MotionError
-from agent.motion.path import rotation
 from agent.motion.path.segments import Arc, Line, Segment, WristSegment, label_of
-from agent.motion.program import MotionSettings
+from agent.motion.pdl2.settings import Pdl2Settings
 from agent.robot import Kinematics, KinematicsError
 
 #: WRIST_JNT: steps in which the arm is followed [m], and how near the TCP has to come to its path [m].
@@ -50,7 +50,7 @@ def solve_cartesian(
 
 
 def wrist_segment(
-    move: int, label: str, settings: MotionSettings, kinematics: Kinematics, curve: Line | Arc, ends: np.ndarray
+    move: int, label: str, settings: Pdl2Settings, kinematics: Kinematics, curve: Line | Arc, ends: np.ndarray
 ) -> WristSegment:
     """A WRIST_JNT move between joints `ends` (2, 6): the arm is followed along the curve in small steps from its start.
 

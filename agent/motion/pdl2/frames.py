@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from agent.motion.path import rotation
+from agent.motion import rotation
 
 
 def pos_to_pose(pos: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""The system variables of the motion subset, and how each stands in MotionSettings. Units are converted here."""
+"""The system variables of the motion subset, and how each stands in Pdl2Settings. Units are converted here."""
 
 from __future__ import annotations
 
@@ -10,25 +10,16 @@ from typing import Any
 import numpy as np
 
 from agent.motion.pdl2.frames import pos_to_pose, pose_to_pos
+from agent.motion.pdl2.settings import FlyTrajectory, FlyType, OrientationType, Pdl2Settings, SpeedOption, Termination
 from agent.motion.pdl2.tree import Constant, Pos
-from agent.motion.program import (
-    FlyTrajectory,
-    FlyType,
-    MotionSettings,
-    MoveType,
-    OrientationType,
-    SpeedOption,
-    Termination,
-    frame_of,
-    matrix_of,
-)
+from agent.motion.program import MoveType, frame_of, matrix_of
 
 Value = bool | int | float | str | Constant | Pos
 
 
 @dataclass(frozen=True)
 class SystemVariable:
-    """One system variable: the field of MotionSettings it stands in (None for `$MOVE_TYPE`), and what it may hold.
+    """One system variable: the field of Pdl2Settings it stands in (None for `$MOVE_TYPE`), and what it may hold.
 
     A number lies in `low`..`high` in the unit of PDL2 (`above` excludes `low` itself) and is `scale` times SI.
     """
@@ -62,7 +53,7 @@ class SystemVariable:
             return f"{'above' if self.above else 'at least'} {self.low:g}{unit}"
         return f"in {self.low:g}..{self.high:g}{unit}"
 
-    def read(self, settings: MotionSettings) -> Value:
+    def read(self, settings: Pdl2Settings) -> Value:
         """The value in PDL2's unit."""
         if self.field is None:
             return Constant(MoveType.JOINT.name)  # the controller's own default
@@ -78,7 +69,7 @@ class SystemVariable:
         return round(number) if whole else number
 
     def convert(self, value: Value) -> Any:
-        """The value of the field of MotionSettings."""
+        """The value of the field of Pdl2Settings."""
         if isinstance(value, Constant):
             return self.choices[value.name] if self.choices else value.name
         if isinstance(value, Pos):
@@ -124,6 +115,9 @@ _TABLE = (
     SystemVariable("$UFRAME", "uframe", "POS"),
 )
 
+#: Frames in the order of the text, by their field of the settings.
+FRAMES = {"base": "$BASE", "tool": "$TOOL", "uframe": "$UFRAME"}
+
 SYSTEM_VARIABLES: dict[str, SystemVariable] = {variable.name: variable for variable in _TABLE}
 
 #: Predefined constants by their name in lower case.
@@ -147,11 +141,11 @@ def read(name: str, values: Mapping[str, Value]) -> Value:
         return values[name]
     if name.startswith("$ARM_") and name != "$ARM_OVR":
         return 100
-    return SYSTEM_VARIABLES[name].read(MotionSettings())
+    return SYSTEM_VARIABLES[name].read(Pdl2Settings())
 
 
-def motion_settings(values: Mapping[str, Value]) -> MotionSettings:
-    """The settings in force where these system variables were assigned; the others are MotionSettings' defaults.
+def motion_settings(values: Mapping[str, Value]) -> Pdl2Settings:
+    """The settings in force where these system variables were assigned; the others are Pdl2Settings' defaults.
 
     The program's and the arm's overrides of speed, acceleration and deceleration multiply.
     """
@@ -164,4 +158,4 @@ def motion_settings(values: Mapping[str, Value]) -> MotionSettings:
         if variable.unit == "%" and variable.scale == 100.0:
             converted *= fields.get(variable.field, 1.0)
         fields[variable.field] = converted
-    return MotionSettings().changed(**fields)
+    return Pdl2Settings().changed(**fields)

@@ -9,22 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from agent.core import InputError
-from agent.motion.frames import FRAMES
 from agent.motion.pdl2.frames import pose_to_pos
 from agent.motion.pdl2.reader import parse_program
+from agent.motion.pdl2.settings import Pdl2Settings
 from agent.motion.pdl2.tree import Constant, Pos
-from agent.motion.pdl2.variables import SYSTEM_VARIABLES, SystemVariable
-from agent.motion.program import (
-    CartesianTarget,
-    Delay,
-    JointTarget,
-    MotionSettings,
-    Move,
-    MoveType,
-    Statement,
-    Target,
-    Termination,
-)
+from agent.motion.pdl2.variables import FRAMES, SYSTEM_VARIABLES, SystemVariable
+from agent.motion.program import CartesianTarget, Delay, JointTarget, MotionSettings, Move, MoveType, Statement, Target
 
 if TYPE_CHECKING:
     from agent.robot import RobotDescription
@@ -46,7 +36,10 @@ _ARM_DATA = "$ARM_DATA[1]."
 _MULTIPLIED = ("$ARM_SPD_OVR", "$ARM_ACC_OVR", "$ARM_DEC_OVR")
 #: All are set before the first move, so that nothing is left to what ran on the controller before; but of the frames a
 #: move need not say anything, and then neither does the text. $ARM_OVR is the last.
-_STATED = (*FRAMES, *(name for name in SYSTEM_VARIABLES if name not in {"$MOVE_TYPE", *FRAMES, *_MULTIPLIED}))
+_STATED = (
+    *FRAMES.values(),
+    *(name for name in SYSTEM_VARIABLES if name not in {"$MOVE_TYPE", *FRAMES.values(), *_MULTIPLIED}),
+)
 _PROGRAM_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,31}", re.ASCII)
 _WIDTH = 110
 
@@ -91,10 +84,10 @@ def write_loop_program(
         raise InputError(f"program {name}: the number of cycles is 1 to 1000000, not {cycles}")
     if approach is None:
         approach = settings.changed(speed_override=min(0.1, settings.speed_override))
-    first = Move(MoveType.JOINT, start or points[0], approach.changed(termination=Termination.FINE))
+    first = Move(MoveType.JOINT, start or points[0], Pdl2Settings.of(approach).stopping())
     loop = [Move(MoveType.LINEAR, point, settings, fly=True) for point in points[1:]]
-    loop.append(Move(MoveType.LINEAR, points[0], settings.changed(termination=Termination.FINE)))
-    writer = _Writer([*loop, first], robot, globals_of=settings)
+    loop.append(Move(MoveType.LINEAR, points[0], Pdl2Settings.of(settings).stopping()))
+    writer = _Writer([*loop, first], robot, globals_of=Pdl2Settings.of(settings))
     for point in points:
         writer.point(point)
     lines = [*writer.statement(first, indent=2), f"  FOR cycle_number := 1 TO {cycles} DO"]
@@ -108,16 +101,15 @@ class _Writer:
     """Equal points are one variable, in order of first use; settings in force from the start are not repeated."""
 
     def __init__(
-        self, statements: Sequence[Statement], robot: RobotDescription | None, globals_of: MotionSettings | None = None
+        self, statements: Sequence[Statement], robot: RobotDescription | None, globals_of: Pdl2Settings | None = None
     ):
         self.robot = robot
         self.names: dict[tuple[bytes, str], str] = {}
         self.points: list[Target] = []
-        moves = [statement for statement in statements if isinstance(statement, Move)]
-        self.globals = globals_of or (moves[0].settings if moves else MotionSettings())
-        used = [move.settings for move in moves]
+        used = [Pdl2Settings.of(statement.settings) for statement in statements if isinstance(statement, Move)]
+        self.globals = globals_of or (used[0] if used else Pdl2Settings())
         self.variables = [SYSTEM_VARIABLES[name] for name in _STATED]
-        for field in FRAMES.values():
+        for field in FRAMES:
             if any(getattr(settings, field) is None for settings in used):  # the others say it themselves
                 self.globals = self.globals.changed(**{field: None})
 
@@ -149,16 +141,17 @@ class _Writer:
 
     def _settings(self, move: Move) -> list[str]:
         """What the move says itself: the FLY statement in full, then whatever differs from the start."""
+        settings = Pdl2Settings.of(move.settings)
         stated = _FLY_STATEMENT if move.fly and move.type is MoveType.LINEAR else ()
         listed = []
         for name in stated:
-            value = move.type.value if name == "$MOVE_TYPE" else _value(SYSTEM_VARIABLES[name], move.settings)
+            value = move.type.value if name == "$MOVE_TYPE" else _value(SYSTEM_VARIABLES[name], settings)
             listed.append(f"{name} = {value}")
         for variable in self.variables:
             field = str(variable.field)
-            differs = getattr(move.settings, field) != getattr(self.globals, field)
+            differs = getattr(settings, field) != getattr(self.globals, field)
             if differs and variable.name not in stated:
-                listed.append(f"{variable.name} = {_value(variable, move.settings)}")
+                listed.append(f"{variable.name} = {_value(variable, settings)}")
         return listed
 
     def text(self, name: str, lines: list[str], declarations: list[str]) -> str:
@@ -180,7 +173,7 @@ class _Writer:
         return text
 
 
-def _value(variable: SystemVariable, settings: MotionSettings) -> str:
+def _value(variable: SystemVariable, settings: Pdl2Settings) -> str:
     value = variable.read(settings)
     refusal = variable.refusal(value)
     if refusal:

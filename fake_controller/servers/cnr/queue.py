@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from agent.motion import FlyTrajectory, FlyType, JointTarget, MotionSettings, Move, MoveType, Termination, write_program
+from agent.motion import FlyTrajectory, FlyType, JointTarget, Move, MoveType, Pdl2Settings, Termination, write_program
 from agent.robot import RobotDescription
 from drivers.wire.cnr import QUEUE_NODES, Point, QueueStatus
 
@@ -73,7 +73,7 @@ class PointQueue:
         return write_program(PROGRAM, moves, self._robot)
 
     def _move(self, point: Point, fly: bool) -> Move:
-        settings = MotionSettings(
+        settings = Pdl2Settings(
             fly_type=FlyType.FLY_CART,
             fly_trajectory=FlyTrajectory.FLY_TOL,
             fly_distance=point.fly_tolerance / 1000.0,

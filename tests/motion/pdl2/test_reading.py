@@ -7,19 +7,8 @@ import numpy as np
 import pytest
 
 from agent.motion import Pdl2Error, parse_program
-from agent.motion.program import (
-    NO_FRAME,
-    CartesianTarget,
-    Delay,
-    FlyTrajectory,
-    FlyType,
-    JointTarget,
-    MotionSettings,
-    MoveType,
-    OrientationType,
-    SpeedOption,
-    Termination,
-)
+from agent.motion.pdl2.settings import FlyTrajectory, FlyType, OrientationType, Pdl2Settings, SpeedOption, Termination
+from agent.motion.program import NO_FRAME, CartesianTarget, Delay, JointTarget, MoveType
 from agent.robot.description import load_robot
 
 
@@ -31,7 +20,7 @@ def body(statements: str, declarations: str = "") -> str:
     return f"PROGRAM t HOLD\n{declarations}\nBEGIN\n{statements}\nEND t\n"
 
 
-FIELD = MotionSettings(
+FIELD = Pdl2Settings(
     fly_type=FlyType.FLY_CART,
     speed_option=SpeedOption.SPD_LIN,
     fly_trajectory=FlyTrajectory.FLY_TOL,
@@ -141,7 +130,7 @@ def test_system_variables_hold_until_changed_and_with_holds_for_its_move():
             """
         )
     )
-    start = replace(MotionSettings(), linear_speed=0.5, orientation=OrientationType.RS_TRAJ)
+    start = replace(Pdl2Settings(), linear_speed=0.5, orientation=OrientationType.RS_TRAJ)
     assert [m.settings for m in result] == [
         start,
         start.changed(linear_speed=0.25, configuration_care=True),
@@ -162,7 +151,7 @@ def test_units_of_every_variable():
         )
     )
     tool = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.12), (0.0, 0.0, 0.0, 1.0))
-    assert move.settings == MotionSettings(
+    assert move.settings == Pdl2Settings(
         fly_distance=0.0125,
         fly_percent=80,
         stress_percent=30,

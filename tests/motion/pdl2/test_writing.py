@@ -10,20 +10,8 @@ from hypothesis import given, settings, strategies as st
 from agent.core.errors import InputError
 from agent.motion import parse_program, write_loop_program, write_program
 from agent.motion.pdl2.frames import pos_to_pose
-from agent.motion.program import (
-    NO_FRAME,
-    CartesianTarget,
-    Delay,
-    FlyTrajectory,
-    FlyType,
-    JointTarget,
-    MotionSettings,
-    Move,
-    MoveType,
-    OrientationType,
-    SpeedOption,
-    Termination,
-)
+from agent.motion.pdl2.settings import FlyTrajectory, FlyType, OrientationType, Pdl2Settings, SpeedOption, Termination
+from agent.motion.program import NO_FRAME, CartesianTarget, Delay, JointTarget, Move, MoveType
 from agent.robot.description import load_robot
 
 
@@ -45,7 +33,7 @@ FRAMES = st.none() | st.builds(lambda target: tuple(tuple(float(x) for x in row)
 PERCENT = st.integers(1, 100)
 OVERRIDE = PERCENT.map(lambda percent: percent / 100)
 SETTINGS = st.builds(
-    MotionSettings,
+    Pdl2Settings,
     fly_type=st.sampled_from(FlyType),
     fly_trajectory=st.sampled_from(FlyTrajectory),
     fly_distance=st.just(0.0) | approximately(1e-4, 1),
@@ -91,8 +79,8 @@ def assert_same_target(found, expected):
         np.testing.assert_allclose(found.position, expected.position, atol=1e-9)
 
 
-def assert_same_settings(found: MotionSettings, expected: MotionSettings):
-    for field in fields(MotionSettings):
+def assert_same_settings(found: Pdl2Settings, expected: Pdl2Settings):
+    for field in fields(Pdl2Settings):
         a, b = getattr(found, field.name), getattr(expected, field.name)
         if isinstance(b, Enum | bool) or b is None:
             assert a == b, field.name
@@ -138,7 +126,7 @@ def test_a_loop_approaches_goes_round_and_ends_every_cycle_at_rest(points, going
         assert_same_statement(a, b)
 
 
-FIELD = MotionSettings(
+FIELD = Pdl2Settings(
     fly_type=FlyType.FLY_CART, fly_trajectory=FlyTrajectory.FLY_TOL, fly_distance=0.02, linear_speed=1.0
 )
 
