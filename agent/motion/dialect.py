@@ -27,7 +27,7 @@ from agent.motion.program import JointTarget, MotionSettings, Statement, Target
 if TYPE_CHECKING:
     from agent.robot import RobotDescription
 
-_BUILT_IN = {"pdl2": "agent.motion.pdl2.dialect:Pdl2"}
+_BUILT_IN = {"pdl2": "agent.motion.pdl2.dialect:Pdl2", "urscript": "agent.motion.urscript.dialect:UrScript"}
 
 
 class ReadProgram(Protocol):

@@ -46,6 +46,10 @@ def _factory(name: str) -> Any:
         from agent.motion.orl import OrlInterpolator
 
         return OrlInterpolator
+    if name == "ur":
+        from agent.motion.urscript.law import UrInterpolator
+
+        return UrInterpolator
     found = next((entry for entry in entry_points(group=ENTRY_POINTS) if entry.name == name), None)
     if found is None:
         raise InputError(f"interpolator {name!r} is not known; there are: {', '.join(interpolator_names())}")
