@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from agent.motion.urscript.reader import job_text, read_program
 from agent.motion.urscript.settings import LINEAR_ACCELERATION, UrSettings
 from agent.motion.urscript.writer import write_loop_program, write_program
@@ -28,15 +30,16 @@ class UrScript:
     read = staticmethod(read_program)
 
     def settings(self, fly: Mapping[str, Any], speed: float, robot: RobotDescription) -> UrSettings:
-        """Blend radius and speed of the recipe; the acceleration of the tool is the robot's, or the default of `movel`.
+        """Blend radius and speed of the recipe; the tool accelerates as `movel` does where nothing is said, or less.
 
         Joint moves take the speed of the slowest joint as their whole.
         """
         limits = robot.cartesian_limits
+        most = np.inf if limits is None else limits.linear_acceleration
         return UrSettings(
             fly_distance=fly["distance"],
             linear_speed=speed,
-            linear_acceleration=LINEAR_ACCELERATION if limits is None else limits.linear_acceleration,
+            linear_acceleration=min(LINEAR_ACCELERATION, most),
             joint_speed=float(robot.max_velocity.min()),
         )
 

@@ -7,7 +7,7 @@ Nothing is slowed down for the joints: a program that asks too much of one, or w
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -20,9 +20,9 @@ from agent.motion.fly.setpoints import Run
 from agent.motion.fly_parameters import FlyParameters
 from agent.motion.interpolator import MotionError
 from agent.motion.path.blend import Corner
-from agent.motion.path.segments import CartesianSegment, JointSegment, Segment
+from agent.motion.path.segments import CartesianSegment, JointSegment, Segment, label_of
 from agent.motion.pdl2.settings import FlyTrajectory, FlyType, Pdl2Settings
-from agent.motion.program import MotionSettings, Move, Statement
+from agent.motion.program import MotionSettings, Move, MoveType, Statement
 from agent.motion.trajectory import Trajectory
 from agent.motion.urscript.settings import UrSettings
 from agent.robot import CartesianLimits, RobotDescription, Tool
@@ -31,6 +31,7 @@ from agent.robot import CartesianLimits, RobotDescription, Tool
 BLEND_MARGIN = 0.002
 #: Acceleration [m/s²] that a program's is expressed as a part of.
 _WHOLE = 100.0
+_ROUNDING = 1e-6
 _PARAMETERS = FlyParameters(ramps="blocks", rise=0.0, blend="circle", curve_share=np.inf, curve_turns=False)
 
 
@@ -42,10 +43,10 @@ class _LawSettings(Pdl2Settings):
     joint_acceleration: float = 1.0
 
     @classmethod
-    def of(cls, settings: MotionSettings) -> _LawSettings:
-        ours = UrSettings.of(settings)
+    def of_move(cls, move: Move) -> _LawSettings:
+        ours = UrSettings.of(move.settings)
         shared = {field.name: getattr(ours, field.name) for field in fields(MotionSettings)}
-        part = min(ours.linear_acceleration / _WHOLE, 1.0)
+        part = 1.0 if move.type is MoveType.JOINT else min(ours.linear_acceleration / _WHOLE, 1.0)
         return cls(
             **shared | {"speed_override": 1.0, "linear_speed": ours.linear_speed * ours.speed_override},
             fly_type=FlyType.FLY_CART,
@@ -64,7 +65,6 @@ class UrInterpolator:
     """
 
     def __init__(self, robot: RobotDescription, tool: Tool | None = None, period: float = 0.002):
-        self.robot = robot
         self._fly = FlyInterpolator(robot, tool, period, _PARAMETERS)
         self._fly._planner = _Planner(robot, ArmLimits.of(robot, _PARAMETERS), period, _PARAMETERS)
 
@@ -76,44 +76,47 @@ class UrInterpolator:
                 do: names move, limit and amount.
         """
         moves = [
-            replace(one, settings=_LawSettings.of(one.settings)) if isinstance(one, Move) else one for one in statements
+            replace(one, settings=_LawSettings.of_move(one)) if isinstance(one, Move) else one for one in statements
         ]
         trajectory = self._fly.plan(moves, start)
-        self._check(trajectory)
+        vars(trajectory)["binding"] = ()  # the program alone says how fast it goes
         return trajectory
-
-    def _check(self, trajectory: Trajectory) -> None:
-        """Raise MotionError for what goes farthest beyond a limit."""
-        robot, tool = self.robot, self.robot.cartesian_limits
-        checks = [
-            (f"{name} {what}", "rad/s" if what == "speed" else "rad/s²", np.abs(values[:, k]), limit[k])
-            for what, values, limit in (
-                ("speed", trajectory.qd, robot.max_velocity),
-                ("acceleration", trajectory.qdd, robot.max_acceleration),
-            )
-            for k, name in enumerate(robot.joint_names)
-        ]
-        if tool is not None:
-            checks.append(("tool speed", "m/s", trajectory.path_speed, tool.linear_speed))
-        limit, unit, values, most = max(checks, key=lambda one: float(np.max(one[2])) / one[3])
-        at = int(np.argmax(values))
-        if values[at] > most * (1.0 + 1e-6):
-            move = int(trajectory.move[at])
-            message = (
-                f"statement {move + 1}: {limit} would reach {values[at]:.3g} {unit}, and {most:.3g} are allowed; move "
-                "more slowly, or blend with a larger radius"
-            )
-            raise MotionError(message, move, limit, float(values[at] / most - 1.0))
 
 
 class _Planner(RunPlanner):
-    """Plans without a look at the limits of the arm, and refuses blends that overlap."""
+    """Plans without a look at the limits of the arm, and refuses what goes farthest beyond one of them."""
 
     def _run(self, segments: Sequence[Segment], corners: list[Corner], start: np.ndarray) -> Run:
-        _refuse_overlap(segments)
         path, shape = self._path(segments, corners, start)
         self._check_positions(path, segments)
-        return plan_blocks(path, shape, segments, _limits(segments, self.robot.dof), self.period, self.parameters)
+        run = plan_blocks(path, shape, segments, _limits(segments, self.robot.dof), self.period, self.parameters)
+        worst = max((*_overlaps(segments), *self._beyond(run, segments)), key=lambda one: one.excess, default=None)
+        if worst is not None:
+            raise worst
+        return run
+
+    def _beyond(self, run: Run, segments: Sequence[Segment]) -> Iterator[MotionError]:
+        """Limits of joints and tool that the set-points exceed."""
+        robot, samples = self.robot, run.samples
+        limits = [
+            (name, "speed", "rad/s", most) for name, most in zip(robot.joint_names, robot.max_velocity, strict=True)
+        ]
+        for name, most in zip(robot.joint_names, robot.max_acceleration, strict=True):
+            limits.append((name, "acceleration", "rad/s²", most))
+        rows = [*np.abs(samples.qd), *np.abs(samples.qdd)]
+        if robot.cartesian_limits is not None:
+            limits.append(("the tool", "speed", "m/s", robot.cartesian_limits.linear_speed))
+            rows.append(np.sqrt(np.einsum("is,is->s", samples.pose_rate[:3], samples.pose_rate[:3])))
+        for (name, what, unit, most), values in zip(limits, rows, strict=True):
+            at = int(np.argmax(values))
+            if values[at] > most * (1.0 + _ROUNDING):
+                knot = min(int(np.searchsorted(run.path.s - run.path.s[0], samples.s[at])), len(run.path.move) - 1)
+                move = int(run.path.move[knot])
+                message = (
+                    f"{label_of(segments, move)}: {name} would reach {values[at]:.3g} {unit}, and {most:.3g} are "
+                    "allowed; move more slowly, or blend with a larger radius"
+                )
+                yield MotionError(message, move, f"{name} {what}", float(values[at] / most - 1.0))
 
 
 def _limits(segments: Sequence[Segment], joints: int) -> ArmLimits:
@@ -126,18 +129,17 @@ def _limits(segments: Sequence[Segment], joints: int) -> ArmLimits:
     return ArmLimits(np.full(joints, speed), np.full(joints, acceleration), np.full(joints, np.inf), tool)
 
 
-def _refuse_overlap(segments: Sequence[Segment]) -> None:
-    """A controller skips the move between blends that overlap."""
+def _overlaps(segments: Sequence[Segment]) -> Iterator[MotionError]:
+    """Moves that a controller would skip, as the blends at their ends overlap."""
     before = 0.0
     for segment, last in zip(segments, [*[False] * (len(segments) - 1), True], strict=True):
         radius = 0.0 if last else segment.settings.fly_distance
         length = segment.extent
         if before + radius > 0.0 and before + radius + BLEND_MARGIN > length:
-            raise MotionError(
+            message = (
                 f"{segment.label}: the blends at its ends take {1e3 * (before + radius):.1f} mm of its "
-                f"{1e3 * length:.1f} mm, so the controller would skip it; blend with a smaller radius",
-                segment.move,
-                "blend overlap",
-                (before + radius + BLEND_MARGIN) / max(length, BLEND_MARGIN) - 1.0,
+                f"{1e3 * length:.1f} mm, so the controller would skip it; blend with a smaller radius"
             )
+            excess = (before + radius + BLEND_MARGIN) / max(length, BLEND_MARGIN) - 1.0
+            yield MotionError(message, segment.move, "blend overlap", excess)
         before = radius
