@@ -1,6 +1,7 @@
-"""The UR driver against a small controller of the tests, on real sockets."""
+"""The UR driver against a small controller of the tests and against the emulator, on real sockets."""
 
 import contextlib
+import os
 import socket
 import threading
 
@@ -12,6 +13,8 @@ from drivers.errors import ConfigurationError, DriverError, MotionStopped, Refus
 from drivers.registry import create
 from drivers.transports.ur import rtde
 from drivers.transports.ur.driver import JOINTS
+from fake_controller.build import build_ur_cell
+from fake_controller.ur.server import DASHBOARD, PRIMARY, RTDE, UrServer
 from tests.conftest import free_port, patience
 from tests.link.test_conformance import Relays
 from tests.link.ur_peer import UrPeer
@@ -49,11 +52,10 @@ class UrBench:
     joint_names = JOINTS
     short, long = SHORT, LONG
 
-    def __init__(self, undo):
-        self.undo = undo
-        self.peer = UrPeer()
-        undo.callback(self.peer.close)
-        self.wire = Relays([("127.0.0.1", port) for port in self.peer.ports])
+    def __init__(self, undo, peer):
+        self.undo, self.peer = undo, peer
+        undo.callback(peer.close)
+        self.wire = Relays([(peer.host, port) for port in peer.ports])
         undo.callback(self.wire.close)
 
     def driver(self):
@@ -106,11 +108,39 @@ class UrBench:
             relay.replay()
 
 
+class FakeUr(UrServer):
+    """The emulated controller at an address of its own; counts programs that have moved the arm."""
+
+    host = property(lambda self: self.address)
+    ports = DASHBOARD, PRIMARY, RTDE
+
+    def __init__(self):
+        cell = build_ur_cell("ur5e", seed=3, clock="fast", shortest_watchdog=patience(2.0))
+        super().__init__(cell, ".".join(["127", *(str(part) for part in os.urandom(2)), "7"]))
+        self._moved = set()
+        cell.listeners.append(self)
+
+    def on_cycles(self, cycles):
+        if self.cell.moving:
+            self._moved.add(self.cell.motions_started)
+
+    def on_message(self, message):
+        pass
+
+    @property
+    def motions_started(self):
+        return len(self._moved)
+
+    @property
+    def moving(self):
+        return self.cell.moving
+
+
 class TestUr(DriverConformance):
-    @pytest.fixture
-    def bench(self):
+    @pytest.fixture(params=[UrPeer, FakeUr])
+    def bench(self, request):
         with contextlib.ExitStack() as undo:
-            yield UrBench(undo)
+            yield UrBench(undo, request.param())
 
 
 @pytest.fixture

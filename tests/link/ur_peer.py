@@ -22,6 +22,8 @@ FORMAT = {"DOUBLE": "d", "INT32": "i", "UINT32": "I", "VECTOR3D": "3d", "VECTOR6
 class UrPeer:
     """Attributes are the controller's state; tests change them."""
 
+    host = "127.0.0.1"
+
     def __init__(self, faster=10.0):
         self.model, self.serial, self.version = "UR5", "20195500000", "5.12.6.1102099"
         self.remote, self.real, self.obeys = "true", False, True
