@@ -60,6 +60,7 @@ class UrLink(LinkThread):
     ) -> None:
         super().__init__(data, on_failure)
         self.guarded = False  # a silence as long as the watchdog ends the link
+        self.watchdog = WATCHDOG
         self.beating = False  # where it does not, a program stops the arm
         self.real: bool | None = None  # whether a robot is there, once that was said
         self._period = period
@@ -224,10 +225,10 @@ class UrLink(LinkThread):
                     self._take_messages(self._read(self._primary))
                 # A stall of this process is not the peer's silence: no turn counts for more than it should last.
                 silence += min(time.monotonic() - began, interval)
-                if self.guarded and silence >= WATCHDOG:
+                if self.guarded and silence >= self.watchdog:
                     raise DriverError(
-                        f"the controller at {self.peer} fell silent: no sample for {WATCHDOG:g} s while the arm may "
-                        "move; its program stops the arm, as it feels no heartbeat: go and look at it"
+                        f"the controller at {self.peer} fell silent: no sample for {self.watchdog:g} s, and the "
+                        "arm may move; its program stops it, as it feels no heartbeat: go and look at it"
                     )
 
     def _read(self, handle: socket.socket) -> bytes:

@@ -55,6 +55,7 @@ class UrMotion(MotionStream):
         self._program = program
         self._period = period
         self._torque_per_ampere = torque_per_ampere
+        self._said = ""  # the controller's last words of what is wrong
         self._begun = False
         self._first: float | None = None
         self._number, self._cycle = -1, -1
@@ -74,8 +75,9 @@ class UrMotion(MotionStream):
         """What the controller said of the program."""
         if isinstance(message, ProgramChange):
             self.loaded = self.loaded or (message.started and message.name == self._program)
-        elif message.fatal and self.fault is None:
-            self.fault = message
+        else:
+            self._said = str(message)
+            self.fault = message if message.fatal and self.fault is None else self.fault
 
     def samples(self, samples: np.ndarray) -> None:
         """Samples (K,) of `rtde.FIELDS`, in the order in which they came."""
@@ -100,8 +102,8 @@ class UrMotion(MotionStream):
         if len(settled):
             reason, text = self._verdict or (EndReason.STOPPED if self.stopping else EndReason.DONE, "")
             if self.fault is not None and reason is EndReason.DONE:
-                reason, text = EndReason.PROGRAM_ERROR, str(self.fault)
-            self.ended(reason, self._number + 1, text)
+                reason = EndReason.PROGRAM_ERROR
+            self.ended(reason, self._number + 1, "; ".join(part for part in (self._said, text) if part))
 
     def _judge(self, sample: np.void) -> None:
         """What forbids that the motion goes on; the first of it counts."""
