@@ -47,9 +47,9 @@ def _factory(name: str) -> Any:
 
         return OrlInterpolator
     if name == "ur":
-        from agent.motion.urscript.law import UrInterpolator
+        from agent.motion.urscript.law import UrLaw
 
-        return UrInterpolator
+        return UrLaw
     found = next((entry for entry in entry_points(group=ENTRY_POINTS) if entry.name == name), None)
     if found is None:
         raise InputError(f"interpolator {name!r} is not known; there are: {', '.join(interpolator_names())}")

@@ -118,11 +118,15 @@ class FakeUr(UrServer):
         cell = build_ur_cell("ur5e", seed=3, clock="fast", shortest_watchdog=patience(2.0))
         super().__init__(cell, ".".join(["127", *(str(part) for part in os.urandom(2)), "7"]))
         self._moved = set()
+        self.on_moving = None
         cell.listeners.append(self)
 
     def on_cycles(self, cycles):
         if self.cell.moving:
             self._moved.add(self.cell.motions_started)
+            happens, self.on_moving = self.on_moving, None
+            if happens is not None:
+                happens()
 
     def on_message(self, message):
         pass

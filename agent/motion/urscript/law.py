@@ -58,7 +58,7 @@ class _LawSettings(Pdl2Settings):
         )
 
 
-class UrInterpolator:
+class UrLaw:
     """Plans programs of `movej`, `movel`, `movep` and `movec` at the controller's period (`agent.motion.Interpolator`).
 
     `tool` is the TCP of moves that name none; `period` [s].

@@ -91,7 +91,7 @@ _FUNCTIONS: dict[str, Callable[..., Any]] = {
 }
 
 
-class ScriptError(InputError):
+class UrScriptError(InputError):
     """A text that is not the motion subset of URScript; names path and line."""
 
 
@@ -125,20 +125,20 @@ class UrScriptProgram:
         """Its moves and delays in order.
 
         Raises:
-            ScriptError: a statement that cannot be executed, or a program that never ends.
+            UrScriptError: a statement that cannot be executed, or a program that never ends.
         """
-        return _Run(self).block(self.lines, 0)
+        return _ScriptRun(self).block(self.lines, 0)
 
     def moves_once(self) -> Iterator[Statement]:
         """The same with every loop gone through once."""
-        return _Run(self, once=True).block(self.lines, 0)
+        return _ScriptRun(self, once=True).block(self.lines, 0)
 
 
 def read_program(text: str, path: str = "", robot: RobotDescription | None = None) -> UrScriptProgram:
     """Read a program of the motion subset.
 
     Raises:
-        ScriptError: not one; names path and line.
+        UrScriptError: not one; names path and line.
     """
     program = _read(text, path, robot, lenient=False)
     for _ in program.moves_once():
@@ -150,7 +150,7 @@ def job_text(text: str, path: str, robot: RobotDescription | None) -> tuple[list
     """The moves of a person's program, every loop gone through once, and how often each word was passed over.
 
     Raises:
-        ScriptError: something moves that is not understood.
+        UrScriptError: something moves that is not understood.
     """
     program = _read(text, path, robot, lenient=True)
     return list(program.moves_once()), dict(program.passed)
@@ -165,13 +165,13 @@ def _read(text: str, path: str, robot: RobotDescription | None, lenient: bool) -
     ]
     lines, rest = _block(rows, path)
     if rest:
-        raise ScriptError(f"{path}:{rest[0][0]}: `{rest[0][1]}` ends no block")
+        raise UrScriptError(f"{path}:{rest[0][0]}: `{rest[0][1]}` ends no block")
     top = [line for line in lines if line.word == "def"]
     if len(top) != 1 and not lenient:
-        raise ScriptError(f"{path}: one `def NAME():` is expected, not {len(top)}")
+        raise UrScriptError(f"{path}: one `def NAME():` is expected, not {len(top)}")
     first = _HEADER.match(top[0].text) if top else None
     if first is None and not lenient:
-        raise ScriptError(f"{path}: `def NAME():` is expected first")
+        raise UrScriptError(f"{path}: `def NAME():` is expected first")
     body = top[0].block if len(top) == 1 and len(lines) == 1 else lines
     return UrScriptProgram(first[1] if first else "script", path, body, robot, lenient)
 
@@ -180,7 +180,7 @@ def _block(rows: list[tuple[int, str]], path: str, depth: int = 0) -> tuple[list
     """Lines up to one that ends a block, and what comes from that on."""
     lines: list[_Line] = []
     if depth > _DEEPEST:
-        raise ScriptError(f"{path}:{rows[0][0]}: more than {_DEEPEST} blocks within each other")
+        raise UrScriptError(f"{path}:{rows[0][0]}: more than {_DEEPEST} blocks within each other")
     while rows and not _CLOSES.match(rows[0][1]):
         number, text = rows[0]
         opens, assigned = _OPENS.match(text), _ASSIGNMENT.match(text)
@@ -196,13 +196,13 @@ def _block(rows: list[tuple[int, str]], path: str, depth: int = 0) -> tuple[list
             other.block, rows = _block(rows[1:], path, depth + 1)
             last.otherwise, last = [other], other
         if not rows:
-            raise ScriptError(f"{path}:{number}: `{text}` has no `end`")
+            raise UrScriptError(f"{path}:{number}: `{text}` has no `end`")
         lines.append(line)
         rows = rows[1:]
     return lines, rows
 
 
-class _Run:
+class _ScriptRun:
     """One run of a program: variables, the tool and load in force, and the functions that were defined."""
 
     def __init__(self, program: UrScriptProgram, once: bool = False) -> None:
@@ -217,21 +217,21 @@ class _Run:
         for line in lines:
             try:
                 yield from self._line(line, depth)
-            except (_Outside, ScriptError, ArithmeticError, LookupError, TypeError, ValueError) as error:
+            except (_Outside, UrScriptError, ArithmeticError, LookupError, TypeError, ValueError) as error:
                 if not self._program.lenient or _MOVING.search(line.text) or _TARGETED.search(line.text):
                     raise self._error(line, error) from None
                 self._program.passed[re.match(r"\W*\w*", line.text)[0] or line.text[:10]] += 1  # type: ignore[index]
 
-    def _error(self, line: _Line, error: Exception) -> ScriptError:
-        if isinstance(error, ScriptError):
+    def _error(self, line: _Line, error: Exception) -> UrScriptError:
+        if isinstance(error, UrScriptError):
             return error
         what = "depends on what only the controller knows" if isinstance(error, _Outside) else f"{error}"
-        return ScriptError(f"{self._program.path}:{line.number}: `{line.text[:60]}`: {what}")
+        return UrScriptError(f"{self._program.path}:{line.number}: `{line.text[:60]}`: {what}")
 
     def _line(self, line: _Line, depth: int) -> Iterator[Statement]:
         self._left -= 1
         if self._left < 0 or depth > _DEEPEST:
-            raise ScriptError(f"{self._program.path}:{line.number}: the program does not come to an end")
+            raise UrScriptError(f"{self._program.path}:{line.number}: the program does not come to an end")
         if line.word == "def":
             header = _HEADER.match(line.text)
             if header is None:

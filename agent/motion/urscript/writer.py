@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 
 _HEAD = """def {name}():
   write_output_integer_register(25, {number})
+  write_output_integer_register(24, -1)
   rtde_set_watchdog("input_int_register_24", 2, "stop")
 {frames}  while read_input_integer_register(25) != {number}:
     sync()
@@ -45,6 +46,8 @@ _HEAD = """def {name}():
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*", re.ASCII)
 #: A program's name has at most so many characters; eight of them and a `_` are of the checksum.
 _LONGEST, _DIGEST = 31, 8
+#: A controller goes on from a stop in the next period; at this rest it shows where cycles begin.
+_REST = "sleep(0.1)"
 
 
 def write_program(name: str, statements: Sequence[Statement], robot: RobotDescription | None = None) -> str:
@@ -56,7 +59,7 @@ def write_program(name: str, statements: Sequence[Statement], robot: RobotDescri
     Raises:
         InputError: a name or a coordinate that URScript does not take.
     """
-    writer = _Writer(robot)
+    writer = _ScriptWriter(robot)
     return writer.text(name, [line for statement in statements for line in writer.statement(statement, "  ")])
 
 
@@ -71,7 +74,7 @@ def write_loop_program(
 ) -> str:
     """A program of the loop: `movej` to the start, then `cycles` times `movel` through points 2 to K and to the first.
 
-    All but the last `movel` of a cycle blend, so every cycle starts and ends at rest.
+    All but the last `movel` of a cycle blend, so every cycle starts and ends at rest, for 0.1 s.
 
     Raises:
         InputError: fewer than two points, no cycle, or what `write_program` refuses.
@@ -82,16 +85,16 @@ def write_loop_program(
         raise InputError(f"program {name}: the number of cycles is 1 to 1000000, not {cycles}")
     if approach is None:
         approach = settings.changed(speed_override=min(0.1, settings.speed_override))
-    writer = _Writer(robot)
-    lines = writer.statement(Move(MoveType.JOINT, start or points[0], approach), "  ")
+    writer = _ScriptWriter(robot)
+    lines = [*writer.statement(Move(MoveType.JOINT, start or points[0], approach), "  "), f"  {_REST}"]
     loop = [Move(MoveType.LINEAR, point, settings, fly=True) for point in points[1:]]
     loop.append(Move(MoveType.LINEAR, points[0], settings.stopping()))
     moves = [line for move in loop for line in writer.statement(move, "    ")]
     lines += ["  i = 0", f"  while i < {cycles}:", "    write_output_integer_register(24, i)"]
-    return writer.text(name, [*lines, *moves, "    i = i + 1", "  end"])
+    return writer.text(name, [*lines, *moves, f"    {_REST}", "    i = i + 1", "  end"])
 
 
-class _Writer:
+class _ScriptWriter:
     """Writes moves, and before them the tool and load where they change."""
 
     def __init__(self, robot: RobotDescription | None):

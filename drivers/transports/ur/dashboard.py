@@ -16,7 +16,7 @@ _LONGEST = 4096  # bytes of a line
 
 
 @dataclass(frozen=True)
-class Model:
+class UrModel:
     """What stands there: `robot` as descriptions call it (`ur5e`, `ur5`), serial number, version of PolyScope."""
 
     robot: str
@@ -74,7 +74,7 @@ class Dashboard:
                 raise dropped(self.address, error) from None
             return self._line(command)
 
-    def model(self) -> Model:
+    def model(self) -> UrModel:
         """Who is there.
 
         Raises:
@@ -86,7 +86,7 @@ class Dashboard:
             raise ProtocolError(f"{self.address}: the version of PolyScope is not in {printable(text, NAME)!r}")
         version = tuple(int(part) for part in found[0].split("."))
         name = self.ask("get robot model").strip().lower().removesuffix("e")
-        return Model(name + "e" * (version >= (5,)), self.ask("get serial number").strip(), version)
+        return UrModel(name + "e" * (version >= (5,)), self.ask("get serial number").strip(), version)
 
     def remote(self) -> bool:
         """Whether the robot is in remote control.

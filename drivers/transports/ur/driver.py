@@ -19,7 +19,7 @@ from drivers.texts import place_of
 from drivers.transports.base import WATCHDOG, LinkDriver
 from drivers.transports.tcp import parse_address
 from drivers.transports.ur import motion as states, rtde
-from drivers.transports.ur.dashboard import Dashboard, Model
+from drivers.transports.ur.dashboard import Dashboard, UrModel
 from drivers.transports.ur.link import UrLink
 from drivers.transports.ur.motion import UrMotion, safety_text
 from drivers.transports.ur.primary import ProgramChange, ProgramFault
@@ -61,7 +61,7 @@ class UrDriver(LinkDriver[UrLink, UrMotion]):
         super().__init__(address, **options)
         self.torque_per_ampere = np.empty((0, 0))
         self._dashboard: Dashboard | None = None
-        self._model: Model | None = None
+        self._model: UrModel | None = None
         self._stored: tuple[str, UrProgram] | None = None
 
     @property

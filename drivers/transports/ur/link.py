@@ -21,7 +21,7 @@ from drivers.errors import DriverError, ProtocolError, RefusedError
 from drivers.transports.base import WATCHDOG, LinkThread, dropped
 from drivers.transports.tcp import open_socket
 from drivers.transports.ur import rtde
-from drivers.transports.ur.primary import Machine, PrimaryReader, ProgramChange, ProgramFault
+from drivers.transports.ur.primary import Presence, PrimaryReader, ProgramChange, ProgramFault
 
 _RECEIVE = 256 * 1024
 #: Heartbeats to a watchdog, by the controller's clock.
@@ -255,7 +255,7 @@ class UrLink(LinkThread):
 
     def _take_messages(self, data: bytes) -> None:
         for message in self._messages.feed(data):
-            if isinstance(message, Machine):
+            if isinstance(message, Presence):
                 self.real = message.real
             else:
                 self._on_message(message)

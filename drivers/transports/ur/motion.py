@@ -58,7 +58,8 @@ class UrMotion(MotionStream):
         self._said = ""  # the controller's last words of what is wrong
         self._begun = False
         self._first: float | None = None
-        self._number, self._cycle = -1, -1
+        self._number = -1
+        self._cycle: int | None = None
         self._idle = 0
         self._verdict: tuple[EndReason, str] | None = None
 
@@ -117,9 +118,10 @@ class UrMotion(MotionStream):
 
     def _give(self, samples: np.ndarray, numbers: np.ndarray) -> None:
         """Hand out runs without gaps; what is missing never comes, as RTDE sends nothing twice."""
-        changed = np.flatnonzero(np.diff(samples[rtde.CYCLE], prepend=self._cycle))
+        cycles = samples[rtde.CYCLE]
+        changed = np.flatnonzero(np.diff(cycles, prepend=cycles[0] if self._cycle is None else self._cycle))
         self.markers += samples["timestamp"][changed].tolist()
-        self._cycle = int(samples[rtde.CYCLE][-1])
+        self._cycle = int(cycles[-1])
         received = time.time()
         for part in np.split(np.arange(len(numbers)), np.flatnonzero(np.diff(numbers) > 1) + 1):
             chosen = samples[part]

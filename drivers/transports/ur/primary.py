@@ -49,7 +49,7 @@ class ProgramFault:
 
 
 @dataclass(frozen=True)
-class Machine:
+class Presence:
     """`real` is False where a simulator of the controller answers."""
 
     real: bool
@@ -61,7 +61,7 @@ class PrimaryReader:
     def __init__(self) -> None:
         self._rest = b""
 
-    def feed(self, data: bytes) -> Iterator[ProgramChange | ProgramFault | Machine]:
+    def feed(self, data: bytes) -> Iterator[ProgramChange | ProgramFault | Presence]:
         """What was said.
 
         Raises:
@@ -79,7 +79,7 @@ class PrimaryReader:
         self._rest = data[at:]
 
 
-def _meaning(kind: int, content: bytes) -> Iterator[ProgramChange | ProgramFault | Machine]:
+def _meaning(kind: int, content: bytes) -> Iterator[ProgramChange | ProgramFault | Presence]:
     try:
         if kind == _STATE:
             yield from _state(content)
@@ -89,14 +89,14 @@ def _meaning(kind: int, content: bytes) -> Iterator[ProgramChange | ProgramFault
         raise ProtocolError("a message of the primary interface is shorter than its kind") from None
 
 
-def _state(content: bytes) -> Iterator[Machine]:
+def _state(content: bytes) -> Iterator[Presence]:
     at = 0
     while at < len(content):
         size, kind = _HEAD.unpack_from(content, at)
         if size < _HEAD.size:
             raise ProtocolError("a state of the primary interface is damaged")
         if kind == _ROBOT_MODE:
-            yield Machine(bool(struct.unpack_from(">Q?", content, at + _HEAD.size)[1]))
+            yield Presence(bool(struct.unpack_from(">Q?", content, at + _HEAD.size)[1]))
         at += size
 
 

@@ -114,7 +114,7 @@ def test_a_loop_is_recognised_watched_and_marked(robot, pose):
     text = loop_text(robot, pose)
     lines = text.splitlines()
     number = re.fullmatch(r"  write_output_integer_register\(25, (\d+)\)", lines[1])[1]
-    assert lines[2] == '  rtde_set_watchdog("input_int_register_24", 2, "stop")'
+    assert lines[3] == '  rtde_set_watchdog("input_int_register_24", 2, "stop")'
     assert f"  while read_input_integer_register(25) != {number}:" in lines
     assert re.fullmatch(r"def excite_[0-9a-f]{8}\(\):", lines[0])
     assert text.index("movej") > text.index("  write_output_integer_register(25, 0)")
