@@ -176,7 +176,6 @@ def test_torque_is_the_current_times_what_an_ampere_gives(driver):
     blocks = list(driver.samples())
     for block in blocks:
         np.testing.assert_allclose(block.torque, 10.0 * block.current, rtol=1e-12)
-    assert "cycle_markers_s" in driver.facts
 
 
 @pytest.mark.parametrize(
