@@ -1,4 +1,4 @@
-"""Knots of a path and the splines through them: the loops of `agent.motion.path` and `agent.motion.fly.profile`."""
+"""Knots of a path and the splines through them: the loops of `agent.motion.fly` and `agent.motion.fly.profile`."""
 
 from __future__ import annotations
 

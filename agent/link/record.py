@@ -155,7 +155,11 @@ class RobotLink:
 
         robot, tool = self._recipe.robot, self._recipe.tool
         # The points are joint positions, and the straight lines between them the tool's.
-        return replace(program, points=via_points(program, robot, tool), frames={"$TOOL": tool_frame(tool)})
+        return replace(
+            program,
+            points=via_points(program, robot, tool),
+            frames={self._recipe.dialect.frame_names["tool"]: tool_frame(tool)},
+        )
 
     def _record(
         self, program: PlannedProgram, log: Path, motion: str, place: MotionOfMany = MotionOfMany()

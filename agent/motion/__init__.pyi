@@ -1,11 +1,6 @@
-from .dialect import (
-    Dialect as Dialect,
-    dialect as dialect,
-    dialect_of as dialect_of,
-    program_suffixes as program_suffixes,
-)
+from .dialect import Dialect as Dialect
 from .fly.interpolator import FlyInterpolator as FlyInterpolator
-from .fly_parameters import FlyParameters as FlyParameters
+from .fly.parameters import FlyParameters as FlyParameters
 from .frames import (
     left_open as left_open,
     pose_in_robot_base as pose_in_robot_base,
@@ -20,14 +15,12 @@ from .learned import (
     robot_digest as robot_digest,
 )
 from .learning import Learner as Learner, RecordedMove as RecordedMove
-from .loop import loop_moves as loop_moves
-from .orl_calls import ARM as ARM, CONTROLLER as CONTROLLER, LIBRARY as LIBRARY
+from .orl import ARM as ARM, CONTROLLER as CONTROLLER, LIBRARY as LIBRARY
 from .pdl2.errors import Pdl2Error as Pdl2Error
 from .pdl2.evaluation import Memory as Memory, Value as Value, evaluate as evaluate, subscript as subscript
-from .pdl2.frames import pose_to_pos as pose_to_pos
-from .pdl2.interpreter import Program as Program
-from .pdl2.listing import listing_beside as listing_beside
-from .pdl2.reader import job_text as job_text, parse_program as parse_program
+from .pdl2.job import job_text as job_text
+from .pdl2.pos import pose_to_pos as pose_to_pos
+from .pdl2.program import Program as Program, parse_program as parse_program
 from .pdl2.settings import (
     FlyTrajectory as FlyTrajectory,
     FlyType as FlyType,
@@ -36,7 +29,7 @@ from .pdl2.settings import (
     SpeedOption as SpeedOption,
     Termination as Termination,
 )
-from .pdl2.tree import (
+from .pdl2.syntax import (
     Assignment as Assignment,
     Block as Block,
     Conditional as Conditional,
@@ -61,13 +54,17 @@ from .program import (
     MoveType as MoveType,
     Statement as Statement,
     Target as Target,
+    loop_moves as loop_moves,
     stop_to_stop as stop_to_stop,
     way_key as way_key,
 )
 from .regions import ViaRegions as ViaRegions
 from .registry import (
     ENTRY_POINTS as ENTRY_POINTS,
+    create_dialect as create_dialect,
     create_interpolator as create_interpolator,
+    dialect_of as dialect_of,
+    dialects as dialects,
     interpolator_names as interpolator_names,
 )
 from .rotation import pose_of as pose_of

@@ -1,13 +1,13 @@
-"""Program languages of controllers: each vendor's dialect behind one interface, loaded when it is asked for.
+"""Program languages of controllers: each vendor's dialect behind one interface.
 
 A program is data (`agent.motion.program`: moves with targets, speeds and blend distances). A dialect turns it into the
 text of a vendor's language and back. To add one:
 
-1. Make a folder beside `pdl2` with a class that has the members of `Dialect`, and name it in `_BUILT_IN`.
+1. Make a folder next to `pdl2` with a class that has the members of `Dialect`, and name it in `agent.motion.registry`.
 2. If a move needs settings that only that vendor has, derive a class from `MotionSettings` with a class method `of`
    that accepts any settings (`agent.motion.pdl2.settings` is an example). Writer and interpolator call `of`, so a
    program read in one dialect runs in another.
-3. Register the interpolation law of its controllers in `agent.motion.registry`; `interpolators` names it.
+3. Name the interpolation law of its controllers there too; `Dialect.interpolators` lists its laws.
 4. Give the drivers of those controllers a class attribute `dialect` with the dialect's name (`drivers.registry`).
 
 A recipe's dialect follows from its driver: `Recipe.dialect`. A program that a person names (`via_points.like`) is read
@@ -17,17 +17,13 @@ in the dialect of its suffix: `dialect_of`.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-from agent.core import InputError
 from agent.motion.program import JointTarget, MotionSettings, Statement, Target
 
 if TYPE_CHECKING:
     from agent.robot import RobotDescription
-
-_BUILT_IN = {"pdl2": "agent.motion.pdl2.dialect:Pdl2", "urscript": "agent.motion.urscript.dialect:UrScript"}
 
 
 class ReadProgram(Protocol):
@@ -108,30 +104,3 @@ class Dialect(Protocol):
 
     def companion(self, program: Path) -> Path | None:
         """The file next to a program that its positions come from, where the language has one and it is there."""
-
-
-def dialect(name: str) -> Dialect:
-    """A dialect by its name.
-
-    Raises:
-        InputError: no dialect has that name.
-    """
-    if name not in _BUILT_IN:
-        raise InputError(f"program language {name!r} is not known; there are: {', '.join(_BUILT_IN)}")
-    module, _, attribute = _BUILT_IN[name].partition(":")
-    return getattr(import_module(module), attribute)()
-
-
-def dialects() -> tuple[Dialect, ...]:
-    """All there are."""
-    return tuple(dialect(name) for name in _BUILT_IN)
-
-
-def program_suffixes() -> tuple[str, ...]:
-    """Suffixes of program files, of all dialects."""
-    return tuple(one.suffix for one in dialects())
-
-
-def dialect_of(program: Path) -> Dialect | None:
-    """The dialect of a program file, by its suffix; None where it is none."""
-    return next((one for one in dialects() if one.suffix == program.suffix.lower()), None)

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from agent.motion.fly.interpolator import FlyInterpolator
-from agent.motion.fly_parameters import FlyParameters
+from agent.motion.fly.parameters import FlyParameters
 from agent.motion.frames import pose_in_robot_base
 from agent.motion.interpolator import MotionError
 from agent.motion.pdl2.settings import FlyTrajectory, FlyType, Pdl2Settings
@@ -23,11 +23,11 @@ from agent.robot import RobotDescription, kinematics_for
 
 #: Parts of the way at which motions are compared; how the ends are crept along is lost in the set-points' digits.
 _PARTS = np.linspace(0.002, 0.998, 250)
-#: The same place is looked for so far before and after the same part of the way, on a path so fine.
+#: Part of the path before and after a place in which its counterpart is searched for, and the grid of that search.
 _AROUND, _FINE = 0.03, np.linspace(0.0, 1.0, 1001)
 #: A family has to be better than a simpler one by this part of its error.
 _BETTER = 0.9
-#: A simplex ends where it tells so little of the cost, or after so many plans.
+#: A simplex ends where the cost changes by less than this part, or after this number of plans.
 _ENOUGH, _PLANS = 1e-3, 40
 #: Widths of simplices, in parts of what is unknown: of a family on trial, and one after the other of the best one. In a
 #: valley, as of ramps that are later and stronger at once, a simplex shrinks before it is at the bottom.

@@ -1,13 +1,18 @@
-"""Interpolators by name: the built-in ones, and what others install under the entry point group below."""
+"""Dialects and interpolators by name: the built-in ones, and interpolators that others install as entry points.
+
+Each is loaded when it is asked for: names are needed wherever a recipe is read, and the compiled loops of an
+interpolator take half a second to load.
+"""
 
 from __future__ import annotations
 
+from importlib import import_module
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
 from agent.core import InputError
-from agent.motion.dialect import Dialect, dialects
+from agent.motion.dialect import Dialect
 from agent.motion.interpolator import Interpolator
 from agent.motion.learned import is_file_name, load_law
 from agent.robot import RobotDescription
@@ -15,13 +20,41 @@ from agent.robot import RobotDescription
 #: Third parties add interpolators under this entry-point group.
 ENTRY_POINTS = "calibration_agent.interpolators"
 
+# Registered in code as well: a checkout that was never installed has no entry points.
+_INTERPOLATORS = {
+    "fly": "agent.motion.fly.interpolator:FlyInterpolator",
+    "orl": "agent.motion.orl:OrlInterpolator",
+    "ur": "agent.motion.urscript.law:UrLaw",
+}
+_DIALECTS = {"pdl2": "agent.motion.pdl2.dialect:Pdl2", "urscript": "agent.motion.urscript.dialect:UrScript"}
+
+
+def create_dialect(name: str) -> Dialect:
+    """A dialect by its name.
+
+    Raises:
+        InputError: no dialect has that name.
+    """
+    if name not in _DIALECTS:
+        raise InputError(f"program language {name!r} is not known; there are: {', '.join(_DIALECTS)}")
+    return _loaded(_DIALECTS[name])()
+
+
+def dialect_of(program: Path) -> Dialect | None:
+    """The dialect of a program file, by its suffix; None where it is none."""
+    return next((one for one in dialects() if one.suffix == program.suffix.lower()), None)
+
+
+def dialects() -> tuple[Dialect, ...]:
+    """All there are."""
+    return tuple(map(create_dialect, _DIALECTS))
+
 
 def interpolator_names(dialect: Dialect | None = None) -> tuple[str, ...]:
-    """Names that `create_interpolator` knows: the built-in ones, of one dialect's controllers if it is given, and those
-    of installed packages."""
-    own = {law for one in dialects() for law in one.interpolators}
-    installed = {entry.name for entry in entry_points(group=ENTRY_POINTS)} - own
-    return tuple(sorted({*(own if dialect is None else dialect.interpolators), *installed}))
+    """Names that `create_interpolator` knows: those of installed packages, and the built-in ones; with `dialect` only
+    the built-in ones of its controllers."""
+    installed = {entry.name for entry in entry_points(group=ENTRY_POINTS)} - {*_INTERPOLATORS}
+    return tuple(sorted(installed.union(_INTERPOLATORS if dialect is None else dialect.interpolators)))
 
 
 def create_interpolator(name: str, robot: RobotDescription, tool: Any = None, **options: Any) -> Interpolator:
@@ -33,24 +66,14 @@ def create_interpolator(name: str, robot: RobotDescription, tool: Any = None, **
     if is_file_name(name):
         options["parameters"] = load_law(Path(name), robot).parameters
         name = "fly"
-    return _factory(name)(robot, tool, **options)
-
-
-def _factory(name: str) -> Any:
-    # Names are asked for wherever a recipe is read, and the compiled loops of one take half a second to load.
-    if name == "fly":
-        from agent.motion.fly.interpolator import FlyInterpolator
-
-        return FlyInterpolator
-    if name == "orl":
-        from agent.motion.orl import OrlInterpolator
-
-        return OrlInterpolator
-    if name == "ur":
-        from agent.motion.urscript.law import UrLaw
-
-        return UrLaw
+    if name in _INTERPOLATORS:
+        return _loaded(_INTERPOLATORS[name])(robot, tool, **options)
     found = next((entry for entry in entry_points(group=ENTRY_POINTS) if entry.name == name), None)
     if found is None:
         raise InputError(f"interpolator {name!r} is not known; there are: {', '.join(interpolator_names())}")
-    return found.load()
+    return found.load()(robot, tool, **options)
+
+
+def _loaded(place: str) -> Any:
+    module, _, attribute = place.partition(":")
+    return getattr(import_module(module), attribute)

@@ -137,7 +137,9 @@ def _controller(recipe: Recipe, _: Console) -> str:
         status = driver.status()
         frames = driver.frames() if isinstance(driver, ReportsFrames) else {}
         if isinstance(driver, AcceptsViaPoints):
-            points = PlannedProgram("of via-points", "", (), frames={"$TOOL": tool_frame(recipe.tool)})
+            points = PlannedProgram(
+                "of via-points", "", (), frames={recipe.dialect.frame_names["tool"]: tool_frame(recipe.tool)}
+            )
             check_frames(points, driver, address)
     state = [
         f"mode {status.mode}",

@@ -130,9 +130,9 @@ def _check_log(log: Log, robot: RobotDescription) -> None:
 
 def _statements(log: Log, robot: RobotDescription) -> list[Statement]:
     """Of the program that was recorded: a file beside the log with its name, or that of its run."""
-    from agent.motion import dialect
+    from agent.motion import create_dialect
 
-    pdl2 = dialect("pdl2")  # of the controllers whose law is learned
+    pdl2 = create_dialect("pdl2")  # of the controllers whose law is learned
     beside = log.path.with_suffix(pdl2.suffix)
     of_run = log.path.with_name(f"program{pdl2.suffix}")
     chosen = beside if beside.is_file() else of_run if log.path.stem == "excitation" and of_run.is_file() else None

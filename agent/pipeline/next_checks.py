@@ -93,9 +93,9 @@ def check_folder(folder: Path) -> None:
         raise InputError(f"{there}: is a file; name a folder for the experiment with -o")
     if not os.access(there, os.W_OK | os.X_OK):
         raise InputError(f"{there}: nothing can be written there; name another folder for the experiment with -o")
-    from agent.motion import program_suffixes
+    from agent.motion import dialects
 
-    programs = {f"program{suffix}": "a program" for suffix in program_suffixes()}
+    programs = {f"program{one.suffix}": "a program" for one in dialects()}
     for name, what in {"experiment.json": "an experiment", **programs}.items():
         if (folder / name).exists():
             raise InputError(f"{folder}: holds {what} already; name another folder with -o, or move it away")

@@ -142,10 +142,10 @@ def examine_recipe(path: Path | str) -> tuple[Recipe | None, list[str]]:
 
 
 def _dialect(controller: ControllerSection) -> Dialect:
-    from agent.motion import dialect
+    from agent.motion import create_dialect
     from drivers import registry
 
-    return dialect(registry.dialect(controller.driver))
+    return create_dialect(registry.dialect(controller.driver))
 
 
 def _document(path: Path, data: Any, faults: dict[tuple[Any, ...], str]) -> RecipeDocument | None:
@@ -171,7 +171,7 @@ def _contradictions(
     path: Path, document: RecipeDocument, robot: RobotDescription
 ) -> Iterator[tuple[tuple[str, ...], str]]:
     """What is wrong between values that are each right by themselves."""
-    from agent.motion import program_suffixes
+    from agent.motion import dialects
     from drivers.errors import ConfigurationError
     from drivers.registry import available, create
 
@@ -202,7 +202,8 @@ def _contradictions(
             yield ("cell", "joint_ranges", name), str(error)
     like = document.motion.via_points.like
     if like is not None and not os.path.isfile(path.parent / like):
-        message = f"{path.parent / like}: no such file; a program ({', '.join(program_suffixes())}) or a log (.mcap)"
+        programs = ", ".join(one.suffix for one in dialects())
+        message = f"{path.parent / like}: no such file; a program ({programs}) or a log (.mcap)"
         yield (
             ("motion", "via_points", "like"),
             message,
@@ -219,16 +220,18 @@ def _motion_contradictions(
     for key in sorted(document.motion.fly.model_fields_set - dialect.fly_keys):
         allowed = ", ".join(sorted(dialect.fly_keys))
         yield ("motion", "fly", key), f"not for driver {document.controller.driver}; allowed are {allowed}"
-    allowed_laws = interpolator_names(dialect)
-    if chosen is not None and is_file_name(chosen):
+    learns = "fly" in dialect.interpolators  # what a learned law is a form of
+    if chosen is not None and is_file_name(chosen) and learns:
         try:
             load_law(path.parent / chosen, robot)
         except InputError as error:
             yield ("search", "interpolator"), str(error)
-    elif chosen is not None and chosen not in allowed_laws:
-        message = f"there is no interpolator {chosen!r}; allowed are {', '.join(allowed_laws)}"
-        message += ", or the .yaml file of a learned one"
-        yield ("search", "interpolator"), message
+    elif chosen is not None and chosen not in interpolator_names(dialect):
+        message = f"there is no interpolator {chosen!r}"
+        if not learns:
+            message += f" for driver {document.controller.driver}"
+        message += f"; allowed are {', '.join(interpolator_names(dialect))}"
+        yield ("search", "interpolator"), message + (", or the .yaml file of a learned one" if learns else "")
 
 
 def _recipe(path: Path, document: RecipeDocument, robot: RobotDescription) -> Recipe:

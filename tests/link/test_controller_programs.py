@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from agent.motion import job_text, parse_program
-from agent.motion.pdl2.tree import Pos
+from agent.motion.pdl2.syntax import Pos
 from agent.robot import load_robot
 from fake_controller.interpolation import build_interpolator
 from fake_controller.interpreter import Interpreter, left_over

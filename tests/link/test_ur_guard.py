@@ -9,7 +9,7 @@ import pytest
 
 from agent.core import Console
 from agent.link.record import record_program_file
-from agent.motion import JointTarget, Move, MoveType, dialect, with_frames
+from agent.motion import JointTarget, Move, MoveType, create_dialect, with_frames
 from agent.motion.urscript.settings import UrSettings
 from agent.recipe import load_recipe
 from agent.recording import read_log
@@ -39,7 +39,7 @@ def fake():
 def program(tmp_path):
     """There and back, twice, after a joint move to the start."""
     settings = with_frames(UrSettings(fly_distance=0.02, joint_speed=1.0), None)
-    text = dialect("urscript").write_loop(
+    text = create_dialect("urscript").write_loop(
         "loop",
         [
             JointTarget(START),
@@ -102,7 +102,7 @@ def test_a_tool_that_the_pendant_does_not_know_is_refused_with_both(fake, progra
     frame[2, 3] = 0.12
     settings = with_frames(UrSettings(), Tool(frame, 1.2, np.zeros(3)))
     move = Move(MoveType.JOINT, JointTarget(START), settings)
-    program.write_text(dialect("urscript").write("tool", [move]))
+    program.write_text(create_dialect("urscript").write("tool", [move]))
     with pytest.raises(Exception, match=r"TCP at the pendant is \[0, 0, 0, .*\[0, 0, 0.12, ") as refused:
         record(fake, program, "tool: {frame: [0 mm, 0 mm, 120 mm, 0 deg, 0 deg, 0 deg], mass: 1.2 kg}")
     assert refused.value.exit_code == 4

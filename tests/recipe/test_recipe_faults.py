@@ -11,6 +11,7 @@ from hypothesis import HealthCheck, example, given, settings, strategies as st
 
 from agent.core.errors import InputError
 from agent.core.units import Dimension
+from agent.motion.pdl2.dialect import Pdl2
 from agent.recipe import examine_recipe, load_recipe
 from agent.robot import load_robot
 from tests.recipe.recipes import FULL, MINIMAL, POINTS, TUBE, faults_of, load_text, with_via_points
@@ -113,6 +114,26 @@ def test_a_fault_names_file_line_key_and_what_is_allowed(
     assert len(faults) == 1
     assert faults[0].startswith(f"{recipe_file}:{line}: {key}")
     assert message in faults[0]
+
+
+@pytest.mark.parametrize("law", ["fly", "learned.yaml"])
+def test_what_the_language_of_the_controller_cannot_say_is_refused(recipe_file: Path, monkeypatch, law: str) -> None:
+    monkeypatch.setattr(Pdl2, "fly_keys", frozenset({"distance"}))
+    monkeypatch.setattr(Pdl2, "interpolators", ("other",))
+    faults = faults_of(recipe_file, FULL.replace("interpolator: fly", f"interpolator: {law}"))
+    keys = [f"{recipe_file}:8: motion.fly.{key}: " for key in ("percent", "stress", "trajectory", "type")]
+    assert [fault.startswith(key) for fault, key in zip(faults, keys, strict=False)] == [True] * 4
+    assert all("driver tcp; allowed are distance" in fault for fault in faults[:4])
+    assert faults[4:] == [
+        f"{recipe_file}:13: search.interpolator: there is no interpolator {law!r} for driver tcp; allowed are other"
+    ]
+
+
+def test_a_recipe_that_names_no_interpolator_has_the_one_of_its_controller(recipe_file: Path, monkeypatch) -> None:
+    assert load_text(recipe_file, MINIMAL).interpolator == "fly"
+    monkeypatch.setattr(Pdl2, "interpolators", ("other", "fly"))
+    assert load_text(recipe_file, MINIMAL).interpolator == "other"
+    assert load_text(recipe_file, FULL).interpolator == "fly"
 
 
 #: Key, text before and after the number, its dimension, and the sizes that need no unit [SI].

@@ -14,12 +14,12 @@ from itertools import pairwise
 
 import numpy as np
 
+from agent.motion.fly import rules
+from agent.motion.fly.move_geometry import Segment
+from agent.motion.fly.parameters import FlyParameters
+from agent.motion.fly.path import Path
 from agent.motion.fly.profile import ArmLimits, PathShape, allowed_speed
 from agent.motion.fly.setpoints import Run, SetPoints, refuse_crawling, refuse_long, sampled, stretch_needed
-from agent.motion.fly_parameters import FlyParameters
-from agent.motion.path import rules
-from agent.motion.path.geometry import Path
-from agent.motion.path.segments import Segment
 
 _REPAIRS, _HALVINGS = 6, 50
 _SMALL = 1e-12

@@ -15,9 +15,9 @@ from itertools import pairwise
 import numpy as np
 
 from agent.compiled import derivatives, fastest, growth, held, not_a_knot
-from agent.motion.fly_parameters import FlyParameters
-from agent.motion.path import rules
-from agent.motion.path.geometry import Path
+from agent.motion.fly import rules
+from agent.motion.fly.parameters import FlyParameters
+from agent.motion.fly.path import Path
 from agent.robot import CartesianLimits, RobotDescription
 
 _PASSES = 20

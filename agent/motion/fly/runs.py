@@ -8,19 +8,19 @@ from itertools import pairwise
 
 import numpy as np
 
+from agent.motion.fly.blend import Corner, corner_between
 from agent.motion.fly.blocks import plan_blocks
+from agent.motion.fly.move_geometry import CartesianSegment, JointSegment, Segment, label_of
+from agent.motion.fly.parameters import FlyParameters
+from agent.motion.fly.path import Path, build_path
 from agent.motion.fly.profile import ArmLimits, PathShape, shape_of
 from agent.motion.fly.setpoints import Run, plan_run
-from agent.motion.fly_parameters import FlyParameters
 from agent.motion.interpolator import MotionError
-from agent.motion.path.blend import Corner, corner_between
-from agent.motion.path.geometry import Path, build_path
-from agent.motion.path.segments import CartesianSegment, JointSegment, Segment, label_of
 from agent.robot import Configuration, RobotDescription, parse_configuration
 
-#: A path is built anew at most so often: with smaller joint-space blends, or with more knots, up to so many times.
+#: Largest number of attempts at a path, with smaller joint-space blends or more knots, and largest factor of knots.
 _ATTEMPTS, _FINEST = 10, 32.0
-#: A path is refused where so many times the tolerated error is left between knots: it all but touches a singularity.
+#: A path whose error between knots exceeds the tolerated one by this factor nearly touches a singularity: refused.
 _ROUGHEST = 30.0
 #: Slack on joint limits [rad or m], for round-off only.
 _SLACK = 1e-9

@@ -3,6 +3,15 @@
 Limits are kept by construction up to the width of the averaging window (`profile_time`). What is left is repaired: the
 speed ceiling is lowered around every sample that breaks a limit, a bounded number of times; whatever then remains is
 taken out by stretching the time of the run, which divides speed, acceleration and jerk by the factor, its square, cube.
+
+The speed profile of `profile` changes its acceleration in steps. Averaged over a window of T seconds,
+
+    s_T(t) = 1/T ∫ s from t − T to t,
+
+position, speed and acceleration along the path are averages of allowed ones, and the jerk is at most the step of the
+acceleration over T. The path itself is untouched: only the way it is run through is smoothed. Because the window also
+moves along the path, limits can be broken a little; then the ceiling is lowered where that happens, and at last the
+time of the run is stretched by what is left.
 """
 
 from __future__ import annotations
@@ -13,19 +22,18 @@ from typing import Protocol
 
 import numpy as np
 
-from agent.compiled import lowered, sampled_on, stretched
+from agent.compiled import averaged, law_at, lowered, sampled_on, stretched
+from agent.motion.fly import rules
+from agent.motion.fly.move_geometry import Segment, label_of
+from agent.motion.fly.parameters import FlyParameters
+from agent.motion.fly.path import Path
 from agent.motion.fly.profile import ArmLimits, PathShape, Ramps, speed_ceiling, widened
-from agent.motion.fly.time_law import time_law
-from agent.motion.fly_parameters import FlyParameters
 from agent.motion.interpolator import MotionError
-from agent.motion.path import rules
-from agent.motion.path.geometry import Path
-from agent.motion.path.segments import Segment, label_of
 
 _REPAIRS, _STRETCHES = 7, 6
-#: Repairs look at every so many samples, until those are right; then at all of them.
+#: Repairs examine one sample in this many until those are within limits, then all of them.
 _COARSE = 4
-#: [rad/s] what a tool turns at most where the robot has no limit, to tell a singularity from a quick turn.
+#: [rad/s] fastest turn of a tool where the robot has no limit: distinguishes a singularity from a quick turn.
 _TURNING = 6.0
 #: A stretch of this part is left alone: speed 0.05 %, acceleration 0.1 %, jerk 0.15 % over what is planned for, which
 #: itself is 0.2 % below the arm's limits.
@@ -44,6 +52,37 @@ class PathTiming(Protocol):
     def sample(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """s, ṡ, s̈ (S,) at times t (S,) [s]."""
         ...
+
+
+@dataclass(frozen=True, eq=False)
+class TimeLaw:
+    """s over time. Knots: t, s, speed (K,), acceleration per cell (K - 1,), integral of s (K,); window and stretch."""
+
+    t: np.ndarray
+    s: np.ndarray
+    speed: np.ndarray
+    acceleration: np.ndarray
+    integral: np.ndarray
+    window: float
+    stretch: float = 1.0
+
+    @property
+    def duration(self) -> float:
+        """[s]"""
+        return float((self.t[-1] + self.window) * self.stretch)
+
+    def sample(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """s, ṡ, s̈ (S,) at times t (S,) [s] since the start of the run, in growing order; at rest outside of it."""
+        s, speed, acceleration = averaged(
+            t, self.t, self.s, self.speed, self.acceleration, self.integral, self.window, self.stretch
+        )
+        return s, speed, acceleration
+
+
+def _time_law(path: Path, z: np.ndarray, window: float) -> TimeLaw:
+    """The run through `path` with z = ṡ² (K,) at the knots, linear in between, averaged over `window` [s]."""
+    time, speed, acceleration, integral = law_at(path.s, z)
+    return TimeLaw(time, path.s - path.s[0], speed, acceleration[:-1], integral, window)
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +154,7 @@ def plan_run(
     ramps = Ramps(path, shape, limits)
     step = _COARSE * period
     for _ in range(_REPAIRS):
-        law = time_law(path, ramps.fastest(ceiling), window)
+        law = _time_law(path, ramps.fastest(ceiling), window)
         refuse_long(path, law, segments, parameters)
         samples = sampled(path, shape, law, step)
         stretch = stretch_needed(path, samples, limits, step)

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from agent.motion.pdl2.frames import pos_to_pose, pose_to_pos
+from agent.motion.pdl2.pos import pos_to_pose, pose_to_pos
 from agent.motion.pdl2.settings import FlyTrajectory, FlyType, OrientationType, Pdl2Settings, SpeedOption, Termination
-from agent.motion.pdl2.tree import Constant, Pos
+from agent.motion.pdl2.syntax import Constant, Pos
 from agent.motion.program import MoveType, frame_of, matrix_of
 
 Value = bool | int | float | str | Constant | Pos

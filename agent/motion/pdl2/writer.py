@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from agent.core import InputError
-from agent.motion.pdl2.frames import pose_to_pos
-from agent.motion.pdl2.reader import parse_program
+from agent.motion.pdl2.pos import pose_to_pos
+from agent.motion.pdl2.program import parse_program
 from agent.motion.pdl2.settings import Pdl2Settings
-from agent.motion.pdl2.tree import Constant, Pos
+from agent.motion.pdl2.syntax import Constant, Pos
 from agent.motion.pdl2.variables import FRAMES, SYSTEM_VARIABLES, SystemVariable
 from agent.motion.program import CartesianTarget, Delay, JointTarget, MotionSettings, Move, MoveType, Statement, Target
 

@@ -12,15 +12,15 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
+from agent.motion.fly.blend import Corner
 from agent.motion.fly.blocks import plan_blocks
 from agent.motion.fly.interpolator import FlyInterpolator
+from agent.motion.fly.move_geometry import CartesianSegment, JointSegment, Segment, label_of
+from agent.motion.fly.parameters import FlyParameters
 from agent.motion.fly.profile import ArmLimits
 from agent.motion.fly.runs import RunPlanner
 from agent.motion.fly.setpoints import Run
-from agent.motion.fly_parameters import FlyParameters
 from agent.motion.interpolator import MotionError
-from agent.motion.path.blend import Corner
-from agent.motion.path.segments import CartesianSegment, JointSegment, Segment, label_of
 from agent.motion.pdl2.settings import FlyTrajectory, FlyType, Pdl2Settings
 from agent.motion.program import MotionSettings, Move, MoveType, Statement
 from agent.motion.trajectory import Trajectory

@@ -14,8 +14,8 @@ from agent.motion import (
     MotionError,
     Move,
     MoveType,
+    create_dialect,
     create_interpolator,
-    dialect,
     stop_to_stop,
     with_frames,
 )
@@ -24,7 +24,7 @@ from agent.robot import Tool, kinematics_for, load_robot
 
 PERIOD = 0.002
 HOME = np.array([0.1, -1.5, 1.5, -1.5, -1.5, 0.0])
-SCRIPT = dialect("urscript")
+SCRIPT = create_dialect("urscript")
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""Running a program: its moves and delays, one after the other, as the controller would meet them."""
+"""From text to a program that is known to be sound as far as that can be known without moving, and its run."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from agent.motion.pdl2 import tree
-from agent.motion.pdl2.checker import Scope
+from agent.motion.pdl2 import syntax
+from agent.motion.pdl2.checker import check
 from agent.motion.pdl2.errors import Pdl2Error, TextPosition
-from agent.motion.pdl2.evaluation import Memory, Value, evaluate, subscript
-from agent.motion.pdl2.frames import pos_to_pose
+from agent.motion.pdl2.evaluation import Memory, Scope, Value, evaluate, subscript
+from agent.motion.pdl2.pos import pos_to_pose
 from agent.motion.pdl2.variables import SYSTEM_VARIABLES, motion_settings, read
 from agent.motion.program import CartesianTarget, Delay, JointTarget, Move, MoveType, Statement, Target
 
@@ -23,6 +23,30 @@ if TYPE_CHECKING:
 #: Statements and loop turns after which a run is refused, where the caller does not say otherwise.
 MAX_STEPS = 1_000_000
 MAX_DELAY = 3_600_000
+#: A program has no inputs: what it does in its first steps it always does, so that much is tried when it is read.
+_TRIAL_STEPS = 5000
+
+
+def parse_program(text: str, path: str = "", robot: RobotDescription | None = None) -> Program:
+    """Read and check a program of the motion subset; `path` is named in messages.
+
+    With `robot`, a JOINTPOS must have its number of joints, and its prismatic joints are in mm.
+
+    Raises:
+        Pdl2Error: text outside the subset, an undeclared name, a data type that does not fit, and whatever the first
+            5000 steps of the program would meet when it runs (positions not assigned, values out of range).
+    """
+    try:
+        tree = syntax.parse_tree(text)
+        program = Program(str(tree.word), path, tree.cycle, tree, check(tree), robot)
+    except Pdl2Error as error:
+        raise error.within(path) from None
+    try:
+        for _ in program.run(limit=_TRIAL_STEPS):
+            pass
+    except StepLimitError:
+        pass
+    return program
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,14 +59,14 @@ class Program:
     name: str
     path: str
     cycle: bool
-    syntax: tree.ProgramTree
+    syntax: syntax.ProgramTree
     scope: Scope
     _robot: RobotDescription | None
 
     def run(self, cycles: int | None = None, limit: int = MAX_STEPS) -> Iterator[Statement]:
         """The moves and delays in order, loops unrolled as they are reached; SI units.
 
-        `cycles` ends a BEGIN CYCLE program after so many turns (None: it goes on) and has no effect on others.
+        `cycles` limits the turns of a BEGIN CYCLE program (None: no limit) and has no effect on others.
         `limit` is the number of statements and loop turns that may be executed.
 
         Raises:
@@ -89,25 +113,25 @@ class _Run:
         if self.left < 0:
             raise StepLimitError(f"the program executes more than {self.limit} statements", place)
 
-    def block(self, block: tree.Block) -> Iterator[Statement]:
+    def block(self, block: syntax.Block) -> Iterator[Statement]:
         for statement in block:
             self.step(statement.place)
-            if isinstance(statement, tree.MoveStatement):
+            if isinstance(statement, syntax.MoveStatement):
                 yield self.move(statement)
-            elif isinstance(statement, tree.Assignment):
+            elif isinstance(statement, syntax.Assignment):
                 self.assign(statement)
-            elif isinstance(statement, tree.ForLoop):
+            elif isinstance(statement, syntax.ForLoop):
                 yield from self.loop(statement)
-            elif isinstance(statement, tree.Conditional):
+            elif isinstance(statement, syntax.Conditional):
                 holds = evaluate(statement.condition, self.memory)
                 yield from self.block(statement.then if holds else statement.otherwise)
             else:
                 yield self.delay(statement)
 
-    def integer(self, expression: tree.Expression) -> int:
+    def integer(self, expression: syntax.Expression) -> int:
         return int(evaluate(expression, self.memory))  # type: ignore[arg-type]  # the checker knows that it is one
 
-    def loop(self, statement: tree.ForLoop) -> Iterator[Statement]:
+    def loop(self, statement: syntax.ForLoop) -> Iterator[Statement]:
         first, last = self.integer(statement.first), self.integer(statement.last)
         step = 1 if statement.step is None else self.integer(statement.step)
         if step < 1:
@@ -117,26 +141,26 @@ class _Run:
             self.variables[statement.variable.name] = value
             yield from self.block(statement.block)
 
-    def assign(self, statement: tree.Assignment) -> None:
+    def assign(self, statement: syntax.Assignment) -> None:
         target = statement.target
         value = evaluate(statement.value, self.memory)
-        if isinstance(target, tree.System):
+        if isinstance(target, syntax.System):
             self.system[target.name] = _checked(target.place, target.name, value)
             return
         if self.types[target.name].name == "REAL":
             value = float(value)  # type: ignore[arg-type]
-        if isinstance(target, tree.Element):
+        if isinstance(target, syntax.Element):
             self.variables[target.name, subscript(target, self.memory)] = value
         else:
             self.variables[target.name] = value
 
-    def delay(self, statement: tree.DelayStatement) -> Delay:
+    def delay(self, statement: syntax.DelayStatement) -> Delay:
         milliseconds = float(evaluate(statement.milliseconds, self.memory))  # type: ignore[arg-type]
         if not 0 <= milliseconds <= MAX_DELAY:
             raise Pdl2Error(f"the time is {milliseconds:g} ms and must be in 0..{MAX_DELAY} ms", statement.place)
         return Delay(milliseconds / 1000.0)
 
-    def move(self, statement: tree.MoveStatement) -> Move:
+    def move(self, statement: syntax.MoveStatement) -> Move:
         system = dict(self.system)
         for setting in statement.settings:
             value = evaluate(setting.value, self.memory)
@@ -155,16 +179,14 @@ class _Run:
             line=statement.place.line,
         )
 
-    def target(self, node: tree.Expression) -> tuple[Target, str]:
+    def target(self, node: syntax.Expression) -> tuple[Target, str]:
         value = evaluate(node, self.memory)
-        name = ""
-        if isinstance(node, tree.Name):
-            name = node.place.word
-        elif isinstance(node, tree.Element):
-            name = f"{node.place.word}[{subscript(node, self.memory)}]"
-        if isinstance(value, tree.Pos):
+        name = str(node.word) if isinstance(node, syntax.Name | syntax.Element) else ""
+        if isinstance(node, syntax.Element):
+            name += f"[{subscript(node, self.memory)}]"
+        if isinstance(value, syntax.Pos):
             return CartesianTarget(_pose(value.fields), value.configuration), name
-        assert isinstance(value, tree.Joints)
+        assert isinstance(value, syntax.Joints)
         return JointTarget(self.joints(value.fields, node.place)), name
 
     def joints(self, fields: tuple[float, ...], place: TextPosition) -> np.ndarray:

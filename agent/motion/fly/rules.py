@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from agent.motion.fly_parameters import FlyParameters
-from agent.motion.path.segments import CartesianSegment, JointSegment, Segment
+from agent.motion.fly.move_geometry import CartesianSegment, JointSegment, Segment
+from agent.motion.fly.parameters import FlyParameters
 from agent.motion.pdl2.settings import SpeedOption
 
 #: Columns of a row: programmed TCP speed [m/s] and rotational speed [rad/s] (inf: not programmed), part of the joint

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from agent.motion import rotation
+from agent.motion.fly.move_geometry import Arc, Line, Segment, WristSegment, label_of
 from agent.motion.interpolator import MotionError
-from agent.motion.path.segments import Arc, Line, Segment, WristSegment, label_of
 from agent.motion.pdl2.settings import Pdl2Settings
 from agent.robot import Kinematics, KinematicsError
 

@@ -8,13 +8,24 @@ from dataclasses import dataclass
 import numpy as np
 
 from agent.motion import rotation
-from agent.motion.fly_parameters import FlyParameters
-from agent.motion.path.blend import Corner, blended_length, blended_near, blended_orientation, blended_position, bump
-from agent.motion.path.knots import cells, spacing
-from agent.motion.path.rules import corner_rules, segment_rules
-from agent.motion.path.segments import CartesianSegment, JointSegment, Segment
-from agent.motion.path.solve import solve_cartesian, solve_wrist
-from agent.motion.path.straight import StraightMoves
+from agent.motion.fly.blend import (
+    Corner,
+    StraightMoves,
+    blended_length,
+    blended_near,
+    blended_orientation,
+    blended_position,
+    bump,
+)
+from agent.motion.fly.joints import solve_cartesian, solve_wrist
+from agent.motion.fly.move_geometry import Arc, CartesianSegment, JointSegment, Segment, WristSegment
+from agent.motion.fly.parameters import FlyParameters
+from agent.motion.fly.rules import corner_rules, segment_rules
+
+#: Largest turn of the orientation, of an arc or of a joint between two knots [rad].
+_TURN = 0.04
+#: No move is cut into more cells, and none into fewer.
+_MOST_CELLS, _FEWEST_CELLS = 4000, 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +79,7 @@ def build_path(
 ) -> Path:
     """The path over `segments` blended at `corners` (one fewer), from `start` (n,) at standstill to standstill.
 
-    `speeds` (n,) are the joint speed limits; `fineness` takes so many times more knots.
+    `speeds` (n,) are the joint speed limits; `fineness` multiplies the number of knots.
 
     Raises:
         MotionError: out of reach, through a singularity, or not on one branch of the arm.
@@ -119,7 +130,7 @@ def _body(
             None if corner is None else 2.0 * part * segment.metric / corner.cells
             for corner, part in ((before, begin), (after, 1.0 - end))
         ]
-        travel = cells((end - begin) * segment.metric, edges[0], edges[1], spacing(segment, parameters) / fineness)
+        travel = _cells((end - begin) * segment.metric, edges[0], edges[1], _spacing(segment, parameters) / fineness)
         skip = 0 if k == 0 else 1
         sigmas.append((begin + travel / segment.metric)[skip:])
         steps.append(travel[1:] - travel[:-1])
@@ -314,3 +325,43 @@ def _assemble(stretches: list[_PathPart], segment: Segment, deviations: tuple[fl
         np.concatenate([stretch.block for stretch in stretches]),
         deviations,
     )
+
+
+def _spacing(segment: Segment, parameters: FlyParameters) -> float:
+    """Largest step of s between knots of one move."""
+    if isinstance(segment, JointSegment):
+        turns = float(np.max(np.abs(segment.end - segment.start))) / _TURN
+    else:
+        turns = segment.extent / parameters.spacing
+        if isinstance(segment.curve, Arc):
+            turns = max(turns, segment.curve.angle / _TURN)
+        if isinstance(segment, CartesianSegment):
+            turns = max(turns, segment.angle / _TURN)
+        elif isinstance(segment, WristSegment):
+            turns = max(turns, float(np.max(np.abs(segment.end - segment.start))) / _TURN)
+    return segment.metric / min(max(turns, _FEWEST_CELLS), _MOST_CELLS)
+
+
+def _cells(length: float, first: float | None, last: float | None, largest: float) -> np.ndarray:
+    """Points from 0 to `length`, at most `largest` apart, growing from the cells that blends end with.
+
+    Neighbouring cells of very different size would make the spline through the knots ring.
+    """
+    if length < 1e-12:
+        return np.zeros(1)
+    left, right = [], []
+    a, b = first or largest, last or largest
+    rest = length
+    while rest > 0 and min(a, b) < largest:
+        if a <= b:
+            left.append(a)
+            rest -= a
+            a = min(1.5 * a, largest)
+        else:
+            right.append(b)
+            rest -= b
+            b = min(1.5 * b, largest)
+    middle = max(int(np.ceil(rest / largest)), 0)
+    sizes = np.array([*left, *([rest / max(middle, 1)] * middle), *right[::-1]])
+    points = np.concatenate(([0.0], np.cumsum(sizes)))
+    return points * (length / points[-1])

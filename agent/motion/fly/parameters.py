@@ -12,8 +12,8 @@ class FlyParameters:
     blend: how one move hands over to the next: `polynomial`, or along a `parabola` or a `circle` that touches both.
     blend_shape: of a polynomial: 0 is a cubic, 1 a quintic (rounder start, sharper middle).
     blend_turn: the orientation in a blend goes as the `path` does, or by `slerp` from one move's to the next one's.
-    turn_lever: [m/rad] a rotation counts as so much way of the tool where a move does little else: blends take equal
-    parts of the way so measured.
+    turn_lever: [m/rad] converts a rotation into travel of the tool where a move does little but rotate: blends take
+    equal parts of the path measured so.
     ramps: `window`, speeds as high as limits allow at each place, averaged over a time; or `blocks`, one speed and one
     acceleration for a move, one speed for a corner.
     acceleration: part of the arm's acceleration limits that is planned for.

@@ -3,6 +3,11 @@
 For a job that a recipe's `like` names it matters where the arm goes, not when or under which condition. So statements
 of a program that is more than the motion subset are taken in the order of the text, each branch and each loop of
 unknown length once; lines keep their numbers, so that whatever moves and is not understood is reported with its line.
+
+What its variables hold at first stands in a file of its own, as text a listing (`.lsv`) of what the controller keeps in
+a `.var`. An entry is `name POS Priv X:… Y:… Z:… A:… E:… R:… CNFG: 'flags'`, `name JNTP Arm: 1 Ax: 6 Priv 1:… 2:… …`,
+`name XTND Arm: 1 Ax: 1 Priv X:… … R:… 7:… CNFG: 'flags'`, or `name INT Priv 3`, on one line or on several. That is how
+public post-processors and editors of such files write them; no listing by a controller was at hand.
 """
 
 from __future__ import annotations
@@ -10,11 +15,17 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Mapping
+from itertools import zip_longest
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
 
 from agent.motion.pdl2.errors import Pdl2Error, TextPosition
-from agent.motion.pdl2.listing import Listed
-from agent.motion.pdl2.parser import OUTSIDE_SUBSET
+from agent.motion.pdl2.program import parse_program
+from agent.motion.pdl2.syntax import OUTSIDE_SUBSET
 from agent.motion.pdl2.variables import PREDEFINED, SYSTEM_VARIABLES
+
+if TYPE_CHECKING:
+    from agent.robot import RobotDescription
 
 _MOVES = re.compile(r"\b(?:SYNC)?MOVE(?:FLY)?\b", re.IGNORECASE)
 _MOVE = re.compile(r"MOVE(?:FLY)?\b", re.IGNORECASE)
@@ -51,7 +62,101 @@ _CALL = re.compile(r"[$\w.]+(?:\[[^\]]*\][.$\w]*)*\s*(?:\(.*|:=.*|:|)$")
 _KNOWN_WORDS = {"div", "mod", "and", "or", "not", "pos", "to", "downto", "step", "do", *PREDEFINED}
 
 
-def sieve(text: str, listed: Mapping[str, Listed] | None = None) -> tuple[str, dict[str, int]]:
+_ENTRY = re.compile(r"^[ \t]*(\w+)[ \t]+([A-Z]{3,4})\b", re.MULTILINE)
+_HEAD = re.compile(r"\s*(?:Arm:\s*(\d+))?\s*(?:Ax:\s*(\d+))?\s*(?:Priv\b)?", re.IGNORECASE)
+_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:E[-+]?\d+)?"
+_COORDINATE = re.compile(rf"(\w+):\s*({_NUMBER})(?![\w.])", re.IGNORECASE)
+_FLAGS = re.compile(r"CNFG:\s*('[^']*')", re.IGNORECASE)
+_PLAIN = re.compile(rf"\s*({_NUMBER}|TRUE|FALSE|ON|OFF)\s*$", re.IGNORECASE)
+_POSE = ("X", "Y", "Z", "A", "E", "R")
+#: Data types of PDL2 by the word of the listing.
+_TYPES = {"POS": "POSITION", "JNTP": "JOINTPOS", "XTND": "XTNDPOS", "INT": "INTEGER", "REA": "REAL", "BOO": "BOOLEAN"}
+
+
+class Listed(NamedTuple):
+    """The data type and the value of a variable, as PDL2 writes them; of an XTNDPOS the pose alone."""
+
+    type: str
+    value: str
+
+
+def job_text(
+    text: str, path: str = "", robot: RobotDescription | None = None, listing: str = ""
+) -> tuple[str, dict[str, int]]:
+    """A program for the places it goes to: as it is where it is of the motion subset, else what moves in it.
+
+    `listing` is the text of its variable file (`listing_beside`), which says what variables hold at first.
+    Also returns how often each word that does not move was passed over.
+
+    Raises:
+        Pdl2Error: something moves that is not understood.
+    """
+    listed = _read_listing(listing)
+    try:
+        # With a listing the text alone does not say what the variables hold at first.
+        if not listed:
+            parse_program(text, path, robot)
+            return text, {}
+    except Pdl2Error:
+        pass
+    try:
+        kept, passed = _sieve(text, listed)
+    except Pdl2Error as error:
+        raise error.within(path) from None
+    while True:
+        try:
+            parse_program(kept, path, robot)
+        except Pdl2Error as error:
+            shorter, word = _without_setting(kept, error.place)
+            if shorter == kept:
+                return kept, passed  # whoever runs it is told where it stops
+            kept, passed = shorter, {**passed, word: passed.get(word, 0) + 1}
+        else:
+            return kept, passed
+
+
+def listing_beside(program: Path) -> Path | None:
+    """The listing of the program's variables in the same folder, if there is one."""
+    candidates = (program.with_suffix(suffix) for suffix in (".lsv", ".LSV"))
+    return next((file for file in candidates if file.is_file()), None)
+
+
+def _read_listing(text: str) -> dict[str, Listed]:
+    """What a listing says of each variable, by its name in small letters.
+
+    Left out: other data types, other arms, arrays, and entries that do not give all their numbers, so that a move to
+    one of them is listed as a move to a position without a value.
+    """
+    entries = list(_ENTRY.finditer(text))
+    found = {}
+    for entry, following in zip_longest(entries, entries[1:]):
+        kind = entry[2]
+        value = _listed_value(kind, text[entry.end() : following.start() if following else None])
+        if value is not None:
+            found[entry[1].lower()] = Listed(_TYPES[kind], value)
+    return found
+
+
+def _listed_value(kind: str, rest: str) -> str | None:
+    head = _HEAD.match(rest)
+    if kind not in _TYPES or head is None or head[1] not in (None, "1"):
+        return None
+    body = rest[head.end() :]
+    if kind in ("INT", "REA", "BOO"):
+        plain = _PLAIN.match(body)
+        return plain[1] if plain else None
+    flags = _FLAGS.search(body)
+    numbers = _COORDINATE.findall(body[: flags.start()] if flags else body)
+    if kind == "JNTP":
+        complete = bool(numbers) and (head[2] is None or len(numbers) == int(head[2]))
+        return "{" + ", ".join(value for _, value in numbers) + "}" if complete else None
+    by_name = {name.upper(): value for name, value in numbers}
+    if not all(name in by_name for name in _POSE):
+        return None
+    return f"POS({', '.join(by_name[name] for name in _POSE)}, {flags[1] if flags else chr(39) * 2})"
+
+
+def _sieve(text: str, listed: Mapping[str, Listed]) -> tuple[str, dict[str, int]]:
     """The text with everything blank that does not move, and how often each word that was passed over began a line.
 
     Variables start with what their variable file says of them (`listed`). An XTNDPOS is its pose: the auxiliary axes
@@ -60,11 +165,11 @@ def sieve(text: str, listed: Mapping[str, Listed] | None = None) -> tuple[str, d
     Raises:
         Pdl2Error: something moves that the motion subset has no statement for, with its line.
     """
-    sieved = _Sieve(text.replace("\r\n", "\n").replace("\r", "\n").split("\n"), listed or {})
+    sieved = _Sieve(text.replace("\r\n", "\n").replace("\r", "\n").split("\n"), listed)
     return "\n".join(sieved.lines()), dict(sieved.passed)
 
 
-def without_setting(text: str, place: TextPosition) -> tuple[str, str]:
+def _without_setting(text: str, place: TextPosition) -> tuple[str, str]:
     """The text without the setting of a system variable at a place, and the variable's name.
 
     Controllers take values that the motion subset refuses, such as a `$FLY_DIST` below zero for none. The text is as it

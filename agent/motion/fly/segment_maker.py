@@ -11,9 +11,8 @@ import numpy as np
 
 from agent.core import InputError
 from agent.motion import rotation
-from agent.motion.frames import pose_in_robot_base, tool_frame
-from agent.motion.interpolator import MotionError
-from agent.motion.path.segments import (
+from agent.motion.fly.joints import motion_error, solve_cartesian, wrist_segment
+from agent.motion.fly.move_geometry import (
     Arc,
     CartesianSegment,
     JointSegment,
@@ -23,7 +22,8 @@ from agent.motion.path.segments import (
     euler_angles,
     single_axis,
 )
-from agent.motion.path.solve import motion_error, solve_cartesian, wrist_segment
+from agent.motion.frames import pose_in_robot_base, tool_frame
+from agent.motion.interpolator import MotionError
 from agent.motion.pdl2.settings import OrientationType, Pdl2Settings
 from agent.motion.program import CartesianTarget, Frame, JointTarget, MotionSettings, Move, MoveType, Target, matrix_of
 from agent.robot import Kinematics, KinematicsError, RobotDescription, kinematics_for

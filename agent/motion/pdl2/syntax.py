@@ -1,0 +1,441 @@
+"""Text to syntax tree, by the grammar in grammar.lark. The parser generator is imported when a program is read."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from agent.motion.pdl2.errors import Pdl2Error, TextPosition, shortened
+
+if TYPE_CHECKING:
+    from lark import Lark, Token, UnexpectedToken
+
+#: Longer programs are refused unread.
+MAX_CHARACTERS = 1_000_000
+MAX_NAME, MAX_REAL = 32, 64
+#: Deeper expressions and blocks are refused: reading and running them would recurse that deep.
+MAX_EXPRESSION_DEPTH, MAX_BLOCK_DEPTH = 100, 32
+#: INTEGER has 32 bits.
+MAX_INTEGER = 2**31 - 1
+
+#: Words of PDL2 that the motion subset leaves out; known by name so that the message can say so.
+OUTSIDE_SUBSET = re.compile(
+    r"""ABORT|ABOUT|ACTIVATE|ALONG|ARM|ATTACH|AUX|AWAY|BREAK|BY|BYPASS|CALL|CANCEL|CASE|CLOSE|CONDITION|CONNECT
+    |DEACTIVATE|DECODE|DETACH|DISABLE|DISCONNECT|ELSIF|ENABLE|ENCODE|ENDCONDITION|ENDNODE|ENDRECORD|ENDSELECT|ENDTRY
+    |ENDWHILE|ERROR|EVENT|EXECS|EXIT|EXPORTED|FROM|GOTO|HALT|HAND|IMPORT|LOCK|NEAR|NODE|OPEN|PATH|PAUSE|PULSE|PURGE
+    |READ|RECORD|RELATIVE|RELAX|REPEAT|RESUME|RETURN|ROUTINE|SEGMENT|SELECT|SEMAPHORE|SIGNAL|SYNCMOVE|SYNCMOVEFLY|TIL
+    |TIME|TRY|UNLOCK|UNPAUSE|UNTIL|VECTOR|WAIT|WHEN|WHILE|WRITE|XOR|XTNDPOS""",
+    re.VERBOSE | re.IGNORECASE,
+)
+_OUTSIDE = "is a word of PDL2, but not of the motion subset read here"
+#: What may stand before a statement or a declaration on its line.
+_OPENING = {"BEGIN", "CYCLE", "DO", "THEN", "ELSE", "CONST", "TYPE", "VAR"}
+_LINE_END = re.compile(r"\r\n?")
+_LAST_WORD = re.compile(r"(\w+)$")
+
+
+class Constant(NamedTuple):
+    """A predefined constant such as FLY_CART, by its name in capitals."""
+
+    name: str
+
+
+@dataclass(frozen=True)
+class Pos:
+    """The value of a POS: x, y, z [mm], a, e, r [deg] and the configuration string."""
+
+    fields: tuple[float, ...]
+    configuration: str
+
+
+@dataclass(frozen=True)
+class Joints:
+    """The value of a JOINTPOS: degrees (mm on a prismatic joint)."""
+
+    fields: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Node:
+    """Whatever stands in the text, by the word that begins or names it. PDL2 does not tell capitals from small letters:
+    `name` is in small ones."""
+
+    word: Token
+
+    @property
+    def place(self) -> TextPosition:
+        return place_of(self.word)
+
+    @property
+    def name(self) -> str:
+        return self.word.lower()
+
+
+@dataclass(frozen=True)
+class Literal(Node):
+    value: int | float | str
+
+
+@dataclass(frozen=True)
+class Name(Node):
+    """A variable, a constant of the program or a predefined constant."""
+
+
+@dataclass(frozen=True)
+class Element(Node):
+    """One element of an array."""
+
+    index: Expression
+
+
+@dataclass(frozen=True)
+class System(Node):
+    """A system variable; its name is in capitals, and that of a field of the arm's data is the short one that a program
+    of this arm has for it."""
+
+    @property
+    def name(self) -> str:
+        return self.word.upper().replace("$ARM_DATA[1].", "$")
+
+
+@dataclass(frozen=True)
+class Operation(Node):
+    """An operator in capitals with one operand or two."""
+
+    operator: str
+    operands: tuple[Expression, ...]
+
+
+@dataclass(frozen=True)
+class PosLiteral(Node):
+    fields: tuple[Expression, ...]
+
+
+@dataclass(frozen=True)
+class JointLiteral(Node):
+    fields: tuple[Expression, ...]
+
+
+Expression = Literal | Name | Element | System | Operation | PosLiteral | JointLiteral
+
+
+@dataclass(frozen=True)
+class Assignment(Node):
+    target: Name | Element | System
+    value: Expression
+
+
+@dataclass(frozen=True)
+class Setting(System):
+    """`$NAME = value` of a WITH clause."""
+
+    value: Expression
+
+
+@dataclass(frozen=True)
+class MoveStatement(Node):
+    """`trajectory` is LINEAR, JOINT, CIRCULAR or empty, where `$MOVE_TYPE` says."""
+
+    trajectory: str
+    target: Expression
+    via: Expression | None
+    settings: tuple[Setting, ...]
+
+    @property
+    def fly(self) -> bool:
+        return self.name == "movefly"
+
+
+@dataclass(frozen=True)
+class DelayStatement(Node):
+    milliseconds: Expression
+
+
+@dataclass(frozen=True)
+class ForLoop(Node):
+    variable: Name
+    first: Expression
+    down: bool
+    last: Expression
+    step: Expression | None
+    block: Block
+
+
+@dataclass(frozen=True)
+class Conditional(Node):
+    condition: Expression
+    then: Block
+    otherwise: Block = ()
+
+
+StatementNode = Assignment | MoveStatement | DelayStatement | ForLoop | Conditional
+Block = tuple[StatementNode, ...]
+
+
+@dataclass(frozen=True)
+class NamedType(Node):
+    """A data type, or `size` of them where it is an array."""
+
+    size: Expression | None = None
+
+
+@dataclass(frozen=True)
+class ConstantDeclaration(Node):
+    value: Expression
+
+
+@dataclass(frozen=True)
+class TypeDeclaration(Node):
+    type: NamedType
+
+
+@dataclass(frozen=True)
+class VariableDeclaration(Node):
+    """Variables of one type, each with the initial value where there is one."""
+
+    words: tuple[Token, ...]
+    type: NamedType
+    initial: Expression | None
+
+
+Declaration = ConstantDeclaration | TypeDeclaration | VariableDeclaration
+
+
+@dataclass(frozen=True)
+class Attribute(Node):
+    value: Literal | None
+
+
+@dataclass(frozen=True)
+class ProgramTree(Node):
+    """A whole program as it was written; `end` is the name after END."""
+
+    attributes: tuple[Attribute, ...]
+    declarations: tuple[Declaration, ...]
+    cycle: bool
+    block: Block
+    end: Token
+
+
+def parse_tree(text: str) -> ProgramTree:
+    """The syntax tree of a program.
+
+    Raises:
+        Pdl2Error: where the text is too long, or not a program of the motion subset.
+    """
+    from lark import UnexpectedCharacters, UnexpectedToken
+
+    if len(text) > MAX_CHARACTERS:
+        raise Pdl2Error(f"the program has {len(text)} characters; {MAX_CHARACTERS} are allowed", TextPosition(1, 1, ""))
+    text = _LINE_END.sub("\n", text.removeprefix("\ufeff"))
+    try:
+        program: ProgramTree = _lark().parse(text)  # type: ignore[assignment]  # what the rules make of it
+    except UnexpectedToken as error:
+        raise _unexpected_token(error) from None
+    except UnexpectedCharacters as error:
+        reason = "the string is not closed on its line" if error.char == "'" else "this character has no meaning here"
+        raise Pdl2Error(reason, TextPosition(error.line, error.column, error.char)) from None
+    reason = f"FOR and IF are nested deeper than {MAX_BLOCK_DEPTH}"
+    _check_depth(program.block, StatementNode, MAX_BLOCK_DEPTH, reason)
+    _check_lines(program, text.split("\n"))
+    return program
+
+
+def place_of(token: Token) -> TextPosition:
+    """Where a token stands."""
+    return TextPosition(token.line or 0, token.column or 0, str(token))
+
+
+def check_expression_depth(expression: Expression) -> None:
+    """Raises Pdl2Error where an expression is nested too deep."""
+    reason = f"the expression is nested deeper than {MAX_EXPRESSION_DEPTH} operations"
+    _check_depth([expression], Expression, MAX_EXPRESSION_DEPTH, reason)
+
+
+def _check_depth(nodes: Sequence[Node], kind: Any, most: int, reason: str) -> None:
+    """Itself it does not recurse."""
+    for _ in range(most):
+        nodes = [part for node in nodes for part in _parts(node, kind)]
+        if not nodes:
+            return
+    raise Pdl2Error(reason, nodes[0].place)
+
+
+def _parts(node: Node, kind: Any) -> list[Any]:
+    """What stands directly inside a node and is of a kind: expressions or statements."""
+    values = (value if isinstance(value, tuple) else (value,) for value in vars(node).values())
+    return [part for value in values for part in value if isinstance(part, kind)]
+
+
+def _check_lines(program: ProgramTree, lines: list[str]) -> None:
+    """One statement or declaration a line, or separated by a semicolon."""
+    places = [declaration.place for declaration in program.declarations]
+    pending: list[StatementNode] = list(program.block)
+    while pending:
+        node = pending.pop()
+        places.append(node.place)
+        pending += _parts(node, StatementNode)
+    for place in sorted(places):
+        before = lines[place.line - 1][: place.column - 1].rstrip()
+        word = _LAST_WORD.search(before)
+        if before and not before.endswith(";") and (word is None or word[1].upper() not in _OPENING):
+            raise Pdl2Error("starts on a line of its own, or after a semicolon", place)
+
+
+@cache
+def _lark() -> Lark:
+    from lark import Lark
+
+    def called(make: Callable[..., Any]) -> Callable[[list[Any]], Any]:
+        return lambda children: make(*children)
+
+    return Lark(
+        (files("agent.motion.pdl2") / "grammar.lark").read_text(encoding="utf-8"),
+        parser="lalr",
+        lexer="basic",  # a contextual lexer would take a reserved word for a name wherever only a name is possible
+        start="program",
+        maybe_placeholders=False,
+        g_regex_flags=re.ASCII,
+        # Called by the parser as rules are completed, so deep nesting costs no recursion.
+        transformer=SimpleNamespace(**{rule: called(make) for rule, make in _RULES.items()}),
+        lexer_callbacks={"NAME": _check_name},
+    )
+
+
+def _check_name(token: Token) -> Token:
+    if OUTSIDE_SUBSET.fullmatch(token):
+        raise Pdl2Error(_OUTSIDE, place_of(token))
+    if len(token) > MAX_NAME:
+        raise Pdl2Error(f"the name is longer than {MAX_NAME} characters", place_of(token))
+    return token
+
+
+def _unexpected_token(error: UnexpectedToken) -> Pdl2Error:
+    token = error.token
+    before: Any = error.state.value_stack[-1] if error.state and error.state.value_stack else None
+    if getattr(before, "type", "") == "NAME" and {"_ASSIGN", "_LSQB"} >= set(error.expected):
+        return Pdl2Error("is not a statement of the motion subset read here", place_of(before))
+    if token.type == "$END":
+        last = TextPosition(max(token.line or 1, 1), max(token.column or 1, 1), "")
+        return Pdl2Error(f"the program ends too early; {_expected(error.expected)}", last)
+    if OUTSIDE_SUBSET.fullmatch(token):
+        return Pdl2Error(_OUTSIDE, place_of(token))
+    return Pdl2Error(f"does not belong here; {_expected(error.expected)}", place_of(token))
+
+
+def _expected(terminals: Iterable[str]) -> str:
+    patterns = {name: str(_lark().get_terminal(name).pattern.value) for name in terminals if name not in _WORDS}
+    words = sorted({_WORDS.get(name) or shortened(patterns[name]) for name in terminals})
+    if len(words) > 12:
+        words = [*words[:11], "…"]
+    return f"expected: {' '.join(words)}"
+
+
+_WORDS = {
+    "NAME": "a name",
+    "SYSTEM_VARIABLE": "a system variable",
+    "INTEGER_LITERAL": "a number",
+    "REAL_LITERAL": "a number",
+    "STRING_LITERAL": "a string",
+    "OPERATOR": "* or /",
+    "COMPARISON": "< or >",
+    "SIGN": "+ or -",
+    "$END": "the end of the text",
+}
+
+
+def _integer(word: Token) -> Literal:
+    if len(word) > 10 or int(word) > MAX_INTEGER:
+        raise Pdl2Error(f"the integer is larger than {MAX_INTEGER}", place_of(word))
+    return Literal(word, int(word))
+
+
+def _real(word: Token) -> Literal:
+    value = float(word) if len(word) <= MAX_REAL else float("inf")
+    if value == float("inf"):
+        raise Pdl2Error("the number is too large or too long", place_of(word))
+    return Literal(word, value)
+
+
+def _for_arm(*words: Token) -> None:
+    if words and int(words[-1]) != 1:
+        raise Pdl2Error("is another arm; programs of arm 1 are read here", place_of(words[-1]))
+
+
+def _program(name: Token, attributes: tuple[Attribute, ...], *rest: Any) -> ProgramTree:
+    *sections, (cycle, block, end) = rest
+    return ProgramTree(name, attributes, tuple(one for section in sections for one in section), cycle, block, end)
+
+
+def _comparison(left: Expression, *rest: Any) -> Operation:
+    word, operator = (rest[0], str(rest[0])) if len(rest) == 2 else (left.word, "=")
+    return Operation(word, operator, (left, rest[-1]))
+
+
+def _move(word: Token, trajectory: str, _to: Token, target: Expression, clauses: list[Any]) -> MoveStatement:
+    """Clauses are collected from the last to the first: settings, a VIA as an expression, an ADVANCE as its word."""
+    settings = tuple(clause for clause in reversed(clauses) if isinstance(clause, Setting))
+    advances = [place_of(clause) for clause in clauses if not isinstance(clause, Node)]
+    vias: list[Any] = [clause for clause in clauses if isinstance(clause, Node) and not isinstance(clause, Setting)]
+    if len(vias) > 1:
+        raise Pdl2Error("VIA is given twice in this move", vias[0].place)
+    if len(advances) > 1:
+        raise Pdl2Error("ADVANCE is given twice in this move", advances[0])
+    return MoveStatement(word, trajectory, target, vias[0] if vias else None, settings)
+
+
+def _with(clause: Any, clauses: list[Any]) -> list[Any]:
+    clauses.append(clause)
+    return clauses
+
+
+def _all(*items: Any) -> tuple[Any, ...]:
+    return items
+
+
+def _optional(item: Any = None) -> Any:
+    return item
+
+
+#: What each rule of the grammar makes of its words and of what its parts have made.
+_RULES: dict[str, Callable[..., Any]] = {
+    **dict.fromkeys(("attributes", "section", "names", "block"), _all),
+    **dict.fromkeys(("initial", "step"), _optional),
+    "program": _program,
+    "attribute": lambda word, value=None: Attribute(word, None if value is None else _integer(value)),
+    "constant": ConstantDeclaration,
+    "alias": TypeDeclaration,
+    "variables": lambda words, *rest: VariableDeclaration(words[0], words, *rest),
+    "named_type": lambda word, _arm: NamedType(word),
+    "array_type": lambda _array, size, word, _arm: NamedType(word, size),
+    "for_arm": _for_arm,
+    "body": lambda _begin, *rest: (len(rest) == 4, rest[-3], rest[-1]),
+    "assignment": lambda target, value: Assignment(target.word, target, value),
+    "for_loop": lambda word, variable, *rest: ForLoop(word, Name(variable), *rest),
+    "direction": lambda word: word.upper() == "DOWNTO",
+    "conditional": Conditional,
+    "delay": DelayStatement,
+    "move": _move,
+    "trajectory": lambda word="": word.upper(),
+    "tail_end": list,
+    "via": lambda _via, target, clauses: _with(target, clauses),
+    "advance": _with,
+    "with_setting": _with,
+    "setting": Setting,
+    "binary": lambda left, word, right: Operation(word, word.upper(), (left, right)),
+    "comparison": _comparison,
+    "unary": lambda word, operand: Operation(word, word.upper(), (operand,)),
+    "integer": _integer,
+    "real": _real,
+    "string": lambda word: Literal(word, word[1:-1].replace("''", "'")),
+    "name": Name,
+    "element": Element,
+    "system": System,
+    "pos": lambda word, *fields: PosLiteral(word, fields),
+    "joints": lambda word, *fields: JointLiteral(word, fields),
+}
