@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 #: Highest speed of the tool centre point in a first run [m/s].
 FIRST_SPEED = 0.25
 _ATTEMPTS = 12
-_SLOWEST = 0.01  # as PDL2 takes whole percents of speed
+_SLOWEST = 0.01  # PDL2 takes whole percents of speed
 
 
 def slow_version(

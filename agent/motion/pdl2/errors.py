@@ -28,7 +28,7 @@ class Pdl2Error(InputError):
 
     def within(self, path: str) -> Pdl2Error:
         """The same error, naming the file."""
-        return Pdl2Error(self.reason, self.place, path)
+        return type(self)(self.reason, self.place, path)
 
 
 def shortened(word: str) -> str:

@@ -89,10 +89,6 @@ class Program:
 class StepLimitError(Pdl2Error):
     """The run was longer than its limit."""
 
-    def within(self, path: str) -> StepLimitError:
-        """The same error, naming the file."""
-        return StepLimitError(self.reason, self.place, path)
-
 
 class _Run:
     """The state of one run: what was assigned so far, and how many steps are left."""
