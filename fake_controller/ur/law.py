@@ -311,7 +311,7 @@ def _circle(begin: np.ndarray, via: np.ndarray, end: np.ndarray) -> tuple[float,
     if squared < _NOTHING**2:
         way = float(np.linalg.norm(second))
         return way, lambda s: begin + np.outer(s / way, second)
-    to_centre = np.cross(normal, first * (second @ second) - second * (first @ first)) / (-2 * squared)
+    to_centre = np.cross(second * (first @ first) - first * (second @ second), normal) / (2 * squared)
     radius = float(np.linalg.norm(to_centre))
     x = -to_centre / radius
     y = np.cross(normal / np.sqrt(squared), x)

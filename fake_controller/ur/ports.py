@@ -6,6 +6,7 @@ import contextlib
 import os
 import socket
 import threading
+import time
 from collections.abc import Callable
 
 from fake_controller.clock import FastClock
@@ -14,8 +15,8 @@ from fake_controller.ur.fields import Cycles
 from fake_controller.ur.messages import error_message, realtime_records, state_message, version_message
 
 _RECEIVE = 64 * 1024
-_SEND_LIMIT = 5.0  # s that a cell in no hurry waits for a client
-_UNSENT = 1 << 20  # bytes that a client may be behind before it is dropped
+_SEND_LIMIT = 5.0  # s after which a client that takes nothing is dropped
+_NEAR = 8 * 1024  # bytes on their way that a cell in no hurry is ahead of a client
 _STATE_PERIOD = 0.1  # s
 _LONGEST_SCRIPT = 4 * 1024 * 1024
 
@@ -36,8 +37,10 @@ class UrConnection:
         self._socket = connection
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._socket.settimeout(_SEND_LIMIT)
+        if not self.hurried:  # whoever stops the arm must not be far behind it
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _NEAR)
         self._lock = threading.Lock()
-        self._unsent = b""
+        self._unsent, self._stuck_since = b"", 0.0
         self.closed = threading.Event()
 
     def serve(self) -> None:
@@ -64,31 +67,22 @@ class UrConnection:
     def leave(self) -> None:
         """The client is gone."""
 
-    def say(self, data: bytes) -> None:
-        """Send, or close where that fails."""
+    def say(self, data: bytes, waits: bool = False) -> None:
+        """Send, or close where that fails. `waits`: the cell waits for the client, as only a simulated one can."""
         try:
-            self.cell.faults.send(data, self._transmit, self.close, spare=False)
+            self.cell.faults.send(data, self._send_all if waits else self._send, self.close, spare=False)
         except OSError:
             self.close()
 
-    def stream(self, data: bytes, waits: bool) -> None:
-        """Send samples. Where nobody waits, they are left out while older ones wait; who reads none is dropped.
-
-        `waits`: the cell waits for the client, as only one that is simulated can.
-        """
-        if waits:
-            self.say(data)
-            return
+    def stream(self, data: bytes, drops: bool = False) -> None:
+        """Send samples, but none while older ones are on their way. `drops`: who reads none at all is dropped."""
         try:
-            with self._lock:
-                self._flush(b"")
-                behind = len(self._unsent)
+            self._send(b"")
         except OSError:
             self.close()
-            return
-        if not behind:
+        if not self._unsent:
             self.say(data)
-        elif behind > _UNSENT:
+        elif drops and time.monotonic() - self._stuck_since > _SEND_LIMIT:
             self.close()
 
     def close(self) -> None:
@@ -103,18 +97,19 @@ class UrConnection:
         """Whether time passes for the cell while a client does not read."""
         return not isinstance(self.cell.clock, FastClock)
 
-    def _transmit(self, data: bytes) -> None:
+    def _send_all(self, data: bytes) -> None:
         with self._lock:
-            if self.hurried:
-                self._flush(data)
-            else:
-                self._socket.sendall(data)
+            data, self._unsent = self._unsent + data, b""
+            self._socket.sendall(data)
 
-    def _flush(self, data: bytes) -> None:
-        self._unsent += data
-        with contextlib.suppress(BlockingIOError):
-            while self._unsent:  # a socket with a timeout does not block at this level
-                self._unsent = self._unsent[os.write(self._socket.fileno(), self._unsent) :]
+    def _send(self, data: bytes) -> None:
+        with self._lock:
+            if not self._unsent:
+                self._stuck_since = time.monotonic()
+            self._unsent += data
+            with contextlib.suppress(BlockingIOError):
+                while self._unsent:  # a socket with a timeout does not block at this level
+                    self._unsent = self._unsent[os.write(self._socket.fileno(), self._unsent) :]
 
 
 class ScriptConnection(UrConnection):
@@ -140,10 +135,10 @@ class ScriptConnection(UrConnection):
 
     def on_cycles(self, cycles: Cycles) -> None:
         if self._realtime:
-            self.stream(realtime_records(cycles), waits=False)
+            self.stream(realtime_records(cycles))
         elif cycles.time[-1] >= self._next or cycles.time[-1] < self._next - 1.0:
             self._next = cycles.time[-1] + _STATE_PERIOD
-            self.stream(state_message(cycles), waits=False)
+            self.stream(state_message(cycles))
 
     def on_message(self, message: bytes) -> None:
         if not self._realtime:

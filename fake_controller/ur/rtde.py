@@ -56,7 +56,7 @@ class RtdeConnection(UrConnection):
             try:
                 self._answer(chr(kind), payload)
             except (struct.error, UnicodeDecodeError, ValueError):
-                self._send("M", _text(self._version, "a package that makes no sense", 1))
+                self._reply("M", _text(self._version, "a package that makes no sense", 1))
 
     def _answer(self, kind: str, payload: bytes) -> None:
         match kind:
@@ -64,26 +64,26 @@ class RtdeConnection(UrConnection):
                 (version,) = struct.unpack(">H", payload)
                 accepted = _OLDEST <= version <= _NEWEST
                 self._version = version if accepted else self._version
-                self._send("V", bytes([accepted]))
+                self._reply("V", bytes([accepted]))
                 self.cell.reach("connect")
             case "v":
-                self._send("v", struct.pack(">4I", *self.cell.version))
+                self._reply("v", struct.pack(">4I", *self.cell.version))
             case "O":
                 self._set_up_outputs(payload)
             case "I":
                 self._set_up_inputs(payload)
             case "S":
-                self._send("S", bytes([self._outputs is not None]))
+                self._reply("S", bytes([self._outputs is not None]))
                 self._started = self._outputs is not None
             case "P":
                 self._started = False
-                self._send("P", b"\1")
+                self._reply("P", b"\1")
             case "U":
                 self._take_inputs(payload)
             case "M":
                 pass  # for the log
             case _:
-                self._send("M", _text(self._version, f"there is no package of type {kind!r}", 1))
+                self._reply("M", _text(self._version, f"there is no package of type {kind!r}", 1))
 
     def _set_up_outputs(self, payload: bytes) -> None:
         frequency = 1 / self.cell.period
@@ -101,7 +101,7 @@ class RtdeConnection(UrConnection):
         if found:
             self._layout = packed(types)
         recipe = bytes([found]) if self._version == 2 else b""
-        self._send("O", recipe + ",".join(types).encode())
+        self._reply("O", recipe + ",".join(types).encode())
 
     def _set_up_inputs(self, payload: bytes) -> None:
         names = _names(payload)
@@ -114,7 +114,7 @@ class RtdeConnection(UrConnection):
             recipe = len(self._inputs) + 1
             self._inputs[recipe] = names, packed(types)
             self._owners.update(dict.fromkeys(names, self))
-        self._send("I", bytes([recipe]) + ",".join(types).encode())
+        self._reply("I", bytes([recipe]) + ",".join(types).encode())
 
     def _take_inputs(self, payload: bytes) -> None:
         names, layout = self._inputs.get(payload[0], ([], packed([]))) if payload else ([], packed([]))
@@ -147,9 +147,12 @@ class RtdeConnection(UrConnection):
             values = np.asarray(chosen.field(name))
             column = rows["values"][f"f{k}"]
             column[...] = values[:, None] if values.ndim == 1 and column.shape[1] == 1 else values
-        self.stream(rows.tobytes(), waits=not self.hurried)
+        if self.hurried:
+            self.stream(rows.tobytes(), drops=True)
+        else:
+            self.say(rows.tobytes(), waits=True)
 
-    def _send(self, kind: str, payload: bytes) -> None:
+    def _reply(self, kind: str, payload: bytes) -> None:
         self.say(struct.pack(">HB", 3 + len(payload), ord(kind)) + payload)
 
 
