@@ -32,7 +32,9 @@ BLEND_MARGIN = 0.002
 #: Acceleration [m/s²] that a program's is expressed as a part of.
 _WHOLE = 100.0
 _ROUNDING = 1e-6
-_PARAMETERS = FlyParameters(ramps="blocks", rise=0.0, blend="circle", curve_share=np.inf, curve_turns=False)
+_PARAMETERS = FlyParameters(
+    ramps="blocks", rise=0.0, blend="circle", curve_share=np.inf, curve_turns=False, stop_angle=np.pi
+)
 
 
 @dataclass(frozen=True)
