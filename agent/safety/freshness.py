@@ -9,6 +9,8 @@ from collections.abc import Callable
 WAITS, BATCH = 0.2, 10
 #: The first samples of a motion may come later than the others by this [s]: the controller was still planning.
 HELD_UP = 0.3
+#: No more than this [s] of the time in which this process stood still is excused.
+EXCUSED = 0.5
 #: Two clocks that are both right differ by no more than this part of the time that passes.
 DRIFT = 2e-4
 

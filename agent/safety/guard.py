@@ -31,7 +31,7 @@ from agent.safety.preconditions import (
     confirm_clear_cell,
     standing,
 )
-from agent.safety.stopping import LET_GO
+from agent.safety.stopping import ANSWERED
 from agent.safety.watch import MotionWatch
 from drivers.errors import DriverError, RefusedError
 from drivers.protocol import (
@@ -240,7 +240,7 @@ class GuardedLink:
                     except DriverError as error:  # the arm may be moving: what came of that is kept, and judged
                         lost, watch.stopped = error, True
                         watch.stopping.request()
-                        watch.stopping.wait(LET_GO)
+                        watch.stopping.wait(ANSWERED)
                     yield given
             except RefusedError:
                 raise

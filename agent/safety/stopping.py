@@ -14,15 +14,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from agent.safety.braking import SPAN, Braking
-from agent.safety.freshness import Freshness
+from agent.safety.freshness import EXCUSED, Freshness
 from drivers.errors import DriverError
 from drivers.protocol import Driver, SampleBlock
 
 if TYPE_CHECKING:
     from agent.robot import RobotDescription
 
-#: Time after a stop [s] at which an arm that does not brake gets a second one, and at which the link is closed.
-AGAIN, LET_GO = 0.5, 1.0
+#: Time after a stop [s] at which an arm that does not brake gets a second one, and at which the link is closed. An arm
+#: that takes 0.1 s to react and 1.2 s to stop has lost a fifth of its speed by then, seen 0.2 s late.
+AGAIN, LET_GO = 0.3, 0.6
+#: Time [s] after which nobody waits for the answer to a stop any more.
+ANSWERED = 1.0
 #: Time after a stop [s] by which the arm has to stand, or the link is closed.
 STANDS = 4.0
 #: Duration of standing [s] from which a motion is over though the controller never reports its end.
@@ -66,6 +69,7 @@ class Stopping:
         self._seen_at = clock()  # when the last sample came
         self._newest = -np.inf  # its controller time
         self._state_at = -np.inf  # when the state was read last
+        self._excused = 0.0  # s in which nobody could look
         self._ended = False
         #: Whether there is nothing left to follow.
         self.over = False
@@ -90,12 +94,13 @@ class Stopping:
             self._sampled.take(block.time, block.position)
             self._seen_at, self._newest = self._clock(), float(block.time[-1])
 
-    def turn(self) -> None:
-        """Look at the arm, some times a second from the request on."""
+    def turn(self, stalled: float = 0.0) -> None:
+        """Look at the arm, some times a second from the request on; this process stood still for `stalled` [s]."""
         if self.since is None or self.over or self.seen:
             return
         with self._lock:
-            passed = self._clock() - self.since
+            self._excused = min(self._excused + stalled, EXCUSED)
+            passed = self._clock() - self.since - self._excused
             if not self._shown:
                 self._look_at_state()
             if self._braking.stands:
@@ -120,7 +125,7 @@ class Stopping:
             if not (self.over or failed or self._braking.stands or self.seen):
                 self._let_go("after the controller reported the end of the motion")
             self.over = True
-        self.wait(LET_GO)
+        self.wait(ANSWERED)
         self._eyes.shutdown(wait=False)
 
     def wait(self, limit: float) -> None:

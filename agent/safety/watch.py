@@ -12,7 +12,7 @@ import numpy as np
 from agent.core import AgentError, ControllerError, SafetyError
 from agent.safety.adherence import Adherence
 from agent.safety.background_poll import BackgroundPoll
-from agent.safety.freshness import Freshness
+from agent.safety.freshness import EXCUSED, Freshness
 from agent.safety.preconditions import unsafe_in_motion
 from agent.safety.stopping import Stopping
 from drivers.errors import DriverError, MotionStopped
@@ -29,8 +29,6 @@ EARLY = 0.25
 TEMPERATURE_INTERVAL = 5.0
 #: Age and stop are looked at so often [s], by a thread that nobody keeps waiting.
 TURN = 0.05
-#: No more than this [s] of the time in which this process stood still is excused; it counts again as time passes.
-EXCUSED = 0.5
 
 
 class MotionWatch:
@@ -151,7 +149,7 @@ class MotionWatch:
         stalled = max(0.0, passed - 2 * TURN)
         self._excused = min(self._excused + stalled, EXCUSED) if stalled else max(0.0, self._excused - passed)
         if self.stopping.since is not None:
-            self.stopping.turn()
+            self.stopping.turn(stalled)
         elif (reason := self._freshness.fault(self._excused)) is not None:
             self._blame(
                 ControllerError(
