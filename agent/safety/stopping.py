@@ -160,7 +160,7 @@ class Stopping:
             self._driver.stop()
         except Exception as error:  # whatever it is: the other way to a stop is left
             with self._lock:
-                if number == len(self._sent) and not self.seen:
+                if number == len(self._sent) and not (self.seen or self.over):
                     self._give_up(
                         f"the stop was not confirmed ({error}); the link was closed, which stops the arm. Go and look "
                         "at it"
