@@ -30,8 +30,6 @@ ANSWERED = 1.0
 STANDS = 4.0
 #: Duration of standing [s] from which a motion is over though the controller never reports its end.
 NO_END = 2.0
-#: Time without a sample [s] from which the state tells where the arm is.
-BLIND = 0.2
 _LOOKS = 20  # at the state, once the samples have ended
 
 
@@ -66,8 +64,6 @@ class Stopping:
         self._sent: list[threading.Thread] = []
         self._eyes = ThreadPoolExecutor(1, "eyes")
         self._look: Future[None] = self._eyes.submit(lambda: None)
-        self._seen_at = clock()  # when the last sample came
-        self._newest = -np.inf  # its controller time
         self._state_at = -np.inf  # when the state was read last
         self._excused = 0.0  # s in which nobody could look
         self._ended = False
@@ -83,7 +79,7 @@ class Stopping:
     def request(self) -> None:
         """Ask for a stop, once; returns at once."""
         with self._lock:
-            if self.since is None and not self.over:
+            if self.since is None:
                 self._sampled.before = self._stated.before = self._sampled.speed
                 self.since = self._clock()
                 self._send()
@@ -92,7 +88,6 @@ class Stopping:
         """Samples of the motion, before the stop and after it."""
         with self._lock:
             self._sampled.take(block.time, block.position)
-            self._seen_at, self._newest = self._clock(), float(block.time[-1])
 
     def turn(self, stalled: float = 0.0) -> None:
         """Look at the arm, some times a second from the request on; this process stood still for `stalled` [s]."""
@@ -117,8 +112,7 @@ class Stopping:
         for _ in range(0 if self.over or failed else _LOOKS):
             with self._lock:
                 self._look_at_state()
-            self._look.exception()
-            if self._braking.stands or self.seen:
+            if self._braking.stands:
                 break
             threading.Event().wait(SPAN / 2)
         with self._lock:
@@ -140,13 +134,10 @@ class Stopping:
     @property
     def _shown(self) -> bool:
         """Whether samples tell what the arm does now, and not what it did before the stop could act."""
-        assert self.since is not None
-        now = self._clock()
-        recent = not now - self._seen_at > BLIND and not self._freshness.controller_time(now) - self._newest > AGAIN
-        return recent and not self._ended
+        return not self._ended and self._freshness.age <= AGAIN
 
     def _end_without_a_word(self, passed: float) -> None:
-        if not self._braking.rested < NO_END and (self._shown or not self._clock() - self._seen_at < LET_GO):
+        if not self._braking.rested < NO_END and (self._shown or not self._freshness.silent < LET_GO):
             self.seen = "the arm stands, but the controller does not report the end of the motion; the link was closed"
             self._close()
 
@@ -197,8 +188,6 @@ class Stopping:
         except DriverError:
             return
         with self._lock:
-            known = position.shape == self._stated.shape and bool(np.isfinite(position).all())
-            if not known or (self.since is not None and self._shown):
-                return
-            self._state_at = self._clock()
-            self._stated.take(np.array([self._state_at]), position[None])
+            if position.shape == self._stated.shape and np.isfinite(position).all():
+                self._state_at = self._clock()
+                self._stated.take(np.array([self._state_at]), position[None])

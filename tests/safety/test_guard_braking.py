@@ -262,11 +262,52 @@ def test_late_samples_hide_nothing_of_what_the_state_tells():
     arm.clock.now += 0.8
     arm.state = lambda: HOME
     arm.request()
-    for _ in range(60):
+    for _ in range(150):
         arm.run(0.02)
         arm.stopping._look.exception()
-    assert (arm.stopping.seen, arm.warned, arm.stops) == ("", [], 1)
+    assert (arm.stopping.seen, arm.warned, arm.stops) == ("", [], 1), "and they belong into the log"
     assert not arm.closed.is_set()
+    for _ in range(50):
+        arm.run(0.02, seen=False)
+    assert "does not report the end" in arm.stopping.seen
+
+
+def test_a_state_that_is_read_no_more_shows_nothing():
+    arm = Arm(brakes=None)
+    arm.run(0.3)
+    arm.request()
+    until = arm.clock.now + LET_GO - AGAIN - 0.04
+    arm.state = lambda: HOME + 2.0 * arm.clock.now if arm.clock.now < until else None
+    for _ in range(60):
+        arm.run(0.02, seen=False)
+        arm.stopping._look.exception()
+    assert "nothing shows" in arm.stopping.seen
+    assert not arm.stopping.disobeyed
+
+
+def test_a_link_that_failed_is_not_asked_where_the_arm_is():
+    arm, looks = Arm(brakes=None), []
+    arm.run(0.3)
+    arm.request()
+    arm.clock.now += 1.0
+    arm.state = lambda: looks.append(None)
+    arm.stopping.finish(failed=True)
+    assert (looks, arm.stopping.seen, arm.stopping.over) == ([], "", True)
+
+
+def test_samples_of_a_rest_before_a_silence_show_no_rest_at_the_end():
+    arm = Arm(brakes=None, speed=0.0)
+    arm.run(0.3)
+    arm.request()
+    arm.clock.now += 1.0
+
+    def state():
+        arm.clock.now += SPAN
+        return HOME + arm.clock.now
+
+    arm.state = state
+    arm.stopping.finish(failed=False)
+    assert arm.stopping.disobeyed
 
 
 @pytest.mark.parametrize("state", [HOME[:5], np.full(6, np.nan)])
@@ -308,7 +349,7 @@ def test_an_end_is_no_rest_before_the_arm_is_seen_to_stand(moves):
 
     arm.state = state
     arm.stopping.finish(failed=False)
-    assert moves or len(looks) < 5, "it was seen to stand"
+    assert moves or len(looks) < 4, "it was seen to stand"
     assert arm.stopping.disobeyed is moves
     assert arm.closed.wait(10.0) if moves else not arm.closed.is_set()
     assert ("after the controller reported the end" in arm.stopping.seen) is moves
