@@ -158,7 +158,7 @@ class Stopping:
                     )
 
     def _let_go(self, when: str) -> None:
-        speed, known = self._braking.speed, self._shown or not self._clock() - self._state_at > AGAIN
+        speed, known = self._braking.speed, self._shown or self._clock() - self._state_at <= AGAIN
         if speed is None or not known:
             self._give_up(f"{when} nothing shows what the arm does; the link was closed, which stops it. Go and look")
             return

@@ -93,11 +93,7 @@ ALWAYS_NUMBERS: dict[str, dict[str, str]] = {
         "bounds < self.margin - self.tolerance": "of distances that were found to be numbers",
         "short.min(axis=1) >= 0": "of distances that were found to be numbers",
     },
-    "freshness.py": {
-        "silent <= self.oldest": "the other one tells of a clock that shows no time",
-        "age <= self.oldest": "the same",
-        "silent < WAITS": "chooses the words",
-    },
+    "freshness.py": {"silent < WAITS": "chooses the words"},
     "motion.py": {"np.ptp(chain.q, axis=0).max() < THERE": "of a plan that was checked"},
     "planned_path.py": {
         "passed[k] > gap": "of times that are numbers",

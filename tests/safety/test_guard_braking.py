@@ -285,6 +285,24 @@ def test_a_state_that_is_read_no_more_shows_nothing():
     assert not arm.stopping.disobeyed
 
 
+def test_a_clock_that_shows_no_time_gives_an_arm_none():
+    arm = Arm(brakes=None)
+    arm.state = lambda: HOME + 2.0 * arm.clock.now
+    arm.run(0.3)
+    arm.request()
+    for _ in range(10):
+        arm.run(0.02, seen=False)
+        arm.stopping._look.exception()
+    arm.clock.now = np.nan
+    arm.stopping.turn()
+    arm.stopping.turn()
+    assert arm.closed.wait(10.0)
+    for stop in arm.stopping._sent:
+        stop.join(10.0)
+    assert arm.stops == 2
+    assert "nothing shows" in arm.stopping.seen
+
+
 def test_a_link_that_failed_is_not_asked_where_the_arm_is():
     arm, looks = Arm(brakes=None), []
     arm.run(0.3)
