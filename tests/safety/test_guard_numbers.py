@@ -36,6 +36,11 @@ FALSE_STOPS = {
         "self.speed < min(BRAKING * self.before, self._least + self._regained * self.before)": "true waits for the arm",
     },
     "first_run.py": {"peak <= FIRST_SPEED": "true is slow enough, anything else is planned again or refused"},
+    "freshness.py": {"age <= self.oldest": "true goes on"},
+    "stopping.py": {
+        "self._freshness.age <= AGAIN": "true shows the arm",
+        "self._clock() - self._state_at <= AGAIN": "the same",
+    },
     "watch.py": {
         "lasted <= self._longest": "true goes on",
     },
