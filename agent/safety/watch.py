@@ -88,8 +88,8 @@ class MotionWatch:
         polling = BackgroundPoll(self._poll_status, self._blame)
         dropped: DriverError | None = None
         self._freshness.begin()
-        try:
-            with self._watched():
+        with self._watched():
+            try:
                 for block in self._driver.samples():
                     if not self._judge(block):
                         continue
@@ -98,12 +98,10 @@ class MotionWatch:
                     if not (recently and self._clock() - self._looked_at < WATCH_INTERVAL):
                         polling.poll(self._now)
                         self._looked, self._looked_at = self._now, self._clock()
-                polling.result()
-                self._finish(failed=False)
-        except DriverError as error:
-            dropped = error
-            polling.result()
-            self._finish(failed=not isinstance(error, MotionStopped))
+            except DriverError as error:
+                dropped = error
+        polling.result()
+        self._finish(dropped)
         self._raise_fault(dropped)
         with suppress(DriverError):  # the motion is over and recorded
             self._read_temperatures(self._now, 0.0)
@@ -111,7 +109,7 @@ class MotionWatch:
     def rest(self) -> Iterator[SampleBlock]:
         """What is left of the samples after a stop, until the arm stands or the link is closed. Never raises."""
         self.stopping.request()
-        failed = False
+        failed: Exception | None = None
         with self._watched():
             try:
                 for block in self._driver.samples():
@@ -121,8 +119,8 @@ class MotionWatch:
                         self._note(block)
                         yield block
             except Exception as error:  # whatever it is, the arm is followed to its end
-                failed = not isinstance(error, MotionStopped)
-            self._finish(failed)
+                failed = error
+        self._finish(failed)
 
     @contextmanager
     def _watched(self) -> Iterator[None]:
@@ -199,9 +197,9 @@ class MotionWatch:
             self._fault = self._fault or fault
         self.stopping.request()
 
-    def _finish(self, failed: bool) -> None:
+    def _finish(self, dropped: Exception | None) -> None:
         if self.stopping.since is not None:
-            self.stopping.finish(failed)
+            self.stopping.finish(failed=not (dropped is None or isinstance(dropped, MotionStopped)))
 
     def _raise_fault(self, dropped: DriverError | None) -> None:
         """Why the motion did not end as planned, if it did not."""

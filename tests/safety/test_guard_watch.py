@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from agent.robot import load_robot
 from agent.safety.freshness import HELD_UP
 from agent.safety.stopping import LET_GO
 from agent.safety.watch import TURN, MotionWatch
+from drivers.errors import DriverError, MotionStopped
 from drivers.protocol import SampleBlock, Status
 from tests.safety.following import HOME, PERIOD
 
@@ -120,6 +122,69 @@ def test_samples_that_show_the_arm_at_rest_are_enough():
     assert (link.stops, link.warned, link.closed.is_set()) == (1, [], False)
     assert link.watch.stopping.over
     assert link.looks - before <= 1 + 4, "only what is asked while an arm moves"
+
+
+@pytest.mark.parametrize("dropped", [None, DriverError("the link dropped")])
+def test_a_state_that_is_answered_after_the_last_sample_counts(dropped):
+    link = Link()
+    asked, answered = threading.Event(), threading.Event()
+
+    def status():
+        asked.set()
+        assert answered.wait(10.0)
+        return replace(Link.status(link), override=0.5)
+
+    def script():
+        yield link.block(5.0)
+        assert asked.wait(10.0)
+        threading.Timer(0.1, answered.set).start()
+        if dropped is not None:
+            raise dropped
+
+    link.status, link.script = status, script()
+    with pytest.raises(SafetyError, match="override"):
+        list(link.watch.samples())
+
+
+@pytest.mark.parametrize(
+    ("ended", "looks"),
+    [(None, True), (MotionStopped("stopped at the controller"), True), (DriverError("the link dropped"), False)],
+)
+def test_an_arm_that_moves_on_after_a_stop_and_an_end_does_not_obey(ended, looks):
+    link = Link()
+    link.moves = True
+
+    def script():
+        yield link.block(5.0, speed=0.3)
+        link.watch.stopping.request()
+        link.clock.now += 1.0
+        if ended is not None:
+            raise ended
+
+    link.script = script()
+    with pytest.raises(SafetyError if looks else DriverError, match="does not obey" if looks else "dropped"):
+        list(link.watch.samples())
+    assert link.watch.stopping.disobeyed is looks
+
+
+def test_the_first_fault_is_the_one_that_is_told():
+    link = Link()
+    link.script = iter([link.block(5.0), link.block(4.0), link.block(2.0)])
+    with pytest.raises(ControllerError, match=r"back by 1\.1 s"):
+        list(link.watch.samples())
+
+
+def test_a_block_that_was_handed_out_before_a_stop_comes_once_more():
+    """Whoever was interrupted may not have taken it."""
+    link = Link()
+    blocks = [link.block(5.0 + 0.1 * k) for k in range(3)]
+    link.script = iter(blocks)
+    given = link.watch.samples()
+    assert next(given) is blocks[0]
+    given.close()
+    link.script = iter(blocks)
+    assert list(link.watch.rest()) == blocks
+    assert link.warned == []
 
 
 def test_no_look_goes_on_once_the_motion_is_over():
