@@ -69,6 +69,7 @@ class MotionWatch:
         self._now, self._last = -np.inf, -1  # time and number of the last one
         self._looked, self._looked_at = -np.inf, clock()
         self._turned, self._excused = clock(), 0.0
+        self._sampled = False  # the last sample has come
         #: The end was asked for, so it comes before that of the plan.
         self.stopped = False
         #: (controller time [s], (n,) [°C]), where the controller measures temperatures.
@@ -100,8 +101,9 @@ class MotionWatch:
                         self._looked, self._looked_at = self._now, self._clock()
             except DriverError as error:
                 dropped = error
-        polling.result()
-        self._finish(dropped)
+            self._sampled = True
+            polling.result()
+            self._finish(dropped)
         self._raise_fault(dropped)
         with suppress(DriverError):  # the motion is over and recorded
             self._read_temperatures(self._now, 0.0)
@@ -120,7 +122,7 @@ class MotionWatch:
                         yield block
             except Exception as error:  # whatever it is, the arm is followed to its end
                 failed = error
-        self._finish(failed)
+            self._finish(failed)
 
     @contextmanager
     def _watched(self) -> Iterator[None]:
@@ -148,7 +150,7 @@ class MotionWatch:
         self._excused = min(self._excused + stalled, EXCUSED) if stalled else max(0.0, self._excused - passed)
         if self.stopping.since is not None:
             self.stopping.turn(stalled)
-        elif (reason := self._freshness.fault(self._excused)) is not None:
+        elif not self._sampled and (reason := self._freshness.fault(self._excused)) is not None:
             self._blame(
                 ControllerError(
                     f"{self._address}: the arm was stopped, as nobody could watch it: {reason}; check the link, then "
