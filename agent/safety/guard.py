@@ -18,11 +18,10 @@ import numpy as np
 from agent.core import ControllerError, InputError, SafetyError, stop_to_come, undisturbed
 from agent.robot import RobotDescription
 from agent.safety.adherence import Adherence
-from agent.safety.checked import CheckedPrograms
-from agent.safety.first_run import FIRST_SPEED
-from agent.safety.frames import check_frames
+from agent.safety.first_run import FIRST_SPEED, CheckedPrograms
 from agent.safety.motion import PlannedProgram, rest_at
 from agent.safety.preconditions import (
+    check_frames,
     check_identity,
     check_period,
     check_plan,

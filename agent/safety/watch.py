@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING
 
@@ -11,7 +12,6 @@ import numpy as np
 
 from agent.core import AgentError, ControllerError, SafetyError
 from agent.safety.adherence import Adherence
-from agent.safety.background_poll import BackgroundPoll
 from agent.safety.freshness import EXCUSED, Freshness
 from agent.safety.preconditions import unsafe_in_motion
 from agent.safety.stopping import Stopping
@@ -29,6 +29,39 @@ EARLY = 0.25
 TEMPERATURE_INTERVAL = 5.0
 #: Age and stop are looked at so often [s], by a thread that nobody keeps waiting.
 TURN = 0.05
+#: The samples wait for an answer so long [s]; one that comes later counts when it comes.
+PROMPT = 0.05
+
+
+class BackgroundPoll:
+    """Asks in a thread of its own, one question at a time.
+
+    Args:
+        ask: with the controller's time [s]; says why the arm has to stop, if it has to.
+        blame: takes that reason; called in that thread.
+    """
+
+    def __init__(self, ask: Callable[[float], AgentError | None], blame: Callable[[AgentError], object]) -> None:
+        self._ask = ask
+        self._blame = blame
+        self._thread = ThreadPoolExecutor(1, "poll")
+        self._last: Future[None] = self._thread.submit(lambda: None)
+
+    def poll(self, now: float) -> None:
+        """Ask, unless an answer is still to come; raises what was raised by the last question."""
+        if self._last.done():
+            self._last.result()
+            self._last = self._thread.submit(self._run, now)
+            wait([self._last], PROMPT)
+
+    def result(self) -> None:
+        """Wait for the last answer; raises what was raised by that question."""
+        self._last.result()
+
+    def _run(self, now: float) -> None:
+        reason = self._ask(now)
+        if reason is not None:
+            self._blame(reason)
 
 
 class MotionWatch:

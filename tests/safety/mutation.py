@@ -80,10 +80,9 @@ ALWAYS_NUMBERS: dict[str, dict[str, str]] = {
         "document.expires <= latest": "dates",
         "(now or datetime.now(UTC)).date() <= document.expires": "dates",
     },
-    "braking.py": {"0.0 <= times[0] - self._times[-1] <= 10 * SPAN": "of times that are numbers"},
     "cell.py": {"widest < 0": "of distances that were found to be numbers"},
-    "clearance.py": {"self.margin > 0": "a margin that was found to be a number"},
-    "clearance_search.py": {
+    "clearance.py": {
+        "self.margin > 0": "a margin that was found to be a number",
         "np.where(is_open, along, 0.0).max(axis=1) >= np.where(is_open, aside, 0.0).max(axis=1)": "finite positions",
         "distances - along - aside >= self.margin": "of distances that were found to be large enough",
         "middle[row, 0] < self.first[0]": "indices",
@@ -106,6 +105,7 @@ ALWAYS_NUMBERS: dict[str, dict[str, str]] = {
     "preconditions.py": {
         "np.abs(np.radians(position) - program.chains[0].q[0]) <= START_TOLERANCE": "chooses the words",
     },
+    "stopping.py": {"0.0 <= times[0] - self._times[-1] <= 10 * SPAN": "of times that are numbers"},
     "watch.py": {
         "self._now - self._looked < WATCH_INTERVAL": "of times that the driver has checked",
         "self._clock() - self._looked_at < WATCH_INTERVAL": "of this machine's clock",

@@ -12,9 +12,8 @@ from hypothesis import given, strategies as st
 
 from agent.core.errors import SafetyError
 from agent.robot import load_robot
-from agent.safety.braking import SPAN, STILL, Braking
 from agent.safety.freshness import Freshness
-from agent.safety.stopping import AGAIN, LET_GO, NO_END, STANDS, Stopping
+from agent.safety.stopping import AGAIN, LET_GO, NO_END, SPAN, STANDS, STILL, Braking, Stopping
 from drivers.errors import DriverError
 from drivers.protocol import SampleBlock, Status
 from drivers.transports.tcp import TcpDriver

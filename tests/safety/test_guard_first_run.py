@@ -12,8 +12,7 @@ import pytest
 
 from agent.core.errors import ControllerError, InputError
 from agent.motion.program import Delay, JointTarget, MotionSettings, Move, MoveType, stop_to_stop
-from agent.safety.checked import CheckedPrograms
-from agent.safety.first_run import FIRST_SPEED, slow_version
+from agent.safety.first_run import FIRST_SPEED, CheckedPrograms, slow_version
 from agent.safety.motion import PlannedProgram
 from drivers.errors import DriverError
 from tests.safety.following import HOME
