@@ -30,6 +30,8 @@ BRAKING, REGAINED = 0.8, 0.25
 #: Time after a stop [s] at which an arm that does not brake gets a second one, and at which the link is closed. An arm
 #: that takes 0.1 s to react and 1.2 s to stop has lost a fifth of its speed by then, seen 0.2 s late.
 AGAIN, LET_GO = 0.3, 0.6
+#: Samples and states that are older [s] do not show what the arm does now.
+RECENT = 0.3
 #: Time [s] after which nobody waits for the answer to a stop any more.
 ANSWERED = 1.0
 #: Time after a stop [s] by which the arm has to stand, or the link is closed.
@@ -207,7 +209,7 @@ class Stopping:
     @property
     def _shown(self) -> bool:
         """Whether samples tell what the arm does now, and not what it did before the stop could act."""
-        return not self._ended and self._freshness.age <= AGAIN
+        return not self._ended and self._freshness.age <= RECENT
 
     def _end_without_a_word(self, passed: float) -> None:
         if not self._braking.rested < NO_END and (self._shown or not self._freshness.silent < LET_GO):
@@ -231,7 +233,7 @@ class Stopping:
                     )
 
     def _let_go(self, when: str) -> None:
-        speed, known = self._braking.speed, self._shown or self._clock() - self._state_at <= AGAIN
+        speed, known = self._braking.speed, self._shown or self._clock() - self._state_at <= RECENT
         if speed is None or not known:
             self._give_up(f"{when} nothing shows what the arm does; the link was closed, which stops it. Go and look")
             return
@@ -257,10 +259,10 @@ class Stopping:
 
     def _take_state(self) -> None:
         try:
-            position = np.asarray(self._driver.status().position, dtype=float)
-        except DriverError:
+            position = np.asarray(self._driver.status().position, dtype=float).reshape(self._stated.shape)
+        except (DriverError, ValueError):  # no answer, or one of another arm
             return
         with self._lock:
-            if position.shape == self._stated.shape and np.isfinite(position).all():
+            if np.isfinite(position).all():
                 self._state_at = self._clock()
                 self._stated.take(np.array([self._state_at]), position[None])

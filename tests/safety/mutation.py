@@ -105,7 +105,10 @@ ALWAYS_NUMBERS: dict[str, dict[str, str]] = {
     "preconditions.py": {
         "np.abs(np.radians(position) - program.chains[0].q[0]) <= START_TOLERANCE": "chooses the words",
     },
-    "stopping.py": {"0.0 <= times[0] - self._times[-1] <= 10 * SPAN": "of times that are numbers"},
+    "stopping.py": {
+        "0.0 <= times[0] - self._times[-1] <= 10 * SPAN": "of times that are numbers",
+        "self._braking.rested < NO_END": "of times that are numbers",
+    },
     "watch.py": {
         "self._now - self._looked < WATCH_INTERVAL": "of times that the driver has checked",
         "self._clock() - self._looked_at < WATCH_INTERVAL": "of this machine's clock",

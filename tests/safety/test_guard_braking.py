@@ -13,10 +13,11 @@ from hypothesis import given, strategies as st
 from agent.core.errors import SafetyError
 from agent.robot import load_robot
 from agent.safety.freshness import Freshness
-from agent.safety.stopping import AGAIN, LET_GO, NO_END, SPAN, STANDS, STILL, Braking, Stopping
+from agent.safety.stopping import AGAIN, LET_GO, NO_END, RECENT, SPAN, STANDS, STILL, Braking, Stopping
 from drivers.errors import DriverError
 from drivers.protocol import SampleBlock, Status
 from drivers.transports.tcp import TcpDriver
+from tests.conftest import patience
 from tests.safety.following import HOME, at
 
 ROBOT = load_robot("comau_ns16")
@@ -274,8 +275,9 @@ def test_late_samples_hide_nothing_of_what_the_state_tells():
 def test_a_state_that_is_read_no_more_shows_nothing():
     arm = Arm(brakes=None)
     arm.run(0.3)
+    arm.run(2 * RECENT, seen=False)
     arm.request()
-    until = arm.clock.now + LET_GO - AGAIN - 0.04
+    until = arm.clock.now + LET_GO - RECENT - 0.04
     arm.state = lambda: HOME + 2.0 * arm.clock.now if arm.clock.now < until else None
     for _ in range(60):
         arm.run(0.02, seen=False)
@@ -300,6 +302,23 @@ def test_a_clock_that_shows_no_time_gives_an_arm_none():
         stop.join(10.0)
     assert arm.stops == 2
     assert "nothing shows" in arm.stopping.seen
+
+
+def test_a_link_that_is_let_go_while_its_end_is_awaited_is_told_once():
+    arm = Arm(brakes=None)
+    arm.run(0.3)
+    arm.request()
+    arm.clock.now += 1.0
+
+    def state():
+        arm.clock.now += SPAN / 2
+        arm.stopping.turn()
+        return HOME + arm.clock.now
+
+    arm.state = state
+    arm.stopping.finish(failed=False)
+    assert arm.closed.wait(10.0)
+    assert len(arm.warned) == 1
 
 
 def test_a_link_that_failed_is_not_asked_where_the_arm_is():
@@ -360,13 +379,13 @@ def test_an_end_is_no_rest_before_the_arm_is_seen_to_stand(moves):
     looks = []
 
     def state():
-        arm.clock.now += SPAN
+        arm.clock.now += SPAN / 2
         looks.append(None)
         return HOME + (arm.clock.now - began if moves else 0.0)
 
     arm.state = state
     arm.stopping.finish(failed=False)
-    assert moves or len(looks) < 4, "it was seen to stand"
+    assert moves or len(looks) < 5, "it was seen to stand"
     assert arm.stopping.disobeyed is moves
     assert arm.closed.wait(10.0) if moves else not arm.closed.is_set()
     assert ("after the controller reported the end" in arm.stopping.seen) is moves
@@ -392,8 +411,9 @@ def test_times_that_are_none_show_no_rest(times):
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, OSError])
-def test_samples_of_the_stop_are_kept_and_disobedience_is_told(bench, program, error):
+def test_samples_of_the_stop_are_kept_and_disobedience_is_told(bench, program, error, monkeypatch):
     """Whoever ends the motion: the log gets what came after the stop, and the exit code tells what was seen."""
+    monkeypatch.setattr("agent.safety.stopping.RECENT", patience(RECENT))
     chosen = program()
     (chain,) = chosen.chains
 
@@ -404,7 +424,7 @@ def test_samples_of_the_stop_are_kept_and_disobedience_is_told(bench, program, e
         def status(self):
             told = super().status()
             moves = bench.controller.stops > 0
-            return replace(told, position=at(chain, np.array([time.monotonic() / 2 % 1.0]))[0]) if moves else told
+            return replace(told, position=HOME + 0.1 * (time.monotonic() % 1e3)) if moves else told
 
     bench.driver = Deaf
     slow = replace(chosen, chains=(replace(chain, t=20 * chain.t, qd=chain.qd / 20),))

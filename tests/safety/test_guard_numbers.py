@@ -37,8 +37,8 @@ FALSE_STOPS = {
     "stopping.py": {
         "passed >= SPAN / 2": "true is a speed that is known",
         "self.speed < min(BRAKING * self.before, self._least + self._regained * self.before)": "true waits for the arm",
-        "self._freshness.age <= AGAIN": "true shows the arm",
-        "self._clock() - self._state_at <= AGAIN": "the same",
+        "self._freshness.age <= RECENT": "true shows the arm",
+        "self._clock() - self._state_at <= RECENT": "the same",
     },
     "watch.py": {
         "lasted <= self._longest": "true goes on",
