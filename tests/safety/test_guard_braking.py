@@ -304,6 +304,66 @@ def test_a_clock_that_shows_no_time_gives_an_arm_none():
     assert "nothing shows" in arm.stopping.seen
 
 
+def test_a_stop_that_fails_because_the_link_was_let_go_is_told_once():
+    arm = Arm(brakes=None)
+    told = arm.stop
+
+    def stop() -> None:
+        told()
+        assert arm.closed.wait(10.0)
+        raise DriverError("closed by this end")
+
+    arm.stop = stop
+    arm.run(0.3)
+    arm.request()
+    arm.run(1.0)
+    for sent in arm.stopping._sent:
+        sent.join(10.0)
+    assert len(arm.warned) == 1
+    assert "PRESS THE EMERGENCY STOP" in arm.warned[0]
+
+
+def test_a_first_stop_that_fails_leaves_the_link_to_the_second():
+    arm, second = Arm(brakes=None), threading.Event()
+
+    def stop() -> None:
+        arm.stops += 1
+        arm._asked.set()
+        if arm.stops == 2:
+            second.set()
+            return
+        assert second.wait(10.0)
+        raise DriverError("no answer")
+
+    arm.stop = stop
+    arm.run(0.3)
+    arm.request()
+    arm.run(AGAIN + 0.06)
+    arm.stopping._sent[0].join(10.0)
+    assert (arm.stops, arm.warned, arm.closed.is_set()) == (2, [], False)
+
+
+def test_a_stop_that_fails_after_the_arm_was_seen_to_stand_is_not_told(monkeypatch):
+    monkeypatch.setattr("agent.safety.stopping.ANSWERED", 0.01)
+    arm, goes_on = Arm(brakes=0.2), threading.Event()
+    told = arm.stop
+
+    def stop() -> None:
+        told()
+        assert goes_on.wait(10.0)
+        raise DriverError("closed by this end")
+
+    arm.stop = stop
+    arm.run(0.3)
+    arm.request()
+    arm.run(0.4)
+    arm.stopping.finish(failed=False)
+    goes_on.set()
+    for sent in arm.stopping._sent:
+        sent.join(10.0)
+    assert (arm.warned, arm.closed.is_set()) == ([], False)
+
+
 def test_a_link_that_is_let_go_while_its_end_is_awaited_is_told_once():
     arm = Arm(brakes=None)
     arm.run(0.3)
