@@ -167,6 +167,14 @@ def test_an_arm_that_moves_on_after_a_stop_and_an_end_does_not_obey(ended, looks
     assert link.watch.stopping.disobeyed is looks
 
 
+def test_samples_of_another_number_of_joints_are_a_fault():
+    link = Link()
+    block = link.block(5.0)
+    link.script = iter([replace(block, position=block.position[:, :5])])
+    with pytest.raises(ControllerError, match="sent samples of 5 joints"):
+        list(link.watch.samples())
+
+
 def test_the_first_fault_is_the_one_that_is_told():
     link = Link()
     link.script = iter([link.block(5.0), link.block(4.0), link.block(2.0)])
