@@ -283,6 +283,7 @@ class Evidence:
             if last:
                 break
             form = np.array([sum(one.get(j, 0.0) ** 2 for one in torque) for j in range(self.joints)]) * self.unit**2
+            form += [self._own_change(j, joint, mean) for j, joint in enumerate(joints)]
             sizes = [_nearest(self.sizes, max(one.values(), default=0.0)) for one in torque]
             for j in (touched if self._nothing else range(self.joints)) if refit else ():
                 energy = _energy(joints[j], float(scales[j]), mean[joints[j].at])
@@ -305,6 +306,12 @@ class Evidence:
             precision=precision,
             mean=mean,
         )
+
+    def _own_change(self, j: int, joint: JointMoments, mean: np.ndarray) -> float:
+        """Squared torque over σ of the change of the model's own parameters: its form is no better than an effect's."""
+        width = self._widths[j][0]
+        change = mean[joint.at[:width]]
+        return max(float(change @ joint.moments[0][:width, :width] @ change) / self.count, 0.0)
 
     def _without_background(
         self,
