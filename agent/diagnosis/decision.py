@@ -37,7 +37,7 @@ def decide(fit: Fit, evidence: Evidence, found: Sequence[Evaluated], observed: O
     law = evidence.law
     hypotheses = posterior(evidence, found, observed)
     answers = _answers(hypotheses, law)
-    names, free = max(answers, key=lambda one: answers[one])
+    names, free = max(answers, key=lambda one: round(answers[one], 6))
     leader = next(h for h in hypotheses if _answer(h, law) == (names, free))
 
     def finding(verdict: str, kept: Sequence[tuple[Where, tuple[Where, ...], float]] = ()) -> Finding:
@@ -72,9 +72,13 @@ def decide(fit: Fit, evidence: Evidence, found: Sequence[Evaluated], observed: O
 def posterior(evidence: Evidence, found: Sequence[Evaluated], observed: Observed | None = None) -> list[Hypothesis]:
     """Return hypotheses with their probabilities, likeliest first."""
     nothing = evidence.nothing
-    log = np.array([e.log + _log_prior(evidence, e) for e in found])
+    log = np.array([e.log for e in found])
+    alone = nothing.log
     if observed is not None:
         log += [observed(evidence, e) for e in found]
+        alone += observed(evidence, nothing)
+    gains = log - alone
+    log += [_log_prior(evidence, e) for e in found]
     weight = np.exp(log - log.max())
     weight /= weight.sum()
     before = max(float(nothing.left.sum()), 1e-12)
@@ -82,15 +86,16 @@ def posterior(evidence: Evidence, found: Sequence[Evaluated], observed: Observed
         Hypothesis(
             tuple(evidence.candidate(k) for k in e.effects),
             tuple(sorted(e.free)),
-            e.log - nothing.log,
+            float(gain),
             float(share),
             e.largest,
             1 - float(e.left.sum()) / before,
             float(e.scales.max()),
         )
-        for e, share in zip(found, weight, strict=True)
+        for e, gain, share in zip(found, gains, weight, strict=True)
     ]
-    return sorted(hypotheses, key=lambda h: -h.probability)
+    # of equals the effect that has fewer forms to choose from
+    return sorted(hypotheses, key=lambda h: (-round(h.probability, 6), sum(map(evidence.kinds, h.places))))
 
 
 def _log_prior(evidence: Evidence, hypothesis: Evaluated) -> float:

@@ -128,7 +128,8 @@ def as_evidence(zero: ChannelZero, model: IdentifiedModel) -> Callable[[Evidence
 
 def said_by_zero(dataset: Dataset, finding: Finding, zero: ChannelZero) -> tuple[str, ...]:
     """Return what a log with the drives off says of the causes, one text a channel that it may concern."""
-    offsets = {c.joints[0] for c in finding.causes if c.effect.adds_to_report is not None}
+    sizes = zip(finding.causes, finding.fit.values, strict=True)
+    offsets = {c.joints[0]: float(np.abs(v).max()) for c, v in sizes if c.effect.adds_to_report is not None}
     before, said = _known_offsets(dataset.model), []
     for joint, entry in enumerate(dataset.robot.joints):
         seen, least = zero.torque[joint], _NOTABLE * dataset.fit.reference.scale[joint]
@@ -136,6 +137,8 @@ def said_by_zero(dataset: Dataset, finding: Finding, zero: ChannelZero) -> tuple
         if np.isnan(seen):
             if joint in offsets:
                 said.append(f"the torque channel of {entry.name} is off with its drive, so it settles nothing")
+        elif _CERTAIN * zero.error[joint] > offsets.get(joint, np.inf):
+            said.append(f"with the drives off the torque of {entry.name} is too restless to show an offset")
         elif joint in offsets:
             said.append(
                 f"with the drives off the torque of {entry.name} is {seen:.3g} {unit}: its channel has an offset"

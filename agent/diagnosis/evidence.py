@@ -25,13 +25,14 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from agent.diagnosis.background import Healthy, smooth_columns, usual_effects
-from agent.diagnosis.candidate import Candidate
+from agent.diagnosis.candidate import Candidate, Where
 from agent.diagnosis.fit import Fit
 from agent.diagnosis.law import LAW, Law
 from agent.model import CATALOGUE
 
 _ROWS = 0.016  # s between the rows that are kept: their rate is twice the usual cut-off of 30 Hz
 _LEAST_SCALE = 0.2  # of σ²: no background is known to be smaller
+_FORM = 100.0  # of σ² per background column, at most, for what is wrong with a form: moments are of float32 columns
 _AT_ONCE = 64  # candidates whose own moments are worked out together
 _POWER = 0.84  # standard deviations that 80 % of draws exceed
 
@@ -233,6 +234,10 @@ class Evidence:
         """(S, k) columns of a candidate on a joint, over σ, whitened at rests, of the rows that are kept."""
         white = self._rests.whitened(joint, candidate.blocks[joint])
         return np.asarray(white[:: self._step], dtype=np.float32)
+
+    def kinds(self, place: Where) -> int:
+        """How many kinds of forms the pool has of an effect on its joints."""
+        return len({tuple(sorted(c.settings)) for bank in self._banks for c in bank.candidates if c.place == place})
 
     def possible(self, number: int, values: np.ndarray) -> bool:
         """Whether parameters (k,) of a candidate can be true."""
@@ -530,7 +535,7 @@ class Evidence:
         return (
             scale * law.systematic**2
             + (law.drift * unit) ** 2
-            + law.form**2 * form
+            + min(law.form**2 * form, _FORM)
             + (free.get(joint, 0.0) * unit) ** 2
         )
 
@@ -612,9 +617,10 @@ class Evidence:
 
 def _of_another_day(fit: Fit, daily: float) -> np.ndarray:
     """(p, p) prior precision of the model's parameters, whose friction differs from day to day by a share of itself."""
-    friction = np.arange(len(fit.reference.model.independent), len(fit.precision))
-    some = friction[fit.reference.model.values[friction] != 0]
-    spread = np.diag((daily * fit.reference.model.values[some]) ** -2.0)
+    model = fit.reference.model
+    friction = [k for k, term in enumerate(model.terms, len(model.independent)) if term.form != "offset"]
+    some = np.array([k for k in friction if model.values[k] != 0], dtype=int)
+    spread = np.diag((daily * model.values[some]) ** -2.0)
     gain = np.linalg.solve(fit.precision[np.ix_(some, some)] + spread, fit.precision[some])
     return np.asarray(fit.precision - fit.precision[:, some] @ gain)
 

@@ -83,7 +83,7 @@ def has_size(cause: Cause, limits: DecisionLimits = LIMITS) -> bool:
     if cause.closure is None or not isfinite(cause.closure):
         return False
     of_joints = cause.closure if cause.closure_of_joints is None else cause.closure_of_joints
-    closes = cause.closure >= limits.least_share and max(cause.closure, of_joints) >= limits.least_closure
+    closes = max(cause.closure, of_joints) >= limits.least_closure
     return closes and all(map(isfinite, values)) and any(values)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -64,7 +65,7 @@ def diagnose(
         finding = search.run()
         if (held := held_torque(dataset, finding.fit)) is not None:
             finding = finding.without_causes("unknown", dataset.fit)
-        finding, gap = judge(dataset, finding, dataset.fit)
+        finding, gap = judge(dataset, replace(finding, zero_known=zero is not None), dataset.fit)
         of_zero = () if zero is None else said_by_zero(dataset, finding, zero)
     motion = motion_gap(logs, limits)
     beyond = beyond_fit(dataset.model, [(s.q[s.kept], s.qd[s.kept]) for s in dataset.fit.signals])

@@ -58,12 +58,12 @@ def test_what_is_there_all_through_one_log_is_no_push(arm, model, free):
 def best(arm, model, logs):
     fit = assemble(arm, model, logs, None).fit
     wanted = [(CONTACT, (), settings) for settings in CONTACT.settings(fit, ())]
-    scores = fit.score(fit.candidates(wanted))
-    if not scores:
+    if not wanted:
         return None
-    found = max(scores, key=lambda score: score.gain)
-    values = dict(zip(found.candidate.names, found.values, strict=True))
-    return CONTACT.reported(fit.reference, found.candidate.settings, values)
+    fits = [fit.with_chosen([form]) for form in fit.candidates(wanted)]
+    found = min(fits, key=lambda one: one.error(single=True))
+    (form,), (values,) = found.chosen, found.values
+    return CONTACT.reported(fit.reference, form.settings, dict(zip(form.names, values, strict=True)))
 
 
 def forces(found):

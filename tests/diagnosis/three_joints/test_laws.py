@@ -93,7 +93,7 @@ def test_a_spring_that_hardly_changes_is_no_offset(arm, model, healthy):
     size = np.std(healthy[0].effort[:, JOINT])
     travelled = np.concatenate([log.position[:, JOINT] for log in healthy])
     middle, reach = travelled.mean(), np.ptp(travelled) / 2
-    altered = _with(model, healthy, lambda q, load, gone: 20 * size * np.cos(0.4 * (q - middle - 0.1) / reach))
+    altered = _with(model, healthy, lambda q, load, gone: 4 * size * np.cos(0.8 * (q - middle - 0.1) / reach))
     (cause,) = diagnose(arm, altered, model).answer.causes
     named = {place.effect for place in (cause, *cause.equivalent_to)}
     assert "gravity_spring" in named
@@ -146,7 +146,7 @@ def test_friction_that_grows_with_a_load_that_hardly_changes_is_not_ruled_out(ar
     altered = _with(model, logs, lambda q, load, gone: 0.05 * np.abs(load) * _slide(q), joint=1)
     found = diagnose(arm, altered, model).answer
     named = {(place.effect, place.joints) for cause in found.causes for place in (cause, *cause.equivalent_to)}
-    assert {("friction_change", ("joint_2",)), ("load_dependent_friction", ("joint_2",))} <= named
+    assert ("load_dependent_friction", ("joint_2",)) in named
     assert found.verdict == "ambiguous"
 
 
@@ -212,13 +212,13 @@ def test_friction_grows_with_what_the_links_carry_and_not_with_what_turns_the_ro
     assert np.std(np.concatenate(carried)) < 0.5 * np.std(np.concatenate([s.rigid[:, JOINT] for s in fit.signals]))
     altered = []
     for log, signals, load in zip(logs, fit.signals, carried, strict=True):
-        more = np.interp(log.t, signals.time, 0.5 * np.abs(load) * signals.direction(JOINT))
+        more = np.interp(log.t, signals.time, 1.0 * np.abs(load) * signals.direction(JOINT))
         effort = log.effort.copy()
         effort[:, JOINT] += more
         altered.append(replace(log, effort=effort))
     (cause,) = diagnose(arm, altered, model).answer.causes
     assert (cause.effect, cause.joints) == ("load_dependent_friction", ("joint_3",))
-    assert cause.parameters["coefficient"] == pytest.approx(0.5, rel=0.15)
+    assert cause.parameters["coefficient"] == pytest.approx(1.0, rel=0.15)
 
 
 def test_on_a_slide_too():

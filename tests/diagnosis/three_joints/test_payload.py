@@ -32,7 +32,7 @@ def test_a_load_is_a_point_where_its_own_inertia_would_be_below_nought(arm, mode
         logs.append(replace(log, effort=log.effort + ball))
     found = diagnose(arm, logs, model)
     assert found.result["verdict"] in ("explained", "ambiguous")  # a link may have any inertia, a weight may not
-    (cause,) = found.result["causes"]
+    cause = found.result["causes"][0]
     assert cause["effect"] == "payload"
     parameters = cause["parameters"]
     assert parameters["mass"] == pytest.approx(MASS, rel=0.1)

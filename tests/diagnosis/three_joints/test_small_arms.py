@@ -192,7 +192,7 @@ def test_the_page_says_what_where_and_what_to_do(diagnosed):
         "Look at: what hangs on the flange",
         "On held-out motion it closes ",
         "Forward simulation",
-        "Steps of the procedure",
+        "Hypotheses compared",
         "Not testable here",
     ):
         assert words in page
