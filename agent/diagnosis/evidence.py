@@ -28,7 +28,7 @@ from agent.diagnosis.background import Healthy, smooth_columns, usual_effects
 from agent.diagnosis.candidate import Candidate, Where
 from agent.diagnosis.fit import Fit
 from agent.diagnosis.law import LAW, Law
-from agent.model import CATALOGUE
+from agent.model import CATALOGUE, SIMULATOR
 
 _ROWS = 0.016  # s between the rows that are kept: their rate is twice the usual cut-off of 30 Hz
 _LEAST_SCALE = 0.2  # of σ²: no background is known to be smaller
@@ -618,10 +618,12 @@ class Evidence:
 
 
 def _of_the_day(fit: Fit) -> np.ndarray:
-    """Parameters that differ from day to day: friction of a model that was estimated before."""
+    """Parameters that differ from day to day: friction of a model that was estimated before on the machine."""
     model = fit.reference.model
+    if not fit.given or model.method == SIMULATOR:
+        return np.empty(0, dtype=int)
     friction = [k for k, term in enumerate(model.terms, len(model.independent)) if term.form != "offset"]
-    return np.array([k for k in friction if fit.given and model.values[k] != 0], dtype=int)
+    return np.array([k for k in friction if model.values[k] != 0], dtype=int)
 
 
 def _of_another_day(fit: Fit, friction: np.ndarray, daily: float) -> np.ndarray:
