@@ -28,7 +28,8 @@ from agent.diagnosis.background import Healthy, smooth_columns, usual_effects
 from agent.diagnosis.candidate import Candidate, Where
 from agent.diagnosis.fit import Fit
 from agent.diagnosis.law import LAW, Law
-from agent.model import CATALOGUE, SIMULATOR
+from agent.model import CATALOGUE
+from agent.simulators import SIMULATOR
 
 _ROWS = 0.016  # s between the rows that are kept: their rate is twice the usual cut-off of 30 Hz
 _LEAST_SCALE = 0.2  # of σ²: no background is known to be smaller

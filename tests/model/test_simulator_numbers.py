@@ -8,7 +8,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from agent.diagnosis.procedure import Search
 
 from agent.core import Console
 from agent.diagnosis import diagnose
