@@ -27,7 +27,7 @@ from scipy.linalg import solve_triangular
 from agent.diagnosis.background import Healthy, smooth_columns, usual_effects
 from agent.diagnosis.candidate import Candidate, Where
 from agent.diagnosis.fit import Fit
-from agent.diagnosis.law import LAW, Law
+from agent.diagnosis.law import LAW, EvidenceLaw
 from agent.model import CATALOGUE
 from agent.simulators import SIMULATOR
 
@@ -150,11 +150,11 @@ class Evidence:
     healthy : sequence of (Candidate, float), optional
         Effects that the healthy arm has, and their torque over nominal: part of the background. If None, nothing is
         known of this arm, and the background takes from the pool what every arm has a little of.
-    law : Law, optional
+    law : EvidenceLaw, optional
         The numbers of the decision.
     """
 
-    def __init__(self, fit: Fit, candidates: Sequence[Candidate], healthy: Healthy | None = None, law: Law = LAW):
+    def __init__(self, fit: Fit, candidates: Sequence[Candidate], healthy: Healthy | None = None, law: EvidenceLaw = LAW):
         self.law, self.joints = law, len(fit.rows)
         signals = fit.signals
         kept_time = np.concatenate([s.time[s.kept] for s in signals])
@@ -348,6 +348,8 @@ class Evidence:
         The scales of the hypothesis stay, so this picks what to evaluate.
         """
         found = [self._gains(base, bank) for bank in self._banks]
+        if not found:
+            return np.empty(0), []
         return np.concatenate([gain for gain, _ in found]), [value for _, values in found for value in values]
 
     def _gains(self, base: Evaluated, bank: _Bank) -> tuple[np.ndarray, list[np.ndarray]]:
