@@ -154,7 +154,9 @@ class Evidence:
         The numbers of the decision.
     """
 
-    def __init__(self, fit: Fit, candidates: Sequence[Candidate], healthy: Healthy | None = None, law: EvidenceLaw = LAW):
+    def __init__(
+        self, fit: Fit, candidates: Sequence[Candidate], healthy: Healthy | None = None, law: EvidenceLaw = LAW
+    ):
         self.law, self.joints = law, len(fit.rows)
         signals = fit.signals
         kept_time = np.concatenate([s.time[s.kept] for s in signals])
