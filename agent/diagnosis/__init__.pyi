@@ -7,7 +7,6 @@ from .evidence import Evidence as Evidence
 from .extension import extended_model as extended_model
 from .finding import Finding as Finding, Hypothesis as Hypothesis
 from .fit import Fit as Fit
-from .folds import folds_of as folds_of
 from .forward import Simulated as Simulated, simulate as simulate, simulation_part as simulation_part
 from .forward_windows import (
     forward_lines as forward_lines,
