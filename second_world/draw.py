@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from second_world.laws import LAWS, OUTSIDE, Law
+from second_world.laws import LAWS, OUTSIDE, WorldLaw
 from second_world.world import LAWS as SETS, DrawnWorld, draw_world, machine_number
 
 Card = TypeVar("Card")
@@ -99,7 +99,7 @@ def draw_cases(count: int, seed: int, laws: str, mix: Mapping[str, Any] | None =
 class _LawDeck:
     """Effects in random order, each once before any comes again; the same of the laws of each."""
 
-    def __init__(self, effects: Mapping[str, Mapping[str, Law]], laws: str, rng: np.random.Generator):
+    def __init__(self, effects: Mapping[str, Mapping[str, WorldLaw]], laws: str, rng: np.random.Generator):
         self._rng = rng
         self._laws = {}
         for name, known in effects.items():
@@ -112,11 +112,11 @@ class _LawDeck:
         while True:
             yield from (cards[i] for i in self._rng.permutation(len(cards)))
 
-    def draw(self) -> Law:
+    def draw(self) -> WorldLaw:
         return next(self._laws[next(self._names)])
 
 
-def _place(law: Law, world: DrawnWorld, size: float, rng: np.random.Generator) -> dict[str, Any]:
+def _place(law: WorldLaw, world: DrawnWorld, size: float, rng: np.random.Generator) -> dict[str, Any]:
     n = world.arm.n
     first = 1 if law.where == "lifting" else 0
     joints = {"arm": [], "wrist": [n - 2, n - 1]}.get(law.where, [int(rng.integers(first, n))])

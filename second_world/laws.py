@@ -19,7 +19,7 @@ Build = Callable[[DrawnMachine, tuple[int, ...], float, np.random.Generator], No
 
 
 @dataclass(frozen=True)
-class Law:
+class WorldLaw:
     """`highest` amount that makes sense, `first` that is tried; `reserved` ones are drawn for judgement alone."""
 
     effect: str
@@ -32,9 +32,9 @@ class Law:
 
 
 #: effect -> its laws by name
-LAWS: dict[str, dict[str, Law]] = {}
+LAWS: dict[str, dict[str, WorldLaw]] = {}
 #: Effects that no catalogue has a form for.
-OUTSIDE: dict[str, dict[str, Law]] = {}
+OUTSIDE: dict[str, dict[str, WorldLaw]] = {}
 #: The places an effect can have: a joint, a joint but not the first (whose torque no gravity changes), the last two,
 #: the whole arm.
 WHERE = ("joint", "lifting", "wrist", "arm")
@@ -47,12 +47,12 @@ def law(
     first: float = 0.03,
     highest: float = 1.0,
     reserved: bool = False,
-    catalogue: dict[str, dict[str, Law]] = LAWS,
+    catalogue: dict[str, dict[str, WorldLaw]] = LAWS,
 ) -> Callable[[Build], Build]:
     """Decorator: enters a law."""
 
     def enter(build: Build) -> Build:
-        catalogue.setdefault(effect, {})[name] = Law(effect, name, build, where, first, highest, reserved)
+        catalogue.setdefault(effect, {})[name] = WorldLaw(effect, name, build, where, first, highest, reserved)
         return build
 
     return enter
@@ -87,7 +87,7 @@ def _enter(
     signed: bool = False,
     reserved: bool = False,
     where: str = "joint",
-    catalogue: dict[str, dict[str, Law]] = LAWS,
+    catalogue: dict[str, dict[str, WorldLaw]] = LAWS,
     highest: float = 1.0,
 ) -> None:
     law(effect, name, where, reserved=reserved, catalogue=catalogue, highest=highest)(_term(kind, numbers, signed))

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from second_world.laws import LAWS, OUTSIDE, Law
+from second_world.laws import LAWS, OUTSIDE, WorldLaw
 from second_world.machine import DrawnMachine, largest_change
 from second_world.motions import Motions
 from second_world.world import DrawnWorld
@@ -20,7 +20,7 @@ _SMALLEST = 1e-6
 _PATH = 0.2
 
 
-def known_law(effect: Mapping[str, Any]) -> Law:
+def known_law(effect: Mapping[str, Any]) -> WorldLaw:
     """The law of an effect; the first one of its effect where none is named.
 
     Raises:

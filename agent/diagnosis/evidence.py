@@ -397,9 +397,9 @@ class Evidence:
         Its log Bayes factor against nothing has to outweigh the prior with a probability of 80 %. Signs of its
         parameters as they are usual: each contributes as much torque.
         """
-        found = []
+        found, expected = [], self.as_expected(self.nothing)
         for bank in self._banks:
-            schur, _ = self._schur(self.nothing, bank)
+            schur, _ = self._schur(expected, bank)
             sizes = np.empty(len(bank.candidates))
             for width, which in bank.alike.items():
                 at = bank.first[which][:, None] + np.arange(width)

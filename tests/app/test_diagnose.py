@@ -64,12 +64,12 @@ def test_a_recipe_is_recorded_then_diagnosed(start_controller, write_recipe, run
     assert json.loads((folder / "state.json").read_text())["status"] == "finished"
     page = folder / "report.html"
     assert "(time_delay)" in page.read_text(encoding="utf-8")
-    assert "drives off settles nothing" in page.read_text(encoding="utf-8")
+    assert "with the drives off no torque channel shows an offset" in page.read_text(encoding="utf-8")
     page.unlink()
     zero.unlink()
     assert run_agent("report", folder).returncode == 0
     assert "(time_delay)" in page.read_text(encoding="utf-8"), "made again from the run's own files"
-    assert "drives off settles nothing" in page.read_text(encoding="utf-8")
+    assert "with the drives off no torque channel shows an offset" in page.read_text(encoding="utf-8")
     assert [entry.effect for entry in IdentifiedModel.load(tmp_path / "model.json").effects] == ["time_delay"]
 
 

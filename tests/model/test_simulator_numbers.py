@@ -20,6 +20,7 @@ from agent.diagnosis.result import not_testable
 from agent.diagnosis.rollout import MujocoEngine
 from agent.diagnosis.search import Search
 from agent.diagnosis.simulator import Explanation, _possible, numbers_instead, with_expected_error
+from agent.diagnosis.testability import smallest_sizes
 from agent.model import CATALOGUE
 from agent.pipeline import GapQuestion
 from agent.pipeline.corrected_simulator import beyond_range
@@ -137,10 +138,12 @@ def test_what_equals_a_cause_makes_the_first_ambiguous():
     assert finding.with_rival(0, links).verdict == "ambiguous"
 
 
-def test_an_effect_that_a_larger_one_hides_is_found_beside_it(tmp_path):
-    moved = calibration(sprung(tmp_path, 0.08)).moved
+def test_an_effect_that_would_be_found_is_found_beside_a_far_larger_one(tmp_path):
+    moved = calibration(sprung(tmp_path, 0.16)).moved
     places = {("gravity_spring", (0,)), ("stribeck", (1,)), ("torque_constant", (0,)), ("asymmetric_friction", (0,))}
-    found = Search(moved.fit, only=places).run()
+    search = Search(moved.fit, only=places)
+    found = search.run()
+    assert smallest_sizes(moved, search.evidence)["stribeck", (1,)] * 0.01 < 0.016, "of nominal torque, as it has"
     assert {cause.place for cause in found.causes} == {("gravity_spring", (0,)), ("stribeck", (1,))}
 
 
@@ -152,7 +155,7 @@ def test_a_shoulders_spring_is_not_testable_where_its_link_was_moved(tmp_path):
     search.run()
     said = {entry.joint: entry.why for entry in not_testable(found.moved, search) if entry.effect == "gravity_spring"}
     assert set(said) == {"lift"}
-    assert "beside the numbers of the simulator that were moved" in said["lift"]
+    assert "and it matters from 1.0 % on" in said["lift"]
 
 
 def explaining(left: float, *effects: str) -> Explanation:
