@@ -178,7 +178,7 @@ def test_the_version(run_agent):
 def test_check_says_how_far_it_has_come(run_agent, write_recipe):
     run = run_agent("check", write_recipe("127.0.0.1:1"))
     assert "random loops at 1 m/s tried" in run.stderr
-    assert "looking at controller" in run.stderr
+    assert "checking controller" in run.stderr
 
 
 def test_an_existing_output_is_never_overwritten(run_agent, tmp_path: Path):
