@@ -76,7 +76,7 @@ def after_diagnosis(
         mass = experiment["with_a_mass"][PAYLOAD]
         folder = f"{question.out or 'next'}_with_a_mass"
         planned = [*words, "--next", str(recipe), "--payload", mass, "-o", folder, *map(str, logs)]
-        what = f"for a clearer answer, mount {mass} (or the mass you have) at the flange and plan for it:"
+        what = f"or, for a clearer answer, mount {mass} (or the mass you have) at the flange and plan for it:"
         loaded = [NextStep(what, shlex.join(planned))]
     if question.next_recipe is not None and experiment.get("program"):
         program = Path(experiment["program"])
@@ -96,11 +96,7 @@ def after_diagnosis(
             return [NextStep(f"record 1 s with the drives off as {_BRAKES_LOG}, then diagnose again:", again), *loaded]
         return [NextStep(f"record it as {_NEW_LOG}, then diagnose again:", f"{again} {_NEW_LOG}"), *loaded]
     if all(CATALOGUE[cause["effect"]].once for cause in result["causes"]):
-        return [
-            NextStep(
-                "record again with nothing touching the arm: the effect happened once, so it is not added to a model."
-            )
-        ]
+        return [NextStep("record again with nothing touching the arm: a single event is not added to a model.")]
     if model is not None and is_simulator(model):
         return [NextStep("correct the simulator:", f"{again} -o fixed{model.suffix}")]
     return [NextStep("add the effect to the model:", f"{again} -o model_with_effects.json")]

@@ -182,11 +182,8 @@ def plan_next(
         if asked_of.second.form is not None
         else f"shows {asked_of.first.text()}"
     )
-    return NoMotion(
-        f"moving the arm cannot settle this: no motion in {where} {what}{why}. {other_test(found, pairs)}{loads}",
-        names,
-        mass,
-    )
+    moving = f"moving the arm cannot settle this: no motion in {where} {what}{why}"
+    return NoMotion(f"{moving}. {other_test(found, pairs)}{loads}", names, mass)
 
 
 def mass_beside(

@@ -31,9 +31,7 @@ def diagnosis_text(result: dict[str, Any]) -> str:
     by_servos = result.get("torque_of") == "servos"
     if by_servos:
         lines += _forward_lines(result)
-        lines.append(
-            "No torque was measured. The torque below is that of the simulated servos at the recorded set-points."
-        )
+        lines.append("No torque was measured; the torque below is that of the simulated servos at the set-points.")
     lines.append("torque error on held-out motion, in % of nominal torque if known (repeatability: between cycles)")
     lines.append(f"{'joint':{width}} {'before':>11} {'after':>11} {'repeatability':>13} {'share':>7}   mostly in")
     shares = {entry["joint"]: entry for entry in result["where"]}
@@ -54,9 +52,7 @@ def diagnosis_text(result: dict[str, Any]) -> str:
         own = [gap["joints"].index(joint) for cause in result["causes"][:1] for joint in cause["joints"]]
         worst = max(own or range(len(units)), key=lambda k: (units[k] == SHARE, torque["before"][k]))
         before, after = (figure_text(torque[side][worst], units[worst]) for side in ("before", "after"))
-        lines.append(
-            f"torque error of {gap['joints'][worst]} in forward simulation: {before}, with the effects {after}"
-        )
+        lines.append(f"torque error of {gap['joints'][worst]} in simulation: {before}, with the effects {after}")
     if not by_servos:
         lines += _forward_lines(result)
     lines += _further_lines(result)
