@@ -54,7 +54,8 @@ def _commands() -> Iterator[str]:
 
 
 def _metavar(argument: Any) -> str:
-    return argument.metavar or argument.name.upper()
+    name = argument.metavar or argument.name.upper()
+    return name if argument.required else f"[{name}]"
 
 
 def _option(option: Any) -> str:

@@ -16,7 +16,7 @@ from agent.core import InputError
 app = typer.Typer(
     name="agent",
     add_completion=True,
-    rich_markup_mode=None,
+    rich_markup_mode="rich",
     pretty_exceptions_enable=False,
     no_args_is_help=True,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 120},
@@ -37,21 +37,21 @@ def agent(
         bool, typer.Option("--version", help="print the version and exit", callback=_print_version, is_eager=True)
     ] = False,
 ) -> None:
-    """Calibrate the dynamics of an industrial robot where it works, and say why simulation and robot disagree."""
+    """Measure your robot's real masses and friction, and find out why model and robot disagree."""
 
 
-@app.command()
+@app.command(rich_help_panel=opt.CALIBRATE, epilog="Example: agent init cell.yaml --controller 192.0.2.10:9100")
 def init(
-    recipe: Annotated[Path, typer.Argument(metavar="[RECIPE]", help="file to write")] = Path("recipe.yaml"),
+    recipe: Annotated[Path, typer.Argument(metavar="RECIPE", help="file to write")] = Path("recipe.yaml"),
     robot: opt.AnyDescribedRobot = None,
-    driver: Annotated[str | None, typer.Option("--driver", metavar="NAME", help="driver of the link")] = None,
-    controller: Annotated[str | None, typer.Option("--controller", metavar="ADDRESS", help="of the controller")] = None,
-    centre: Annotated[str | None, typer.Option("--centre", metavar="X,Y,Z", help="of the sub-region")] = None,
-    size: Annotated[str | None, typer.Option("--size", metavar="X,Y,Z", help="of the sub-region")] = None,
-    orientation: Annotated[str | None, typer.Option("--orientation", metavar="A,E,R", help="of the tool")] = None,
-    cone: Annotated[str | None, typer.Option("--cone", metavar="ANGLE", help="how far the tool may lean")] = None,
+    driver: Annotated[str | None, typer.Option("--driver", metavar="NAME", help="driver of the controller")] = None,
+    controller: Annotated[str | None, typer.Option("--controller", metavar="ADDRESS", help="address and port")] = None,
+    centre: Annotated[str | None, typer.Option("--centre", metavar="X,Y,Z", help="centre of the sub-region")] = None,
+    size: Annotated[str | None, typer.Option("--size", metavar="X,Y,Z", help="size of the sub-region")] = None,
+    orientation: Annotated[str | None, typer.Option("--orientation", metavar="A,E,R", help="tool angles")] = None,
+    cone: Annotated[str | None, typer.Option("--cone", metavar="ANGLE", help="how far the tool may tilt")] = None,
 ) -> None:
-    """Write a commented recipe; what no option says is asked on a terminal."""
+    """Write a commented recipe. On a terminal, the command asks for values without an option."""
     from agent.pipeline import write_recipe
 
     given = {"robot": robot, "driver": driver, "controller": controller, "centre": centre, "size": size}
@@ -59,9 +59,9 @@ def init(
     print(f"next: agent check {recipe} (moves nothing)", file=sys.stderr)
 
 
-@app.command()
+@app.command(rich_help_panel=opt.CALIBRATE, epilog="Example: agent check cell.yaml")
 def check(recipe: opt.RecipePath, as_json: opt.AsJson = False, messages: opt.Messages = None) -> None:
-    """Validate recipe, reach, limits and cell, and ping the controller. Moves nothing."""
+    """Check recipe, reach, limits and cell, and ping the controller. Moves nothing."""
     from agent.pipeline import check_recipe
 
     findings = check_recipe(recipe, opt.console_for(messages))
@@ -69,7 +69,7 @@ def check(recipe: opt.RecipePath, as_json: opt.AsJson = False, messages: opt.Mes
     raise typer.Exit(findings.exit_code)
 
 
-@app.command()
+@app.command(rich_help_panel=opt.CALIBRATE, epilog="Example: agent plan cell.yaml -o plan")
 def plan(
     recipe: opt.RecipePath,
     out: Annotated[Path | None, typer.Option("-o", "--out", metavar="DIR", help="folder for the plan")] = None,
@@ -78,7 +78,7 @@ def plan(
     as_json: opt.AsJson = False,
     messages: opt.Messages = None,
 ) -> None:
-    """Search for the via-points only: trajectory, margins to every limit, the program. Opens no port."""
+    """Search for a calibration motion and write its program. Moves nothing and opens no port."""
     from agent.pipeline import plan_recipe
     from agent.recipe import load_recipe
 
@@ -90,18 +90,18 @@ def plan(
     opt.print_found(as_json, result)
 
 
-@app.command()
+@app.command(rich_help_panel=opt.CALIBRATE, epilog="Example: agent calibrate cell.yaml")
 def calibrate(
     recipe: opt.RecipePath,
     resume: Annotated[
-        str | None, typer.Option("--resume", metavar="RUN", help="go on with a stopped run: its folder, or its name")
+        str | None, typer.Option("--resume", metavar="RUN", help="continue a stopped run (folder or name)")
     ] = None,
     logs: opt.RunsFolder = Path("logs"),
     yes: opt.Yes = False,
     as_json: opt.AsJson = False,
     messages: opt.Messages = None,
 ) -> None:
-    """The whole job: plan, program, send, record, filter, estimate, validate, report. Prints the run folder."""
+    """Calibrate the robot: plan, record, estimate, validate and report. Prints the run folder."""
     from agent.core import print_json, print_path
     from agent.pipeline import run_calibration
     from agent.recipe import load_recipe
@@ -118,81 +118,19 @@ def calibrate(
     raise typer.Exit(0 if outcome.accepted else 3)
 
 
-@app.command()
-def record(
-    recipe: opt.RecipePath,
-    program: Annotated[Path, typer.Option("--program", metavar="P", help="program to run")],
-    out: Annotated[Path | None, typer.Option("-o", "--out", metavar="LOG", help="log to write")] = None,
-    load: opt.KnownLoad = None,
-    yes: opt.Yes = False,
-    messages: opt.Messages = None,
-) -> None:
-    """Send a program, run it and record the motion."""
-    from agent.link import record_program_file
-    from agent.recipe import load_recipe
-
-    console = opt.console_for(messages)
-    recorded = record_program_file(load_recipe(recipe), program, out, console, yes=yes, payload=load)
-    print(recorded.path)
-
-
-@app.command()
-def estimate(
-    logs: opt.Logs,
-    robot: opt.RobotOption,
-    out: Annotated[Path, typer.Option("-o", "--out", metavar="MODEL", help="model file to write")],
-    cutoff: opt.Cutoff = None,
-    method: opt.Method = None,
-    export: Annotated[
-        Path | None,
-        typer.Option(metavar="DIR", help="also write URDF, MuJoCo model and friction file (of a consistent fit)"),
-    ] = None,
-    structure: opt.Structure = "rigid",
-    topic: opt.Topic = None,
-    allow_mixed: opt.AllowMixed = False,
-    force: opt.Force = False,
-    as_json: opt.AsJson = False,
-    messages: opt.Messages = None,
-) -> None:
-    """Filter and estimate from logs. Writes the model file."""
-    from agent.pipeline import estimate_files
-
-    model, text = estimate_files(
-        robot, logs, out, cutoff, method, opt.console_for(messages), export, allow_mixed, force, structure, topic
-    )
-    opt.print_found(as_json, model, text)
-
-
-@app.command()
-def validate(
-    logs: opt.Logs,
-    model: opt.ModelFile,
-    cutoff: opt.Cutoff = None,
-    topic: opt.Topic = None,
-    allow_mixed: opt.AllowMixed = False,
-    as_json: opt.AsJson = False,
-    messages: opt.Messages = None,
-) -> None:
-    """Predict the torque of logs that were not used in the fit."""
-    from agent.pipeline import validate_files, validation_text
-
-    result = validate_files(model, logs, cutoff, opt.console_for(messages), allow_mixed, topic)
-    opt.print_found(as_json, result.to_dict(), validation_text(result))
-
-
-@app.command()
+@app.command(cls=opt.Diagnose, rich_help_panel=opt.DIAGNOSE, epilog="Example: agent diagnose --model arm.xml loop.mcap")
 def diagnose(
     logs: Annotated[list[Path] | None, typer.Argument(metavar="LOG...", help="MCAP logs")] = None,
     robot: opt.AnyRobot = None,
     model: Annotated[
         Path | None,
-        typer.Option("--model", metavar="MODEL", help="the simulator: a model file, an MJCF (arm.xml) or a URDF"),
+        typer.Option("--model", metavar="MODEL", help="model to compare with: model file, MJCF or URDF"),
     ] = None,
     joint_map: Annotated[
         Path | None, typer.Option("--map", metavar="MAP.yaml", help="names of the simulator's joints in the logs")
     ] = None,
     record: Annotated[
-        Path | None, typer.Option("--record", metavar="RECIPE", help="record first: the recipe's motions, no logs")
+        Path | None, typer.Option("--record", metavar="RECIPE", help="record the recipe's motions, then diagnose")
     ] = None,
     cutoff: opt.Cutoff = None,
     without: opt.Without = None,
@@ -207,7 +145,7 @@ def diagnose(
             "-o",
             "--out",
             metavar="OUT",
-            help="model file, MJCF or URDF to write, with what was found; folder of --next",
+            help="corrected model, MJCF or URDF to write; with --next, the folder",
         ),
     ] = None,
     next_recipe: opt.NextRecipe = None,
@@ -219,8 +157,9 @@ def diagnose(
     runs: opt.RunsFolder = Path("logs"),
     yes: opt.Yes = False,
     messages: opt.Messages = None,
+    help_all: opt.HelpAll = False,
 ) -> None:
-    """The gap between model and robot: where it lies, which effect causes it, how far it shrinks."""
+    """Find out why model and robot disagree: which joint, what causes it, how sure, and what to do next."""
     from agent.pipeline import BUDGET, GapQuestion, budget_of, diagnose_files, diagnose_recording, planning_time
 
     left_out, planning = tuple(without or ()), planning_time(planning_budget)
@@ -241,12 +180,12 @@ def diagnose(
     )
     console = opt.console_for(messages)
     if budget is not None and not until_sure:
-        raise InputError("diagnose: --budget is of the further motions of --until-sure: give that too, or leave it out")
+        raise InputError("diagnose: --budget limits the motions of --until-sure: give both, or leave --budget out")
     if until_sure and next_recipe is not None:
-        raise InputError("diagnose: --until-sure plans its further motions in the recipe of --record: leave out --next")
+        raise InputError("diagnose: --until-sure plans its motions in the recipe of --record: leave out --next")
     if record is not None:
         if logs or robot:
-            raise InputError("diagnose: --record records its own logs of the recipe's robot: leave out LOG and --robot")
+            raise InputError("diagnose: --record records new logs of the recipe's robot: leave out LOG and --robot")
         motion = budget_of(BUDGET if budget is None else budget) if until_sure else None
         with opt.diagnosis_shown(as_json) as show:
             diagnose_recording(record, question, console, runs, yes, motion, show)
@@ -254,45 +193,102 @@ def diagnose(
         raise InputError("diagnose: --until-sure moves the robot: name the recipe to record with --record RECIPE")
     elif not logs or not (robot or model):
         raise InputError(
-            "diagnose: name the robot or the simulator, and the logs (--robot R or --model MODEL, LOG...), or a recipe "
-            "to record (--record)"
+            "diagnose: name the logs, and --robot R or --model MODEL. To record new logs, use --record RECIPE"
         )
     else:
         with opt.diagnosis_shown(as_json) as show:
             diagnose_files(robot, logs, question, console, show)
 
 
-@app.command("blind-check")
+@app.command(rich_help_panel=opt.DATA, epilog="Example: agent record cell.yaml --program loop.pdl -o loop.mcap")
+def record(
+    recipe: opt.RecipePath,
+    program: Annotated[Path, typer.Option("--program", metavar="P", help="program to run")],
+    out: Annotated[Path | None, typer.Option("-o", "--out", metavar="LOG", help="log to write")] = None,
+    load: opt.KnownLoad = None,
+    yes: opt.Yes = False,
+    messages: opt.Messages = None,
+) -> None:
+    """Send a program to the controller, run it and record the motion."""
+    from agent.link import record_program_file
+    from agent.recipe import load_recipe
+
+    console = opt.console_for(messages)
+    recorded = record_program_file(load_recipe(recipe), program, out, console, yes=yes, payload=load)
+    print(recorded.path)
+
+
+@app.command(rich_help_panel=opt.DATA, epilog="Example: agent estimate --robot comau_ns16 -o model.json loop.mcap")
+def estimate(
+    logs: opt.Logs,
+    robot: opt.RobotOption,
+    out: Annotated[Path, typer.Option("-o", "--out", metavar="MODEL", help="model file to write")],
+    cutoff: opt.Cutoff = None,
+    method: opt.Method = None,
+    export: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="also write URDF, MuJoCo model and friction file (physically consistent)"),
+    ] = None,
+    structure: opt.Structure = "rigid",
+    topic: opt.Topic = None,
+    allow_mixed: opt.AllowMixed = False,
+    force: opt.Force = False,
+    as_json: opt.AsJson = False,
+    messages: opt.Messages = None,
+) -> None:
+    """Estimate a model from logs and write the model file."""
+    from agent.pipeline import estimate_files
+
+    model, text = estimate_files(
+        robot, logs, out, cutoff, method, opt.console_for(messages), export, allow_mixed, force, structure, topic
+    )
+    opt.print_found(as_json, model, text)
+
+
+@app.command(rich_help_panel=opt.DATA, epilog="Example: agent validate --model model.json other.mcap")
+def validate(
+    logs: opt.Logs,
+    model: opt.ModelFile,
+    cutoff: opt.Cutoff = None,
+    topic: opt.Topic = None,
+    allow_mixed: opt.AllowMixed = False,
+    as_json: opt.AsJson = False,
+    messages: opt.Messages = None,
+) -> None:
+    """Compare predicted and measured torque on logs that took no part in the fit."""
+    from agent.pipeline import validate_files, validation_text
+
+    result = validate_files(model, logs, cutoff, opt.console_for(messages), allow_mixed, topic)
+    opt.print_found(as_json, result.to_dict(), validation_text(result))
+
+
+@app.command(rich_help_panel=opt.TOOLS, epilog="Example: agent blind-check --cases 20 --seed 1 -o blind")
 def blind_check(
     answers: Annotated[
-        list[Path] | None, typer.Argument(metavar="[ANSWERS.jsonl]...", help="with --score: answers of tools")
+        list[Path] | None, typer.Argument(metavar="ANSWERS.jsonl", help="with --score: answers of a tool")
     ] = None,
-    cases: Annotated[int, typer.Option("--cases", metavar="N", help="runs to make")] = 400,
+    cases: Annotated[int, typer.Option("--cases", metavar="N", help="number of simulated runs")] = 400,
     seed: Annotated[
         int | None,
-        typer.Option(
-            "--seed", metavar="S", min=0, help="draw by laws of development; without it, by laws of judgement"
-        ),
+        typer.Option("--seed", metavar="S", min=0, help="draw development cases; without it, the cases for scoring"),
     ] = None,
-    world: Annotated[
-        str, typer.Option("--world", metavar="WORLD", help="emulator (the fake controller) or mujoco (arms in MuJoCo)")
-    ] = "emulator",
+    world: Annotated[str, typer.Option("--world", metavar="WORLD", help="emulator or mujoco")] = "emulator",
     out: Annotated[
-        Path | None, typer.Option("-o", "--out", metavar="DIR", help="folder of the results; blind_check if absent")
+        Path | None, typer.Option("-o", "--out", metavar="DIR", help="folder of the results; default blind_check")
     ] = None,
     export: Annotated[
-        Path | None, typer.Option("--export", metavar="DIR", help="only write the runs, for any tool; needs --key")
+        Path | None, typer.Option("--export", metavar="DIR", help="only write the runs, for another tool; needs --key")
     ] = None,
-    key: Annotated[Path | None, typer.Option("--key", metavar="KEY.json", help="key to write, outside DIR")] = None,
+    key: Annotated[Path | None, typer.Option("--key", metavar="KEY.json", help="answer key, outside DIR")] = None,
     score: Annotated[
-        Path | None, typer.Option("--score", metavar="KEY.json", help="only judge answers by this key")
+        Path | None, typer.Option("--score", metavar="KEY.json", help="only score answers against this key")
     ] = None,
     scheduler: opt.Scheduler = None,
     workers: opt.Workers = None,
     as_json: opt.AsJson = False,
     messages: opt.Messages = None,
 ) -> None:
-    """Simulated runs with a withheld effect, diagnosed without the key, then scored; also for other tools."""
+    """Score the diagnosis, or another tool, on simulated robots with a hidden effect."""
     from agent.blind_check import BlindCheck, export_runs, score_answers, summary_of, world_of
 
     console = opt.console_for(messages)
@@ -314,9 +310,9 @@ def blind_check(
     opt.print_found(as_json, scores, summary_of(scores))
 
 
-@app.command()
+@app.command(rich_help_panel=opt.TOOLS, epilog="Example: agent trajectories --json")
 def trajectories(as_json: opt.AsJson = False) -> None:
-    """Stored loops, by robot, tool, sub-region and checksum."""
+    """List the stored calibration motions by robot, tool, sub-region and checksum."""
     from agent.core import print_json
     from agent.runs import stored_loops
 
@@ -333,34 +329,37 @@ def trajectories(as_json: opt.AsJson = False) -> None:
         print("no stored loops yet: `agent plan` and `agent calibrate` keep what they find", file=sys.stderr)
 
 
-@app.command("import")
+@app.command("import", rich_help_panel=opt.DATA, epilog="Example: agent import --robot ur5e --map m.yaml a.csv b.mcap")
 def import_(
     files: Annotated[list[Path], typer.Argument(metavar="IN... OUT.mcap", help="tables, then the log to write")],
     robot: opt.RobotOption,
-    mapping: Annotated[Path | None, typer.Option("--map", metavar="MAP.yaml", help="which column is what")] = None,
+    mapping: Annotated[Path | None, typer.Option("--map", metavar="MAP.yaml", help="meaning of each column")] = None,
     preset: Annotated[
-        str | None, typer.Option("--preset", metavar="NAME", help="columns of a recorder: ur-rtde or ur-record")
+        str | None, typer.Option("--preset", metavar="NAME", help="columns of a known recorder: ur-rtde or ur-record")
     ] = None,
     messages: opt.Messages = None,
 ) -> None:
-    """Turn columns of CSV, Excel, MAT, HDF5, NumPy or Parquet files into a log."""
+    """Convert CSV, Excel, MAT, HDF5, NumPy or Parquet files to a log."""
     from agent.pipeline import import_files
 
     if len(files) < 2:
         raise InputError("import: name at least one table and the log to write: agent import … IN OUT.mcap")
     columns = preset if mapping is None else mapping
     if columns is None or (mapping is not None and preset is not None):
-        raise InputError("import: say which column is what with either --map MAP.yaml or --preset NAME")
+        raise InputError("import: describe the columns with either --map MAP.yaml or --preset NAME")
     for note in import_files(robot, columns, files[:-1], files[-1]):
         opt.console_for(messages).say(note)
     print(files[-1])
 
 
-@app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": []})
+@app.command(
+    rich_help_panel=opt.TOOLS,
+    context_settings={"allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": []},
+)
 def emulator(context: typer.Context) -> None:
-    """Start the fake controller as a process of its own (`agent emulator --help` for its options)."""
+    """Start an emulated controller. `agent emulator --help` lists its options."""
     os.execv(sys.executable, [sys.executable, "-m", "fake_controller", *context.args])
 
 
 app.registered_commands += shop_floor.app.registered_commands
-app.add_typer(fleet.app, name="fleet")
+app.add_typer(fleet.app, name="fleet", rich_help_panel=opt.FLEET)

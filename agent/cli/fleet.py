@@ -15,25 +15,25 @@ if TYPE_CHECKING:
     from agent.core import DaskEngine
     from agent.fleet import Summary
 
-app = typer.Typer(no_args_is_help=True, help="The same over many robots, on local cores or a Dask scheduler.")
+app = typer.Typer(no_args_is_help=True, help="Work on many robots, on local cores or a Dask cluster.")
 
 Source = Annotated[str, typer.Argument(metavar="SOURCE", help="folder or URL (s3://…) of folders with logs")]
 Out = Annotated[str, typer.Option("-o", "--out", metavar="RESULT", help="folder or URL of the result")]
 Robot = Annotated[
     str | None,
-    typer.Option("--robot", metavar="R", help="of all: built-in robot or robot.yaml; else the one in or above a run"),
+    typer.Option("--robot", metavar="R", help="one robot for all; default: robot.yaml in or above each run"),
 ]
-Memory = Annotated[str | None, typer.Option("--memory", metavar="SIZE", help="limit of a local process, as in 2GiB")]
+Memory = Annotated[str | None, typer.Option("--memory", metavar="SIZE", help="memory of a local process, such as 2GiB")]
 ModelName = Annotated[
-    str | None, typer.Option("--model", metavar="MODEL", help="of all: a file; or its name in or above every run")
+    str | None, typer.Option("--model", metavar="MODEL", help="model file for all, or its name in or above each run")
 ]
 Columns = Annotated[
     list[Path] | None,
-    typer.Option("--columns", metavar="TABLE", help="CSV or Parquet with a column robot: cell, batch, and the like"),
+    typer.Option("--columns", metavar="TABLE", help="CSV or Parquet with column robot and more: cell, batch"),
 ]
 
 
-@app.command()
+@app.command(epilog="Example: agent fleet estimate logs -o estimates")
 def estimate(
     source: Source,
     out: Out,
@@ -49,13 +49,13 @@ def estimate(
     as_json: opt.AsJson = False,
     messages: opt.Messages = None,
 ) -> None:
-    """`agent estimate` for every run of every robot: a row and a model each. Only what is new is done."""
+    """Estimate a model for each run of each robot. Skips runs that are done."""
     asked = {"cutoff": cutoff, "method": method, "structure": structure, "allow_mixed": allow_mixed, "force": force}
     work = _up_to_date(scheduler, workers, memory, messages)
     opt.print_found(as_json, work("estimate", source, out, robot, None, **asked))
 
 
-@app.command()
+@app.command(epilog="Example: agent fleet validate logs -o errors")
 def validate(
     source: Source,
     out: Out,
@@ -68,12 +68,12 @@ def validate(
     as_json: opt.AsJson = False,
     messages: opt.Messages = None,
 ) -> None:
-    """`agent validate` for every run of every robot."""
+    """Validate a model on each run of each robot."""
     work = _up_to_date(scheduler, workers, memory, messages)
     opt.print_found(as_json, work("validate", source, out, None, model, cutoff=cutoff, allow_mixed=allow_mixed))
 
 
-@app.command()
+@app.command(epilog="Example: agent fleet diagnose logs -o diagnoses")
 def diagnose(
     source: Source,
     out: Out,
@@ -89,7 +89,7 @@ def diagnose(
     as_json: opt.AsJson = False,
     messages: opt.Messages = None,
 ) -> None:
-    """`agent diagnose` for every run of every robot."""
+    """Diagnose each run of each robot."""
     asked = {"cutoff": cutoff, "without": tuple(without or ()), "allow_mixed": allow_mixed, "force": force}
     work = _up_to_date(scheduler, workers, memory, messages)
     opt.print_found(as_json, work("diagnose", source, out, robot, model, **asked))
@@ -113,32 +113,30 @@ def _up_to_date(
     return work
 
 
-@app.command()
+@app.command(epilog="Example: agent fleet simulate -n 20 --weeks 10 -o logs")
 def simulate(
-    machines: Annotated[int, typer.Option("-n", "--machines", metavar="N", min=1, help="robots of the fleet")],
-    out: Annotated[str, typer.Option("-o", "--out", metavar="FOLDER", help="new folder or URL to write to")],
-    weeks: Annotated[int, typer.Option("--weeks", metavar="W", min=1, help="runs of each robot, a week apart")] = 1,
+    machines: Annotated[int, typer.Option("-n", "--machines", metavar="N", min=1, help="number of robots")],
+    out: Annotated[str, typer.Option("-o", "--out", metavar="FOLDER", help="new folder or URL")],
+    weeks: Annotated[int, typer.Option("--weeks", metavar="W", min=1, help="runs of each robot, one per week")] = 1,
     seed: opt.Seed = 1,
-    robot: Annotated[
-        str, typer.Option("--robot", metavar="R", help="built-in robot or robot.yaml of all of them")
-    ] = "comau_ns16",
-    rows: Annotated[bool, typer.Option("--rows", help="no logs: the result of `fleet estimate` at once")] = False,
+    robot: Annotated[str, typer.Option("--robot", metavar="R", help="built-in robot or robot.yaml")] = "comau_ns16",
+    rows: Annotated[bool, typer.Option("--rows", help="write no logs, only the result of `fleet estimate`")] = False,
 ) -> None:
-    """A synthetic fleet with known wear, steps and causes (truth.csv), to try things out. Prints what it wrote."""
+    """Simulate a fleet with known wear, steps and causes (truth.csv). Prints what it wrote."""
     from agent.fleet import simulate_fleet
 
     for written in simulate_fleet(robot, machines, weeks, seed, out, rows):
         print(written)
 
 
-@app.command()
+@app.command(epilog="Example: agent fleet trends estimates")
 def trends(
     source: Annotated[
         str, typer.Argument(metavar="SOURCE", help="result of a fleet, or folder or URL of folders with logs")
     ],
     out: Annotated[
         str | None,
-        typer.Option("-o", "--out", metavar="RESULT", help="folder or URL for the trends as Parquet, a row an axle"),
+        typer.Option("-o", "--out", metavar="RESULT", help="folder or URL for the trends as Parquet"),
     ] = None,
     columns: Columns = None,
     robot: Robot = None,
@@ -148,7 +146,7 @@ def trends(
     as_json: opt.AsJson = False,
     messages: opt.Messages = None,
 ) -> None:
-    """What drifts or has stepped in a fleet, at a controlled rate of false discoveries; families that share a cause."""
+    """Find drifts and steps in a fleet, and groups of robots that share a cause."""
     from agent.fleet import fleet_trends, is_result, write_trends
 
     result = source
@@ -163,7 +161,7 @@ def trends(
     opt.print_found(as_json, found)
 
 
-@app.command()
+@app.command(epilog="Example: agent fleet report estimates")
 def report(
     result: Annotated[str, typer.Argument(metavar="RESULT", help="result of a fleet")],
     columns: Columns = None,
@@ -171,7 +169,7 @@ def report(
         str | None, typer.Option("-o", "--out", metavar="OUT.html", help="page to write; RESULT/_report.html if absent")
     ] = None,
 ) -> None:
-    """One HTML page over a fleet: which machines need a look and why, all by joints, families. Prints its path."""
+    """Write an HTML page of the fleet: which machines need attention, and why. Prints its path."""
     from agent.fleet import write_page
 
     print(write_page(result, columns or (), out))

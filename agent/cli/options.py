@@ -8,65 +8,87 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from typer.core import TyperCommand, TyperOption
 
+#: Groups of commands in the help, in this order.
+CALIBRATE, DIAGNOSE, DATA, TOOLS, FLEET = "Calibrate", "Diagnose", "Data and models", "Tools", "Fleet"
+
+
+class Diagnose(TyperCommand):
+    """Help on one screen: the other options are hidden until `--help-all` asks for them."""
+
+    first = ("robot", "model", "record", "report", "out", "next_recipe", "drives_off", "until_sure", "as_json", "yes")
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        """Show the first options only."""
+        for option in self.params:
+            if isinstance(option, TyperOption):
+                option.hidden = option.name not in (*self.first, "help_all")
+        super().format_help(ctx, formatter)
+
+
+def _print_all_help(context: typer.Context, wanted: bool) -> None:
+    if wanted:
+        command: Any = context.command
+        TyperCommand.format_help(command, context, context.make_formatter())
+        raise typer.Exit
+
+
+HelpAll = Annotated[bool, typer.Option("--help-all", help="show all options", callback=_print_all_help, is_eager=True)]
 RecipePath = Annotated[Path, typer.Argument(metavar="RECIPE", help="recipe file (YAML)")]
 Messages = Annotated[
     bool | None,
-    typer.Option("-v/-q", "--verbose/--quiet", help="more messages / warnings and the result only", show_default=False),
+    typer.Option("-v/-q", "--verbose/--quiet", help="more messages / only warnings and the result", show_default=False),
 ]
 Yes = Annotated[bool, typer.Option("--yes", help="the cell is clear: move without asking")]
 AsJson = Annotated[bool, typer.Option("--json", help="one JSON object on stdout")]
 RobotOption = Annotated[str, typer.Option("--robot", metavar="R", help="built-in robot, robot.yaml, URDF or MJCF")]
-Cutoff = Annotated[float | None, typer.Option("--cutoff", metavar="HZ", help="cut-off of the torque filter")]
+Cutoff = Annotated[float | None, typer.Option("--cutoff", metavar="HZ", help="cut-off frequency of the torque filter")]
 Topic = Annotated[
-    str | None, typer.Option("--topic", metavar="T", help="of the arm's JointState messages, where a log has several")
+    str | None, typer.Option("--topic", metavar="T", help="topic of the arm's joint states, if a log has several")
 ]
-RunsFolder = Annotated[Path, typer.Option("--logs", metavar="DIR", help="where runs are kept")]
+RunsFolder = Annotated[Path, typer.Option("--logs", metavar="DIR", help="folder of the runs")]
 AnyRobot = Annotated[str | None, typer.Option("--robot", metavar="R", help="built-in robot, robot.yaml, URDF or MJCF")]
 _DRIVES = "built-in robot, or robot.yaml"
 DescribedRobot = Annotated[str, typer.Option("--robot", metavar="R", help=_DRIVES)]
 AnyDescribedRobot = Annotated[str | None, typer.Option("--robot", metavar="R", help=_DRIVES)]
-Serial = Annotated[str | None, typer.Option("--serial", metavar="S", help="serial of one machine")]
+Serial = Annotated[str | None, typer.Option("--serial", metavar="S", help="serial number of the machine")]
 Authorised = Annotated[
-    Path | None, typer.Option("--authorisation", metavar="FILE", help="a person's word that allows unattended motion")
+    Path | None, typer.Option("--authorisation", metavar="FILE", help="file that permits unattended motion")
 ]
-AllowMixed = Annotated[bool, typer.Option("--allow-mixed", help="logs may be of several machines or tools")]
-Force = Annotated[bool, typer.Option("--force", help="go on although a log is implausible")]
-Method = Annotated[str | None, typer.Option("--method", help="estimator; chosen on held-out data if absent")]
-Structure = Annotated[
-    str, typer.Option(help="rigid, or auto: also springs, hoses and the like that these logs clearly show")
-]
-Without = Annotated[
-    list[str] | None, typer.Option("--without", metavar="EFFECT", help="leave an effect out of the catalogue")
-]
-Seed = Annotated[int, typer.Option("--seed", metavar="S", min=0, help="of everything that is drawn")]
-Page = Annotated[Path | None, typer.Option("--report", metavar="OUT.html", help="page to write")]
-RunName = Annotated[str | None, typer.Argument(metavar="[RUN]", help="run folder, or its name")]
+AllowMixed = Annotated[bool, typer.Option("--allow-mixed", help="accept logs of several machines or tools")]
+Force = Annotated[bool, typer.Option("--force", help="continue although a log is implausible")]
+Method = Annotated[str | None, typer.Option("--method", help="estimator; by default the best on held-out data")]
+Structure = Annotated[str, typer.Option(help="rigid, or auto: add springs, hoses and other effects that the logs show")]
+Without = Annotated[list[str] | None, typer.Option("--without", metavar="EFFECT", help="ignore this effect")]
+Seed = Annotated[int, typer.Option("--seed", metavar="S", min=0, help="seed of all random draws")]
+Page = Annotated[Path | None, typer.Option("--report", metavar="OUT.html", help="HTML page to write")]
+RunName = Annotated[str | None, typer.Argument(metavar="RUN", help="run folder, or its name")]
 ModelFile = Annotated[Path, typer.Option("--model", metavar="MODEL", help="model file")]
 Logs = Annotated[list[Path], typer.Argument(metavar="LOG...", help="MCAP logs")]
 NextRecipe = Annotated[
     Path | None,
-    typer.Option("--next", metavar="RECIPE", help="plan the motion in its sub-region that tells what is open"),
+    typer.Option("--next", metavar="RECIPE", help="plan the motion that settles what is open"),
 ]
 KnownLoad = Annotated[
     str | None,
-    typer.Option("--payload", metavar="LOAD", help="known mass at the flange: 'MASS, X, Y, Z' of its centre"),
+    typer.Option("--payload", metavar="LOAD", help="known mass at the flange: 'MASS, X, Y, Z' with its centre"),
 ]
 DrivesOff = Annotated[
     Path | None,
-    typer.Option("--drives-off", metavar="LOG", help="the arm at rest on its brakes: tells an offset from friction"),
+    typer.Option("--drives-off", metavar="LOG", help="stationary arm on its brakes: shows a torque offset"),
 ]
-UntilSure = Annotated[bool, typer.Option("--until-sure", help="with --record: further motions until it is settled")]
+UntilSure = Annotated[bool, typer.Option("--until-sure", help="with --record: more motions until the cause is clear")]
 Budget = Annotated[
-    str | None, typer.Option("--budget", metavar="TIME", help="of motion for --until-sure; 10 min if absent")
+    str | None, typer.Option("--budget", metavar="TIME", help="longest motion time of --until-sure; default 10 min")
 ]
 PlanningBudget = Annotated[
-    str, typer.Option("--planning-budget", metavar="TIME", help="for planning a further motion, after the verdict")
+    str, typer.Option("--planning-budget", metavar="TIME", help="time for planning the next motion")
 ]
 Scheduler = Annotated[
-    str | None, typer.Option("--scheduler", metavar="ADDRESS", help="of a Dask cluster, tcp://…; else this machine")
+    str | None, typer.Option("--scheduler", metavar="ADDRESS", help="Dask scheduler, tcp://…; default: local")
 ]
-Workers = Annotated[int | None, typer.Option("--workers", metavar="N", min=1, help="local processes; one a core")]
+Workers = Annotated[int | None, typer.Option("--workers", metavar="N", min=1, help="local processes; one per core")]
 
 
 def engine_for(scheduler: str | None, workers: int | None, console: Any) -> Any:

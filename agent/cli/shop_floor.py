@@ -14,7 +14,7 @@ from agent.core import InputError
 app = typer.Typer()
 
 
-@app.command()
+@app.command(rich_help_panel=opt.CALIBRATE, epilog="Example: agent recalibrate cell.yaml")
 def recalibrate(
     recipe: opt.RecipePath,
     logs: opt.RunsFolder = Path("logs"),
@@ -23,7 +23,7 @@ def recalibrate(
     as_json: opt.AsJson = False,
     messages: opt.Messages = None,
 ) -> None:
-    """For cron and timers: run the stored loop again, re-estimate, judge, and keep what is accepted. No search."""
+    """Repeat the stored motion, re-estimate the friction and keep an accepted result. For cron and timers."""
     from agent.core import print_json, print_path
     from agent.pipeline import run_recalibration
     from agent.recipe import load_recipe
@@ -43,7 +43,7 @@ def recalibrate(
     raise typer.Exit(0 if outcome.accepted else 3)
 
 
-@app.command()
+@app.command(rich_help_panel=opt.CALIBRATE, epilog="Example: agent schedule cell.yaml --at 02:30 --install")
 def schedule(
     recipe: opt.RecipePath,
     logs: opt.RunsFolder = Path("logs"),
@@ -51,7 +51,7 @@ def schedule(
     authorisation: opt.Authorised = None,
     install: Annotated[bool, typer.Option("--install", help="write the systemd units of this user")] = False,
 ) -> None:
-    """Print (or install) a systemd service and timer, and a crontab line, that recalibrate by the clock."""
+    """Print or install a timer (systemd or cron) that recalibrates."""
     from agent.pipeline import install as write_units, make_schedule, next_steps
     from agent.recipe import load_recipe
     from agent.safety import load_authorisation
@@ -69,14 +69,14 @@ def schedule(
     print(next_steps(made), file=sys.stderr)
 
 
-@app.command()
+@app.command(rich_help_panel=opt.DIAGNOSE, epilog="Example: agent history --robot comau_ns16")
 def history(
     logs: opt.RunsFolder = Path("logs"),
-    robot: Annotated[str | None, typer.Option("--robot", metavar="R", help="runs of this robot only")] = None,
+    robot: Annotated[str | None, typer.Option("--robot", metavar="R", help="only runs of this robot")] = None,
     serial: opt.Serial = None,
     as_json: opt.AsJson = False,
 ) -> None:
-    """Past runs: what they found, and what the gate said."""
+    """List past runs: result, errors and drift."""
     from agent.runs import History, current_runs, history_json, history_table
 
     past = History(logs)
@@ -99,15 +99,15 @@ def history(
         print(nothing, file=sys.stderr)
 
 
-@app.command()
+@app.command(rich_help_panel=opt.DIAGNOSE, epilog="Example: agent compare logs/*_comau_ns16 --report page.html")
 def compare(
-    runs: Annotated[list[str], typer.Argument(metavar="RUN RUN...", help="run folders, or their names")],
+    runs: Annotated[list[str], typer.Argument(metavar="RUN RUN", help="run folders, or their names")],
     logs: opt.RunsFolder = Path("logs"),
     report: opt.Page = None,
     as_json: opt.AsJson = False,
     messages: opt.Messages = None,
 ) -> None:
-    """Which parameters moved from the first run to the others by more than their uncertainty, and what that does."""
+    """Show which parameters changed between runs by more than their uncertainty."""
     from agent.core import print_json
     from agent.pipeline import compare_runs
     from agent.runs import find_run
@@ -122,23 +122,23 @@ def compare(
         print("\n\n".join(comparison.text() for comparison in found))
 
 
-@app.command()
+@app.command(rich_help_panel=opt.DIAGNOSE, epilog="Example: agent report --index --open")
 def report(
     run: opt.RunName = None,
-    index: Annotated[bool, typer.Option("--index", help="a page over all runs, with the trends")] = False,
+    index: Annotated[bool, typer.Option("--index", help="the page of all runs, with trends")] = False,
     logs: opt.RunsFolder = Path("logs"),
-    robot: Annotated[str | None, typer.Option("--robot", metavar="R", help="with --index: of this robot only")] = None,
+    robot: Annotated[str | None, typer.Option("--robot", metavar="R", help="with --index: only this robot")] = None,
     serial: opt.Serial = None,
-    show: Annotated[bool, typer.Option("--open", help="open it in the browser")] = False,
+    show: Annotated[bool, typer.Option("--open", help="open the page in the browser")] = False,
     messages: opt.Messages = None,
 ) -> None:
-    """Make the HTML page of a run again, or the page over all runs. Prints its path."""
+    """Write the HTML page of a run, or of all runs. Prints its path."""
     from agent.core import print_path
     from agent.pipeline import rebuild_report, write_index
     from agent.runs import find_run
 
     if (run is None) == (not index):
-        raise InputError("report: name a run, or give --index for the page over all of them")
+        raise InputError("report: name a run, or give --index for the page of all runs")
     if run is None:
         page = write_index(logs, robot, serial)
     else:
@@ -150,20 +150,17 @@ def report(
         webbrowser.open(page.resolve().as_uri())
 
 
-@app.command()
+@app.command(rich_help_panel=opt.DATA, epilog="Example: agent export model.json -o exported")
 def export(
     model: Annotated[Path, typer.Argument(metavar="MODEL", help="model file")],
     out: Annotated[Path | None, typer.Option("-o", "--out", metavar="DIR", help="folder to write to")] = None,
-    table: Annotated[bool, typer.Option("--csv", help="the table of parameters alone; of any model")] = False,
+    table: Annotated[bool, typer.Option("--csv", help="only the table of parameters")] = False,
     load: Annotated[
         str | None,
         typer.Option("--load", metavar="VENDOR", help="print the identified load for ur, abb, kuka, franka or comau"),
     ] = None,
 ) -> None:
-    """Write a model for other programs: URDF, MuJoCo model, SDF, friction, CSV, Foxglove layout. Prints the paths.
-
-    With --load, print the identified load in the words of a robot vendor instead.
-    """
+    """Write a model as URDF, MuJoCo model, SDF, CSV and Foxglove layout, or print the load for a robot vendor."""
     from agent.model import IdentifiedModel, possible_model
     from agent.simulators import export_model, export_table, identified_load, load_text
 
@@ -189,7 +186,7 @@ def export(
         print(path)
 
 
-@app.command("learn-interpolator")
+@app.command(rich_help_panel=opt.TOOLS, epilog="Example: agent learn-interpolator --robot arm.yaml -o law.yaml a.mcap")
 def learn_interpolator(
     logs: opt.Logs,
     robot: opt.DescribedRobot,
@@ -197,31 +194,31 @@ def learn_interpolator(
     as_json: opt.AsJson = False,
     messages: opt.Messages = None,
 ) -> None:
-    """The controller's interpolation law from recorded set-points, for `search.interpolator` of a recipe."""
+    """Learn the controller's interpolation from recorded set-points, for `search.interpolator` of a recipe."""
     from agent.pipeline import learn_files
 
     learned = learn_files(robot, logs, out, opt.console_for(messages))
     opt.print_found(as_json, learned)
 
 
-@app.command()
+@app.command(rich_help_panel=opt.CALIBRATE, epilog="Example: agent apply 20260101T020000Z_comau_ns16")
 def apply(
     run: opt.RunName = None,
-    previous: Annotated[bool, typer.Option("--previous", help="back to the model before")] = False,
+    previous: Annotated[bool, typer.Option("--previous", help="go back to the model before")] = False,
     logs: opt.RunsFolder = Path("logs"),
-    robot: Annotated[str | None, typer.Option("--robot", metavar="R", help="with --previous: of this robot")] = None,
+    robot: Annotated[str | None, typer.Option("--robot", metavar="R", help="with --previous: only this robot")] = None,
     serial: opt.Serial = None,
     as_json: opt.AsJson = False,
 ) -> None:
-    """Make a run's model the robot's current one. Writes to no controller."""
+    """Make a run's model the robot's current model. Changes nothing on the controller."""
     from agent.core import print_json
     from agent.runs import apply_previous, apply_run, find_run
 
     if (run is None) == (not previous):
-        raise InputError("apply: name the run whose model shall be current, or give --previous")
+        raise InputError("apply: name the run whose model becomes current, or give --previous")
     applied = apply_previous(logs, robot, serial) if run is None else apply_run(logs, find_run(logs, run))
     if as_json:
         print_json(applied.to_dict())
     else:
-        print(f"{applied.robot} {applied.serial}: the current model is that of {applied.run}", file=sys.stderr)
+        print(f"{applied.robot} {applied.serial}: the current model is now that of run {applied.run}", file=sys.stderr)
         print(applied.model)

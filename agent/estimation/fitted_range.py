@@ -70,7 +70,4 @@ def beyond_fit(model: IdentifiedModel, motions: Sequence[tuple[np.ndarray, np.nd
             f"{highest[k]:.3g}"
         ),
     ):
-        yield (
-            f"these logs go where the model was never fitted ({said}): it is a local one, and what depends on the "
-            "posture is unknown to it there"
-        )
+        yield f"these logs go where the model was never fitted ({said}): treat results there with care"

@@ -79,7 +79,7 @@ def check_recipe(path: Path, console: Console) -> Findings:
     if not_judged := not_judged_text(recipe.robot, recipe.gate.normalised_rmse):
         findings.append(CheckedItem("gate", not_judged))
     for subject, look in looks:
-        console.step(f"looking at {subject}")
+        console.step(f"checking {subject}")
         try:
             findings.append(CheckedItem(subject, look(recipe, console)))
         except Exception as error:
@@ -97,7 +97,7 @@ def _reach(recipe: Recipe, _: Console) -> str:
     missed = check_sub_region(loop_problem(recipe, recipe.motion.speed))
     if not missed:
         return "all corners and orientations asked can be reached"
-    return f"{len(missed)} places are out of reach and a search goes around them, the first: {missed[0]}"
+    return f"{len(missed)} poses are out of reach and the search avoids them; the first: {missed[0]}"
 
 
 def _feasible(recipe: Recipe, speed: float, seed: int, console: Console) -> str:

@@ -33,9 +33,9 @@ def check_simulator_out(model: Path | None, out: Path, inputs: Sequence[Path]) -
     given = None if model is None else _FORMATS.get(model.suffix.lower())
     if given != wanted:
         raise InputError(
-            f"{out}: {wanted} is written where --model is one, corrected in place; here it is "
-            f"{given or ('none' if model is None else 'a model file')}: write a model file (-o model.json), from which "
-            "agent export makes both"
+            f"{out}: to write {wanted}, --model has to be one too; here it is "
+            f"{given or ('none' if model is None else 'a model file')}. Write a model file (-o model.json) and "
+            "convert it with agent export"
         )
     for path in (*written_files(out), _ranges_file(out)):
         check_output(path, inputs)

@@ -124,13 +124,13 @@ def diagnose_recording(
                 )  # fmt: skip
                 paths += rounds.logs
                 if rounds.cut_short is not None:
-                    more = rounds.uncounted and f"; {rounds.uncounted.name} is recorded, and is not counted"
-                    console.say(f"the motions until then say: {rounds.said}{more or ''}")
+                    more = rounds.uncounted and f"; {rounds.uncounted.name} is recorded but not counted"
+                    console.say(f"result of the earlier motions: {rounds.said}{more or ''}")
                     try:
                         answer()
-                        console.say(f"all that they say is in {run.path}")
+                        console.say(f"the full result is in {run.path}")
                     except AgentError as error:  # what cut the round short may be what forbids to write
-                        console.warn(f"it could not be kept: {error}")
+                        console.warn(f"the result could not be saved: {error}")
                     raise rounds.cut_short
         with step(run, "diagnose", console):
             result = answer()
@@ -222,8 +222,8 @@ def _plan(
             tell()
     except BaseException as error:
         planned = (result["next_experiment"] or {}).get("program")
-        left = "whether a known mass would tell more" if planned else "what to run next"
-        result["warnings"] = [*result["warnings"], f"{left} was not found out: {words_of(error)}"]
+        left = "the motion with a known mass" if planned else "the next motion"
+        result["warnings"] = [*result["warnings"], f"{left} was not planned: {words_of(error)}"]
         tell()
         raise
 
@@ -244,7 +244,7 @@ def _next(found: Diagnosis, question: GapQuestion, console: Console) -> Iterator
     motion = plan_next(found, recipe, console, load=load, deadline=deadline)
     if isinstance(motion, NoMotion):
         if not motion.separates:
-            console.warn(f"{motion.text}, and nothing is written to {question.out}")
+            console.warn(f"{motion.text}; nothing is written to {question.out}")
         yield motion.to_dict()
         return
     yield (planned := write_next(motion, question.out))
@@ -262,11 +262,11 @@ def _find(robot: RobotDescription | None, paths: Sequence[Path], question: GapQu
         robot = reference.robot  # of the file, with the drives of the description
     if robot is not None and reference is not None and robot.name != reference.robot.name:
         console.warn(
-            f"{question.model} is a model of {reference.robot.name}, and --robot names {robot.name}, whose nominal "
-            "torques errors are shares of: leave --robot out, or name a model of that arm"
+            f"{question.model} is a model of {reference.robot.name}, but --robot names {robot.name}, whose "
+            "nominal torques scale the errors: leave --robot out, or name a model of that arm"
         )
     if robot is None:
-        raise InputError("diagnose: name the robot (--robot R), or a model that says what the arm is (--model MODEL)")
+        raise InputError("diagnose: name the robot (--robot R), or a model that describes the arm (--model MODEL)")
     if question.next_recipe is not None:
         from agent.pipeline.next_checks import check_arm
         from agent.recipe import load_recipe
@@ -286,15 +286,15 @@ def _find(robot: RobotDescription | None, paths: Sequence[Path], question: GapQu
         simulator, logs, said = with_servo_torque(simulator, logs)
     if not said:
         check_plausible(robot, logs, question.force, console, described=described, model=reference)
-    console.step("searching for what model and robot disagree in")
+    console.step("comparing model and robot")
     found = diagnose(robot, logs, reference, question.cutoff, question.without, console.progress, drives_off=at_rest)
     found = replace(found, answer=replace(found.answer, warnings=(*said, *found.answer.warnings)))
     say_used(logs, found.dataset.cutoff, found.dataset.model.order, console)
-    console.step("simulating with and without it")
+    console.step("simulating with and without the effects")
     try:
         return found, simulate(found), simulator
     except (AgentError, ArithmeticError, ValueError) as error:  # that the verdict needs nothing of
-        unsimulated = f"the forward simulation failed, the verdict does not depend on it: {error}"
+        unsimulated = f"the forward simulation failed; the verdict does not depend on it: {error}"
         answer = replace(found.answer, warnings=(*found.answer.warnings, unsimulated))
         return replace(found, answer=answer), [], simulator
 
@@ -348,10 +348,10 @@ def _write_model(found: Diagnosis, out: Path, console: Console) -> None:
     model = extended_model(found)
     left_out = [c["effect"] for c in found.result["causes"] if c["effect"] not in {e.effect for e in model.effects}]
     for name in left_out:
-        why = "it happens once" if CATALOGUE[name].once else "it is in the set-points only"
+        why = "it happened once" if CATALOGUE[name].once else "it is in the set-points only"
         console.warn(f"{out}: {name} is left out of the model: {why}")
     if not found.finding.causes:
-        console.warn(f"{out}: no effect was found, so nothing is added to the model")
+        console.warn(f"{out}: no effect was found, so the model is unchanged")
     if len(model.effects) == len(found.dataset.model.effects):
         model = found.dataset.model
     model.save(out)

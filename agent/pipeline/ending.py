@@ -28,7 +28,7 @@ def ending(run: RunFolder, recipe: Recipe) -> dict[str, Any]:
     current = current_run(run.path.parent, run.state["robot"], run.state["serial"])
     kind, accepted = run.state["kind"], run.state["status"] == "finished"
     steps = next_steps(kind, accepted, run.path, recipe, recipe.path, current)
-    return {"current_model": current, "next": "; ".join(f"{command} {what}" for command, what in steps)}
+    return {"current_model": current, "next": "; ".join(f"{what} {command}" for command, what in steps)}
 
 
 def ending_text(run: RunFolder, recipe: Recipe) -> str:
@@ -38,10 +38,10 @@ def ending_text(run: RunFolder, recipe: Recipe) -> str:
 
 
 def whose(current: str | None, run: str) -> str:
-    """The current model in words, beside one run."""
+    """The current model in words, seen from one run."""
     if current is None:
         return "none yet: no accepted run of this robot"
-    return "that of this run" if current == run else f"that of {current}, not of this run"
+    return "this run" if current == run else f"unchanged (run {current})"
 
 
 def next_steps(
@@ -56,23 +56,23 @@ def next_steps(
     name, job = run.name, shlex.quote(str(path))
     if kind != "diagnose" and accepted and current == name:
         return [
-            (f"agent recalibrate {job}{where}", "when it is due"),
-            (f"agent schedule {job}{where}", "sets up a timer"),
+            (f"agent recalibrate {job}{where}", "when it is due:"),
+            (f"agent schedule {job}{where}", "to repeat this automatically:"),
         ]
     apply = f"agent apply {name}{where}"
     if kind != "diagnose" and accepted and current is None:
-        return [(apply, "makes this model the current one")]
+        return [(apply, "to make this model the current one:")]
     if kind != "diagnose" and accepted:
         compare = f"agent compare {current} {name}{where}"
-        return [(compare, "says what changed"), (apply, "makes this model the current one")]
+        return [(compare, "to see what changed:"), (apply, "to make this model the current one:")]
     calibrate = f"agent calibrate {job}{where}"
     if kind == "calibrate":
         folder = shlex.quote(str(run))
         logs_of = f"--model {folder}/model.json {folder}/validation_*.mcap"
-        return [(f"agent diagnose --robot {shlex.quote(recipe.robot_source)} {logs_of}", "says why")]
+        return [(f"agent diagnose --robot {shlex.quote(recipe.robot_source)} {logs_of}", "to find the reason:")]
     if kind == "recalibrate":
-        return [(calibrate, "after what the report names is mended")]
-    return [(f"agent history{where}", "lists what was found before"), (calibrate, "after a repair")]
+        return [(calibrate, "after fixing what the report names:")]
+    return [(f"agent history{where}", "to list earlier results:"), (calibrate, "after a repair:")]
 
 
 def going_on(run: RunFolder, step: str, error: BaseException) -> str:
@@ -91,12 +91,12 @@ def going_on(run: RunFolder, step: str, error: BaseException) -> str:
     words += run.state.get("options", [])
     refused = isinstance(error, InputError | MismatchError) and run.finished("plan") is None
     if kind == "calibrate" and not refused:
-        again = f"go on with: {shlex.join([*words, '--resume', run.path.name])}"
+        again = f"continue with: {shlex.join([*words, '--resume', run.path.name])}"
     else:
         again = f"start again with: {shlex.join(words)}"
     if kind == "diagnose" and run.finished("record") is not None:
-        again = f"ask the same of them with: {shlex.join(_of_logs(run, motions))}; or {again}"
-    return f"stopped in the step {step!r}; what was finished is kept in {run.path}{kept}; {again}"
+        again = f"diagnose them with: {shlex.join(_of_logs(run, motions))}; or {again}"
+    return f"stopped in the step {step!r}; finished steps are in {run.path}{kept}; {again}"
 
 
 def _of_logs(run: RunFolder, motions: list[str]) -> list[str]:

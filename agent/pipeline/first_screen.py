@@ -17,8 +17,8 @@ from agent.report import About, NextStep
 #: Names for logs that are still to be recorded, in commands that are copied.
 _NEW_LOG, _BRAKES_LOG = "new.mcap", "brakes.mcap"
 _ASKED = {
-    "calibrate": "How well does a model of this arm, made from its own motion, predict its torque in the sub-region?",
-    "recalibrate": "Is the model still true, and if not, what changed?",
+    "calibrate": "How well does a model from the arm's own motion predict its torque in the sub-region?",
+    "recalibrate": "Is the model still true? If not, what changed?",
 }
 
 
@@ -66,7 +66,7 @@ def after_diagnosis(
     words = ["agent", "diagnose", *named, *asked.options()]
     again = shlex.join([*words, *map(str, logs)])
     if result["verdict"] == "no_gap":
-        return [NextStep("nothing to do: the model can stay as it is.")]
+        return [NextStep("nothing to do: keep the model.")]
     from agent.model import CATALOGUE, PAYLOAD
     from agent.simulators import is_simulator
 
@@ -76,7 +76,7 @@ def after_diagnosis(
         mass = experiment["with_a_mass"][PAYLOAD]
         folder = f"{question.out or 'next'}_with_a_mass"
         planned = [*words, "--next", str(recipe), "--payload", mass, "-o", folder, *map(str, logs)]
-        what = f"or, as it would tell more, mount {mass} at the flange, or what you have, and plan for that:"
+        what = f"or, for a clearer answer, mount {mass} (or the mass you have) at the flange and plan for it:"
         loaded = [NextStep(what, shlex.join(planned))]
     if question.next_recipe is not None and experiment.get("program"):
         program = Path(experiment["program"])
@@ -84,19 +84,19 @@ def after_diagnosis(
         first = f"mount {experiment[PAYLOAD]} at the flange, then " if mounted else ""
         record = ["agent", "record", str(question.next_recipe), "--program", str(program), *mounted]
         with_it = f"{again} {shlex.quote(str(program.with_suffix('.mcap')))}"
-        on_brakes = BRAKES in experiment["motion"] and ", and --drives-off LOG where it was recorded on its brakes"
+        on_brakes = BRAKES in experiment["motion"] and " and --drives-off LOG"
         return [
-            NextStep(f"{first}run the motion that was planned:", shlex.join(record)),
-            NextStep(f"ask again with its log added{on_brakes or ''}:", with_it),
+            NextStep(f"{first}run the planned motion:", shlex.join(record)),
+            NextStep(f"diagnose again with its log{on_brakes or ''}:", with_it),
             *loaded,
         ]
     if not result["causes"] or result["verdict"] == "ambiguous":
         if DRIVES_OFF in experiment.get("motion", "") and question.drives_off is None:
             again = shlex.join([*words, DRIVES_OFF, _BRAKES_LOG, *map(str, logs)])
-            return [NextStep(f"record a second with the drives off as {_BRAKES_LOG}, then ask again:", again), *loaded]
-        return [NextStep(f"record that as {_NEW_LOG}, then ask again:", f"{again} {_NEW_LOG}"), *loaded]
+            return [NextStep(f"record 1 s with the drives off as {_BRAKES_LOG}, then diagnose again:", again), *loaded]
+        return [NextStep(f"record it as {_NEW_LOG}, then diagnose again:", f"{again} {_NEW_LOG}"), *loaded]
     if all(CATALOGUE[cause["effect"]].once for cause in result["causes"]):
-        return [NextStep("record again where nothing touches the arm: this happened once and is no part of a model.")]
+        return [NextStep("record again with nothing touching the arm: a single event is not added to a model.")]
     if model is not None and is_simulator(model):
-        return [NextStep("take what was found into the simulator:", f"{again} -o fixed{model.suffix}")]
-    return [NextStep("take what was found into the model:", f"{again} -o model_with_effects.json")]
+        return [NextStep("correct the simulator:", f"{again} -o fixed{model.suffix}")]
+    return [NextStep("add the effect to the model:", f"{again} -o model_with_effects.json")]

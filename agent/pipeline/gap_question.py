@@ -72,15 +72,15 @@ class GapQuestion:
         check_effects(self.without)
         if self.drives_off is not None and self.drives_off.absolute() in [log.absolute() for log in logs]:
             raise InputError(
-                f"{self.drives_off}: is named both as a motion and with --drives-off; name a log of the arm at rest on "
-                "its brakes with that"
+                f"{self.drives_off}: is named both as a motion and with --drives-off; name a log of the "
+                "stationary arm with --drives-off"
             )
         inputs = [*logs, *(path for path in (self.model, self.joint_map, self.drives_off) if path)]
         if self.next_payload is not None:
             from agent.model import payload_of
 
             if self.next_recipe is None:
-                raise InputError("diagnose: --payload is of the motion that --next plans: name its recipe with --next")
+                raise InputError("diagnose: --payload belongs to the motion of --next: name its recipe with --next")
             payload_of(self.next_payload)
         if self.next_recipe is not None:
             from agent.pipeline.next_checks import check_next
@@ -91,6 +91,6 @@ class GapQuestion:
             if out is not None:
                 check_output(out, inputs)
         if self.report is not None and self.report in files[1:]:
-            raise InputError(f"{self.out}: is both the page and the model; name two files")
+            raise InputError(f"{self.out}: is both page and model; name two files")
         if self.out is not None and self.next_recipe is None:
             check_simulator_out(self.model, self.out, inputs)

@@ -87,8 +87,8 @@ def check_one_machine(logs: Sequence[Any], model: Any, allow_mixed: bool, payloa
     loaded = [log for log in logs if log.metadata.get(PAYLOAD)]
     if loaded and not payload_counts:
         raise InputError(
-            f"{loaded[0].name}: was recorded with a mass mounted on purpose ({loaded[0].metadata[PAYLOAD]}), which "
-            "agent diagnose alone takes into account; leave it out"
+            f"{loaded[0].name}: was recorded with a mass mounted on purpose ({loaded[0].metadata[PAYLOAD]}). Leave it "
+            "out: only agent diagnose takes the mass into account"
         )
     if allow_mixed:
         return
@@ -100,7 +100,7 @@ def check_one_machine(logs: Sequence[Any], model: Any, allow_mixed: bool, payloa
             listed = " and ".join(f"{value} ({where})" for value, where in sorted(found.items()))
             raise InputError(
                 f"the logs are not of one {'machine' if key == 'serial' else 'tool'}: {key} {listed}. "
-                "Name those of one, or mix them on purpose with --allow-mixed"
+                "Name the logs of one, or allow both with --allow-mixed"
             )
 
 
@@ -109,7 +109,7 @@ def check_plausible(
     logs: Sequence[Any],
     force: bool,
     console: Console,
-    advice: str = "Nothing is written; mend it, or go on with --force",
+    advice: str = "Nothing is written. Fix it, or continue with --force",
     described: bool = True,
     model: IdentifiedModel | None = None,
     beside: Sequence[Any] = (),
@@ -151,7 +151,7 @@ def _flipped(model: IdentifiedModel, logs: Sequence[Any]) -> Iterator[str]:
 
     for log in logs:
         if joints := flipped_joints(model, log):
-            yield f"{log.name}: the torque of {', '.join(joints)} has the other sign than the model predicts"
+            yield f"{log.name}: the torque of {', '.join(joints)} has the opposite sign of the prediction"
 
 
 def check_run(robot: Any, logs: Sequence[Any], model: Any, console: Console, beside: Sequence[Any] = ()) -> None:
@@ -164,8 +164,8 @@ def check_run(robot: Any, logs: Sequence[Any], model: Any, console: Console, bes
     """
     check_one_machine(logs, model, allow_mixed=False)
     advice = (
-        "No model is made of it. Mend the description or what the controller sends, then start a new run; "
-        "`agent estimate --force` fits the logs of this one all the same"
+        "No model is written. Fix the description or what the controller sends, then start a new run. "
+        "`agent estimate --force` fits these logs all the same"
     )
     check_plausible(robot, logs, False, console, advice, beside=beside)
 
@@ -246,11 +246,11 @@ def fit_files(
     logs = [replace(log, velocity=None, planned_position=None) for log in logs]
     model = estimate(description, logs, EstimationSettings.create(cutoff=cutoff, method=method))
     if structure == "auto":
-        console.step("searching for structure beyond bodies and friction")
+        console.step("searching for effects beyond links and friction")
         model = with_structure(description, logs, model, console.progress)
     for finding in fitted_doubts(model, logs):
         console.warn(str(finding))
-    console.step("learning what the healthy arm has of every effect")
+    console.step("measuring each effect on the healthy arm")
     model = with_healthy_effects(model, logs)
     say_used(logs, model.cutoff, model.order, console)
     return model, logs
@@ -272,7 +272,7 @@ def check_output(out: Path, paths: Sequence[Path]) -> None:
             with TemporaryFile(dir=folder):
                 pass
         except OSError as error:
-            raise InputError(f"{out}: cannot be written there: {error.strerror}; name another place") from None
+            raise InputError(f"{out}: cannot be written there: {error.strerror}; name another file") from None
     if out.exists() and any(path.exists() and path.samefile(out) for path in paths):
         raise InputError(f"{out}: is one of the logs or models that are read; name another file to write")
 

@@ -130,7 +130,7 @@ def _box_of(robot: str) -> dict[str, str]:
                 f"{counted(arm.dof, 'joint')} cannot turn the tool every way. Give motion.via_points.points with "
                 "ranges that it reaches, or record a motion of your own: `agent estimate` needs no recipe"
             )
-        print(f"no box was found all of which {robot} reaches: {what}", file=sys.stderr)
+        print(f"found no box that {robot} reaches completely: {what}", file=sys.stderr)
         return {}
     texts = (
         ", ".join(f"{value:g} {unit}" for value in values)

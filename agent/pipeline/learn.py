@@ -125,7 +125,7 @@ def _check_log(log: Log, robot: RobotDescription) -> None:
         )
     good = np.isfinite(log.reference_position).all(axis=1)
     if not good.any() or np.ptp(log.reference_position[good], axis=0).max() < _THERE:
-        raise InputError(f"{log.path}: the set-points stand still; record a loop")
+        raise InputError(f"{log.path}: the set-points do not move; record a loop")
 
 
 def _statements(log: Log, robot: RobotDescription) -> list[Statement]:
@@ -159,7 +159,7 @@ def _of_the_plan(log: Log) -> str:
             if log.path.stem == f"validation_{number:02d}":
                 return program_text(recipe, motion)
     raise InputError(
-        f"{log.path}: the program that was recorded is not beside it; put it there as {log.path.stem}.pdl "
+        f"{log.path}: the recorded program is missing; put it next to the log as {log.path.stem}.pdl "
         "(a run folder has it)"
     )
 

@@ -61,8 +61,8 @@ def check_arm(recipe: Recipe, there: RobotDescription) -> None:
     apart = float(np.linalg.norm(ends[0] - ends[1], axis=1).max())
     if apart > (_SAME_NAME if here.name == there.name else _SAME_ARM) * float(np.linalg.norm(ends[1], axis=1).max()):
         raise InputError(
-            f"{recipe.path}: is for {here.name}, and the logs are of {there.name}, by whose description the end is "
-            f"{1e3 * apart:.0f} mm elsewhere in the same posture. Name a recipe of that very robot with --next"
+            f"{recipe.path}: is for {here.name}, but the logs are of {there.name}. In the same posture, their ends "
+            f"are {1e3 * apart:.0f} mm apart. Name a recipe of that robot with --next"
         )
 
 
@@ -78,8 +78,8 @@ def check_tool(recipe: Recipe, logs: Sequence[Log], of_model: Mapping[str, Any])
     for tool, where in known.items():
         if tool != mine:
             raise InputError(
-                f"{recipe.path}: its tool is {mine}, and that of {where} is {tool}: what it plans could not be "
-                "diagnosed beside that. Name a recipe with the same tool with --next"
+                f"{recipe.path}: its tool is {mine}, but that of {where} is {tool}. Name a recipe "
+                "with the same tool with --next"
             )
 
 

@@ -143,7 +143,7 @@ def plan_next(
     deadline = deadline or Deadline(console.progress)
     problem = _where_known(replace(loop_problem(recipe, recipe.motion.speed), load=load), found)
     limits = None if load is None else torque_limits(recipe, load, console)
-    console.step(f"searching for a motion of at most {seconds:.0f} s that tells more")
+    console.step(f"searching for a motion of at most {seconds:.0f} s that settles the cause")
     runs = _Runs(recipe, name, seconds, load, limits)
     experiment = plan_experiment(found, pairs, problem, seconds, recipe.search.seed, deadline.share(_BARE), runs)
     if runs.motion is not None:
@@ -152,25 +152,24 @@ def plan_next(
         if motion.helps():
             return motion
     if seconds < LONGEST:
-        console.step(f"no motion of {seconds:.0f} s would settle it; whether a longer one would is what is asked now")
+        console.step(f"no motion of {seconds:.0f} s settles it; trying a longer one")
         longer = plan_next(found, recipe, console, LONGEST, name, load, deadline.rest())
         if isinstance(longer, NoMotion):
             return longer
         return NoMotion(
-            f"no motion of the {seconds:.0f} s that are left would settle it, one of {longer.duration:.0f} s may: "
-            "allow more motion",
+            f"no motion of the remaining {seconds:.0f} s settles it; {longer.duration:.0f} s may: allow more motion",
             names,
         )
     where = f"the sub-region of {recipe.path}"
     if experiment.cut_short:
         return NoMotion(
-            f"no motion in {where} that would settle it was found in the time for planning ({experiment.weighed} "
-            "pieces were weighed): allow more with --planning-budget",
+            f"the planning time ended before a motion in {where} was found that settles it "
+            f"({experiment.weighed} pieces tried): allow more with --planning-budget",
             names,
         )
     if not experiment.weighed:
         why = _refused(problem)
-        return NoMotion(f"no motion was found that keeps all limits in {where} ({why}): agent check says more", names)
+        return NoMotion(f"no motion found in {where} keeps all limits ({why}): run agent check for details", names)
     why = f" ({runs.refused})" if runs.refused else ""
     mass = None
     if load is None:
@@ -179,11 +178,12 @@ def plan_next(
     loads = "" if mass is None else f". {mass.text()}"
     asked_of = pairs[0]
     what = (
-        f"tell {asked_of.first.text()} from {asked_of.second.text()}"
+        f"distinguishes {asked_of.first.text()} from {asked_of.second.text()}"
         if asked_of.second.form is not None
-        else f"show {asked_of.first.text()}"
+        else f"shows {asked_of.first.text()}"
     )
-    return NoMotion(f"no motion in {where} would {what}{why}. {other_test(found, pairs)}{loads}", names, mass)
+    moving = f"moving the arm cannot settle this: no motion in {where} {what}{why}"
+    return NoMotion(f"{moving}. {other_test(found, pairs)}{loads}", names, mass)
 
 
 def mass_beside(
@@ -227,7 +227,7 @@ def _refused(problem: LoopProblem) -> str:
     genomes = np.random.default_rng(0).uniform(size=(_ASKED_WHY, problem.genes))
     candidates = Candidates(problem)
     said = [loop.reason for loop in map(candidates.checked_loop, genomes) if isinstance(loop, LoopScore)]
-    return max(set(said), key=said.count) if said else "the last one drawn did not stay within its time"
+    return max(set(said), key=said.count) if said else "the last candidate took too long"
 
 
 def run_otherwise(
@@ -306,9 +306,7 @@ class _Runs:
             speed /= 2
         took = _duration(text, chains, self._recipe.robot, self._recipe.dialect)
         if took > self._seconds:
-            self.refused = (
-                f"it takes {took:.0f} s with the ways between its pieces, and {self._seconds:.0f} s are allowed"
-            )
+            self.refused = f"it takes {took:.0f} s with the moves between its pieces; {self._seconds:.0f} s are allowed"
             return False
         self.motion = text, tuple(chains)
         return True

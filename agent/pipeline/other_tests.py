@@ -24,7 +24,7 @@ _TRIAL_LOAD = 0.1
 #: first, and one with the mass by the second more.
 _LIKELY, _WORTH_MOUNTING = 0.8, 0.2
 DRIVES_OFF = "--drives-off"
-BRAKES = f"seconds of the arm on its brakes with the drives off, which tell an offset ({DRIVES_OFF} LOG)"
+BRAKES = f"record 1 s with the drives off ({DRIVES_OFF} LOG)"
 
 
 def helped(expected: Expected) -> bool:
@@ -34,13 +34,13 @@ def helped(expected: Expected) -> bool:
 
 
 def other_test(found: Diagnosis, pairs: Sequence[OpenPair]) -> str:
-    """What could still tell the most urgent pair apart, by the knowledge that its effects carry."""
+    """What could still distinguish the most urgent pair, by the knowledge that its effects carry."""
     from agent.model import CATALOGUE
 
     sides = {side.text(): side.effect for side in (pairs[0].first, pairs[0].second) if side.effect in CATALOGUE}
     looks = "; ".join(f"for {text}, {CATALOGUE[effect].look_at}" for text, effect in sides.items())
-    brakes = f"{BRAKES}, or " if brakes_tell(found, pairs[:1]) else ""
-    return f"What may: {brakes}another posture, load or temperature, or a look at the arm: {looks}"
+    brakes = f"First, {BRAKES}. If it stays open, try" if brakes_tell(found, pairs[:1]) else "Try"
+    return f"{brakes} another posture, load or temperature, or look at the arm: {looks}"
 
 
 def in_doubt(found: Diagnosis) -> str:
@@ -51,9 +51,8 @@ def in_doubt(found: Diagnosis) -> str:
     place = found.finding.causes[0].place
     joints = ", ".join(found.dataset.robot.joint_names[joint] for joint in place[1])
     return (
-        f"{place[0]}{f' on {joints}' if joints else ''} closes too little of the gap to be sure of, and what may equal "
-        "it has no form that fits: no motion can be planned against it. What may: any longer, more varied motion of "
-        "the sub-region (agent record RECIPE), which shows more of it"
+        f"{place[0]}{f' on {joints}' if joints else ''} closes too little of the gap to be sure. No motion can be "
+        "planned, as no alternative fits. Record a longer, more varied motion in the sub-region (agent record RECIPE)"
     )
 
 
@@ -87,15 +86,12 @@ class WithMass:
         """For people."""
         from agent.model import payload_text
 
-        may = "With a known mass at the flange a motion may"
-        instead = ""
-        if self.bare is not None:
-            may, instead = "A known mass at the flange would tell more", f" instead of {self.bare:.2f}"
+        instead = "" if self.bare is None else f" instead of {self.bare:.2f}"
         mass = payload_text(self.load)
         return (
-            f"{may}: {mass.split(',')[0]} would make the right answer between {self.pair[0]} and {self.pair[1]} "
-            f"{self.after:.2f} likely{instead}; mount one and plan with --payload '{mass}', or what it really is (mass "
-            "and its centre in the flange's frame)"
+            f"With {mass.split(',')[0]} at the flange, the right answer between {self.pair[0]} and {self.pair[1]} has "
+            f"probability {self.after:.2f}{instead}. Mount it and plan with --payload '{mass}', or with the mass and "
+            "centre that you have"
         )
 
 
@@ -122,7 +118,7 @@ def with_a_mass(
         motions = [piece.motion for piece in bare.pieces]
         if not tells_apart_by_load(found.dataset, found.finding.evidence, asked, motions, load):
             return None
-    console.step("a motion of the bare arm would hardly settle it; whether one with a mass would is what is asked now")
+    console.step("checking whether a known mass at the flange settles it")
     tried = plan_experiment(
         found, pairs, replace(problem, load=load), seconds, seed, deadline or Deadline(console.progress)
     )

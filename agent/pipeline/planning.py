@@ -99,7 +99,7 @@ def search_loop(
 
     problem = loop_problem(recipe, recipe.motion.speed)
     for missed in check_sub_region(problem):
-        console.detail(f"out of reach, the search goes around it: {missed}")
+        console.detail(f"out of reach, so the search avoids it: {missed}")
     settings = recipe.search
     console.step(f"search: {settings.method}, {settings.population} candidates x {settings.generations} generations")
     result = search(
@@ -247,7 +247,7 @@ def _tell_passed_over(recipe: Recipe, console: Console) -> None:
         passed = _job(recipe, Path(like))[1]
         words = ", ".join(f"{word} {count}" for word, count in sorted(passed.items(), key=lambda item: -item[1])[:8])
         if passed:
-            console.step(f"{like}: {sum(passed.values())} lines that do not move are passed over ({words})")
+            console.step(f"{like}: {sum(passed.values())} lines without motion are skipped ({words})")
 
 
 def replan(recipe: Recipe, path: Path) -> Plan:

@@ -31,11 +31,9 @@ def diagnosis_text(result: dict[str, Any]) -> str:
     by_servos = result.get("torque_of") == "servos"
     if by_servos:
         lines += _forward_lines(result)
-        lines.append("the torque below was not measured: it is that of the file's servos at the recorded set-points")
-    lines.append(
-        "torque error on held-out motion, in % of nominal torque where there is one; floor: what no cycle repeats"
-    )
-    lines.append(f"{'joint':{width}} {'before':>11} {'after':>11} {'floor':>11} {'share':>7}   mostly in")
+        lines.append("No torque was measured; the torque below is that of the simulated servos at the set-points.")
+    lines.append("torque error on held-out motion, in % of nominal torque if known (repeatability: between cycles)")
+    lines.append(f"{'joint':{width}} {'before':>11} {'after':>11} {'repeatability':>13} {'share':>7}   mostly in")
     shares = {entry["joint"]: entry for entry in result["where"]}
     somewhere = torque_gap(result)
     for k, name in enumerate(gap["joints"]):
@@ -45,27 +43,27 @@ def diagnosis_text(result: dict[str, Any]) -> str:
         )
         regimes = [r["name"] for r in shares[name]["regimes"] if somewhere and r["share"] > 1.5 * r["of_samples"]][:2]
         share = f"{100 * shares[name]['share']:6.1f}%" if somewhere else f"{'-':>7}"
-        lines.append(f"{name:{width}} {before:>11} {after:>11} {floor:>11} {share}   {', '.join(regimes)}".rstrip())
+        lines.append(f"{name:{width}} {before:>11} {after:>11} {floor:>13} {share}   {', '.join(regimes)}".rstrip())
     if result["closure"] is not None and somewhere:
-        lines.append(f"closed: {100 * result['closure']:.1f} % of the gap in torque")
+        lines.append(f"explained: {100 * result['closure']:.1f} % of the torque gap")
     lines += list(_waterfall_lines(result.get("waterfall", [])))
     if result.get("simulation"):
         torque, units = result["simulation"]["torque"], gap["units"]
         own = [gap["joints"].index(joint) for cause in result["causes"][:1] for joint in cause["joints"]]
         worst = max(own or range(len(units)), key=lambda k: (units[k] == SHARE, torque["before"][k]))
         before, after = (figure_text(torque[side][worst], units[worst]) for side in ("before", "after"))
-        lines.append(f"torque error of {gap['joints'][worst]} in forward simulation: {before}, then {after}")
+        lines.append(f"torque error of {gap['joints'][worst]} in simulation: {before}, with the effects {after}")
     if not by_servos:
         lines += _forward_lines(result)
     lines += _further_lines(result)
     if result["not_testable"]:
         names = sorted({entry["effect"] for entry in result["not_testable"]})
-        lines.append(f"not testable on some joints here: {', '.join(names)}")
+        lines.append(f"not testable on some joints with these logs: {', '.join(names)}")
     return "\n".join(lines)
 
 
 def _further_lines(result: dict[str, Any]) -> Iterator[str]:
-    """What further motions came to, and what a motion that was planned is expected to tell."""
+    """What further motions came to, and the expected result of a planned motion."""
     end = result.get("rounds_end")
     if end:
         yield f"after {counted(len(result['rounds']), 'further motion')}: {end}"
@@ -83,7 +81,7 @@ def _next_lines(said: dict[str, Any]) -> Iterator[str]:
 
 
 def _planned_lines(result: dict[str, Any]) -> Iterator[str]:
-    """What to run next or why there is nothing to run, and what it is expected to tell."""
+    """What to run next or why there is nothing to run, and its expected result."""
     from agent.report import chances_text, next_text, said_by_rounds
 
     experiment = result["next_experiment"]
@@ -93,8 +91,8 @@ def _planned_lines(result: dict[str, Any]) -> Iterator[str]:
     yield f"{text[0].lower()}{text[1:]}"
     for entry in experiment.get("probability", ()):
         pair, before, after, smallest = chances_text(entry)
-        found = "" if smallest == "-" else f", found from {smallest} of the smallest size that matters"
-        yield f"  {pair}: right answer {before} without it, {after} after it{found}"
+        found = "" if smallest == "-" else f"; detects {smallest} of the smallest size that matters"
+        yield f"  {pair}: probability of the right answer {before} now, {after} after it{found}"
     if "with_a_mass" in experiment and experiment["program"]:
         text = experiment["with_a_mass"]["text"]
         yield f"{text[0].lower()}{text[1:]}"
@@ -111,7 +109,7 @@ def _waterfall_lines(steps: Sequence[dict[str, Any]]) -> Iterator[str]:
     """A bar for what each step closes of the held-out gap, in the order found."""
     if not steps:
         return
-    yield "what closes the gap on held-out motion, in this order (90 % interval), and alone"
+    yield "what each step closes of the gap on held-out motion (90 % interval), and alone"
     width = max(len(entry["step"]) for entry in steps)
     for entry in steps:
         closes, (low, high) = 100 * entry["closes"], entry["interval"]

@@ -139,12 +139,12 @@ def until_sure(
             console.say(f"round {len(rounds.asked)}: {result['verdict']}")
         if result["verdict"] in ("explained", "no_gap"):
             absorbed = result["verdict"] == "no_gap" and not rounds.last[0].dataset.given
-            beyond = ", beyond what a model fitted to these very logs absorbs: name one of before with --model"
+            beyond = ". A model fitted to these logs can hide a gap: name an earlier model with --model"
             rounds.end = f"settled: {result['verdict']}{beyond if absorbed else ''}"
         elif budget - moved < _SHORTEST:
             rounds.end = (
-                f"the budget of motion is used up: {max(budget - moved, 0.0):.0f} s of it are left, and a further "
-                f"motion takes {_SHORTEST:g} to {LONGEST:g} s"
+                f"the motion budget is used up: {max(budget - moved, 0.0):.0f} s are left, and a motion takes "
+                f"{_SHORTEST:g} to {LONGEST:g} s"
             )
         if rounds.end:
             break

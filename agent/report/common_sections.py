@@ -13,8 +13,8 @@ from agent.report.page import Section, Table
 
 _NORMAL_95 = 1.96
 _PRIOR = (
-    "Prior: what the description, or the torque there was, says before any data. From the data: how much of the "
-    "prior's variance the data took away; near 100 % they say what a parameter is, near 0 % the prior does."
+    "Prior: what description and torque level say before the fit. From the data: how much they reduce its variance. "
+    "Near 100 % the data determine a parameter, near 0 % the prior does."
 )
 
 
@@ -23,7 +23,7 @@ def current_sentence(result: dict[str, Any]) -> str:
     current, run = result["current_model"], result["provenance"]["run"]
     if current is None:
         return "The robot has no current model."
-    return f"The robot's current model is that of {'this run' if current == run else current}."
+    return f"The robot's current model: {'this run' if current == run else f'unchanged (run {current})'}."
 
 
 def parameters_section(table: Sequence[Sequence[str]], notes: Sequence[str] = ()) -> Section:
@@ -73,8 +73,8 @@ def conditions_section(conditions: dict[str, Any], joints: Sequence[str]) -> Sec
         for joint, rate, std, start, end in zip(joints, rates, rate_stds, first, last, strict=True)
     ]
     text = (
-        f"{conditions['cycles']} cycles, {conditions['motion_s']:.0f} s of motion. The friction of a cold arm falls "
-        "while it moves; the trends take that out."
+        f"{conditions['cycles']} cycles, {conditions['motion_s']:.0f} s of motion. Friction falls as a cold "
+        "arm warms up; the trends correct for that."
         + ("" if temperatures else " No temperatures from this controller."),
     )
     header = ("axis", "friction changes by [%/min]", "std. dev.", "motor at the start [°C]", "at the end [°C]")

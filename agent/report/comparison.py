@@ -61,7 +61,7 @@ def comparison_page(
         Section("Friction curves", (), (_friction(models),)),
         Section(
             "Residuals on one motion",
-            (f"What each model leaves on {last.torque.motion}, by joint and regime.",),
+            (f"Error of each model on {last.torque.motion}, by joint and regime.",),
             [
                 heat_map(residual_map([one]), one, f"residuals-{name}", f"{name}: RMSE by joint and regime.")
                 for name, one in zip(names, predictions, strict=True)

@@ -88,5 +88,5 @@ def changes_figure(comparison: Comparison, name: str = "changes") -> Figure:
         (BEYOND, -BEYOND),
     )
     rows = np.column_stack([[c.before for c in changes], [c.after for c in changes], values])
-    caption = "Change of each parameter in standard deviations of a change, cut at 30; beyond the dots it is no chance."
+    caption = "Change of each parameter in standard deviations, cut at 30. Beyond the dots, it is no chance."
     return Figure(name, caption, svg, ("before", "after", "deviations"), rows)

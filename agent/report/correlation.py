@@ -27,8 +27,8 @@ def correlation_section(model: IdentifiedModel) -> Section:
     rows = [(model.names[first[k]], model.names[second[k]], f"{values[first[k], second[k]]:+.3f}") for k in order]
     strong = int((np.abs(values[first, second]) > _STRONG).sum())
     text = (
-        f"{strong} of {len(first)} pairs of parameters are correlated beyond {_STRONG}: of such a pair the data say "
-        "the sum or the difference, not each. Prediction is not affected; the values of single parameters are.",
+        f"{strong} of {len(first)} pairs of parameters are correlated beyond {_STRONG}. The data determine the sum "
+        "or difference of such a pair, not each value. Predictions are not affected.",
     )
     table = Table("correlated-pairs", ("parameter", "with", "correlation"), rows)
     return Section("Correlation of parameters", text, (_map(values, model.names), table))

@@ -30,10 +30,7 @@ def regime_map(diagnosis: Diagnosis) -> Figure:
             here = found[regime] & np.isfinite(relative)
             if here.any():
                 values[joint, column] = np.sqrt(np.mean(relative[here]))
-    caption = (
-        "Error of the model by joint (rows) and regime (columns), in units of its own held-out error: about 1 where "
-        "nothing is wrong."
-    )
+    caption = "Error by joint (rows) and regime (columns), in units of the model's held-out error. About 1 is normal."
     labels = [regime.replace("_", "\n") for regime in REGIMES]
     return cell_map("regimes", caption, values, labels, dataset.robot.joint_names)
 
@@ -50,8 +47,7 @@ def band_map(diagnosis: Diagnosis) -> Figure:
             values[joint, -1] = 100 * phase
     labels = [f"{low:g}-{high:g} Hz" if np.isfinite(high) else f"above {low:g} Hz" for low, high in BANDS]
     caption = (
-        "Share of each joint's squared error by frequency, and that of it which goes with the angle of the motor "
-        "(- where the motor turns too fast or too little to tell), in %."
+        "Share of each joint's squared error [%] by frequency and motor angle. -: motor too fast, or turned too little."
     )
     names = dataset.robot.joint_names
     return cell_map("bands", caption, values, [*labels, "motor angle"], names, ["%"] * len(names))
@@ -104,15 +100,15 @@ def before_and_after(diagnosis: Diagnosis) -> Figure:
         ],
         f"torque error held out [{unit}]",
         lanes=2,
-        legend=(*((name, colour) for name, colour, _ in sides), ("floor", SERIES[3])),
+        legend=(*((name, colour) for name, colour, _ in sides), ("repeatability", SERIES[3])),
         marks=floor,
     )
-    caption = "Torque error before and after, and the floor: what does not even repeat from cycle to cycle."
-    return Figure("before-after", caption, svg, ("before", "after", "floor"), rows)
+    caption = "Torque error before and after, and the repeatability: the difference between cycles."
+    return Figure("before-after", caption, svg, ("before", "after", "repeatability"), rows)
 
 
 def _sides(joint: str, row: np.ndarray, unit: str) -> str:
-    known = zip(("before", "after", "floor"), row, strict=True)
+    known = zip(("before", "after", "repeatability"), row, strict=True)
     said = [f"{what} {value:.3g}" for what, value in known if np.isfinite(value)]
     return f"{joint}: {', '.join(said)} {unit}" if said else f"{joint}: in the table"
 

@@ -18,9 +18,9 @@ def about_diagnosis(diagnosis: Diagnosis, next_steps: Sequence[NextStep], result
     """What stands on the first screen below the verdict; `next_steps` are commands that whoever asked can run."""
     dataset = diagnosis.dataset
     asked = (
-        "What does the simulator (the model) not have that the robot has?"
+        "What does the robot have that the model lacks?"
         if dataset.given
-        else "What do these motions show that no model of the arm's links and friction absorbs?"
+        else "What do these motions show that links and friction cannot explain?"
     )
     said = summary(result)
     facts = [(title, said[key]) for key, title in FOUR.items() if key != "next"]
@@ -34,7 +34,7 @@ def _recorded(logs: Sequence[Log]) -> str:
     """When, where the clock of every log shows a date."""
     dates = sorted(log.date for log in logs if log.date is not None)
     if len(dates) < len(logs):
-        return "by a clock without a date"
+        return "no date in the logs"
     first, last = (date.strftime("%Y-%m-%d %H:%M UTC") for date in (dates[0], dates[-1]))
     return first if first == last else f"{first} to {last}"
 

@@ -26,9 +26,8 @@ _FEWEST = 10  # samples of a bin
 def friction_section(predictions: Sequence[Prediction]) -> Section:
     """Curves of all axles, the joint with the largest error first, over measured torque less that of the bodies."""
     text = (
-        "Friction of each axle as the model has it (line, 95 % band of its parameters), and measured torque less the "
-        "torque of the links in the mean over narrow ranges of speed (dots). Load-dependent terms are left out of the "
-        "line.",
+        "Line: friction of the model, with the 95 % band of its parameters, without load-dependent terms. Dots: "
+        "measured torque minus the torque of the links, averaged over narrow ranges of speed.",
     )
     return Section("Friction", text, (friction_plot(predictions),))
 

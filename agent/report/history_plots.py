@@ -32,8 +32,8 @@ def machine_plot(
         band = Series("two std. dev.", trend.values + 2 * trend.deviations, low=trend.values - 2 * trend.deviations)
         panels.append(Panel(trend.name, trend.unit, (band, Series("value", trend.values, "points"))))
     caption = (
-        "Change of each axle's friction at the higher of its two speeds (with the fitted course of an alarm), then "
-        "temperatures where the controller tells them, and parameters; dates in UTC."
+        "Change of each axle's friction at the higher of its two speeds, with the fit of an alarm. Below: "
+        "temperatures, if the controller reports them, and parameters. Dates in UTC."
     )
     return Plot(f"history-{number}", caption, "date", panels, x, dates=True, columns=2)
 

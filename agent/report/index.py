@@ -40,7 +40,7 @@ def index_page(data: IndexData) -> str:
     if alarms:
         headline, verdict = " · ".join(line for _, line in alarms[:4]), "bad"
     elif data.watched:
-        headline, verdict = "No axle's friction drifts, and no limit comes near.", "good"
+        headline, verdict = "No friction drifts, and no limit is near.", "good"
     else:
         headline, verdict = (
             f"{counted(len(data.runs), 'run')}; trends need at least eight runs of one program.",
@@ -71,7 +71,7 @@ def _about(data: IndexData, alarms: Sequence[tuple[Watch, str]]) -> About:
         ("newest", f"{newest.started[:16].replace('T', ' ')} UTC"),
         ("current models", models),
     ]
-    return About("How have the machines and their models done so far?", (), steps, identity)
+    return About("How are the machines and their models doing?", (), steps, identity)
 
 
 def _all_runs(data: IndexData) -> Section:
@@ -97,7 +97,7 @@ def _all_runs(data: IndexData) -> Section:
 
 def _machine(one: Watch, parameters: Sequence[Trend], number: int, data: IndexData) -> Section:
     name = f"{one.robot} {one.serial}".strip()
-    text = one.lines() or ["No drift and no step that is both no chance and of practical size."]
+    text = one.lines() or ["No drift or step is both significant and of practical size."]
     rows = [
         (
             trend.name,
@@ -112,9 +112,9 @@ def _machine(one: Watch, parameters: Sequence[Trend], number: int, data: IndexDa
     ]
     header = ("friction", "course", "change [%]", "after run", "by chance", "warm-up explains [%]", "")
     explained = (
-        "Warm-up, which all axles share, is separated from wear by the other axles and by how fast friction changed "
-        "within a run. By chance: probability that scatter alone does as much. Single friction parameters are "
-        "correlated; alarms go by friction at a speed."
+        "All axles share the warm-up. The other axles, and the change of friction within a run, separate it from wear. "
+        "By chance: probability that scatter alone causes as much. Alarms use the friction at a speed, as single "
+        "parameters are correlated."
     )
     parts: list[Plot | Table] = [machine_plot(one, parameters, number, data.runs, data.current)]
     parts.append(Table(f"friction-trends-{number}", header, rows))

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from agent.core import counted
 from agent.recording import Log
 from agent.report.page import Section, Table
 
@@ -52,8 +53,8 @@ def log_section(logs: Sequence[LogHealth]) -> Section:
     first = (
         "No sample was lost." if lost_in_all == 0 else f"{lost_in_all} samples were lost and are marked in the logs."
     )
-    second = "" if repairs == 0 else f" The reader repaired {repairs} places."
-    text = (first + second, "Jitter is of the intervals between the controller's time stamps, gaps left out.")
+    second = "" if repairs == 0 else f" The reader made {counted(repairs, 'repair')}."
+    text = (first + second, "Jitter: variation of the interval between the controller's time stamps, without gaps.")
     return Section("Logs", text, (Table("logs", header, rows),))
 
 

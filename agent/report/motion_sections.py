@@ -70,9 +70,9 @@ def motion_section(data: MotionData) -> Section:
 def search_section(data: SearchData) -> Section:
     """Fitness over the generations."""
     text = (
-        f"Fitness {data.fitness:.2f} after {data.evaluations} candidates, each run through the interpolator.",
-        "Fitness is log10 det(HᵀH/M), H the observation matrix of M samples: one more means that the motion tells ten "
-        "times as much about all parameters taken together. It compares loops of one robot, nothing else.",
+        f"Fitness {data.fitness:.2f} after {data.evaluations} candidates, each simulated with the interpolator.",
+        "Fitness is log10 det(HᵀH/M), with the observation matrix H of M samples. One more means ten times the "
+        "information about all parameters together. Compare it only between loops of one robot.",
     )
     return Section("Search", text, (search_history(data.best, data.mean),))
 

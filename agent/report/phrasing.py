@@ -14,7 +14,7 @@ from agent.report.page import NextStep
 from agent.robot import SHARE, figure_text
 
 REGIMES = {
-    "standstill": "standing still",
+    "standstill": "at standstill",
     "reversal": "around reversals",
     "low_speed": "at low speed",
     "high_speed": "at high speed",
@@ -31,7 +31,7 @@ FOUR = {"where": "Where", "what": "What", "how_sure": "How sure", "next": "Next"
 NOT_TESTABLE = "Not testable here"
 _VERDICTS = {
     "no_gap": "no gap: model and robot agree within the model's own prediction error",
-    "unknown": "there is a gap, and no effect of the catalogue explains it",
+    "unknown": "there is a gap that no known effect explains",
 }
 #: Equivalents of a cause that are named, regimes and steps of an attribution, at most.
 _MOST_OTHERS, _MOST_REGIMES, _MOST_STEPS = 2, 2, 3
@@ -64,15 +64,14 @@ def _words(effect: str, result: Mapping[str, Any]) -> tuple[str, str]:
 def verdict_text(result: Mapping[str, Any]) -> str:
     """What a verdict without causes means; the causes in a line where it has any.
 
-    Adjusted numbers of a simulator may close nearly all of a gap though no effect of the catalogue was found.
+    Corrected parameters of a simulator may close nearly all of a gap though no effect of the catalogue was found.
     """
     if result["causes"]:
         return "; ".join(f"{what(cause['effect'], result)} on {place(cause)}" for cause in result["causes"])
     closed = sum(step["closes"] for step in result.get("waterfall", ())[:-1])
     if result["verdict"] == "unknown" and closed > 0:
         return (
-            f"adjusted numbers of the simulator close {100 * closed:.1f} % of the gap; no effect of the catalogue "
-            "explains the rest"
+            f"corrected simulator parameters close {100 * closed:.1f} % of the gap; no known effect explains the rest"
         )
     return _VERDICTS[result["verdict"]]
 
@@ -126,7 +125,7 @@ def closes(cause: Mapping[str, Any], result: Mapping[str, Any]) -> str:
     if not in_torque(cause):
         return f"closes {part} of the gap between planned and executed path"
     own = cause.get("closure_of_joints") if closure < _STEP else None  # named for what it closes of its own joints
-    on_its_own = "" if own is None else f" and {100 * own:.0f} % of what all else leaves on {place(cause)}"
+    on_its_own = "" if own is None else f" and {100 * own:.0f} % of the remaining gap on {place(cause)}"
     return f"closes {part} of the gap{on_its_own}"
 
 
@@ -234,7 +233,7 @@ def _what(result: Mapping[str, Any]) -> Iterator[str]:
         else:
             yield f"Also on {place(cause)}: {what(cause['effect'], result)}{f', which {figures}' if figures else ''}."
     if result.get("torque_of") == "servos":
-        yield "Torque was not measured: it is what the simulator's servos would give at the set-points."
+        yield "No torque was measured; it is that of the simulated servos at the set-points."
     steps = [step for step in result.get("waterfall", ())[:-1] if step["closes"] >= _STEP]
     if len(steps) > 1 or (steps and not result["causes"]):
         largest = sorted(steps, key=lambda step: -step["closes"])[:_MOST_STEPS]
@@ -244,7 +243,7 @@ def _what(result: Mapping[str, Any]) -> Iterator[str]:
 
 def _how_sure(result: Mapping[str, Any]) -> Iterator[str]:
     if not result["causes"]:
-        open_cause = "The gap is sure; its cause is open."
+        open_cause = "The gap is certain; its cause is not known."
         yield _found_if_there(result) if result["verdict"] == "no_gap" else open_cause
         return
     cause = result["causes"][0]
@@ -258,12 +257,10 @@ def _how_sure(result: Mapping[str, Any]) -> Iterator[str]:
 def _found_if_there(result: Mapping[str, Any]) -> str:
     """How far "no gap" can be trusted: what would have been found."""
     open_ = {entry["effect"] for entry in result["not_testable"]}
-    usual = "would have been found at the size from which it matters (80 % power)"
+    usual = "of practical size would have been found (80 % power)"
     if not open_:
-        return f"Every effect of the catalogue {usual}."
-    return (
-        f"{len(CATALOGUE) - len(open_)} of {len(CATALOGUE)} effects {usual} on every joint. The rest: {NOT_TESTABLE}."
-    )
+        return f"Every effect {usual}."
+    return f"{len(CATALOGUE) - len(open_)} of {len(CATALOGUE)} effects {usual}. The rest: {NOT_TESTABLE}."
 
 
 def measures(result: Mapping[str, Any]) -> list[NextStep]:

@@ -38,9 +38,8 @@ def _validation(data: RunData) -> Section:
     reference, gate = data.result["reference"], data.result["gate"]["normalised_rmse"]
     text = (
         f"The stored loop was run again and {_what(data.result)} estimated; the reference is {reference}.",
-        "Errors are on samples that took no part in the fit they judge: stretches left out in turn for the new model, "
-        f"the whole motion for the one before. Moving samples, over the axis's nominal joint torque; the gate is "
-        f"{100 * gate:g} %.",
+        "All errors are held out: stretches left out in turn for the new model, the whole motion for the one before. "
+        f"They count moving samples, over the axis's nominal joint torque. The gate is {100 * gate:g} %.",
     )
     header = ("axis", "new model, RMSE", "unit", "new model [%]", "model before [%]", "")
     cycles = f"Error of the new model on each of {len(data.rmse)} cycles, per axis; it was fitted to them."

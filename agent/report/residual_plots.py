@@ -45,7 +45,7 @@ def _over_time(predictions: Sequence[Prediction], error: Sequence[np.ndarray], o
     together = np.concatenate(error)
     series = joint_series(names, together, order)
     motions = f"all {len(predictions)} motions, one after the other" if len(predictions) > 1 else "the motion"
-    caption = f"What the model leaves over time: {motions}."
+    caption = f"Error of the model over time: {motions}."
     return Plot("residual-time", caption, "time", (Panel("left over", unit, series),), time, "s")
 
 
@@ -75,7 +75,7 @@ def _binned(
         )
         title = robot.joint_names[k] + (" (slides: m, m/s)" if slides else "")
         panels.append(Panel(title, unit, series, x, joint=robot.joint_names[k]))
-    caption = f"What the model leaves over the {what} of each joint."
+    caption = f"Error of the model over the {what} of each joint."
     units = {"position": "deg", "speed": "rad/s"}
     if all(joint.prismatic for joint in robot.joints):
         units = {"position": "m", "speed": "m/s"}
@@ -96,5 +96,5 @@ def _spectrum(predictions: Sequence[Prediction], error: Sequence[np.ndarray], or
         power += np.stack([np.interp(frequency, place, column**2) for column in found.T], axis=1)
     amplitude = np.sqrt(power / len(predictions))
     panel = Panel("amplitude", unit, joint_series(names, amplitude, order), from_zero=True)
-    caption = "What the model leaves over frequency; the torque filter takes away what lies above its cut-off."
+    caption = "Error of the model over frequency. The torque filter removes what lies above its cut-off."
     return Plot("residual-frequency", caption, "frequency", (panel,), frequency, "Hz")

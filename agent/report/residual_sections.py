@@ -21,9 +21,8 @@ def residual_section(predictions: Sequence[Prediction]) -> Section:
     """RMSE by joint and regime, over nominal torque or in N·m, then over time, angle, speed and frequency."""
     figures = residual_map(predictions)
     text = (
-        "Root mean square of what the model leaves, by what the joint does: where it is larger than elsewhere, "
-        "something acts that the model does not have.",
-        "At standstill friction may be anything within stiction, so that column is the largest on a healthy arm too.",
+        "RMS error of the model by regime of the joint. A larger value points to an effect that the model lacks.",
+        "At standstill, friction can have any value within stiction: that column is the largest on a healthy arm too.",
     )
     return Section("Residuals", text, (heat_map(figures, predictions[0]), *residual_plots(predictions)))
 
@@ -56,7 +55,7 @@ def heat_map(
     values: np.ndarray,
     prediction: Prediction,
     name: str = "residuals",
-    caption: str = "RMSE by joint (rows) and regime (columns), in % of nominal joint torque where there is one.",
+    caption: str = "RMSE by joint (rows) and regime (columns), in % of nominal joint torque if known.",
 ) -> Figure:
     """Cells (n, regimes) of `residual_map`, shaded by their values."""
     names = prediction.model.robot.joint_names

@@ -31,17 +31,12 @@ def planned_sections(experiment: Mapping[str, Any] | None) -> list[Section]:
     rows = [tuple(chances_text(entry)) for entry in experiment["probability"]]
     text = [
         f"{next_text(experiment)}.",
-        "The right answer's probability comes from rehearsals: what the diagnosis would say after it, should either be "
-        "true. A size of 1 is the smallest that matters.",
+        "The probability of the right answer comes from simulated diagnoses with either cause. A size of 1 is the "
+        "smallest that matters.",
     ]
     text += [f"{experiment['with_a_mass']['text']}."] if "with_a_mass" in experiment else []
-    header = (
-        "open",
-        "right answer without it",
-        "after it (one or the other true)",
-        "smallest size it would find",
-    )
-    return [Section("The motion that tells more", text, (Table("planned", header, rows),))]
+    header = ("open", "right answer now", "after it (for each cause)", "smallest size that it detects")
+    return [Section("The next motion", text, (Table("planned", header, rows),))]
 
 
 def chances_text(entry: Mapping[str, Any]) -> tuple[str, str, str, str]:
@@ -62,13 +57,13 @@ def rounds_sections(rounds: Sequence[Mapping[str, Any]] | None, end: str) -> lis
         for number, one in enumerate(rounds, start=1)
     ]
     text = [
-        "Each round asks what all motions before it leave open, by the motion that makes the right answer likeliest."
+        "Each round runs the motion that most likely settles what is still open."
         if rows
         else "No further motion was run."
     ]
     text += [f"After that: {end}."] if end else []
     header = ("round", "question", "motion", "right answer, before and after", "answer")
-    return [Section("What further motions told", text, (Table("rounds", header, rows),) if rows else ())]
+    return [Section("Results of further motions", text, (Table("rounds", header, rows),) if rows else ())]
 
 
 def _question(one: Mapping[str, Any]) -> str:
@@ -81,6 +76,6 @@ def _chance(one: Mapping[str, Any]) -> str:
 
 def _answer(one: Mapping[str, Any]) -> str:
     if not one.get("verdict"):
-        return "none: it was cut short"
+        return "none: interrupted"
     causes = [f"{cause['effect']} on {place(cause)}" for cause in one["causes"]]
     return f"{one['verdict']}: {', '.join(causes)}" if causes else str(one["verdict"])

@@ -91,8 +91,8 @@ def _headline(result: dict[str, Any]) -> str:
     if not known:
         errors = zip(validation["joints"], validation["rmse"], joint_units(validation), strict=True)
         return (
-            "Not judged, as the robot description has no nominal torques. Unseen motions in the sub-region are "
-            f"predicted to {', '.join(f'{error:.3g} {unit} on {joint}' for joint, error, unit in errors)}."
+            "Not judged: the robot description has no nominal torques. Prediction error on unseen motions in the "
+            f"sub-region: {', '.join(f'{error:.3g} {unit} on {joint}' for joint, error, unit in errors)}."
         )
     worst, axis = max(known)
     left_out = ", ".join(gate.get("not_judged", []))
@@ -128,12 +128,12 @@ def _validation(data: RunData) -> Section:
     header = ("axis", "RMSE", "unit", "of nominal, moving [%]", "of nominal, all samples [%]", "")
     text = [
         f"{validation['motions']} random motions at {validation['speed']:g} m/s that took no part in the fit.",
-        "Normalised: RMSE over the axis's nominal joint torque. Moving samples decide; standstill is shown beside.",
+        "Normalised: RMSE over the axis's nominal joint torque. Moving samples decide; all samples include standstill.",
     ]
     if data.result["accepted"] is False:
         text.append(
-            "The model of a rejected run is not made current. The residuals below show in which regime it is off; "
-            "if they are alike everywhere, more cycles, a longer search or faster motion tell more."
+            "A rejected run does not change the current model. The residuals below show the regime with the largest "
+            "error. If all regimes are alike, try more cycles, a longer search or faster motion."
         )
     parts = (
         Table("validation", header, rows),

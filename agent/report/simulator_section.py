@@ -11,6 +11,7 @@ from agent.diagnosis import Diagnosis, Range, forward_warning, ranges, ranges_te
 from agent.report.bars import Bar, lying_bars
 from agent.report.figures import Figure
 from agent.report.page import Section, Table
+from agent.report.phrasing import capital
 from agent.report.plots import SERIES
 
 
@@ -48,9 +49,8 @@ def waterfall_parts(steps: Sequence[Mapping[str, Any]]) -> tuple[str, Figure, Ta
         for entry in steps
     ]
     text = (
-        "What closes the gap on motion held out, in the order found, each step beside those before it; with the rest, "
-        "the steps sum to the whole gap. Alone: what a step closes by itself; where that is more, it shares the gap "
-        "with steps before it."
+        "Share of the gap that each step closes on held-out motion, in addition to the steps before it. The steps and "
+        "the rest sum to the whole gap. Alone: what a step closes by itself."
     )
     return text, _picture(steps), Table("waterfall", ("step", "closes", "90 % interval", "alone"), rows)
 
@@ -64,21 +64,20 @@ def _picture(steps: Sequence[Mapping[str, Any]]) -> Figure:
         for k, (part, left) in enumerate(zip(closes.tolist(), before.tolist(), strict=True))
     ]
     said = [f"{entry['step']}: {part:.3g} % of the gap" for entry, part in zip(steps, closes, strict=True)]
-    svg = lying_bars([entry["step"] for entry in steps], said, bars, "% of the gap that is left")
-    caption = "From the whole gap, each step takes its bar away; the last bar is what remains."
+    svg = lying_bars([entry["step"] for entry in steps], said, bars, "% of the gap that remains")
+    caption = "Each step removes its bar from the gap; the last bar remains."
     rows = np.column_stack([np.arange(len(steps)), closes, before])
     return Figure("waterfall-picture", caption, svg, ("step", "closes", "before"), rows)
 
 
 def _forward(forward: dict[str, Any]) -> Section:
     text = [
-        f"From {forward['windows']} measured states the simulator is run in {forward['engine']} by the recorded "
-        f"{forward['driven_by'].replace('_', '-')}, as given and as corrected by the other motions: root mean square "
-        "error of position [rad or m] and velocity [rad/s or m/s], and the range of 90 % in which it lies on another "
-        "motion like these.",
+        f"The simulator runs in {forward['engine']} from {forward['windows']} measured states with the recorded "
+        f"{forward['driven_by'].replace('_', '-')}, as given and as corrected by the other motions. The tables show "
+        "the RMS error of position [rad or m] and velocity [rad/s or m/s], with its 90 % range on a similar motion.",
     ]
     if warning := forward_warning(forward):
-        text.append(f"Mind: {warning}.")
+        text.append(f"{capital(warning)}.")
     tables = (
         Table(name, (f"{what}, after", "given", "corrected"), _forward_rows(forward, prefix))
         for name, what, prefix in (("forward", "position", ""), ("forward-velocity", "velocity", "velocity_"))
@@ -105,9 +104,9 @@ def _ranges(found: Sequence[Range]) -> Section:
         for entry in found
     ]
     text = [
-        "How far the numbers that were moved may still be off (90 %): the ranges over which it is justified to "
-        "randomise a simulator that policies are trained in. What is not listed was not moved. Masses of links trade "
-        "with one another: each may be anywhere in its range, but not all of them at once. As YAML below.",
+        "Remaining uncertainty (90 %) of each corrected parameter: use it as the range for domain randomisation. "
+        "Parameters that are not listed keep their value. Link masses are correlated: each can be anywhere in its "
+        "range, but not all at once. As YAML below.",
     ]
     table = Table("ranges", ("number", "value", "range", "unit"), rows)
     return Section("For training policies", text, (table,), ranges_text(tuple(found)))

@@ -50,12 +50,12 @@ def test_the_whole_job(controller, write_recipe, run_agent, tmp_path: Path):
     for name in ("fitness", "condition number", "prediction error", "accepted", "report.html"):
         assert name in run.stderr
     assert re.search(r"motion 1 of 3, excitation: .* s left in all", run.stderr)
-    assert "current model       that of this run" in run.stderr
+    assert "current model       this run" in run.stderr
     assert f"agent recalibrate {recipe}" in run.stderr
     page = (folder / "report.html").read_text(encoding="utf-8")
     (condition,) = re.findall(r"condition number +([0-9]+) ", run.stderr)
     assert f"Condition number {condition} " in page, "one number in the summary and on the page"
-    assert "current model is that of this run" in page
+    assert "current model: this run." in page
 
     model = IdentifiedModel.load(folder / "model.json")
     assert len(model.base_values) == 40
@@ -72,10 +72,10 @@ def test_the_whole_job(controller, write_recipe, run_agent, tmp_path: Path):
     again = run_agent("calibrate", recipe, "-q")
     assert again.returncode == 0, again.stderr
     assert again.stdout.strip() != run.stdout.strip()
-    assert f"current model       that of {folder.name}, not of this run" in again.stderr
-    assert f"agent apply {Path(again.stdout.strip()).name} makes this model the current one" in again.stderr
+    assert f"current model       unchanged (run {folder.name})" in again.stderr
+    assert f"to make this model the current one: agent apply {Path(again.stdout.strip()).name}" in again.stderr
     later = (tmp_path / again.stdout.strip() / "report.html").read_text(encoding="utf-8")
-    assert f"current model is that of {folder.name}" in later
+    assert f"current model: unchanged (run {folder.name})" in later
     kept = run_agent("trajectories", "--json")
     assert len(json.loads(kept.stdout)["trajectories"]) == 1, "the same search finds the same loop"
 

@@ -30,6 +30,41 @@ def test_help_loads_nothing_heavy():
     assert "calibrate" in run.stdout
 
 
+def _help(*words: str) -> str:
+    from typer.testing import CliRunner
+
+    from agent.cli.app import app
+
+    shown = CliRunner().invoke(app, [*words], env={"COLUMNS": "80"})
+    assert shown.exit_code == 0
+    return shown.output
+
+
+def test_the_help_shows_groups_and_whole_sentences():
+    text = _help("--help")
+    places = [text.index(f"─ {group} ─") for group in ("Calibrate", "Diagnose", "Data and models", "Tools", "Fleet")]
+    assert places == sorted(places)
+    assert "..." not in text.replace("ARGS]...", "")
+    assert "─ Commands ─" not in text, "a command without a group"
+
+
+@pytest.mark.parametrize("group", [(), ("fleet",)])
+def test_each_command_shows_an_example(group: tuple[str, ...]):
+    """The emulator is a program of its own."""
+    commands = re.findall(r"^│ ([a-z][a-z-]+) ", _help(*group, "--help"), re.M)
+    for name in set(commands) - {"emulator", "fleet"}:
+        assert f"Example: {' '.join(('agent', *group, name))} " in _help(*group, name, "--help")
+
+
+def test_the_help_of_diagnose_fits_on_a_screen_and_all_of_it_can_be_asked_for():
+    first, all_of_it = (
+        set(re.findall(r"^│ (--[a-z-]+)", _help("diagnose", how), re.M)) for how in ("-h", "--help-all")
+    )
+    assert len(first) <= 12
+    assert first < all_of_it
+    assert {"--cutoff", "--planning-budget", "--allow-mixed"} <= all_of_it - first
+
+
 def test_a_signal_within_compiled_code_is_a_signal():
     """Python says SystemError where a handler raises while a function in C returns a result."""
     script = (
@@ -143,7 +178,7 @@ def test_the_version(run_agent):
 def test_check_says_how_far_it_has_come(run_agent, write_recipe):
     run = run_agent("check", write_recipe("127.0.0.1:1"))
     assert "random loops at 1 m/s tried" in run.stderr
-    assert "looking at controller" in run.stderr
+    assert "checking controller" in run.stderr
 
 
 def test_an_existing_output_is_never_overwritten(run_agent, tmp_path: Path):

@@ -50,7 +50,7 @@ def test_the_search_says_what_it_passes_over_and_refuses_a_job_that_does_not_mov
     still = "\n".join(line for line in JOB.split("\n") if "MOVE" not in line)
     with pytest.raises(InputError, match=r"job\.pdl: nothing in this program moves the arm"):
         search_loop(recipe_for(tmp_path, still), Console())
-    assert "job.pdl: 3 lines that do not move are passed over (IMPORT 1, WAIT 1, GRIP 1)" in capsys.readouterr().err
+    assert "job.pdl: 3 lines without motion are skipped (IMPORT 1, WAIT 1, GRIP 1)" in capsys.readouterr().err
 
 
 def test_taught_positions_come_from_the_variable_file_beside_the_job(tmp_path):

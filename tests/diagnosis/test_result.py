@@ -163,7 +163,7 @@ def test_a_model_of_another_arm_is_mentioned(baseline, tmp_path, capsys):
     ur10e = str(Path(__file__).parents[2] / "recipes/examples/ur10e/robot.yaml")
     with pytest.raises(InputError, match="no such file"):
         diagnose_files(ur10e, [tmp_path / "log.mcap"], GapQuestion(tmp_path / "model.json"), Console())
-    assert f"is a model of {baseline.robot.name}, and --robot names ur10e" in capsys.readouterr().err
+    assert f"is a model of {baseline.robot.name}, but --robot names ur10e" in capsys.readouterr().err
 
 
 def test_torque_in_coarse_steps_is_not_clipped(arm, baseline, runs):

@@ -110,7 +110,7 @@ def test_the_gap_is_in_motion_first_and_the_torque_is_said_to_be_the_servos(soft
     text, page = diagnosis_text(result), (folder / "page.html").read_text()
     assert (
         text.index("position error of")
-        < text.index("that of the file's servos")
+        < text.index("that of the simulated servos")
         < text.index("torque error on held-out")
     )
     assert page.index("How far it drifts") < page.index("Where it is")

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import ast
 import re
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -13,8 +15,11 @@ ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 #: Generated from code, whose tests check its words.
 PENDING = {"docs/reference.md"}
+#: Modules whose texts people read on terminal and pages; the last is being rewritten together with the diagnosis.
+MODULES = {path for package in ("cli", "pipeline", "report") for path in (ROOT / "agent" / package).glob("*.py")}
+MODULES -= {ROOT / "agent" / "report" / "diagnosis_page.py"}
 BUDGET = 25_000  # words of all pages, blocks of code apart
-LONGEST, MEAN = 35, 18  # words of a sentence
+LONGEST, MEAN, LONGEST_SHOWN = 35, 18, 25  # words of a sentence: of a page; of a text of the program
 #: Term, and what the field says.
 GLOSSARY = {
     r"\bplaces?\b(?! on the path| of the path)": "hypothesis, joint, position",
@@ -79,6 +84,27 @@ def test_sentences_are_short(page: Path):
     prose, cells = _sentences(page)
     assert [words for words in (*prose, *cells) if words > LONGEST] == []
     assert sum(prose) <= MEAN * len(prose)
+
+
+def _texts(module: Path) -> Iterator[str]:
+    """Texts of more than a word without markup, a value of an f-string as one word; docstrings apart."""
+    nodes = list(ast.walk(ast.parse(module.read_text(encoding="utf-8"))))
+    apart = {id(node.value) for node in nodes if isinstance(node, ast.Expr)}
+    apart |= {id(value) for node in nodes if isinstance(node, ast.JoinedStr) for value in node.values}
+    for node in nodes:
+        parts = node.values if isinstance(node, ast.JoinedStr) else [node]
+        if id(node) not in apart and all(isinstance(part, ast.Constant | ast.FormattedValue) for part in parts):
+            text = "".join(str(part.value) if isinstance(part, ast.Constant) else "X" for part in parts)
+            if " " in text.strip() and "<" not in text:
+                yield text
+
+
+@pytest.mark.parametrize("module", sorted(MODULES), ids=lambda module: f"{module.parent.name}/{module.stem}")
+def test_texts_of_the_program_are_plain_and_short(module: Path):
+    texts = list(_texts(module))
+    assert [(text, term) for text in texts for term in GLOSSARY if re.search(term, text)] == []
+    sentences = [part for text in texts for part in re.split(r"(?<=[.!?;:])\s+", text)]
+    assert [part for part in sentences if _words(part) > LONGEST_SHOWN] == []
 
 
 def test_all_pages_together_have_few_words():

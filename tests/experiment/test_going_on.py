@@ -1,4 +1,4 @@
-"""What a run that was stopped says to go on with: the command that started it."""
+"""What a run that was stopped says to continue with: the command that started it."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_no_part_of_the_question_is_left_out():
 
 def test_a_diagnosis_is_started_again_with_the_command_that_started_it(run: RunFolder, tmp_path: Path):
     run.note(kind="diagnose", robot_source="my robot.yaml", options=[*ASKED.options(), *options_of(600.0)])
-    assert "ask the same of them" not in going_on(run, "record", STOPPED)
+    assert "diagnose them with" not in going_on(run, "record", STOPPED)
     for name in ("excitation.mcap", "validation_01.mcap", "record"):
         run.finish(name)
     said = going_on(run, "rounds", STOPPED)
@@ -75,7 +75,7 @@ def test_a_diagnosis_is_started_again_with_the_command_that_started_it(run: RunF
         **{key: value for key, value in vars(ASKED).items() if key not in ("next_payload", "planning_budget")},
     }
     assert {**found, "without": tuple(found["without"])} == {**BESIDE, **question}
-    recorded = read(said.partition("ask the same of them with: ")[2].partition("; or start again")[0])
+    recorded = read(said.partition("diagnose them with: ")[2].partition("; or start again")[0])
     assert recorded["logs"] == [run.file("excitation.mcap"), run.file("validation_01.mcap")]
     assert (recorded["robot"], recorded["record"], recorded["until_sure"]) == ("my robot.yaml", None, False)
     assert {key: recorded[key] for key in ("model", "cutoff")} == {"model": ASKED.model, "cutoff": ASKED.cutoff}
@@ -97,7 +97,7 @@ def test_a_diagnosis_of_further_logs_asks_the_same_and_writes_nothing_over():
 
 @pytest.mark.parametrize("known", [None, Path("zero.mcap")])
 def test_seconds_on_the_brakes_are_asked_for_by_the_option_that_takes_their_log(known):
-    experiment = {"motion": f"What may: {BRAKES}", "program": None}
+    experiment = {"motion": f"First, {BRAKES}", "program": None}
     result = {"verdict": "ambiguous", "causes": [{"effect": "torque_offset"}], "next_experiment": experiment}
     (step,) = after_diagnosis(result, "my robot.yaml", [Path("a.mcap")], replace(ASKED, drives_off=known))
     found = read(step.command)
@@ -155,5 +155,5 @@ def test_a_calibration_that_its_recipe_stopped_is_not_gone_on_with(run, error, p
     if planned:
         run.finish("plan")
     said = going_on(run, "plan", error)
-    assert ("; go on with: agent calibrate " in said) is goes_on
+    assert ("; continue with: agent calibrate " in said) is goes_on
     assert ("--resume" in said) is goes_on

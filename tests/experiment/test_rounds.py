@@ -141,13 +141,13 @@ def test_a_log_that_is_refused_ends_the_rounds_with_what_was_found(ask):
 
 def test_without_a_model_no_gap_is_said_to_be_one_beyond_what_a_fit_absorbs(ask):
     assert ask(["no_gap"], [])[0].end == "settled: no_gap"
-    assert "name one of before with --model" in ask(["no_gap"], [], given=False)[0].end
+    assert "name an earlier model with --model" in ask(["no_gap"], [], given=False)[0].end
     assert ask(["explained"], [], given=False)[0].end == "settled: explained"
 
 
 def test_rounds_end_with_the_budget_or_where_no_motion_helps(ask):
     end = ask(["ambiguous"] * 2, ["one"], budget=25.0)[0].end
-    assert end == "the budget of motion is used up: 5 s of it are left, and a further motion takes 10 to 60 s"
+    assert end == "the motion budget is used up: 5 s are left, and a motion takes 10 to 60 s"
     found, _ = ask(["ambiguous"] * 3, ["one", "two"])
     assert found.end == NONE.text
     assert found.to_dict()["next_experiment"] == {**NONE.to_dict(), "program": None}, "what else may, nothing to run"

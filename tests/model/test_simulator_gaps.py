@@ -172,7 +172,7 @@ def test_beside_one_that_is_nearly_all_of_the_gap_an_effect_counts_by_its_own_jo
     causes = {(cause["effect"], *cause["joints"]): cause for cause in found.result["causes"]}
     assert ("stribeck", "tip") in causes
     assert causes["stribeck", "tip"]["closure"] < 0.03
-    assert re.search(r"and \d+ % of what all else leaves on tip", diagnosis_text(found.result))
+    assert re.search(r"and \d+ % of the remaining gap on tip", diagnosis_text(found.result))
 
 
 @pytest.mark.verify

@@ -192,6 +192,6 @@ def test_friction_that_falls_as_a_joint_slows_down_is_how_a_simulator_lets_it_ch
 def test_numbers_that_close_nearly_all_of_a_gap_are_said_to_though_nothing_of_the_catalogue_was_found():
     steps = [{"step": "friction of lift", "closes": 0.98}, {"step": "remainder", "closes": 0.02}]
     result = {"verdict": "unknown", "causes": [], "closure": 0.98, "where": [], "waterfall": steps}
-    assert "close 98.0 % of the gap; no effect of the catalogue explains the rest" in verdict_text(result)
-    assert headline(result).startswith("Adjusted numbers of the simulator close 98.0 %")
-    assert verdict_text({**result, "waterfall": []}) == "there is a gap, and no effect of the catalogue explains it"
+    assert "close 98.0 % of the gap; no known effect explains the rest" in verdict_text(result)
+    assert headline(result).startswith("Corrected simulator parameters close 98.0 %")
+    assert verdict_text({**result, "waterfall": []}) == "there is a gap that no known effect explains"

@@ -138,7 +138,7 @@ def test_a_recipe_takes_the_file_and_says_what_is_wrong_with_it(learned, tmp_pat
     ("change", "match"),
     [
         ("no references", "no /joint_references"),
-        ("no program", "program that was recorded is not beside it"),
+        ("no program", "recorded program is missing"),
         ("another program", "do not follow the program"),
         ("standstill", "stand still"),
         ("another robot", "a log of somebody"),

@@ -50,7 +50,7 @@ def test_the_stored_loop_is_run_again_judged_recorded_and_made_current(shop, run
     assert json.loads((folder / "state.json").read_text(encoding="utf-8"))["reference"] == first.name
     assert json.loads((folder / "comparison.json").read_text(encoding="utf-8"))["before"] == first.name
     assert result["current_model"] == folder.name
-    assert "current model       that of this run" in run.stderr
+    assert "current model       this run" in run.stderr
     assert result["diagnosis"] is None
     assert max(result["validation"]["normalised_rmse"]) < 0.01
     assert (folder / "program.pdl").read_bytes() == (first / "program.pdl").read_bytes()
@@ -248,4 +248,4 @@ def test_what_is_left_open_is_asked_of_new_motions_where_they_are_released(shop,
     for number, one in enumerate(found["rounds"], start=1):
         assert one["duration_s"] <= 60.0
         assert (folder / f"experiment_{number:02d}.mcap").exists()
-    assert "What further motions told" in (folder / "report.html").read_text(encoding="utf-8")
+    assert "Results of further motions" in (folder / "report.html").read_text(encoding="utf-8")

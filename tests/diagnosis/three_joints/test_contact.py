@@ -181,7 +181,7 @@ def test_the_page_lists_each_push_with_place_times_and_force(arm, model, free):
 def test_a_push_is_not_taken_into_the_model():
     result = {"verdict": "explained", "causes": [{"effect": "contact"}], "next_experiment": None}
     (step,) = after_diagnosis(result, None, [Path("a.mcap")], GapQuestion(Path("model.json")))
-    assert "no part of a model" in step.what
+    assert "not added to a model" in step.what
     assert not step.command
 
 

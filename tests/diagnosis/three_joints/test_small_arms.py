@@ -207,7 +207,7 @@ def test_an_unknown_gap_is_located_on_the_page(arm, model):
     assert found.result["verdict"] == "unknown"
     page = diagnosis_report(found)
     head = page.split("</header>")[0]
-    assert "no effect of the catalogue explains it" in head
+    assert "no known effect explains" in head
     assert re.search(r"joint_\d has \d+ %", head)
     assert "Run next" in page
 
