@@ -219,7 +219,7 @@ def test_a_recipe_with_another_tool_than_the_logs_or_the_model_is_refused(tmp_pa
     unsaid = SimpleNamespace(name="b.mcap", metadata={})
     check_tool(bare, [log, unsaid], {"tool": ["none"]})  # type: ignore[list-item]
     check_tool(tooled, [unsaid], {})  # type: ignore[list-item]
-    with pytest.raises(InputError, match=r"its tool is .*4 kg.*, and that of a\.mcap is none"):
+    with pytest.raises(InputError, match=r"its tool is .*4 kg.*, but that of a\.mcap is none"):
         check_tool(tooled, [log], {})  # type: ignore[list-item]
     with pytest.raises(InputError, match="that of the model is none"):
         check_tool(tooled, [unsaid], {"tool": ["none"]})  # type: ignore[list-item]
