@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+GUIDES = [ROOT / f"{name}.md" for name in ("CODE_OF_CONDUCT", "CONTRIBUTING", "SECURITY")]
+PAGES = [ROOT / "README.md", *GUIDES, *sorted((ROOT / "docs").rglob("*.md"))]
 #: Pages that are being rewritten together with the diagnosis, or generated from its limits.
 PENDING = {"docs/diagnosis.md", "docs/decisions/evidence-law.md", "docs/reference.md"}
 BUDGET = 25_000  # words of all pages, blocks of code apart
