@@ -1,4 +1,4 @@
-"""`make calibrate`: the fake controller as a process of its own, and the quickstart recipe run against it. Runs go to `logs`."""
+"""`make calibrate`: the fake controller as a process of its own, and the quickstart recipe; runs go to `logs`."""
 
 from __future__ import annotations
 
