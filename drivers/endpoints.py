@@ -22,6 +22,7 @@ def endpoints(driver: str, address: str) -> tuple[str, ...]:
     from drivers.transports.cnr.address import parse_address as parse_cnr
     from drivers.transports.serial_port import parse_port
     from drivers.transports.tcp import parse_address
+    from drivers.transports.ur.driver import places
 
     head, _, options = address.partition(",")
     try:
@@ -30,6 +31,8 @@ def endpoints(driver: str, address: str) -> tuple[str, ...]:
         if driver == "cnr_comau":
             where = parse_cnr(address)
             return tuple(sorted(set(_ports(where.host, where.trajectory))))
+        if driver == "ur":
+            return tuple(sorted(set(_ports(*parse_address(places(address)["primary"])))))
         if driver in available():
             host, port = parse_address(head.strip()) if ":" in head else (head.strip(), 0)
             return tuple(sorted({f"{one}{options and ','}{options}" for one in _ports(host, port)}))

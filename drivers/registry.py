@@ -22,6 +22,7 @@ _BUILT_IN = {
     "modbus": "drivers.transports.modbus.driver:ModbusDriver",
     "serial": "drivers.transports.serial:create",
     "cnr_comau": "drivers.transports.cnr:create",
+    "ur": "drivers.transports.ur.driver:UrDriver",
 }
 
 _log = logging.getLogger(__name__)

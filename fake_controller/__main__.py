@@ -18,9 +18,12 @@ from fake_controller.servers import WIRES
 
 if TYPE_CHECKING:
     from fake_controller.controller import Controller
+    from fake_controller.servers import Server
+    from fake_controller.ur.cell import UrCell
 
 #: Shortest watchdog [s] by clock: an arm that is simulated as fast as it goes keeps no rhythm on the wall.
 WATCHDOGS = {"fast": 5.0, "real": 0.05}
+DEFAULT_PORT, UR = 9100, "ur"
 #: How long [s] the simulated arm may keep the interpreter from the servers' threads: a link with many short exchanges
 #: waits for it in each of them, and a controller answers while it plans.
 SWITCH_INTERVAL = 0.0005
@@ -44,6 +47,8 @@ def main(arguments: list[str] | None = None) -> int:
         signal.signal(number, lambda *_: done.set())
 
     from fake_controller.servers import NoBrokerError, open_server
+    from fake_controller.ur.cell import UrCell
+    from fake_controller.ur.server import UrServer
 
     try:
         controller = _controller(options)
@@ -51,25 +56,29 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"fake controller: {error}", file=sys.stderr)
         return error.exit_code
     try:
-        server = open_server(
-            options.driver,
-            controller,
-            options.address,
-            options.port,
-            options.watchdog or WATCHDOGS[options.clock],
-            options.clock == "fast",
-            options.baud,
-            options.serial_port,
-            options.broker,
-            options.node_period and options.node_period * 1e-3,
-        )
+        if isinstance(controller, UrCell):
+            server: Server = UrServer(controller, options.address)
+        else:
+            server = open_server(
+                options.driver,
+                controller,
+                options.address,
+                DEFAULT_PORT if options.port is None else options.port,
+                options.watchdog or WATCHDOGS[options.clock],
+                options.clock == "fast",
+                options.baud,
+                options.serial_port,
+                options.broker,
+                options.node_period and options.node_period * 1e-3,
+            )
     except NoBrokerError as error:
         print(
             f"fake controller: {error}; start one (apt-get install mosquitto), or name it by --broker", file=sys.stderr
         )
         return 2
     except OSError as error:
-        where = options.serial_port or f"{options.address}:{options.port}"
+        ports = " (a published port of UR controllers)" if options.driver == UR else f":{options.port or DEFAULT_PORT}"
+        where = options.serial_port or f"{options.address}{ports}"
         print(f"fake controller: cannot listen at {where}: {error.strerror}; is the port taken?", file=sys.stderr)
         return 2
     except ValueError as error:
@@ -94,31 +103,43 @@ def main(arguments: list[str] | None = None) -> int:
     return 0
 
 
-def _controller(options: argparse.Namespace) -> Controller:
-    """What the scenario says, where the command line says nothing else; also sets `options.clock`.
+def _controller(options: argparse.Namespace) -> Controller | UrCell:
+    """What the scenario says, where the command line says nothing else; also sets `options.clock` and `driver`.
 
     Raises:
         InputError: a scenario or an effect that makes no sense, or an unknown robot.
     """
     from fake_controller.actuation.machine import weighs_nothing
-    from fake_controller.build import build_controller
+    from fake_controller.build import build_controller, build_ur_cell
     from fake_controller.scenario import SetupSection, load_scenario
     from fake_controller.state import State
+    from fake_controller.ur.arm import MODELS
 
     scenario = None if options.scenario is None else load_scenario(options.scenario)
     setup = SetupSection(clock="real", seed=0) if scenario is None else scenario.setup
     if options.model and options.robot:
         raise InputError("--model has its own robot: leave out --robot")
     options.clock = options.clock or setup.clock
-    controller = build_controller(
-        options.robot or setup.robot,
-        setup.seed if options.seed is None else options.seed,
-        options.clock,
-        [*setup.effects, *(_effects(options.effects) if options.effects else ())],
-        [] if scenario is None else scenario.build_faults(options.robot),
-        options.model,
-        options.interpolator,
-    )
+    robot = options.robot or setup.robot
+    seed = setup.seed if options.seed is None else options.seed
+    effects = [*setup.effects, *(_effects(options.effects) if options.effects else ())]
+    faults = [] if scenario is None else scenario.build_faults(options.robot)
+    options.driver = options.driver or (UR if robot in MODELS and not options.model else "tcp")
+    controller: Controller | UrCell
+    if options.driver == UR:
+        if options.port is not None:
+            raise InputError("a UR controller listens at its published ports: leave out --port, choose an --address")
+        controller = build_ur_cell(
+            robot,
+            seed,
+            options.clock,
+            effects,
+            faults,
+            options.model,
+            shortest_watchdog=options.watchdog or WATCHDOGS[options.clock],
+        )
+    else:
+        controller = build_controller(robot, seed, options.clock, effects, faults, options.model, options.interpolator)
     controller.state = State(**setup.state.model_dump())
     if options.model is None and weighs_nothing(controller.robot):
         print(
@@ -141,11 +162,19 @@ def _effects(path: Path) -> list[dict[str, Any]]:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="python -m fake_controller",
-        description="An emulated robot controller: it runs the PDL2 programs it is sent on a simulated arm.",
+        description="An emulated robot controller: it runs programs (PDL2, URScript) on a simulated arm.",
     )
     parser.add_argument("--robot", help="built-in robot (comau_ns16 if none is named), or path of a robot.yaml")
-    parser.add_argument("--driver", choices=WIRES, default="tcp", help="which driver's wire to speak; rtu is serial's")
-    parser.add_argument("--port", type=_port, default=9100, help="TCP port; 0 takes a free one and prints it")
+    parser.add_argument(
+        "--driver",
+        choices=[*WIRES, UR],
+        help="which driver's wire to speak; rtu is serial's. If none is named: ur for its robots, else tcp",
+    )
+    parser.add_argument(
+        "--port",
+        type=_port,
+        help=f"TCP port, {DEFAULT_PORT} if none is named; 0 takes a free one and prints it; ur has its published ports",
+    )
     parser.add_argument("--address", default="127.0.0.1", help="where to listen; others cannot connect by default")
     parser.add_argument(
         "--baud",

@@ -7,13 +7,19 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from agent.robot import kinematics_for, load_robot
+from agent.core import InputError
+from agent.robot import RobotDescription, kinematics_for, load_robot
 from fake_controller.clock import CLOCKS
 from fake_controller.controller import PERIOD, Controller
-from fake_controller.faults import Fault, Faults
+from fake_controller.faults import Fault, Faults, check_wire
 from fake_controller.interpolation import build_interpolator
 from fake_controller.interpreter import left_over
 from fake_controller.plant import Plant
+from fake_controller.ur.arm import MODELS
+from fake_controller.ur.cell import UrCell
+
+#: Version of the software of a UR controller.
+POLYSCOPE = (5, 12, 6, 1102099)
 
 
 def build_controller(
@@ -39,15 +45,10 @@ def build_controller(
     Raises:
         InputError: no such robot or model, or an effect that does not fit it.
     """
-    identified = None
-    if model is not None:
-        from agent.model import IdentifiedModel
-
-        identified = IdentifiedModel.load(model)
-    robot = load_robot(robot_name) if identified is None else identified.robot
+    robot, plant = _machine(robot_name, seed, effects, PERIOD, model)
     return Controller(
         robot,
-        Plant(robot, seed, effects, period=PERIOD, model=identified),
+        plant,
         build_interpolator(interpolator, robot, seed, PERIOD),
         kinematics_for(robot).forward,
         CLOCKS[clock](),
@@ -55,6 +56,51 @@ def build_controller(
         faults=Faults(faults),
         system=left_over(seed),
     )
+
+
+def build_ur_cell(
+    robot_name: str,
+    seed: int,
+    clock: str,
+    effects: Sequence[Mapping[str, Any]] = (),
+    faults: Sequence[Fault] = (),
+    model: Path | None = None,
+    version: tuple[int, int, int, int] = POLYSCOPE,
+    shortest_watchdog: float = 0.05,
+) -> UrCell:
+    """A UR controller with its arm at rest, and its clock running.
+
+    Args:
+        robot_name, seed, clock, effects, faults, model: as of `build_controller`.
+        version: of the software; major 3 is a CB3, 5 an e-Series.
+        shortest_watchdog: [s] that the watchdog of a program is granted at least.
+
+    Raises:
+        InputError: no UR robot, no such model, an effect that does not fit it, or a fault that makes no sense there.
+    """
+    robot, plant = _machine(robot_name, seed, effects, 0.002 if version[0] >= 5 else 0.008, model)
+    if robot.name not in MODELS:
+        raise InputError(f"{robot.name} is no robot of Universal Robots; emulated are {', '.join(MODELS)}")
+    if plant.machine.path_changes:
+        raise InputError("interpolator_mismatch is not simulated on UR controllers; remove it from the effects")
+    try:
+        check_wire(faults, "ur")
+    except ValueError as error:
+        raise InputError(str(error)) from None
+    serial = f"2019{int(hashlib.sha256(str(seed).encode()).hexdigest()[:6], 16):08d}"
+    return UrCell(robot, plant, CLOCKS[clock](), serial, seed, version, Faults(faults), shortest_watchdog)
+
+
+def _machine(
+    robot_name: str, seed: int, effects: Sequence[Mapping[str, Any]], period: float, model: Path | None
+) -> tuple[RobotDescription, Plant]:
+    identified = None
+    if model is not None:
+        from agent.model import IdentifiedModel
+
+        identified = IdentifiedModel.load(model)
+    robot = load_robot(robot_name) if identified is None else identified.robot
+    return robot, Plant(robot, seed, effects, period=period, model=identified)
 
 
 def _serial(seed: int) -> str:

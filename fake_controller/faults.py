@@ -61,7 +61,7 @@ MACHINE = {
 FAULTS = {**WIRE, **MACHINE}
 _ONE_ANSWER = "it sends one answer at a time, so none can overtake another"
 _WITHOUT_BROKER = dict.fromkeys(
-    ("tcp", "modbus", "serial", "rtu"), "samples come by no broker there, points in no queue"
+    ("tcp", "modbus", "serial", "rtu", "ur"), "samples come by no broker there, points in no queue"
 )
 #: What becomes of the samples alone.
 LIES = ("mute", "no_end", "clock_back", "no_numbers", "columns")
@@ -71,7 +71,9 @@ NOT_ON = {
         **dict.fromkeys(("modbus", "rtu"), "its registers have their number of joints"),
         "serial": "it packs samples anew, by its number of joints",
         "cnr_comau": "its messages have ten axes",
+        "ur": "its fields have their number of joints",
     },
+    **{name: {"ur": "no program is stored there"} for name in ("wrong_program", "full_memory")},
     "clock_back": {"cnr_comau": "its node counts time by itself"},
     "no_numbers": {"cnr_comau": "a message without numbers is damage there, as if it was lost"},
     "reorder": dict.fromkeys(("modbus", "rtu", "cnr_comau"), _ONE_ANSWER),

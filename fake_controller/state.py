@@ -10,7 +10,11 @@ from agent.robot import RobotDescription
 from drivers.wire.reasons import EndReason, Refusal
 from fake_controller.programs import RefusedRequest
 
-_CALIBRATION_POSE = {"comau_ns16": np.radians([0.0, 0.0, -90.0, 0.0, 0.0, 0.0])}
+_UPRIGHT = np.radians([0.0, -90.0, -90.0, -90.0, 90.0, 0.0])  # upper arm up, forearm level, tool down
+_CALIBRATION_POSE = {
+    "comau_ns16": np.radians([0.0, 0.0, -90.0, 0.0, 0.0, 0.0]),
+    **dict.fromkeys(("ur3e", "ur5e", "ur10e"), _UPRIGHT),
+}
 
 
 @dataclass

@@ -27,6 +27,8 @@ _COLLECT_EVERY = 100_000
 def main() -> None:
     """Entry point: runs the command and turns every error into one message and its exit code."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # With colours numba writes to the terminal as the program ends, and waits for one that is frozen.
+    os.environ.setdefault("NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING", "1")
     gc.set_threshold(_COLLECT_EVERY)
     open_standard_descriptors()
     with signals_raised(), patient_messages(hang_up):

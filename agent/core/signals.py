@@ -15,6 +15,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from types import FrameType
 from typing import Any
 
@@ -43,6 +44,8 @@ _ONE_END = 10.0
 _KEPT_BACK = 16
 #: Levels of priority (`nice`) by which a process that watches an arm is ahead of others.
 _AHEAD = 10
+#: Linux: the name and the priority of the session's group of processes, like `/autogroup-7 nice 0`.
+_SESSION = Path("/proc/self/autogroup")
 _BY_HAND = (signal.SIGINT, signal.SIGQUIT)
 
 
@@ -138,16 +141,25 @@ def _descriptors_kept_back() -> Iterator[None]:
 
 @contextlib.contextmanager
 def _scheduled_first() -> Iterator[None]:
-    """Raise the priority of every thread: none that waits for a processor watches the arm. Most users may not."""
-    usual = os.getpriority(os.PRIO_PROCESS, 0)
-    _set_priority(usual - _AHEAD)
+    """Raise the priority of every thread, and that of the session: where Linux shares the processors out by session
+    (autogroup), a thread's priority counts for nothing outside its own. Most users may do neither."""
+    usual, session = os.getpriority(os.PRIO_PROCESS, 0), _session_priority()
+    _set_priority(usual - _AHEAD, min(session, -_AHEAD))  # a session that was left like this is not raised further
     try:
         yield
     finally:
-        _set_priority(usual)
+        _set_priority(usual, session)
 
 
-def _set_priority(niceness: int) -> None:
+def _session_priority() -> int:
+    with contextlib.suppress(OSError, ValueError, IndexError):
+        return int(_SESSION.read_text(encoding="ascii").split()[-1])
+    return 0
+
+
+def _set_priority(niceness: int, session: int) -> None:
+    with contextlib.suppress(OSError):
+        _SESSION.write_text(str(session), encoding="ascii")
     with contextlib.suppress(OSError):
         for thread in os.listdir("/proc/self/task"):
             with contextlib.suppress(OSError):  # not allowed, or the thread is gone

@@ -7,7 +7,6 @@ from .evidence import Evidence as Evidence
 from .extension import extended_model as extended_model
 from .finding import Finding as Finding, Hypothesis as Hypothesis
 from .fit import Fit as Fit
-from .folds import folds_of as folds_of
 from .forward import Simulated as Simulated, simulate as simulate, simulation_part as simulation_part
 from .forward_windows import (
     forward_lines as forward_lines,
@@ -16,8 +15,7 @@ from .forward_windows import (
 )
 from .healthy import with_healthy_effects as with_healthy_effects
 from .labels import in_torque as in_torque, torque_gap as torque_gap
-from .law import LAW as LAW, Law as Law
-from .limits import DecisionLimits as DecisionLimits
+from .law import LAW as LAW
 from .needs import Excursions as Excursions
 from .randomisation import Range as Range, ranges as ranges, ranges_text as ranges_text
 from .regimes import BANDS as BANDS, band_shares as band_shares, masks as masks, motor_phase_share as motor_phase_share

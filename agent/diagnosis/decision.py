@@ -18,7 +18,7 @@ from agent.diagnosis.candidate import Where
 from agent.diagnosis.evidence import Evaluated, Evidence
 from agent.diagnosis.finding import Finding, Hypothesis, near
 from agent.diagnosis.fit import Fit
-from agent.diagnosis.law import Law
+from agent.diagnosis.law import EvidenceLaw
 from agent.model import CATALOGUE
 
 _LISTED = 100  # hypotheses that a finding keeps
@@ -117,12 +117,12 @@ def _log_prior(evidence: Evidence, hypothesis: Evaluated) -> float:
 Answer = tuple[frozenset[Where], frozenset[int]]
 
 
-def _answer(hypothesis: Hypothesis, law: Law) -> Answer:
+def _answer(hypothesis: Hypothesis, law: EvidenceLaw) -> Answer:
     large = (p for p, torque in zip(hypothesis.places, hypothesis.torque, strict=True) if torque >= law.practical)
     return frozenset(large), frozenset(hypothesis.free)
 
 
-def _answers(hypotheses: Sequence[Hypothesis], law: Law) -> dict[Answer, float]:
+def _answers(hypotheses: Sequence[Hypothesis], law: EvidenceLaw) -> dict[Answer, float]:
     """Probability of every set of effects that are large enough to matter."""
     answers: dict[Answer, float] = {}
     for hypothesis in hypotheses:
@@ -132,7 +132,7 @@ def _answers(hypotheses: Sequence[Hypothesis], law: Law) -> dict[Answer, float]:
 
 
 def _equal_by_definition(
-    place: Where, leader: Hypothesis, hypotheses: Sequence[Hypothesis], law: Law
+    place: Where, leader: Hypothesis, hypotheses: Sequence[Hypothesis], law: EvidenceLaw
 ) -> tuple[Where, ...]:
     """Forms that equal a cause unless the logs show otherwise, and explain as much as far as any form is trusted."""
     known = CATALOGUE[place[0]].structurally_equivalent
@@ -147,7 +147,7 @@ def _equal_by_definition(
 
 
 def _class_of(
-    place: Where, names: frozenset[Where], answers: Mapping[Answer, float], equal: tuple[Where, ...], law: Law
+    place: Where, names: frozenset[Where], answers: Mapping[Answer, float], equal: tuple[Where, ...], law: EvidenceLaw
 ) -> tuple[tuple[Where, ...], float]:
     """What these motions do not distinguish from a cause, and the probability of any of them."""
     own = sum(share for (places, _), share in answers.items() if place in places)

@@ -27,8 +27,9 @@ from scipy.linalg import solve_triangular
 from agent.diagnosis.background import Healthy, smooth_columns, usual_effects
 from agent.diagnosis.candidate import Candidate, Where
 from agent.diagnosis.fit import Fit
-from agent.diagnosis.law import LAW, Law
+from agent.diagnosis.law import LAW, EvidenceLaw
 from agent.model import CATALOGUE
+from agent.simulators import SIMULATOR
 
 _ROWS = 0.016  # s between the rows that are kept: their rate is twice the usual cut-off of 30 Hz
 _LEAST_SCALE = 0.2  # of σ²: no background is known to be smaller
@@ -149,11 +150,13 @@ class Evidence:
     healthy : sequence of (Candidate, float), optional
         Effects that the healthy arm has, and their torque over nominal: part of the background. If None, nothing is
         known of this arm, and the background takes from the pool what every arm has a little of.
-    law : Law, optional
+    law : EvidenceLaw, optional
         The numbers of the decision.
     """
 
-    def __init__(self, fit: Fit, candidates: Sequence[Candidate], healthy: Healthy | None = None, law: Law = LAW):
+    def __init__(
+        self, fit: Fit, candidates: Sequence[Candidate], healthy: Healthy | None = None, law: EvidenceLaw = LAW
+    ):
         self.law, self.joints = law, len(fit.rows)
         signals = fit.signals
         kept_time = np.concatenate([s.time[s.kept] for s in signals])
@@ -168,7 +171,8 @@ class Evidence:
         self.count = self.rows * self.weight
         self.reference = fit.reference
         self._index, self._pull = list(fit.index), fit.shift
-        self._prior = _of_another_day(fit, law.daily) if fit.given else fit.precision
+        self._friction = _of_the_day(fit)
+        self._prior = _of_another_day(fit, self._friction, law.daily)
         self._log_prior = float(np.linalg.slogdet(self._prior)[1])
         q, qd, qdd = (np.concatenate([getattr(s, x)[s.kept] for s in signals])[thin] for x in ("q", "qd", "qdd"))
         self._log = log = np.concatenate([np.full(len(s.time[s.kept]), s.log_index) for s in signals])[thin]
@@ -288,6 +292,8 @@ class Evidence:
             if last:
                 break
             form = np.array([sum(one.get(j, 0.0) ** 2 for one in torque) for j in range(self.joints)]) * self.unit**2
+            if self._friction.size:
+                form += [self._own_change(j, joint, mean) for j, joint in enumerate(joints)]
             sizes = [_nearest(self.sizes, max(one.values(), default=0.0)) for one in torque]
             for j in (touched if self._nothing else range(self.joints)) if refit else ():
                 energy = _energy(joints[j], float(scales[j]), mean[joints[j].at])
@@ -310,6 +316,12 @@ class Evidence:
             precision=precision,
             mean=mean,
         )
+
+    def _own_change(self, j: int, joint: JointMoments, mean: np.ndarray) -> float:
+        """Squared torque over σ by which the model's friction changed: its form is no better than an effect's."""
+        friction = np.flatnonzero(np.isin(self._index[j], self._friction))
+        change = mean[joint.at[friction]]
+        return max(float(change @ joint.moments[0][np.ix_(friction, friction)] @ change) / self.count, 0.0)
 
     def _without_background(
         self,
@@ -338,6 +350,8 @@ class Evidence:
         The scales of the hypothesis stay, so this picks what to evaluate.
         """
         found = [self._gains(base, bank) for bank in self._banks]
+        if not found:
+            return np.empty(0), []
         return np.concatenate([gain for gain, _ in found]), [value for _, values in found for value in values]
 
     def _gains(self, base: Evaluated, bank: _Bank) -> tuple[np.ndarray, list[np.ndarray]]:
@@ -608,14 +622,20 @@ class Evidence:
         return max(float(rest @ joint.moments[0] @ rest) / self.count - usual, 0.0) / float(self.unit[j]) ** 2
 
 
-def _of_another_day(fit: Fit, daily: float) -> np.ndarray:
-    """(p, p) prior precision of the model's parameters, whose friction differs from day to day by a share of itself."""
+def _of_the_day(fit: Fit) -> np.ndarray:
+    """Parameters that differ from day to day: friction of a model that was estimated before on the machine."""
     model = fit.reference.model
+    if not fit.given or model.method == SIMULATOR:
+        return np.empty(0, dtype=int)
     friction = [k for k, term in enumerate(model.terms, len(model.independent)) if term.form != "offset"]
-    some = np.array([k for k in friction if model.values[k] != 0], dtype=int)
-    spread = np.diag((daily * model.values[some]) ** -2.0)
-    gain = np.linalg.solve(fit.precision[np.ix_(some, some)] + spread, fit.precision[some])
-    return np.asarray(fit.precision - fit.precision[:, some] @ gain)
+    return np.array([k for k in friction if model.values[k] != 0], dtype=int)
+
+
+def _of_another_day(fit: Fit, friction: np.ndarray, daily: float) -> np.ndarray:
+    """(p, p) prior precision of the model's parameters, whose friction differs from day to day by a share of itself."""
+    spread = np.diag((daily * fit.reference.model.values[friction]) ** -2.0)
+    gain = np.linalg.solve(fit.precision[np.ix_(friction, friction)] + spread, fit.precision[friction])
+    return np.asarray(fit.precision - fit.precision[:, friction] @ gain)
 
 
 def _nearest(sizes: Sequence[float], size: float) -> float:

@@ -8,7 +8,7 @@ from agent.diagnosis.limits import known
 
 
 @dataclass(frozen=True)
-class Law:
+class EvidenceLaw:
     """All of them. Shares of torque are root mean square over nominal joint torque."""
 
     independent: float = known(0.5, "s", "between independent errors", "chosen")
@@ -45,4 +45,4 @@ class Law:
     )
 
 
-LAW = Law()
+LAW = EvidenceLaw()

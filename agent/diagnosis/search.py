@@ -12,7 +12,7 @@ from agent.diagnosis.decision import Observed, decide
 from agent.diagnosis.evidence import Evaluated, Evidence
 from agent.diagnosis.finding import Finding
 from agent.diagnosis.fit import Fit
-from agent.diagnosis.law import LAW, Law
+from agent.diagnosis.law import LAW, EvidenceLaw
 from agent.diagnosis.needs import Excursions
 from agent.model import CATALOGUE
 
@@ -42,7 +42,7 @@ class Search:
         Log likelihood of something else that was observed, given a hypothesis.
     healthy : sequence of (Candidate, float), optional
         Effects that the arm has already, and their torque over nominal; None if that is not known.
-    law : Law, optional
+    law : EvidenceLaw, optional
         The numbers of the decision.
     """
 
@@ -54,7 +54,7 @@ class Search:
         only: Collection[Where] | None = None,
         observed: Observed | None = None,
         healthy: Healthy | None = None,
-        law: Law = LAW,
+        law: EvidenceLaw = LAW,
     ):
         self.fit, self.law, self._progress, self._observed, self._healthy = fit, law, progress, observed, healthy
         self.allowed = {name for name in CATALOGUE if name not in without}
@@ -85,7 +85,14 @@ class Search:
             deeper = [one.log for one in self._found.values() if len(one.effects) + len(one.free) > depth]
             if max(deeper, default=-np.inf) < before:
                 break
-        return decide(self.fit, evidence, list(self._found.values()), self._observed)
+        return self._with_withheld(decide(self.fit, evidence, list(self._found.values()), self._observed))
+
+    def _with_withheld(self, finding: Finding) -> Finding:
+        """Name no cause alone where what equals it by definition was left out of the catalogue."""
+        if finding.verdict != "explained" or self.allowed.issuperset(finding.causes[0].effect.structurally_equivalent):
+            return finding
+        open_again = finding.with_runner_up()
+        return finding.without_causes("unknown", self.fit) if open_again.verdict == "explained" else open_again
 
     def forms(self) -> list[Candidate]:
         """Return every effect at every place, with the nonlinear parameters that it is tried with."""

@@ -138,9 +138,9 @@ def search_simulator(
     unit = dataset.fit.reference.scale
     enough = limits.least_share * float(np.mean(held_out_gap(dataset, dataset.fit, unit).before ** 2))
     moves = [ReleasedSimulator(dataset, dataset, ())]
-    for moved in (calibration(dataset, links=False), calibration(dataset)):
-        if len(moved.groups) > len(moves[-1].groups):
-            moves.append(moved)
+    drives, everything = calibration(dataset, links=False), calibration(dataset)
+    moves += [drives] if 0 < len(drives.groups) < len(everything.groups) else []
+    moves += [everything] if everything.groups else []
     found = [_answer(model, moved, without, progress, unit) for moved in moves]
     best = min(entry.left for entry in found)
     single = [k for k, entry in enumerate(found[:-1]) if entry.finding.causes and (k or len(entry.finding.causes) == 1)]

@@ -79,7 +79,7 @@ class Dialect(Protocol):
         start: JointTarget | None = None,
     ) -> str:
         """A program of a loop: a joint move with settings `approach` to `start` (default: the first point), then
-        `cycles` times linear moves that fly through points 2 to K and stop at the first.
+        `cycles` times linear moves that fly through points 2 to K and stop at the first, where the arm may rest.
 
         Raises:
             InputError: fewer than two points, no cycle, or what `write` refuses.

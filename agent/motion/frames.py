@@ -34,7 +34,7 @@ def tool_frame(tool: Tool | None) -> np.ndarray:
 
 def with_frames(settings: Settings, tool: Tool | None) -> Settings:
     """The settings for poses of this tool's centre point in the robot's base."""
-    return settings.changed(base=NO_FRAME, tool=frame_of(tool_frame(tool)), uframe=NO_FRAME)
+    return settings.carrying(tool).changed(base=NO_FRAME, tool=frame_of(tool_frame(tool)), uframe=NO_FRAME)
 
 
 def pose_in_robot_base(target: Target, settings: MotionSettings) -> np.ndarray:

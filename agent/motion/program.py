@@ -8,9 +8,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from agent.robot import Tool
 
 
 class MoveType(Enum):
@@ -60,6 +63,10 @@ class MotionSettings:
 
     def stopping(self) -> Self:
         """The same for a move whose end the arm has to reach exactly before the program goes on."""
+        return self
+
+    def carrying(self, tool: Tool | None) -> Self:
+        """The same for an arm that carries this tool, where programs tell the controller its load."""
         return self
 
     @property

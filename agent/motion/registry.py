@@ -21,8 +21,12 @@ from agent.robot import RobotDescription
 ENTRY_POINTS = "calibration_agent.interpolators"
 
 # Registered in code as well: a checkout that was never installed has no entry points.
-_INTERPOLATORS = {"fly": "agent.motion.fly.interpolator:FlyInterpolator", "orl": "agent.motion.orl:OrlInterpolator"}
-_DIALECTS = {"pdl2": "agent.motion.pdl2.dialect:Pdl2"}
+_INTERPOLATORS = {
+    "fly": "agent.motion.fly.interpolator:FlyInterpolator",
+    "orl": "agent.motion.orl:OrlInterpolator",
+    "ur": "agent.motion.urscript.law:UrLaw",
+}
+_DIALECTS = {"pdl2": "agent.motion.pdl2.dialect:Pdl2", "urscript": "agent.motion.urscript.dialect:UrScript"}
 
 
 def create_dialect(name: str) -> Dialect:

@@ -15,7 +15,6 @@ from .functions import (
 from .results import (
     Calibration as Calibration,
     GapDiagnosis as GapDiagnosis,
-    Listing as Listing,
     Logs as Logs,
     Model as Model,
     PlannedLoop as PlannedLoop,

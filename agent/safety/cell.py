@@ -10,8 +10,7 @@ import numpy as np
 from agent.core import InputError
 from agent.motion import Trajectory
 from agent.robot import Box, Capsule, RobotDescription
-from agent.safety.clearance import CellReport, Violation
-from agent.safety.clearance_search import ClearanceSearch
+from agent.safety.clearance import CellReport, ClearanceSearch, Violation
 
 if TYPE_CHECKING:
     from agent.robot import CollisionModel, Tool

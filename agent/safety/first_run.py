@@ -5,8 +5,11 @@ That is the speed at which a person in the cell can still step aside, as ISO 102
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,6 +26,57 @@ if TYPE_CHECKING:
 FIRST_SPEED = 0.25
 _ATTEMPTS = 12
 _SLOWEST = 0.01  # PDL2 takes whole percents of speed
+#: Beside the runs.
+FILE = "checked_programs.json"
+_SCHEMA = "checked_programs/1"
+
+
+class CheckedPrograms:
+    """Programs by their SHA-256 (hex), machines by their serial.
+
+    Args:
+        path: the file; read when it is asked, so that what another run adds counts.
+    """
+
+    def __init__(self, path: Path):
+        self.path = path
+
+    def has(self, serial: str, checksum: str) -> bool:
+        """Whether the program has run slowly on this machine.
+
+        Raises:
+            InputError: the file is damaged.
+        """
+        return any(entry["serial"] == serial and entry["program"] == checksum for entry in self._entries())
+
+    def add(self, serial: str, checksum: str) -> None:
+        """Remember it.
+
+        Raises:
+            AgentError: the file cannot be written, or it is damaged.
+        """
+        from agent.core import write_atomically
+
+        if self.has(serial, checksum):
+            return
+        now = datetime.now(UTC).isoformat(timespec="seconds")
+        entries = [*self._entries(), {"serial": serial, "program": checksum, "at": now}]
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        write_atomically(self.path, json.dumps({"schema": _SCHEMA, "programs": entries}, indent=2) + "\n")
+
+    def _entries(self) -> list[dict[str, str]]:
+        try:
+            data = json.loads(self.path.read_text(encoding="utf-8"))
+            if data["schema"] != _SCHEMA:
+                raise ValueError(f"schema {data['schema']!r}")
+            return [{key: str(entry[key]) for key in ("serial", "program", "at")} for entry in data["programs"]]
+        except FileNotFoundError:
+            return []
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise InputError(
+                f"{self.path}: this list of checked programs is damaged ({error}); move it away, every program will "
+                "then run slowly once more"
+            ) from None
 
 
 def slow_version(

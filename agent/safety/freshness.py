@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import numpy as np
+
 #: No sample is older when it is judged than the watchdog of its link, but for what a busy computer keeps a process
 #: waiting [s], and the samples that a link hands out at once.
 WAITS, BATCH = 0.2, 10
 #: The first samples of a motion may come later than the others by this [s]: the controller was still planning.
 HELD_UP = 0.3
+#: No more than this [s] of the time in which this process stood still is excused.
+EXCUSED = 0.5
 #: Two clocks that are both right differ by no more than this part of the time that passes.
 DRIFT = 2e-4
 
@@ -48,23 +52,29 @@ class Freshness:
             self._offset = max(min(self._offset + drift, now - newest), self._least)
         self._since, self._newest = now, newest
 
-    def controller_time(self, now: float) -> float:
-        """What the controller's clock shows when ours shows `now` [s]."""
-        return now - self._offset
+    @property
+    def silent(self) -> float:
+        """For how long [s] nothing was judged."""
+        return self._clock() - self._since
+
+    @property
+    def age(self) -> float:
+        """How old [s] the newest judged sample is; infinite where there is none."""
+        if self._newest is None:
+            return np.inf
+        return float(np.maximum(self.silent, self._clock() - self._offset - self._newest))
 
     def fault(self, excused: float = 0.0) -> str | None:
         """Why the arm has to stop now, if it has to; `excused` seconds passed while nobody could look at anything."""
-        now = self._clock() - excused
-        silent = now - self._since
-        if self._newest is None and not silent <= self.oldest + HELD_UP:
-            return f"no sample came within {silent:.1f} s of the start"
+        silent = self.silent - excused
         if self._newest is None:
+            late = not silent <= self.oldest + HELD_UP
+            return f"no sample came within {silent:.1f} s of the start" if late else None
+        age = self.age - excused
+        if age <= self.oldest:
             return None
-        age = self.controller_time(now) - self._newest
-        if not (silent <= self.oldest and age <= self.oldest):
-            what = "no sample came for" if not silent < WAITS else "samples were late by"
-            return (
-                f"{what} {max(silent, age):.2f} s, {self.oldest:.2g} s are allowed. The link is slower than the "
-                "controller samples, or this computer has too much else to do"
-            )
-        return None
+        what = "no sample came for" if not silent < WAITS else "samples were late by"
+        return (
+            f"{what} {age:.2f} s, {self.oldest:.2g} s are allowed. The link is slower than the controller samples, "
+            "or this computer has too much else to do"
+        )

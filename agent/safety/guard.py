@@ -18,11 +18,10 @@ import numpy as np
 from agent.core import ControllerError, InputError, SafetyError, stop_to_come, undisturbed
 from agent.robot import RobotDescription
 from agent.safety.adherence import Adherence
-from agent.safety.checked import CheckedPrograms
-from agent.safety.first_run import FIRST_SPEED
-from agent.safety.frames import check_frames
+from agent.safety.first_run import FIRST_SPEED, CheckedPrograms
 from agent.safety.motion import PlannedProgram, rest_at
 from agent.safety.preconditions import (
+    check_frames,
     check_identity,
     check_period,
     check_plan,
@@ -31,7 +30,7 @@ from agent.safety.preconditions import (
     confirm_clear_cell,
     standing,
 )
-from agent.safety.stopping import LET_GO
+from agent.safety.stopping import ANSWERED
 from agent.safety.watch import MotionWatch
 from drivers.errors import DriverError, RefusedError
 from drivers.protocol import (
@@ -240,7 +239,7 @@ class GuardedLink:
                     except DriverError as error:  # the arm may be moving: what came of that is kept, and judged
                         lost, watch.stopped = error, True
                         watch.stopping.request()
-                        watch.stopping.wait(LET_GO)
+                        watch.stopping.wait(ANSWERED)
                     yield given
             except RefusedError:
                 raise

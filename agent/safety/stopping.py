@@ -13,23 +13,99 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from agent.safety.braking import SPAN, Braking
-from agent.safety.freshness import Freshness
+from agent.safety.freshness import EXCUSED, Freshness
 from drivers.errors import DriverError
 from drivers.protocol import Driver, SampleBlock
 
 if TYPE_CHECKING:
     from agent.robot import RobotDescription
 
-#: Time after a stop [s] at which an arm that does not brake gets a second one, and at which the link is closed.
-AGAIN, LET_GO = 0.5, 1.0
+#: Duration over which a speed is measured [s].
+SPAN = 0.1
+#: No joint of an arm that stands is faster than this part of its limit.
+STILL = 0.01
+#: An arm that brakes has less than this part of its speed left when that is asked, and has not regained that part of
+#: it: one that disobeys slows down too, where its path has a corner.
+BRAKING, REGAINED = 0.8, 0.25
+#: Time after a stop [s] at which an arm that does not brake gets a second one, and at which the link is closed. An arm
+#: that takes 0.1 s to react and 1.2 s to stop has lost a fifth of its speed by then, seen 0.2 s late.
+AGAIN, LET_GO = 0.3, 0.6
+#: Samples and states that are older [s] do not show what the arm does now.
+RECENT = 0.3
+#: Time [s] after which nobody waits for the answer to a stop any more.
+ANSWERED = 1.0
 #: Time after a stop [s] by which the arm has to stand, or the link is closed.
 STANDS = 4.0
 #: Duration of standing [s] from which a motion is over though the controller never reports its end.
 NO_END = 2.0
-#: Time without a sample [s] from which the state tells where the arm is.
-BLIND = 0.2
 _LOOKS = 20  # at the state, once the samples have ended
+
+
+class Braking:
+    """Follows the speed of an arm; positions come from its samples or, where none come, from its state.
+
+    Args:
+        max_velocity: (n,) of its joints [rad/s].
+        regained: as `REGAINED`; positions that are renewed now and then only need more.
+    """
+
+    def __init__(self, max_velocity: np.ndarray, regained: float = REGAINED) -> None:
+        self._limit = max_velocity
+        self._regained = regained
+        self._times = np.empty(0)
+        self._positions = np.empty((0, len(max_velocity)))
+        self._still_since: float | None = None
+        #: The fastest joint's, as a part of its limit; None where nobody knows.
+        self.speed: float | None = None
+        #: The same when the stop was asked for, and the least since then.
+        self.before: float | None = None
+        self._least = np.inf
+
+    def take(self, times: np.ndarray, positions: np.ndarray) -> None:
+        """Measured positions (K, n) at times (K,) [s] of one clock."""
+        if len(self._times) and not 0.0 <= times[0] - self._times[-1] <= 10 * SPAN:
+            self.forget()
+        self._times = np.concatenate([self._times, times])
+        self._positions = np.concatenate([self._positions, positions])
+        first = max(0, int(np.searchsorted(self._times, self._times[-1] - SPAN, side="right")) - 1)
+        self._times, self._positions = self._times[first:], self._positions[first:]
+        passed = float(self._times[-1] - self._times[0])
+        if passed >= SPAN / 2:
+            way = np.ptp(self._positions, axis=0)
+            self.speed = float(np.max(way / self._limit)) / passed
+            if self.before is not None:
+                self._least = min(self._least, self.speed)
+            if not self.speed <= STILL:
+                self._still_since = None
+            elif self._still_since is None:
+                self._still_since = float(self._times[0])
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """(n,)."""
+        return self._limit.shape
+
+    def forget(self) -> None:
+        """Positions of another source, or another clock, follow."""
+        self._times, self._positions = self._times[:0], self._positions[:0]
+        self._still_since = self.speed = None
+
+    @property
+    def stands(self) -> bool:
+        """Whether the arm stood when it was seen last."""
+        return self._still_since is not None
+
+    @property
+    def rested(self) -> float:
+        """For how long [s] it has."""
+        return 0.0 if self._still_since is None else float(self._times[-1]) - self._still_since
+
+    @property
+    def brakes(self) -> bool:
+        """Whether the arm is clearly slower than when the stop was asked for, and does not speed up again."""
+        if self.speed is None or self.before is None:
+            return False
+        return self.speed < min(BRAKING * self.before, self._least + self._regained * self.before)
 
 
 class Stopping:
@@ -63,9 +139,8 @@ class Stopping:
         self._sent: list[threading.Thread] = []
         self._eyes = ThreadPoolExecutor(1, "eyes")
         self._look: Future[None] = self._eyes.submit(lambda: None)
-        self._seen_at = clock()  # when the last sample came
-        self._newest = -np.inf  # its controller time
         self._state_at = -np.inf  # when the state was read last
+        self._excused = 0.0  # s in which nobody could look
         self._ended = False
         #: Whether there is nothing left to follow.
         self.over = False
@@ -79,7 +154,7 @@ class Stopping:
     def request(self) -> None:
         """Ask for a stop, once; returns at once."""
         with self._lock:
-            if self.since is None and not self.over:
+            if self.since is None:
                 self._sampled.before = self._stated.before = self._sampled.speed
                 self.since = self._clock()
                 self._send()
@@ -88,14 +163,14 @@ class Stopping:
         """Samples of the motion, before the stop and after it."""
         with self._lock:
             self._sampled.take(block.time, block.position)
-            self._seen_at, self._newest = self._clock(), float(block.time[-1])
 
-    def turn(self) -> None:
-        """Look at the arm, some times a second from the request on."""
+    def turn(self, stalled: float = 0.0) -> None:
+        """Look at the arm, some times a second from the request on; this process stood still for `stalled` [s]."""
         if self.since is None or self.over or self.seen:
             return
         with self._lock:
-            passed = self._clock() - self.since
+            self._excused = min(self._excused + stalled, EXCUSED)
+            passed = self._clock() - self.since - self._excused
             if not self._shown:
                 self._look_at_state()
             if self._braking.stands:
@@ -112,15 +187,14 @@ class Stopping:
         for _ in range(0 if self.over or failed else _LOOKS):
             with self._lock:
                 self._look_at_state()
-            self._look.exception()
-            if self._braking.stands or self.seen:
+            if self._braking.stands:
                 break
             threading.Event().wait(SPAN / 2)
         with self._lock:
             if not (self.over or failed or self._braking.stands or self.seen):
                 self._let_go("after the controller reported the end of the motion")
             self.over = True
-        self.wait(LET_GO)
+        self.wait(ANSWERED)
         self._eyes.shutdown(wait=False)
 
     def wait(self, limit: float) -> None:
@@ -135,13 +209,10 @@ class Stopping:
     @property
     def _shown(self) -> bool:
         """Whether samples tell what the arm does now, and not what it did before the stop could act."""
-        assert self.since is not None
-        now = self._clock()
-        recent = not now - self._seen_at > BLIND and not self._freshness.controller_time(now) - self._newest > AGAIN
-        return recent and not self._ended
+        return not self._ended and self._freshness.age <= RECENT
 
     def _end_without_a_word(self, passed: float) -> None:
-        if not self._braking.rested < NO_END and (self._shown or not self._clock() - self._seen_at < LET_GO):
+        if not self._braking.rested < NO_END and (self._shown or not self._freshness.silent < LET_GO):
             self.seen = "the arm stands, but the controller does not report the end of the motion; the link was closed"
             self._close()
 
@@ -155,14 +226,14 @@ class Stopping:
             self._driver.stop()
         except Exception as error:  # whatever it is: the other way to a stop is left
             with self._lock:
-                if number == len(self._sent) and not self.seen:
+                if number == len(self._sent) and not (self.seen or self.over):
                     self._give_up(
                         f"the stop was not confirmed ({error}); the link was closed, which stops the arm. Go and look "
                         "at it"
                     )
 
     def _let_go(self, when: str) -> None:
-        speed, known = self._braking.speed, self._shown or not self._clock() - self._state_at > AGAIN
+        speed, known = self._braking.speed, self._shown or self._clock() - self._state_at <= RECENT
         if speed is None or not known:
             self._give_up(f"{when} nothing shows what the arm does; the link was closed, which stops it. Go and look")
             return
@@ -188,12 +259,10 @@ class Stopping:
 
     def _take_state(self) -> None:
         try:
-            position = np.asarray(self._driver.status().position, dtype=float)
-        except DriverError:
+            position = np.asarray(self._driver.status().position, dtype=float).reshape(self._stated.shape)
+        except (DriverError, ValueError):  # no answer, or one of another arm
             return
         with self._lock:
-            known = position.shape == self._stated.shape and bool(np.isfinite(position).all())
-            if not known or (self.since is not None and self._shown):
-                return
-            self._state_at = self._clock()
-            self._stated.take(np.array([self._state_at]), position[None])
+            if np.isfinite(position).all():
+                self._state_at = self._clock()
+                self._stated.take(np.array([self._state_at]), position[None])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING
 
@@ -11,8 +12,7 @@ import numpy as np
 
 from agent.core import AgentError, ControllerError, SafetyError
 from agent.safety.adherence import Adherence
-from agent.safety.background_poll import BackgroundPoll
-from agent.safety.freshness import Freshness
+from agent.safety.freshness import EXCUSED, Freshness
 from agent.safety.preconditions import unsafe_in_motion
 from agent.safety.stopping import Stopping
 from drivers.errors import DriverError, MotionStopped
@@ -29,8 +29,39 @@ EARLY = 0.25
 TEMPERATURE_INTERVAL = 5.0
 #: Age and stop are looked at so often [s], by a thread that nobody keeps waiting.
 TURN = 0.05
-#: No more than this [s] of the time in which this process stood still is excused; it counts again as time passes.
-EXCUSED = 0.5
+#: The samples wait for an answer so long [s]; one that comes later counts when it comes.
+PROMPT = 0.05
+
+
+class BackgroundPoll:
+    """Asks in a thread of its own, one question at a time.
+
+    Args:
+        ask: with the controller's time [s]; says why the arm has to stop, if it has to.
+        blame: takes that reason; called in that thread.
+    """
+
+    def __init__(self, ask: Callable[[float], AgentError | None], blame: Callable[[AgentError], object]) -> None:
+        self._ask = ask
+        self._blame = blame
+        self._thread = ThreadPoolExecutor(1, "poll")
+        self._last: Future[None] = self._thread.submit(lambda: None)
+
+    def poll(self, now: float) -> None:
+        """Ask, unless an answer is still to come; raises what was raised by the last question."""
+        if self._last.done():
+            self._last.result()
+            self._last = self._thread.submit(self._run, now)
+            wait([self._last], PROMPT)
+
+    def result(self) -> None:
+        """Wait for the last answer; raises what was raised by that question."""
+        self._last.result()
+
+    def _run(self, now: float) -> None:
+        reason = self._ask(now)
+        if reason is not None:
+            self._blame(reason)
 
 
 class MotionWatch:
@@ -71,6 +102,7 @@ class MotionWatch:
         self._now, self._last = -np.inf, -1  # time and number of the last one
         self._looked, self._looked_at = -np.inf, clock()
         self._turned, self._excused = clock(), 0.0
+        self._sampled = False  # the last sample has come
         #: The end was asked for, so it comes before that of the plan.
         self.stopped = False
         #: (controller time [s], (n,) [°C]), where the controller measures temperatures.
@@ -90,8 +122,8 @@ class MotionWatch:
         polling = BackgroundPoll(self._poll_status, self._blame)
         dropped: DriverError | None = None
         self._freshness.begin()
-        try:
-            with self._watched():
+        with self._watched():
+            try:
                 for block in self._driver.samples():
                     if not self._judge(block):
                         continue
@@ -100,12 +132,11 @@ class MotionWatch:
                     if not (recently and self._clock() - self._looked_at < WATCH_INTERVAL):
                         polling.poll(self._now)
                         self._looked, self._looked_at = self._now, self._clock()
-                polling.result()
-                self._finish(failed=False)
-        except DriverError as error:
-            dropped = error
+            except DriverError as error:
+                dropped = error
+            self._sampled = True
             polling.result()
-            self._finish(failed=not isinstance(error, MotionStopped))
+            self._finish(dropped)
         self._raise_fault(dropped)
         with suppress(DriverError):  # the motion is over and recorded
             self._read_temperatures(self._now, 0.0)
@@ -113,7 +144,7 @@ class MotionWatch:
     def rest(self) -> Iterator[SampleBlock]:
         """What is left of the samples after a stop, until the arm stands or the link is closed. Never raises."""
         self.stopping.request()
-        failed = False
+        failed: Exception | None = None
         with self._watched():
             try:
                 for block in self._driver.samples():
@@ -123,7 +154,7 @@ class MotionWatch:
                         self._note(block)
                         yield block
             except Exception as error:  # whatever it is, the arm is followed to its end
-                failed = not isinstance(error, MotionStopped)
+                failed = error
             self._finish(failed)
 
     @contextmanager
@@ -151,8 +182,8 @@ class MotionWatch:
         stalled = max(0.0, passed - 2 * TURN)
         self._excused = min(self._excused + stalled, EXCUSED) if stalled else max(0.0, self._excused - passed)
         if self.stopping.since is not None:
-            self.stopping.turn()
-        elif (reason := self._freshness.fault(self._excused)) is not None:
+            self.stopping.turn(stalled)
+        elif not self._sampled and (reason := self._freshness.fault(self._excused)) is not None:
             self._blame(
                 ControllerError(
                     f"{self._address}: the arm was stopped, as nobody could watch it: {reason}; check the link, then "
@@ -201,9 +232,9 @@ class MotionWatch:
             self._fault = self._fault or fault
         self.stopping.request()
 
-    def _finish(self, failed: bool) -> None:
+    def _finish(self, dropped: Exception | None) -> None:
         if self.stopping.since is not None:
-            self.stopping.finish(failed)
+            self.stopping.finish(failed=not (dropped is None or isinstance(dropped, MotionStopped)))
 
     def _raise_fault(self, dropped: DriverError | None) -> None:
         """Why the motion did not end as planned, if it did not."""

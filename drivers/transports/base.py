@@ -14,6 +14,7 @@ from drivers.transports.motion import MotionStream
 #: Silence [s] after which either end takes the other for gone, where the controller grants what is asked for. A busy
 #: machine keeps a process waiting for up to 0.3 s.
 WATCHDOG = 0.5
+_LAST_CALL = 1.0  # s, at most, from the failure of a link to the end of its motion
 
 
 def dropped(peer: str, error: OSError) -> DriverError:
@@ -119,8 +120,8 @@ class LinkDriver(Generic[Link, Motion]):
             raise DriverError("the last motion is not over yet; read its samples to the end, or stop it")
 
     def _nothing_to_stop(self, link: Link | None, motion: Motion | None) -> bool:
-        """Whether there is nobody to tell, or a dead link whose motion is over."""
-        return link is None or (link.failure is not None and (motion is None or motion.over))
+        """Whether there is nobody to tell, or a dead link whose motion is over, as its thread soon says."""
+        return link is None or (link.failure is not None and (motion is None or motion.wait(_LAST_CALL)))
 
     def _still_moves(self, took: str = "took") -> DriverError:
         """The error of a stop that did not bring the arm to rest."""

@@ -130,16 +130,22 @@ class FrameLink(LinkThread):
                 self._waiting.pop(request, None)
 
     def command(
-        self, message: Any, reply: type[Reply], timeout: float, what: str, acts: Callable[[], bool]
+        self,
+        message: Any,
+        reply: type[Reply],
+        timeout: float,
+        what: str,
+        acts: Callable[[], bool],
+        repeats: bool = False,
     ) -> Reply | None:
         """Send a command once and wait for its answer, but no longer than until it is seen that it `acts`.
 
-        None where that was seen and no answer came.
+        None where that was seen and no answer came. Only what does no harm twice `repeats`, until it is answered.
 
         Raises:
             RefusedError, DriverError: as in `request`.
         """
-        answer = self._ask(message, timeout, acts)
+        answer = self._ask(message, timeout, acts, repeats)
         if answer is None and acts():
             return None
         return self._checked(answer, reply, timeout, what)
@@ -162,7 +168,9 @@ class FrameLink(LinkThread):
             raise ProtocolError(f"the controller at {self.peer} answered {what} with {type(answer).__name__}")
         return answer
 
-    def _ask(self, message: Any, timeout: float, acts: Callable[[], bool] = lambda: False) -> Any:
+    def _ask(
+        self, message: Any, timeout: float, acts: Callable[[], bool] = lambda: False, repeats: bool = False
+    ) -> Any:
         """The answer, or None: none in time, or it `acts` already and none came for a while."""
         request = next(self._ids)
         answers: queue.SimpleQueue[Any] = queue.SimpleQueue()
@@ -176,6 +184,8 @@ class FrameLink(LinkThread):
                     return answers.get(timeout=min(left, _ACTING))
                 if seen:
                     break
+                if repeats:
+                    self._send(message, request)
             return None
         finally:
             self._waiting.pop(request, None)

@@ -179,7 +179,9 @@ class FrameDriver(LinkDriver[FrameLink, MotionStream]):
             return
         if motion is not None:
             motion.stopping = True
-        link.request(Stop(), Done, self._timeout, "stop")
+        link.command(
+            Stop(), Done, self._timeout, "stop", lambda: motion is not None and motion.over, self.READ_ATTEMPTS > 1
+        )
         if motion is not None and not self._rests(motion):
             raise self._still_moves()
 

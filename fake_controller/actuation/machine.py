@@ -15,8 +15,16 @@ from fake_controller.actuation.friction import FrictionCurve, FrictionModifier
 
 #: Temperature [°C] at which the friction curves of a machine hold.
 AMBIENT = 25.0
-#: Coulomb levels of built-in robots, N·m on the axles.
-COULOMB = {"comau_ns16": (68.0, 108.8, 50.4, 7.17, 12.8, 8.08)}
+#: Coulomb levels of built-in robots, N·m on the axles. UR5e: breakaway and friction at 3.2 rad/s of one arm near 45 °C
+#: (aurt, robot_calibration_summary.txt); the others by the size of their joints, in proportion to the largest torque.
+COULOMB = {
+    "comau_ns16": (68.0, 108.8, 50.4, 7.17, 12.8, 8.08),
+    "ur3e": (2.1, 2.1, 1.3, 0.45, 0.45, 0.45),
+    "ur5e": (5.6, 5.6, 5.6, 1.3, 1.3, 1.3),
+    "ur10e": (12.5, 12.5, 5.6, 2.1, 2.1, 2.1),
+}
+#: Viscous friction at top speed, over the Coulomb level: between these.
+_VISCOUS = {"ur3e": (1.8, 2.6), "ur5e": (1.8, 2.6), "ur10e": (1.8, 2.6)}
 
 #: kg/m of a link of an arm that reaches 1 m.
 _WEIGHT = 60.0
@@ -256,7 +264,7 @@ def _draw_friction(
         coulomb = (usual if table is None else table[k]) * rng.uniform(0.85, 1.15)
         rise = coulomb * rng.uniform(0.08, 0.16)
         fastest = joint.max_velocity
-        viscous = rng.uniform(0.3, 0.6) * coulomb / fastest
+        viscous = rng.uniform(*_VISCOUS.get(robot.name, (0.3, 0.6))) * coulomb / fastest
         # Bristles give way over a few milliradians of the motor shaft, never so stiffly that the steps cannot follow.
         presliding = min(rng.uniform(3e-3, 6e-3) / abs(joint.gear_ratio), 1e-4 * fastest)
         stiffness = min(coulomb / presliding, inertia[k] * 700.0**2)

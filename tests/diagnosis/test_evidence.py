@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from agent.diagnosis.dataset import assemble
 from agent.diagnosis.evidence import Evidence
 from agent.diagnosis.healthy import healthy_on, with_healthy_effects
+from agent.diagnosis.law import LAW
 from agent.diagnosis.search import Search
 from agent.estimation import EstimationSettings, estimate
 from agent.model import IdentifiedModel
@@ -61,7 +64,7 @@ def test_a_gain_is_the_ratio_of_two_normal_densities_of_all_rows(robot, model):
     """By second moments and Schur complements, against the covariance of all rows written out."""
     fit = fit_of(robot, model, [OFFSET], seeds=(21,))
     (form,) = [form for form in Search(fit).forms() if form.place == ("torque_offset", (1,))]
-    evidence = Evidence(fit, [form], healthy=())
+    evidence = Evidence(fit, [form], healthy=(), law=replace(LAW, form=0.0))
     base, law = evidence.nothing, evidence.law
     rows, joints = evidence.rows, evidence.joints
     residual = np.concatenate([evidence.known[j][:, -1] for j in range(joints)]).astype(float)
@@ -75,7 +78,8 @@ def test_a_gain_is_the_ratio_of_two_normal_densities_of_all_rows(robot, model):
         free = columns[:, len(index) : -1]
         variance = base.scales[j] * law.systematic**2 + (law.drift * evidence.unit[j]) ** 2
         covariance[here, here] += variance * free @ free.T
-    friction = np.arange(len(fit.precision)) >= len(fit.reference.model.independent)
+    terms, independent = fit.reference.model.terms, fit.reference.model.independent
+    friction = np.array([*(False for _ in independent), *(term.form != "offset" for term in terms)])
     moved = np.linalg.inv(fit.precision) + np.diag((law.daily * fit.reference.model.values * friction) ** 2)
     covariance += model_columns @ moved @ model_columns.T
     effect = np.zeros(joints * rows)
@@ -87,7 +91,9 @@ def test_a_gain_is_the_ratio_of_two_normal_densities_of_all_rows(robot, model):
         return -0.5 * np.sum(np.linalg.solve(lower, residual) ** 2) - np.log(np.diag(lower)).sum()
 
     alone = log_density(covariance)
-    ratios = [log_density(covariance + (size / torque) ** 2 * np.outer(effect, effect)) - alone for size in law.sizes]
+    ratios = [
+        log_density(covariance + (size / torque) ** 2 * np.outer(effect, effect)) - alone for size in evidence.sizes
+    ]
     gains, _ = evidence.gains(base)
     assert gains[0] == pytest.approx(max(ratios), rel=1e-3, abs=1e-3)
 

@@ -12,7 +12,6 @@ import pytest
 import agent.diagnosis
 import agent.experiment
 from agent.core import Console, InputError, RejectedError, write_atomically
-from agent.diagnosis.evidence import null_gains
 from agent.experiment import KINDS, Experiment, as_drawn
 from agent.experiment.pieces import Pieces
 from agent.motion.pdl2.dialect import Pdl2
@@ -29,8 +28,8 @@ from tests.small_arms import learn, make_arm, record
 NOTHING = Experiment((), (), 0)
 
 
-def side(effect: str, joint: str = "joint_2", forms: tuple[str, ...] = ("one",)):
-    return SimpleNamespace(effect=effect, text=lambda: f"{effect} on {joint}", forms=forms)
+def side(effect: str, form: str | None = "one"):
+    return SimpleNamespace(effect=effect, text=lambda: f"{effect} on joint_2", form=form)
 
 
 RIVAL = side("presliding")
@@ -72,7 +71,7 @@ def test_it_says_what_no_motion_would_tell_and_where_to_look(ask):
     assert "would tell stribeck on joint_2 from presliding on joint_2. What may: another posture" in said.text
     assert said.separates == ("presliding", "stribeck")
     assert said.to_dict()["program"] is None
-    alone = ask([replace(NOTHING, weighed=200), NOTHING], second=side("none", forms=()))
+    alone = ask([replace(NOTHING, weighed=200), NOTHING], second=side("none", form=None))
     assert "would show stribeck on joint_2. What may" in alone.text
 
 
@@ -117,12 +116,6 @@ def test_no_motion_is_planned_for_a_torque_that_stands_still(ask):
     held = SimpleNamespace(motion="the same motions again, once the torque of joint_3 is recorded as it is")
     said = ask([], held=held)
     assert said == NoMotion(held.motion, ("presliding", "stribeck"))
-
-
-def test_nothing_gains_where_there_is_nothing_to_try():
-    null = null_gains(SimpleNamespace(), [])  # type: ignore[arg-type]
-    assert null.threshold == 0.0
-    assert null.p_value(1.0) < 0.01
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ from agent.core import InputError
 from agent.diagnosis import diagnose
 from agent.experiment.motion import GridMotion
 from agent.experiment.outlook import Outlook
-from agent.experiment.questions import Form, Hypothesis, OpenPair
+from agent.experiment.questions import OpenPair, Side
 from agent.model import CATALOGUE, PAYLOAD, NominalModel, carrying, payload_of, payload_text
 from agent.robot import Dynamics
 from fake_controller.plant import Plant
@@ -37,15 +37,14 @@ def swing(amplitude: float, period: float, seconds: float = 8.0, joint: int = 1)
     return GridMotion(time, a * np.sin(phase), a * w * np.cos(phase), -a * w**2 * np.sin(phase))
 
 
-def distance(found, truth, rival, motion: GridMotion, payload=None) -> float:
-    """D² that a motion adds between a form taken for true, (name, joint, settings, values), and its rival."""
+def evidence(found, truth, rival, motion: GridMotion, payload=None) -> float:
+    """Log evidence that a motion adds for a form taken for true, (name, joint, settings, values), over its rival."""
     fit, sides = found.dataset.fit, []
     for name, joint, settings, values in (truth, rival):
         (candidate,) = fit.candidates([(CATALOGUE[name], (joint,), settings)])
-        form = Form(candidate, np.asarray(values, dtype=float), np.zeros((len(values),) * 2))
-        sides.append(Hypothesis(name, (f"joint_{joint + 1}",), (form,)))
-    outlook = Outlook(found.dataset, [OpenPair(*sides, fit, 1.0)], payload)
-    after, before = (outlook.distances(told)[0] for told in (outlook.told(motion), outlook.nothing))
+        sides.append(Side(name, (f"joint_{joint + 1}",), candidate, np.asarray(values, dtype=float)))
+    outlook = Outlook(found.dataset, found.finding.evidence, [OpenPair(*sides)], payload)
+    after, before = (outlook.evidence(told)[0, 0] for told in (outlook.told(motion), outlook.nothing))
     return float(after - before)
 
 
@@ -71,13 +70,13 @@ PAIRS = {
 @pytest.mark.parametrize("kind", PAIRS)
 def test_a_motion_that_differs_there_tells_more(healthy, kind):
     truth, rival, telling, other = PAIRS[kind]
-    assert distance(healthy, truth, rival, telling) > 2 * distance(healthy, truth, rival, other)
+    assert evidence(healthy, truth, rival, telling) > 2 * evidence(healthy, truth, rival, other)
 
 
 def test_a_known_mass_tells_friction_that_grows_with_load(healthy):
     truth = ("load_dependent_friction", 1, {}, (0.1,))
     motion = swing(0.05, 4.0)  # in one posture
-    assert distance(healthy, truth, CHANGED, motion, HEAVY) > 2 * distance(healthy, truth, CHANGED, motion)
+    assert evidence(healthy, truth, CHANGED, motion, HEAVY) > 2 * evidence(healthy, truth, CHANGED, motion)
 
 
 def test_a_motion_begins_as_warm_as_the_last_log_ended(healthy):
@@ -85,7 +84,7 @@ def test_a_motion_begins_as_warm_as_the_last_log_ended(healthy):
     cold = ("thermal_friction", 1, {"time_constant": 2.0}, (0.0, 1.0, 0.0, 0.0))
     motion = swing(0.3, 2.0)
     nothing = ("torque_offset", 0, {}, (1.0,))
-    assert distance(healthy, warm, nothing, motion) < 0.01 * distance(healthy, cold, nothing, motion)
+    assert evidence(healthy, warm, nothing, motion) < 0.01 * evidence(healthy, cold, nothing, motion)
 
 
 def test_the_model_carries_a_known_mass():

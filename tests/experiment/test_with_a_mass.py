@@ -13,8 +13,10 @@ import pytest
 import agent.experiment
 from agent.core import Console, write_atomically
 from agent.diagnosis import diagnose
+from agent.diagnosis.search import Search
 from agent.experiment import open_pairs, tells_apart_by_load
 from agent.experiment.motion import GridMotion
+from agent.experiment.questions import OpenPair, Side
 from agent.motion.pdl2.dialect import Pdl2
 from agent.pipeline.next_experiment import NextMotion
 from agent.pipeline.other_tests import with_a_mass
@@ -33,12 +35,12 @@ FOUND = SimpleNamespace(
         fit=SimpleNamespace(reference=SimpleNamespace(scale=np.full(6, 1000.0))),
         robot=SimpleNamespace(joint_names=()),
     ),
-    finding=SimpleNamespace(causes=(SimpleNamespace(place=CAUSE),), rivals=((EQUAL,),)),
+    finding=SimpleNamespace(causes=(SimpleNamespace(place=CAUSE),), rivals=((EQUAL,),), evidence=None),
 )
 
 
 def side(place):
-    return SimpleNamespace(text=lambda: f"{place[0]} on joint_3", forms=("one",), place=lambda names: place)
+    return SimpleNamespace(text=lambda: f"{place[0]} on joint_3", form="one", place=lambda names: place)
 
 
 PAIR, BESIDE = (SimpleNamespace(first=side(CAUSE), second=side(other)) for other in (EQUAL, NEAR))
@@ -130,6 +132,9 @@ def test_a_load_tells_what_grows_with_it_from_what_does_not():
     qdd = np.gradient(log.velocity, log.t, axis=0)
     motion = GridMotion(log.t, log.position, log.velocity, qdd)
     load = Tool(np.eye(4), 20.0, np.zeros(3))
-    assert tells_apart_by_load(found.dataset, by_load, [motion], load)
-    by_speed = [pair for pair in pairs if set(pair.names) == {"friction_change", "viscous_nonlinearity"}]
-    assert not tells_apart_by_load(found.dataset, by_speed, [motion], load)
+    assert tells_apart_by_load(found.dataset, found.finding.evidence, by_load, [motion], load)
+    sides = []
+    for name in ("friction_change", "viscous_nonlinearity"):
+        (form, *_) = Search(found.dataset.fit, only={(name, (1,))}).forms()
+        sides.append(Side(name, ("joint_2",), form, np.ones(len(form.names))))
+    assert not tells_apart_by_load(found.dataset, found.finding.evidence, [OpenPair(*sides)], [motion], load)

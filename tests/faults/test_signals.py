@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import threading
+from pathlib import Path
 
 import pytest
 
@@ -47,15 +48,24 @@ def _niceness() -> set[int]:
     return found
 
 
+def _session_niceness() -> int | None:
+    """None where this system does not share its processors out by session."""
+    with contextlib.suppress(OSError, IndexError):
+        return int(Path("/proc/self/autogroup").read_text().split()[-1])
+    return None
+
+
 def test_whoever_watches_an_arm_runs_before_the_other_work_of_the_computer():
     if not _may_be_first():
         pytest.skip("this user may not raise a priority")
-    (before,), over = _niceness(), threading.Event()
+    (before,), over, session = _niceness(), threading.Event(), _session_niceness()
     threading.Thread(target=over.wait).start()
     try:
         with stop_to_come():
             assert _niceness() == {before - 10}
+            assert _session_niceness() == (None if session is None else min(session, -10))
         assert _niceness() == {before}
+        assert _session_niceness() == session
     finally:
         over.set()
 

@@ -15,8 +15,8 @@ from agent.motion.pdl2.variables import FRAMES
 from agent.robot import load_robot
 from agent.robot.drivetrain import torque_per_ampere
 from agent.robot.dynamics import Tool
-from agent.safety.frames import check_frames
 from agent.safety.motion import PlannedProgram
+from agent.safety.preconditions import check_frames
 from drivers.registry import create
 from drivers.transports.tcp import TcpDriver
 from fake_controller.build import build_controller

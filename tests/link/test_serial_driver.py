@@ -1,6 +1,7 @@
 """The serial driver over a cable that is bad or slow: what the conformance suite does not reach."""
 
 import contextlib
+import struct
 import time
 
 import numpy as np
@@ -12,7 +13,7 @@ from pymodbus.pdu import DecodePDU
 from drivers.errors import ConfigurationError, DriverError, ProtocolError
 from drivers.registry import create
 from drivers.transports.serial import RtuDriver, SerialDriver
-from drivers.wire import tcp
+from drivers.wire import modbus, tcp
 from drivers.wire.rtu import without_strays
 from drivers.wire.serial import HuntingDecoder
 from fake_controller.build import build_controller
@@ -182,6 +183,31 @@ def test_a_stop_on_a_slow_line_does_not_wait_for_the_samples(line):
     blocks += received
     check_complete(driver, blocks)
     np.testing.assert_allclose(blocks[-1].reference_velocity[-1], 0, atol=1e-6)
+
+
+@pytest.mark.parametrize("lost", ["far", "near"])
+@pytest.mark.parametrize("protocol", ["frames", "rtu"])
+def test_a_stop_is_sent_again_where_it_or_its_answer_is_lost(line, protocol, lost):
+    cable, controller, driver = line(protocol)
+    received = start(driver, LONG)
+    next(received)
+    sign = {
+        "frames": tcp.encode(tcp.Stop())[:6],
+        "rtu": struct.pack(">BBH", modbus.UNIT, 16, modbus.COMMAND.address),
+    }[protocol]
+    sent = []
+
+    def lose(end, data):
+        """The command itself, or all that is answered until it is sent again."""
+        if end == "far" and sign in data:
+            sent.append(data)
+        return b"" if end == lost and len(sent) == 1 else data
+
+    cable.tamper = lose
+    driver.stop()
+    assert len(sent) == 2
+    assert controller.wait(10.0)
+    assert controller.motions_started == 1
 
 
 @pytest.mark.parametrize("every", [pytest.param(3000, marks=pytest.mark.verify), 20_000])

@@ -8,7 +8,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from agent.diagnosis.procedure import Search
 
 from agent.core import Console
 from agent.diagnosis import diagnose
@@ -19,6 +18,7 @@ from agent.diagnosis.gap import held_out_gap
 from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.result import not_testable
 from agent.diagnosis.rollout import MujocoEngine
+from agent.diagnosis.search import Search
 from agent.diagnosis.simulator import Explanation, _possible, numbers_instead, with_expected_error
 from agent.model import CATALOGUE
 from agent.pipeline import GapQuestion
@@ -129,7 +129,7 @@ def test_a_link_that_weighs_otherwise_is_not_named_as_a_scale_of_torque_beside_a
 
 
 def test_what_equals_a_cause_makes_the_first_ambiguous():
-    finding = Finding("explained", None, (), ((), (("dress_pack", (1,)),)), (), (), 1.0, (), 0.0, 0.0)
+    finding = Finding("explained", None, (), ((), (("dress_pack", (1,)),)), (), (), None)  # type: ignore[arg-type]
     links = ("inertial_mismatch", ())
     second = finding.with_rival(1, links)
     assert (second.verdict, second.rivals) == ("explained", ((), (links, ("dress_pack", (1,)))))
@@ -137,24 +137,18 @@ def test_what_equals_a_cause_makes_the_first_ambiguous():
     assert finding.with_rival(0, links).verdict == "ambiguous"
 
 
-def test_an_effect_that_a_larger_one_hid_is_judged_by_chance_beside_that(tmp_path):
+def test_an_effect_that_a_larger_one_hides_is_found_beside_it(tmp_path):
     moved = calibration(sprung(tmp_path, 0.08)).moved
     places = {("gravity_spring", (0,)), ("stribeck", (1,)), ("torque_constant", (0,)), ("asymmetric_friction", (0,))}
-    search = Search(moved.fit, moved=True, only=places)
-    alone = search.scan(moved.fit)
-    hidden = search.least
-    found = search.run()
+    found = Search(moved.fit, only=places).run()
     assert {cause.place for cause in found.causes} == {("gravity_spring", (0,)), ("stribeck", (1,))}
-    gained = next(score.gain for score in alone.scores if score.candidate.place == ("stribeck", (1,)))
-    assert gained < 2 * hidden, "too little where the spring is part of what chance is judged by"
-    assert search.least < hidden
 
 
 def test_a_shoulders_spring_is_not_testable_where_its_link_was_moved(tmp_path):
     found = calibration(sprung(tmp_path))
     assert ("link inertia", 1) in found.released
     places = {("gravity_spring", (0,)), ("gravity_spring", (1,))}
-    search = Search(found.moved.fit, moved=True, only=places)
+    search = Search(found.moved.fit, only=places)
     search.run()
     said = {entry.joint: entry.why for entry in not_testable(found.moved, search) if entry.effect == "gravity_spring"}
     assert set(said) == {"lift"}

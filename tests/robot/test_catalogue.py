@@ -1,4 +1,4 @@
-"""The built-in NS16 against the figures published for it."""
+"""The built-in robots against the figures published for them."""
 
 from itertools import combinations
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from agent.robot import RobotDescription, builtin_robots, kinematics_for
+from agent.robot import RobotDescription, builtin_robots, kinematics_for, load_robot
 from agent.robot.dynamics import Dynamics, Tool
 from tests.small_arms import make_arm
 
@@ -56,9 +56,10 @@ def test_figures_of_the_drives(ns16: RobotDescription) -> None:
     np.testing.assert_allclose(np.degrees(upper), [180, 155, 110, 720, 120, 720])
 
 
-def test_every_link_is_a_possible_body(ns16: RobotDescription) -> None:
+@pytest.mark.parametrize("name", builtin_robots())
+def test_every_link_is_a_possible_body(name: str) -> None:
     """The pseudo-inertia of each link is positive definite (Wensing, Kim, Slotine, RA-L 2018)."""
-    for m, mx, my, mz, xx, xy, yy, xz, yz, zz in Dynamics(ns16).standard_parameters().reshape(6, 10):
+    for m, mx, my, mz, xx, xy, yy, xz, yz, zz in Dynamics(load_robot(name)).standard_parameters().reshape(6, 10):
         inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         second = 0.5 * np.trace(inertia) * np.eye(3) - inertia
         first = np.array([[mx], [my], [mz]])
@@ -109,3 +110,51 @@ def test_a_limit_is_what_the_urdf_says(ns16: RobotDescription, joint: int) -> No
     q = np.zeros((2, 6))
     q[:, joint] = ns16.joints[joint].upper + np.array([-1e-6, 1e-6])
     assert kinematics.within_limits(q).tolist() == [True, False]
+
+
+#: a2, a3 and d1, d4, d5, d6 [m]; masses [kg]; centres of mass of the upper arm and of the first wrist link [m], in the
+#: distal frame; torques of the joints [N·m] and their speeds [deg/s], as the vendor publishes them.
+UNIVERSAL_ROBOTS = {
+    "ur3e": (
+        (-0.24355, -0.2132, 0.15185, 0.13105, 0.08535, 0.0921),
+        (1.98, 3.4445, 1.437, 0.871, 0.805, 0.261),
+        ((0.13, 0, 0.1157), (0, 0, 0.01)),
+        (54, 54, 28, 9, 9, 9),
+        (180, 180, 180, 360, 360, 360),
+    ),
+    "ur5e": (
+        (-0.425, -0.3922, 0.1625, 0.1333, 0.0997, 0.0996),
+        (3.761, 8.058, 2.846, 1.37, 1.3, 0.365),
+        ((0.2125, 0, 0.11336), (0, -0.0018, 0.01634)),
+        (150, 150, 150, 28, 28, 28),
+        (180,) * 6,
+    ),
+    "ur10e": (
+        (-0.6127, -0.57155, 0.1807, 0.17415, 0.11985, 0.11655),
+        (7.369, 13.051, 3.989, 2.1, 1.98, 0.615),
+        ((0.38, 0, 0.158), (0, 0.007, 0.018)),
+        (330, 330, 150, 54, 54, 54),
+        (120, 120, 180, 180, 180, 180),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", UNIVERSAL_ROBOTS)
+def test_the_arms_of_universal_robots(name: str) -> None:
+    """Frames of the URDF are those of the table before its shift and twist, so centres are carried over here."""
+    (a2, a3, d1, d4, d5, d6), masses, (upper_arm, wrist), torques, speeds = UNIVERSAL_ROBOTS[name]
+    robot = load_robot(name)
+    straight = np.zeros((1, 6))
+    tip = Dynamics(robot).tcp_pose(straight)[0]
+    np.testing.assert_allclose(tip[:3, 3], [a2 + a3, -d4 - d6, d1 - d5], atol=1e-9)
+    np.testing.assert_allclose(tip[:3, :3], [[1, 0, 0], [0, 0, -1], [0, 1, 0]], atol=1e-9)
+    links = Dynamics(robot).standard_parameters().reshape(6, 10)
+    np.testing.assert_allclose(links[:, 0], masses)
+    np.testing.assert_allclose(links[1, 1:4] / masses[1], np.add(upper_arm, [a2, 0, 0]), atol=1e-9)
+    np.testing.assert_allclose(links[3, 1:4] / masses[3], [wrist[0], -wrist[2], wrist[1] + d4], atol=1e-9)
+    np.testing.assert_allclose(robot.nominal_torque, torques, rtol=1e-5)
+    np.testing.assert_allclose(np.degrees(robot.max_velocity), speeds)
+    np.testing.assert_array_equal(robot.gear_ratios, 101)
+    assert all(0.07 < (joint.torque_constant or 0) < 0.12 for joint in robot.joints)
+    fixed = [joint.name for joint in robot.joints if not np.isclose(joint.upper, 2 * np.pi)]
+    assert fixed == (["wrist_3_joint"] if name == "ur3e" else [])

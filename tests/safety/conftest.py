@@ -18,7 +18,7 @@ from scipy.interpolate import CubicSpline
 from agent.motion.trajectory import Trajectory
 from agent.robot import load_robot
 from agent.safety.authorisation import Authorisation, AuthorisationDocument, Limits
-from agent.safety.checked import CheckedPrograms
+from agent.safety.first_run import CheckedPrograms
 from agent.safety.guard import GuardedLink
 from agent.safety.motion import PlannedProgram
 from drivers.transports.tcp import TcpDriver

@@ -80,10 +80,9 @@ ALWAYS_NUMBERS: dict[str, dict[str, str]] = {
         "document.expires <= latest": "dates",
         "(now or datetime.now(UTC)).date() <= document.expires": "dates",
     },
-    "braking.py": {"0.0 <= times[0] - self._times[-1] <= 10 * SPAN": "of times that are numbers"},
     "cell.py": {"widest < 0": "of distances that were found to be numbers"},
-    "clearance.py": {"self.margin > 0": "a margin that was found to be a number"},
-    "clearance_search.py": {
+    "clearance.py": {
+        "self.margin > 0": "a margin that was found to be a number",
         "np.where(is_open, along, 0.0).max(axis=1) >= np.where(is_open, aside, 0.0).max(axis=1)": "finite positions",
         "distances - along - aside >= self.margin": "of distances that were found to be large enough",
         "middle[row, 0] < self.first[0]": "indices",
@@ -93,11 +92,7 @@ ALWAYS_NUMBERS: dict[str, dict[str, str]] = {
         "bounds < self.margin - self.tolerance": "of distances that were found to be numbers",
         "short.min(axis=1) >= 0": "of distances that were found to be numbers",
     },
-    "freshness.py": {
-        "silent <= self.oldest": "the other one tells of a clock that shows no time",
-        "age <= self.oldest": "the same",
-        "silent < WAITS": "chooses the words",
-    },
+    "freshness.py": {"silent < WAITS": "chooses the words"},
     "motion.py": {"np.ptp(chain.q, axis=0).max() < THERE": "of a plan that was checked"},
     "planned_path.py": {
         "passed[k] > gap": "of times that are numbers",
@@ -109,6 +104,10 @@ ALWAYS_NUMBERS: dict[str, dict[str, str]] = {
     },
     "preconditions.py": {
         "np.abs(np.radians(position) - program.chains[0].q[0]) <= START_TOLERANCE": "chooses the words",
+    },
+    "stopping.py": {
+        "0.0 <= times[0] - self._times[-1] <= 10 * SPAN": "of times that are numbers",
+        "self._braking.rested < NO_END": "of times that are numbers",
     },
     "watch.py": {
         "self._now - self._looked < WATCH_INTERVAL": "of times that the driver has checked",

@@ -10,8 +10,8 @@ from hypothesis import given, strategies as st
 
 from agent.link.alignment import Aligner, MovingSegments, Stamps, moving_segments
 from agent.recording import LogWriter
-from agent.safety.braking import Braking
 from agent.safety.freshness import Freshness
+from agent.safety.stopping import Braking
 from drivers.protocol import SampleBlock
 from tests.safety.following import HOME, PERIOD, ROBOT
 

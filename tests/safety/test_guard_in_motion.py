@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from agent.core.errors import ControllerError, SafetyError
-from agent.safety.background_poll import BackgroundPoll
+from agent.safety.watch import BackgroundPoll
 from drivers.errors import DriverError, MotionStopped
 from drivers.transports.tcp import TcpDriver
 from drivers.wire.reasons import EndReason
@@ -65,7 +65,7 @@ def test_the_controllers_own_word_comes_before_what_the_state_says(bench, progra
 
 
 def test_a_look_costs_a_request_and_is_taken_five_times_a_second_of_motion(bench, program, monkeypatch):
-    monkeypatch.setattr("agent.safety.background_poll.PROMPT", 5.0)
+    monkeypatch.setattr("agent.safety.watch.PROMPT", 5.0)
     bench.controller.blocks, bench.controller.pushes, bench.controller.spacing = 40, True, 250_000
     guard = bench.open(clock=lambda: 0.0)
     before = bench.controller.asked.count("AskStatus") + 2  # the two before the start
@@ -74,7 +74,7 @@ def test_a_look_costs_a_request_and_is_taken_five_times_a_second_of_motion(bench
 
 
 def test_a_controller_whose_time_stands_still_is_looked_at_all_the_same(bench, program, monkeypatch):
-    monkeypatch.setattr("agent.safety.background_poll.PROMPT", 5.0)
+    monkeypatch.setattr("agent.safety.watch.PROMPT", 5.0)
     bench.controller.blocks, bench.controller.pushes, bench.controller.spacing = 40, True, 1
     ticks = iter(range(10**6))
     guard = bench.open(clock=lambda: 0.1 * next(ticks))
@@ -129,7 +129,7 @@ def test_a_state_that_is_not_answered_delays_no_watch(bench, program):
 
 def test_a_state_that_comes_late_stops_the_arm_without_another_sample(bench, program, monkeypatch):
     """The stop is asked for when the answer comes, not with the next block."""
-    monkeypatch.setattr("agent.safety.background_poll.PROMPT", 0.0)
+    monkeypatch.setattr("agent.safety.watch.PROMPT", 0.0)
     over = threading.Event()
 
     class Waiting(TcpDriver):

@@ -31,11 +31,15 @@ FALSE_STOPS = {
         "self._path.distance(tool, rows) <= self._margin + allowed.tool": "true is near",
         "of_joint[:, None] <= fastest": "true is slow",
     },
-    "braking.py": {
+    "first_run.py": {"peak <= FIRST_SPEED": "true is slow enough, anything else is planned again or refused"},
+    "freshness.py": {"age <= self.oldest": "true goes on"},
+    "preconditions.py": {"carried >= made": "true is fast enough"},
+    "stopping.py": {
         "passed >= SPAN / 2": "true is a speed that is known",
         "self.speed < min(BRAKING * self.before, self._least + self._regained * self.before)": "true waits for the arm",
+        "self._freshness.age <= RECENT": "true shows the arm",
+        "self._clock() - self._state_at <= RECENT": "the same",
     },
-    "first_run.py": {"peak <= FIRST_SPEED": "true is slow enough, anything else is planned again or refused"},
     "watch.py": {
         "lasted <= self._longest": "true goes on",
     },

@@ -204,6 +204,13 @@ class Slow(TcpDriver):
         return self.carries
 
 
+def test_a_link_that_was_held_up_once_is_measured_again():
+    carried = [331.0, 800.0]
+    driver = type("Held", (Slow,), {"throughput": lambda self: carried.pop(0)})("127.0.0.1:1")
+    check_throughput(driver, Identity("r", "s", "c", "1", ("a",), PERIOD), "here")
+    assert carried == []
+
+
 @pytest.mark.parametrize("carries", [499.0, np.nan])
 def test_a_link_that_is_slower_than_the_samples_moves_nothing(bench, carries):
     bench.driver = type("Told", (Slow,), {"carries": carries})

@@ -31,6 +31,7 @@ _POLL = 0.02  # s between two looks for new samples
 _ANSWER_POLL = 0.005
 _MEASURED = 9  # reads that measure the link; the quickest counts, as the others waited for something else
 _OTHERS = 20  # exchanges a second for the state and the progress of a motion
+_STOPS = 3  # at most, where nothing answers: a second one does no harm
 _GOODBYE = 1.0  # s for the answer to the last message
 
 MakeClient = Callable[[Callable[[bool, bytes], bytes]], Client]
@@ -185,7 +186,7 @@ class ModbusDriver(LinkDriver[ModbusLink, MotionStream]):
         if motion is not None:
             motion.stopping = True
         with self._stopping:  # a second one would take the answer of the first
-            self._command(wire.Command.STOP, self._timeout, "stop")
+            self._command_stop()
         until = time.monotonic() + self._start_timeout
         while link.read(wire.PROGRESS)["state"] == wire.MotionState.RUNNING:
             if time.monotonic() > until:
@@ -221,6 +222,13 @@ class ModbusDriver(LinkDriver[ModbusLink, MotionStream]):
 
     def _wanted_watchdog(self) -> int:
         return round(self._watchdog * 1000)
+
+    def _command_stop(self) -> None:
+        for _ in range(_STOPS - 1):
+            with contextlib.suppress(SilentError):
+                self._command(wire.Command.STOP, self._timeout, "stop", lambda: False)
+                return
+        self._command(wire.Command.STOP, self._timeout, "stop", lambda: False)
 
     def _blank(self) -> dict[str, Any]:
         """A command that says nothing yet."""

@@ -1,0 +1,1 @@
+"""URScript, the program language of Universal Robots, and how their controllers move."""

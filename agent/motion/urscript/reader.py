@@ -1,0 +1,362 @@
+"""URScript text to motion statements.
+
+An expression of URScript is one of Python too, poses (`p[…]`) included, so Python's own parser reads it; nothing is
+executed. Blocks end with `end`. What waits for the outside world (`while read_…`) counts as fulfilled.
+"""
+
+from __future__ import annotations
+
+import ast
+import math
+import operator
+import re
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from agent.core import InputError
+from agent.motion import rotation
+from agent.motion.program import (
+    NO_FRAME,
+    CartesianTarget,
+    Delay,
+    JointTarget,
+    Move,
+    MoveType,
+    Statement,
+    Target,
+    frame_of,
+    matrix_of,
+)
+from agent.motion.urscript.settings import (
+    JOINT_ACCELERATION,
+    JOINT_SPEED,
+    LINEAR_ACCELERATION,
+    LINEAR_SPEED,
+    UrSettings,
+)
+
+if TYPE_CHECKING:
+    from agent.robot import RobotDescription
+
+_OPENS = re.compile(r"(def|thread|sec|while|if)\b\s*(.*?)\s*:?$")
+_BRANCH = re.compile(r"(elif|else)\b\s*(.*?)\s*:?$")
+_CLOSES = re.compile(r"(end|elif|else)\b")
+_HEADER = re.compile(r"(\w+)\s*\((.*)\)$")
+_ASSIGNMENT = re.compile(r"(?:global |local )?\s*(\w+)\s*=(?!=)\s*(.+)$")
+#: Functions that move nothing and say nothing of the moves.
+_STILL = re.compile(
+    r"(popup|rtde_set_watchdog|set_gravity|set_\w*digital_out|stop[jl]|sync|textmsg|write_output_\w+_register)\b"
+)
+#: Functions that move the arm in ways that are no moves to a target.
+_MOVING = re.compile(r"\b(servo[jcl]|speed[jl]|optimove[jl]|force_mode|freedrive_mode|teach_mode|conveyor_\w+)\(")
+_TARGETED = re.compile(r"\bmove[jlpc]\(")
+#: Statements that a program may take, and calls within calls.
+_LONGEST, _DEEPEST = 10_000_000, 50
+_PARAMETERS = {
+    "movej": ("q", "a", "v", "t", "r"),
+    "movel": ("pose", "a", "v", "t", "r"),
+    "movep": ("pose", "a", "v", "r"),
+    "movec": ("pose_via", "pose_to", "a", "v", "r", "mode"),
+}
+_OPERATORS: dict[type, Callable[..., Any]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
+    ast.Mod: operator.mod,
+    ast.BitXor: operator.pow,
+    ast.USub: operator.neg,
+    ast.UAdd: operator.pos,
+    ast.Not: operator.not_,
+    ast.Eq: operator.eq,
+    ast.NotEq: operator.ne,
+    ast.Lt: operator.lt,
+    ast.LtE: operator.le,
+    ast.Gt: operator.gt,
+    ast.GtE: operator.ge,
+}
+_FUNCTIONS: dict[str, Callable[..., Any]] = {
+    "d2r": math.radians,
+    "r2d": math.degrees,
+    "pose_trans": lambda first, second: first @ second,
+    "pose_inv": np.linalg.inv,
+    "get_inverse_kin": lambda pose, *near: pose,
+    **{one.__name__: one for one in (math.acos, math.asin, math.atan, math.atan2)},
+    **{one.__name__: one for one in (math.cos, math.sin, math.sqrt, math.tan)},
+}
+
+
+class UrScriptError(InputError):
+    """A text that is not the motion subset of URScript; names path and line."""
+
+
+class _Outside(Exception):
+    """A value that only the controller knows."""
+
+
+@dataclass
+class _Line:
+    """One statement: its `word` (a block's, `set`, `do`), text and line, and the lines in its block."""
+
+    word: str
+    text: str
+    number: int
+    block: list[_Line] = field(default_factory=list)
+    otherwise: list[_Line] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class UrScriptProgram:
+    """A program that was read. `lenient` passes over what is not understood and does not move, and counts it."""
+
+    name: str
+    path: str
+    lines: list[_Line]
+    robot: RobotDescription | None = None
+    lenient: bool = False
+    passed: Counter[str] = field(default_factory=Counter)
+
+    def run(self) -> Iterator[Statement]:
+        """Its moves and delays in order.
+
+        Raises:
+            UrScriptError: a statement that cannot be executed, or a program that never ends.
+        """
+        return _ScriptRun(self).block(self.lines, 0)
+
+    def moves_once(self) -> Iterator[Statement]:
+        """The same with every loop gone through once."""
+        return _ScriptRun(self, once=True).block(self.lines, 0)
+
+
+def read_program(text: str, path: str = "", robot: RobotDescription | None = None) -> UrScriptProgram:
+    """Read a program of the motion subset.
+
+    Raises:
+        UrScriptError: not one; names path and line.
+    """
+    program = _read(text, path, robot, lenient=False)
+    for _ in program.moves_once():
+        pass
+    return program
+
+
+def job_text(text: str, path: str, robot: RobotDescription | None) -> tuple[list[Statement], dict[str, int]]:
+    """The moves of a person's program, every loop gone through once, and how often each word was passed over.
+
+    Raises:
+        UrScriptError: something moves that is not understood.
+    """
+    program = _read(text, path, robot, lenient=True)
+    return list(program.moves_once()), dict(program.passed)
+
+
+def _read(text: str, path: str, robot: RobotDescription | None, lenient: bool) -> UrScriptProgram:
+    rows = [
+        (number, stripped)
+        for number, row in enumerate(text.splitlines(), 1)
+        if (stripped := re.sub(r"""("[^"]*")|#.*""", lambda found: found[1] or "", row).strip())
+        and not stripped.startswith("$")  # PolyScope's tree of the program
+    ]
+    lines, rest = _block(rows, path)
+    if rest:
+        raise UrScriptError(f"{path}:{rest[0][0]}: `{rest[0][1]}` ends no block")
+    top = [line for line in lines if line.word == "def"]
+    if len(top) != 1 and not lenient:
+        raise UrScriptError(f"{path}: one `def NAME():` is expected, not {len(top)}")
+    first = _HEADER.match(top[0].text) if top else None
+    if first is None and not lenient:
+        raise UrScriptError(f"{path}: `def NAME():` is expected first")
+    body = top[0].block if len(top) == 1 and len(lines) == 1 else lines
+    return UrScriptProgram(first[1] if first else "script", path, body, robot, lenient)
+
+
+def _block(rows: list[tuple[int, str]], path: str, depth: int = 0) -> tuple[list[_Line], list[tuple[int, str]]]:
+    """Lines up to one that ends a block, and what comes from that on."""
+    lines: list[_Line] = []
+    if depth > _DEEPEST:
+        raise UrScriptError(f"{path}:{rows[0][0]}: more than {_DEEPEST} blocks within each other")
+    while rows and not _CLOSES.match(rows[0][1]):
+        number, text = rows[0]
+        opens, assigned = _OPENS.match(text), _ASSIGNMENT.match(text)
+        if opens is None:
+            word, text = (f"set {assigned[1]}", assigned[2]) if assigned else ("do", text)
+            lines.append(_Line(word, text, number))
+            rows = rows[1:]
+            continue
+        line = last = _Line(opens[1], opens[2], number)
+        line.block, rows = _block(rows[1:], path, depth + 1)
+        while rows and (branch := _BRANCH.match(rows[0][1])):
+            other = _Line("if", branch[2] or "True", rows[0][0])
+            other.block, rows = _block(rows[1:], path, depth + 1)
+            last.otherwise, last = [other], other
+        if not rows:
+            raise UrScriptError(f"{path}:{number}: `{text}` has no `end`")
+        lines.append(line)
+        rows = rows[1:]
+    return lines, rows
+
+
+class _ScriptRun:
+    """One run of a program: variables, the tool and load in force, and the functions that were defined."""
+
+    def __init__(self, program: UrScriptProgram, once: bool = False) -> None:
+        self._program = program
+        self._once = once or program.lenient
+        self._values: dict[str, Any] = {"True": True, "False": False}
+        self._defined: dict[str, _Line] = {}
+        self._settings = UrSettings(base=NO_FRAME, uframe=NO_FRAME)
+        self._left = _LONGEST
+
+    def block(self, lines: list[_Line], depth: int) -> Iterator[Statement]:
+        for line in lines:
+            try:
+                yield from self._line(line, depth)
+            except (_Outside, UrScriptError, ArithmeticError, LookupError, TypeError, ValueError) as error:
+                if not self._program.lenient or _MOVING.search(line.text) or _TARGETED.search(line.text):
+                    raise self._error(line, error) from None
+                self._program.passed[re.match(r"\W*\w*", line.text)[0] or line.text[:10]] += 1  # type: ignore[index]
+
+    def _error(self, line: _Line, error: Exception) -> UrScriptError:
+        if isinstance(error, UrScriptError):
+            return error
+        what = "depends on what only the controller knows" if isinstance(error, _Outside) else f"{error}"
+        return UrScriptError(f"{self._program.path}:{line.number}: `{line.text[:60]}`: {what}")
+
+    def _line(self, line: _Line, depth: int) -> Iterator[Statement]:
+        self._left -= 1
+        if self._left < 0 or depth > _DEEPEST:
+            raise UrScriptError(f"{self._program.path}:{line.number}: the program does not come to an end")
+        if line.word == "def":
+            header = _HEADER.match(line.text)
+            if header is None:
+                raise ValueError("a function needs a name and parentheses")
+            self._defined[header[1]] = line
+        elif line.word in ("thread", "sec"):
+            raise ValueError("what runs beside the program is not understood")
+        elif line.word == "while":
+            yield from self._loop(line, depth)
+        elif line.word == "if":
+            try:
+                chosen = line.block if self._value(line.text) else line.otherwise
+            except _Outside:
+                if not self._program.lenient:
+                    raise
+                chosen = line.block
+            yield from self.block(chosen, depth)
+        elif line.word.startswith("set "):
+            self._values[line.word[4:]] = self._value(line.text)
+        else:
+            yield from self._call(line, depth)
+
+    def _loop(self, line: _Line, depth: int) -> Iterator[Statement]:
+        lenient = self._program.lenient
+        if isinstance(_parsed(line.text), ast.Constant) and not lenient:
+            raise ValueError("a loop without an end is not understood")
+        try:
+            while self._value(line.text):
+                yield from self.block(line.block, depth)
+                if self._once:
+                    return
+        except _Outside:  # it waits for the world outside
+            if lenient:
+                yield from self.block(line.block, depth)
+            elif any(_TARGETED.search(one.text) for one in line.block):
+                raise
+
+    def _call(self, line: _Line, depth: int) -> Iterator[Statement]:
+        tree = _parsed(line.text)
+        if not (isinstance(tree, ast.Call) and isinstance(tree.func, ast.Name)):
+            raise ValueError("is no statement that is understood")
+        name = tree.func.id
+        if _STILL.match(name):
+            return
+        given = [self._evaluated(one) for one in tree.args]
+        named = {str(one.arg): self._evaluated(one.value) for one in tree.keywords}
+        if name in self._defined:
+            header = _HEADER.match(self._defined[name].text)
+            assert header is not None
+            parameters = [one.partition("=")[0].strip() for one in header[2].split(",")]
+            self._values |= dict(zip(parameters, given, strict=False)) | named
+            yield from self.block(self._defined[name].block, depth + 1)
+        elif name == "sleep":
+            yield Delay(float(given[0]))
+        elif name == "set_tcp":
+            self._settings = self._settings.changed(tool=frame_of(given[0]))
+        elif name in ("set_payload", "set_target_payload"):
+            centre = given[1] if len(given) > 1 else matrix_of(self._settings.tool)[:3, 3]
+            self._settings = self._settings.changed(load=(float(given[0]), *(float(value) for value in centre)))
+        elif name in ("movej", "movel", "movep", "movec"):
+            yield self._move(name, given, named, line.number)
+        else:
+            raise ValueError(f"the function {name} is not understood")
+
+    def _move(self, name: str, given: list[Any], named: dict[str, Any], line: int) -> Move:
+        said = dict(zip(_PARAMETERS[name], given, strict=False)) | named
+        via, goal = said.get("pose_via"), next(said[key] for key in ("q", "pose", "pose_to") if key in said)
+        if said.get("t") and not self._program.lenient:
+            raise ValueError("a move in a given time is not understood; give a= and v=")
+        radius = float(said.get("r", 0.0))
+        settings = self._settings.changed(fly_distance=radius)
+        if name == "movej":
+            speed, acceleration = float(said.get("v", JOINT_SPEED)), float(said.get("a", JOINT_ACCELERATION))
+            settings = settings.changed(joint_speed=speed, joint_acceleration=acceleration)
+        else:
+            speed, acceleration = float(said.get("v", LINEAR_SPEED)), float(said.get("a", LINEAR_ACCELERATION))
+            settings = settings.changed(linear_speed=speed, linear_acceleration=acceleration)
+        kind = {"movej": MoveType.JOINT, "movec": MoveType.CIRCULAR}.get(name, MoveType.LINEAR)
+        through = None if via is None else self._target(via)
+        return Move(kind, self._target(goal), settings, radius > 0.0, through, line=line)
+
+    def _target(self, value: Any) -> Target:
+        if isinstance(value, np.ndarray):
+            return CartesianTarget(value)
+        robot = self._program.robot
+        position = np.array(value, dtype=float)
+        if robot is not None and position.shape != (robot.dof,):
+            raise ValueError(f"{robot.name} has {robot.dof} joints")
+        return JointTarget(position)
+
+    def _value(self, text: str) -> Any:
+        return self._evaluated(_parsed(text))
+
+    def _evaluated(self, node: ast.expr) -> Any:
+        match node:
+            case ast.Constant():
+                return node.value
+            case ast.Name() if node.id in self._values:
+                return self._values[node.id]
+            case ast.List() | ast.Tuple():
+                return [self._evaluated(one) for one in node.elts]
+            case ast.Subscript(value=ast.Name(id="p")):
+                fields = np.array(self._evaluated(node.slice), dtype=float)
+                if fields.shape != (6,):
+                    raise ValueError("a pose has six numbers")
+                return rotation.to_pose(fields[:3], rotation.from_rotation_vector(fields[3:]))
+            case ast.Subscript():
+                return self._evaluated(node.value)[int(self._evaluated(node.slice))]
+            case ast.UnaryOp() | ast.BinOp() | ast.Compare(ops=[_]):
+                of = node.ops[0] if isinstance(node, ast.Compare) else node.op
+                parts = [part for part in ast.iter_child_nodes(node) if isinstance(part, ast.expr)]
+                return _OPERATORS[type(of)](*(self._evaluated(part) for part in parts))
+            case ast.BoolOp():
+                values = [bool(self._evaluated(one)) for one in node.values]
+                return all(values) if isinstance(node.op, ast.And) else any(values)
+            case ast.Call(func=ast.Name(id=name)) if name in _FUNCTIONS:
+                return _FUNCTIONS[name](*(self._evaluated(one) for one in node.args))
+            case ast.Name() | ast.Call():
+                raise _Outside
+        raise ValueError("is no expression that is understood")
+
+
+@lru_cache(maxsize=4096)
+def _parsed(text: str) -> ast.expr:
+    try:
+        return ast.parse(text.strip(), mode="eval").body
+    except (SyntaxError, ValueError, RecursionError, MemoryError):
+        raise ValueError("is no statement that is understood") from None

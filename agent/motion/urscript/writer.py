@@ -1,0 +1,163 @@
+"""Motion statements to URScript text.
+
+Every program begins with what lets it be stopped and recognised: it writes its number into output register 25, stops
+the arm where the heartbeat in input register 24 stops, and waits until input register 25 allows this number to move. It
+writes the number of the cycle that begins into output register 24.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from agent.core import InputError
+from agent.motion import rotation
+from agent.motion.program import (
+    CartesianTarget,
+    Delay,
+    JointTarget,
+    MotionSettings,
+    Move,
+    MoveType,
+    Statement,
+    Target,
+    matrix_of,
+)
+from agent.motion.urscript.reader import read_program
+from agent.motion.urscript.settings import UrSettings
+
+if TYPE_CHECKING:
+    from agent.robot import RobotDescription
+
+_HEAD = """def {name}():
+  write_output_integer_register(25, {number})
+  write_output_integer_register(24, -1)
+  rtde_set_watchdog("input_int_register_24", 2, "stop")
+{frames}  while read_input_integer_register(25) != {number}:
+    sync()
+  end
+  write_output_integer_register(25, 0)
+{body}end
+"""
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*", re.ASCII)
+#: A program's name has at most so many characters; eight of them and a `_` are of the checksum.
+_LONGEST, _DIGEST = 31, 8
+#: A controller goes on from a stop in the next period; at this rest it shows where cycles begin.
+_REST = "sleep(0.1)"
+
+
+def write_program(name: str, statements: Sequence[Statement], robot: RobotDescription | None = None) -> str:
+    """A program that makes these moves and delays once; `read_program` gives them back.
+
+    Coordinates have nine decimals (m, rad), speeds and accelerations twelve digits. The program is called by the name
+    and the checksum of what it does.
+
+    Raises:
+        InputError: a name or a coordinate that URScript does not take.
+    """
+    writer = _ScriptWriter(robot)
+    return writer.text(name, [line for statement in statements for line in writer.statement(statement, "  ")])
+
+
+def write_loop_program(
+    name: str,
+    points: Sequence[Target],
+    settings: MotionSettings,
+    cycles: int,
+    approach: MotionSettings | None = None,
+    robot: RobotDescription | None = None,
+    start: JointTarget | None = None,
+) -> str:
+    """A program of the loop: `movej` to the start, then `cycles` times `movel` through points 2 to K and to the first.
+
+    All but the last `movel` of a cycle blend, so every cycle starts and ends at rest, for 0.1 s.
+
+    Raises:
+        InputError: fewer than two points, no cycle, or what `write_program` refuses.
+    """
+    if len(points) < 2:
+        raise InputError(f"program {name}: a loop needs at least 2 points, not {len(points)}")
+    if not 1 <= cycles <= 1_000_000:
+        raise InputError(f"program {name}: the number of cycles is 1 to 1000000, not {cycles}")
+    if approach is None:
+        approach = settings.changed(speed_override=min(0.1, settings.speed_override))
+    writer = _ScriptWriter(robot)
+    lines = [*writer.statement(Move(MoveType.JOINT, start or points[0], approach), "  "), f"  {_REST}"]
+    loop = [Move(MoveType.LINEAR, point, settings, fly=True) for point in points[1:]]
+    loop.append(Move(MoveType.LINEAR, points[0], settings.stopping()))
+    moves = [line for move in loop for line in writer.statement(move, "    ")]
+    lines += ["  i = 0", f"  while i < {cycles}:", "    write_output_integer_register(24, i)"]
+    return writer.text(name, [*lines, *moves, f"    {_REST}", "    i = i + 1", "  end"])
+
+
+class _ScriptWriter:
+    """Writes moves, and before them the tool and load where they change."""
+
+    def __init__(self, robot: RobotDescription | None):
+        self._robot = robot
+        self._frames: list[str] | None = None  # that the program begins with
+        self._said: list[str] = []
+
+    def statement(self, statement: Statement, indent: str) -> list[str]:
+        if isinstance(statement, Delay):
+            return [f"{indent}sleep({statement.seconds:.12g})"]
+        settings = UrSettings.of(statement.settings)
+        before = _frames(settings)
+        changed = [line for line in before if line not in self._said]
+        if self._frames is None:
+            self._frames, changed = before, []
+        self._said = before
+        targets = [one for one in (statement.via, statement.target) if one is not None]
+        where = ", ".join(self._target(one) for one in targets)
+        joint = statement.type is MoveType.JOINT
+        acceleration = settings.joint_acceleration if joint else settings.linear_acceleration
+        speed = (settings.joint_speed if joint else settings.linear_speed) * settings.speed_override
+        radius = settings.fly_distance if statement.fly else 0.0
+        word = {MoveType.JOINT: "movej", MoveType.LINEAR: "movel", MoveType.CIRCULAR: "movec"}[statement.type]
+        ending = f"a={acceleration:.12g}, v={speed:.12g}, r={radius:.12g}"
+        return [indent + line for line in (*changed, f"{word}({where}, {ending})")]
+
+    def text(self, name: str, lines: list[str]) -> str:
+        if _NAME.fullmatch(name) is None:
+            raise InputError(f"program name {name!r}: a letter, then letters, digits and _")
+        body = "".join(f"{line}\n" for line in lines)
+        frames = "".join(f"  {line}\n" for line in self._frames or [])
+        digest = hashlib.sha256((frames + body).encode()).hexdigest()[:_DIGEST]
+        text = _HEAD.format(
+            name=f"{name[: _LONGEST - _DIGEST - 1]}_{digest}", number=int(digest[:7], 16) + 1, frames=frames, body=body
+        )
+        for _ in read_program(text, "the program to be written", self._robot).moves_once():
+            pass
+        return text
+
+    def _target(self, target: Target) -> str:
+        if isinstance(target, CartesianTarget):
+            return f"p[{_pose(np.asarray(target.pose, dtype=float))}]"
+        position = np.asarray(target.position, dtype=float)
+        if self._robot is not None and len(position) != self._robot.dof:
+            raise InputError(f"a joint target has {len(position)} joints; {self._robot.name} has {self._robot.dof}")
+        return f"[{', '.join(_coordinate(value) for value in position)}]"
+
+
+def _frames(settings: UrSettings) -> list[str]:
+    lines = [] if settings.tool is None else [f"set_tcp(p[{_pose(matrix_of(settings.tool))}])"]
+    if settings.load is not None:
+        mass, *centre = (_coordinate(value) for value in settings.load)
+        lines.append(f"set_target_payload({mass}, [{', '.join(centre)}])")
+    return lines
+
+
+def _pose(pose: np.ndarray) -> str:
+    turned = rotation.rotation_vector(rotation.from_matrix(pose[:3, :3]))
+    return ", ".join(_coordinate(value) for value in (*pose[:3, 3], *turned))
+
+
+def _coordinate(value: float) -> str:
+    if not np.isfinite(value):
+        raise InputError(f"a coordinate of the program is {value} and must be finite")
+    text = f"{value:.9f}".rstrip("0").rstrip(".")
+    return "0" if text == "-0" else text

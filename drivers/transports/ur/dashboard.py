@@ -1,0 +1,123 @@
+"""The dashboard of a CB3 or e-Series controller: one line asked, one line answered."""
+
+from __future__ import annotations
+
+import re
+import threading
+from dataclasses import dataclass
+
+from drivers.errors import DriverError, ProtocolError, RefusedError
+from drivers.texts import ALARM, NAME, printable
+from drivers.transports.base import dropped
+from drivers.transports.tcp import open_socket
+
+_GREETING = "Connected: Universal Robots Dashboard Server"
+_LONGEST = 4096  # bytes of a line
+
+
+@dataclass(frozen=True)
+class UrModel:
+    """What stands there: `robot` as descriptions call it (`ur5e`, `ur5`), serial number, version of PolyScope."""
+
+    robot: str
+    serial: str
+    version: tuple[int, ...]
+
+    @property
+    def remote(self) -> bool:
+        """Whether this controller has a remote and a local mode, and says which."""
+        return self.version >= (5, 6)
+
+    @property
+    def period(self) -> float:
+        """[s] of its control cycle."""
+        return 0.002 if self.version >= (5,) else 0.008
+
+
+class Dashboard:
+    """A connection to the dashboard; any thread may ask.
+
+    Raises:
+        DriverError: nobody there, or silent.
+        ProtocolError: somebody else's port.
+    """
+
+    def __init__(self, address: str, timeout: float) -> None:
+        self.address = address
+        self._timeout = timeout
+        self._lock = threading.Lock()
+        self._rest = b""
+        self._socket = open_socket(address, timeout)
+        self._socket.settimeout(timeout)
+        try:
+            greeting = self._line("the greeting of the dashboard")
+        except BaseException:
+            self.close()
+            raise
+        if not greeting.startswith(_GREETING):
+            self.close()
+            raise ProtocolError(
+                f"{address} is no dashboard of a UR controller: it says {printable(greeting, NAME)!r}; is the address "
+                "right? (PolyScope X has no dashboard, and this driver does not support it)"
+            )
+
+    def ask(self, command: str) -> str:
+        """The answer to a command.
+
+        Raises:
+            DriverError: silent, or the link dropped.
+        """
+        with self._lock:
+            try:
+                self._socket.sendall(command.encode() + b"\n")
+            except OSError as error:
+                raise dropped(self.address, error) from None
+            return self._line(command)
+
+    def model(self) -> UrModel:
+        """Who is there.
+
+        Raises:
+            ProtocolError: a version that cannot be read.
+        """
+        text = self.ask("PolyscopeVersion")
+        found = re.search(r"\d+(?:\.\d+)+", text)
+        if found is None:
+            raise ProtocolError(f"{self.address}: the version of PolyScope is not in {printable(text, NAME)!r}")
+        version = tuple(int(part) for part in found[0].split("."))
+        name = self.ask("get robot model").strip().lower().removesuffix("e")
+        return UrModel(name + "e" * (version >= (5,)), self.ask("get serial number").strip(), version)
+
+    def remote(self) -> bool:
+        """Whether the robot is in remote control.
+
+        Raises:
+            RefusedError: the answer is neither yes nor no.
+        """
+        answer = self.ask("is in remote control").strip().lower()
+        if answer not in ("true", "false"):
+            raise RefusedError(f"{self.address}: asked for remote control, it answers {printable(answer, ALARM)!r}")
+        return answer == "true"
+
+    def close(self) -> None:
+        """Never raises."""
+        self._socket.close()
+
+    def _line(self, asked: str) -> str:
+        try:
+            while b"\n" not in self._rest:
+                data = self._socket.recv(_LONGEST)
+                if not data:
+                    raise DriverError(f"the dashboard at {self.address} closed the connection")
+                self._rest += data
+                if len(self._rest) > _LONGEST:
+                    raise ProtocolError(f"{self.address} is no dashboard of a UR controller: a line without an end")
+        except TimeoutError:
+            raise DriverError(
+                f"the dashboard at {self.address} is silent: no answer to {asked!r} within {self._timeout:g} s; are "
+                "its services switched on (Settings, Security, Services)?"
+            ) from None
+        except OSError as error:
+            raise dropped(self.address, error) from None
+        line, _, self._rest = self._rest.partition(b"\n")
+        return line.decode("latin-1").strip()

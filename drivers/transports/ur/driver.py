@@ -1,0 +1,333 @@
+"""The driver for Universal Robots with PolyScope 3 (CB3) or 5 (e-Series); docs/how-to-ur.md says how to set them up.
+
+Nothing is stored on the controller: `start` sends the program, once. The program waits until the driver has seen that
+it is the one that was meant, and then moves. A script that arrives a second time waits in vain.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+from typing import Any
+
+import numpy as np
+
+from drivers.errors import ConfigurationError, DriverError, RefusedError
+from drivers.protocol import Identity, Status
+from drivers.texts import place_of
+from drivers.transports.base import WATCHDOG, LinkDriver
+from drivers.transports.tcp import parse_address
+from drivers.transports.ur import motion as states, rtde
+from drivers.transports.ur.dashboard import Dashboard, UrModel
+from drivers.transports.ur.link import UrLink
+from drivers.transports.ur.motion import UrMotion, safety_text
+from drivers.transports.ur.primary import ProgramChange, ProgramFault
+from drivers.transports.ur.program import UrProgram, rotation
+
+#: The arm's joints, as Universal Robots and its ROS descriptions call them.
+JOINTS = (
+    "shoulder_pan_joint",
+    "shoulder_lift_joint",
+    "elbow_joint",
+    "wrist_1_joint",
+    "wrist_2_joint",
+    "wrist_3_joint",
+)
+_PORTS = {"dashboard": 29999, "primary": 30001, "rtde": 30004}
+#: A pace from this part of the whole one on is the whole one.
+_WHOLE = 0.95
+#: An arm that was told to stop does so within this [s], or the heartbeat is withheld from it.
+_OBEYS = 3.0
+#: A simulator keeps no rhythm on the wall: its silence [s] is one from here on.
+_SIMULATED = 5.0
+
+
+class UrDriver(LinkDriver[UrLink, UrMotion]):
+    """`drivers.protocol.Driver` over dashboard, primary interface and RTDE.
+
+    Args:
+        address: `host`, or `host,dashboard=29999,primary=30001,rtde=30004` where ports are not the usual ones.
+        options: of `LinkDriver`.
+
+    Raises:
+        ConfigurationError: not such an address.
+    """
+
+    dialect = "urscript"
+
+    def __init__(self, address: str, **options: Any) -> None:
+        self._places = places(address)
+        super().__init__(address, **options)
+        self.torque_per_ampere = np.empty((0, 0))
+        self._dashboard: Dashboard | None = None
+        self._model: UrModel | None = None
+        self._stored: tuple[str, UrProgram] | None = None
+
+    @property
+    def watchdog(self) -> float:
+        """The program's [s]; a simulator, which moves no arm, may be late."""
+        return WATCHDOG if self._link is None else self._link.watchdog
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """`ReportsDiagnostics`: when cycles began, by the program's register."""
+        motion = self._motion
+        return {} if motion is None or not motion.markers else {"cycle_markers_s": json.dumps(motion.markers)}
+
+    def connect(self) -> None:
+        """Ask the dashboard who is there, then open RTDE and the primary interface."""
+        self.close()
+        self._motion, self._stored = None, None
+        try:
+            self._dashboard = Dashboard(self._places["dashboard"], self._timeout)
+            self._model = self._dashboard.model()
+            self._link = UrLink(
+                self._places["primary"],
+                self._places["rtde"],
+                self._model.period,
+                self._timeout,
+                self._on_samples,
+                self._on_message,
+                self._on_failure,
+            )
+            if self._link.simulated():
+                self._link.watchdog = _SIMULATED
+        except BaseException:
+            self.close()
+            raise
+
+    def identify(self) -> Identity:
+        """As the dashboard has it."""
+        self._connected()
+        assert self._model is not None
+        version = ".".join(str(part) for part in self._model.version)
+        return Identity(self._model.robot, self._model.serial, "PolyScope", version, JOINTS, self._model.period)
+
+    def status(self) -> Status:
+        """What the controller says after this call."""
+        link = self._connected()
+        remote = self._remote()
+        sample = link.fresh()
+        safety = int(sample["safety_mode"])
+        stops = (*states.EMERGENCY_STOPS, states.SAFEGUARD, states.NORMAL)
+        name, checksum = "", ""
+        if self._stored is not None:
+            name, checksum = self._stored[0], _checksum(self._stored[1].text)
+        motion = self._motion
+        streaming = motion is not None and motion.begun and not motion.over
+        return Status(
+            drives_on=int(sample["robot_mode"]) == states.RUNNING,
+            mode="auto" if remote else "teach",
+            emergency_stop=safety in states.EMERGENCY_STOPS,
+            alarms=() if safety in stops else (safety_text(safety),),
+            override=float(sample["target_speed_fraction"]),
+            cell_closed=safety != states.SAFEGUARD,
+            moving=streaming or _plays(sample),
+            program=name,
+            checksum=checksum,
+            position=sample["actual_q"].astype(float),
+            emulator=link.simulated(),
+        )
+
+    def throughput(self) -> float:
+        """`MeasuresThroughput`: by the samples that come now."""
+        assert self._model is not None
+        pace = self._connected().pace() * self._model.period
+        return (pace if pace < _WHOLE else 1.0) / self._model.period
+
+    def temperatures(self) -> np.ndarray:
+        """`ReportsTemperatures`: of the joints (6,) [°C]."""
+        return self._connected().fresh()["joint_temperatures"].astype(float)
+
+    def frames(self) -> dict[str, np.ndarray]:
+        """`ReportsFrames`: the TCP; poses of scripts are in the robot's base."""
+        tool = self._connected().fresh()["tcp_offset"]
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = rotation(tool[3:]), tool[:3]
+        return {"TCP": pose}
+
+    def upload(self, name: str, text: str) -> str:
+        """Keep a program for `start`; returns the SHA-256 (hex) of its text.
+
+        Raises:
+            RefusedError: no program, one that could not be stopped, or the arm moves.
+        """
+        self._connected()
+        if self._motion is not None and not self._motion.over:
+            raise RefusedError("no program is taken while the arm moves; stop it first")
+        self._stored = None
+        self._stored = name, UrProgram.of(text)
+        return _checksum(text)
+
+    def start(self, name: str, checksum: str) -> None:
+        """Send the program, see that it is the one that runs, and let it move. Each is done once."""
+        link = self._connected()
+        self._check_over()
+        if self._stored is None or (self._stored[0], _checksum(self._stored[1].text)) != (name, checksum):
+            raise RefusedError(f"the program that was stored is not the {name!r} that is to be started; nothing moved")
+        program = self._stored[1]
+        self._check_ready(link, program)
+        assert self._model is not None
+        motion = UrMotion(program.name, self._model.period, self.torque_per_ampere, self._buffer_limit)
+        self._motion = motion
+        try:
+            link.beating = True
+            link.allow(0)
+            link.send_program(program.text)
+            self._see_program(link, motion, program)
+            link.guarded = True
+            motion.begin()
+            link.allow(program.number)
+            if not link.wait(lambda: link.latest[rtde.RUNNING] != program.number, self._timeout):
+                link.check()
+                raise DriverError(f"{self.address}: the program was let go and does not move; it is being stopped")
+            link.allow(0)  # a program that arrives once more is not allowed to move
+        except RefusedError:
+            self._motion, link.beating = None, False
+            raise
+        except BaseException:
+            self.close()
+            raise
+
+    def stop(self) -> None:
+        """End the program, and wait until the arm rests; where it goes on, the heartbeat is withheld."""
+        link, motion = self._link, self._motion
+        if link is None or self._nothing_to_stop(link, motion):
+            return
+        if motion is not None:
+            motion.stopping = True
+        elif link.failure is None and not _plays(link.fresh()):
+            return
+        with contextlib.suppress(DriverError):
+            self._ask("stop")
+        if self._rests(link, motion, _OBEYS):
+            return
+        if motion is not None:
+            motion.withheld = True
+        link.beating = False
+        if not self._rests(link, motion, self._start_timeout):
+            raise self._still_moves()
+
+    def close(self) -> None:
+        """Close the link; where the arm may still move, its program is ended first. Never raises."""
+        link, self._link = self._link, None
+        if link is not None:
+            if self._motion is not None and not self._motion.over:
+                self._motion.finish(DriverError(f"the link to {self.address} was closed while the arm moved"))
+                with contextlib.suppress(DriverError):
+                    link.check()
+                    self._ask("stop")
+            link.close()
+        dashboard, self._dashboard = self._dashboard, None
+        if dashboard is not None:
+            dashboard.close()
+
+    def _ask(self, command: str) -> str:
+        if self._dashboard is None:
+            raise DriverError(f"the link to {self.address} is not open; connect first")
+        return self._dashboard.ask(command)
+
+    def _remote(self) -> bool:
+        assert self._model is not None
+        assert self._dashboard is not None
+        return not self._model.remote or self._dashboard.remote()
+
+    def _rests(self, link: UrLink, motion: UrMotion | None, timeout: float) -> bool:
+        if motion is not None:
+            return motion.wait(timeout)
+        return link.wait(lambda: link.failure is not None or not _plays(link.fresh()), timeout)
+
+    def _check_ready(self, link: UrLink, program: UrProgram) -> None:
+        """What has to be so before anything is sent.
+
+        Raises:
+            RefusedError: it is not; both values are named.
+            ConfigurationError: nobody has said what torque an ampere is.
+        """
+        joints = len(JOINTS)
+        if self.torque_per_ampere.shape != (joints, joints):
+            raise ConfigurationError(
+                f"the link delivers motor currents of {joints} joints; torque_per_ampere has the shape "
+                f"{self.torque_per_ampere.shape}"
+            )
+        sample = link.fresh()
+        if _plays(sample):
+            raise RefusedError(f"{self.address}: another program runs on the controller; stop it there first")
+        if not self._remote():
+            raise RefusedError(
+                f"{self.address}: the robot is in local control, and remote control is needed: choose it at the "
+                "pendant, then connect again"
+            )
+        tool, centre = (sample[name].astype(float) for name in ("tcp_offset", "payload_cog"))
+        differs = program.differs(tool, float(sample["payload"]), centre)
+        if differs is not None:
+            raise RefusedError(
+                f"{self.address}: {differs}. Set it in the installation at the pendant, or change the recipe's tool"
+            )
+
+    def _see_program(self, link: UrLink, motion: UrMotion, program: UrProgram) -> None:
+        """Wait until the program that was sent is seen to run; it moves nothing yet.
+
+        Raises:
+            RefusedError: the controller cannot run it.
+            DriverError: it says nothing of it.
+        """
+
+        def runs() -> bool:
+            waits = int(link.latest[rtde.RUNNING]) == program.number
+            return motion.loaded and waits and int(link.latest["runtime_state"]) == states.PLAYING
+
+        seen = link.wait(lambda: runs() or motion.fault is not None, self._timeout)
+        link.check()
+        if motion.fault is not None:
+            raise RefusedError(f"{self.address}: the controller refused program {program.name}: {motion.fault}")
+        if not seen:
+            with contextlib.suppress(DriverError):
+                self._ask("stop")
+            raise DriverError(
+                f"{self.address}: the controller did not start program {program.name} within {self._timeout:g} s; "
+                "nothing moved. Is the primary interface switched on there, and the robot in remote control?"
+            )
+
+    # From here on in the thread of the link.
+
+    def _on_samples(self, samples: np.ndarray) -> None:
+        motion, link = self._motion, self._link
+        if motion is None or link is None or not motion.begun or motion.over:
+            return
+        motion.samples(samples)
+        full = motion.too_full()
+        if full is not None:
+            motion.finish(full)
+        # A program that was interrupted feels no heartbeat any more, so that nobody can resume the rest of it.
+        link.beating = not (motion.over or motion.unsafe or motion.withheld)
+        link.guarded = not motion.over
+
+    def _on_message(self, message: ProgramChange | ProgramFault) -> None:
+        if self._motion is not None:
+            self._motion.message(message)
+
+
+def _plays(sample: np.void) -> bool:
+    """Whether a program runs, or the arm moves without one."""
+    return int(sample["runtime_state"]) != states.STOPPED or bool(np.abs(sample["target_qd"]).max() >= states.STILL)
+
+
+def _checksum(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def places(address: str) -> dict[str, str]:
+    """host:port of each service."""
+    host, *options = (part.strip() for part in str(address).split(","))
+    ports: dict[str, object] = dict(_PORTS)
+    for option in options:
+        service, equals, port = option.partition("=")
+        if service not in _PORTS or not equals:
+            raise ConfigurationError(f"address {place_of(address)!r}: after the host, {', '.join(_PORTS)} may follow")
+        ports[service] = port
+    places = {service: f"{host}:{port}" for service, port in ports.items()}
+    for place in places.values():
+        parse_address(place)
+    return places

@@ -1,0 +1,263 @@
+"""The two connections of a motion: RTDE (samples, registers) and the primary interface (programs, messages).
+
+One thread reads both. It answers samples with heartbeats, and waits for nobody: a program that feels no heartbeat stops
+the arm (`rtde_set_watchdog`), so heartbeats say that samples come and that somebody is there to look at them.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import selectors
+import socket
+import struct
+import threading
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from drivers.errors import DriverError, ProtocolError, RefusedError
+from drivers.transports.base import WATCHDOG, LinkThread, dropped
+from drivers.transports.tcp import open_socket
+from drivers.transports.ur import rtde
+from drivers.transports.ur.primary import Presence, PrimaryReader, ProgramChange, ProgramFault
+
+_RECEIVE = 256 * 1024
+#: Heartbeats to a watchdog, by the controller's clock.
+_BEATS = 8
+#: The controller's clock goes back by more [s] only where it has been restarted.
+_BACK = 0.1
+#: The pace of samples is measured over so long [s].
+_PACE = 0.25
+
+
+class UrLink(LinkThread):
+    """RTDE and primary interface of one controller, and their thread.
+
+    Args:
+        primary, data: host:port of the primary interface and of RTDE.
+        period: of the controller [s].
+        timeout: how long [s] to wait for an answer.
+        on_samples: is given samples (K,) of `rtde.FIELDS`, in the thread.
+        on_message: is given what the controller says of programs, in the thread.
+        on_failure: comes once, as the last call.
+
+    Raises:
+        DriverError: nobody there, silent, or another protocol.
+        RefusedError: another client drives this robot, or the controller lacks a field.
+    """
+
+    def __init__(
+        self,
+        primary: str,
+        data: str,
+        period: float,
+        timeout: float,
+        on_samples: Callable[[np.ndarray], None],
+        on_message: Callable[[ProgramChange | ProgramFault], None],
+        on_failure: Callable[[DriverError], None],
+    ) -> None:
+        super().__init__(data, on_failure)
+        self.guarded = False  # a silence as long as the watchdog ends the link
+        self.watchdog = WATCHDOG
+        self.beating = False  # where it does not, a program stops the arm
+        self.real: bool | None = None  # whether a robot is there, once that was said
+        self._period = period
+        self._timeout = timeout
+        self._on_samples, self._on_message = on_samples, on_message
+        self._permit = 0
+        self._beats = itertools.count(1)
+        self._beaten = -np.inf  # controller time [s] of the last heartbeat
+        self._packages, self._messages = rtde.PackageReader(), PrimaryReader()
+        self._early: list[bytes] = []  # samples may come before the answer to the start
+        self._sending = threading.Lock()
+        self._changed = threading.Condition()
+        self._last: np.void | None = None
+        self._count = 0
+        self._rtde = open_socket(data, timeout)
+        try:
+            self._rtde.settimeout(timeout)
+            self._outputs, self._inputs = self._agree()
+            self._primary = open_socket(primary, timeout)
+        except BaseException:
+            self._rtde.close()
+            raise
+        self._primary.settimeout(timeout)
+        self._thread.start()
+
+    @property
+    def latest(self) -> np.void:
+        """The sample that came last; `fresh` has given one before."""
+        assert self._last is not None
+        return self._last
+
+    def fresh(self) -> np.void:
+        """A sample that came after this call.
+
+        Raises:
+            DriverError: none came.
+        """
+        with self._changed:
+            seen = self._count
+            self._changed.wait_for(lambda: self._count > seen or self.failure is not None, self._timeout)
+            self.check()
+            if self._last is None or self._count == seen:
+                raise DriverError(f"{self.peer}: RTDE is silent: no sample within {self._timeout:g} s")
+            return self._last
+
+    def wait(self, reached: Callable[[], bool], timeout: float) -> bool:
+        """Wait until something is so that samples or messages bring about; False where it is not in time."""
+        with self._changed:
+            return self._changed.wait_for(lambda: reached() or self.failure is not None, timeout) and reached()
+
+    def simulated(self) -> bool:
+        """Whether a simulator of the controller answers, without a robot.
+
+        Raises:
+            DriverError: the primary interface does not say.
+        """
+        if not self.wait(lambda: self.real is not None, self._timeout):
+            self.check()
+            raise DriverError(f"{self.peer}: the primary interface is silent; is it switched on there?")
+        return not self.real
+
+    def pace(self) -> float:
+        """Samples a second by the controller's clock, now."""
+        first, count = float(self.fresh()["timestamp"]), self._count
+        self.wait(lambda: self._last is not None and self._last["timestamp"] >= first + _PACE, self._timeout)
+        self.check()
+        assert self._last is not None
+        return (self._count - count) / max(float(self._last["timestamp"]) - first, self._period)
+
+    def send_program(self, text: str) -> None:
+        """Send a program, once.
+
+        Raises:
+            DriverError: the link is down, or takes no data any more.
+        """
+        self.check()
+        try:
+            self._primary.sendall(text.encode("utf-8"))
+        except OSError as error:
+            raise dropped(self.peer, error) from None
+
+    def allow(self, number: int) -> None:
+        """Let the program of this number move; 0 none.
+
+        Raises:
+            DriverError: the link is down.
+        """
+        self.check()
+        self._permit = number
+        self._beat()
+
+    def close(self) -> None:
+        """End both connections and the thread; never raises."""
+        self._closing.set()
+        self._hang_up()
+        self._join(5.0)
+        self._rtde.close()
+        self._primary.close()
+
+    def _agree(self) -> tuple[rtde.OutputRecipe, int]:
+        """What is sent and received from now on."""
+        if self._ask(rtde.package(rtde.VERSION, struct.pack(">H", 2))) != b"\1":
+            raise ProtocolError(f"{self.peer}: the controller does not speak version 2 of RTDE")
+        answer = self._ask(rtde.output_request(rtde.FIELDS, 1.0 / self._period))
+        outputs = rtde.OutputRecipe.of(rtde.FIELDS, answer)
+        names = (rtde.HEARTBEAT, rtde.PERMIT)
+        inputs = rtde.input_recipe(names, self._ask(rtde.package(rtde.INPUTS, ",".join(names).encode())))
+        if self._ask(rtde.package(rtde.START)) != b"\1":
+            raise RefusedError(f"{self.peer}: the controller does not start RTDE")
+        return outputs, inputs
+
+    def _ask(self, request: bytes) -> bytes:
+        """The answer to a request, before the thread runs."""
+        kind = request[2]
+        try:
+            self._rtde.sendall(request)
+            while True:
+                data = self._rtde.recv(_RECEIVE)
+                if not data:
+                    raise DriverError(f"{self.peer}: the controller closed RTDE; is it switched on there?")
+                answers = list(self._packages.feed(data))
+                self._early += [content for got, content in answers if got == rtde.DATA]
+                for got, content in answers:
+                    if got == kind and content:
+                        return content
+        except TimeoutError:
+            raise DriverError(
+                f"{self.peer}: RTDE is silent: no answer within {self._timeout:g} s; is it switched on there?"
+            ) from None
+        except OSError as error:
+            raise dropped(self.peer, error) from None
+
+    def _beat(self) -> None:
+        values = (next(self._beats) % 2**31, self._permit)
+        with self._sending, contextlib.suppress(OSError):  # a link that is down is noticed by its reader
+            self._rtde.sendall(rtde.input_package(self._inputs, *values))
+
+    def _hang_up(self) -> None:
+        for handle in (self._rtde, self._primary):
+            with contextlib.suppress(OSError):
+                handle.shutdown(socket.SHUT_RDWR)
+
+    def _end(self, failure: DriverError) -> None:
+        self.failure = failure
+        self._hang_up()
+        with self._changed:
+            self._changed.notify_all()
+
+    def _work(self) -> None:
+        silence, interval = 0.0, WATCHDOG / 4
+        self._take_samples(self._early)
+        with selectors.DefaultSelector() as selector:
+            for handle in (self._rtde, self._primary):
+                selector.register(handle, selectors.EVENT_READ)
+            while not self._closing.is_set():
+                began = time.monotonic()
+                ready = {key.fileobj for key, _ in selector.select(interval)}
+                if self._rtde in ready:
+                    self._take_samples([c for k, c in self._packages.feed(self._read(self._rtde)) if k == rtde.DATA])
+                    silence = 0.0
+                if self._primary in ready:
+                    self._take_messages(self._read(self._primary))
+                # A stall of this process is not the peer's silence: no turn counts for more than it should last.
+                silence += min(time.monotonic() - began, interval)
+                if self.guarded and silence >= self.watchdog:
+                    raise DriverError(
+                        f"the controller at {self.peer} fell silent: no sample for {self.watchdog:g} s, and the "
+                        "arm may move; its program stops it, as it feels no heartbeat: go and look at it"
+                    )
+
+    def _read(self, handle: socket.socket) -> bytes:
+        data = handle.recv(_RECEIVE)
+        if not data:
+            what = "RTDE" if handle is self._rtde else "the primary interface; was the robot switched to local mode?"
+            raise DriverError(f"the controller at {self.peer} closed {what}")
+        return data
+
+    def _take_samples(self, contents: list[bytes]) -> None:
+        samples = self._outputs.samples(contents)
+        if len(samples) == 0:
+            return
+        now = float(samples["timestamp"][-1])
+        if self._last is not None and now < self._last["timestamp"] - _BACK:
+            raise DriverError(f"the clock of the controller at {self.peer} went back: it was restarted; look at it")
+        with self._changed:
+            self._last, self._count = samples[-1], self._count + len(samples)
+            self._changed.notify_all()
+        if self.beating and now - self._beaten >= WATCHDOG / _BEATS:
+            self._beaten = now
+            self._beat()
+        self._on_samples(samples)
+
+    def _take_messages(self, data: bytes) -> None:
+        for message in self._messages.feed(data):
+            if isinstance(message, Presence):
+                self.real = message.real
+            else:
+                self._on_message(message)
+        with self._changed:
+            self._changed.notify_all()

@@ -1,0 +1,161 @@
+"""One motion of a UR program: which samples belong to it, and when and why it ended."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from drivers.protocol import SampleBlock
+from drivers.transports.motion import MotionStream
+from drivers.transports.ur import rtde
+from drivers.transports.ur.primary import ProgramChange, ProgramFault
+from drivers.wire.reasons import EndReason
+
+#: `runtime_state`, `robot_mode` and `safety_mode` of a robot that is well.
+STOPPED, PLAYING, RUNNING, NORMAL = 1, 2, 7, 1
+SAFEGUARD = 5
+EMERGENCY_STOPS = (6, 7)
+_SAFETY = (
+    "NORMAL",
+    "REDUCED",
+    "PROTECTIVE_STOP",
+    "RECOVERY",
+    "SAFEGUARD_STOP",
+    "SYSTEM_EMERGENCY_STOP",
+    "ROBOT_EMERGENCY_STOP",
+    "VIOLATION",
+    "FAULT",
+)
+#: A set-point that changes by less rests [rad/s]; the arm has settled after so long [s].
+STILL, _SETTLED = 1e-6, 0.1
+
+
+def safety_text(mode: int) -> str:
+    """The controller's word for a safety mode."""
+    return _SAFETY[mode - 1] if 1 <= mode <= len(_SAFETY) else f"safety mode {mode}"
+
+
+class UrMotion(MotionStream):
+    """What came of one motion. Called from the thread of the link, but for `begin`.
+
+    Args:
+        program: its name on the controller.
+        period: of samples [s].
+        torque_per_ampere: (n, n) [N·m/A].
+        limit: bytes that may wait for the consumer.
+    """
+
+    def __init__(self, program: str, period: float, torque_per_ampere: np.ndarray, limit: int) -> None:
+        super().__init__(limit)
+        self.loaded = False  # the controller says that the program has started; it waits for its permit
+        self.withheld = False  # the heartbeat, as the arm did not obey
+        self.fault: ProgramFault | None = None
+        self.markers: list[float] = []  # controller time [s] at which cycles began
+        self._program = program
+        self._period = period
+        self._torque_per_ampere = torque_per_ampere
+        self._said = ""  # the controller's last words of what is wrong
+        self._begun = False
+        self._first: float | None = None
+        self._number = -1
+        self._cycle: int | None = None
+        self._idle = 0
+        self._verdict: tuple[EndReason, str] | None = None
+
+    @property
+    def begun(self) -> bool:
+        """Whether samples belong to it already."""
+        return self._begun
+
+    def begin(self) -> None:
+        """The next sample is the first of the motion."""
+        self._begun = True
+
+    def message(self, message: ProgramChange | ProgramFault) -> None:
+        """What the controller said of the program."""
+        if isinstance(message, ProgramChange):
+            self.loaded = self.loaded or (message.started and message.name == self._program)
+        else:
+            self._said = str(message)
+            self.fault = message if message.fatal and self.fault is None else self.fault
+
+    def samples(self, samples: np.ndarray) -> None:
+        """Samples (K,) of `rtde.FIELDS`, in the order in which they came."""
+        if not self._begun or self.over:
+            return
+        self._first = float(samples["timestamp"][0]) if self._first is None else self._first
+        numbers = np.rint((samples["timestamp"] - self._first) / self._period).astype(np.int64)
+        new = numbers > np.maximum.accumulate(
+            np.concatenate(([self._number], numbers[:-1]))
+        )  # a repeated stamp is none
+        samples, numbers = samples[new], numbers[new]
+        if len(samples) == 0:
+            return
+        self._judge(samples[-1])
+        still = (samples["runtime_state"] != PLAYING) & np.all(np.abs(samples["target_qd"]) < STILL, axis=1)
+        runs = np.arange(1, len(still) + 1) - np.maximum.accumulate(np.where(still, 0, np.arange(1, len(still) + 1)))
+        runs = np.where(np.cumsum(~still) == 0, runs + self._idle, runs)
+        settled = np.flatnonzero(runs * self._period >= _SETTLED)
+        last = int(settled[0]) + 1 if len(settled) else len(samples)
+        self._idle = int(runs[last - 1])
+        self._give(samples[:last], numbers[:last])
+        if len(settled):
+            reason, text = self._verdict or (EndReason.STOPPED if self.stopping else EndReason.DONE, "")
+            if self.fault is not None and reason is EndReason.DONE:
+                reason = EndReason.PROGRAM_ERROR
+            self.ended(reason, self._number + 1, "; ".join(part for part in (self._said, text) if part))
+
+    def _judge(self, sample: np.void) -> None:
+        """What forbids that the motion goes on; the first of it counts."""
+        if self._verdict is None and (found := _unsafe(sample)) is not None:
+            self._verdict = found
+
+    @property
+    def unsafe(self) -> bool:
+        """Whether the controller has interrupted the motion, so that the program is to be ended for good."""
+        return self._verdict is not None
+
+    def _give(self, samples: np.ndarray, numbers: np.ndarray) -> None:
+        """Hand out runs without gaps; what is missing never comes, as RTDE sends nothing twice."""
+        cycles = samples[rtde.CYCLE]
+        changed = np.flatnonzero(np.diff(cycles, prepend=cycles[0] if self._cycle is None else self._cycle))
+        self.markers += samples["timestamp"][changed].tolist()
+        self._cycle = int(cycles[-1])
+        received = time.time()
+        for part in np.split(np.arange(len(numbers)), np.flatnonzero(np.diff(numbers) > 1) + 1):
+            chosen = samples[part]
+            self.lost(int(numbers[part[0]]))
+            current = chosen["actual_current"].astype(float)
+            self.take(
+                SampleBlock(
+                    numbers[part],
+                    chosen["timestamp"].astype(float),
+                    chosen["actual_q"].astype(float),
+                    chosen["actual_qd"].astype(float),
+                    current @ self._torque_per_ampere.T,
+                    chosen["target_q"].astype(float),
+                    chosen["target_qd"].astype(float),
+                    received,
+                    current,
+                ),
+                0,
+            )
+        self._number = int(numbers[-1])
+
+
+def _unsafe(sample: np.void) -> tuple[EndReason, str] | None:
+    """Why an arm in motion is being stopped by the controller."""
+    safety, state = int(sample["safety_mode"]), int(sample["runtime_state"])
+    if safety in EMERGENCY_STOPS:
+        return EndReason.EMERGENCY_STOP, f"{safety_text(safety)}: release it, then power the arm on"
+    if safety != NORMAL:
+        return (
+            EndReason.PROTECTIVE_STOP,
+            f"{safety_text(safety)}: look for the cause, then unlock it at the pendant",
+        )
+    if int(sample["robot_mode"]) != RUNNING:
+        return EndReason.DRIVE_FAULT, f"robot mode {int(sample['robot_mode'])}, and 7 (running) is expected"
+    if state in (3, 4):
+        return EndReason.STOPPED, "the program was paused"
+    return None

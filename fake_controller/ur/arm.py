@@ -1,0 +1,163 @@
+"""Kinematics of a UR arm from its own Denavit-Hartenberg table, and poses as URScript has them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation
+
+#: a2, a3 and d1, d4, d5, d6 [m], robot type of the configuration message, and model as the dashboard tells it.
+#: "DH Parameters for calculations of kinematics and dynamics" of the vendor.
+MODELS = {
+    "ur3e": ((-0.24355, -0.2132), (0.15185, 0.13105, 0.08535, 0.0921), 3, "UR3"),
+    "ur5e": ((-0.425, -0.3922), (0.1625, 0.1333, 0.0997, 0.0996), 1, "UR5"),
+    "ur10e": ((-0.6127, -0.57155), (0.1807, 0.17415, 0.11985, 0.11655), 2, "UR10"),
+}
+_ALPHA = (np.pi / 2, 0.0, 0.0, np.pi / 2, -np.pi / 2, 0.0)
+_CALIBRATION = 2e-4  # m and rad, standard deviation of an individual arm from the table
+_KNOT = 24  # poses of a path between two that are solved one after the other
+_LARGEST_STEP = 0.3  # rad
+_NEAR, _REACHED, _CONVERGED = 1e-4, 1e-6, 1e-10  # m and rad
+
+
+class Unreachable(Exception):
+    """A pose that the arm cannot take, or not by a continuous motion."""
+
+
+@dataclass(frozen=True, eq=False)
+class DenavitHartenberg:
+    """Standard Denavit-Hartenberg parameters (6,) each [m, rad]."""
+
+    a: np.ndarray
+    d: np.ndarray
+    alpha: np.ndarray
+    theta: np.ndarray
+
+    @classmethod
+    def nominal(cls, model: str) -> DenavitHartenberg:
+        """The published table of a model."""
+        (a2, a3), (d1, d4, d5, d6), *_ = MODELS[model]
+        a, d = np.array([0, a2, a3, 0, 0, 0.0]), np.array([d1, 0, 0, d4, d5, d6])
+        return cls(a, d, np.array(_ALPHA), np.zeros(6))
+
+    def calibrated(self, seed: int) -> DenavitHartenberg:
+        """As measured in the factory on the individual of a seed."""
+        off = _CALIBRATION * np.random.default_rng([seed, 31]).standard_normal((3, 6))
+        return DenavitHartenberg(self.a + off[0], self.d + off[1], self.alpha + off[2], self.theta)
+
+    def forward(self, q: np.ndarray) -> np.ndarray:
+        """(K, 4, 4) flange poses at joint positions (K, 6)."""
+        return self._frames(q)[-1]
+
+    def elbow(self, q: np.ndarray) -> np.ndarray:
+        """(K, 3) places of the elbow."""
+        return self._frames(q)[2][:, :3, 3]
+
+    def jacobian(self, q: np.ndarray) -> np.ndarray:
+        """(K, 6, 6) of the flange in the base frame, linear above angular."""
+        return _jacobian(self._frames(q))
+
+    def inverse(self, goals: np.ndarray, start: np.ndarray) -> np.ndarray:
+        """(K, 6) joint positions of a path of flange poses (K, 4, 4) that goes on from `start` (6,).
+
+        Raises:
+            Unreachable: a pose out of reach, or a singularity on the way.
+        """
+        knots = np.unique(np.append(np.arange(0, len(goals), _KNOT), len(goals) - 1))
+        solved, q = [], start[None]
+        for knot in knots:
+            q = self._solve(goals[knot : knot + 1], q, 25, _NEAR)
+            solved.append(q[0])
+        between = CubicSpline(knots, solved)(np.arange(len(goals))) if len(knots) > 1 else np.array(solved)
+        return self._solve(goals, between, 8)
+
+    def nearest(self, goal: np.ndarray, near: np.ndarray) -> np.ndarray:
+        """(6,) joint positions of a flange pose (4, 4), the nearest to `near` (6,) that were found.
+
+        Raises:
+            Unreachable: none was found.
+        """
+        rng, found = np.random.default_rng(0), []
+        for start in (near, *(near + rng.uniform(-1.5, 1.5, (30, 6)))):
+            try:
+                q = self._solve(goal[None], start[None], 50)[0]
+            except Unreachable:
+                continue
+            found.append(near + (q - near + np.pi) % (2 * np.pi) - np.pi)
+            if len(found) == 6 or np.abs(found[-1] - near).max() < 1.0:
+                break
+        if not found:
+            raise Unreachable("no joint positions reach this pose")
+        return min(found, key=lambda q: float(np.abs(q - near).max()))
+
+    def _frames(self, q: np.ndarray) -> list[np.ndarray]:
+        pose = np.broadcast_to(np.eye(4), (len(q), 4, 4))
+        frames = [pose]
+        for k in range(6):
+            c, s = np.cos(q[:, k] + self.theta[k]), np.sin(q[:, k] + self.theta[k])
+            ca, sa = np.cos(self.alpha[k]), np.sin(self.alpha[k])
+            step = np.zeros((len(q), 4, 4))
+            step[:, 0] = np.stack([c, -s * ca, s * sa, self.a[k] * c], axis=1)
+            step[:, 1] = np.stack([s, c * ca, -c * sa, self.a[k] * s], axis=1)
+            step[:, 2] = 0.0, sa, ca, self.d[k]
+            step[:, 3, 3] = 1.0
+            frames.append(pose := pose @ step)
+        return frames
+
+    def _solve(self, goals: np.ndarray, q: np.ndarray, steps: int, enough: float = _CONVERGED) -> np.ndarray:
+        """Newton's method at all poses at once."""
+        for _ in range(steps):
+            frames = self._frames(q)
+            error = twist_between(frames[-1], goals)
+            if np.abs(error).max() < enough:
+                return q
+            try:
+                step = np.linalg.solve(_jacobian(frames), error[..., None])[..., 0]
+            except np.linalg.LinAlgError:
+                break
+            largest = np.abs(step).max(axis=1, keepdims=True)
+            q = q + step * np.minimum(1.0, _LARGEST_STEP / np.maximum(largest, 1e-12))
+        if np.abs(twist_between(self.forward(q), goals)).max() > max(enough, _REACHED):
+            raise Unreachable("a pose is out of reach or beyond a singularity")
+        return q
+
+
+def _jacobian(frames: list[np.ndarray]) -> np.ndarray:
+    axes = np.stack([frame[:, :3, 2] for frame in frames[:-1]], axis=2)
+    arms = np.stack([frames[-1][:, :3, 3] - frame[:, :3, 3] for frame in frames[:-1]], axis=2)
+    return np.concatenate([np.cross(axes, arms, axis=1), axes], axis=1)
+
+
+def twist_between(poses: np.ndarray, goals: np.ndarray) -> np.ndarray:
+    """(K, 6) translation and rotation vector, in the base frame, that lead from poses (K, 4, 4) to goals."""
+    turn = goals[:, :3, :3] @ poses[:, :3, :3].transpose(0, 2, 1)
+    axis = 0.5 * np.stack(
+        [turn[:, 2, 1] - turn[:, 1, 2], turn[:, 0, 2] - turn[:, 2, 0], turn[:, 1, 0] - turn[:, 0, 1]], 1
+    )
+    sine, cosine = np.linalg.norm(axis, axis=1), 0.5 * (np.trace(turn, axis1=1, axis2=2) - 1)
+    angle = np.arctan2(sine, cosine)
+    half_turn = (sine < 1e-9) & (cosine < 0)  # the axis cannot be told from the sine there
+    axis[half_turn], sine[half_turn] = (1.0, 0.0, 0.0), 1.0
+    factor = np.where(sine < 1e-9, 1.0, angle / np.maximum(sine, 1e-9))
+    return np.hstack([goals[:, :3, 3] - poses[:, :3, 3], axis * factor[:, None]])
+
+
+def matrix_of(pose: Sequence[float] | np.ndarray) -> np.ndarray:
+    """(4, 4) of a URScript pose: x, y, z [m] and a rotation vector [rad]."""
+    return matrices_of(np.asarray(pose, float)[None])[0]
+
+
+def matrices_of(poses: np.ndarray) -> np.ndarray:
+    """(K, 4, 4) of URScript poses (K, 6)."""
+    matrices = np.zeros((len(poses), 4, 4))
+    matrices[:, :3, :3] = Rotation.from_rotvec(poses[:, 3:]).as_matrix()
+    matrices[:, :3, 3], matrices[:, 3, 3] = poses[:, :3], 1.0
+    return matrices
+
+
+def poses_of(matrices: np.ndarray) -> np.ndarray:
+    """(K, 6) URScript poses of matrices (K, 4, 4)."""
+    return np.hstack([matrices[:, :3, 3], Rotation.from_matrix(matrices[:, :3, :3]).as_rotvec()])

@@ -1,0 +1,168 @@
+"""Port 30004: recipes of fields, samples out, inputs in; versions 1 and 2 of the protocol."""
+
+from __future__ import annotations
+
+import socket
+import struct
+from typing import Any
+
+import numpy as np
+
+from fake_controller.ur.cell import UrCell
+from fake_controller.ur.fields import Cycles, input_type, output_type, packed, register_of
+from fake_controller.ur.ports import UrConnection
+
+_LONGEST_NAMES = 2048  # bytes
+_OLDEST, _NEWEST = 1, 2
+
+
+class RtdeConnection(UrConnection):
+    """One client; `owners` says which client may write which input."""
+
+    def __init__(self, cell: UrCell, connection: socket.socket, owners: dict[str, RtdeConnection]) -> None:
+        super().__init__(cell, connection)
+        self._owners = owners
+        self._rest = b""
+        self._version = _OLDEST
+        self._outputs: list[str] | None = None
+        self._layout: np.dtype[Any] = packed([])
+        self._every = 1
+        self._started = False
+        self._inputs: dict[int, tuple[list[str], np.dtype[Any]]] = {}
+        self._counted = 0
+
+    def greet(self) -> None:
+        self.cell.listeners.append(self)
+
+    def leave(self) -> None:
+        if self in self.cell.listeners:
+            self.cell.listeners.remove(self)
+        for name in [name for name, owner in self._owners.items() if owner is self]:
+            del self._owners[name]
+
+    def on_message(self, message: bytes) -> None:
+        """Those are the primary interface's."""
+
+    def hear(self, data: bytes) -> None:
+        self._rest += data
+        while len(self._rest) >= 3:
+            size, kind = struct.unpack_from(">HB", self._rest)
+            if size < 3:
+                self.close()
+                return
+            if len(self._rest) < size:
+                return
+            payload, self._rest = self._rest[3:size], self._rest[size:]
+            try:
+                self._answer(chr(kind), payload)
+            except (struct.error, UnicodeDecodeError, ValueError):
+                self._reply("M", _text(self._version, "a package that makes no sense", 1))
+
+    def _answer(self, kind: str, payload: bytes) -> None:
+        match kind:
+            case "V":
+                (version,) = struct.unpack(">H", payload)
+                accepted = _OLDEST <= version <= _NEWEST
+                self._version = version if accepted else self._version
+                self._reply("V", bytes([accepted]))
+                self.cell.reach("connect")
+            case "v":
+                self._reply("v", struct.pack(">4I", *self.cell.version))
+            case "O":
+                self._set_up_outputs(payload)
+            case "I":
+                self._set_up_inputs(payload)
+            case "S":
+                self._reply("S", bytes([self._outputs is not None]))
+                self._started = self._outputs is not None
+            case "P":
+                self._started = False
+                self._reply("P", b"\1")
+            case "U":
+                self._take_inputs(payload)
+            case "M":
+                pass  # for the log
+            case _:
+                self._reply("M", _text(self._version, f"there is no package of type {kind!r}", 1))
+
+    def _set_up_outputs(self, payload: bytes) -> None:
+        frequency = 1 / self.cell.period
+        if self._version == 2:
+            (asked,) = struct.unpack_from(">d", payload)
+            payload, frequency = payload[8:], min(asked or frequency, frequency)
+        if not frequency > 0 or len(payload) > _LONGEST_NAMES:
+            raise ValueError
+        names = _names(payload)
+        types = [output_type(name, self.cell.version) for name in names]
+        self._every = int(1 / self.cell.period / frequency + 1e-9)
+        found = "NOT_FOUND" not in types and bool(names)
+        self._outputs = names if found else None
+        self._started = False
+        if found:
+            self._layout = packed(types)
+        recipe = bytes([found]) if self._version == 2 else b""
+        self._reply("O", recipe + ",".join(types).encode())
+
+    def _set_up_inputs(self, payload: bytes) -> None:
+        names = _names(payload)
+        types = [
+            "IN_USE" if self._owners.get(name, self) is not self else input_type(name, self.cell.version)
+            for name in names
+        ]
+        recipe = 0
+        if not {"IN_USE", "NOT_FOUND"} & set(types) and names:
+            recipe = len(self._inputs) + 1
+            self._inputs[recipe] = names, packed(types)
+            self._owners.update(dict.fromkeys(names, self))
+        self._reply("I", bytes([recipe]) + ",".join(types).encode())
+
+    def _take_inputs(self, payload: bytes) -> None:
+        names, layout = self._inputs.get(payload[0], ([], packed([]))) if payload else ([], packed([]))
+        if not names or len(payload) != 1 + layout.itemsize:
+            raise ValueError
+        (row,) = np.frombuffer(payload[1:], layout)
+        given = dict(zip(names, (row[k].tolist()[0] for k in range(len(names))), strict=True))
+        for name, value in given.items():
+            if (register := register_of(name)) is not None:
+                self.cell.registers[register[0]][register[1]] = value
+            elif name.startswith("input_bit_registers"):
+                first = int(name[19:].partition("_")[0])
+                self.cell.registers["input_bit"][first : first + 32] = [bool(value >> k & 1) for k in range(32)]
+            self.cell.updated(name)
+        if given.get("speed_slider_mask"):
+            self.cell.state.override = min(max(float(given["speed_slider_fraction"]), 0.0), 1.0)
+
+    def on_cycles(self, cycles: Cycles) -> None:
+        first = -self._counted % self._every
+        self._counted += len(cycles)
+        if not self._started or self._outputs is None or first >= len(cycles):
+            return
+        chosen = cycles.part(slice(first, None, self._every))
+        head = [("size", ">u2"), ("kind", "u1"), *([("recipe", "u1")] if self._version == 2 else [])]
+        rows = np.zeros(len(chosen), [*head, ("values", self._layout)])
+        rows["size"], rows["kind"] = rows.itemsize, ord("U")
+        if self._version == 2:
+            rows["recipe"] = 1
+        for k, name in enumerate(self._outputs):
+            values = np.asarray(chosen.field(name))
+            column = rows["values"][f"f{k}"]
+            column[...] = values[:, None] if values.ndim == 1 and column.shape[1] == 1 else values
+        if self.hurried:
+            self.stream(rows.tobytes(), drops=True)
+        else:
+            self.say(rows.tobytes(), waits=True)
+
+    def _reply(self, kind: str, payload: bytes) -> None:
+        self.say(struct.pack(">HB", 3 + len(payload), ord(kind)) + payload)
+
+
+def _names(payload: bytes) -> list[str]:
+    """Names between commas; what ends with one has no name after it."""
+    return [name for name in payload.decode("ascii").split(",") if name]
+
+
+def _text(version: int, text: str, level: int) -> bytes:
+    data, source = text.encode(), b"rtde"
+    if version == 1:
+        return bytes([level]) + data
+    return bytes([len(data)]) + data + bytes([len(source)]) + source + bytes([level])

@@ -1,0 +1,145 @@
+"""What a UR controller knows of itself and its arm, and how it tells that in the fields of RTDE."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import Any
+
+import numpy as np
+
+from agent.robot import Dynamics, RobotDescription, Tool
+from fake_controller.actuation.machine import Machine
+from fake_controller.state import State, home
+from fake_controller.ur.arm import MODELS, DenavitHartenberg, poses_of
+
+SWITCHED_ON = 60.0  # s that the controller has been on when it is first seen
+
+
+class UrState(ABC):
+    """State of a cell; what changes it is in `UrCell`.
+
+    `tcp` (4, 4) is in the flange's frame; `payload` has mass, centre and inertia in the order of set_target_payload;
+    `gravity` (3,) is the acceleration away from the ground. `position`, `velocity`, `reference`, `reference_velocity`
+    (6,) are of the last cycle. `idle`: powered, brakes on. `protected`: in a protective stop.
+    """
+
+    def __init__(
+        self, robot: RobotDescription, machine: Machine, serial: str, seed: int, version: tuple[int, int, int, int]
+    ) -> None:
+        self.robot, self.machine, self.serial, self.version = robot, machine, serial, version
+        *_, self.robot_type, self.model = MODELS[robot.name]
+        self.nominal = DenavitHartenberg.nominal(robot.name)
+        self.kinematics = self.nominal.calibrated(seed)
+        self.e_series = version[0] >= 5
+        self.period = 0.002 if self.e_series else 0.008
+        self.torque_constants = np.array([(j.torque_constant or 0.1) * abs(j.gear_ratio) for j in robot.joints])
+        self.state = State()
+        self.idle = self.protected = False
+        self.cycle = self.control_line = 0
+        self.tcp, self.payload, self.gravity = np.eye(4), [0.0] * 10, np.array([0.0, 0.0, 9.80665])
+        self.registers: dict[str, list[Any]] = {}
+        self.clear_registers()
+        self.reference = self.position = home(robot)
+        self.reference_velocity = self.velocity = np.zeros(6)
+        self._dynamics: tuple[tuple[float, ...], Dynamics] | None = None
+
+    @property
+    @abstractmethod
+    def moving(self) -> bool:
+        """Whether set-points are being carried out."""
+
+    @property
+    @abstractmethod
+    def running(self) -> bool:
+        """Whether a program runs or is paused."""
+
+    @property
+    @abstractmethod
+    def runtime_state(self) -> int:
+        """As RTDE has it: 0 stopping, 1 stopped, 2 playing, 3 pausing, 4 paused."""
+
+    @abstractmethod
+    def protective_stop(self, why: str) -> None:
+        """Come to rest at once; the program is paused."""
+
+    @abstractmethod
+    def watch(self, name: str, frequency: float, action: str) -> None:
+        """rtde_set_watchdog; a frequency of 0 leaves the one there is."""
+
+    @abstractmethod
+    def tell_text(self, text: str) -> None:
+        """textmsg."""
+
+    @property
+    def remote(self) -> bool:
+        """Whether commands from outside are taken; a CB3 takes them always."""
+        return not self.e_series or self.state.mode == "auto"
+
+    @property
+    def time(self) -> float:
+        """Controller time [s]."""
+        return SWITCHED_ON + self.cycle * self.period
+
+    def clear_registers(self) -> None:
+        """As after switching on."""
+        for way in ("input", "output"):
+            self.registers[f"{way}_int"], self.registers[f"{way}_double"] = [0] * 48, [0.0] * 48
+            self.registers[f"{way}_bit"] = [False] * 128
+
+    @property
+    def robot_mode(self) -> int:
+        """As RTDE has it: 3 off, 5 idle, 7 running."""
+        return 7 if self.state.drives_on else 5 if self.idle else 3
+
+    @property
+    def safety_mode(self) -> int:
+        """As RTDE has it: 1 normal, 3 protective stop, 5 safeguard stop, 7 emergency stop, 9 fault."""
+        if self.state.emergency_stop:
+            return 7
+        if self.state.alarms and not self.state.drives_on:
+            return 9
+        return 3 if self.protected else 1 if self.state.cell_closed else 5
+
+    def state_field(self, name: str) -> Any:  # noqa: C901
+        """An output that all cycles of a stretch have in common; 0 where nothing is simulated."""
+        match name:
+            case "robot_mode" | "safety_mode" | "runtime_state":
+                return getattr(self, name)
+            case "safety_status":
+                return self.safety_mode
+            case "joint_mode":
+                return [253 if self.state.drives_on else 255 if self.idle else 239] * 6
+            case "robot_status_bits":
+                return int(self.robot_mode >= 5) + 2 * (self.runtime_state == 2)
+            case "safety_status_bits":
+                bits = {1: 1, 3: 1 << 2, 5: 1 << 4, 7: (1 << 6) + (1 << 7), 9: 1 << 9}[self.safety_mode]
+                return bits + ((self.safety_mode != 1) << 10)
+            case "speed_scaling":
+                return 1.0
+            case "target_speed_fraction":
+                return self.state.override
+            case "payload":
+                return self.payload[0]
+            case "payload_cog":
+                return self.payload[1:4]
+            case "payload_inertia":
+                return self.payload[4:]
+            case "tcp_offset":
+                return poses_of(self.tcp[None])[0]
+            case "script_control_line":
+                return self.control_line
+            case "joint_temperatures":
+                return self.machine.temperatures or (30.0,) * 6
+            case "actual_main_voltage" | "actual_robot_voltage" | "actual_joint_voltage":
+                return 48.0
+            case "tool_temperature":
+                return 30.0
+        return 0
+
+    def believed_dynamics(self) -> Dynamics:
+        """The controller's own model: nominal bodies and the payload that was set."""
+        key = (*self.payload[:4], *self.gravity)
+        if self._dynamics is None or self._dynamics[0] != key:
+            tool = Tool(np.eye(4), self.payload[0], np.array(self.payload[1:4]))
+            self._dynamics = key, Dynamics(self.robot, tool).with_gravity(-self.gravity)
+        return self._dynamics[1]

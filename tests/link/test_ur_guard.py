@@ -1,0 +1,128 @@
+"""Programs of a UR through the guard, on the emulator: what is refused, what is recorded, what stops the arm."""
+
+import contextlib
+import json
+import threading
+
+import numpy as np
+import pytest
+
+from agent.core import Console
+from agent.link.record import record_program_file
+from agent.motion import JointTarget, Move, MoveType, create_dialect, with_frames
+from agent.motion.urscript.settings import UrSettings
+from agent.recipe import load_recipe
+from agent.recording import read_log
+from agent.robot import Tool, load_robot
+from tests.link.test_ur_driver import FakeUr
+
+RECIPE = """
+robot: ur5e
+{tool}
+controller: {{driver: ur, address: {address}}}
+motion:
+  speed: 200 mm/s
+  fly: {{distance: 20 mm}}
+  via_points: {{count: 2, like: loop.script, around: 50 mm}}
+record: {{rate: {rate}, cycles: 2}}
+"""
+START = np.array([0.0, -1.2, 1.2, -1.5, -1.5, 0.0])
+
+
+@pytest.fixture
+def fake():
+    with contextlib.closing(FakeUr()) as fake:
+        yield fake
+
+
+@pytest.fixture
+def program(tmp_path):
+    """There and back, twice, after a joint move to the start."""
+    settings = with_frames(UrSettings(fly_distance=0.02, joint_speed=1.0), None)
+    text = create_dialect("urscript").write_loop(
+        "loop",
+        [
+            JointTarget(START),
+            JointTarget(START + [0.2, 0.1, 0, 0, 0, 0.1]),
+            JointTarget(START + [0.3, 0, 0.2, 0, 0, 0]),
+        ],
+        settings.changed(linear_speed=0.1),
+        2,
+        settings,
+        load_robot("ur5e"),
+        JointTarget(START),
+    )
+    path = tmp_path / "loop.script"
+    path.write_text(text)
+    return path
+
+
+def record(fake, program, tool="", rate="500 Hz"):
+    recipe = program.with_name("recipe.yaml")
+    recipe.write_text(RECIPE.format(address=fake.address, tool=tool, rate=rate))
+    return record_program_file(load_recipe(recipe), program, None, Console(-1), True, program.parent / "logs")
+
+
+def test_a_program_is_recorded_with_currents_and_cycles(fake, program):
+    recording = record(fake, program)
+    assert (fake.cell.motions_started, recording.lost) == (1, 0)
+    assert len(recording.cycle_starts) == 2
+    log = read_log(recording.path, load_robot("ur5e"))
+    assert log.metadata["torque_source"].startswith("motor current")
+    markers = np.array(json.loads(log.metadata["cycle_markers_s"]))
+    np.testing.assert_allclose(np.diff(markers), np.diff(recording.cycle_starts), atol=0.01)
+    assert np.abs(log.effort).max() > 20.0
+    assert recording.temperatures
+
+
+@pytest.mark.parametrize(
+    ("prepare", "message"),
+    [
+        (lambda fake: setattr(fake.cell.state, "override", 0.5), r"override is 50 %"),
+        (lambda fake: fake.cell.protective_stop("a test"), "PROTECTIVE_STOP"),
+        (lambda fake: setattr(fake.cell.state, "mode", "teach"), "mode is 'teach'"),
+    ],
+)
+def test_what_is_not_as_it_must_be_is_refused_before_anything_moves(fake, program, prepare, message):
+    prepare(fake)
+    with pytest.raises(Exception, match=message) as refused:
+        record(fake, program)
+    assert refused.value.exit_code == 4
+    assert fake.cell.motions_started == 0
+
+
+def test_another_rate_than_the_controllers_is_refused_with_both(fake, program):
+    with pytest.raises(Exception, match="samples every 2 ms, the recipe asks for 125 Hz") as refused:
+        record(fake, program, rate="125 Hz")
+    assert refused.value.exit_code == 4
+
+
+def test_a_tool_that_the_pendant_does_not_know_is_refused_with_both(fake, program):
+    frame = np.eye(4)
+    frame[2, 3] = 0.12
+    settings = with_frames(UrSettings(), Tool(frame, 1.2, np.zeros(3)))
+    move = Move(MoveType.JOINT, JointTarget(START), settings)
+    program.write_text(create_dialect("urscript").write("tool", [move]))
+    with pytest.raises(Exception, match=r"TCP at the pendant is \[0, 0, 0, .*\[0, 0, 0.12, ") as refused:
+        record(fake, program, "tool: {frame: [0 mm, 0 mm, 120 mm, 0 deg, 0 deg, 0 deg], mass: 1.2 kg}")
+    assert refused.value.exit_code == 4
+    assert fake.cell.motions_started == 0
+
+
+@pytest.mark.parametrize(
+    ("happens", "message"),
+    [
+        (lambda fake: fake.cell.protective_stop("it touched something"), "PROTECTIVE_STOP"),
+        (lambda fake: setattr(fake.cell.state, "override", 0.4), "override"),
+        (lambda fake: fake.cell.pause(True), "paused"),
+    ],
+)
+def test_what_happens_in_motion_stops_the_arm_and_is_told(fake, program, happens, message):
+    fake.on_moving = lambda: threading.Thread(target=happens, args=(fake,)).start()
+    program.write_text(program.read_text().replace("while i < 2:", "while i < 200:"))
+    with pytest.raises(Exception, match=message) as stopped:
+        record(fake, program)
+    assert stopped.value.exit_code == 5
+    assert not fake.cell.moving
+    assert not fake.cell.running
+    assert read_log(program.with_suffix(".mcap"), load_robot("ur5e")).position.shape[1] == 6

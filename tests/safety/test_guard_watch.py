@@ -1,0 +1,252 @@
+"""What the watch over a motion does with a scripted link: a start, a stop, and the way to its end."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from agent.core.errors import ControllerError, SafetyError
+from agent.robot import load_robot
+from agent.safety.freshness import HELD_UP
+from agent.safety.stopping import LET_GO
+from agent.safety.watch import TURN, MotionWatch
+from drivers.errors import DriverError, MotionStopped
+from drivers.protocol import SampleBlock, Status
+from tests.safety.following import HOME, PERIOD
+
+ROBOT = load_robot("comau_ns16")
+
+
+class Clock:
+    """Our time, by hand."""
+
+    def __init__(self) -> None:
+        self.now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+class Link:
+    """A driver whose samples a test yields; `moves`: its state says that the arm does."""
+
+    watchdog = 0.5
+    gaps = ()
+
+    def __init__(self) -> None:
+        self.clock, self.warned = Clock(), []
+        self.stops, self.looks = 0, 0
+        self.moves = False
+        self.script: Iterator[SampleBlock] = iter(())
+        self.closed = threading.Event()
+        self._sequence = 0
+        self.watch = MotionWatch(self, ROBOT, "here", PERIOD, Content(), 100.0, self.clock, self.warned.append)
+
+    def samples(self) -> Iterator[SampleBlock]:
+        return self.script
+
+    def stop(self) -> None:
+        self.stops += 1
+
+    def status(self) -> Status:
+        self.looks += 1
+        self.clock.now += 0.1 if self.watch.stopping.since is not None else 0.0
+        position = HOME + (self.clock.now if self.moves else 0.0)
+        return Status(True, "auto", False, (), 1.0, True, True, "p", "", position)
+
+    def close(self) -> None:
+        self.closed.set()
+
+    def block(self, time: float, speed: float = 0.0) -> SampleBlock:
+        """50 samples from `time` [s] on; `speed`: as a part of a joint's limit."""
+        times = time + PERIOD * np.arange(50)
+        positions = HOME + np.outer(times * speed, np.eye(6)[1] * ROBOT.max_velocity[1])
+        numbers, nothing = self._sequence + np.arange(50), np.zeros_like(positions)
+        self._sequence += 50
+        return SampleBlock(numbers, times, positions, None, nothing, None, None)
+
+    def turns(self, seconds: float) -> None:
+        for _ in range(round(seconds / TURN)):
+            self.clock.now += TURN
+            self.watch.turn()
+
+
+class Content:
+    """Finds nothing wrong with a motion."""
+
+    left = 0.0
+
+    def take(self, block: SampleBlock) -> None:
+        pass
+
+    def judge(self) -> None:
+        pass
+
+
+def test_the_time_that_a_start_takes_is_no_silence_of_the_samples():
+    link = Link()
+    link.clock.now += 60.0
+    stopped = []
+
+    def script():
+        link.turns(0.5)
+        stopped.append(link.watch.stopping.since is not None)
+        link.turns(1.0 + HELD_UP)
+        stopped.append(link.watch.stopping.since is not None)
+        yield link.block(5.0)
+
+    link.script = script()
+    with pytest.raises(ControllerError, match="no sample came within"):
+        list(link.watch.samples())
+    assert stopped == [False, True]
+
+
+def test_samples_that_show_the_arm_at_rest_are_enough():
+    link = Link()
+
+    def script():
+        yield link.block(5.0, speed=0.3)
+        link.watch.stopping.request()
+        for k in range(1, 8):
+            link.clock.now += 0.1
+            yield link.block(5.0 + 0.1 * k)
+
+    link.script = script()
+    before = link.looks
+    assert len(list(link.watch.samples())) == 8
+    link.watch.stopping.wait(10.0)
+    assert (link.stops, link.warned, link.closed.is_set()) == (1, [], False)
+    assert link.watch.stopping.over
+    assert link.looks - before <= 1 + 4, "only what is asked while an arm moves"
+
+
+@pytest.mark.parametrize("dropped", [None, DriverError("the link dropped")])
+def test_a_state_that_is_answered_after_the_last_sample_counts(dropped):
+    link, asked = Link(), threading.Event()
+
+    def status():
+        asked.set()
+        while not link.watch._sampled:
+            threading.Event().wait(0.001)
+        link.turns(2.0)
+        return replace(Link.status(link), override=0.5)
+
+    def script():
+        yield link.block(5.0)
+        assert asked.wait(10.0)
+        if dropped is not None:
+            raise dropped
+
+    link.status, link.script = status, script()
+    with pytest.raises(SafetyError, match="override"):  # and no word of samples that did not come meanwhile
+        list(link.watch.samples())
+
+
+@pytest.mark.parametrize(
+    ("ended", "looks"),
+    [(None, True), (MotionStopped("stopped at the controller"), True), (DriverError("the link dropped"), False)],
+)
+def test_an_arm_that_moves_on_after_a_stop_and_an_end_does_not_obey(ended, looks):
+    link = Link()
+    link.moves = True
+
+    def script():
+        yield link.block(5.0, speed=0.3)
+        link.watch.stopping.request()
+        link.clock.now += 1.0
+        if ended is not None:
+            raise ended
+
+    link.script = script()
+    with pytest.raises(SafetyError if looks else DriverError, match="does not obey" if looks else "dropped"):
+        list(link.watch.samples())
+    assert link.watch.stopping.disobeyed is looks
+
+
+def test_samples_of_another_number_of_joints_are_a_fault():
+    link = Link()
+    block = link.block(5.0)
+    link.script = iter([replace(block, position=block.position[:, :5])])
+    with pytest.raises(ControllerError, match="sent samples of 5 joints"):
+        list(link.watch.samples())
+
+
+def test_the_first_fault_is_the_one_that_is_told():
+    link = Link()
+    link.script = iter([link.block(5.0), link.block(4.0), link.block(2.0)])
+    with pytest.raises(ControllerError, match=r"back by 1\.1 s"):
+        list(link.watch.samples())
+
+
+def test_a_block_that_was_handed_out_before_a_stop_comes_once_more():
+    """Whoever was interrupted may not have taken it."""
+    link = Link()
+    blocks = [link.block(5.0 + 0.1 * k) for k in range(3)]
+    link.script = iter(blocks)
+    given = link.watch.samples()
+    assert next(given) is blocks[0]
+    given.close()
+    link.script = iter(blocks)
+    assert list(link.watch.rest()) == blocks
+    assert link.warned == []
+
+
+def test_no_look_goes_on_once_the_motion_is_over():
+    """It could blame an arm that nobody watches any more."""
+    link = Link()
+    entered, release, done = threading.Event(), threading.Event(), []
+
+    def turn():
+        entered.set()
+        done.append(release.wait(10.0))
+
+    def script():
+        assert entered.wait(10.0)
+        threading.Timer(0.1, release.set).start()
+        yield link.block(5.0)
+
+    link.watch.turn, link.script = turn, script()
+    list(link.watch.samples())
+    assert done
+
+
+@pytest.mark.parametrize("obeys", [True, False])
+def test_a_clock_that_goes_back_is_a_fault_and_disobedience_a_danger(obeys):
+    link = Link()
+
+    def script():
+        yield link.block(5.0, speed=0.3)
+        yield link.block(4.0, speed=0.3)
+        for k in range(1, 3 + round(LET_GO / 0.1)):
+            link.turns(0.1)
+            yield link.block(5.0 + 0.1 * k, speed=0.0 if obeys else 0.3)
+
+    link.script = script()
+    kind, said = (ControllerError, "set its clock back by 1.1 s") if obeys else (SafetyError, "does not obey")
+    with pytest.raises(kind, match=said):
+        list(link.watch.samples())
+    assert obeys or link.closed.wait(10.0)
+
+
+def test_an_arm_that_moves_on_after_the_rest_of_the_samples_is_let_go():
+    link = Link()
+    link.moves = True
+    link.script = iter([link.block(5.0, speed=0.3)])
+    assert len(list(link.watch.rest())) == 1
+    assert "does not obey" in link.warned[0]
+    assert link.closed.wait(10.0)
+    assert link.watch.stopping.disobeyed
+
+
+def test_a_link_that_is_closed_in_a_motion_stops_the_arm_first(bench, program):
+    bench.controller.blocks = 10**6
+    guard, chosen = bench.open(), program()
+    guard.send(chosen)
+    with guard.motion(chosen) as samples:
+        next(samples)
+        guard.close()
+        assert bench.controller.stops == 1

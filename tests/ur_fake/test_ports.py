@@ -1,0 +1,203 @@
+"""Dashboard, script ports and what they send."""
+
+import struct
+
+import numpy as np
+import pytest
+
+from fake_controller.faults import Fault
+from fake_controller.ur.messages import key_message, text_message
+from tests.ur_fake.clients import Dashboard, Primary, Rtde, Wire, clients, errors, program, texts, warnings
+from tests.ur_fake.conftest import CB3
+
+REFUSED = (
+    "Command is not allowed due to safety reasons, "
+    "please switch robot to Remote Control mode and reconnect to port 29999"
+)
+
+
+def test_messages_have_the_published_bytes():
+    assert text_message(1.5, "hi") == bytes.fromhex("00000011 14 000000000016e360 fe 00") + b"hi"
+    started = bytes.fromhex("0000002e 14 0000000000000000 fe 07 00000000 00000000 13") + b"PROGRAM_XXX_STARTEDjob"
+    assert key_message(0.0, "PROGRAM_XXX_STARTED", "job") == started
+
+
+def test_the_primary_says_who_it_is_and_what_the_arm_is(start_ur):
+    ur = start_ur()
+    with clients(Primary(ur.address)) as client:
+        kind, version = client.version
+        assert kind == 3
+        assert version[:10] == b"\x09URControl"
+        assert struct.unpack(">BBii", version[10:20]) == (5, 12, 6, 1102099)
+        parts = client.state()
+    mode = parts[0]
+    assert struct.unpack(">7?bB", mode[8:17]) == (False, True, True, False, False, False, False, 7, 0)
+    assert struct.unpack(">ddd", mode[17:41]) == (1.0, 1.0, 1.0)
+    assert len(parts[1]) == 251 - 5
+    first = struct.unpack(">dddffffB", parts[1][:41])
+    np.testing.assert_allclose(first[0], first[1], atol=1e-3)
+    assert first[-1] == 253
+    kinematics = np.frombuffer(parts[5][24:-4], ">f8").reshape(4, 6)  # theta, a, d, alpha
+    assert 1e-6 < np.abs(kinematics[1] - [0, -0.425, -0.3922, 0, 0, 0]).max() < 2e-3
+    configuration = np.frombuffer(parts[6][:-16], ">f8")
+    np.testing.assert_allclose(configuration[:12], np.tile([-2 * np.pi, 2 * np.pi], 6))
+    np.testing.assert_allclose(configuration[12:24:2], np.pi)
+    np.testing.assert_array_equal(
+        configuration[29:41], [0, -0.425, -0.3922, 0, 0, 0, 0.1625, 0, 0, 0.1333, 0.0997, 0.0996]
+    )
+    assert struct.unpack(">4i", parts[6][-16:])[2] == 1  # a UR5
+
+
+@pytest.mark.parametrize(("version", "size"), [((5, 12, 6, 0), 1220), (CB3, 1108)])
+def test_the_real_time_record_has_the_published_size_and_places(start_ur, version, size):
+    ur = start_ur(version=version)
+    with clients(Wire(ur.address, 30003)) as client:
+        records = [client.take(size) for _ in range(3)]
+    numbers = np.array([np.frombuffer(record[4:], ">f8") for record in records])
+    assert {struct.unpack_from(">i", record)[0] for record in records} == {size}
+    np.testing.assert_allclose(np.diff(numbers[:, 0]), ur.cell.period, atol=1e-9)
+    np.testing.assert_allclose(numbers[0, 1:7], ur.cell.reference)  # columns of the guide, from 1: 2-7
+    np.testing.assert_allclose(numbers[0, 31:37], ur.cell.reference, atol=1e-3)  # 32-37
+    assert (numbers[0, 94], numbers[0, 101]) == (7, 1)  # robot mode, safety mode
+    assert numbers[0, 131] == 1  # program state
+
+
+def test_the_dashboard_answers_as_published(ur):
+    with clients(Dashboard(ur)) as client:
+        assert client.greeting == "Connected: Universal Robots Dashboard Server"
+        assert client.ask("PolyscopeVersion").startswith("URSoftware 5.12.6.1102099 (")
+        assert client.ask("get serial number").isdigit()
+        answers = {
+            "get robot model": "UR5",
+            "robotmode": "Robotmode: RUNNING",
+            "safetystatus": "Safetystatus: NORMAL",
+            "safetymode": "Safetymode: NORMAL",
+            "is in remote control": "true",
+            "running": "Program running: false",
+            "get loaded program": "No program loaded",
+            "load x.urp": "File not found: x.urp",
+            "play": "Failed to execute: play",
+            "stop": "Failed to execute: stop",
+            "power off": "Powering off",
+            "quit": "Disconnected",
+        }
+        assert {command: client.ask(command) for command in answers} == answers
+
+
+def test_powering_takes_two_steps(ur):
+    with clients(Dashboard(ur)) as client:
+        modes = []
+        for command in ("power off", "power on", "brake release"):
+            client.ask(command)
+            modes.append(client.ask("robotmode"))
+    assert modes == ["Robotmode: POWER_OFF", "Robotmode: IDLE", "Robotmode: RUNNING"]
+
+
+def test_a_cb3_has_no_remote_mode(start_ur):
+    with clients(Dashboard(start_ur(version=CB3).address)) as client:
+        assert client.ask("PolyscopeVersion").startswith("URSoftware 3.15.8")
+        for command in ("is in remote control", "safetystatus", "get operational mode"):
+            assert client.ask(command).startswith("Could not understand")
+
+
+def test_local_mode_refuses_and_a_reconnection_is_needed(start_ur):
+    ur = start_ur()
+    with clients(Dashboard(ur.address), Primary(ur.address)) as (old, remote):
+        ur.cell.state.mode = "teach"
+        assert old.ask("is in remote control") == "false"
+        assert [old.ask(command) for command in ("play", "stop", "power off", "unlock protective stop")] == [
+            REFUSED
+        ] * 4
+        remote.send(program('textmsg("silent")').encode())  # ignored
+        with clients(Primary(ur.address)) as local:
+            local.send(program('textmsg("silent")').encode())
+            assert warnings([local.message()])[0][0] == 210
+        ur.cell.state.mode = "auto"
+        assert old.ask("stop") == "Failed to execute: stop"  # it was in remote mode when this client came
+        remote.send(program('textmsg("heard")').encode())
+        assert texts(remote.ended()) == ["heard"]
+
+
+def test_turning_the_robot_local_closes_script_ports(start_ur):
+    ur = start_ur(faults=[Fault("teach_mode", "streaming", 0.1)])
+    with clients(Primary(ur.address)) as client:
+        client.send(program("sleep(60)").encode())
+        with pytest.raises(EOFError):
+            client.until_closed()
+
+
+def test_what_is_no_script_is_carried_out_too(ur):
+    with clients(Primary(ur), Dashboard(ur)) as (primary, dashboard):
+        primary.send(b"power off\n")
+        while dashboard.ask("robotmode") != "Robotmode: POWER_OFF":
+            pass
+        primary.send(b"power on\nset robotmode run\n")
+        while dashboard.ask("robotmode") != "Robotmode: RUNNING":
+            pass
+        primary.send(program("sleep(100)").encode())
+        assert primary.message()[1].endswith(b"STARTEDjob")
+        primary.send(b"stop program\n")
+        assert primary.message()[1].endswith(b"STOPPEDjob")
+
+
+@pytest.mark.parametrize("port", [30001, 30002, 30003])
+def test_scripts_are_taken_on_three_ports(ur, port):
+    with clients(Primary(ur), Wire(ur, port)) as (primary, client):
+        client.send(program('textmsg("here")').encode())
+        assert texts(primary.ended()) == ["here"]
+        client.send(b'textmsg("alone")\n')
+        assert texts(primary.ended()) == ["alone"]
+
+
+def test_a_program_replaces_the_one_that_runs_and_a_secondary_one_does_not(ur):
+    with clients(Primary(ur)) as client:
+        client.send(program("sleep(1000)", name="first").encode())
+        assert client.message()[1].endswith(b"PROGRAM_XXX_STARTEDfirst")
+        client.send(b'sec beside():\n  textmsg("beside")\nend\n')
+        assert client.message() == (0, b"beside")
+        client.send(b"sec slow():\n  sleep(1)\nend\n")
+        assert "takes no time" in errors([client.message()])[0][2]
+        client.send(program('textmsg("now me")', name="second").encode())
+        said = [client.message() for _ in range(4)]
+    assert [content[-6:] for _, content in said] == [b"Dfirst", b"second", b"now me", b"second"]
+
+
+def test_a_protective_stop_can_be_unlocked_after_five_seconds(start_ur):
+    ur = start_ur(faults=[Fault("protective_stop", "streaming", 0.2)])
+    with clients(
+        Primary(ur.address), Dashboard(ur.address), Rtde(ur.address, "timestamp", "safety_mode", "runtime_state")
+    ) as (
+        primary,
+        dashboard,
+        rtde,
+    ):
+        primary.send(program("sleep(1)", 'textmsg("went on")').encode())
+        stopped = rtde.until(lambda sample: sample["safety_mode"] == 3)[-1]
+        assert stopped["runtime_state"] in (3, 4)
+        assert dashboard.ask("unlock protective stop").startswith("Cannot unlock")
+        assert dashboard.ask("play") == "Failed to execute: play"
+        rtde.until(lambda sample: sample["timestamp"] > stopped["timestamp"] + 5.1)
+        assert dashboard.ask("unlock protective stop") == "Protective stop releasing"
+        assert dashboard.ask("safetystatus") == "Safetystatus: NORMAL"
+        assert dashboard.ask("play") == "Starting program"
+        assert texts(primary.ended()) == ["went on"]
+
+
+@pytest.mark.parametrize(
+    ("fault", "mode", "word"), [("emergency_stop", 7, "ROBOT_EMERGENCY_STOP"), ("drive_fault", 9, "FAULT")]
+)
+def test_faults_end_the_program_and_show(start_ur, fault, mode, word):
+    ur = start_ur(faults=[Fault(fault, "streaming", 0.1)])
+    with clients(
+        Primary(ur.address), Dashboard(ur.address), Rtde(ur.address, "safety_mode", "robot_mode", "runtime_state")
+    ) as (
+        primary,
+        dashboard,
+        rtde,
+    ):
+        primary.send(program("sleep(60)").encode())
+        sample = rtde.until(lambda sample: sample["safety_mode"] == mode and sample["runtime_state"] == 1)[-1]
+        assert sample["robot_mode"] == 3
+        assert dashboard.ask("safetystatus") == f"Safetystatus: {word}"
+        primary.send(program('textmsg("no")').encode())
+        assert warnings(primary.ended()[-1:] + [primary.message()])[-1][0] == 210
