@@ -2,54 +2,72 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-STAMP := $(VENV)/.ready
+INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 export OPENBLAS_NUM_THREADS ?= 1
 export OMP_NUM_THREADS ?= 1
 # Many containers forbid Python to keep what it has compiled, so that every process of ours compiles again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: env calibrate test verify docs lint format lock clean
+.PHONY: env dev calibrate test verify docs lint format lock package clean
 
-env: $(STAMP)
+env: $(VENV)/.user
+dev: $(VENV)/.dev
 
-$(STAMP): requirements.lock pyproject.toml
+# What `make calibrate` needs.
+$(VENV)/.user: requirements.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 		{ echo "Python 3.11 or newer is needed; this is $$($(PYTHON) --version). Try: make PYTHON=python3.12"; exit 2; }
-	@echo "first time: making $(VENV) and installing $$(grep -c '==' requirements.lock) packages into it; a few minutes, once"
+	@echo "first time: making $(VENV) and installing $$(grep -c '==' requirements.lock) packages into it; a minute or two"
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements.lock
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --editable .
+	$(INSTALL) --requirement requirements.lock
+	$(INSTALL) --no-deps --editable .
 	$(BIN)/python -m compileall -q agent drivers fake_controller second_world
 	$(BIN)/python -c 'from agent.compiled import *'
-	@touch $(STAMP)
-	@echo "$(VENV) is ready"
+	@touch $@
+
+# The rest: the extras, tests, checks and the documentation.
+$(VENV)/.dev: $(VENV)/.user requirements-dev.lock
+	@echo "adding what tests and documentation need: $$(grep -c '==' requirements-dev.lock) packages in all"
+	$(INSTALL) --requirement requirements-dev.lock
+	@touch $@
 
 calibrate: env
 	@$(BIN)/python recipes/quickstart.py
 
-lint: env
+lint: dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/lint-imports
 	$(BIN)/mypy
 
-test: env lint
+test: dev lint
 	$(BIN)/python -m pytest -n 3 --dist worksteal -m "not verify"
 
-verify: env
+verify: dev
 	$(BIN)/python tests/verify.py
 
-docs: env
+docs: dev
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 	@echo "build/site/index.html; its search needs a server: $(BIN)/python -m http.server -d build/site"
 
-format: env
+format: dev
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-lock: env
-	$(BIN)/pip-compile --quiet --no-emit-index-url --no-emit-trusted-host --no-emit-find-links --no-annotate \
-		--no-header --strip-extras --extra dev --output-file requirements.lock pyproject.toml
+# Both locks agree: the second takes the versions of the first. Neither names an address of an index.
+LOCK := $(BIN)/pip-compile --quiet --no-emit-index-url --no-emit-trusted-host --no-emit-find-links --no-annotate \
+	--no-header --strip-extras --unsafe-package calibration-agent --unsafe-package pip --unsafe-package setuptools \
+	pyproject.toml --output-file
+lock: dev
+	$(LOCK) requirements.lock
+	$(LOCK) requirements-dev.lock --extra dev --constraint requirements.lock
+
+# The wheel and the archive of the sources, checked.
+package: env
+	rm -rf build/lib build/package
+	$(INSTALL) build twine
+	$(BIN)/python -m build --outdir build/package
+	$(BIN)/twine check --strict build/package/*
 
 clean:
 	rm -rf $(VENV)

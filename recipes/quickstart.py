@@ -1,4 +1,4 @@
-"""`make calibrate`: the fake controller as a process of its own, and the quickstart recipe run against it."""
+"""`make calibrate`: the fake controller as a process of its own, and the quickstart recipe; runs go to `logs`."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def main() -> int:
     host, port = ADDRESS.split(":")
     options = ["--robot", "comau_ns16", "--address", host, "--port", port, "--seed", "7", "--clock", "fast"]
     controller = subprocess.Popen(
-        [sys.executable, "-m", "fake_controller", *options], stdout=subprocess.PIPE, text=True, cwd=HERE.parent
+        [sys.executable, "-m", "fake_controller", *options], stdout=subprocess.PIPE, text=True
     )
     try:
         ready = controller.stdout.readline() if controller.stdout else ""
@@ -24,7 +24,7 @@ def main() -> int:
             return 4
         print(ready, end="", file=sys.stderr, flush=True)
         command = [sys.executable, "-m", "agent", "calibrate", str(HERE / "ns16_quickstart.yaml")]
-        return subprocess.call(command, cwd=HERE.parent)
+        return subprocess.call(command)
     except KeyboardInterrupt:
         return 130
     finally:

@@ -222,3 +222,13 @@ def apply(
     else:
         print(f"{applied.robot} {applied.serial}: the current model is now that of run {applied.run}", file=sys.stderr)
         print(applied.model)
+
+
+@app.command()
+def doctor(logs: opt.RunsFolder = Path("logs"), as_json: opt.AsJson = False) -> None:
+    """Versions, extras, compiled functions, serial ports, clock, disk and limits; what to do where one is wrong."""
+    from agent.pipeline import examine_installation
+
+    findings = examine_installation(logs)
+    opt.print_found(as_json, findings)
+    raise typer.Exit(findings.exit_code)

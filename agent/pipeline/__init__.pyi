@@ -3,6 +3,7 @@ from .check import check_recipe as check_recipe
 from .compare import compare_runs as compare_runs
 from .conditions import friction_levels as friction_levels, top_speed as top_speed, warm_up as warm_up
 from .diagnose import diagnose_files as diagnose_files, diagnose_recording as diagnose_recording
+from .doctor import examine_installation as examine_installation
 from .gap_question import GapQuestion as GapQuestion
 from .identify import (
     check_one_machine as check_one_machine,

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from agent.core import AgentError, Console, ControllerError, counted
+from agent.pipeline.findings import CheckedItem, Findings
 from agent.recipe import Recipe, examine_recipe
 from agent.robot import not_judged_text
 
@@ -17,41 +16,6 @@ from agent.robot import not_judged_text
 LOOPS = 50
 #: Fewer feasible ones than this part of them, and a search will have a hard time.
 FEW = 0.2
-
-
-@dataclass(frozen=True)
-class CheckedItem:
-    """One thing that was looked at: `subject`, what was found, and the exit code it asks for (0: fine)."""
-
-    subject: str
-    message: str
-    exit_code: int = 0
-
-    @property
-    def ok(self) -> bool:
-        """Whether this would stop nothing."""
-        return self.exit_code == 0
-
-
-@dataclass(frozen=True)
-class Findings:
-    """All that was looked at."""
-
-    findings: tuple[CheckedItem, ...]
-
-    @property
-    def exit_code(self) -> int:
-        """0, or the code of the first problem."""
-        return next((finding.exit_code for finding in self.findings if not finding.ok), 0)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain data."""
-        rows = [{"subject": f.subject, "ok": f.ok, "message": f.message} for f in self.findings]
-        return {"schema": "check/1", "ok": self.exit_code == 0, "findings": rows}
-
-    def text(self) -> str:
-        """A line each."""
-        return "\n".join(f"{'ok     ' if f.ok else 'PROBLEM'} {f.subject}: {f.message}" for f in self.findings)
 
 
 def check_recipe(path: Path, console: Console) -> Findings:

@@ -1,0 +1,170 @@
+"""`agent doctor`: what is installed, what this computer allows, and what to do where something is wrong."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import platform
+import shutil
+import sys
+import time
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from importlib.metadata import Distribution, PackageNotFoundError, distribution, version
+from pathlib import Path
+
+from packaging.requirements import Requirement
+
+from agent.core import available_cores, counted
+from agent.pipeline.findings import CheckedItem, Findings
+
+PACKAGE = "calibration-agent"
+#: Free space [MB] below which the next run may not fit: twice what the quickstart writes.
+SPACE = 200
+#: Answer of adjtimex(2) where no time server sets the clock, and more bytes than its argument has.
+_UNSYNCHRONISED, _TIMEX_BYTES = 5, 512
+_WRONG = 1
+
+
+def examine_installation(runs: Path) -> Findings:
+    """Versions, extras, compiled functions, serial ports, clock, disk and limits. Moves nothing and opens no port.
+
+    Parameters
+    ----------
+    runs : folder of the runs, which need not exist yet.
+    """
+    findings = [_python(), *_packages(), _compiled(), _drivers(), _serial_ports(), _clock(), _disk(runs), _limits()]
+    return Findings(tuple(findings), "doctor/1")
+
+
+def _python() -> CheckedItem:
+    text = f"{platform.python_version()} at {sys.executable}, on {platform.platform()}"
+    if sys.dont_write_bytecode:
+        text += "; PYTHONDONTWRITEBYTECODE makes every start slower, unset it"
+    return CheckedItem("python", text)
+
+
+def _packages() -> Iterator[CheckedItem]:
+    try:
+        installed = distribution(PACKAGE)
+    except PackageNotFoundError:
+        yield CheckedItem("agent", "is not installed; in its folder, run: pip install .", _WRONG)
+        return
+    yield CheckedItem("agent", f"{installed.version} in {Path(__file__).parents[1]}, recipes in {_recipes(installed)}")
+    requirements = [Requirement(line) for line in installed.requires or ()]
+    wrong = _unmet(requirements, "")
+    text = ", ".join(f"{name} {version(name)}" for name in ("numpy", "numba", "pin") if name not in "".join(wrong))
+    if wrong:
+        yield CheckedItem("packages", f"{'; '.join(wrong)}; run: pip install --upgrade {PACKAGE}", _WRONG)
+    else:
+        yield CheckedItem("packages", f"all that are needed; {text}")
+    for extra in sorted(set(installed.metadata.get_all("Provides-Extra") or ()) - {"dev"}):
+        missing = _unmet(requirements, extra)
+        text = f"{'; '.join(missing)}; to use it: pip install '{PACKAGE}[{extra}]'" if missing else "installed"
+        yield CheckedItem(f"extra {extra}", text)
+
+
+def _unmet(requirements: list[Requirement], extra: str) -> list[str]:
+    """What an extra needs and this environment lacks; of the package itself where `extra` is empty."""
+    unmet = []
+    for one in requirements:
+        always = one.marker is None or one.marker.evaluate({"extra": ""})
+        if always == bool(extra) or not (always or one.marker.evaluate({"extra": extra})):
+            continue
+        try:
+            found = version(one.name)
+        except PackageNotFoundError:
+            unmet.append(f"{one.name} is not installed")
+            continue
+        if not one.specifier.contains(found, prereleases=True):
+            unmet.append(f"{one.name} {found} is installed, {one.specifier} is needed")
+    return unmet
+
+
+def _recipes(installed: Distribution) -> Path:
+    """Where the recipes lie: beside an installed package, or in the checkout."""
+    for file in installed.files or ():
+        if file.name == "ns16_quickstart.yaml":
+            return Path(str(installed.locate_file(file))).resolve().parent
+    return Path(__file__).parents[2] / "recipes"
+
+
+def _compiled() -> CheckedItem:
+    started = time.monotonic()
+    try:
+        import agent.compiled as loops
+
+        stats = [getattr(loops, name).stats for name in loops.__all__]
+    except ImportError as error:
+        return CheckedItem("compiled cache", f"cannot be loaded: {error}", _WRONG)
+    took = f"{counted(len(stats), 'function')} in {time.monotonic() - started:.1f} s"
+    folder = next(iter({one.cache_path for one in stats}))
+    if folder is None:
+        here = Path(loops.__file__).parent
+        text = f"{took}, and again in every command: make {here} writable, or set NUMBA_CACHE_DIR to a folder that is"
+        return CheckedItem("compiled cache", text, _WRONG)
+    fresh = any(one.cache_misses for one in stats)
+    return CheckedItem("compiled cache", f"{took}, {'compiled now and kept in' if fresh else 'read from'} {folder}")
+
+
+def _drivers() -> CheckedItem:
+    from drivers.registry import available
+
+    return CheckedItem("drivers", ", ".join(available()))
+
+
+def _serial_ports() -> CheckedItem:
+    from serial.tools.list_ports import comports
+
+    ports = [port.device for port in sorted(comports())]
+    closed = [port for port in ports if not os.access(port, os.R_OK | os.W_OK)]
+    text = ", ".join(ports) or "none"
+    if closed:
+        todo = "to use it, join the group that owns it (often: sudo usermod -aG dialout $USER) and log in again"
+        text += f"; this user may not open {', '.join(closed)}; {todo}"
+    return CheckedItem("serial ports", text)
+
+
+def _clock() -> CheckedItem:
+    now = datetime.now(UTC)
+    installed = datetime.fromtimestamp(Path(__file__).stat().st_mtime, UTC)
+    text = f"{now:%Y-%m-%d %H:%M:%S} UTC"
+    if now < installed:
+        text += f" is before the agent was installed ({installed:%Y-%m-%d}); set the clock (timedatectl)"
+        return CheckedItem("clock", text, _WRONG)
+    if (
+        sys.platform == "linux"
+        and ctypes.CDLL(None).adjtimex(ctypes.create_string_buffer(_TIMEX_BYTES)) == _UNSYNCHRONISED
+    ):
+        text += ", not set by a time server; to change that: timedatectl set-ntp true"
+    return CheckedItem("clock", text)
+
+
+def _disk(runs: Path) -> CheckedItem:
+    folder = next(each for each in (runs.absolute(), *runs.absolute().parents) if each.is_dir())
+    free = shutil.disk_usage(folder).free / 1e6
+    if not os.access(folder, os.W_OK):
+        return CheckedItem("disk", f"{folder} is not writable; name another folder with --logs", _WRONG)
+    if free < SPACE:
+        text = f"{free:.0f} MB free in {folder}, a run may need {SPACE} MB; free some, or name another with --logs"
+        return CheckedItem("disk", text, _WRONG)
+    return CheckedItem("disk", f"{free / 1e3:.1f} GB free in {folder}")
+
+
+def _limits() -> CheckedItem:
+    import resource
+
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e9
+    files = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+    cores = counted(available_cores(), "core")
+    return CheckedItem("limits", f"{cores}, {memory:.1f} GB of memory, {files} open files, {_priority()}")
+
+
+def _priority() -> str:
+    """Whether the agent may put itself ahead of other programs while an arm moves."""
+    import resource
+
+    allowed = getattr(resource, "RLIMIT_NICE", None)
+    if os.geteuid() == 0 or (allowed is not None and resource.getrlimit(allowed)[0] > 20):
+        return "priority can be raised while an arm moves"
+    return "priority cannot be raised while an arm moves; to allow it, set nice in /etc/security/limits.conf"
