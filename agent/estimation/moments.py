@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from agent.estimation.blocks import Partition
-from agent.estimation.observation import Observation, Segment
+from agent.estimation.observation import Observation
 from agent.model import FrictionTerm, standstill_speed
 
 _SURELY_SLIDES = 0.005  # of the highest speed: more than where a diagnosis leaves the torque open
@@ -87,12 +87,10 @@ def collect(
     terms: tuple[FrictionTerm, ...],
     friction: Iterable[np.ndarray],
     trusted: Sequence[np.ndarray] | None = None,
-    instruments: Sequence[Segment] | None = None,
 ) -> Moments:
     """Moments of the base parameters and these terms, whose columns `friction` (S', T) gives segment by segment.
 
-    `trusted`, per segment (S', n), weights single rows between 0 and 1. With `instruments` the sums are Wᵀ Z, W the
-    rigid-body columns of other segments: what instrumental variables solve with, but no squares for `energy`.
+    `trusted`, per segment (S', n), weights single rows between 0 and 1.
     """
     n = observation.robot.dof
     cells = len(partition.cluster)
@@ -102,19 +100,17 @@ def collect(
     still = standstill(observation)
     for number, (segment, columns) in enumerate(zip(observation.segments, friction, strict=True)):
         labels, stopped = partition.labels[number], still[number]
-        others = None if instruments is None else observation.joint_rows(instruments[number], terms, columns)
         for joint, (acting, block) in enumerate(observation.joint_rows(segment, terms, columns)):
             if len(sums) == joint:
                 index.append(acting)
                 sums.append(np.zeros((cells, 2, block.shape[1], block.shape[1])))
             if trusted is not None:
                 block *= np.sqrt(trusted[number][:, joint, None])
-            left = block if others is None else next(others)[1]
             keys = 2 * labels + stopped[:, joint]
             edges = [0, *(np.flatnonzero(np.diff(keys)) + 1).tolist(), len(keys)]
             for first, stop in pairwise(edges):
                 cell, group = divmod(int(keys[first]), 2)
-                sums[joint][cell, group] += left[first:stop].T @ block[first:stop]
+                sums[joint][cell, group] += block[first:stop].T @ block[first:stop]
                 rows[cell, group, joint] += stop - first
     return Moments(observation.rigid.count + len(terms), tuple(index), tuple(sums), rows)
 

@@ -88,9 +88,9 @@ class Problem:
         """(n,) samples per independent one, of the residuals of parameters (p,)."""
         return autocorrelation_time(self.residuals(parameters))
 
-    def weights(self, rounds: int = 4) -> np.ndarray:
+    def weights(self) -> np.ndarray:
         """(2, n) weights from the residuals that the weights before leave."""
-        return iterate_weights(self.moments, self.prior, self.prior_weight, rounds)
+        return iterate_weights(self.moments, self.prior, self.prior_weight)
 
     def solver(self, total: np.ndarray) -> np.ndarray:
         """(p,) least squares with the prior, from a weighted sum of moments (p + 1, p + 1)."""

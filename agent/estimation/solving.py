@@ -11,6 +11,7 @@ from agent.estimation.moments import Moments
 from agent.estimation.prior import Prior
 
 _RANK = 1e-12  # eigenvalue of a scaled normal matrix, relative: a singular value of 1e-6
+_ROUNDS = 4  # of weights from residuals
 _CERTAIN = 2.0  # standard errors, of a gain that decides
 
 
@@ -78,11 +79,11 @@ def reweight(moments: Moments, parameters: np.ndarray) -> np.ndarray:
     return 1 / np.maximum(np.stack([moving, still]), floor)
 
 
-def iterate_weights(moments: Moments, prior: Prior, prior_weight: float, rounds: int = 4) -> np.ndarray:
+def iterate_weights(moments: Moments, prior: Prior, prior_weight: float) -> np.ndarray:
     """(2, n) weights from the residuals that the weights before leave, starting from equal ones."""
     variance = moments.torque_energy().sum() / moments.rows.sum()
     weights = np.full((2, len(moments.index)), 1 / max(variance, 1e-30))
-    for _ in range(rounds):
+    for _ in range(_ROUNDS):
         weights = reweight(moments, solve_sum(moments.weighted(weights), prior, prior_weight))
     return weights
 

@@ -12,11 +12,9 @@ from agent.core import InputError, keep_freed_memory
 from agent.estimation.blocks import Partition, partition
 from agent.estimation.consistent import consistent
 from agent.estimation.cutoff import LOWEST, predictive_cutoff
-from agent.estimation.essential import essential
 from agent.estimation.filtering import FilterSettings
 from agent.estimation.friction_selection import paper_terms, select_friction_terms
-from agent.estimation.instrumental import instrumental
-from agent.estimation.least_squares import ordinary, reweighted, weighted
+from agent.estimation.least_squares import weighted
 from agent.estimation.method_selection import choose
 from agent.estimation.observation import Observation, observe
 from agent.estimation.paper import paper, plain
@@ -41,12 +39,8 @@ class Estimator:
 #: Every estimator by name, one module each. Recipes may name those of `agent.recipe.schema.ESTIMATION_METHODS`.
 ESTIMATORS = {
     "weighted": Estimator(weighted),
-    "ordinary": Estimator(ordinary),
-    "reweighted": Estimator(reweighted),
     "huber": Estimator(huber),
-    "essential": Estimator(essential),
     "consistent": Estimator(consistent),
-    "instrumental": Estimator(instrumental),
     "paper": Estimator(paper, friction="paper"),
     "plain": Estimator(plain, friction="plain"),
 }
