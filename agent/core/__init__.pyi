@@ -44,13 +44,13 @@ from .output import (
     open_standard_descriptors as open_standard_descriptors,
     patient_messages as patient_messages,
 )
+from .packages import needed as needed, package_version as package_version
 from .parallel import (
     InProcess as InProcess,
+    LocalProcesses as LocalProcesses,
     TaskEngine as TaskEngine,
     available_cores as available_cores,
-    needed as needed,
 )
-from .processes import LocalProcesses as LocalProcesses
 from .signals import (
     Ended as Ended,
     hang_up as hang_up,
@@ -61,4 +61,3 @@ from .signals import (
 )
 from .splines import CubicSplines as CubicSplines, cubic_spline as cubic_spline
 from .units import Bare as Bare, Dimension as Dimension, Quantity as Quantity, parse_quantity as parse_quantity
-from .versions import package_version as package_version
