@@ -7,11 +7,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from agent.estimation.blocks import Partition
-from agent.estimation.moments import Moments, collect
-from agent.estimation.observation import Observation
+from agent.estimation.moments import Moments, autocorrelation_time, collect, iterate_weights, log_evidence, solve_sum
+from agent.estimation.observation import Observation, Partition
 from agent.estimation.prior import DESCRIPTION, Prior, physical_prior
-from agent.estimation.solving import autocorrelation_time, iterate_weights, log_evidence, solve_sum
 from agent.model import FrictionTerm
 
 #: Weighted sum of moments (p + 1, p + 1) to parameters (p,).

@@ -10,13 +10,12 @@ from hypothesis import HealthCheck, given, settings, strategies as st
 
 from agent.core.errors import InputError
 from agent.estimation import EstimationSettings, estimate
-from agent.estimation.blocks import partition
+from agent.estimation.estimators import weighted
 from agent.estimation.filtering import FilterSettings
-from agent.estimation.friction_selection import paper_terms
-from agent.estimation.least_squares import weighted
-from agent.estimation.observation import observe
+from agent.estimation.observation import observe, partition
 from agent.estimation.prior import link_prior
 from agent.estimation.problem import Problem
+from agent.estimation.selection import paper_terms
 from agent.model.friction_terms import AxleMotion, FrictionTerm, Reversal, axle_columns
 from agent.robot.bodies import rigid_bodies
 
