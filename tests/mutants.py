@@ -23,9 +23,9 @@ PACKAGES = {
 }
 #: The same for single modules whose package has many tests that say little of them.
 NARROW = {
-    "agent/estimation/blocks.py": ["tests/estimation/test_uncertainty.py"],
+    "agent/estimation/observation.py": ["tests/estimation/test_uncertainty.py"],
     "agent/estimation/refitting.py": ["tests/estimation/test_refitting.py"],
-    "agent/estimation/solving.py": ["tests/estimation/test_uncertainty.py", "tests/estimation/test_paper.py"],
+    "agent/estimation/moments.py": ["tests/estimation/test_uncertainty.py", "tests/estimation/test_paper.py"],
     "agent/estimation/uncertainty.py": ["tests/estimation/test_uncertainty.py", "tests/estimation/test_paper.py"],
     "agent/validation/torque.py": ["tests/validation", "tests/estimation/test_plausible.py"],
 }

@@ -7,7 +7,6 @@ from .console import (
     print_path as print_path,
     print_text as print_text,
 )
-from .csv_cells import csv_text as csv_text
 from .documents import (
     find_faults as find_faults,
     first_fault as first_fault,
@@ -28,7 +27,6 @@ from .errors import (
     RejectedError as RejectedError,
     SafetyError as SafetyError,
 )
-from .figures import counted as counted, error_text as error_text, plus_minus as plus_minus
 from .files import (
     sha256_file as sha256_file,
     sha256_text as sha256_text,
@@ -36,21 +34,26 @@ from .files import (
     write_atomically as write_atomically,
     written_whole as written_whole,
 )
-from .linear_algebra import symmetric_eigen as symmetric_eigen
-from .memory import keep_freed_memory as keep_freed_memory
+from .formats import counted as counted, csv_text as csv_text, error_text as error_text, plus_minus as plus_minus
+from .numerics import (
+    CubicSplines as CubicSplines,
+    cubic_spline as cubic_spline,
+    keep_freed_memory as keep_freed_memory,
+    symmetric_eigen as symmetric_eigen,
+)
 from .on_dask import DaskEngine as DaskEngine
 from .output import (
     flush_results as flush_results,
     open_standard_descriptors as open_standard_descriptors,
     patient_messages as patient_messages,
 )
+from .packages import needed as needed, package_version as package_version
 from .parallel import (
     InProcess as InProcess,
+    LocalProcesses as LocalProcesses,
     TaskEngine as TaskEngine,
     available_cores as available_cores,
-    needed as needed,
 )
-from .processes import LocalProcesses as LocalProcesses
 from .signals import (
     Ended as Ended,
     hang_up as hang_up,
@@ -59,6 +62,4 @@ from .signals import (
     undisturbed as undisturbed,
     words_of as words_of,
 )
-from .splines import CubicSplines as CubicSplines, cubic_spline as cubic_spline
 from .units import Bare as Bare, Dimension as Dimension, Quantity as Quantity, parse_quantity as parse_quantity
-from .versions import package_version as package_version

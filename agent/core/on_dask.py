@@ -17,7 +17,8 @@ from concurrent.futures import CancelledError
 from typing import Any
 
 from agent.core.errors import AgentError, InputError
-from agent.core.parallel import Answer, Task, TaskDone, available_cores, needed
+from agent.core.packages import needed
+from agent.core.parallel import Answer, Task, TaskDone, available_cores
 
 #: So long a scheduler may be gone before the run gives up [s]; what is done stays done.
 PATIENCE = 300.0

@@ -41,10 +41,13 @@ class PatientStream(io.TextIOBase):
         encoding: of the far end; what it does not know is escaped.
     """
 
+    encoding = "utf-8"
+    errors = "backslashreplace"
+
     def __init__(self, descriptor: int, encoding: str = "utf-8", limit: int = LIMIT):
         self.on_gone: Callable[[], None] | None = None
         self._descriptor = descriptor
-        self._encoding = encoding
+        self.encoding = encoding
         self._limit = limit
         self._queue: queue.SimpleQueue[Any] = queue.SimpleQueue()  # may be used where a signal or the collector strikes
         self._left_out = 0
@@ -54,16 +57,6 @@ class PatientStream(io.TextIOBase):
         self._process = os.getpid()
         self._starting = threading.Lock()
         self._thread: threading.Thread | None = None
-
-    @property
-    def encoding(self) -> str:  # type: ignore[override]
-        """Of the far end."""
-        return self._encoding
-
-    @property
-    def errors(self) -> str:  # type: ignore[override]
-        """What becomes of characters that the far end does not know."""
-        return "backslashreplace"
 
     def fileno(self) -> int:
         """The descriptor."""
@@ -88,8 +81,9 @@ class PatientStream(io.TextIOBase):
             self._put_out(text)
         elif self._queue.qsize() >= self._limit:
             self._left_out += 1
-        else:
-            self._hand_over(text)
+        elif not self._gone:
+            self._queue.put(text)
+            self.start()
         return len(text)
 
     @property
@@ -122,32 +116,23 @@ class PatientStream(io.TextIOBase):
             except (RuntimeError, MemoryError):  # no room for a thread; the next message tries again
                 self._starting.release()
 
-    def _hand_over(self, item: Any) -> None:
-        if self._gone:
-            return
-        self._queue.put(item)
-        self.start()
-
     # From here on in the thread.
 
     def _work(self) -> None:
         while not self._gone:
             try:
-                self._write_next()
+                self._write(self._queue.get(timeout=LOOK))
+            except queue.Empty:
+                self._look()
             except Exception:  # whatever it is, the next message may fare better
                 self._left_out += 1
-        with contextlib.suppress(queue.Empty):
+        with contextlib.suppress(queue.Empty):  # nobody waits for what is not written any more
             while True:
                 item = self._queue.get_nowait()
                 if isinstance(item, threading.Event):
                     item.set()
 
-    def _write_next(self) -> None:
-        try:
-            item = self._queue.get(timeout=LOOK)
-        except queue.Empty:
-            self._look()
-            return
+    def _write(self, item: str | threading.Event) -> None:
         if isinstance(item, threading.Event):
             item.set()
             return
@@ -158,7 +143,7 @@ class PatientStream(io.TextIOBase):
 
     def _put_out(self, text: str) -> None:
         """By the system's call: whoever waits in the stream of Python holds its lock, and the program cannot end."""
-        rest = memoryview(text.encode(self._encoding, "backslashreplace"))
+        rest = memoryview(text.encode(self.encoding, self.errors))
         while rest and not self._gone:
             try:
                 done = os.write(self._descriptor, rest[:_PIECE])

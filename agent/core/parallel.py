@@ -1,16 +1,25 @@
-"""Many tasks at once: one small interface, whoever does the work.
+"""Many tasks at once: in this process, or on processes of this machine; `agent.core.on_dask` has a cluster's.
 
-`Engine.map` calls a function once for each task and hands the answers out as they come, with the number of the task
-they are of: whoever puts them in order gets the same result from any engine. Function and tasks travel, so both must
-pickle; what a task is worth must depend on nothing but itself.
+`TaskEngine.map` calls a function once for each task and returns the answers as they arrive, each with the number of its
+task: sorted by number, the result is the same from any engine. Function and tasks are pickled. An answer must depend on
+nothing but its task.
 """
 
 from __future__ import annotations
 
+import multiprocessing
 import os
+import signal
+import sys
+import threading
+import traceback
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Generic, Protocol, TypeVar
+
+from agent.core.errors import InputError
 
 Task = TypeVar("Task")
 Answer = TypeVar("Answer")
@@ -48,24 +57,64 @@ class InProcess:
             yield TaskDone(number, function(task))
 
 
+class LocalProcesses:
+    """A context: `map` hands tasks to `count` processes, which keep what they built between two calls.
+
+    Leaving it, also by an exception or Ctrl-C, ends the processes; they end by themselves when this one is killed.
+    """
+
+    def __init__(self, count: int):
+        # a forked copy would share this process's signals and threads
+        self._pool = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), _end_with_parent)
+
+    def __enter__(self) -> LocalProcesses:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for process in list((self._pool._processes or {}).values()):  # `terminate_workers` from Python 3.14 on
+            process.terminate()
+        self._pool.shutdown(cancel_futures=True)
+
+    def map(self, function: Callable[[Task], Answer], tasks: Iterable[Task]) -> Iterator[TaskDone[Answer]]:
+        """Answers in the order in which they come.
+
+        Raises:
+            InputError: that of the function, as one plain kind.
+            RuntimeError: the function failed, or a process was killed.
+        """
+        try:
+            numbers = {self._pool.submit(_answer, function, task): number for number, task in enumerate(tasks)}
+            for future in as_completed(numbers):
+                yield TaskDone(numbers[future], future.result())
+        except BrokenProcessPool:
+            raise RuntimeError("a process that worked for this one was killed; is memory short?") from None
+
+
+def _answer(function: Callable[[Task], Answer], task: Task) -> Answer:
+    try:
+        return function(task)
+    except InputError as error:  # as one plain kind: its subclasses need not survive the journey
+        raise InputError(str(error)) from None
+    except SystemExit:  # asked to end, when what the task started has ended; the pool would go on
+        os._exit(1)
+    except Exception:
+        raise RuntimeError(f"a process that worked for this one failed:\n{traceback.format_exc()}") from None
+
+
+def _end_with_parent() -> None:
+    for number in (signal.SIGINT, signal.SIGQUIT, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)  # they reach every process of the terminal; ours ends us
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # so that what a task has started ends with it
+    threading.Thread(target=_watch_parent, daemon=True).start()
+
+
+def _watch_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os.kill(os.getpid(), signal.SIGTERM)
+
+
 def available_cores() -> int:
     """Cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def needed(module: str, what: str, extra: str = "fleet") -> Any:
-    """An optional package, imported.
-
-    Raises:
-        InputError: it is not installed; says how to install it.
-    """
-    from importlib import import_module
-
-    from agent.core.errors import InputError
-
-    try:
-        return import_module(module)
-    except ImportError as error:
-        raise InputError(
-            f"{what} needs {error.name or module}, which is not installed: pip install 'calibration-agent[{extra}]'"
-        ) from None

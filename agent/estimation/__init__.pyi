@@ -1,3 +1,4 @@
+from .estimators import ESTIMATORS as ESTIMATORS, Estimator as Estimator
 from .filtering import (
     FilterSettings as FilterSettings,
     Motion as Motion,
@@ -6,14 +7,12 @@ from .filtering import (
     smooth_and_differentiate as smooth_and_differentiate,
     used_text as used_text,
 )
-from .fitted_range import beyond_fit as beyond_fit, known_positions as known_positions
 from .observation import Observation as Observation, check_log as check_log, observe as observe
 from .prior import DESCRIPTION as DESCRIPTION, EITHER as EITHER, physical_prior as physical_prior
-from .prior_choice import placeholders as placeholders
 from .refitting import Refit as Refit, conditional_covariance as conditional_covariance, refit as refit
+from .selection import placeholders as placeholders
+from .summary import beyond_fit as beyond_fit, known_positions as known_positions
 from .workflow import (
-    ESTIMATORS as ESTIMATORS,
     EstimationSettings as EstimationSettings,
-    Estimator as Estimator,
     estimate as estimate,
 )

@@ -12,8 +12,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from agent.estimation.blocks import Partition
-from agent.estimation.observation import Observation, Segment
+from agent.core import symmetric_eigen
+from agent.estimation.observation import Observation, Partition
+from agent.estimation.prior import Prior
 from agent.model import FrictionTerm, standstill_speed
 
 _SURELY_SLIDES = 0.005  # of the highest speed: more than where a diagnosis leaves the torque open
@@ -87,12 +88,10 @@ def collect(
     terms: tuple[FrictionTerm, ...],
     friction: Iterable[np.ndarray],
     trusted: Sequence[np.ndarray] | None = None,
-    instruments: Sequence[Segment] | None = None,
 ) -> Moments:
     """Moments of the base parameters and these terms, whose columns `friction` (S', T) gives segment by segment.
 
-    `trusted`, per segment (S', n), weights single rows between 0 and 1. With `instruments` the sums are Wᵀ Z, W the
-    rigid-body columns of other segments: what instrumental variables solve with, but no squares for `energy`.
+    `trusted`, per segment (S', n), weights single rows between 0 and 1.
     """
     n = observation.robot.dof
     cells = len(partition.cluster)
@@ -102,19 +101,17 @@ def collect(
     still = standstill(observation)
     for number, (segment, columns) in enumerate(zip(observation.segments, friction, strict=True)):
         labels, stopped = partition.labels[number], still[number]
-        others = None if instruments is None else observation.joint_rows(instruments[number], terms, columns)
         for joint, (acting, block) in enumerate(observation.joint_rows(segment, terms, columns)):
             if len(sums) == joint:
                 index.append(acting)
                 sums.append(np.zeros((cells, 2, block.shape[1], block.shape[1])))
             if trusted is not None:
                 block *= np.sqrt(trusted[number][:, joint, None])
-            left = block if others is None else next(others)[1]
             keys = 2 * labels + stopped[:, joint]
             edges = [0, *(np.flatnonzero(np.diff(keys)) + 1).tolist(), len(keys)]
             for first, stop in pairwise(edges):
                 cell, group = divmod(int(keys[first]), 2)
-                sums[joint][cell, group] += left[first:stop].T @ block[first:stop]
+                sums[joint][cell, group] += block[first:stop].T @ block[first:stop]
                 rows[cell, group, joint] += stop - first
     return Moments(observation.rigid.count + len(terms), tuple(index), tuple(sums), rows)
 
@@ -129,3 +126,121 @@ def observed_standstill_speed(observation: Observation) -> np.ndarray:
     """(n,) [rad/s] up to which a joint counts as standing still: what friction is fitted to surely slides."""
     speeds = [segment.speed for segment in observation.segments]
     return standstill_speed(speeds, observation.robot.max_velocity, _SURELY_SLIDES)
+
+
+_RANK = 1e-12  # eigenvalue of a scaled normal matrix, relative: a singular value of 1e-6
+_ROUNDS = 4  # of weights from residuals
+_CERTAIN = 2.0  # standard errors, of a gain that decides
+
+
+def solve_sum(total: np.ndarray, prior: Prior, prior_weight: float) -> np.ndarray:
+    """(p,) estimate from a weighted sum of moments (p + 1, p + 1), with the prior's precision times `prior_weight`."""
+    matrix = total[:-1, :-1] + prior_weight * prior.precision
+    right = total[:-1, -1] + prior_weight * prior.precision @ prior.mean
+    return solve_scaled(matrix, right)
+
+
+def log_evidence(total: np.ndarray, prior: Prior, prior_weight: float) -> float:
+    """Logarithm of the probability of the torques under a prior, but for what all priors have in common.
+
+    Of N(y; X θ, 1/w), rows counting 1/k each, and θ from N(θ₀, Λ⁻¹): -½ (r² / k + |θ̂ - θ₀|²_Λ + ln |A/k + Λ| - ln |Λ|).
+    """
+    estimate = solve_sum(total, prior, prior_weight)
+    extended, away = np.append(estimate, -1.0), estimate - prior.mean
+    scale = 1 / np.sqrt(np.diag(prior.precision))
+    before = prior.precision * np.outer(scale, scale)
+    after = before + total[:-1, :-1] * np.outer(scale, scale) / prior_weight
+    misfit = extended @ total @ extended / prior_weight + away @ prior.precision @ away
+    return float(-0.5 * (misfit + np.linalg.slogdet(after)[1] - np.linalg.slogdet(before)[1]))
+
+
+def solve_scaled(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Solve a positive definite system whose unknowns have units of their own."""
+    scale = 1 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    return scale * np.linalg.solve(matrix * np.outer(scale, scale), scale * right)
+
+
+def inverse(matrix: np.ndarray) -> np.ndarray:
+    """Inverse of a matrix whose unknowns have units of their own."""
+    scale = 1 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    return np.linalg.inv(matrix * np.outer(scale, scale)) * np.outer(scale, scale)
+
+
+def pseudo_inverse(matrix: np.ndarray) -> np.ndarray:
+    """Inverse on what a normal matrix determines, zero on the rest; its unknowns have units of their own."""
+    scale, values, vectors = _scaled_eigen(matrix)
+    kept = values > _RANK * values[-1]
+    return (vectors[:, kept] / values[kept]) @ vectors[:, kept].T * np.outer(scale, scale)
+
+
+def scaled_rank(matrix: np.ndarray) -> int:
+    """How many directions of its unknowns a normal matrix determines."""
+    _, values, _ = _scaled_eigen(matrix)
+    return int(np.sum(values > _RANK * values[-1]))
+
+
+def _scaled_eigen(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    diagonal = np.diag(matrix)
+    scale = np.where(diagonal > _RANK**2 * diagonal.max(), 1 / np.sqrt(np.maximum(diagonal, 1e-300)), 0.0)
+    return scale, *symmetric_eigen(matrix * np.outer(scale, scale))
+
+
+def reweight(moments: Moments, parameters: np.ndarray) -> np.ndarray:
+    """(2, n) inverse residual variance of each group at parameters (p,)."""
+    rows = moments.rows.sum(axis=0)
+    energy = moments.energy(parameters)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        variance = energy / rows
+    moving = np.where(rows[0] > 0, variance[0], variance[1])
+    still = np.where(rows[1] > 0, np.maximum(variance[1], moving), moving)
+    floor = 1e-30 + 1e-20 * moments.torque_energy().sum() / rows.sum()
+    return 1 / np.maximum(np.stack([moving, still]), floor)
+
+
+def iterate_weights(moments: Moments, prior: Prior, prior_weight: float) -> np.ndarray:
+    """(2, n) weights from the residuals that the weights before leave, starting from equal ones."""
+    variance = moments.torque_energy().sum() / moments.rows.sum()
+    weights = np.full((2, len(moments.index)), 1 / max(variance, 1e-30))
+    for _ in range(_ROUNDS):
+        weights = reweight(moments, solve_sum(moments.weighted(weights), prior, prior_weight))
+    return weights
+
+
+def autocorrelation_time(residuals: Sequence[np.ndarray]) -> np.ndarray:
+    """(n,) samples per independent one, at least 1, of residuals given segment by segment (S', n).
+
+    1 + 2 Σ ρ_k up to where the sum of two neighbours turns negative (Geyer, Statistical Science 7, 1992).
+    """
+    n = residuals[0].shape[1]
+    longest = max(len(part) for part in residuals)
+    covariance = np.zeros((longest, n))
+    for part in residuals:
+        size = len(part)
+        spectrum = np.abs(np.fft.rfft(part - part.mean(axis=0), 2 * size, axis=0)) ** 2
+        covariance[:size] += np.fft.irfft(spectrum, axis=0)[:size]
+    times = np.ones(n)
+    for joint in range(n):
+        if covariance[0, joint] <= 0:
+            continue
+        rho = covariance[:, joint] / covariance[0, joint]
+        pairs = rho[1:-1:2] + rho[2::2]
+        stop = np.argmax(pairs <= 0) if np.any(pairs <= 0) else len(pairs)
+        times[joint] = max(1.0, 1 + 2 * pairs[:stop].sum())
+    return times
+
+
+def clear_gain(gains: np.ndarray) -> np.ndarray | bool:
+    """Whether gains (folds, …) add up to more than they scatter between folds."""
+    return gains.sum(axis=0) > gains.std(axis=0, ddof=1) * np.sqrt(len(gains))
+
+
+def clearly_better(before: np.ndarray, after: np.ndarray, least: float) -> bool:
+    """Whether squared errors (folds,) fall by a share of `least`, geometric mean, and by two of its standard errors.
+
+    In pairs and by their ratio, so that one fold in which all is bad does not decide, nor hide what the others say.
+    """
+    seen = (before > 0) & (after > 0)
+    if np.count_nonzero(seen) < 2:
+        return False
+    gain = np.log(before[seen] / after[seen])
+    return bool(gain.mean() > max(-np.log1p(-least), _CERTAIN * gain.std(ddof=1) / np.sqrt(len(gain))))

@@ -7,11 +7,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from agent.estimation.blocks import Partition
-from agent.estimation.moments import Moments, collect
-from agent.estimation.observation import Observation
+from agent.estimation.moments import Moments, autocorrelation_time, collect, iterate_weights, log_evidence, solve_sum
+from agent.estimation.observation import Observation, Partition
 from agent.estimation.prior import DESCRIPTION, Prior, physical_prior
-from agent.estimation.solving import autocorrelation_time, iterate_weights, log_evidence, solve_sum
 from agent.model import FrictionTerm
 
 #: Weighted sum of moments (p + 1, p + 1) to parameters (p,).
@@ -88,9 +86,9 @@ class Problem:
         """(n,) samples per independent one, of the residuals of parameters (p,)."""
         return autocorrelation_time(self.residuals(parameters))
 
-    def weights(self, rounds: int = 4) -> np.ndarray:
+    def weights(self) -> np.ndarray:
         """(2, n) weights from the residuals that the weights before leave."""
-        return iterate_weights(self.moments, self.prior, self.prior_weight, rounds)
+        return iterate_weights(self.moments, self.prior, self.prior_weight)
 
     def solver(self, total: np.ndarray) -> np.ndarray:
         """(p,) least squares with the prior, from a weighted sum of moments (p + 1, p + 1)."""

@@ -20,14 +20,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from agent.core import InputError
-from agent.estimation.blocks import partition
+from agent.estimation.estimators import ESTIMATORS
 from agent.estimation.filtering import FilterSettings
-from agent.estimation.observation import Observation, observe
+from agent.estimation.moments import reweight, solve_scaled
+from agent.estimation.observation import Observation, observe, partition
 from agent.estimation.problem import Estimate, Problem
-from agent.estimation.solving import reweight, solve_scaled
 from agent.estimation.summary import build_model
 from agent.estimation.uncertainty import jackknife
-from agent.estimation.workflow import ESTIMATORS
 from agent.model import IdentifiedModel, ParameterPrior
 from agent.recording import Log
 from agent.robot import Tool, rigid_bodies

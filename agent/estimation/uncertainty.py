@@ -17,10 +17,9 @@ from __future__ import annotations
 import numpy as np
 
 from agent.core import symmetric_eigen
-from agent.estimation.moments import Moments, standstill
+from agent.estimation.moments import Moments, inverse, pseudo_inverse, scaled_rank, standstill
 from agent.estimation.prior import Prior
 from agent.estimation.problem import Estimate, Problem
-from agent.estimation.solving import inverse, pseudo_inverse, scaled_rank
 from agent.model import ParameterPrior
 
 _SPECTRUM = 256  # rows in one piece of the estimate of a spectrum

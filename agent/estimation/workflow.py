@@ -2,54 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 
 import numpy as np
 
 from agent.core import InputError, keep_freed_memory
-from agent.estimation.blocks import Partition, partition
-from agent.estimation.consistent import consistent
-from agent.estimation.cutoff import LOWEST, predictive_cutoff
-from agent.estimation.essential import essential
+from agent.estimation.estimators import ESTIMATORS
 from agent.estimation.filtering import FilterSettings
-from agent.estimation.friction_selection import paper_terms, select_friction_terms
-from agent.estimation.instrumental import instrumental
-from agent.estimation.least_squares import ordinary, reweighted, weighted
-from agent.estimation.method_selection import choose
-from agent.estimation.observation import Observation, observe
-from agent.estimation.paper import paper, plain
-from agent.estimation.prior_choice import choose_links
-from agent.estimation.problem import Estimate, Problem
-from agent.estimation.robust import huber
-from agent.estimation.solving import clearly_better
+from agent.estimation.moments import clearly_better
+from agent.estimation.observation import Observation, Partition, observe, partition
+from agent.estimation.problem import Problem
+from agent.estimation.selection import (
+    LOWEST,
+    choose,
+    choose_links,
+    paper_terms,
+    predictive_cutoff,
+    select_friction_terms,
+)
 from agent.estimation.summary import build_model
 from agent.model import IdentifiedModel, Reversal
 from agent.recording import Log
 from agent.robot import RigidBodies, RobotDescription, Tool, rigid_bodies
 
-
-@dataclass(frozen=True)
-class Estimator:
-    """`fit` solves a problem; `friction` are the terms it is defined with, those of the settings if None."""
-
-    fit: Callable[[Problem], Estimate]
-    friction: str | None = None
-
-
-#: Every estimator by name, one module each. Recipes may name those of `agent.recipe.schema.ESTIMATION_METHODS`.
-ESTIMATORS = {
-    "weighted": Estimator(weighted),
-    "ordinary": Estimator(ordinary),
-    "reweighted": Estimator(reweighted),
-    "huber": Estimator(huber),
-    "essential": Estimator(essential),
-    "consistent": Estimator(consistent),
-    "instrumental": Estimator(instrumental),
-    "paper": Estimator(paper, friction="paper"),
-    "plain": Estimator(plain, friction="plain"),
-}
 AUTO = "auto"
 _COMPARED = ("weighted", "huber", "consistent", "plain")
 _MORE_FRICTION = 0.1  # of the squared error held out: what must be gained by more than the plain terms of friction

@@ -41,18 +41,7 @@ from agent.recipe.quantities import (
 from drivers.texts import place_of
 
 #: Estimators that `estimate.method` may name; `auto` lets held-out error choose.
-ESTIMATION_METHODS = (
-    "auto",
-    "weighted",
-    "ordinary",
-    "reweighted",
-    "huber",
-    "essential",
-    "consistent",
-    "instrumental",
-    "paper",
-    "plain",
-)
+ESTIMATION_METHODS = ("auto", "weighted", "huber", "consistent", "paper", "plain")
 #: Searches that `search.method` may name.
 SEARCH_METHODS = ("genetic", "random")
 

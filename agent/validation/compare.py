@@ -154,18 +154,22 @@ def compare_models(
 
 
 def _change_deviations(before: IdentifiedModel, after: IdentifiedModel) -> dict[str, float]:
-    """Standard deviation of the change of every parameter that both models have.
-
-    Friction of two models that share their base parameters differs by what friction alone may be off.
-    """
-    variances = [np.diag(model.covariance).copy() for model in (before, after)]
-    if _share_base(before, after):
-        for model, variance in zip((before, after), variances, strict=True):
-            b = len(model.independent)
-            variance[:b] = 0.0
-            variance[b:] = np.diag(conditional_covariance(model))
+    """Standard deviation of the change of every parameter that both models have."""
+    variances = [np.diag(covariance) for covariance in _covariances(before, after)]
     found = [dict(zip(model.names, v, strict=True)) for model, v in zip((before, after), variances, strict=True)]
     return {name: float(np.sqrt(found[0][name] + found[1][name])) for name in found[1] if name in found[0]}
+
+
+def _covariances(before: IdentifiedModel, after: IdentifiedModel) -> list[np.ndarray]:
+    """(p, p) of each model; of two that share their base parameters, what friction alone may be off."""
+    if not _share_base(before, after):
+        return [before.covariance, after.covariance]
+    found = []
+    for model in (before, after):
+        b = len(model.independent)
+        found.append(np.zeros_like(model.covariance))
+        found[-1][b:, b:] = conditional_covariance(model)
+    return found
 
 
 def _share_base(before: IdentifiedModel, after: IdentifiedModel) -> bool:
@@ -175,17 +179,12 @@ def _share_base(before: IdentifiedModel, after: IdentifiedModel) -> bool:
 
 def _torque_difference(before: IdentifiedModel, after: IdentifiedModel, log: Log) -> tuple[np.ndarray, np.ndarray]:
     """(S, n) difference of the predictions [N·m], and (n,) root mean square of what uncertainty makes of it."""
-    settings = FilterSettings(after.cutoff, after.order)
+    settings, covariances = FilterSettings(after.cutoff, after.order), _covariances(before, after)
     parts, variance, count = [], np.zeros(after.robot.dof), 0
     for m in motions(log, settings):
         apart = [model.predict(m.q, m.qd, m.qdd, m.time) for model in (before, after)]
         parts.append(m.low_pass(apart[1] - apart[0]))
-        for model in (before, after):
-            covariance = model.covariance
-            if _share_base(before, after):
-                b = len(model.independent)
-                covariance = np.zeros_like(model.covariance)
-                covariance[b:, b:] = conditional_covariance(model)
+        for model, covariance in zip((before, after), covariances, strict=True):
             columns = filtered_columns(model, m)
             variance += np.einsum("snp,pq,snq->n", columns, covariance, columns, optimize=True)
         count += len(parts[-1])

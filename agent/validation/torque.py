@@ -180,14 +180,10 @@ def predicts(model: IdentifiedModel, logs: Sequence[Log]) -> bool:
     A channel that is flipped, swapped or of another unit errs by about as much as its torque varies, all along. While a
     joint stands its torque is anything within stiction, and says nothing of that.
     """
-    try:
-        found = [predict_log(model, log) for log in logs]
-    except InputError:
+    found = _pooled(model, logs, "position", "velocity", "measured", "error")
+    if found is None:
         return False
-    position, velocity, measured, error = (
-        np.concatenate([getattr(each, part) for each in found])
-        for part in ("position", "velocity", "measured", "error")
-    )
+    position, velocity, measured, error = found
     moving = np.abs(velocity) > _MOVING * model.robot.max_velocity
     moves = (np.ptp(position, axis=0) > _TRAVELS) & moving.any(axis=0)
     most = np.maximum(_PREDICTED * np.std(measured, axis=0), _USUAL * model.held_out_rmse)
@@ -200,37 +196,37 @@ def same_scale(model: IdentifiedModel, logs: Sequence[Log]) -> bool:
 
     A joint that carries little shows its friction, which a simulator may leave out.
     """
-    try:
-        found = [predict_log(model, log) for log in logs]
-    except InputError:
+    found = _pooled(model, logs, "measured", "predicted")
+    if found is None:
         return False
-    measured, predicted = (
-        np.concatenate([np.abs(getattr(each, part)) for each in found]) for part in ("measured", "predicted")
-    )
-    size, expected = np.median(measured, axis=0), np.median(predicted, axis=0)
+    size, expected = (np.median(np.abs(signal), axis=0) for signal in found)
     most = int(np.argmax(expected))
     return bool(size[most] < _SAME_UNIT * expected[most] and expected[most] < _SAME_UNIT * size[most])
 
 
 def flipped_joints(model: IdentifiedModel, log: Log) -> list[str]:
     """Joints whose torque a model predicts with the other sign only."""
-    try:
-        found = predict_log(model, log)
-    except InputError:
+    found = _pooled(model, [log], "position", "velocity", "measured", "predicted")
+    if found is None:
         return []
-    moving = np.abs(found.velocity) > _MOVING * model.robot.max_velocity
+    position, velocity, measured, predicted = found
+    moving = np.abs(velocity) > _MOVING * model.robot.max_velocity
     names = []
-    for k, name in enumerate(model.robot.joint_names):
-        there = moving[:, k]
-        if np.ptp(found.position[:, k]) <= _TRAVELS or not there.any():
-            continue
-        size = float(np.std(found.measured[:, k]))
-        as_given, turned = (
-            float(np.median(np.abs(sign * found.measured[there, k] - found.predicted[there, k]))) for sign in (1, -1)
-        )
+    for k in np.flatnonzero((np.ptp(position, axis=0) > _TRAVELS) & moving.any(axis=0)):
+        size = np.std(measured[:, k])
+        as_given, turned = (np.median(np.abs(s * measured[:, k] - predicted[:, k])[moving[:, k]]) for s in (1, -1))
         if turned < _PREDICTED * size and as_given > size:
-            names.append(name)
+            names.append(model.robot.joint_names[k])
     return names
+
+
+def _pooled(model: IdentifiedModel, logs: Sequence[Log], *signals: str) -> list[np.ndarray] | None:
+    """Signals of `Prediction`, (S, n) over all logs; None where one of these cannot be predicted."""
+    try:
+        found = [predict_log(model, log) for log in logs]
+    except InputError:
+        return None
+    return [np.concatenate([getattr(each, signal) for each in found]) for signal in signals]
 
 
 def validate(model: IdentifiedModel, logs: Sequence[Log], cutoff: float | None = None) -> Validation:

@@ -17,8 +17,7 @@ import pytest
 from agent.blind_check import export_runs
 from agent.blind_check.key import Key
 from agent.blind_check.worlds import EmulatorWorld, SecondWorld
-from agent.core.errors import InputError
-from agent.core.processes import LocalProcesses
+from agent.core import InputError, LocalProcesses
 from agent.recording import read_log
 from tests.blind_check.tiny_world import NAMES, TinyWorld, metadata_of, p_value, table_of
 

@@ -7,7 +7,7 @@ import re
 import pytest
 from hypothesis import given, strategies as st
 
-from agent.core.figures import plus_minus
+from agent.core import plus_minus
 from agent.diagnosis.sizes import amplitude, leading_parameter, reported_parameters, size_text, unit_of
 from agent.report import closes, headline, summary
 from agent.robot import SHARE

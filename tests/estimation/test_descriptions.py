@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from agent.estimation import EstimationSettings, estimate
-from agent.estimation.prior_choice import placeholders
+from agent.estimation.selection import placeholders
 from agent.recording import read_log
 from agent.robot import load_robot
 from agent.robot.bodies import rigid_bodies

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from agent.estimation import EstimationSettings, estimate
-from agent.estimation.friction_selection import paper_terms
+from agent.estimation.selection import paper_terms
 from agent.model.friction_terms import AxleMotion, FrictionTerm, Reversal, axle_columns, dahl, steady_columns
 from agent.robot.bodies import rigid_bodies
 from agent.validation import predict_log

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from agent.estimation import EstimationSettings, estimate
-from agent.estimation.method_selection import choose
 from agent.estimation.problem import Estimate
+from agent.estimation.selection import choose
 from agent.robot.bodies import rigid_bodies
 from agent.validation import validate
 

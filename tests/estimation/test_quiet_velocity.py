@@ -37,7 +37,7 @@ def test_rounded_positions_creep_where_the_joint_creeps(arm, make_log, monkeypat
     t, position, speed = _move_and_creep()
     log = make_log(robot, t, np.round(position, 4), None)
     quiet, moving = _error(log, speed, FilterSettings(10.0))
-    monkeypatch.setattr("agent.estimation.quiet_velocity._AUDIBLE", np.inf)
+    monkeypatch.setattr("agent.estimation.filtering._AUDIBLE", np.inf)
     plain, moving_plain = _error(log, speed, FilterSettings(10.0))
     assert np.std(quiet) < 0.65 * np.std(plain)
     assert np.std(moving) < 1.1 * np.std(moving_plain)

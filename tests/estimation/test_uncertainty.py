@@ -8,14 +8,13 @@ import numpy as np
 import pytest
 
 from agent.estimation import EstimationSettings, estimate
-from agent.estimation.blocks import partition
+from agent.estimation.estimators import weighted
 from agent.estimation.filtering import FilterSettings
-from agent.estimation.friction_selection import paper_terms
-from agent.estimation.least_squares import weighted
-from agent.estimation.observation import observe
+from agent.estimation.moments import autocorrelation_time
+from agent.estimation.observation import observe, partition
 from agent.estimation.prior import link_prior
 from agent.estimation.problem import Problem
-from agent.estimation.solving import autocorrelation_time
+from agent.estimation.selection import paper_terms
 from agent.estimation.uncertainty import covariance, jackknife, parameter_prior, silent_directions
 from agent.model.friction_terms import AxleMotion, Reversal, axle_columns
 from agent.robot.bodies import rigid_bodies

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, strategies as st
 from scipy.interpolate import CubicSpline
 
-from agent.core.splines import cubic_spline
+from agent.core import cubic_spline
 
 
 @pytest.mark.parametrize("natural", [False, True])

@@ -32,7 +32,7 @@ motion:
       {centre: [1.0 m, 0 m, 0.8 m], size: [500 mm, 600 mm, 400 mm], orientation: [0 deg, 180 deg, 0 deg], cone: 30 deg}
 search: {population: 20, generations: 10, seed: 7, method: random, interpolator: fly}
 record: {rate: 250 Hz, cycles: 12}
-estimate: {filter: {order: 4, cutoff: 20 Hz}, method: ordinary}
+estimate: {filter: {order: 4, cutoff: 20 Hz}, method: huber}
 validate: {motions: 5, speed: 0.2 m/s, seed: 3}
 gate: {normalised_rmse: 0.05}
 recalibrate: {every: 12 h, parameters: all}

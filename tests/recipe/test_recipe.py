@@ -42,7 +42,7 @@ def test_every_value_arrives_in_si(recipe_file: Path) -> None:
     assert (recipe.search.method, recipe.search.interpolator) == ("random", "fly")
     assert (recipe.record.rate, recipe.record.cycles) == (250.0, 12)
     assert (recipe.estimate.filter.order, recipe.estimate.filter.cutoff) == (4, 20.0)
-    assert recipe.estimate.method == "ordinary"
+    assert recipe.estimate.method == "huber"
     assert (recipe.validate.motions, recipe.validate.speed, recipe.validate.seed) == (5, 0.2, 3)
     assert recipe.gate.normalised_rmse == 0.05
     assert (recipe.recalibrate.every, recipe.recalibrate.parameters) == (43_200.0, "all")

@@ -93,7 +93,7 @@ def test_a_clash_of_alternatives_is_named(recipe_file: Path, via_points: str, ke
         ("method: random", "method: ransom", 13, "search.method", "'genetic' or 'random'"),
         ("interpolator: fly", "interpolator: crawl", 13, "search.interpolator", "allowed are fly"),
         ("cutoff: 20 Hz", "cutoff: 125 Hz", 15, "estimate.filter.cutoff", "half of record.rate"),
-        ("method: ordinary", "method: extraordinary", 15, "estimate.method", "'weighted'"),
+        ("method: huber", "method: extraordinary", 15, "estimate.method", "'weighted'"),
         ("every: 12 h", "every: 12 Hz", 18, "recalibrate.every", "min, h, d"),
         ("speed: 0.2 m/s, ", "speed: 0.2 m/s, speed: 0.3 m/s, ", 16, "", "duplicate key"),
         ("robot: comau_ns16", "robot: comau_ns61", 1, "robot", "comau_ns16"),

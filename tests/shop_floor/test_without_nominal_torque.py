@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from agent.core.figures import error_text
+from agent.core import error_text
 from agent.pipeline.calibrate import CalibrationOutcome
 from agent.pipeline.drift_check import worse_joints
 from agent.pipeline.result import judge

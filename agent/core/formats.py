@@ -1,8 +1,12 @@
-"""Figures as people read them; nothing heavy is needed for it, so that listing runs is quick."""
+"""How figures are written for people, and tables for spreadsheets; nothing heavy, so that listing runs is quick."""
 
 from __future__ import annotations
 
+import csv
+import io
 import math
+import re
+from collections.abc import Iterable, Sequence
 
 
 def error_text(share: float | None, torque: float | None, unit: str = "N·m", digits: int = 2) -> str:
@@ -30,3 +34,26 @@ def plus_minus(value: float, half: float) -> str:
     places = 1 - math.floor(math.log10(half))
     shown = max(0, places)
     return f"{round(value, places) + 0.0:.{shown}f} ± {round(half, places):.{shown}f}"
+
+
+#: Where a spreadsheet would begin a formula: at the start of a cell, or of what it takes for one.
+_FORMULA = re.compile(r"(?:^|(?<=;))(?=\s*[=+\-@＝＋－＠])")
+_CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]+")
+
+
+def csv_text(rows: Iterable[Sequence[object]]) -> str:
+    """Rows as CSV, a line each. Numbers stay; a text that would be read as a formula gets an apostrophe before it."""
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows([_cell(value) for value in row] for row in rows)
+    return text.getvalue()
+
+
+def _cell(value: object) -> str:
+    text = _CONTROL.sub(" ", str(value))
+    if text == "-" or not _FORMULA.search(text):
+        return text
+    try:
+        float(text)
+    except ValueError:
+        return _FORMULA.sub("'", text)
+    return text

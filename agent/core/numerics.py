@@ -1,8 +1,23 @@
-"""Cubic splines of many curves at once. SciPy's own take half a second to import."""
+"""Linear algebra and splines that a library leaves undone or is slow to load for, and memory for arrays."""
 
 from __future__ import annotations
 
 import numpy as np
+
+
+def symmetric_eigen(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Eigenvalues (n,), ascending, and eigenvectors (n, n) of a symmetric matrix (n, n).
+
+    NumPy takes LAPACK's divide and conquer, which does not converge on some graded matrices that are quite in order, a
+    covariance of a simulator's numbers among them. There it is the slower QR iteration.
+    """
+    try:
+        values, vectors = np.linalg.eigh(matrix)
+    except np.linalg.LinAlgError:
+        from scipy.linalg import eigh
+
+        values, vectors = eigh(matrix, driver="ev")
+    return values, vectors
 
 
 def cubic_spline(knots: np.ndarray, values: np.ndarray, places: np.ndarray, natural: bool = False) -> np.ndarray:
@@ -56,3 +71,17 @@ def spline_slopes(knots: np.ndarray, rows: np.ndarray, natural: bool = False) ->
     if natural:
         diagonal[[0, -1]], above[0], below[-1] = 2.0, 1.0, 1.0
     return np.asarray(dgtsv(below, diagonal, above, right.T, overwrite_b=True)[3].T)
+
+
+#: Less than glibc's largest threshold (32 MiB), which it would not raise.
+_BLOCK = 30_000_000
+
+
+def keep_freed_memory() -> None:
+    """Let the C library keep what arrays give back for the next ones, instead of returning it to the system each time.
+
+    glibc maps blocks above a threshold and hands back free memory above twice that; freeing a mapped block raises the
+    threshold to its size (mallopt(3), M_MMAP_THRESHOLD). One block that is never touched does it, and costs nothing.
+    Without it a tenth of the time of a search goes into fetching the same pages again. Elsewhere it does nothing.
+    """
+    bytes(_BLOCK)

@@ -1,17 +1,4 @@
-"""Selection of friction terms: which terms each axle gets, decided by held-out error.
-
-Every axle starts with the paper's three terms and a torque offset. How its sliding reverses is learned: from a grid of
-transition speeds and of presliding travels, then from two finer ones around the best. Then offsets go, one at a time,
-where leaving folds out shows that it is better without: by at least 2 % of the joint's squared error, and by more than
-the scatter of that gain between folds. Further terms come one at a time per axle where the same shows that they predict
-better; instead of the scatter, which five folds of one motion have by chance, very strong evidence does (a Bayes factor
-of e⁵: Kass and Raftery, J. Am. Stat. Assoc. 90, 1995). Offsets are not asked to, as in a small motion they look like
-gravity: held-out parts of it cannot show that there is one, and gravity in its place would predict other postures
-wrong.
-
-Trying a column is cheap: with A the normal matrix of the terms taken, the candidate c changes the estimate along
-d = [-A⁻¹ a_c, 1] only, and the held-out error is a parabola in that step.
-"""
+"""What held-out error decides: the estimator, the prior of the links, the friction terms, and the cut-off."""
 
 from __future__ import annotations
 
@@ -20,19 +7,93 @@ from dataclasses import replace
 
 import numpy as np
 
-from agent.estimation.blocks import Partition
-from agent.estimation.observation import Observation
-from agent.estimation.prior import Prior
-from agent.estimation.prior_choice import choose_links
-from agent.estimation.problem import Problem
-from agent.estimation.solving import clear_gain, log_evidence
+from agent.estimation.moments import clear_gain, clearly_better, log_evidence
+from agent.estimation.observation import Observation, Partition
+from agent.estimation.prior import DESCRIPTION, EITHER, SIZE, Prior
+from agent.estimation.problem import Estimate, Problem
 from agent.model import FrictionTerm, Reversal
+from agent.robot import LINK_PARAMETERS
+
+_METHOD_GAIN = 0.02  # of the squared error held out
+_NOT_PHYSICAL = 3.0  # times the error of the first estimator, from which on a consistent fit is a sign of wrong data
+
+
+def choose(found: dict[str, Estimate]) -> tuple[str, Estimate]:
+    """Name and estimate of the best of several estimators by name, with the reason in its note.
+
+    The first is the yardstick: another takes its place only if its weighted squared error on the folds held out is
+    lower by 2 % and by two standard errors of that gain. How much worse `consistent`, one of them, is tells data that
+    no arm can have.
+    """
+    first = next(iter(found))
+    weights = found[first].weights
+    errors = {name: np.sum(weights * estimate.held_out, axis=(1, 2)) for name, estimate in found.items()}
+    better = [name for name, error in errors.items() if clearly_better(errors[first], error, _METHOD_GAIN)]
+    best = min(better, key=lambda name: errors[name].sum(), default=first)
+    table = ", ".join(f"{name} {np.sqrt(error.sum() / errors[first].sum()):.3f}" for name, error in errors.items())
+    reason = (
+        f"{best} predicts held-out segments clearly better than {first}"
+        if better
+        else f"no other predicts held-out segments clearly better than {first}"
+    )
+    notes = [f"Method: {best}; {reason} (held-out error over that of {first}: {table}).", found[best].note]
+    if errors["consistent"].sum() > _NOT_PHYSICAL**2 * errors[first].sum():
+        notes.append(
+            "No bodies with mass and no friction that brakes explain these torques nearly as well: are signs and units "
+            "of torques, gear ratios and gravity right?"
+        )
+    return best, replace(found[best], note=" ".join(part for part in notes if part))
+
+
+_LINK_GAIN = 0.05  # of the squared error held out
+_SAME_MASS = 1e-6  # relative difference of masses that are the same
+
+
+def choose_links(problem: Problem) -> Problem:
+    """The same problem with the prior of the links that predicts held-out segments, and the weight it has then.
+
+    Both are compared under the weights of the open hypothesis: residuals of a wrong prior would hide it.
+
+    Public descriptions often hold placeholders, every link of 1 kg or 3 kg, and a prior that is wrong and sure of
+    itself spoils the estimate in silence. So there are two hypotheses: links near the description's, and links of
+    which nothing is known but what the torques could hold. The description is believed where segments held out are
+    clearly predicted better with it, and not where they are clearly predicted worse. Mostly they are predicted
+    alike: what is held out of a motion asks for nothing that the rest of it leaves open, other motions do. Then the
+    evidence decides (MacKay, Neural Computation 4, 1992): a description that is right in the directions that the
+    data tell is likely to be right in those that they leave open, a placeholder is far off in the former. Links
+    that most have the mass of another one are certainly placeholders.
+    """
+    opened = problem.with_links(SIZE).with_own_prior_weight()
+    if placeholders(problem.observation.rigid.dynamics.standard_parameters()):
+        return opened
+    weights = opened.weights()
+    described = opened.with_links(DESCRIPTION)
+    error, other = (np.sum(weights * each.held_out(weights), axis=(1, 2)) for each in (opened, described))
+    gain = error - other
+    if gain.sum() > _LINK_GAIN * error.sum() and clear_gain(gain):
+        return described.with_own_prior_weight()
+    if -gain.sum() > _LINK_GAIN * error.sum() and clear_gain(-gain):
+        return opened
+    if described.log_evidence(weights) > opened.log_evidence(weights):
+        return described.with_own_prior_weight()
+    return replace(opened, links=EITHER)
+
+
+def placeholders(standard: np.ndarray) -> bool:
+    """Whether links (10 n,) have no mass, or most of them the mass of another one: nobody measured those."""
+    mass = np.sort(standard[:: len(LINK_PARAMETERS)])
+    if mass[-1] <= 0:
+        return True
+    same = np.diff(mass) <= _SAME_MASS * mass[-1]
+    shared = np.append(same, False) | np.append(False, same)
+    return bool(2 * shared.sum() > len(mass))
+
 
 _SPEEDS = (2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 3e-2)  # of the highest speed of the axle
 _TRAVELS = (1e-6, 3e-6, 1e-5, 3e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2)  # of the range the axle moves over
 _FADINGS = (3e-3, 1e-2, 3e-2, 0.1, 0.3)  # of the highest speed
 _FINER = ((0.55, 0.75, 1.0, 1.35, 1.8), (0.92, 1.0, 1.09))  # of the scale found before
-_LEAST_GAIN = 0.02
+_TERM_GAIN = 0.02
 _VERY_STRONG = 5.0  # logarithm of a Bayes factor
 _EVERYWHERE = ("quadratic", "offset")  # besides Coulomb and viscous friction
 
@@ -56,7 +117,20 @@ def _terms_of(reversals: Sequence[Sequence[Reversal]], further: Sequence[str]) -
 
 
 def select_friction_terms(observation: Observation, partition: Partition) -> Problem:
-    """The problem of fitting the terms that held-out error selects."""
+    """The problem of fitting the terms that held-out error selects.
+
+    Every axle starts with the paper's three terms and a torque offset. How its sliding reverses is learned: from a
+    grid of transition speeds and of presliding travels, then from two finer ones around the best. Then offsets go,
+    one at a time, where leaving folds out shows that it is better without: by at least 2 % of the joint's squared
+    error, and by more than the scatter of that gain between folds. Further terms come one at a time per axle where
+    the same shows that they predict better; instead of the scatter, which five folds of one motion have by chance,
+    very strong evidence does (a Bayes factor of e⁵: Kass and Raftery, J. Am. Stat. Assoc. 90, 1995). Offsets are
+    not asked to, as in a small motion they look like gravity: held-out parts of it cannot show that there is one,
+    and gravity in its place would predict other postures wrong.
+
+    Trying a column is cheap: with A the normal matrix of the terms taken, the candidate c changes the estimate
+    along d = [-A⁻¹ a_c, 1] only, and the held-out error is a parabola in that step.
+    """
     n = observation.robot.dof
     coupling = observation.robot.coupling
     fastest = np.max([np.abs(s.motion.qd @ coupling.T).max(axis=0) for s in observation.segments], axis=0)
@@ -99,7 +173,7 @@ def _without_offsets(problem: Problem, weights: np.ndarray) -> Problem:
     """The problem without those offsets without which what is held out is clearly predicted better."""
     while True:
         error = np.sum(weights * problem.held_out(weights), axis=(1, 2))
-        least = _LEAST_GAIN * error.sum() / problem.observation.robot.dof
+        least = _TERM_GAIN * error.sum() / problem.observation.robot.dof
         better = []
         for k, term in enumerate(problem.terms):
             if term.form == "offset":
@@ -206,7 +280,7 @@ def _forward_selection(problem: Problem, weights: np.ndarray, count: int) -> np.
         trials = [_trial(a, b, prior, prior_weight, columns, base + free) for a, b in zip(train, test, strict=True)]
         gains = np.array([before - after for before, after in trials])
         mean = gains.sum(axis=0)
-        least = _LEAST_GAIN * sum(before for before, _ in trials) / (1 + axles.max())
+        least = _TERM_GAIN * sum(before for before, _ in trials) / (1 + axles.max())
         worth = (mean > least) & clear_gain(gains)
         for k in np.flatnonzero((mean > least) & ~worth):
             worth[k] = evidence(np.append(columns, base + free[k])) - evidence(columns) > _VERY_STRONG
@@ -215,3 +289,55 @@ def _forward_selection(problem: Problem, weights: np.ndarray, count: int) -> np.
         for axle in np.unique(axles[free[worth]]):
             options = np.flatnonzero(worth & (axles[free] == axle))
             taken.append(int(free[options[np.argmax(mean[options])]]))
+
+
+_NOT_WORSE = 1.25  # J over its least value, mean of the joints
+LOWEST = 10.0  #: Hz; friction at reversals needs as much
+_SPECTRUM = 2.0  # s, of a spectrum
+
+
+def predictive_cutoff(problem: Problem, parameters: np.ndarray) -> tuple[float, int] | None:
+    """A lower cut-off [Hz] that predicts better, and the joint that asks most for it; None where this one will do.
+
+    `parameters` (p,) are those of a first fit with the same terms.
+
+    Positions differentiated twice carry noise that grows with frequency, and from some frequency on a prediction
+    made of them is further from the measured torque than no prediction at all. With R(f) the spectrum of the
+    residual of a first fit and P(f) that of the measured torque, a prediction cut off at f_c leaves
+
+        J(f_c) = ∫ R df up to f_c + ∫ P df beyond,
+
+    whose minimum is the best cut-off for a joint (the ideal low-pass filter of Wiener's problem). The highest
+    cut-off is taken that is not clearly worse than the best one on the mean of the joints: a higher one loses
+    nothing there, and friction at reversals needs it. No inertia of the description enters. The first fit is made
+    at the lowest cut-off: at a higher one the noise would pull its inertias towards zero and so hide itself (errors
+    in variables).
+    """
+    motion = problem.observation.segments[0].motion
+    residuals = problem.residuals(parameters)
+    torques = [segment.torque for segment in problem.observation.segments]
+    length = min(max(len(torque) for torque in torques), int(_SPECTRUM * motion.rate / motion.step))
+    frequency = np.fft.rfftfreq(length, motion.step / motion.rate)
+    band = frequency <= motion.cutoff
+    mean = np.concatenate(torques).mean(axis=0)
+    left = _power(residuals, length)[band]
+    measured = _power([torque - mean for torque in torques], length)[band]
+    beyond = np.cumsum(measured[::-1], axis=0)[::-1] - measured
+    cost = np.cumsum(left, axis=0) + beyond
+    worse = cost / np.maximum(cost.min(axis=0), 1e-300)
+    allowed = np.flatnonzero((worse.mean(axis=1) <= _NOT_WORSE * worse.mean(axis=1).min()) | (frequency[band] < LOWEST))
+    cutoff = max(float(f"{frequency[allowed[-1]]:.2g}"), LOWEST)
+    if cutoff > 0.95 * motion.cutoff:
+        return None
+    return cutoff, int(np.argmax(worse[-1]))
+
+
+def _power(signals: list[np.ndarray], length: int) -> np.ndarray:
+    """(F, n) power over frequency of signals (S', n), Welch's mean over pieces; shorter segments are padded."""
+    total: np.ndarray | float = 0.0
+    for signal in signals:
+        size = min(len(signal), length)
+        window = np.hanning(size)[:, None]
+        for first in range(0, len(signal) - size + 1, max(size // 2, 1)):
+            total = total + np.abs(np.fft.rfft(signal[first : first + size] * window, length, axis=0)) ** 2
+    return np.asarray(total)

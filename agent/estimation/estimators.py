@@ -1,0 +1,299 @@
+"""The estimators, by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
+
+import numpy as np
+
+from agent.estimation.moments import Moments, clear_gain, collect, pseudo_inverse, scaled_rank, solve_scaled, standstill
+from agent.estimation.prior import link_prior
+from agent.estimation.problem import Estimate, Problem
+from agent.robot import ParameterLayout
+
+
+def weighted(problem: Problem) -> Estimate:
+    """Weighted least squares with a prior; the weights follow from a first fit in which every joint counts alike.
+
+    With row groups g of weight w_g, the estimate minimises Σ w_g |y_g - X_g θ|² + k (θ - θ₀)ᵀ Λ (θ - θ₀). The
+    paper's weights are the inverse residual variance of each joint (AIM 2013, eq. 4); here the rows in which a
+    joint stands still form a group of their own, never weighted above its moving rows: what stiction leaves open
+    counts for what it is worth.
+
+    Normal equations square the condition number; one step of refinement from the rows' own residuals gives that
+    back (corrected seminormal equations, Björck, Linear Algebra Appl. 88, 1987).
+    """
+    found = problem.estimate(problem.weights())
+    prior, joints = problem.prior, np.arange(found.weights.shape[1])
+    rows = [
+        residual * found.weights[still.astype(int), joints]
+        for residual, still in zip(problem.residuals(found.parameters), standstill(problem.observation), strict=True)
+    ]
+    slope = problem.correlation(rows) + problem.prior_weight * prior.precision @ (prior.mean - found.parameters)
+    matrix = found.moments.weighted(found.weights)[:-1, :-1] + problem.prior_weight * prior.precision
+    return replace(found, parameters=found.parameters + solve_scaled(matrix, slope))
+
+
+_TUNING = 1.345
+_HUBER_ROUNDS = 4
+
+
+def huber(problem: Problem) -> Estimate:
+    """Huber's M-estimate with a scale per joint.
+
+    A residual beyond 1.345 robust standard deviations counts linearly instead of quadratically (Huber, Annals of
+    Mathematical Statistics 35, 1964): knocks, dropped samples and contacts pull less. The scale of each joint,
+    moving or at standstill, is 1.4826 times the median absolute residual.
+    """
+    observation = problem.observation
+    still = standstill(observation)
+    moments, weights = problem.moments, problem.weights()
+    parameters = problem.solve(weights)
+    share = 0.0
+    for _ in range(_HUBER_ROUNDS):
+        rows = problem.residuals(parameters)
+        scale = _scales(rows, still)
+        trusted = [
+            1 / np.maximum(1, np.abs(block) / (_TUNING * scale[stop.astype(int), np.arange(block.shape[1])]))
+            for block, stop in zip(rows, still, strict=True)
+        ]
+        moments = collect(observation, problem.partition, problem.terms, problem.friction(), trusted)
+        weights = 1 / scale**2
+        parameters = problem.solver(moments.weighted(weights))
+        share = float(np.mean(np.concatenate(trusted) < 1))
+    note = f"Huber weights below 1 on {100 * share:.0f} % of the rows."
+    return problem.estimate(weights, note, moments=moments)
+
+
+def _scales(rows: list[np.ndarray], still: list[np.ndarray]) -> np.ndarray:
+    """(2, n) robust standard deviations, moving and at standstill."""
+    residual, stopped = np.concatenate(rows), np.concatenate(still)
+    scale = np.empty((2, residual.shape[1]))
+    for joint in range(residual.shape[1]):
+        moving = residual[~stopped[:, joint], joint]
+        standing = residual[stopped[:, joint], joint]
+        moving, standing = (part if len(part) else residual[:, joint] for part in (moving, standing))
+        scale[0, joint] = 1.4826 * np.median(np.abs(moving))
+        scale[1, joint] = max(scale[0, joint], 1.4826 * np.median(np.abs(standing)))
+    return np.maximum(scale, 1e-9 * np.sqrt(np.mean(residual**2)) + 1e-15)
+
+
+_PLAIN_ROUNDS = 4
+
+
+def paper(problem: Problem) -> Estimate:
+    """The estimator of AIM 2013, section III: weights from one fit in which every joint counts alike, no prior.
+
+        θ = (W X)⁺ W y,   W = diag(1 / σ_j) over the rows of joint j,
+
+    with σ_j the residual deviation of joint j under ordinary least squares (eq. 4). The columns are base parameters
+    and the three friction terms of eq. 2, or, for `plain`, Coulomb and viscous friction and an offset. There is no
+    prior: what the motion does not excite is left to the pseudo-inverse, which takes the solution of minimum norm
+    (columns scaled to unit length, so that units do not matter).
+    """
+    return _without_prior(
+        problem,
+        1,
+        "The paper's own estimator: Coulomb, viscous and quadratic friction, the weights of its eq. 4, no prior.",
+    )
+
+
+def plain(problem: Problem) -> Estimate:
+    """Weighted least squares of minimum norm, its weights in keeping with the residuals."""
+    return _without_prior(
+        problem,
+        _PLAIN_ROUNDS,
+        "Plain weighted least squares: Coulomb and viscous friction and an offset per axle, no prior.",
+    )
+
+
+def _without_prior(problem: Problem, rounds: int, note: str) -> Estimate:
+    moments = problem.moments
+    weights = np.ones((2, problem.observation.robot.dof))
+    for _ in range(rounds):
+        weights = _eq_4(moments, _minimum_norm(moments.weighted(weights)))
+    silent = moments.parameters - scaled_rank(moments.weighted(weights)[:-1, :-1])
+    if silent:
+        note += (
+            f" {silent} of {moments.parameters} parameter directions are not in these data: the solution of minimum "
+            "norm is taken, and their standard deviations are what such an arm could have."
+        )
+    return replace(problem, prior_weight=0.0).estimate(weights, note, _minimum_norm)
+
+
+def _minimum_norm(total: np.ndarray) -> np.ndarray:
+    return pseudo_inverse(total[:-1, :-1]) @ total[:-1, -1]
+
+
+def _eq_4(moments: Moments, parameters: np.ndarray) -> np.ndarray:
+    """(2, n) inverse residual variance of each joint, the same in motion and at standstill."""
+    variance = moments.energy(parameters).sum(axis=0) / moments.rows.sum(axis=(0, 1))
+    floor = 1e-30 + 1e-20 * moments.torque_energy().sum() / moments.rows.sum()
+    return np.tile(1 / np.maximum(variance, floor), (2, 1))
+
+
+_FACTORS = (1.0, 3.0, 10.0, 30.0, 100.0)  # of the prior's weight against noise alone
+_SOLIDITY = 1e-4  # smallest eigenvalue of a pseudo-inertia, in units of the link's own scale
+
+
+def consistent(problem: Problem) -> Estimate:
+    """Weighted least squares on the set of physical robots.
+
+    Unknowns are the standard parameters of every link, the rotor inertias and the friction terms. They minimise the
+    same weighted squares and the same prior as `weighted`, with the constraints that
+
+    * every link's pseudo-inertia [[½ tr(I) 1 - I, m c], [m cᵀ, m]] is positive definite, which is what a density over
+      space amounts to (Traversaro et al., IROS 2016; Wensing, Kim and Slotine, IEEE RA-L 3, 2018);
+    * rotor inertias, Coulomb and viscous friction are not negative, nor Coulomb and Stribeck friction together at rest.
+
+    Where the data is silent the prior decides, so links stay near their URDF; held-out error decides how much it is
+    trusted beyond what it is worth against noise alone, since what a model gets wrong makes its rows worth less.
+    The convex programme goes to Clarabel directly: its cost is one small matrix made of the moments, its cones are
+    4 × 4 matrices.
+    """
+    problem = _weigh_prior(problem)
+    programme = _Programme(problem)
+    weights = problem.weights()
+    note = "Every link has a physical mass distribution; rotor inertias and friction are not negative."
+    found = problem.estimate(weights, note, programme.parameters)
+    return replace(found, standard=programme.solve(problem.moments.weighted(weights))[: programme.standard])
+
+
+def _weigh_prior(problem: Problem) -> Problem:
+    """The same problem with more weight on the prior, where held-out error clearly gains by it."""
+    weights = problem.weights()
+    trials = [replace(problem, prior_weight=factor * problem.prior_weight) for factor in _FACTORS]
+    errors = [np.sum(weights * trial.held_out(weights), axis=(1, 2)) for trial in trials]
+    best = int(np.argmin([error.sum() for error in errors]))
+    return trials[best] if clear_gain(errors[0] - errors[best]) else problem
+
+
+class _Programme:
+    """Unknowns x = [links (10 n), rotors (n), friction terms], scaled by their prior deviations."""
+
+    def __init__(self, problem: Problem):
+        rigid = problem.observation.rigid
+        mean, deviation = link_prior(problem.observation, problem.links)
+        self.standard = len(mean)
+        count, terms = rigid.count, problem.terms
+        self.to_parameters = np.zeros((count + len(terms), self.standard + len(terms)))
+        self.to_parameters[:count, : self.standard] = rigid.projection
+        self.to_parameters[count:, self.standard :] = np.eye(len(terms))
+        friction = 1 / np.sqrt(np.diag(problem.prior.precision)[count:])
+        self.mean = np.append(mean, np.zeros(len(terms)))
+        self.scale = np.append(deviation, friction)
+        self.prior_weight = problem.prior_weight
+        self._constraints(problem)
+
+    def _constraints(self, problem: Problem) -> None:
+        layout = ParameterLayout.of(problem.observation.robot)
+        links = layout.blocks(self.scale)
+        blocks, floors = [], []
+        for link in range(layout.n_links):
+            rows = np.zeros((10, len(self.scale)))
+            rows[:, layout.link(link)] = _PSEUDO_INERTIA
+            # in units of the link's own mass and length, so that one tolerance serves all
+            unit = np.sqrt([links[link, 4] / links[link, 0]] * 3 + [1.0])
+            weight = np.array([1 / (unit[i] * unit[j] * links[link, 0]) for i, j in _TRIANGLE])
+            blocks.append(rows * weight[:, None] * self.scale)
+            offset = (rows * weight[:, None]) @ self.mean
+            floors.append(_SOLIDITY * np.array([float(i == j) for i, j in _TRIANGLE]) - offset)
+        positive = [_unit(k, len(self.scale)) for k in range(layout.rotors.start, layout.rotors.stop)]
+        rest: dict[int, np.ndarray] = {}
+        for k, term in enumerate(problem.terms):
+            row = _unit(layout.size + k, len(self.scale))
+            if term.form in ("coulomb", "viscous"):
+                positive.append(row)
+            if term.form in ("coulomb", "stribeck"):
+                rest[term.axle] = rest.get(term.axle, 0) + row
+        positive += list(rest.values())
+        linear = np.array(positive)
+        self._cone_rows = np.vstack([linear * self.scale, *blocks])
+        self._cone_floor = np.concatenate([-linear @ self.mean, *floors])
+        self._linear, self._links = len(linear), layout.n_links
+
+    def parameters(self, total: np.ndarray) -> np.ndarray:
+        """(p,) from a weighted sum of moments."""
+        return self.to_parameters @ self.solve(total)
+
+    def solve(self, total: np.ndarray) -> np.ndarray:
+        """(10 n + n + T,) unknowns from a weighted sum of moments (p + 1, p + 1)."""
+        import clarabel
+
+        columns = self.to_parameters * self.scale
+        offset = self.to_parameters @ self.mean
+        cost = columns.T @ total[:-1, :-1] @ columns + self.prior_weight * np.eye(len(self.scale))
+        slope = columns.T @ (total[:-1, :-1] @ offset - total[:-1, -1])
+        size = np.sqrt(np.max(np.diag(cost)))
+        settings = clarabel.DefaultSettings()
+        settings.verbose = False
+        settings.max_threads = 1
+        cones = [clarabel.NonnegativeConeT(self._linear), *[clarabel.PSDTriangleConeT(4)] * self._links]
+        solution = clarabel.DefaultSolver(
+            _by_columns(np.triu(cost / size)),
+            slope / size,
+            _by_columns(-self._cone_rows),
+            -self._cone_floor,
+            cones,
+            settings,
+        ).solve()
+        return self.mean + self.scale * np.array(solution.x)
+
+
+def _by_columns(matrix: np.ndarray) -> SimpleNamespace:
+    """A matrix (m, n) in compressed columns: what Clarabel reads of one of SciPy's, which is slow to load."""
+    column, row = np.nonzero(matrix.T)
+    starts = np.searchsorted(column, np.arange(matrix.shape[1] + 1))
+    return SimpleNamespace(
+        data=matrix[row, column], indices=row, indptr=starts, shape=matrix.shape, has_canonical_format=True
+    )
+
+
+def _unit(k: int, size: int) -> np.ndarray:
+    row = np.zeros(size)
+    row[k] = 1.0
+    return row
+
+
+#: Upper triangle of a 4 × 4 matrix, column by column: the order of Clarabel's cone.
+_TRIANGLE = [(i, j) for j in range(4) for i in range(j + 1)]
+
+
+def _pseudo_inertia_rows() -> np.ndarray:
+    """(10, 10) from [m, mx, my, mz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz] to that triangle, off-diagonal entries times √2."""
+    entries = {(0, 1): 5, (0, 2): 7, (1, 2): 8}
+    rows = np.zeros((10, 10))
+    for k, (i, j) in enumerate(_TRIANGLE):
+        if i == j == 3:
+            rows[k, 0] = 1.0
+        elif j == 3:
+            rows[k, 1 + i] = np.sqrt(2)
+        elif i == j:
+            rows[k, [4, 6, 9]] = 0.5
+            rows[k, (4, 6, 9)[i]] = -0.5
+        else:
+            rows[k, entries[i, j]] = -np.sqrt(2)
+    return rows
+
+
+_PSEUDO_INERTIA = _pseudo_inertia_rows()
+
+
+@dataclass(frozen=True)
+class Estimator:
+    """`fit` solves a problem; `friction` are the terms it is defined with, those of the settings if None."""
+
+    fit: Callable[[Problem], Estimate]
+    friction: str | None = None
+
+
+#: Every estimator by name. Recipes may name those of `agent.recipe.schema.ESTIMATION_METHODS`.
+ESTIMATORS = {
+    "weighted": Estimator(weighted),
+    "huber": Estimator(huber),
+    "consistent": Estimator(consistent),
+    "paper": Estimator(paper, friction="paper"),
+    "plain": Estimator(plain, friction="plain"),
+}
