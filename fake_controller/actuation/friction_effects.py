@@ -6,8 +6,9 @@ from dataclasses import replace
 from math import asinh, exp
 
 from fake_controller.actuation.effect import FrictionEffect, JointEffect, effect
-from fake_controller.actuation.friction import FrictionModifier
 from fake_controller.actuation.machine import Machine
+
+_SPRINGS = 6  # that slip one after the other
 
 
 @effect("stribeck")
@@ -41,21 +42,17 @@ class SimulatedAsymmetricFriction(FrictionEffect):
 
 
 @effect("load_dependent_friction")
-class SimulatedLoadDependentFriction(JointEffect):
+class SimulatedLoadDependentFriction(FrictionEffect):
     """Teeth rub by `coefficient` N·m each N·m that they transmit, once they bear: below a tenth of nominal, less."""
 
     coefficient: float
 
     def install_on(self, machine: Machine, k: int) -> None:
-        machine.terms[k].append(_RubbingTeeth(self.coefficient, 0.1 * float(machine.nominal[k])))
-
-
-class _RubbingTeeth(FrictionModifier):
-    def __init__(self, coefficient: float, bearing: float):
-        self._coefficient, self._bearing = coefficient, bearing
+        self._bearing = 0.1 * float(machine.nominal[k])
+        super().install_on(machine, k)
 
     def level(self, level: float, speed: float, load: float) -> float:
-        return level + self._coefficient * load * load / (abs(load) + self._bearing)
+        return level + self.coefficient * load * load / (abs(load) + self._bearing)
 
 
 @effect("viscous_nonlinearity")
@@ -90,7 +87,7 @@ class SimulatedFrictionChange(JointEffect):
 
 
 @effect("thermal_friction")
-class SimulatedThermalFriction(JointEffect):
+class SimulatedThermalFriction(FrictionEffect):
     """One thermal mass: time_constant · Ṫ = equilibrium + resistance · (friction power) − T, starting at `start`.
 
     T [K] counts from the temperature at which the machine's friction curves hold. The Coulomb level falls by
@@ -107,28 +104,22 @@ class SimulatedThermalFriction(JointEffect):
     viscous_rate: float = 0.0
 
     def install_on(self, machine: Machine, k: int) -> None:
-        machine.terms[k].append(_ThermalMass(self))
-
-
-class _ThermalMass(FrictionModifier):
-    def __init__(self, effect: SimulatedThermalFriction):
-        self._effect = effect
-        self.temperature: float = effect.start
+        self.temperature = self.start
+        super().install_on(machine, k)
 
     def level(self, level: float, speed: float, load: float) -> float:
-        return level * (1.0 - self._effect.coulomb_rate * self.temperature)
+        return level * (1.0 - self.coulomb_rate * self.temperature)
 
     def viscous(self, torque: float, speed: float) -> float:
-        return torque * exp(-self._effect.viscous_rate * self.temperature)
+        return torque * exp(-self.viscous_rate * self.temperature)
 
     def heat(self, power: float, dt: float) -> None:
-        effect = self._effect
-        steady = effect.equilibrium + effect.resistance * power
-        self.temperature += (steady - self.temperature) * dt / effect.time_constant
+        steady = self.equilibrium + self.resistance * power
+        self.temperature += (steady - self.temperature) * dt / self.time_constant
 
 
 @effect("presliding")
-class SimulatedPresliding(JointEffect):
+class SimulatedPresliding(FrictionEffect):
     """A `share` (0 to 0.9) of the Coulomb level builds up over `travel` [rad] after each reversal.
 
     Six springs in parallel, each slipping at its own stretch (Iwan, 1966): a hysteresis in position with the memory
@@ -141,17 +132,11 @@ class SimulatedPresliding(JointEffect):
 
     def install_on(self, machine: Machine, k: int) -> None:
         self.need(0.0 <= self.share <= 0.9, "share", "between 0 and 0.9")
-        machine.terms[k].append(_SlipChain(self, machine.friction[k].coulomb))
-
-
-class _SlipChain(FrictionModifier):
-    ELEMENTS = 6
-
-    def __init__(self, effect: SimulatedPresliding, coulomb: float):
-        self._torque = effect.share * coulomb
+        self._torque = self.share * machine.friction[k].coulomb
         # Evenly spread limits; the mean reversal is complete after `travel`.
-        self._limits = [effect.travel * (i + 0.5) / self.ELEMENTS for i in range(self.ELEMENTS)]
-        self._stretch = [0.0] * self.ELEMENTS
+        self._limits = [self.travel * (i + 0.5) / _SPRINGS for i in range(_SPRINGS)]
+        self._stretch = [0.0] * _SPRINGS
+        super().install_on(machine, k)
 
     def level(self, level: float, speed: float, load: float) -> float:
         return level - self._torque
@@ -162,4 +147,4 @@ class _SlipChain(FrictionModifier):
             stretch = self._stretch[i] + speed * dt
             self._stretch[i] = stretch = min(max(stretch, -limit), limit)
             total += stretch / limit
-        return self._torque * total / self.ELEMENTS
+        return self._torque * total / _SPRINGS
