@@ -103,7 +103,6 @@ def _controller(options: argparse.Namespace) -> Controller:
     from fake_controller.actuation.machine import weighs_nothing
     from fake_controller.build import build_controller
     from fake_controller.scenario import SetupSection, load_scenario
-    from fake_controller.state import State
 
     scenario = None if options.scenario is None else load_scenario(options.scenario)
     setup = SetupSection(clock="real", seed=0) if scenario is None else scenario.setup
@@ -119,7 +118,7 @@ def _controller(options: argparse.Namespace) -> Controller:
         options.model,
         options.interpolator,
     )
-    controller.state = State(**setup.state.model_dump())
+    controller.state = setup.state.model_copy()
     if options.model is None and weighs_nothing(controller.robot):
         print(
             f"fake controller: the URDF of {controller.robot.name} gives no link a mass: this arm has rods of a usual "
