@@ -1,13 +1,10 @@
 """What things cost, beside the commit before and beside figaroh, in one run.
 
-    python benchmarks/speed.py [--against WORKTREE] [--figaroh PYTHON] [--full] [--keep FILE]
+    python benchmarks/speed.py [--against WORKTREE] [--figaroh PYTHON] [--full]
 
 CPU times (user and system) and peak memory of processes on one thread; trees take turns and the best of the rounds
 counts, because other jobs on a machine only ever add. `--against` is a checkout of another commit (`git worktree add
-../before HEAD~1`), `--figaroh` the Python of an environment with figaroh. Sizes are small, for an end within four
-minutes; `--full` runs the quickstart as it is and takes large sizes: minutes 1 to 60, logs 1 to 100, candidates 1000 to
-100 000, which is hours. `--keep` notes each size as it ends, so that the next call goes on after it: the longest takes
-twenty minutes.
+../before HEAD~1`), `--figaroh` the Python of an environment with figaroh. `--full` runs the quickstart as it is.
 """
 
 from __future__ import annotations
@@ -20,7 +17,6 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -64,13 +60,6 @@ sys.path.insert(0, "")
 atexit.register(tell)
 runpy.run_module("agent", run_name="__main__")
 """
-SMALL = {"joints": (2, 4, 7), "seconds": (15, 30, 60), "logs": (1, 2, 4), "candidates": (10, 20, 40)}
-FULL = {
-    "joints": (1, 2, 3, 4, 5, 6, 7),
-    "seconds": (60, 300, 1200, 3600),
-    "logs": (1, 3, 10, 30, 100),
-    "candidates": (1000, 10_000, 100_000),
-}
 
 
 def main() -> None:
@@ -78,8 +67,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--against", type=Path, help="a checkout of another commit")
     parser.add_argument("--figaroh", type=Path, help="the Python of an environment with figaroh")
-    parser.add_argument("--full", action="store_true", help="large sizes: hours")
-    parser.add_argument("--keep", type=Path, help="a file of sizes that were measured, to go on after them")
+    parser.add_argument("--full", action="store_true", help="the whole quickstart: minutes")
     parser.add_argument("--worker", action="store_true", help=argparse.SUPPRESS)
     given = parser.parse_args()
     if given.worker:
@@ -91,7 +79,6 @@ def main() -> None:
         parts(trees)
         commands(trees, folder)
         job(trees, folder, given.full)
-        growth(folder, FULL if given.full else SMALL, given.keep)
     if given.figaroh is not None:
         subprocess.run([sys.executable, ROOT / "benchmarks/against_figaroh.py", "--python", given.figaroh], check=False)
 
@@ -208,65 +195,6 @@ def job(trees: dict[str, Path], folder: Path, full: bool) -> None:
     table(f"calibrate, {'the quickstart' if full else 'a tenth of the quickstart'} [s]", trees, values)
 
 
-def growth(folder: Path, sizes: dict[str, tuple[int, ...]], keep: Path | None) -> None:
-    """How cost grows with size, and the exponent of a power law."""
-    from agent.core import InProcess
-    from agent.excitation import search
-    from agent.pipeline.planning import loop_problem
-    from agent.recipe import load_recipe
-
-    model = str(folder / "grown.json")
-
-    def estimated(robot: str, logs: list[Path]) -> tuple[float, float]:
-        return measured(ROOT, ["estimate", "--robot", robot, "-o", model, "--force", *map(str, logs)])
-
-    def of_joints(count: int) -> tuple[float, float]:
-        robot = save(arm(count), folder)
-        log = folder / f"joints{count}.mcap"
-        write(log, 20.0, robot)
-        return estimated(str(robot), [log])
-
-    def of_seconds(seconds: int) -> tuple[float, float]:
-        log = folder / f"seconds{seconds}.mcap"
-        write(log, float(seconds))
-        return estimated("comau_ns16", [log])
-
-    def of_logs(count: int) -> tuple[float, float]:
-        logs = [folder / f"log{k}.mcap" for k in range(count)]
-        for k, log in enumerate(logs):
-            write(log, 15.0, seed=k)
-        return estimated("comau_ns16", logs)
-
-    def of_candidates(count: int) -> tuple[float, float]:
-        recipe = load_recipe(RECIPE)
-        begin = time.process_time()
-        search(loop_problem(recipe, recipe.motion.speed), population=count // 2, generations=2, engine=InProcess())
-        return time.process_time() - begin, float("nan")
-
-    of = {"joints": of_joints, "seconds": of_seconds, "logs": of_logs, "candidates": of_candidates}
-    print(f"\n{'cost against size':34}{'sizes':>22}{'CPU [s]':>26}{'exponent':>10}{'MiB':>22}")
-    for name, call in of.items():
-        found = np.array([kept(keep, f"{name} {size}", partial(call, size)) for size in sizes[name]])
-        exponent = np.polyfit(np.log(sizes[name]), np.log(found[:, 0]), 1)[0]
-        cells = (
-            " ".join(f"{value:g}" for value in row) for row in (sizes[name], found[:, 0].round(2), found[:, 1].round())
-        )
-        shown, spent, peak = cells
-        what = "search" if name == "candidates" else "estimate"
-        print(f"{f'{what} by {name}':34}{shown:>22}{spent:>26}{exponent:10.2f}{peak:>22}", flush=True)
-
-
-def kept(keep: Path | None, name: str, call: Callable[[], tuple[float, float]]) -> tuple[float, float]:
-    """What a call gave once, or gives now."""
-    known = json.loads(keep.read_text()) if keep is not None and keep.exists() else {}
-    if name not in known:
-        known[name] = call()
-        if keep is not None:
-            keep.write_text(json.dumps(known, indent=1))
-    spent, peak = known[name]
-    return spent, peak
-
-
 def cpu(call: Callable[[Any], object], arguments: list) -> float:
     """Mean CPU time [ms] of a call: for each argument the best of three, after one to warm up."""
     call(arguments[0])
@@ -327,20 +255,7 @@ def arm(count: int) -> Any:
     return RobotDescription(f"arm_of_{count}", "".join(xml), "tip", (0.0, 0.0, -9.80665), None, joints, eye)
 
 
-def save(robot: Any, folder: Path) -> Path:
-    """The robot as the files that a command takes."""
-    (folder / f"{robot.name}.urdf").write_text(robot.urdf)
-    path = folder / f"{robot.name}.yaml"
-    joints = "".join(
-        f"  - {{name: {joint.name}, gear_ratio: 100, nominal_motor_torque: 1, "
-        "max_velocity: 2.5, max_acceleration: 6}\n"
-        for joint in robot.joints
-    )
-    path.write_text(f"name: {robot.name}\nurdf: {robot.name}.urdf\ntip_frame: tip\njoints:\n{joints}")
-    return path
-
-
-def write(path: Path, seconds: float, robot_file: Path | None = None, seed: int = 0, stribeck: float = 0.0) -> None:
+def write(path: Path, seconds: float, seed: int = 0, stribeck: float = 0.0) -> None:
     """A log of a rigid arm with friction and noise; Stribeck friction on joint 2 is a part of its nominal torque.
 
     Of more than a minute the motion repeats, the noise does not.
@@ -349,7 +264,7 @@ def write(path: Path, seconds: float, robot_file: Path | None = None, seed: int 
     from agent.robot import load_robot
     from agent.robot.dynamics import Dynamics
 
-    robot = load_robot("comau_ns16" if robot_file is None else str(robot_file))
+    robot = load_robot("comau_ns16")
     minute = min(seconds, 60.0)
     t = np.arange(round(minute * RATE)) / RATE
     rng = np.random.default_rng(seed)

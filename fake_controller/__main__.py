@@ -112,7 +112,6 @@ def _controller(options: argparse.Namespace) -> Controller | UrCell:
     from fake_controller.actuation.machine import weighs_nothing
     from fake_controller.build import build_controller, build_ur_cell
     from fake_controller.scenario import SetupSection, load_scenario
-    from fake_controller.state import State
     from fake_controller.ur.arm import MODELS
 
     scenario = None if options.scenario is None else load_scenario(options.scenario)
@@ -140,7 +139,7 @@ def _controller(options: argparse.Namespace) -> Controller | UrCell:
         )
     else:
         controller = build_controller(robot, seed, options.clock, effects, faults, options.model, options.interpolator)
-    controller.state = State(**setup.state.model_dump())
+    controller.state = setup.state.model_copy()
     if options.model is None and weighs_nothing(controller.robot):
         print(
             f"fake controller: the URDF of {controller.robot.name} gives no link a mass: this arm has rods of a usual "

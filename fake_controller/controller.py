@@ -5,9 +5,9 @@ from __future__ import annotations
 import threading
 import time
 import traceback
-from collections import OrderedDict
+from collections import OrderedDict, deque
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from itertools import chain
 from typing import Protocol
 
@@ -23,8 +23,38 @@ from fake_controller.frames import tool_point
 from fake_controller.interpreter import FACTORY, Interpreter
 from fake_controller.plant import Plant
 from fake_controller.programs import ProgramMemory, RefusedRequest, check_program
-from fake_controller.ring import Recorded, Ring
 from fake_controller.state import State, home
+
+RING = 100_000  # samples
+
+
+@dataclass(frozen=True, eq=False)
+class Recorded:
+    """Consecutive samples from sequence number `first` on, with their controller times (K,) [ns]."""
+
+    first: int
+    time_ns: np.ndarray
+    samples: Slice
+
+
+@dataclass
+class Ring:
+    """The last `RING` samples of a motion."""
+
+    size: int = 0
+    parts: deque[Recorded] = field(default_factory=deque)
+
+    def append(self, part: Recorded) -> None:
+        """Keep it; the oldest make room."""
+        self.parts.append(part)
+        self.size += len(part.samples)
+        while self.size > RING:
+            self.size -= len(self.parts.popleft().samples)
+
+    def find(self, first: int) -> Recorded | None:
+        """The part that has sample `first`, or the earliest after it."""
+        return next((part for part in self.parts if part.first + len(part.samples) > first), None)
+
 
 CONTROLLER = "fake controller"
 VERSION = "1.0"

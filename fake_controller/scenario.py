@@ -13,6 +13,7 @@ from agent.recipe import Time
 from agent.robot import load_robot
 from fake_controller.faults import NOT_ON, Fault
 from fake_controller.servers import WIRES
+from fake_controller.state import State
 
 #: Those that come with the package.
 FOLDER = Path(__file__).parent / "scenarios"
@@ -22,25 +23,13 @@ class _Section(BaseModel):
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, frozen=True)
 
 
-class StateSection(_Section):
-    """What a person at the cell has set before anybody connects."""
-
-    drives_on: bool = True
-    mode: Literal["auto", "teach"] = "auto"
-    emergency_stop: bool = False
-    alarms: tuple[str, ...] = ()
-    override: Annotated[float, Field(gt=0, le=1)] = 1.0
-    cell_closed: bool = True
-    emulator: bool = True
-
-
 class SetupSection(_Section):
     """The controller; `effects` as `fake_controller.actuation.load_effect` takes them."""
 
     robot: str = "comau_ns16"
     seed: Annotated[int, Field(ge=0)] = 7
     clock: Literal["fast", "real"] = "fast"
-    state: StateSection = StateSection()
+    state: State = State()
     effects: tuple[dict[str, Any], ...] = ()
 
 

@@ -2,14 +2,33 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import Annotated, Literal
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
 
 from agent.robot import RobotDescription
 from drivers.wire.reasons import EndReason, Refusal
 from fake_controller.programs import RefusedRequest
 
+#: Of each fault of the cell: what changes, the alarm, and why the arm stops.
+_FAULTS: dict[str, tuple[dict[str, bool | str], tuple[str, ...], EndReason, str]] = {
+    "emergency_stop": (
+        {"emergency_stop": True, "drives_on": False},
+        (),
+        EndReason.EMERGENCY_STOP,
+        "the emergency stop was pressed",
+    ),
+    "drive_fault": (
+        {"drives_on": False},
+        ("drive fault on axis 2",),
+        EndReason.DRIVE_FAULT,
+        "the drive of axis 2 reports a fault",
+    ),
+    "alarm": ({}, ("62513 motor 3 too hot",), EndReason.ALARM, "alarm 62513: motor 3 is too hot"),
+    "protective_stop": ({"cell_closed": False}, (), EndReason.PROTECTIVE_STOP, "the gate of the cell was opened"),
+    "teach_mode": ({"mode": "teach"}, (), EndReason.MODE_CHANGED, "the selector was turned to teach"),
+}
 _UPRIGHT = np.radians([0.0, -90.0, -90.0, -90.0, 90.0, 0.0])  # upper arm up, forearm level, tool down
 _CALIBRATION_POSE = {
     "comau_ns16": np.radians([0.0, 0.0, -90.0, 0.0, 0.0, 0.0]),
@@ -17,15 +36,15 @@ _CALIBRATION_POSE = {
 }
 
 
-@dataclass
-class State:
-    """What a person at the cell can change, and what the controller reports of it."""
+class State(BaseModel):
+    """What a person at the cell can change, and what the controller reports of it; checked where a file says it."""
 
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
     drives_on: bool = True
-    mode: str = "auto"
+    mode: Literal["auto", "teach"] = "auto"
     emergency_stop: bool = False
     alarms: tuple[str, ...] = ()
-    override: float = 1.0
+    override: Annotated[float, Field(gt=0, le=1)] = 1.0
     cell_closed: bool = True
     emulator: bool = True  # what it says of itself; tests need a controller that says it drives a machine
 
@@ -46,23 +65,13 @@ class State:
 
     def apply_fault(self, fault: str) -> tuple[EndReason, str] | None:
         """Change as a fault of the cell asks; why the arm has to stop, or None where the fault is none of the cell."""
-        match fault:
-            case "emergency_stop":
-                self.emergency_stop, self.drives_on = True, False
-                return EndReason.EMERGENCY_STOP, "the emergency stop was pressed"
-            case "drive_fault":
-                self.drives_on, self.alarms = False, (*self.alarms, "drive fault on axis 2")
-                return EndReason.DRIVE_FAULT, "the drive of axis 2 reports a fault"
-            case "alarm":
-                self.alarms = (*self.alarms, "62513 motor 3 too hot")
-                return EndReason.ALARM, "alarm 62513: motor 3 is too hot"
-            case "protective_stop":
-                self.cell_closed = False
-                return EndReason.PROTECTIVE_STOP, "the gate of the cell was opened"
-            case "teach_mode":
-                self.mode = "teach"
-                return EndReason.MODE_CHANGED, "the selector was turned to teach"
-        return None
+        if fault not in _FAULTS:
+            return None
+        changed, alarm, reason, message = _FAULTS[fault]
+        for name, value in changed.items():
+            setattr(self, name, value)
+        self.alarms = (*self.alarms, *alarm)
+        return reason, message
 
 
 def home(robot: RobotDescription) -> np.ndarray:

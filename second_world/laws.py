@@ -65,16 +65,37 @@ def outside(
     return law(effect, name, where, first, highest, reserved, OUTSIDE)
 
 
-def _term(
-    kind: Kind, numbers: Callable[[DrawnMachine, int, np.random.Generator], tuple[float, ...]], signed: bool = False
-) -> Build:
+#: A number of a term: fixed, or drawn for a machine and a joint.
+Number = float | Callable[[DrawnMachine, int, np.random.Generator], float]
+
+
+def _drawn(numbers: tuple[Number, ...], m: DrawnMachine, k: int, rng: np.random.Generator) -> list[float]:
+    return [number(m, k, rng) if callable(number) else number for number in numbers]
+
+
+def between(low: float, high: float) -> Number:
+    """Drawn from a range."""
+    return lambda m, k, rng: rng.uniform(low, high)
+
+
+def of_speed(low: float, high: float) -> Number:
+    """Drawn from a range, times the joint's largest speed."""
+    return lambda m, k, rng: _speed(m, k) * rng.uniform(low, high)
+
+
+def among(*values: float) -> Number:
+    """One of some values."""
+    return lambda m, k, rng: float(rng.choice(values))
+
+
+def _term(kind: Kind, numbers: tuple[Number, ...], signed: bool = False) -> Build:
     """A law that is one term on its joint, `amount` of the nominal torque large, of either sign where `signed`."""
 
     def build(machine: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
         joint = joints[0]
         sign = float(rng.choice([-1.0, 1.0])) if signed else 1.0
         size = sign * amount * float(machine.world.arm.torque[joint])
-        machine.add(kind, joint, size, *numbers(machine, joint, rng))
+        machine.add(kind, joint, size, *_drawn(numbers, machine, joint, rng))
 
     return build
 
@@ -83,7 +104,7 @@ def _enter(
     effect: str,
     name: str,
     kind: Kind,
-    numbers: Callable[[DrawnMachine, int, np.random.Generator], tuple[float, ...]],
+    *numbers: Number,
     signed: bool = False,
     reserved: bool = False,
     where: str = "joint",
@@ -93,11 +114,11 @@ def _enter(
     law(effect, name, where, reserved=reserved, catalogue=catalogue, highest=highest)(_term(kind, numbers, signed))
 
 
-def _speed(m: DrawnMachine, k: int) -> float:
+def _speed(m: DrawnMachine, k: int, rng: np.random.Generator | None = None) -> float:
     return float(m.world.arm.speed[k])
 
 
-def _nominal(m: DrawnMachine, k: int) -> float:
+def _nominal(m: DrawnMachine, k: int, rng: np.random.Generator | None = None) -> float:
     return float(m.world.arm.torque[k])
 
 
@@ -106,50 +127,27 @@ def _order(m: DrawnMachine, k: int, rng: np.random.Generator) -> float:
     return float(m.world.arm.kind.ratio * rng.choice([0.1, 0.25, 0.5, 1.0, 2.0]))
 
 
+def _heating(m: DrawnMachine, k: int, rng: np.random.Generator) -> float:
+    """Warming by the usual friction at full speed."""
+    return rng.uniform(0.3, 1.5) / float(m.friction[k, 1] * _speed(m, k))
+
+
 # Friction.
-_enter(
-    "stribeck",
-    "exponential",
-    Kind.FADING,
-    lambda m, k, r: (_speed(m, k) * r.uniform(0.01, 0.06), r.choice([0.5, 1, 2])),
-)
-_enter("stribeck", "hyperbolic", Kind.HYPERBOLIC, lambda m, k, r: (_speed(m, k) * r.uniform(0.01, 0.05),))
-_enter("stribeck", "gaussian", Kind.FADING, lambda m, k, r: (_speed(m, k) * r.uniform(0.02, 0.08), 2.0))
-_enter(
-    "stribeck",
-    "remembered",
-    Kind.REMEMBERED,
-    lambda m, k, r: (_speed(m, k) * r.uniform(0.01, 0.05), r.uniform(0.02, 0.1)),
-    reserved=True,
-)
-_enter("asymmetric_friction", "level", Kind.ONE_WAY, lambda m, k, r: (), signed=True)
-_enter(
-    "asymmetric_friction",
-    "rising",
-    Kind.ONE_WAY_RISING,
-    lambda m, k, r: (_speed(m, k) * r.uniform(0.05, 0.3),),
-    signed=True,
-)
-_enter("asymmetric_friction", "viscous", Kind.ONE_WAY_VISCOUS, lambda m, k, r: (_speed(m, k), r.choice([-1.0, 1.0])))
-_enter("load_dependent_friction", "proportional", Kind.LOADED, lambda m, k, r: (_nominal(m, k),))
-_enter("load_dependent_friction", "power", Kind.LOADED_POWER, lambda m, k, r: (_nominal(m, k), r.uniform(0.6, 1.6)))
-_enter("load_dependent_friction", "driving", Kind.DRIVING, lambda m, k, r: (_nominal(m, k),))
-_enter(
-    "load_dependent_friction",
-    "overload",
-    Kind.OVERLOADED,
-    lambda m, k, r: (_nominal(m, k), r.uniform(0.1, 0.3)),
-    reserved=True,
-)
-_enter("viscous_nonlinearity", "shear_thinning", Kind.ASINH, lambda m, k, r: (_speed(m, k) * r.uniform(0.03, 0.15),))
-_enter(
-    "viscous_nonlinearity",
-    "cross",
-    Kind.THINNING,
-    lambda m, k, r: (_speed(m, k) * r.uniform(0.05, 0.2), r.uniform(0.3, 0.6)),
-)
-_enter("viscous_nonlinearity", "churning", Kind.CHURNING, lambda m, k, r: (_speed(m, k),), highest=5.0)
-_enter("viscous_nonlinearity", "root", Kind.ROOT, lambda m, k, r: (_speed(m, k) * r.uniform(0.1, 0.3),), reserved=True)
+_enter("stribeck", "exponential", Kind.FADING, of_speed(0.01, 0.06), among(0.5, 1, 2))
+_enter("stribeck", "hyperbolic", Kind.HYPERBOLIC, of_speed(0.01, 0.05))
+_enter("stribeck", "gaussian", Kind.FADING, of_speed(0.02, 0.08), 2.0)
+_enter("stribeck", "remembered", Kind.REMEMBERED, of_speed(0.01, 0.05), between(0.02, 0.1), reserved=True)
+_enter("asymmetric_friction", "level", Kind.ONE_WAY, signed=True)
+_enter("asymmetric_friction", "rising", Kind.ONE_WAY_RISING, of_speed(0.05, 0.3), signed=True)
+_enter("asymmetric_friction", "viscous", Kind.ONE_WAY_VISCOUS, _speed, among(-1.0, 1.0))
+_enter("load_dependent_friction", "proportional", Kind.LOADED, _nominal)
+_enter("load_dependent_friction", "power", Kind.LOADED_POWER, _nominal, between(0.6, 1.6))
+_enter("load_dependent_friction", "driving", Kind.DRIVING, _nominal)
+_enter("load_dependent_friction", "overload", Kind.OVERLOADED, _nominal, between(0.1, 0.3), reserved=True)
+_enter("viscous_nonlinearity", "shear_thinning", Kind.ASINH, of_speed(0.03, 0.15))
+_enter("viscous_nonlinearity", "cross", Kind.THINNING, of_speed(0.05, 0.2), between(0.3, 0.6))
+_enter("viscous_nonlinearity", "churning", Kind.CHURNING, _speed, highest=5.0)
+_enter("viscous_nonlinearity", "root", Kind.ROOT, of_speed(0.1, 0.3), reserved=True)
 
 
 @law("thermal_friction", "cold_start")
@@ -159,16 +157,9 @@ def _cold_start(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np
     m.add(Kind.COLD_VISCOUS, k, amount * _nominal(m, k), _speed(m, k), after)
 
 
-_enter("thermal_friction", "worked_in", Kind.COLD_DISTANCE, lambda m, k, r: (r.uniform(3, 15),))
-_enter(
-    "thermal_friction",
-    "dissipated",
-    Kind.COLD_POWER,
-    lambda m, k, r: (r.uniform(0.3, 1.5) / (m.friction[k, 1] * _speed(m, k)), r.uniform(40, 200)),
-)
-_enter(
-    "thermal_friction", "dry_start", Kind.DRY, lambda m, k, r: (r.uniform(0.3, 1.5), r.uniform(5, 30)), reserved=True
-)
+_enter("thermal_friction", "worked_in", Kind.COLD_DISTANCE, between(3, 15))
+_enter("thermal_friction", "dissipated", Kind.COLD_POWER, _heating, between(40, 200))
+_enter("thermal_friction", "dry_start", Kind.DRY, between(0.3, 1.5), between(5, 30), reserved=True)
 
 
 def _presliding(kind: Kind, second: bool = False) -> Build:
@@ -252,45 +243,34 @@ law("backlash", "hertz", first=0.01, highest=0.2)(_play(6))
 law("backlash", "round", first=0.01, highest=0.2)(_play(8))
 outside("lopsided_backlash", "hysteretic", first=0.01, highest=0.2)(_play(7))
 
-_enter(
-    "torque_ripple", "two_harmonics", Kind.SINE, lambda m, k, r: (_order(m, k, r), r.uniform(0, 6), r.uniform(0, 0.6))
-)
-_enter("torque_ripple", "triangle", Kind.TRIANGLE, lambda m, k, r: (_order(m, k, r), r.uniform(0, 6)))
-_enter(
-    "torque_ripple",
-    "with_current",
-    Kind.CURRENT_SINE,
-    lambda m, k, r: (_order(m, k, r), r.uniform(0, 6), _nominal(m, k)),
-    highest=5.0,
-)
-_enter("torque_ripple", "teeth", Kind.TEETH, lambda m, k, r: (_order(m, k, r), r.uniform(0, 6)))
-_enter(
-    "torque_ripple",
-    "beating",
-    Kind.BEATING,
-    lambda m, k, r: (_order(m, k, r), r.uniform(0, 6), r.uniform(1.05, 1.3)),
-    reserved=True,
-)
+_enter("torque_ripple", "two_harmonics", Kind.SINE, _order, between(0, 6), between(0, 0.6))
+_enter("torque_ripple", "triangle", Kind.TRIANGLE, _order, between(0, 6))
+_enter("torque_ripple", "with_current", Kind.CURRENT_SINE, _order, between(0, 6), _nominal, highest=5.0)
+_enter("torque_ripple", "teeth", Kind.TEETH, _order, between(0, 6))
+_enter("torque_ripple", "beating", Kind.BEATING, _order, between(0, 6), between(1.05, 1.3), reserved=True)
+
+
+def _ratio(rng: np.random.Generator) -> float:
+    return float(rng.choice([-1, 1]) * rng.uniform(0.4, 1.6))
 
 
 @law("wrist_coupling", "drag", "wrist")
 def _drag(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
     first, second = joints
-    size, ratio = amount * _nominal(m, second), float(rng.choice([-1, 1]) * rng.uniform(0.4, 1.6))
+    size, ratio = amount * _nominal(m, second), _ratio(rng)
     m.pairs.append([first, second, ratio, size, rng.uniform(0, 1) * size / _speed(m, second)])
 
 
 @law("wrist_coupling", "oil", "wrist", highest=3.0)
 def _oil(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
     first, second = joints
-    ratio = float(rng.choice([-1, 1]) * rng.uniform(0.4, 1.6))
-    m.pairs.append([first, second, ratio, 0.0, amount * _nominal(m, second) / _speed(m, second)])
+    m.pairs.append([first, second, _ratio(rng), 0.0, amount * _nominal(m, second) / _speed(m, second)])
 
 
 @law("wrist_coupling", "shaft", "wrist", highest=3.0)
 def _shaft(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
     first, second = joints
-    ratio = float(rng.choice([-1, 1]) * rng.uniform(0.4, 1.6))
+    ratio = _ratio(rng)
     m.wrist_inertia = first, second, ratio, amount * float(m.world.arm.rotor[second])
     m.pairs.append([first, second, ratio, 0.3 * amount * _nominal(m, second), 0.0])
 
@@ -397,65 +377,42 @@ def _pushing(how: str) -> Build:
 for _how, _reserved in (("leaning", False), ("wall", False), ("rubbing", False), ("knocks", True)):
     law("contact", _how, "arm", first=0.1, highest=3.0, reserved=_reserved)(_pushing(_how))
 
-_enter("gravity_spring", "torsion", Kind.TORSION, lambda m, k, r: (r.uniform(-0.6, 0.6),), signed=True)
-_enter(
-    "gravity_spring", "pivots", Kind.PIVOTS, lambda m, k, r: (r.uniform(-0.6, 0.6), r.uniform(0.2, 0.5)), signed=True
-)
-_enter(
-    "gravity_spring",
-    "cylinder",
-    Kind.CYLINDER,
-    lambda m, k, r: (r.uniform(-0.6, 0.6), r.uniform(0.2, 0.6)),
-    signed=True,
-)
-_enter(
-    "gravity_spring",
-    "cam",
-    Kind.CAM,
-    lambda m, k, r: (r.uniform(-0.6, 0.6), r.uniform(0.3, 0.8)),
-    signed=True,
-    reserved=True,
-)
+_enter("gravity_spring", "torsion", Kind.TORSION, between(-0.6, 0.6), signed=True)
+_enter("gravity_spring", "pivots", Kind.PIVOTS, between(-0.6, 0.6), between(0.2, 0.5), signed=True)
+_enter("gravity_spring", "cylinder", Kind.CYLINDER, between(-0.6, 0.6), between(0.2, 0.6), signed=True)
+_enter("gravity_spring", "cam", Kind.CAM, between(-0.6, 0.6), between(0.3, 0.8), signed=True, reserved=True)
 
 
-def _rubbing_hose(kind: Kind, numbers: Callable[[np.random.Generator], tuple[float, ...]]) -> Build:
+def _rubbing_hose(kind: Kind, *numbers: Number) -> Build:
     def build(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
         k = joints[0]
-        m.add(kind, k, amount * _nominal(m, k), *numbers(rng))
+        m.add(kind, k, amount * _nominal(m, k), *_drawn(numbers, m, k, rng))
         m.add(Kind.DAHL, k, rng.uniform(0.05, 0.2) * amount * _nominal(m, k), rng.uniform(0.02, 0.1))
 
     return build
 
 
-law("dress_pack", "slack")(_rubbing_hose(Kind.SLACK, lambda r: (r.uniform(-0.5, 0.5), r.uniform(0, 0.4))))
-law("dress_pack", "one_sided")(
-    _rubbing_hose(Kind.ONE_SIDED, lambda r: (r.uniform(-0.4, 0.4), r.uniform(0.05, 0.2), r.choice([-1.0, 1.0])))
-)
-_enter(
-    "dress_pack",
-    "hysteretic",
-    Kind.HOSE,
-    lambda m, k, r: (r.uniform(0.05, 0.2), r.uniform(0.5, 1.5), r.uniform(-0.5, 0.5)),
-)
-_enter(
-    "dress_pack",
-    "relaxing",
-    Kind.RELAXING,
-    lambda m, k, r: (r.uniform(-0.4, 0.4), r.uniform(0.4, 1), r.uniform(3, 15)),
-    reserved=True,
-)
+law("dress_pack", "slack")(_rubbing_hose(Kind.SLACK, between(-0.5, 0.5), between(0, 0.4)))
+law("dress_pack", "one_sided")(_rubbing_hose(Kind.ONE_SIDED, between(-0.4, 0.4), between(0.05, 0.2), among(-1.0, 1.0)))
+_enter("dress_pack", "hysteretic", Kind.HOSE, between(0.05, 0.2), between(0.5, 1.5), between(-0.5, 0.5))
+_enter("dress_pack", "relaxing", Kind.RELAXING, between(-0.4, 0.4), between(0.4, 1), between(3, 15), reserved=True)
 
 
 # Measurement.
-@law("torque_constant", "sensor")
-def _sensor(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
-    k, scale = joints[0], 1 + amount * float(rng.choice([-1, 1]))
+def _reads(m: DrawnMachine, k: int, reading: Callable[[np.ndarray, float], np.ndarray]) -> None:
+    """The torque of joint k is reported as `reading` has it: (S,) torques of a motion that began at t [s] → (S,)."""
 
     def report(signals: np.ndarray, began: float) -> np.ndarray:
-        signals[2, :, k] *= scale
+        signals[2, :, k] = reading(signals[2, :, k], began)
         return signals
 
     m.reports.append(report)
+
+
+@law("torque_constant", "sensor")
+def _sensor(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
+    scale = 1 + amount * float(rng.choice([-1, 1]))
+    _reads(m, joints[0], lambda torque, _: torque * scale)
 
 
 @law("torque_constant", "magnets", highest=0.7)
@@ -465,25 +422,13 @@ def _magnets(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.ra
 
 @law("torque_constant", "saturating", highest=3.0)
 def _saturating(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
-    k, knee = joints[0], rng.uniform(0.7, 2.0) * _nominal(m, joints[0])
-
-    def report(signals: np.ndarray, began: float) -> np.ndarray:
-        current = signals[2, :, k]
-        signals[2, :, k] = current * (1 + amount / np.sqrt(1 + (current / knee) ** 2))
-        return signals
-
-    m.reports.append(report)
+    knee = rng.uniform(0.7, 2.0) * _nominal(m, joints[0])
+    _reads(m, joints[0], lambda current, _: current * (1 + amount / np.sqrt(1 + (current / knee) ** 2)))
 
 
 @law("torque_offset", "sensor")
 def _shift(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
-    k = joints[0]
-
-    def report(signals: np.ndarray, began: float) -> np.ndarray:
-        signals[2, :, k] += amount
-        return signals
-
-    m.reports.append(report)
+    _reads(m, joints[0], lambda torque, _: torque + amount)
 
 
 @law("torque_offset", "in_the_loop")
@@ -493,14 +438,13 @@ def _in_the_loop(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: n
 
 @law("torque_offset", "wandering")
 def _wandering(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
-    k, slow, phase = joints[0], rng.uniform(60, 200), rng.uniform(0, 6)
+    slow, phase = rng.uniform(60, 200), rng.uniform(0, 6)
 
-    def report(signals: np.ndarray, began: float) -> np.ndarray:
-        t = began + np.arange(signals.shape[1]) / 1000.0
-        signals[2, :, k] += amount * (1 + 0.15 * np.sin(2 * np.pi * t / slow + phase))
-        return signals
+    def reading(torque: np.ndarray, began: float) -> np.ndarray:
+        t = began + np.arange(len(torque)) / 1000.0
+        return torque + amount * (1 + 0.15 * np.sin(2 * np.pi * t / slow + phase))
 
-    m.reports.append(report)
+    _reads(m, joints[0], reading)
 
 
 def _late(how: str) -> Build:
@@ -606,31 +550,23 @@ _enter(
     "sticking_valve",
     "stick_slip",
     Kind.VALVE,
-    lambda m, k, r: (r.uniform(-0.6, 0.6), r.uniform(0.2, 0.5)),
+    between(-0.6, 0.6),
+    between(0.2, 0.5),
     signed=True,
     where="lifting",
     catalogue=OUTSIDE,
 )
-_enter("tendon_creep", "creep", Kind.CREEP, lambda m, k, r: (0.0, r.uniform(1.0, 5.0)), catalogue=OUTSIDE)
-_enter(
-    "loose_tool",
-    "between_stops",
-    Kind.LOOSE,
-    lambda m, k, r: (r.uniform(-1, 1), r.uniform(0.005, 0.03)),
-    catalogue=OUTSIDE,
-)
-_enter("shaking_floor", "sine", Kind.VIBRATION, lambda m, k, r: (r.uniform(2, 12), r.uniform(0, 6)), catalogue=OUTSIDE)
-_enter(
-    "brake_steps", "by_turns", Kind.STEPS, lambda m, k, r: (r.uniform(0.3, 1.2), r.uniform(0, 99)), catalogue=OUTSIDE
-)
-_enter(
-    "rough_bearing", "patches", Kind.ROUGH, lambda m, k, r: (r.uniform(0.05, 0.15), r.uniform(0, 99)), catalogue=OUTSIDE
-)
+_enter("tendon_creep", "creep", Kind.CREEP, 0.0, between(1.0, 5.0), catalogue=OUTSIDE)
+_enter("loose_tool", "between_stops", Kind.LOOSE, between(-1, 1), between(0.005, 0.03), catalogue=OUTSIDE)
+_enter("shaking_floor", "sine", Kind.VIBRATION, between(2, 12), between(0, 6), catalogue=OUTSIDE)
+_enter("brake_steps", "by_turns", Kind.STEPS, between(0.3, 1.2), between(0, 99), catalogue=OUTSIDE)
+_enter("rough_bearing", "patches", Kind.ROUGH, between(0.05, 0.15), between(0, 99), catalogue=OUTSIDE)
 _enter(
     "sloshing",
     "pendulum",
     Kind.SLOSH,
-    lambda m, k, r: (r.uniform(6, 18), r.uniform(0.02, 0.1)),
+    between(6, 18),
+    between(0.02, 0.1),
     catalogue=OUTSIDE,
     reserved=True,
     highest=5.0,
@@ -653,20 +589,17 @@ def _crosstalk(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.
 @outside("warm_magnets", "heated_by_current", highest=3.0)
 def _warm_magnets(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
     k, after = joints[0], rng.uniform(8, 30)
-    heat = {"now": 0.0}
+    now = 0.0
 
-    def report(signals: np.ndarray, began: float) -> np.ndarray:
-        squares = (signals[2, :, k] / _nominal(m, k)) ** 2
-        warm = np.empty(len(squares))
-        now = heat["now"]
-        for i, power in enumerate(squares):
+    def reading(torque: np.ndarray, began: float) -> np.ndarray:
+        nonlocal now
+        warm = np.empty(len(torque))
+        for i, power in enumerate((torque / _nominal(m, k)) ** 2):
             now += (power - now) * 1e-3 / after
             warm[i] = now
-        heat["now"] = now
-        signals[2, :, k] *= 1 + amount * (warm / 0.3)
-        return signals
+        return torque * (1 + amount * (warm / 0.3))
 
-    m.reports.append(report)
+    _reads(m, k, reading)
 
 
 @outside("tool_drag", "square", "arm", first=0.1, highest=50.0)
@@ -682,25 +615,22 @@ def _tool_drag(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.
 
 @outside("holding_sensor", "now_and_then", first=0.05, highest=1.5, reserved=True)
 def _holding(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
-    k, starts = joints[0], np.cumsum(rng.exponential(1500.0, 200)).astype(int)
+    starts = np.cumsum(rng.exponential(1500.0, 200)).astype(int)
     lengths = rng.exponential(1.0, 200)
 
-    def report(signals: np.ndarray, began: float) -> np.ndarray:
+    def reading(torque: np.ndarray, began: float) -> np.ndarray:
         for start, length in zip(starts, lengths, strict=True):
-            if start < signals.shape[1]:
-                signals[2, start : start + int(1000 * amount * length), k] = signals[2, start, k]
-        return signals
+            if start < len(torque):
+                torque[start : start + int(1000 * amount * length)] = torque[start]
+        return torque
 
-    m.reports.append(report)
+    _reads(m, joints[0], reading)
 
 
 @outside("clipped_torque", "converter", first=0.05, highest=1.0, reserved=True)
 def _clipped(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
-    k = joints[0]
+    def reading(torque: np.ndarray, began: float) -> np.ndarray:
+        limit = (1 - amount) * np.abs(torque).max()
+        return np.clip(torque, -limit, limit)
 
-    def report(signals: np.ndarray, began: float) -> np.ndarray:
-        limit = (1 - amount) * np.abs(signals[2, :, k]).max()
-        signals[2, :, k] = np.clip(signals[2, :, k], -limit, limit)
-        return signals
-
-    m.reports.append(report)
+    _reads(m, joints[0], reading)

@@ -68,8 +68,10 @@ def _unmet(requirements: list[Requirement], extra: str) -> list[str]:
     """What an extra needs and this environment lacks; of the package itself where `extra` is empty."""
     unmet = []
     for one in requirements:
-        always = one.marker is None or one.marker.evaluate({"extra": ""})
-        if always == bool(extra) or not (always or one.marker.evaluate({"extra": extra})):
+        marker = one.marker
+        always = marker is None or marker.evaluate({"extra": ""})
+        of_extra = marker is not None and marker.evaluate({"extra": extra})
+        if always == bool(extra) or not (always or of_extra):
             continue
         try:
             found = version(one.name)
@@ -94,7 +96,7 @@ def _compiled() -> CheckedItem:
     try:
         import agent.compiled as loops
 
-        stats = [getattr(loops, name).stats for name in loops.__all__]
+        stats = [getattr(loops, name).stats for name in dir(loops)]
     except ImportError as error:
         return CheckedItem("compiled cache", f"cannot be loaded: {error}", _WRONG)
     took = f"{counted(len(stats), 'function')} in {time.monotonic() - started:.1f} s"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,6 @@ Entry = Mapping[str, Any]
 #: The motion that is planned for what is open, and other ways to spend the same time: the excitation loop again, loops
 #: of the sub-region at random, the D-optimal ones, and both of these with pieces of all the kinds that a plan has.
 WAYS = ("planned", "loop_again", "random_loops", "d_optimal_loops", "random_pieces", "d_optimal_pieces")
-_EDGES = (0.0, 0.5, 0.7, 0.85, 0.95, 1.0001)
 
 
 def active_scores(entries: Sequence[Entry]) -> dict[str, Any]:
@@ -139,17 +137,11 @@ def _text(effect: Mapping[str, Any]) -> str:
 
 
 def _calibration(asked: Sequence[tuple[float, bool]]) -> dict[str, Any]:
-    said, came = (np.array([entry[k] for entry in asked], dtype=float) for k in (0, 1))
-    rows = []
-    for low, high in pairwise(_EDGES):
-        here = (said >= low) & (said < high)
-        if here.any():
-            mean, share = float(said[here].mean()), float(came[here].mean())
-            rows.append({"from": low, "to": min(high, 1.0), "pairs": int(here.sum()), "said": mean, "came": share})
-    overall = None
-    if len(said):
-        overall = {"said": float(said.mean()), "came": float(came.mean()), "brier": float(np.mean((said - came) ** 2))}
-    return {"pairs": len(said), "overall": overall, "bins": rows}
+    if not asked:
+        return {"pairs": 0, "overall": None}
+    said, came = np.array(asked, dtype=float).T
+    overall = {"said": float(said.mean()), "came": float(came.mean()), "brier": float(np.mean((said - came) ** 2))}
+    return {"pairs": len(asked), "overall": overall}
 
 
 def _line(entry: Entry) -> dict[str, Any]:
@@ -195,11 +187,6 @@ def active_text(scores: Mapping[str, Any]) -> str:
             f"probability of the right answer: predicted {overall['said']:.2f}, came {overall['came']:.2f} "
             f"({scores['calibration']['pairs']} pairs, Brier score {overall['brier']:.3f})"
         )
-        for row in scores["calibration"]["bins"]:
-            lines.append(
-                f"  {row['from']:.2f} to {row['to']:.2f}: {row['pairs']} pairs, "
-                f"predicted {row['said']:.2f}, came {row['came']:.2f}"
-            )
     return "\n".join(lines)
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from agent.excitation import Candidates, Criterion
 from agent.motion import Trajectory, ViaRegions
 from agent.pipeline.planning import loop_problem
 from agent.recipe import Recipe
+from benchmarks.evidence import figures
 from benchmarks.evidence.emulation import plant, record, repeated
 from benchmarks.evidence.judging import error, intervals
 from benchmarks.evidence.local import fitted
@@ -27,9 +29,11 @@ from benchmarks.evidence.loops import (
     unseen_motions,
 )
 from benchmarks.evidence.results import Results
+from benchmarks.evidence.statistics import each, ratio_of, text, verdict
 
 #: Seconds of motion that the models are fitted to.
 SECONDS = (10.0, 30.0)
+SHORT, _LONG = (f"{seconds:g}" for seconds in SECONDS)
 DEFAULT = "torque-weighted D"
 
 
@@ -114,3 +118,39 @@ def _noise(recipe: Recipe, machine: int, loops: Results, memory: dict) -> np.nda
     default = LocalLoops(loop_problem(recipe, recipe.motion.speed))
     loop = found_loop(recipe, machine, _kept_as(DEFAULT), default, loops)
     return fitted(recipe, repeated(plant(recipe.robot, machine), loop, SECONDS[0]), SECONDS[0]).residual_rmse
+
+
+def section(results: Results, pictures: Path) -> figures.PageSection:
+    """What a loop is searched for."""
+    part = figures.PageSection()
+    part.say("## What a loop is searched for")
+    kept = {name: lines for name in SETTINGS if (lines := results.of(name))}
+    if DEFAULT not in kept:
+        part.weak.append("criteria, numbers of points, stops and speeds: not run")
+        return part
+    part.say(
+        "Equal genetic searches, each with one change from the default: log det of HᵀH/M with rows weighted by nominal "
+        f"torque, 6 points, FLY, 1 m/s. Models use {SHORT} and {_LONG} s of each loop. Ratios are over the default. "
+        "Inverse torque is the metric of the paper's eq. 8. Learned noise is what a first fit leaves of each joint."
+    )
+    rows, picture = [], {}
+    for name, lines in kept.items():
+        errors = {s: each(lines, lambda v, s=s: v[s]["error"]) for s in (SHORT, _LONG)}
+        ratios = {s: ratio_of(errors[s], each(kept[DEFAULT], lambda v, s=s: v[s]["error"])) for s in errors}
+        rows.append([name, str(len(lines)), *(text(r) for r in ratios.values())])
+        if name != DEFAULT:
+            said = {s: verdict(ratio, len(lines)) for s, ratio in ratios.items()}
+            picture[name] = ratios[SHORT], said[SHORT]
+            if "better" in said.values():
+                part.weak.append(
+                    f"{name} led to better models than the default: {text(ratios[SHORT])} times its error after "
+                    f"{SHORT} s, {text(ratios[_LONG])} after {_LONG} s ({len(lines)} machines)"
+                )
+    part.table(
+        ["loop", "machines", f"ratio, {SHORT} s", f"ratio, {_LONG} s"],
+        rows,
+    )
+    if picture:
+        figures.ratios(pictures / "criteria.svg", picture, f"error after {SHORT} s over that of the default")
+        part.picture("criteria", "Ratio of errors by what the loop was searched for")
+    return part

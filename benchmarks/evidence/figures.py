@@ -1,8 +1,9 @@
-"""Pictures of the page: SVG, text as text, the same bytes from the same results."""
+"""Sections of the page: lines, tables, and pictures as SVG, text as text, the same bytes from the same results."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import matplotlib
@@ -74,3 +75,27 @@ def _save(figure, path: Path) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, bbox_inches="tight", metadata={"Date": None})
     plt.close(figure)
+
+
+@dataclass
+class PageSection:
+    """Markdown `lines`, and what of it belongs among the weak spots."""
+
+    lines: list[str] = field(default_factory=list)
+    weak: list[str] = field(default_factory=list)
+
+    def say(self, *lines: str) -> None:
+        """Add lines, and an empty one."""
+        self.lines += [*lines, ""]
+
+    def table(self, head: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
+        """Add a table."""
+        self.say(
+            "| " + " | ".join(head) + " |",
+            "| " + " | ".join("---" for _ in head) + " |",
+            *("| " + " | ".join(row) + " |" for row in rows),
+        )
+
+    def picture(self, name: str, what: str) -> None:
+        """Add a picture of the page's folder."""
+        self.say(f"![{what}](evidence/{name}.svg)")

@@ -21,7 +21,7 @@ def error(model: IdentifiedModel, logs: Sequence[Log]) -> list[float]:
     return rounded(100 * np.sqrt(np.mean(left**2, axis=0)) / model.robot.nominal_torque)
 
 
-def figures(model: IdentifiedModel, logs: Sequence[Log], truth: np.ndarray) -> dict[str, list[float]]:
+def error_figures(model: IdentifiedModel, logs: Sequence[Log], truth: np.ndarray) -> dict[str, list[float]]:
     """Per joint, (n,) each, in percent:
 
     `error` and `torque`, RMS over nominal torque, all samples; `moving`, `resting`: of samples in which this joint

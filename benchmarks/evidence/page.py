@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from benchmarks.evidence import few_data_section, local_section, loop_sections
+from benchmarks.evidence import criteria, few_data, local, search
+from benchmarks.evidence.loops import FIRST_MACHINE, SEARCHES
 from benchmarks.evidence.results import Results
 from benchmarks.evidence.statistics import FEWEST
 
@@ -39,15 +40,13 @@ machines take their loops in turn.
 
 def write(folder: Path, docs: Path, pieces: Iterable[str]) -> Path:
     """Write the page and its pictures into `docs`, from the results in `folder`."""
-    from benchmarks.evidence.loops import FIRST_MACHINE, SEARCHES
-
     results = {piece: Results(folder, piece) for piece in pieces}
     pictures = docs / "evidence"
     parts = [
-        local_section.section(results["local"], pictures),
-        loop_sections.criteria(results["criteria"], pictures),
-        loop_sections.searches({name: r for name, r in results.items() if name.startswith("search-")}, pictures),
-        few_data_section.section(results["few-data"], pictures),
+        local.section(results["local"], pictures),
+        criteria.section(results["criteria"], pictures),
+        search.section({name: r for name, r in results.items() if name.startswith("search-")}, pictures),
+        few_data.section(results["few-data"], pictures),
     ]
     weak = [_NARROW, *(line for part in parts for line in part.weak), *_thin(results), _NEVER_RUN]
     text = [

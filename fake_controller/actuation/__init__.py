@@ -8,7 +8,7 @@ from typing import Any
 from agent.core import InputError
 
 # Each module enters its forms.
-from fake_controller.actuation import bodies, friction_effects, friction_states, gears, loads, measurement, outside  # noqa: F401
+from fake_controller.actuation import bodies, friction_effects, gears, loads, measurement, outside  # noqa: F401
 from fake_controller.actuation.effect import EFFECTS, OUTSIDE, SimulatedEffect
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import difflib
 import math
@@ -22,12 +23,12 @@ EFFECTS: dict[str, type[SimulatedEffect]] = {}
 OUTSIDE: dict[str, type[SimulatedEffect]] = {}
 
 
-@dataclass_transform(frozen_default=True, kw_only_default=True)
+@dataclass_transform(kw_only_default=True)
 def effect(name: str, forms: dict[str, type[SimulatedEffect]] = EFFECTS) -> Callable[[Form], Form]:
-    """Class decorator: a frozen dataclass whose fields are the effect's parameters, under this name among `forms`."""
+    """Class decorator: a dataclass whose fields are the effect's parameters, under this name among `forms`."""
 
     def decorate(form: Form) -> Form:
-        dataclasses.dataclass(frozen=True, kw_only=True)(form)  # changes the class it is given
+        dataclasses.dataclass(kw_only=True)(form)  # changes the class it is given
         form.name = name
         forms[name] = form
         return form
@@ -35,7 +36,7 @@ def effect(name: str, forms: dict[str, type[SimulatedEffect]] = EFFECTS) -> Call
     return decorate
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@dataclasses.dataclass(kw_only=True)
 class SimulatedEffect(ABC):
     """One effect with its parameters, which are the further fields of the subclass; those in `POSITIVE` are above 0.
 
@@ -121,15 +122,15 @@ class JointEffect(SimulatedEffect):
         joints = self.indices(machine.robot)
         self.check()
         for k in joints:
-            self.install_on(machine, k)
+            copy.copy(self).install_on(machine, k)
 
     @abstractmethod
     def install_on(self, machine: Machine, k: int) -> None:
-        """Build it into axle or joint `k`."""
+        """Build it into axle or joint `k`, whose states this copy may hold."""
 
 
 class FrictionEffect(JointEffect, FrictionModifier):
-    """An effect that alters the friction of its axles and has no state of its own."""
+    """An effect that alters the friction of its axles."""
 
     def install_on(self, machine: Machine, k: int) -> None:
         machine.terms[k].append(self)

@@ -1,13 +1,14 @@
-"""Effects that alter the friction of a drive without states of their own."""
+"""Effects that alter the friction of a drive, some with a temperature or with springs that stick and slip."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from math import asinh
+from math import asinh, exp
 
 from fake_controller.actuation.effect import FrictionEffect, JointEffect, effect
-from fake_controller.actuation.friction import FrictionModifier
 from fake_controller.actuation.machine import Machine
+
+_SPRINGS = 6  # that slip one after the other
 
 
 @effect("stribeck")
@@ -41,21 +42,17 @@ class SimulatedAsymmetricFriction(FrictionEffect):
 
 
 @effect("load_dependent_friction")
-class SimulatedLoadDependentFriction(JointEffect):
+class SimulatedLoadDependentFriction(FrictionEffect):
     """Teeth rub by `coefficient` N·m each N·m that they transmit, once they bear: below a tenth of nominal, less."""
 
     coefficient: float
 
     def install_on(self, machine: Machine, k: int) -> None:
-        machine.terms[k].append(_RubbingTeeth(self.coefficient, 0.1 * float(machine.nominal[k])))
-
-
-class _RubbingTeeth(FrictionModifier):
-    def __init__(self, coefficient: float, bearing: float):
-        self._coefficient, self._bearing = coefficient, bearing
+        self._bearing = 0.1 * float(machine.nominal[k])
+        super().install_on(machine, k)
 
     def level(self, level: float, speed: float, load: float) -> float:
-        return level + self._coefficient * load * load / (abs(load) + self._bearing)
+        return level + self.coefficient * load * load / (abs(load) + self._bearing)
 
 
 @effect("viscous_nonlinearity")
@@ -87,3 +84,67 @@ class SimulatedFrictionChange(JointEffect):
             rise=curve.rise * self.coulomb,
             viscous=curve.viscous * self.viscous,
         )
+
+
+@effect("thermal_friction")
+class SimulatedThermalFriction(FrictionEffect):
+    """One thermal mass: time_constant · Ṫ = equilibrium + resistance · (friction power) − T, starting at `start`.
+
+    T [K] counts from the temperature at which the machine's friction curves hold. The Coulomb level falls by
+    `coulomb_rate` [1/K] of itself each kelvin, the viscous one by exp(−viscous_rate · T) as grease does.
+    `resistance` [K/W], `time_constant` [s].
+    """
+
+    POSITIVE = ("time_constant",)
+    start: float = 0.0
+    equilibrium: float = 0.0
+    resistance: float = 0.0
+    time_constant: float = 60.0
+    coulomb_rate: float = 0.0
+    viscous_rate: float = 0.0
+
+    def install_on(self, machine: Machine, k: int) -> None:
+        self.temperature = self.start
+        super().install_on(machine, k)
+
+    def level(self, level: float, speed: float, load: float) -> float:
+        return level * (1.0 - self.coulomb_rate * self.temperature)
+
+    def viscous(self, torque: float, speed: float) -> float:
+        return torque * exp(-self.viscous_rate * self.temperature)
+
+    def heat(self, power: float, dt: float) -> None:
+        steady = self.equilibrium + self.resistance * power
+        self.temperature += (steady - self.temperature) * dt / self.time_constant
+
+
+@effect("presliding")
+class SimulatedPresliding(FrictionEffect):
+    """A `share` (0 to 0.9) of the Coulomb level builds up over `travel` [rad] after each reversal.
+
+    Six springs in parallel, each slipping at its own stretch (Iwan, 1966): a hysteresis in position with the memory
+    of inner loops. The level in steady sliding stays what it was.
+    """
+
+    POSITIVE = ("travel",)
+    share: float
+    travel: float
+
+    def install_on(self, machine: Machine, k: int) -> None:
+        self.need(0.0 <= self.share <= 0.9, "share", "between 0 and 0.9")
+        self._torque = self.share * machine.friction[k].coulomb
+        # Evenly spread limits; the mean reversal is complete after `travel`.
+        self._limits = [self.travel * (i + 0.5) / _SPRINGS for i in range(_SPRINGS)]
+        self._stretch = [0.0] * _SPRINGS
+        super().install_on(machine, k)
+
+    def level(self, level: float, speed: float, load: float) -> float:
+        return level - self._torque
+
+    def bristles(self, speed: float, dt: float) -> float:
+        total = 0.0
+        for i, limit in enumerate(self._limits):
+            stretch = self._stretch[i] + speed * dt
+            self._stretch[i] = stretch = min(max(stretch, -limit), limit)
+            total += stretch / limit
+        return self._torque * total / _SPRINGS

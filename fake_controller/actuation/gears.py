@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import sqrt
 
 import numpy as np
@@ -36,14 +35,8 @@ class SimulatedJointElasticity(JointEffect):
     damping_ratio: float = 0.03
 
     def install_on(self, machine: Machine, k: int) -> None:
-        damping = 2.0 * self.damping_ratio * sqrt(self.stiffness * _reduced_inertia(machine, k))
-        _mount(machine, k, self.name, _Spring(self.stiffness, damping))
-
-
-@dataclass(frozen=True)
-class _Spring:
-    stiffness: float
-    damping: float
+        self.damping = 2.0 * self.damping_ratio * sqrt(self.stiffness * _reduced_inertia(machine, k))
+        _mount(machine, k, self.name, self)
 
     def torque(self, twist: float, twist_rate: float) -> float:
         return self.stiffness * twist + self.damping * twist_rate
@@ -66,24 +59,18 @@ class SimulatedBacklash(JointEffect):
 
     def install_on(self, machine: Machine, k: int) -> None:
         inertia = _reduced_inertia(machine, k)
-        stiffness = self.stiffness or inertia * (2.0 * np.pi * _USUAL_TOOTH_FREQUENCY) ** 2
-        damping = 2.0 * self.damping_ratio * sqrt(stiffness * inertia)
-        _mount(machine, k, self.name, _Teeth(stiffness, damping, 0.5 * self.gap))
-
-
-@dataclass(frozen=True)
-class _Teeth:
-    stiffness: float
-    damping: float
-    half_gap: float
+        self.stiffness = self.stiffness or inertia * (2.0 * np.pi * _USUAL_TOOTH_FREQUENCY) ** 2
+        self.damping = 2.0 * self.damping_ratio * sqrt(self.stiffness * inertia)
+        self._half_gap = 0.5 * self.gap
+        _mount(machine, k, self.name, self)
 
     def torque(self, twist: float, twist_rate: float) -> float:
-        if twist > self.half_gap:
+        if twist > self._half_gap:
             # A flank pushes, it never pulls.
-            return max(self.stiffness * (twist - self.half_gap) + self.damping * twist_rate, 0.0)
-        if twist < -self.half_gap:
-            return min(self.stiffness * (twist + self.half_gap) + self.damping * twist_rate, 0.0)
+            return max(self.stiffness * (twist - self._half_gap) + self.damping * twist_rate, 0.0)
+        if twist < -self._half_gap:
+            return min(self.stiffness * (twist + self._half_gap) + self.damping * twist_rate, 0.0)
         return 0.0
 
     def twist(self, torque: float) -> float:
-        return torque / self.stiffness + (self.half_gap if torque >= 0 else -self.half_gap)
+        return torque / self.stiffness + (self._half_gap if torque >= 0 else -self._half_gap)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import cos, pi, sin, sqrt
 
 import numpy as np
@@ -25,18 +24,11 @@ class SimulatedTorqueRipple(JointEffect):
     phase: float = 0.0
 
     def install_on(self, machine: Machine, k: int) -> None:
-        per_joint_angle = self.order * machine.robot.joints[k].gear_ratio
-        machine.motor_loads[k].append(_Ripple(self.amplitude, per_joint_angle, self.phase))
-
-
-@dataclass(frozen=True)
-class _Ripple:
-    amplitude: float
-    order: float
-    phase: float
+        self._per_angle = self.order * machine.robot.joints[k].gear_ratio
+        machine.motor_loads[k].append(self)
 
     def torque(self, position: float, velocity: float, dt: float) -> float:
-        turned = self.order * position + self.phase
+        turned = self._per_angle * position + self.phase
         return self.amplitude * sin(turned + sin(turned) / 3)
 
 
@@ -83,23 +75,17 @@ class SimulatedDressPack(JointEffect):
     travel: float = 0.05
 
     def install_on(self, machine: Machine, k: int) -> None:
-        machine.joint_loads[k].append(_Hose(self))
-
-
-class _Hose:
-    def __init__(self, effect: SimulatedDressPack):
-        self._effect = effect
-        self._limits = [effect.travel * share for share in (0.25, 0.6, 1.0)]
+        self._limits = [self.travel * share for share in (0.25, 0.6, 1.0)]
         self._stretch = [0.0, 0.0, 0.0]
+        machine.joint_loads[k].append(self)
 
     def torque(self, position: float, velocity: float, dt: float) -> float:
-        effect = self._effect
-        bend = 2.0 * sin(0.5 * (position - effect.centre))
+        bend = 2.0 * sin(0.5 * (position - self.centre))
         lag = 0.0
         for i, limit in enumerate(self._limits):
             self._stretch[i] = min(max(self._stretch[i] + velocity * dt, -limit), limit)
             lag += self._stretch[i] / limit / 3.0
-        return -(effect.stiffness * bend + effect.cubic * bend**3 + effect.hysteresis * lag)
+        return -(self.stiffness * bend + self.cubic * bend**3 + self.hysteresis * lag)
 
 
 @effect("contact")

@@ -6,10 +6,10 @@ from math import exp, floor, sqrt, tanh
 
 import numpy as np
 
-from fake_controller.actuation.effect import OUTSIDE, JointEffect, effect
-from fake_controller.actuation.friction import FrictionModifier
+from fake_controller.actuation.effect import OUTSIDE, FrictionEffect, JointEffect, effect
 from fake_controller.actuation.machine import Machine
 
+_PATCHES = 512  # of a bearing, then they come again
 _FULL_SPEED = 0.003  # rad/s of sliding beyond which a rough bearing opposes fully
 
 
@@ -26,22 +26,15 @@ class RoughBearing(JointEffect):
     seed: float = 0.0
 
     def install_on(self, machine: Machine, k: int) -> None:
-        machine.joint_loads[k].append(_Raceway(self, k))
-
-
-class _Raceway:
-    PATCHES = 512
-
-    def __init__(self, effect: RoughBearing, k: int):
-        rng = np.random.default_rng([int(effect.seed), 11, k])
-        self._drag = (effect.amplitude * rng.uniform(size=self.PATCHES) ** 2).tolist()
-        self._patch = effect.patch
+        rng = np.random.default_rng([int(self.seed), 11, k])
+        self._drag = (self.amplitude * rng.uniform(size=_PATCHES) ** 2).tolist()
+        machine.joint_loads[k].append(self)
 
     def torque(self, position: float, velocity: float, dt: float) -> float:
-        at = position / self._patch
+        at = position / self.patch
         first = floor(at)
         share = at - first
-        drag = (1.0 - share) * self._drag[first % self.PATCHES] + share * self._drag[(first + 1) % self.PATCHES]
+        drag = (1.0 - share) * self._drag[first % _PATCHES] + share * self._drag[(first + 1) % _PATCHES]
         return -drag * tanh(velocity / _FULL_SPEED)
 
 
@@ -58,26 +51,21 @@ class WanderingTorque(JointEffect):
     seed: float = 0.0
 
     def install_on(self, machine: Machine, k: int) -> None:
-        machine.motor_loads[k].append(_Wandering(self, k))
-
-
-class _Wandering:
-    def __init__(self, effect: WanderingTorque, k: int):
-        self._rng = np.random.default_rng([int(effect.seed), 12, k])
-        self._effect = effect
+        self._rng = np.random.default_rng([int(self.seed), 12, k])
         self._value = 0.0
         self._drawn: list[float] = []
+        machine.motor_loads[k].append(self)
 
     def torque(self, position: float, velocity: float, dt: float) -> float:
         if not self._drawn:
             self._drawn = self._rng.standard_normal(4096).tolist()
-        kept = exp(-dt / self._effect.memory)
-        self._value = kept * self._value + sqrt(1.0 - kept * kept) * self._effect.amplitude * self._drawn.pop()
+        kept = exp(-dt / self.memory)
+        self._value = kept * self._value + sqrt(1.0 - kept * kept) * self.amplitude * self._drawn.pop()
         return self._value
 
 
 @effect("rubbing_brake", OUTSIDE)
-class RubbingBrake(JointEffect):
+class RubbingBrake(FrictionEffect):
     """A brake that drags now and then: `drag` [N·m] more friction for `on` [s] on average, then none for `off` [s].
 
     The moments are drawn from `seed`.
@@ -90,21 +78,16 @@ class RubbingBrake(JointEffect):
     seed: float = 0.0
 
     def install_on(self, machine: Machine, k: int) -> None:
-        machine.terms[k].append(_Brake(self, k))
-
-
-class _Brake(FrictionModifier):
-    def __init__(self, effect: RubbingBrake, k: int):
-        self._rng = np.random.default_rng([int(effect.seed), 13, k])
-        self._effect = effect
+        self._rng = np.random.default_rng([int(self.seed), 13, k])
         self._drags = False
-        self._left = float(self._rng.exponential(effect.off))
+        self._left = float(self._rng.exponential(self.off))
+        super().install_on(machine, k)
 
     def level(self, level: float, speed: float, load: float) -> float:
-        return level + self._effect.drag if self._drags else level
+        return level + self.drag if self._drags else level
 
     def heat(self, power: float, dt: float) -> None:
         self._left -= dt
         if self._left <= 0.0:
             self._drags = not self._drags
-            self._left = float(self._rng.exponential(self._effect.on if self._drags else self._effect.off))
+            self._left = float(self._rng.exponential(self.on if self._drags else self.off))

@@ -23,8 +23,7 @@ from agent.robot import description_file, load_robot
 from drivers.errors import DriverError
 from fake_controller.withheld.cases import draw_cases
 from fake_controller.withheld.motions import draw_programs
-from fake_controller.withheld.runs import link_recipe, record_motions
-from fake_controller.withheld.size import REST, torque_change
+from fake_controller.withheld.runs import REST, link_recipe, record_motions, torque_change
 
 #: One robot, and about 20 s of each of three motions.
 _USUAL = {"robot": "comau_ns16", "cycle": 10.0}

@@ -59,6 +59,7 @@ def check(tmp_path: Path, monkeypatch):
         return SimpleNamespace(
             result={"verdict": verdict, "causes": [cause], "closure": 0.9},
             dataset=SimpleNamespace(robot=load_robot("comau_ns16"), logs=logs),
+            finding=SimpleNamespace(evidence=None),
         )
 
     def motion(self, way, found, seconds, name, seed, load=None, mass=False):
@@ -109,7 +110,7 @@ def test_what_is_ambiguous_comes_before_what_is_unknown_once_all_runs_have_their
 def test_where_nothing_is_found_one_motion_of_every_way_says_what_would_have_been(check, monkeypatch):
     check.first, check.later = dict.fromkeys(range(3), "no_gap"), "no_gap"
     sizes = {2: {("backlash", (1,)): float("inf")}, 3: {("backlash", (1,)): 0.5}}
-    monkeypatch.setattr("agent.diagnosis.smallest_sizes", lambda dataset: sizes[len(dataset.logs) + 1])
+    monkeypatch.setattr("agent.diagnosis.smallest_sizes", lambda dataset, evidence: sizes[len(dataset.logs) + 1])
     scores = check.whole.run(QUIET)
     assert [name for _, _, name, _ in check.asked] == ["further1"] * 3 * len(WAYS)
     found = scores["smallest_sizes"]["d_optimal_pieces"]

@@ -10,8 +10,7 @@ from fake_controller.controller import Controller
 from fake_controller.servers.base import BROKER
 from fake_controller.servers.cnr.commands import TrajectoryPort
 from fake_controller.servers.cnr.ftp import FtpFolder
-from fake_controller.servers.cnr.mqtt import JointPublisher
-from fake_controller.servers.cnr.node import IdealNode, LoopingNode
+from fake_controller.servers.cnr.mqtt import IdealNode, JointPublisher, LoopingNode
 from fake_controller.servers.cnr.reports import Reports
 from fake_controller.servers.cnr.sockets import LockStep
 

@@ -15,12 +15,11 @@ from drivers.errors import ProtocolError
 from drivers.wire import modbus as wire
 from drivers.wire.reasons import EndReason, Refusal
 from drivers.wire.registers import Block
-from fake_controller.controller import Controller
+from fake_controller.controller import CONTROLLER, PERIOD, VERSION, Controller
 from fake_controller.execution import Slice
 from fake_controller.programs import RefusedRequest
 from fake_controller.servers.base import stop_unheard
-from fake_controller.servers.modbus.reported import own_registers
-from fake_controller.servers.replies import Upload
+from fake_controller.servers.frame_client import Upload
 
 MEMORY = 400_000  # samples kept for a client that reads slower than the arm moves: 13 minutes
 LONGEST_WATCHDOG = 30.0  # s
@@ -309,3 +308,47 @@ def _no_answer(
     about = {key: values[key] if values else 0 for key in ("session", "request")}
     empty = {"refusal": 0, "line": 0, "column": 0, "message": "", "checksum": b"", "watchdog": 0}
     return {**about, "outcome": outcome, **empty, **more}
+
+
+def own_registers(controller: Controller, block: Block) -> list[int] | None:
+    """The registers of identity, joint names, status, frames and alarms; None for any other block."""
+    state, joints = controller.state, controller.robot.dof
+    if block is wire.IDENTITY:
+        return block.pack(
+            magic=wire.MAGIC,
+            version=wire.VERSION,
+            joints=joints,
+            period=round(PERIOD * 1e9),
+            slots=wire.slot_count(joints),
+            robot=controller.name,
+            serial=controller.serial,
+            controller=CONTROLLER,
+            software=VERSION,
+        )
+    if block in wire.NAMES:
+        first = wire.NAMES.index(block) * wire.NAMES_PER_BLOCK
+        return block.pack(names=controller.robot.joint_names[first : first + wire.NAMES_PER_BLOCK])
+    if block is wire.STATUS:
+        flags = {
+            wire.Flag.DRIVES_ON: state.drives_on,
+            wire.Flag.EMERGENCY_STOP: state.emergency_stop,
+            wire.Flag.CELL_CLOSED: state.cell_closed,
+            wire.Flag.MOVING: controller.moving,
+            wire.Flag.EMULATOR: state.emulator,
+        }
+        name, checksum = controller.stored
+        return block.pack(
+            flags=sum(flag for flag, on in flags.items() if on),
+            mode=wire.MODES.get(state.mode, 0),
+            alarms=len(state.alarms),
+            override=state.override,
+            position=controller.position,
+            program=name,
+            checksum=bytes.fromhex(checksum),
+        )
+    if block is wire.FRAMES:
+        base, uframe, tool = controller.frames
+        return block.pack(base=base, tool=tool, uframe=uframe)
+    if block is wire.ALARMS:
+        return block.pack(text="\n".join(state.alarms))
+    return None
