@@ -108,14 +108,15 @@ class SimulatedThermalFriction(FrictionEffect):
         super().install_on(machine, k)
 
     def level(self, level: float, speed: float, load: float) -> float:
-        return level * (1.0 - self.coulomb_rate * self.temperature)
+        return level * (1.0 - self.coulomb_rate * (self.temperature or 0.0))
 
     def viscous(self, torque: float, speed: float) -> float:
-        return torque * exp(-self.viscous_rate * self.temperature)
+        return torque * exp(-self.viscous_rate * (self.temperature or 0.0))
 
     def heat(self, power: float, dt: float) -> None:
         steady = self.equilibrium + self.resistance * power
-        self.temperature += (steady - self.temperature) * dt / self.time_constant
+        now = self.temperature or 0.0
+        self.temperature = now + (steady - now) * dt / self.time_constant
 
 
 @effect("presliding")
