@@ -143,7 +143,7 @@ class PatientStream(io.TextIOBase):
 
     def _put_out(self, text: str) -> None:
         """By the system's call: whoever waits in the stream of Python holds its lock, and the program cannot end."""
-        rest = memoryview(text.encode(self.encoding, self.errors))
+        rest = memoryview(text.encode(self.encoding, "backslashreplace"))
         while rest and not self._gone:
             try:
                 done = os.write(self._descriptor, rest[:_PIECE])
