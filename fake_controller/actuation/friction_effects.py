@@ -104,7 +104,7 @@ class SimulatedThermalFriction(FrictionEffect):
     viscous_rate: float = 0.0
 
     def install_on(self, machine: Machine, k: int) -> None:
-        self.temperature = self.start
+        self.temperature: float = self.start
         super().install_on(machine, k)
 
     def level(self, level: float, speed: float, load: float) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import time
 from typing import Any
 
 from drivers.errors import ProtocolError
@@ -15,6 +16,7 @@ from drivers.wire.tcp import (
     Done,
     Fetch,
     Frame,
+    FrameDecoder,
     FramesReply,
     Heartbeat,
     Hello,
@@ -34,6 +36,9 @@ from drivers.wire.tcp import (
 )
 from fake_controller.controller import CONTROLLER, PERIOD, VERSION as CONTROLLER_VERSION, Controller
 from fake_controller.programs import RefusedRequest
+from fake_controller.servers.base import stop_unheard
+
+IDLE_LIMIT = 5.0  # s of silence after which nobody is taken to be at the other end
 
 
 class Upload:
@@ -96,6 +101,8 @@ class FrameClient:
         self._greeted = False
         self._driving = False  # this client's motion runs
         self._upload: Upload | None = None
+        self._watchdog = IDLE_LIMIT  # s
+        self._silence = 0.0  # s since the last frame
 
     def _reply(self, message: Any, request: int) -> None:
         """Send an answer."""
@@ -115,6 +122,16 @@ class FrameClient:
             RefusedRequest: there are none.
         """
         raise NotImplementedError
+
+    def _take(self, data: bytes, decoder: FrameDecoder, began: float) -> None:
+        """Answer what came since `began` [s, monotonic]; an arm whose client is silent for its watchdog stops."""
+        # A stall of this process is not the client's silence: no turn counts for more than it should last.
+        self._silence += min(time.monotonic() - began, self._watchdog / 4)
+        for frame in decoder.feed(self.controller.faults.heard(data)):
+            self._silence = 0.0
+            self._answer(frame)
+        if self._driving and self._silence >= self._watchdog:
+            stop_unheard(self.controller, self._watchdog)
 
     def _answer(self, frame: Frame) -> None:
         try:

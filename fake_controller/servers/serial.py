@@ -21,13 +21,12 @@ from drivers.wire.serial import (
     frame_time,
     samples_per_frame,
 )
-from drivers.wire.tcp import VERSION, End, Heartbeat, Hello, Welcome, encode
+from drivers.wire.tcp import VERSION, End, Frame, Heartbeat, Hello, Welcome, encode
 from fake_controller.controller import Controller
 from fake_controller.execution import Slice
 from fake_controller.programs import RefusedRequest
-from fake_controller.servers.base import stop_unheard
-from fake_controller.servers.frame_client import FrameClient
-from fake_controller.servers.modbus.registers import IDLE_LIMIT, LONGEST_WATCHDOG, MEMORY
+from fake_controller.servers.frame_client import IDLE_LIMIT, FrameClient
+from fake_controller.servers.modbus.registers import LONGEST_WATCHDOG, MEMORY
 
 MAX_REPLIES = 64  # answers that wait for the line
 _WRITE_LIMIT = 30.0  # s
@@ -67,7 +66,6 @@ class SerialServer(FrameClient):
         self._end: End | None = None
         self._end_sent = True
         self._gone = True  # nothing was heard from the client for its watchdog
-        self._watchdog = IDLE_LIMIT
         self._closing = threading.Event()
         controller.when_restarting.append(self._forget)
         self._threads = [threading.Thread(target=work, daemon=True) for work in (self._read, self._write)]
@@ -117,28 +115,25 @@ class SerialServer(FrameClient):
 
     def _read(self) -> None:
         decoder = HuntingDecoder(MAX_PAYLOAD)
-        silence = 0.0
         while not self._closing.is_set():
-            self._port.timeout = interval = self._watchdog / 4
+            self._port.timeout = self._watchdog / 4
             began = time.monotonic()
             try:
                 data = self._port.read(1)
-                data = self.controller.faults.heard(data + self._port.read(self._port.in_waiting) if data else b"")
+                data += self._port.read(self._port.in_waiting) if data else b""
             except (serial.SerialException, OSError, TypeError):  # pulled out, or closed by `close`
                 self._lost()
                 return
-            # A stall of this process is not the client's silence: no turn counts for more than it should last.
-            silence += min(time.monotonic() - began, interval)
-            for frame in decoder.feed(data):
-                silence, self._gone = 0.0, False
-                self._answer(frame)
-            if silence >= self._watchdog:
+            self._take(data, decoder, began)
+            if self._silence >= self._watchdog:
                 self._gone = True
                 self._wake()
-            if self._driving and silence >= self._watchdog:
-                stop_unheard(self.controller, self._watchdog)
-            if silence >= max(IDLE_LIMIT, self._watchdog):
+            if self._silence >= max(IDLE_LIMIT, self._watchdog):
                 self._lost()
+
+    def _answer(self, frame: Frame) -> None:
+        self._gone = False
+        super()._answer(frame)
 
     def _lost(self) -> None:
         """Nobody listens."""

@@ -29,12 +29,11 @@ from drivers.wire.tcp import (
 from fake_controller.controller import Controller
 from fake_controller.execution import Slice
 from fake_controller.programs import RefusedRequest
-from fake_controller.servers.base import accepted, listening_socket, name_of, stop_unheard
-from fake_controller.servers.frame_client import FrameClient
+from fake_controller.servers.base import accepted, listening_socket, name_of
+from fake_controller.servers.frame_client import IDLE_LIMIT, FrameClient
 
 MAX_CONNECTIONS = 8
 WATCHDOG_RANGE = (0.05, 5.0)  # s
-IDLE_LIMIT = 5.0  # s of silence after which a client at rest is taken for gone, greeting included
 SEND_LIMIT = 5.0  # s
 LINGER = 1.0  # s
 _RECEIVE = 64 * 1024
@@ -125,7 +124,6 @@ class Session(FrameClient):
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._send_lock = threading.Lock()
         self._closed = threading.Event()
-        self._watchdog = IDLE_LIMIT
         self._thread = threading.Thread(target=self._serve, name="session", daemon=True)
 
     def start(self) -> None:
@@ -180,26 +178,16 @@ class Session(FrameClient):
 
     def _read(self) -> None:
         decoder = FrameDecoder(MAX_REQUEST_PAYLOAD)
-        silence = 0.0
         with selectors.DefaultSelector() as selector:
             selector.register(self._socket, selectors.EVENT_READ)
             while not self._closed.is_set():
-                interval = self._watchdog / 4
-                began = time.monotonic()
-                data = b""
-                if selector.select(interval):
+                began, data = time.monotonic(), b""
+                if selector.select(self._watchdog / 4):
                     data = self._socket.recv(_RECEIVE)
                     if not data:
                         return
-                    data = self.controller.faults.heard(data)
-                # A stall of this process is not the client's silence: no turn counts for more than it should last.
-                silence += min(time.monotonic() - began, interval)
-                for frame in decoder.feed(data):
-                    silence = 0.0
-                    self._answer(frame)
-                if self._driving and silence >= self._watchdog:
-                    stop_unheard(self.controller, self._watchdog)
-                if silence >= IDLE_LIMIT:
+                self._take(data, decoder, began)
+                if self._silence >= IDLE_LIMIT:
                     return
 
     def _greet(self, hello: Hello, request: int) -> None:

@@ -15,9 +15,9 @@ from fake_controller.controller import PERIOD, Controller
 from fake_controller.execution import Slice
 from fake_controller.servers.cnr.mqtt import JointPublisher
 from fake_controller.servers.cnr.sockets import LockStep
+from fake_controller.servers.frame_client import IDLE_LIMIT
 
 TICK = 0.02  # s between two records at rest
-IDLE_LIMIT = 5.0  # s without an answer after which a client is taken for gone
 PROGRAM_ERROR = 2  # error code of a program that could not be run, or not to its end
 _PERIOD_NS = round(PERIOD * 1e9)
 _EVERY = round(TICK / PERIOD)  # samples from one feedback record to the next

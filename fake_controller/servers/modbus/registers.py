@@ -19,11 +19,10 @@ from fake_controller.controller import CONTROLLER, PERIOD, VERSION, Controller
 from fake_controller.execution import Slice
 from fake_controller.programs import RefusedRequest
 from fake_controller.servers.base import stop_unheard
-from fake_controller.servers.frame_client import Upload
+from fake_controller.servers.frame_client import IDLE_LIMIT, Upload
 
 MEMORY = 400_000  # samples kept for a client that reads slower than the arm moves: 13 minutes
 LONGEST_WATCHDOG = 30.0  # s
-IDLE_LIMIT = 5.0  # s of silence after which nobody is taken to be at the other end
 
 _WRITABLE = {block.address: block for block in wire.BLOCKS if block.access == "write"}
 
