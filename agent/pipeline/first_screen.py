@@ -94,7 +94,7 @@ def after_diagnosis(
         if DRIVES_OFF in experiment.get("motion", "") and question.drives_off is None:
             again = shlex.join([*words, DRIVES_OFF, _BRAKES_LOG, *map(str, logs)])
             return [NextStep(f"record 1 s with the drives off as {_BRAKES_LOG}, then diagnose again:", again), *loaded]
-        return [NextStep(f"record it as {_NEW_LOG}, then diagnose again:", f"{again} {_NEW_LOG}"), *loaded]
+        return [NextStep(f"record the next motion as {_NEW_LOG}, then diagnose again:", f"{again} {_NEW_LOG}"), *loaded]
     if all(CATALOGUE[cause["effect"]].once for cause in result["causes"]):
         return [NextStep("record again with nothing touching the arm: a single event is not added to a model.")]
     if model is not None and is_simulator(model):

@@ -50,7 +50,8 @@ def read(command: str) -> dict[str, object]:
     words = shlex.split(command)
     assert words[:2] == ["agent", "diagnose"]
     diagnose = typer.main.get_command(app).commands["diagnose"]
-    return diagnose.make_context("diagnose", words[2:]).params
+    asked = diagnose.make_context("diagnose", words[2:]).params
+    return {key: value for key, value in asked.items() if key != "help_all"}
 
 
 def test_no_part_of_the_question_is_left_out():

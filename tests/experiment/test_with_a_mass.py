@@ -75,9 +75,9 @@ def ask(tmp_path: Path, monkeypatch):
 
 def test_a_mass_is_asked_for_where_the_right_answer_becomes_much_likelier(ask):
     said, _ = ask(0.5, 0.9)
-    assert said.text().startswith("With 5 kg at the flange, ")
+    assert " at the flange, the right answer between " in said.text()
     assert (
-        "load_dependent_friction on joint_3 and friction_change on joint_3 has probability 0.90 instead of 0.50. "
+        "load_dependent_friction on joint_3 and friction_change on joint_3 has probability 0.90 instead of 0.50."
         in said.text()
     )
     assert ask(0.5, 0.6)[0] is None, "nobody mounts one for that"
