@@ -68,8 +68,8 @@ def _unmet(requirements: list[Requirement], extra: str) -> list[str]:
     """What an extra needs and this environment lacks; of the package itself where `extra` is empty."""
     unmet = []
     for one in requirements:
-        always = one.marker is None or one.marker.evaluate({"extra": ""})
-        if always == bool(extra) or not (always or one.marker.evaluate({"extra": extra})):
+        needing = [name for name in ("", extra) if one.marker is None or one.marker.evaluate({"extra": name})]
+        if needing[:1] != [extra]:
             continue
         try:
             found = version(one.name)
@@ -94,7 +94,7 @@ def _compiled() -> CheckedItem:
     try:
         import agent.compiled as loops
 
-        stats = [getattr(loops, name).stats for name in loops.__all__]
+        stats = [getattr(loops, name).stats for name in dir(loops)]
     except ImportError as error:
         return CheckedItem("compiled cache", f"cannot be loaded: {error}", _WRONG)
     took = f"{counted(len(stats), 'function')} in {time.monotonic() - started:.1f} s"
