@@ -68,10 +68,8 @@ def _unmet(requirements: list[Requirement], extra: str) -> list[str]:
     """What an extra needs and this environment lacks; of the package itself where `extra` is empty."""
     unmet = []
     for one in requirements:
-        marker = one.marker
-        always = marker is None or marker.evaluate({"extra": ""})
-        of_extra = marker is not None and marker.evaluate({"extra": extra})
-        if always == bool(extra) or not (always or of_extra):
+        needing = [name for name in ("", extra) if one.marker is None or one.marker.evaluate({"extra": name})]
+        if needing[:1] != [extra]:
             continue
         try:
             found = version(one.name)
