@@ -31,8 +31,8 @@ def planned_sections(experiment: Mapping[str, Any] | None) -> list[Section]:
     rows = [tuple(chances_text(entry)) for entry in experiment["probability"]]
     text = [
         f"{next_text(experiment)}.",
-        "The right answer's probability comes from the log evidence that is expected after the motion, should either be "
-        "true. A size of 1 is the smallest that matters.",
+        "The right answer's probability comes from the log evidence that is expected after the motion, should either "
+        "be true. A size of 1 is the smallest that matters.",
     ]
     text += [f"{experiment['with_a_mass']['text']}."] if "with_a_mass" in experiment else []
     header = (
