@@ -205,7 +205,7 @@ def mass_beside(
 
 def _where_known(problem: LoopProblem, found: Diagnosis) -> LoopProblem:
     """The problem with the joints kept to positions that the model was fitted to, where the logs keep to them too:
-    elsewhere a local model errs by more than a rehearsal takes from these logs."""
+    elsewhere a local model errs by more than on these logs."""
     from agent.estimation import known_positions
 
     known = known_positions(found.dataset.model)

@@ -31,8 +31,8 @@ def planned_sections(experiment: Mapping[str, Any] | None) -> list[Section]:
     rows = [tuple(chances_text(entry)) for entry in experiment["probability"]]
     text = [
         f"{next_text(experiment)}.",
-        "The probability of the right answer comes from simulated diagnoses with either cause. A size of 1 is the "
-        "smallest that matters.",
+        "The probability of the right answer is the one expected after the motion, with either cause. A size of 1 is "
+        "the smallest that matters.",
     ]
     text += [f"{experiment['with_a_mass']['text']}."] if "with_a_mass" in experiment else []
     header = ("open", "right answer now", "after it (for each cause)", "smallest size that it detects")

@@ -13,8 +13,8 @@ import numpy as np
 
 from agent.robot import RobotDescription
 from drivers.wire.reasons import EndReason
-from fake_controller.execution import Astray
 from fake_controller.clock import Clock, FastClock
+from fake_controller.execution import Astray
 from fake_controller.faults import LIES, Fault, Faults
 from fake_controller.plant import Plant
 from fake_controller.state import State

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from agent.core import Console
 from agent.diagnosis.dataset import assemble
 from agent.diagnosis.evidence import Evidence
 from agent.diagnosis.healthy import healthy_on, with_healthy_effects
@@ -14,6 +15,8 @@ from agent.diagnosis.law import LAW
 from agent.diagnosis.search import Search
 from agent.estimation import EstimationSettings, estimate
 from agent.model import IdentifiedModel
+from agent.pipeline import estimate_files
+from agent.recording import write_log
 from fake_controller.plant import Plant
 from tests.small_arms import make_arm, record
 
@@ -117,3 +120,14 @@ def test_the_same_with_an_effect_withheld(robot, baseline, model):
     learned = with_healthy_effects(model, [*baseline[:2], record(Plant(robot, seed=3, effects=[OFFSET]), "odd", 13)])
     left = healthy_on(fit_of(robot, model), learned, without=("torque_offset",))
     assert "torque_offset" not in {form.effect.name for form, _ in left}
+
+
+def test_estimate_writes_what_the_healthy_arm_has(robot, baseline, tmp_path):
+    """`agent estimate` keeps it in the file of the model, where a diagnosis reads it."""
+    logs = [*baseline[:2], record(Plant(robot, seed=3, effects=[OFFSET]), "odd", 13)]
+    paths = [tmp_path / f"{number}.mcap" for number in range(len(logs))]
+    for path, log in zip(paths, logs, strict=True):
+        write_log(path, log)
+    estimate_files(robot, paths, tmp_path / "model.json", None, None, Console(-1))
+    learned = {one.effect: one.size for one in IdentifiedModel.load(tmp_path / "model.json").healthy}
+    assert learned["torque_offset"] > 0.01

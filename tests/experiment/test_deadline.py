@@ -25,7 +25,7 @@ def test_the_time_left_is_shown_until_there_is_none():
     clock.now += 10
     with pytest.raises(OutOfTime):
         deadline.share(0.5)("varying")
-    deadline("rehearsing")
+    deadline("weighing again")
     assert deadline.rest().share(0.5).left == pytest.approx(15)
     Deadline(said.append)("no limit")
     assert said[-1] == "no limit"
