@@ -40,10 +40,11 @@ QUICK = {
     ("cnr_comau", "topic_missing", "connect"),
     ("cnr_comau", "queue_full", "upload"),
     ("cnr_comau", "sequence_error", "upload"),
+    *(("ur", name, "streaming") for name in ("silent", "drop", "lost_client", "protective_stop", "off_path")),
 }
 MATRIX = [
     pytest.param(wire, name, phase, marks=() if (wire, name, phase) in QUICK else pytest.mark.verify)
-    for wire in WIRES
+    for wire in (*WIRES, "ur")
     for name in FAULTS
     for phase in PHASES
     if phase in FAULTS[name] and wire not in NOT_ON.get(name, {})
@@ -70,6 +71,8 @@ def expected(wire: str, name: str, phase: str) -> tuple[int, int, bool]:
         return 5, 1, True  # it cannot be read there: the pace of the motion tells
     if name == "override":
         return (5, 1, True) if phase in ("start", "streaming") else (4, 0, False)
+    if phase == "start" and wire == "ur":
+        return 4, 0, False  # it is let go once it is seen to run, and that it was not
     if phase == "start":
         return 4, int(name not in ("restart", "wrong_program")), name == "lost_client" and wire not in POLLED
     return 4, int(phase == "streaming"), phase == "streaming"

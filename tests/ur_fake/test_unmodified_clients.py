@@ -14,7 +14,8 @@ import pytest
 
 from tests.conftest import ROOT, end_with_tests
 from tests.ur_fake.clients import Rtde, clients
-from tests.ur_fake.conftest import CB3, free_loopback
+from tests.conftest import free_loopback
+from tests.ur_fake.conftest import CB3
 
 rtde_receive = pytest.importorskip("rtde_receive")
 dashboard_client = pytest.importorskip("dashboard_client")
