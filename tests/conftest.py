@@ -174,7 +174,10 @@ def patience(seconds: float) -> float:
     return seconds * min(max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1)), 10.0)
 
 
-def free_loopback(_tried: Iterator[int] = itertools.count(1)) -> str:
+_tried = itertools.count(1)
+
+
+def free_loopback() -> str:
     """Published ports are fixed, so every server of a test has a loopback address of its own."""
     while True:
         address = f"127.{1 + os.getpid() % 200}.{1 + os.getpid() // 200 % 250}.{1 + next(_tried) % 250}"

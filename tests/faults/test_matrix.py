@@ -8,9 +8,8 @@ import pytest
 from drivers.wire.reasons import EndReason
 from fake_controller.faults import FAULTS, NOT_ON, PHASES, Fault
 from fake_controller.servers import WIRES
+from tests.faults.conftest import HARMLESS
 
-#: Faults of the wire that lose nothing; and of a controller that obeys no stop, where nobody asks for one.
-HARMLESS = ("delay", "reorder", "duplicate", "slow", "disobey")
 #: What would be harmless elsewhere, but FTP takes an answer that comes twice for that to the next command.
 MISLEADING = {("cnr_comau", "duplicate", "upload")}
 #: What a wire makes good by asking again; or does not notice, where a frame has no checksum of its own.

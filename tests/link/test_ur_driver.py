@@ -15,7 +15,7 @@ from drivers.transports.ur import rtde
 from drivers.transports.ur.driver import JOINTS
 from fake_controller.build import build_ur_cell
 from fake_controller.ur.server import DASHBOARD, PRIMARY, RTDE, UrServer
-from tests.conftest import free_port, free_loopback, patience
+from tests.conftest import free_loopback, free_port, patience
 from tests.link.test_conformance import Relays
 from tests.link.ur_peer import UrPeer
 
@@ -145,7 +145,7 @@ class FakeUr(UrServer):
     def wait(self, timeout):
         """Whether the arm rests within the time."""
         until = time.monotonic() + timeout
-        while (self.moving or self.cell.running) and time.monotonic() < until:
+        while (self.moving or self.cell.running or self.speeds[-1][-1].any()) and time.monotonic() < until:
             time.sleep(0.001)
         return not self.moving
 

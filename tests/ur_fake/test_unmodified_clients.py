@@ -12,9 +12,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from tests.conftest import ROOT, end_with_tests
+from tests.conftest import ROOT, end_with_tests, free_loopback
 from tests.ur_fake.clients import Rtde, clients
-from tests.conftest import free_loopback
 from tests.ur_fake.conftest import CB3
 
 rtde_receive = pytest.importorskip("rtde_receive")
