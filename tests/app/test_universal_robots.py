@@ -18,7 +18,7 @@ HIDDEN = {
     "dress_pack": {
         "effect": "dress_pack",
         "joints": ["wrist_1_joint"],
-        "parameters": {"stiffness": 10.0, "centre": -1.2, "cubic": 4.0, "hysteresis": 1.0},
+        "parameters": {"stiffness": 10.0, "centre": -1.2, "hysteresis": 5.0, "travel": 0.15},
     },
 }
 

@@ -70,6 +70,8 @@ def expected(wire: str, name: str, phase: str) -> tuple[int, int, bool]:
         return 5, 1, True  # it cannot be read there: the pace of the motion tells
     if name == "override":
         return (5, 1, True) if phase in ("start", "streaming") else (4, 0, False)
+    if (wire, name, phase) == ("ur", "lost_client", "streaming"):
+        return 5, 1, True  # its watchdog, which alone stops it then, is slower than an arm that obeys
     if phase == "start" and wire == "ur":
         return 4, 0, False  # it is let go once it is seen to run, and that it was not
     if phase == "start":

@@ -21,6 +21,7 @@ from fake_controller.faults import Fault, Faults
 from fake_controller.servers import WIRES, open_server
 from fake_controller.servers.cable import Cable
 from fake_controller.ur.cell import UrCell
+from tests.conftest import patience
 from tests.faults.conftest import LONG, ur_program
 from tests.link.test_ur_driver import FakeUr
 
@@ -166,7 +167,7 @@ def attack(bench, request):
             bench.program.write_text(program, encoding="utf-8")
             bench.log.unlink(missing_ok=True)
             ended = bench.record("--yes")
-            controller.wait(10.0)
+            controller.wait(patience(10.0))
         return Attacked(ended.code, ended.errors, controller, watched)
 
     return run
