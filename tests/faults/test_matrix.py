@@ -19,6 +19,13 @@ MADE_GOOD = {
 }
 #: Wires on which answers are asked for: a client that is not heard does not learn that its start was taken.
 POLLED = ("modbus", "rtu")
+#: Of a UR: its watchdog, which alone stops it then, is slower than an arm that obeys.
+UR = {("lost_client", "streaming"): (5, 1, True)}
+#: What of a UR is tried: in motion, but for turning to local mode, and numbers that nothing but a checksum could check.
+UR_TRIED = {
+    *("silent", "drop", "lost_client", "protective_stop", "off_path", "off_speed", "servo_error", "override", "mute"),
+    *("emergency_stop", "drive_fault", "alarm", "restart", "reset_counters", "no_numbers"),
+}
 #: What the controller refuses a start for.
 STATES = ("emergency_stop", "drive_fault", "alarm", "protective_stop", "teach_mode")
 #: Of these the agent has to notice in time, so the arm moves in real time.
@@ -47,6 +54,7 @@ MATRIX = [
     for name in FAULTS
     for phase in PHASES
     if phase in FAULTS[name] and wire not in NOT_ON.get(name, {})
+    if wire != "ur" or (name in UR_TRIED and phase == "streaming")
 ]
 
 
@@ -70,10 +78,8 @@ def expected(wire: str, name: str, phase: str) -> tuple[int, int, bool]:
         return 5, 1, True  # it cannot be read there: the pace of the motion tells
     if name == "override":
         return (5, 1, True) if phase in ("start", "streaming") else (4, 0, False)
-    if (wire, name, phase) == ("ur", "lost_client", "streaming"):
-        return 5, 1, True  # its watchdog, which alone stops it then, is slower than an arm that obeys
-    if phase == "start" and wire == "ur":
-        return 4, 0, False  # it is let go once it is seen to run, and that it was not
+    if wire == "ur" and (name, phase) in UR:
+        return UR[name, phase]
     if phase == "start":
         return 4, int(name not in ("restart", "wrong_program")), name == "lost_client" and wire not in POLLED
     return 4, int(phase == "streaming"), phase == "streaming"
