@@ -21,10 +21,10 @@ MADE_GOOD = {
 POLLED = ("modbus", "rtu")
 #: Of a UR: its watchdog, which alone stops it then, is slower than an arm that obeys.
 UR = {("lost_client", "streaming"): (5, 1, True)}
-#: What of a UR is tried: in motion, but for turning to local mode, and numbers that nothing but a checksum could check.
+#: What of a UR is tried: in motion, but for local mode and damaged numbers, which end in more than one way.
 UR_TRIED = {
     *("silent", "drop", "lost_client", "protective_stop", "off_path", "off_speed", "servo_error", "override", "mute"),
-    *("emergency_stop", "drive_fault", "alarm", "restart", "reset_counters", "no_numbers"),
+    *("emergency_stop", "drive_fault", "alarm", "restart", "reset_counters", "no_numbers", "clock_back"),
 }
 #: What the controller refuses a start for.
 STATES = ("emergency_stop", "drive_fault", "alarm", "protective_stop", "teach_mode")
