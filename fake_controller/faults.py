@@ -76,7 +76,10 @@ NOT_ON = {
     **{name: {"ur": "no program is stored there"} for name in ("wrong_program", "full_memory")},
     "clock_back": {"cnr_comau": "its node counts time by itself"},
     "no_numbers": {"cnr_comau": "a message without numbers is damage there, as if it was lost"},
-    "reorder": dict.fromkeys(("modbus", "rtu", "cnr_comau"), _ONE_ANSWER),
+    "reorder": {
+        **dict.fromkeys(("modbus", "rtu", "cnr_comau"), _ONE_ANSWER),
+        "ur": "each of its ports is a stream of its own",
+    },
     **dict.fromkeys(_LASTING, _WITHOUT_BROKER),
 }
 _DEFAULT_VALUE = {

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import itertools
 import json
 import os
 import random
@@ -171,6 +172,18 @@ def start_lasting_controller() -> Iterator[Callable[..., Emulator]]:
 def patience(seconds: float) -> float:
     """A limit that an idle machine keeps [s], as long as this one needs with what it has to do at the moment."""
     return seconds * min(max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1)), 10.0)
+
+
+_tried = itertools.count(1)
+
+
+def free_loopback() -> str:
+    """Published ports are fixed, so every server of a test has a loopback address of its own."""
+    while True:
+        address = f"127.{1 + os.getpid() % 200}.{1 + os.getpid() // 200 % 250}.{1 + next(_tried) % 250}"
+        with contextlib.closing(socket.socket()) as probe:
+            if probe.connect_ex((address, 30004)) != 0:
+                return address
 
 
 def free_port() -> int:

@@ -167,7 +167,8 @@ def limit_use(recipe: Recipe, trajectory: Trajectory) -> dict[str, np.ndarray]:
     robot = recipe.robot
     lower, upper = position_ranges(robot, recipe.cell.joint_ranges)
     bounded = np.isfinite(lower) & np.isfinite(upper)
-    centre, half = np.where(bounded, (lower + upper) / 2, 0.0), np.where(bounded, (upper - lower) / 2, np.inf)
+    centre, half = np.zeros(robot.dof), np.full(robot.dof, np.inf)
+    centre[bounded], half[bounded] = (lower + upper)[bounded] / 2, (upper - lower)[bounded] / 2
     return {
         "position": np.abs(trajectory.q - centre) / half,
         "speed": np.abs(trajectory.qd) / robot.max_velocity,

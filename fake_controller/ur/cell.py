@@ -175,6 +175,11 @@ class UrCell(UrState):
         return 2 if self.running or "no_end" in self._lies else 1
 
     @property
+    def mute(self) -> bool:
+        """Whether no samples go out any more."""
+        return "mute" in self._lies
+
+    @property
     def paused(self) -> bool:
         """Whether its program is paused."""
         return self._paused
@@ -305,10 +310,9 @@ class UrCell(UrState):
             self._wake.wait(len(cycles) * self.period)  # nobody has to be hurried while nothing moves
         if self._slowness > 1.0:
             self._closing.wait((self._slowness - 1.0) * self.period * len(cycles))
-        if "mute" not in self._lies:
-            for listener in list(self.listeners):
-                listener.on_cycles(cycles)
-        if self._program is not None:
+        for listener in list(self.listeners):
+            listener.on_cycles(cycles)
+        if self._moving is not None:
             self._moved += len(cycles) * self.period
             self.reach("streaming", self._moved)
 

@@ -15,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from fake_controller.ur.arm import DenavitHartenberg, matrices_of, poses_of
+from fake_controller.ur.arm import DenavitHartenberg, matrices_of
 
 _FINE = 401  # points of a curve that is measured by length
 _NOTHING = 1e-9  # m, rad
@@ -322,8 +322,3 @@ def _circle(begin: np.ndarray, via: np.ndarray, end: np.ndarray) -> tuple[float,
         radius * angle,
         lambda s: centre + radius * (np.outer(np.cos(s / radius), x) + np.outer(np.sin(s / radius), y)),
     )
-
-
-def tcp_pose(arm: DenavitHartenberg, q: np.ndarray, tcp: np.ndarray) -> np.ndarray:
-    """(K, 6) URScript poses of the TCP at joint positions (K, 6)."""
-    return poses_of(arm.forward(q) @ tcp)

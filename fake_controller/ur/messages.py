@@ -107,7 +107,7 @@ def _mode(cell: UrState, last: Cycles) -> bytes:
         cell.runtime_state in (3, 4),
     )
     numbers = struct.pack(">bBddd", cell.robot_mode, 0, state.override, 1.0, 1.0)
-    return _framed(0, struct.pack(">Q7?", round(float(last.time[0]) * 1e6), *flags) + numbers + b"\0")
+    return _framed(0, struct.pack(">Q7?", max(round(float(last.time[0]) * 1e6), 0), *flags) + numbers + b"\0")
 
 
 def _joints(last: Cycles) -> bytes:

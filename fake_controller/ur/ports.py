@@ -134,6 +134,8 @@ class ScriptConnection(UrConnection):
             self.cell.when_local.remove(self.close)
 
     def on_cycles(self, cycles: Cycles) -> None:
+        if self.cell.mute:
+            return
         if self._realtime:
             self.stream(realtime_records(cycles))
         elif cycles.time[-1] >= self._next or cycles.time[-1] < self._next - 1.0:

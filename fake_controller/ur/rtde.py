@@ -135,7 +135,7 @@ class RtdeConnection(UrConnection):
     def on_cycles(self, cycles: Cycles) -> None:
         first = -self._counted % self._every
         self._counted += len(cycles)
-        if not self._started or self._outputs is None or first >= len(cycles):
+        if self.cell.mute or not self._started or self._outputs is None or first >= len(cycles):
             return
         chosen = cycles.part(slice(first, None, self._every))
         head = [("size", ">u2"), ("kind", "u1"), *([("recipe", "u1")] if self._version == 2 else [])]

@@ -16,13 +16,18 @@ import numpy as np
 import pytest
 
 from agent.cli.main import main
+from agent.motion import JointTarget, Move, MoveType, create_dialect, with_frames
+from agent.motion.urscript.settings import UrSettings
 from agent.recording import read_log
+from agent.robot import load_robot
+from agent.runs import lock
 from fake_controller.build import build_controller
 from fake_controller.controller import PERIOD, Controller
 from fake_controller.faults import Fault, Faults
 from fake_controller.servers import BROKER, WIRES, Server, open_server
-from fake_controller.state import State
+from fake_controller.state import State, home
 from tests.conftest import drawn, patience
+from tests.link.test_ur_driver import FakeUr
 
 RECIPE = """
 robot: {robot}
@@ -37,6 +42,16 @@ motion:
       size: [100 mm, 10 mm, 100 mm]
       orientation: [0 deg, 0 deg, 0 deg]
       cone: 10 deg
+record: {{rate: 500 Hz, cycles: 2}}
+"""
+#: Faults of the wire that lose nothing; and of a controller that obeys no stop, where nobody asks for one.
+HARMLESS = ("delay", "reorder", "duplicate", "slow", "disobey")
+#: A UR is allowed so much of it where it is no real one [s].
+UR_SILENCE = 5.0
+UR_RECIPE = """
+robot: ur5e
+controller: {{driver: ur, address: "{address}"}}
+motion: {{speed: 100 mm/s, fly: {{distance: 20 mm}}, via_points: {{count: 2, like: swing.script, around: 50 mm}}}}
 record: {{rate: 500 Hz, cycles: 2}}
 """
 PROGRAM = """PROGRAM swing HOLD, PROG_ARM=1
@@ -55,6 +70,14 @@ USUAL_WIRE = drawn("tcp", lambda rng: str(rng.choice(["tcp", "modbus"])))
 MOMENT = drawn(0, lambda rng: int(rng.integers(0, 1500)))
 #: Minutes of motion.
 LONG = PROGRAM.format(turns=200, far=FAR).replace("swing", "long")
+
+
+def ur_program(turns: int) -> str:
+    """There and back, about the pose at which an emulated UR5e wakes up."""
+    robot = load_robot("ur5e")
+    near, settings = home(robot), with_frames(UrSettings(joint_speed=1.0), None)
+    moves = [Move(MoveType.JOINT, JointTarget(near + swing), settings) for swing in (0.3, 0.0)]
+    return create_dialect("urscript").write("swing", turns * moves, robot)
 
 
 @dataclass
@@ -106,8 +129,16 @@ class Bench:
         **state: object,
     ) -> Controller:
         """Start a controller; the recipe and the program are written for it."""
+        goes_wrong = Faults(faults) if interrupt is None else Interrupting(faults, interrupt, number)
+        if wire == "ur":
+            if any(fault.name not in HARMLESS for fault in faults):
+                self._turns = 3 + math.ceil(max(UR_SILENCE, patience(2.0)))
+            fake = FakeUr(clock, goes_wrong)
+            self._servers.append(fake)
+            self.write_for(wire, fake.address)
+            return fake
         controller = build_controller(self._arm, 3, clock)
-        controller.faults = Faults(faults) if interrupt is None else Interrupting(faults, interrupt, number)
+        controller.faults = goes_wrong
         controller.state = State(**state)
         watchdog = 2.0 if clock == "fast" else 0.5 if wire == "tcp" else 1.0  # where one asks and waits it takes longer
         watchdog, nominal = patience(watchdog), watchdog
@@ -124,6 +155,11 @@ class Bench:
         """The recipe and the program for a controller that is there."""
         # Nobody knows where a line leads: only on loopback an emulator needs no person's word.
         self._confirmed = () if address.startswith("127.0.0.1") else ("--yes",)
+        if wire == "ur":
+            self.program = self.folder / "swing.script"
+            self.recipe.write_text(UR_RECIPE.format(address=address), encoding="utf-8")
+            self.program.write_text(ur_program(self._turns), encoding="utf-8")
+            return
         text = RECIPE.format(robot=self._arm, driver=WIRES[wire], address=address)
         self.recipe.write_text(text, encoding="utf-8")
         self.program.write_text(PROGRAM.format(turns=self._turns, far=FAR), encoding="utf-8")
@@ -141,6 +177,7 @@ class Bench:
 def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> Iterator[Callable]:
     """The command line in this process, off a terminal, in the test's folder."""
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(lock, "FOLDERS", (tmp_path,))  # all loopback addresses are one machine, and UR's ports one
     before = signal.getsignal(signal.SIGTERM)
 
     def call(*arguments: object) -> Ended:
@@ -168,7 +205,7 @@ def assert_at_rest() -> Callable[..., None]:
     `acceleration`: so many times it, for an arm that goes astray.
     """
 
-    def check(controller: Controller, motions: int, acceleration: float = 1.05) -> None:
+    def check(controller: Controller | FakeUr, motions: int, acceleration: float = 1.05) -> None:
         until = time.monotonic() + 30.0
         while controller.motions_started < motions and time.monotonic() < until:
             time.sleep(0.001)  # a start that was taken is carried out, whether its client is still there or not
@@ -176,8 +213,8 @@ def assert_at_rest() -> Callable[..., None]:
         assert controller.motions_started == motions
         if controller.motions_started == 0:
             return
-        first, velocity = 0, []
-        while sum(map(len, velocity)) < controller.recorded:
+        first, velocity = 0, controller.speeds if isinstance(controller, FakeUr) else []
+        while not isinstance(controller, FakeUr) and sum(map(len, velocity)) < controller.recorded:
             at, _, samples = controller.fetch(first, 100_000)
             velocity.append(samples.reference_velocity)
             first = at + len(samples)

@@ -8,9 +8,8 @@ import pytest
 from drivers.wire.reasons import EndReason
 from fake_controller.faults import FAULTS, NOT_ON, PHASES, Fault
 from fake_controller.servers import WIRES
+from tests.faults.conftest import HARMLESS
 
-#: Faults of the wire that lose nothing; and of a controller that obeys no stop, where nobody asks for one.
-HARMLESS = ("delay", "reorder", "duplicate", "slow", "disobey")
 #: What would be harmless elsewhere, but FTP takes an answer that comes twice for that to the next command.
 MISLEADING = {("cnr_comau", "duplicate", "upload")}
 #: What a wire makes good by asking again; or does not notice, where a frame has no checksum of its own.
@@ -20,6 +19,13 @@ MADE_GOOD = {
 }
 #: Wires on which answers are asked for: a client that is not heard does not learn that its start was taken.
 POLLED = ("modbus", "rtu")
+#: Of a UR: its watchdog, which alone stops it then, is slower than an arm that obeys.
+UR = {("lost_client", "streaming"): (5, 1, True)}
+#: What of a UR is tried: in motion, but for local mode and damaged numbers, which end in more than one way.
+UR_TRIED = {
+    *("silent", "drop", "lost_client", "protective_stop", "off_path", "off_speed", "servo_error", "override", "mute"),
+    *("emergency_stop", "drive_fault", "alarm", "restart", "reset_counters", "no_numbers", "clock_back"),
+}
 #: What the controller refuses a start for.
 STATES = ("emergency_stop", "drive_fault", "alarm", "protective_stop", "teach_mode")
 #: Of these the agent has to notice in time, so the arm moves in real time.
@@ -40,13 +46,15 @@ QUICK = {
     ("cnr_comau", "topic_missing", "connect"),
     ("cnr_comau", "queue_full", "upload"),
     ("cnr_comau", "sequence_error", "upload"),
+    *(("ur", name, "streaming") for name in ("silent", "drop", "lost_client", "protective_stop", "off_path")),
 }
 MATRIX = [
     pytest.param(wire, name, phase, marks=() if (wire, name, phase) in QUICK else pytest.mark.verify)
-    for wire in WIRES
+    for wire in (*WIRES, "ur")
     for name in FAULTS
     for phase in PHASES
     if phase in FAULTS[name] and wire not in NOT_ON.get(name, {})
+    if wire != "ur" or (name in UR_TRIED and phase == "streaming")
 ]
 
 
@@ -70,6 +78,8 @@ def expected(wire: str, name: str, phase: str) -> tuple[int, int, bool]:
         return 5, 1, True  # it cannot be read there: the pace of the motion tells
     if name == "override":
         return (5, 1, True) if phase in ("start", "streaming") else (4, 0, False)
+    if wire == "ur" and (name, phase) in UR:
+        return UR[name, phase]
     if phase == "start":
         return 4, int(name not in ("restart", "wrong_program")), name == "lost_client" and wire not in POLLED
     return 4, int(phase == "streaming"), phase == "streaming"

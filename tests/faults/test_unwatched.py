@@ -20,7 +20,10 @@ from fake_controller.controller import PERIOD, Controller
 from fake_controller.faults import Fault, Faults
 from fake_controller.servers import WIRES, open_server
 from fake_controller.servers.cable import Cable
-from tests.faults.conftest import LONG
+from fake_controller.ur.cell import UrCell
+from tests.conftest import patience
+from tests.faults.conftest import LONG, ur_program
+from tests.link.test_ur_driver import FakeUr
 
 BAUD = 4_000_000
 STRIKES = 0.6  # s of motion before the fault
@@ -50,13 +53,13 @@ class Watched(Faults):
             self.struck = motion_time
         return due
 
-    def listen_to(self, controller: Controller, disobeys: bool) -> None:
+    def listen_to(self, controller: Controller | UrCell, disobeys: bool) -> None:
         stop = controller.stop
 
         def noted(reason: EndReason, message: str) -> None:
             self.reasons.append(reason)
             if self.stopped < 0 and controller.moving and not (disobeys and reason is EndReason.STOPPED):
-                self.stopped = controller._count * PERIOD
+                self.stopped = controller._moved if isinstance(controller, UrCell) else controller._count * PERIOD
             stop(reason, message)
 
         controller.stop = noted
@@ -105,21 +108,25 @@ class Attacked:
 
     code: int
     errors: str
-    controller: Controller
+    controller: Controller | FakeUr
     faults: Watched
 
 
 @contextlib.contextmanager
-def relayed(wire: str, controller: Controller, delay: float, watchdog: float, broker) -> Iterator[str]:
+def relayed(wire: str, controller: Controller | FakeUr, delay: float, watchdog: float, broker) -> Iterator[str]:
     """The address of a controller whose answers come late."""
     with contextlib.ExitStack() as undo:
 
-        def relay(port: int) -> int:
-            made = SlowRelay(("127.0.0.1", port), delay)
+        def relay(port: int, host: str = "127.0.0.1") -> int:
+            made = SlowRelay((host, port), delay)
             undo.callback(made.close)
             return made.port
 
-        if wire in ("serial", "rtu"):
+        if isinstance(controller, FakeUr):
+            server = controller
+            ports = zip(("dashboard", "primary", "rtde"), server.ports, strict=True)
+            address = ",".join(["127.0.0.1", *(f"{name}={relay(port, server.host)}" for name, port in ports)])
+        elif wire in ("serial", "rtu"):
             cable = Cable(BAUD)
             undo.callback(cable.close)
 
@@ -148,15 +155,21 @@ def attack(bench, request):
     from fake_controller.build import build_controller
 
     def run(wire: str, faults: Sequence[Fault], delay: float, program: str = LONG) -> Attacked:
-        controller = build_controller(bench._arm, 3, "real")
-        controller.faults = watched = Watched(faults)
-        watched.listen_to(controller, any(fault.name == "disobey" for fault in faults))
+        watched, disobeys = Watched(faults), any(fault.name == "disobey" for fault in faults)
+        if wire == "ur":
+            controller: Controller | FakeUr = FakeUr("real", watched)
+            watched.listen_to(controller.cell, disobeys)
+            program = ur_program(200)
+        else:
+            controller = build_controller(bench._arm, 3, "real")
+            controller.faults = watched
+            watched.listen_to(controller, disobeys)
         with relayed(wire, controller, delay, 0.5, lambda: request.getfixturevalue("broker")) as address:
             bench.write_for(wire, address)
             bench.program.write_text(program, encoding="utf-8")
             bench.log.unlink(missing_ok=True)
             ended = bench.record("--yes")
-            controller.wait(10.0)
+            controller.wait(patience(10.0))
         return Attacked(ended.code, ended.errors, controller, watched)
 
     return run
@@ -174,11 +187,15 @@ def assert_stopped(one: Attacked, name: str) -> None:
     if name == "disobedience":
         assert one.code == 5
         assert "PRESS THE EMERGENCY STOP" in one.errors or "nothing shows what the arm does" in one.errors
+        if isinstance(one.controller, FakeUr):  # in place of a second stop no heartbeat is sent
+            assert EndReason.STOPPED in one.faults.reasons
+            assert one.controller.ends == [EndReason.WATCHDOG]
+            return
         assert one.faults.reasons.count(EndReason.STOPPED) >= 2, "a second stop is sent before the link is closed"
         assert EndReason.WATCHDOG in one.faults.reasons
 
 
-@pytest.mark.parametrize("wire", WIRES)
+@pytest.mark.parametrize("wire", [*WIRES, "ur"])
 @pytest.mark.parametrize("name", ["silence", "lag", "disobedience"])
 def test_an_arm_that_nobody_can_watch_is_stopped(attack, wire, name):
     assert_stopped(attack(wire, ATTACKS[name], 0.0), name)

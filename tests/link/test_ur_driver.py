@@ -1,9 +1,9 @@
 """The UR driver against a small controller of the tests and against the emulator, on real sockets."""
 
 import contextlib
-import os
 import socket
 import threading
+import time
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ from drivers.transports.ur import rtde
 from drivers.transports.ur.driver import JOINTS
 from fake_controller.build import build_ur_cell
 from fake_controller.ur.server import DASHBOARD, PRIMARY, RTDE, UrServer
-from tests.conftest import free_port, patience
+from tests.conftest import free_loopback, free_port, patience
 from tests.link.test_conformance import Relays
 from tests.link.ur_peer import UrPeer
 
@@ -114,14 +114,17 @@ class FakeUr(UrServer):
     host = property(lambda self: self.address)
     ports = DASHBOARD, PRIMARY, RTDE
 
-    def __init__(self):
-        cell = build_ur_cell("ur5e", seed=3, clock="fast", shortest_watchdog=patience(2.0))
-        super().__init__(cell, ".".join(["127", *(str(part) for part in os.urandom(2)), "7"]))
+    def __init__(self, clock="fast", faults=None):
+        cell = build_ur_cell("ur5e", seed=3, clock=clock, shortest_watchdog=patience(2.0))
+        cell.faults = faults or cell.faults
+        self.robot, self.ends, self.speeds = cell.robot, cell.ends, [np.zeros((1, 6))]
+        super().__init__(cell, free_loopback())
         self._moved = set()
         self.on_moving = None
         cell.listeners.append(self)
 
     def on_cycles(self, cycles):
+        self.speeds.append(cycles.target_qd)
         if self.cell.moving:
             self._moved.add(self.cell.motions_started)
             happens, self.on_moving = self.on_moving, None
@@ -138,6 +141,13 @@ class FakeUr(UrServer):
     @property
     def moving(self):
         return self.cell.moving
+
+    def wait(self, timeout):
+        """Whether the arm rests within the time."""
+        until = time.monotonic() + timeout
+        while (self.moving or self.cell.running or self.speeds[-1][-1].any()) and time.monotonic() < until:
+            time.sleep(0.001)
+        return not self.moving
 
 
 class TestUr(DriverConformance):

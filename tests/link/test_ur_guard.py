@@ -14,6 +14,7 @@ from agent.motion.urscript.settings import UrSettings
 from agent.recipe import load_recipe
 from agent.recording import read_log
 from agent.robot import Tool, load_robot
+from agent.runs import lock
 from tests.link.test_ur_driver import FakeUr
 
 RECIPE = """
@@ -30,7 +31,8 @@ START = np.array([0.0, -1.2, 1.2, -1.5, -1.5, 0.0])
 
 
 @pytest.fixture
-def fake():
+def fake(monkeypatch, tmp_path):
+    monkeypatch.setattr(lock, "FOLDERS", (tmp_path,))  # all loopback addresses are one machine, and UR's ports one
     with contextlib.closing(FakeUr()) as fake:
         yield fake
 

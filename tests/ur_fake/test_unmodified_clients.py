@@ -12,9 +12,9 @@ from functools import cache
 import numpy as np
 import pytest
 
-from tests.conftest import ROOT, end_with_tests
+from tests.conftest import ROOT, end_with_tests, free_loopback
 from tests.ur_fake.clients import Rtde, clients
-from tests.ur_fake.conftest import CB3, free_loopback
+from tests.ur_fake.conftest import CB3
 
 rtde_receive = pytest.importorskip("rtde_receive")
 dashboard_client = pytest.importorskip("dashboard_client")
