@@ -82,6 +82,7 @@ def estimate(
         InputError: logs that cannot be used, of several machines (unless `allow_mixed`), or an unknown method.
         RejectedError: logs that no motion of this robot can have made, unless `force`.
     """
+    from agent.diagnosis import with_healthy_effects
     from agent.estimation import EstimationSettings, estimate as fit
     from agent.pipeline import check_one_machine, check_plausible
 
@@ -89,7 +90,7 @@ def estimate(
     given = read_logs(logs, description)
     check_one_machine(given, None, allow_mixed)
     check_plausible(description, given, force, quiet())
-    return Model.of(fit(description, given, settings))
+    return Model.of(with_healthy_effects(fit(description, given, settings), given))
 
 
 def validate(
