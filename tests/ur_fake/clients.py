@@ -165,6 +165,11 @@ def program(*lines, name="job"):
     return f"def {name}():\n" + "".join(f"  {line}\n" for line in lines) + "end\n"
 
 
+def turn(ur, speed):
+    """A move of the first joint by 1 rad [rad/s]."""
+    return f"movej({(ur.cell.reference + [1.0, 0, 0, 0, 0, 0]).tolist()}, a=1, v={speed})"
+
+
 def texts(said):
     """What textmsg said, of messages."""
     return [content.decode() for kind, content in said if kind == 0]

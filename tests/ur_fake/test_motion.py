@@ -8,7 +8,7 @@ from agent.robot import Dynamics
 from fake_controller.build import build_ur_cell
 from fake_controller.faults import Fault
 from fake_controller.ur.arm import poses_of
-from tests.ur_fake.clients import Dashboard, Primary, Rtde, Wire, clients, errors, program, texts, warnings
+from tests.ur_fake.clients import Dashboard, Primary, Rtde, Wire, clients, errors, program, texts, turn, warnings
 from tests.ur_fake.conftest import CB3
 
 FIELDS = (
@@ -221,7 +221,7 @@ def test_a_stop_can_be_disobeyed_and_a_clock_go_back(start_ur):
         assert later["runtime_state"] == 2
     lying = start_ur(faults=[Fault("clock_back", "streaming", 0.5, 30.0)])
     with clients(Primary(lying.address), Rtde(lying.address, "timestamp")) as (primary, rtde):
-        primary.send(program("sleep(2)").encode())
+        primary.send(program(turn(lying, 0.5)).encode())
         before = rtde.sample()["timestamp"]
         rtde.until(lambda sample: sample["timestamp"] < before)
 

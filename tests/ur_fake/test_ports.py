@@ -7,7 +7,7 @@ import pytest
 
 from fake_controller.faults import Fault
 from fake_controller.ur.messages import key_message, text_message
-from tests.ur_fake.clients import Dashboard, Primary, Rtde, Wire, clients, errors, program, texts, warnings
+from tests.ur_fake.clients import Dashboard, Primary, Rtde, Wire, clients, errors, program, texts, turn, warnings
 from tests.ur_fake.conftest import CB3
 
 REFUSED = (
@@ -121,7 +121,7 @@ def test_local_mode_refuses_and_a_reconnection_is_needed(start_ur):
 def test_turning_the_robot_local_closes_script_ports(start_ur):
     ur = start_ur(faults=[Fault("teach_mode", "streaming", 0.1)])
     with clients(Primary(ur.address)) as client:
-        client.send(program("sleep(60)").encode())
+        client.send(program(turn(ur, 0.02)).encode())
         with pytest.raises(EOFError):
             client.until_closed()
 
@@ -171,7 +171,7 @@ def test_a_protective_stop_can_be_unlocked_after_five_seconds(start_ur):
         dashboard,
         rtde,
     ):
-        primary.send(program("sleep(1)", 'textmsg("went on")').encode())
+        primary.send(program(turn(ur, 0.5), 'textmsg("went on")').encode())
         stopped = rtde.until(lambda sample: sample["safety_mode"] == 3)[-1]
         assert stopped["runtime_state"] in (3, 4)
         assert dashboard.ask("unlock protective stop").startswith("Cannot unlock")
@@ -195,7 +195,7 @@ def test_faults_end_the_program_and_show(start_ur, fault, mode, word):
         dashboard,
         rtde,
     ):
-        primary.send(program("sleep(60)").encode())
+        primary.send(program(turn(ur, 0.02)).encode())
         sample = rtde.until(lambda sample: sample["safety_mode"] == mode and sample["runtime_state"] == 1)[-1]
         assert sample["robot_mode"] == 3
         assert dashboard.ask("safetystatus") == f"Safetystatus: {word}"
