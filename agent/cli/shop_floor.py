@@ -224,7 +224,7 @@ def apply(
         print(applied.model)
 
 
-@app.command()
+@app.command(rich_help_panel=opt.TOOLS, epilog="Example: agent doctor")
 def doctor(logs: opt.RunsFolder = Path("logs"), as_json: opt.AsJson = False) -> None:
     """Versions, extras, compiled functions, serial ports, clock, disk and limits; what to do where one is wrong."""
     from agent.pipeline import examine_installation

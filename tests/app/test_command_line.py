@@ -100,7 +100,7 @@ def test_a_seed_is_not_negative(run_agent, tmp_path: Path, command: tuple[str, .
 def test_a_folder_is_no_program(run_agent, write_recipe):
     run = run_agent("record", write_recipe("127.0.0.1:1"), "--program", ".")
     assert run.returncode == 2
-    assert run.stderr == "agent: .: is a folder; name the PDL2 program to run with --program\n"
+    assert run.stderr == "agent: .: is a folder; name the program to run with --program\n"
 
 
 def test_a_recipe_is_not_written_where_there_is_no_folder(run_agent):
