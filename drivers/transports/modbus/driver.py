@@ -226,7 +226,7 @@ class ModbusDriver(LinkDriver[ModbusLink, MotionStream]):
     def _command_stop(self) -> None:
         for _ in range(_STOPS - 1):
             with contextlib.suppress(SilentError):
-                self._command(wire.Command.STOP, self._timeout, "stop", lambda: False)
+                self._command(wire.Command.STOP, self._timeout, "stop")  # sent again at once where nothing answers
                 return
         self._command(wire.Command.STOP, self._timeout, "stop", lambda: False)
 
