@@ -140,7 +140,7 @@ def test_a_recipe_takes_the_file_and_says_what_is_wrong_with_it(learned, tmp_pat
         ("no references", "no /joint_references"),
         ("no program", "recorded program is missing"),
         ("another program", "do not follow the program"),
-        ("standstill", "stand still"),
+        ("standstill", "the set-points do not move"),
         ("another robot", "a log of somebody"),
     ],
 )
