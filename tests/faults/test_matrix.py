@@ -19,11 +19,9 @@ MADE_GOOD = {
 }
 #: Wires on which answers are asked for: a client that is not heard does not learn that its start was taken.
 POLLED = ("modbus", "rtu")
-#: Of a UR: its watchdog, which alone stops it then, is slower than an arm that obeys.
-UR = {("lost_client", "streaming"): (5, 1, True)}
-#: What of a UR is tried: in motion, but for local mode and damaged numbers, which end in more than one way.
+#: What of a UR is tried: in motion, but for local mode, damaged numbers and a lost client, which end in more than one way.
 UR_TRIED = {
-    *("silent", "drop", "lost_client", "protective_stop", "off_path", "off_speed", "servo_error", "override", "mute"),
+    *("silent", "drop", "protective_stop", "off_path", "off_speed", "servo_error", "override", "mute"),
     *("emergency_stop", "drive_fault", "alarm", "restart", "reset_counters", "no_numbers", "clock_back"),
 }
 #: What the controller refuses a start for.
@@ -46,7 +44,7 @@ QUICK = {
     ("cnr_comau", "topic_missing", "connect"),
     ("cnr_comau", "queue_full", "upload"),
     ("cnr_comau", "sequence_error", "upload"),
-    *(("ur", name, "streaming") for name in ("silent", "drop", "lost_client", "protective_stop", "off_path")),
+    *(("ur", name, "streaming") for name in ("silent", "drop", "protective_stop", "off_path")),
 }
 MATRIX = [
     pytest.param(wire, name, phase, marks=() if (wire, name, phase) in QUICK else pytest.mark.verify)
@@ -78,8 +76,6 @@ def expected(wire: str, name: str, phase: str) -> tuple[int, int, bool]:
         return 5, 1, True  # it cannot be read there: the pace of the motion tells
     if name == "override":
         return (5, 1, True) if phase in ("start", "streaming") else (4, 0, False)
-    if wire == "ur" and (name, phase) in UR:
-        return UR[name, phase]
     if phase == "start":
         return 4, int(name not in ("restart", "wrong_program")), name == "lost_client" and wire not in POLLED
     return 4, int(phase == "streaming"), phase == "streaming"

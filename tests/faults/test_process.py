@@ -164,10 +164,10 @@ def test_two_agents_on_one_robot(bench, start):
     controller = bench.serve(clock="real")
     first = start("agent", "record", bench.recipe, "--program", bench.program, "-o", bench.log)
     until_it_moves(first)
-    bench.log = bench.folder / "second.mcap"
-    second = bench.record()
-    assert second.code == 75
-    assert "another run holds this robot" in second.errors
+    second = start("agent", "record", bench.recipe, "--program", bench.program, "-o", bench.folder / "second.mcap")
+    _, errors = second.communicate()
+    assert second.returncode == 75
+    assert "another run holds this robot" in errors
     assert controller.motions_started == 1
 
 
