@@ -19,7 +19,7 @@ MADE_GOOD = {
 }
 #: Wires on which answers are asked for: a client that is not heard does not learn that its start was taken.
 POLLED = ("modbus", "rtu")
-#: What of a UR is tried: in motion, but for local mode, damaged numbers and a lost client, which end in more than one way.
+#: Tried on a UR, in motion; local mode, damaged numbers and a lost client end in more than one way there.
 UR_TRIED = {
     *("silent", "drop", "protective_stop", "off_path", "off_speed", "servo_error", "override", "mute"),
     *("emergency_stop", "drive_fault", "alarm", "restart", "reset_counters", "no_numbers", "clock_back"),
