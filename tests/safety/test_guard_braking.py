@@ -494,15 +494,15 @@ def test_samples_of_the_stop_are_kept_and_disobedience_is_told(bench, program, e
     guard.send(slow)
 
     def ended() -> None:
-        with guard.motion(slow, kept.append) as samples:
-            next(samples)
-            raise error("ended")
-
-    with pytest.raises(SafetyError, match="does not obey"):
         try:
-            ended()
+            with guard.motion(slow, kept.append) as samples:
+                next(samples)
+                raise error("ended")
         except KeyboardInterrupt:  # would end the whole session of tests
             pytest.fail("the interruption came out, and not what was seen of the arm")
+
+    with pytest.raises(SafetyError, match="does not obey"):
+        ended()
     assert kept
     assert bench.controller.stops >= 2
     assert bench.controller.starts == 1
