@@ -172,7 +172,7 @@ def test_a_rejected_calibration_names_the_axis(shop: Path, run_agent):
     page = (file.parent / "report.html").read_text(encoding="utf-8")
     assert f"Rejected: the worst axis, {worst}," in page
     assert page.count("above the gate</td>") == 1
-    assert "not made current" in page
+    assert "does not change the current model" in page
 
 
 def test_the_page_over_all_runs(write_runs, browse):
