@@ -58,11 +58,6 @@ class Finding:
     zero_known: bool = False
 
     @property
-    def matters(self) -> bool:
-        """Whether something is there, named or not."""
-        return self.verdict != "no_gap"
-
-    @property
     def exceeded(self) -> bool:
         """Whether a joint is so far beyond the background that something is there, whatever it is."""
         return next(h for h in self.hypotheses if not h.effects and not h.free).scale >= self.evidence.law.exceeded

@@ -120,8 +120,7 @@ class Search:
         evidence = self.evidence
         base = evidence.as_expected(base)
         gains, values = self._refined(base)
-        for place, forms in self._promising(base, gains, values, count).items():
-            del place
+        for forms in self._promising(base, gains, values, count).values():
             for k in forms:
                 self._keep(evidence.evaluate([*base.effects, k], base.free, base.scales))
         for joint in set(range(evidence.joints)) - set(base.free):

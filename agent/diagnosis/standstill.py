@@ -104,13 +104,6 @@ class Rests:
             found[rows, joint] = True
         return found
 
-    def whitened_all(self, rows: np.ndarray) -> np.ndarray:
-        """Rows (S', n) of all joints, over the background; those of guards are not a number, and stay it."""
-        known = np.isfinite(rows)
-        filled = np.where(known, rows, 0.0)
-        white = np.stack([self.whitened(joint, column) for joint, column in enumerate(filled.T)], axis=1)
-        return np.where(known, white, np.nan)
-
 
 def _count(rows: np.ndarray, before: int, after: int) -> np.ndarray:
     """(S, n) how many of the rows (S, n) bool from so many `before` each to so many `after` it are set."""
