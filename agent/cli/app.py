@@ -193,7 +193,7 @@ def diagnose(
         raise InputError("diagnose: --until-sure moves the robot: name the recipe to record with --record RECIPE")
     elif not logs or not (robot or model):
         raise InputError(
-            "diagnose: name the logs, and --robot R or --model MODEL. To record new logs, use --record RECIPE"
+            "diagnose: name the robot (--robot R or --model MODEL) and its logs, or a recipe to record (--record RECIPE)"
         )
     else:
         with opt.diagnosis_shown(as_json) as show:

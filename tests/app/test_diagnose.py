@@ -86,7 +86,7 @@ def test_nothing_moves_where_the_question_makes_no_sense(controller, write_recip
     for arguments, reason in (
         (["--record", recipe, "--robot", "comau_ns16"], "leave out LOG and --robot"),
         (["--record", recipe, "some.mcap"], "leave out LOG and --robot"),
-        (["--robot", "comau_ns16"], "To record new logs, use --record RECIPE"),
+        (["--robot", "comau_ns16"], "or a recipe to record"),
         (["some.mcap"], "name the robot"),
         (["--record", recipe, "--without", "squeak"], "squeak"),
         (["--record", recipe, "--model", "absent.json"], "no such model file"),
