@@ -180,7 +180,7 @@ def diagnose(
     )
     console = opt.console_for(messages)
     if budget is not None and not until_sure:
-        raise InputError("diagnose: --budget limits the motions of --until-sure: give both, or leave --budget out")
+        raise InputError("diagnose: --budget limits the motions of --until-sure: give that too, or leave --budget out")
     if until_sure and next_recipe is not None:
         raise InputError("diagnose: --until-sure plans its motions in the recipe of --record: leave out --next")
     if record is not None:
@@ -193,7 +193,7 @@ def diagnose(
         raise InputError("diagnose: --until-sure moves the robot: name the recipe to record with --record RECIPE")
     elif not logs or not (robot or model):
         raise InputError(
-            "diagnose: name the robot (--robot R or --model MODEL) and its logs, or a recipe to record (--record RECIPE)"
+            "diagnose: name the robot (--robot R or --model MODEL) and its logs, or a recipe to record (--record)"
         )
     else:
         with opt.diagnosis_shown(as_json) as show:

@@ -116,7 +116,7 @@ def test_an_interrupted_run_stops_the_arm_and_says_where(
     assert "Traceback" not in errors
     assert "the arm was stopped and stands" in errors
     folder = only_run(tmp_path / "logs")
-    assert f"logs/{folder.name}" in errors
+    assert f"finished steps are in logs/{folder.name}" in errors
     assert f"--resume {folder.name}" in errors
     state = json.loads((folder / "state.json").read_text(encoding="utf-8"))
     assert (state["status"], state["stopped"]["step"]) == ("stopped", "record")
