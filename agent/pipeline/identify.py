@@ -87,8 +87,8 @@ def check_one_machine(logs: Sequence[Any], model: Any, allow_mixed: bool, payloa
     loaded = [log for log in logs if log.metadata.get(PAYLOAD)]
     if loaded and not payload_counts:
         raise InputError(
-            f"{loaded[0].name}: was recorded with a mass mounted on purpose ({loaded[0].metadata[PAYLOAD]}). Leave it "
-            "out: only agent diagnose takes the mass into account"
+            f"{loaded[0].name}: was recorded with a mass mounted on purpose ({loaded[0].metadata[PAYLOAD]}). Only "
+            "agent diagnose takes the mass into account: leave it out"
         )
     if allow_mixed:
         return
