@@ -27,7 +27,7 @@ UR_TRIED = {
 #: What the controller refuses a start for.
 STATES = ("emergency_stop", "drive_fault", "alarm", "protective_stop", "teach_mode")
 #: Of these the agent has to notice in time, so the arm moves in real time.
-SLOW_TO_SHOW = ("silent", "lost_client", "override", "mute", "no_numbers", "no_end")
+SLOW_TO_SHOW = ("silent", "lost_client", "override", "mute", "no_numbers", "no_end", "clock_back")
 #: Motions that are not the planned ones; nothing but their samples tells of them.
 ASTRAY = ("off_path", "off_speed", "servo_error", "other_motion")
 #: One of each, in the phase where it is worst; and on the other wires what they meet in their own way.

@@ -224,8 +224,8 @@ def test_local_control_is_told_and_refused(peer, driver):
     ],
 )
 def test_what_differs_from_the_program_is_refused_with_both_values(peer, driver, state, message):
+    peer.state |= state  # before the connection: a sample that is on its way when the state changes has the old one
     checksum = stored(driver)
-    peer.state |= state
     with pytest.raises(RefusedError, match=message):
         driver.start("p", checksum)
     assert not peer.scripts
