@@ -1,7 +1,7 @@
-"""The vendor's own interpolator, where a user has its library: moves announced and stepped through.
+"""The vendor's own interpolator, for users who have its library: moves are announced, then stepped through.
 
-The library exports either the calls of its published header (`eORL.h` of 2013; `docs/decisions/orl-adapter.md` says
-what is known of them) or the four of a shim over it (docs/orl_shim.h). Calls are in millimetres, degrees and percent.
+The calls are those of the published header (`eORL.h` of 2013, `docs/decisions/orl-adapter.md`). They take millimetres,
+degrees and percent.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from enum import Enum
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -29,33 +29,20 @@ from agent.robot import RobotDescription, kinematics_for
 if TYPE_CHECKING:
     from agent.robot import Tool
 
-#: Environment variables: the library, and for the vendor's own the controller's file (*.c5g) and the arm in it (1..4).
+#: Environment variables: the library, the controller's file (*.c5g) and the arm in it (1 to 4).
 LIBRARY = "CALIBRATION_ORL_LIBRARY"
 CONTROLLER = "CALIBRATION_ORL_CONTROLLER"
 ARM = "CALIBRATION_ORL_ARM"
 
-#: What a step answers; anything else below zero is an error. NEED_DATA: on the way, and the next move may be announced.
+#: Status of a step; any other is an error. NEED_DATA: the arm is moving and the next move may be announced.
 _MOVING, _NEED_DATA, _FINAL, _IDLE = 0, 1, 2, -42
-#: One move is active and one more is scheduled; a third has to wait for NEED_DATA.
+#: One move is active and one more is scheduled; a third waits for NEED_DATA.
 _MOST_ANNOUNCED = 2
 _MOST_JOINTS = 10
-#: [s] no chain of moves may take longer.
+#: [s] Longest chain of moves.
 _LONGEST = 3600.0
-#: [rad or m] A chain that ends further from its target than this was not the one we announced.
+#: [rad or m] A chain that ends further from its target than this was run by another arm or in other frames.
 _ARRIVED = 5e-3
-
-
-class _MoveCall(NamedTuple):
-    """A move as the controller writes it: joints in degrees (mm where they slide), poses x y z a e r in mm, degrees."""
-
-    move: Move
-    settings: Pdl2Settings
-    start: tuple[float, ...]
-    target: tuple[float, ...]
-    via: tuple[float, ...]
-    base: tuple[float, ...]
-    tool: tuple[float, ...]
-    uframe: tuple[float, ...]
 
 
 class _CallRefused(Exception):
@@ -65,11 +52,11 @@ class _CallRefused(Exception):
 class OrlInterpolator:
     """Plans programs by stepping the vendor's interpolator. One at a time in a process: the library keeps the state.
 
-    `library` is its path; without one the environment variable CALIBRATION_ORL_LIBRARY names it. The vendor's own
-    starts from the controller's file (CALIBRATION_ORL_CONTROLLER), for its first arm or CALIBRATION_ORL_ARM.
+    `library` is its path; by default the environment variable CALIBRATION_ORL_LIBRARY names it. The library starts
+    from the controller's file (CALIBRATION_ORL_CONTROLLER), for its first arm or CALIBRATION_ORL_ARM.
 
     Raises:
-        InputError: no library or controller file, one that does not load or lacks a call, a period it does not take.
+        InputError: no library or controller file, a library that does not load or lacks a call, a refused period.
     """
 
     def __init__(
@@ -84,17 +71,23 @@ class OrlInterpolator:
         self._sliding = np.array([joint.prismatic for joint in robot.joints])
         if robot.dof > _MOST_JOINTS:
             raise InputError(f"the robot has {robot.dof} joints, the ORL library takes {_MOST_JOINTS}")
-        self._library = _loaded(library)
+        path = str(library or os.environ.get(LIBRARY) or "")
+        if not path:
+            raise InputError(
+                f"the orl interpolator needs the vendor's library: set {LIBRARY} to its path, or use the interpolator "
+                "fly"
+            )
+        self._library = _started(path, os.environ.get(CONTROLLER, ""), os.environ.get(ARM, "1"))
         self._set_period()
 
     def plan(self, statements: Sequence[Statement], start: np.ndarray) -> Trajectory:
         """Set-points of the program from rest at `start` (n,) to rest; velocities by differences of positions.
 
         Raises:
-            MotionError: the library refuses a move, its arm does not start where ours stands or end at the target, or
-                it ends a move that flies before it has asked for the next.
+            MotionError: the library refuses a move, its arm does not start at `start` or end at the target, or it ends
+                a flying move before it asks for the next.
         """
-        # Set again: the library is one for the process, and another interpolator may have set its own.
+        # The library is one for the process, and another interpolator may have set its own period.
         self._set_period()
         here = np.asarray(start, dtype=float)
         samples, moves = [here[None]], [np.zeros(1, dtype=int)]
@@ -108,29 +101,26 @@ class OrlInterpolator:
             chain.append((index, statement))
             following = statements[index + 1] if index + 1 < len(statements) else None
             if not statement.fly or not isinstance(following, Move):
-                samples.append(self._stepped(chain, here))
+                try:
+                    samples.append(np.array(self._steps(chain, here)))
+                except MotionError:
+                    self._library.cancel()
+                    raise
                 moves.append(self._owners(chain, samples[-1]))
                 here, chain = samples[-1][-1], []
         return self._trajectory(np.concatenate(samples), np.concatenate(moves))
 
     def _set_period(self) -> None:
         try:
-            self._library.set_period(1e3 * self.period)
+            self._library.call("ORL_set_interpolation_time", 1e3 * self.period)
         except _CallRefused as refused:
             raise InputError(f"the library refuses a period of {1e3 * self.period:g} ms: {refused}") from None
 
-    def _stepped(self, chain: list[tuple[int, Move]], start: np.ndarray) -> np.ndarray:
-        """(S, n) set-points of moves from stop to stop."""
-        try:
-            return np.array(self._steps(chain, start))
-        except MotionError:
-            self._library.cancel()
-            raise
-
     def _steps(self, chain: list[tuple[int, Move]], start: np.ndarray) -> list[np.ndarray]:
+        """Set-points (n,) of moves from stop to stop."""
         announced = 0
         for index, move in chain[:_MOST_ANNOUNCED]:
-            self._announce(index, move, start, first=announced == 0)
+            self._announce(index, move, start if announced == 0 else None)
             announced += 1
         steps: list[np.ndarray] = []
         while len(steps) * self.period <= _LONGEST:
@@ -144,7 +134,7 @@ class OrlInterpolator:
                 away = np.degrees(jump.max())
                 raise _refusal(chain[0][0], f"the library's arm is {away:.3g} degrees away from where ours starts")
             if status == _NEED_DATA and announced < len(chain):
-                self._announce(*chain[announced], start, first=False)
+                self._announce(*chain[announced], None)
                 announced += 1
             if status == _FINAL:
                 if announced < len(chain):
@@ -153,12 +143,34 @@ class OrlInterpolator:
                 return steps
         raise _refusal(chain[-1][0], f"the move has not ended after {_LONGEST:g} s")
 
-    def _announce(self, index: int, move: Move, start: np.ndarray, first: bool) -> None:
-        frames = (tuple(pose_to_pos(frame).tolist()) for frame in self._frames(move))
-        via = () if move.via is None else self._coordinates(move.via)
-        points = self._joints(start), self._coordinates(move.target), via
+    def _announce(self, index: int, move: Move, start: np.ndarray | None) -> None:
+        """Announce a move; `start` (n,) is where the arm rests before it, None on the way."""
+        call, settings = self._library.call, Pdl2Settings.of(move.settings)
         try:
-            self._library.announce(_MoveCall(move, Pdl2Settings.of(move.settings), *points, *frames), first)
+            if start is not None:
+                call("ORL_set_position", None, self._joints(start))
+            frames = (matrix_of(settings.base), self._tool_of(move), matrix_of(settings.uframe))
+            call("ORL_initialize_frames", *map(_pose, frames))
+            call("ORL_select_point_accuracy", _CODES[settings.termination])
+            call("ORL_orientation_interpolation", _CODES[settings.orientation])
+            call("ORL_dominant_interpolation", _CODES[settings.speed_option], _ROTATION)
+            self._library.set("LIN_SPD", ctype=3, dv=settings.linear_speed)
+            self._library.set("ROT_SPD", ctype=3, dv=settings.rotational_speed)
+            for name, override in _OVERRIDES.items():
+                self._library.set(name, ctype=1, iv=round(100.0 * getattr(settings, override)))
+            fly_type = 0
+            if move.fly and settings.fly_type is FlyType.FLY_CART:
+                fly_type = _CODES[settings.fly_trajectory]
+                self._library.set("STRESS_PER", ctype=1, iv=round(settings.stress_percent))
+                call("ORL_set_fly_parameter", _FLY_DISTANCE, 1e3 * settings.fly_distance)
+            elif move.fly:
+                call("ORL_set_fly_parameter", _FLY_PERCENT, settings.fly_percent)
+            # A circle takes two calls: its end, then its via-point.
+            for target in (move.target, move.via):
+                if target is not None:
+                    # ORL_FLY with ORL_ADVANCE, ORL_NO_FLY with ORL_WAIT: both pairs are 1, 1 and 0, 0.
+                    place = self._place(target)
+                    call("ORL_set_move_parameters", move.fly, move.fly, fly_type, _CODES[move.type], *place)
         except _CallRefused as refused:
             raise _refusal(index, f"the library refuses the move: {refused}") from None
 
@@ -170,13 +182,12 @@ class OrlInterpolator:
             raise _refusal(index, f"the library ended {far} from the target: another arm or other frames?")
 
     def _away(self, move: Move, q: np.ndarray) -> np.ndarray:
-        """How far (N,) [rad or m] joint positions (N, n) are from the move's target."""
+        """Distance (N,) [rad or m] of joint positions (N, n) from the move's target."""
         if isinstance(move.target, JointTarget):
             return np.asarray(np.abs(q - move.target.position).max(axis=1))
-        tool = self._frames(move)[1]
         flange = self._kinematics.forward(q) @ np.linalg.inv(self._tool)
         target = pose_in_robot_base(move.target, move.settings)[:3, 3]
-        return np.asarray(np.linalg.norm((flange @ tool)[:, :3, 3] - target, axis=1))
+        return np.asarray(np.linalg.norm((flange @ self._tool_of(move))[:, :3, 3] - target, axis=1))
 
     def _owners(self, chain: list[tuple[int, Move]], q: np.ndarray) -> np.ndarray:
         """Statement of each sample: a move ends where its target is nearest, as the library does not say."""
@@ -188,18 +199,16 @@ class OrlInterpolator:
             begin = min(end, len(q) - 1)
         return owner
 
-    def _frames(self, move: Move) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        settings = move.settings
-        tool = self._tool if settings.tool is None else matrix_of(settings.tool)
-        return matrix_of(settings.base), tool, matrix_of(settings.uframe)
+    def _tool_of(self, move: Move) -> np.ndarray:
+        return self._tool if move.settings.tool is None else matrix_of(move.settings.tool)
 
-    def _coordinates(self, target: Target) -> tuple[float, ...]:
+    def _place(self, target: Target) -> tuple[_CartesianPosition | None, _JointValue | None]:
         if isinstance(target, JointTarget):
-            return self._joints(target.position)
-        return tuple(pose_to_pos(target.pose).tolist())
+            return None, self._joints(target.position)
+        return _pose(target.pose, _flags(target)), None
 
-    def _joints(self, q: np.ndarray) -> tuple[float, ...]:
-        return tuple(np.where(self._sliding, 1e3 * np.asarray(q), np.degrees(q)).tolist())
+    def _joints(self, q: np.ndarray) -> _JointValue:
+        return _JointValue(_LINK_DEGREE, tuple(np.where(self._sliding, 1e3 * np.asarray(q), np.degrees(q)).tolist()))
 
     def _trajectory(self, q: np.ndarray, move: np.ndarray) -> Trajectory:
         padded = np.concatenate((q[:1], q, q[-1:]))
@@ -213,97 +222,6 @@ class OrlInterpolator:
 
 def _refusal(index: int, message: str) -> MotionError:
     return MotionError(f"statement {index + 1}: {message}", index, "orl", 1.0)
-
-
-def _loaded(library: str | Path | None) -> _VendorCalls | _ShimCalls:
-    path = str(library or os.environ.get(LIBRARY) or "")
-    if not path:
-        raise InputError(
-            f"the orl interpolator needs the vendor's library: set {LIBRARY} to its path, or use the interpolator fly"
-        )
-    try:
-        loaded = ctypes.CDLL(path)
-    except OSError as error:
-        raise InputError(f"{path}: the ORL library does not load: {error}") from None
-    try:
-        if hasattr(loaded, "calibration_interpolator_period"):
-            return _ShimCalls(loaded)
-        return _vendor_calls(path, os.environ.get(CONTROLLER, ""), os.environ.get(ARM, "1"))
-    except AttributeError as error:
-        raise InputError(f"{path}: not an ORL library, nor one of docs/orl_shim.h: {error}") from None
-
-
-def _check_status(call: str, status: int) -> None:
-    if status != 0:
-        raise _CallRefused(f"{call}: status {status}")
-
-
-def _flags(target: Target | None) -> bytes:
-    """The target's configuration string, which has 79 characters at most in either library."""
-    flags = target.configuration.encode() if isinstance(target, CartesianTarget) else b""
-    if len(flags) > 79:
-        raise _CallRefused(f"a configuration of {len(flags)} characters: the library takes 79")
-    return flags
-
-
-_WORDS = ("fly_type", "fly_trajectory", "speed_option", "orientation", "termination")
-_NUMBERS = ("fly_percent", "stress_percent", "linear_speed", "rotational_speed")
-_OVERRIDES = ("speed_override", "acceleration_override", "deceleration_override", "arm_override")
-_POINTS, _FRAMES = ("start", "target", "via"), ("base", "tool", "uframe")
-
-
-def _number(word: Enum) -> int:
-    """Words of the shim number from 0 in the order of our enumerations."""
-    return list(type(word)).index(word)
-
-
-class _ShimMove(ctypes.Structure):
-    """`calibration_move` of docs/orl_shim.h: settings by their own names, overrides in percent."""
-
-    _fields_ = (
-        *[(name, ctypes.c_int) for name in ("size", "joints", "first", "fly", "movement", *_WORDS)],
-        *[(name, ctypes.c_int) for name in ("target_is_joints", "via_is_joints")],
-        *[(name, ctypes.c_double) for name in ("fly_distance", *_NUMBERS, *_OVERRIDES)],
-        *[(name, ctypes.c_double * _MOST_JOINTS) for name in _POINTS],
-        *[(name, ctypes.c_double * 6) for name in _FRAMES],
-        ("configuration", ctypes.c_char * 80),
-    )
-
-
-class _ShimCalls:
-    """The calls of a shim. All calls but `step` and `cancel` raise `_CallRefused` where the library refuses."""
-
-    def __init__(self, library: ctypes.CDLL):
-        self._library = library
-        library.calibration_interpolator_period.argtypes = [ctypes.c_double]
-        library.calibration_interpolator_move.argtypes = [ctypes.POINTER(_ShimMove)]
-        library.calibration_interpolator_step.argtypes = [ctypes.POINTER(ctypes.c_double)]
-        self.cancel = library.calibration_interpolator_cancel
-
-    def set_period(self, milliseconds: float) -> None:
-        _check_status("calibration_interpolator_period", self._library.calibration_interpolator_period(milliseconds))
-
-    def announce(self, call: _MoveCall, first: bool) -> None:
-        data = _ShimMove(
-            size=ctypes.sizeof(_ShimMove),
-            joints=len(call.start),
-            first=first,
-            fly=call.move.fly,
-            movement=_number(call.move.type),
-            **{name: _number(getattr(call.settings, name)) for name in _WORDS},
-            target_is_joints=isinstance(call.move.target, JointTarget),
-            via_is_joints=isinstance(call.move.via, JointTarget),
-            fly_distance=1e3 * call.settings.fly_distance,
-            **{name: getattr(call.settings, name) for name in _NUMBERS},
-            **{name: 100.0 * getattr(call.settings, name) for name in _OVERRIDES},
-            **{name: getattr(call, name) for name in (*_POINTS, *_FRAMES)},
-            configuration=_flags(call.move.target),
-        )
-        _check_status("calibration_interpolator_move", self._library.calibration_interpolator_move(ctypes.byref(data)))
-
-    def step(self, count: int) -> tuple[int, list[float]]:
-        joints = (ctypes.c_double * _MOST_JOINTS)()
-        return self._library.calibration_interpolator_step(joints), list(joints[:count])
 
 
 class _CartesianPosition(ctypes.Structure):
@@ -340,6 +258,12 @@ _CODES: dict[Enum, int] = {
     **{Termination.FINE: 0, Termination.COARSE: 1, Termination.NOSETTLE: 2},
     **{Termination.JNT_FINE: 3, Termination.JNT_COARSE: 4},
 }
+_OVERRIDES = {
+    "SPD_OVR": "speed_override",
+    "ACC_OVR": "acceleration_override",
+    "DEC_OVR": "deceleration_override",
+    "ARM_OVR": "arm_override",
+}
 # Each call ends with verbose and controller, most with the arm as well.
 _PLACE = [ctypes.c_int] * 3
 _TARGETS = [ctypes.POINTER(_CartesianPosition), ctypes.POINTER(_JointValue)]
@@ -360,19 +284,36 @@ _CALLS: dict[str, list[Any]] = {
 }
 
 
+def _pose(matrix: np.ndarray, flags: bytes = b"") -> _CartesianPosition:
+    return _CartesianPosition(_CARTESIAN, *pose_to_pos(matrix).tolist(), flags)
+
+
+def _flags(target: CartesianTarget) -> bytes:
+    """The target's configuration string; the library takes 79 characters."""
+    flags = target.configuration.encode()
+    if len(flags) > 79:
+        raise _CallRefused(f"a configuration of {len(flags)} characters: the library takes 79")
+    return flags
+
+
 # The library keeps one controller's state for the process: initialised once, however many interpolators there are.
 @cache
-def _vendor_calls(path: str, controller: str, arm: str) -> _VendorCalls:
-    """The calls of the library at `path`, started from the controller's file, for one of its arms ("1" to "4").
+def _started(path: str, controller: str, arm: str) -> _Library:
+    """The library at `path`, started from the controller's file for one of its arms ("1" to "4").
 
     Raises:
-        InputError: no such file or arm, or the library does not start from it.
-        AttributeError: the library lacks a call.
+        InputError: no such library, file or arm, a call is missing, or the library does not start.
     """
-    library = ctypes.CDLL(path)
-    for name, arguments in _CALLS.items():
-        call = getattr(library, name)
-        call.argtypes, call.restype = arguments, ctypes.c_int
+    try:
+        library = ctypes.CDLL(path)
+    except OSError as error:
+        raise InputError(f"{path}: the ORL library does not load: {error}") from None
+    try:
+        for name, arguments in _CALLS.items():
+            call = getattr(library, name)
+            call.argtypes, call.restype = arguments, ctypes.c_int
+    except AttributeError as error:
+        raise InputError(f"{path}: not an ORL library: {error}") from None
     if not controller:
         raise InputError(f"the vendor's library starts from the controller's file: set {CONTROLLER} to it (*.c5g)")
     if not os.path.isfile(controller):
@@ -385,50 +326,23 @@ def _vendor_calls(path: str, controller: str, arm: str) -> _VendorCalls:
     if status != 0:
         raise InputError(f"ORL_initialize_controller refuses {controller}: status {status}")
     atexit.register(library.ORL_terminate_controller, _SILENT, _FIRST_CONTROLLER)
-    return _VendorCalls(library, int(arm))
+    return _Library(library, int(arm))
 
 
-class _VendorCalls:
-    """The vendor's own calls, offered as those of the shim are."""
+class _Library:
+    """The calls for one arm. All but `step` and `cancel` raise `_CallRefused` on an error status."""
 
     def __init__(self, library: ctypes.CDLL, arm: int):
         self._library, self._arm = library, arm
         self._place = (_SILENT, _FIRST_CONTROLLER, arm - 1)
 
-    def set_period(self, milliseconds: float) -> None:
-        self._call("ORL_set_interpolation_time", milliseconds)
+    def call(self, name: str, *arguments: object) -> None:
+        self._check(name, getattr(self._library, name)(*arguments, *self._place))
 
-    def announce(self, call: _MoveCall, first: bool) -> None:
-        move, settings = call.move, call.settings
-        if first:
-            self._call("ORL_set_position", None, _JointValue(_LINK_DEGREE, call.start))
-        frames = (_CartesianPosition(_CARTESIAN, *frame) for frame in (call.base, call.tool, call.uframe))
-        self._call("ORL_initialize_frames", *frames)
-        self._call("ORL_select_point_accuracy", _CODES[settings.termination])
-        self._call("ORL_orientation_interpolation", _CODES[settings.orientation])
-        self._call("ORL_dominant_interpolation", _CODES[settings.speed_option], _ROTATION)
-        self._set("LIN_SPD", ctype=3, dv=settings.linear_speed)
-        self._set("ROT_SPD", ctype=3, dv=settings.rotational_speed)
-        for name, override in zip(("SPD_OVR", "ACC_OVR", "DEC_OVR", "ARM_OVR"), _OVERRIDES, strict=True):
-            self._set(name, ctype=1, iv=round(100.0 * getattr(settings, override)))
-        fly_type = 0
-        if move.fly and settings.fly_type is FlyType.FLY_CART:
-            fly_type = _CODES[settings.fly_trajectory]
-            self._set("STRESS_PER", ctype=1, iv=round(settings.stress_percent))
-            self._call("ORL_set_fly_parameter", _FLY_DISTANCE, 1e3 * settings.fly_distance)
-        elif move.fly:
-            self._call("ORL_set_fly_parameter", _FLY_PERCENT, settings.fly_percent)
-        # A circle takes two calls: where it ends, then what it passes.
-        for target, values in ((move.target, call.target), (move.via, call.via)):
-            if target is None:
-                continue
-            joints = isinstance(target, JointTarget)
-            pair = (
-                None if joints else _CartesianPosition(_CARTESIAN, *values, _flags(target)),
-                _JointValue(_LINK_DEGREE, values) if joints else None,
-            )
-            # ORL_FLY with ORL_ADVANCE, ORL_NO_FLY with ORL_WAIT: both pairs are 1, 1 and 0, 0.
-            self._call("ORL_set_move_parameters", move.fly, move.fly, fly_type, _CODES[move.type], *pair)
+    def set(self, name: str, **value: float) -> None:
+        full = f"$ARM_DATA[{self._arm}].{name}"
+        variable = _SystemVariable(sysvar_name=full.encode(), **value)
+        self._check(f"ORL_set_data of {full}", self._library.ORL_set_data(variable, _SILENT, _FIRST_CONTROLLER))
 
     def step(self, count: int) -> tuple[int, list[float]]:
         joints = _JointValue(_LINK_DEGREE)
@@ -439,10 +353,7 @@ class _VendorCalls:
         # Nothing to cancel is an error to the library, and none to us.
         self._library.ORL_cancel_motion(*self._place)
 
-    def _call(self, name: str, *arguments: object) -> None:
-        _check_status(name, getattr(self._library, name)(*arguments, *self._place))
-
-    def _set(self, name: str, **value: float) -> None:
-        full = f"$ARM_DATA[{self._arm}].{name}"
-        variable = _SystemVariable(sysvar_name=full.encode(), **value)
-        _check_status(f"ORL_set_data of {full}", self._library.ORL_set_data(variable, _SILENT, _FIRST_CONTROLLER))
+    @staticmethod
+    def _check(call: str, status: int) -> None:
+        if status != 0:
+            raise _CallRefused(f"{call}: status {status}")

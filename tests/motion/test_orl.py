@@ -1,4 +1,4 @@
-"""The adapter of the vendor's library, against stubs compiled on the spot: of its calls, and of our shim's."""
+"""The adapter of the vendor's library, against a stub of its calls that is compiled on the spot."""
 
 from __future__ import annotations
 
@@ -17,8 +17,6 @@ from agent.motion.orl import ARM, CONTROLLER, LIBRARY, OrlInterpolator
 from agent.motion.pdl2.settings import FlyTrajectory, FlyType, Pdl2Settings, Termination
 from agent.motion.program import CartesianTarget, Delay, JointTarget, Move, MoveType
 from agent.motion.regions import pose_of
-
-HEADER = Path(__file__).parents[2] / "docs"
 
 #: Moves the joints on straight lines at 10 degrees a second, with one active and one scheduled move; a pose is taken
 #: for the joints it happens to have the numbers of. `told` is what it was told, for the tests to read.
@@ -123,31 +121,6 @@ int ORL_set_fly_parameter(int kind, double value, int verbose, int controller, i
 """
 )
 
-SHIM = (
-    CORE
-    + r"""
-#include "orl_shim.h"
-
-int calibration_interpolator_period(double milliseconds) {
-    if (milliseconds < 0.4) return -9;
-    period = milliseconds / 1000.0;
-    return 0;
-}
-int calibration_interpolator_move(const calibration_move *move) {
-    if (move->size != (int)sizeof *move) return 11;
-    say("move %d %d %d via %d %g\n", move->fly, move->movement, move->joints, move->via_is_joints, move->via[6]);
-    say("settings %g %g %g %g\n", move->fly_distance, move->linear_speed, move->stress_percent, move->arm_override);
-    say("target %g %g '%s' tool %g\n", move->target[0], move->target[1], move->configuration, move->tool[2]);
-    if (!move->target_is_joints) return -5;
-    if (move->first) memcpy(here, move->start, sizeof here);
-    return queue_move(move->target);
-}
-int calibration_interpolator_step(double joints[10]) { return next_step(joints); }
-int calibration_interpolator_cancel(void) { waiting = step_number = 0; return 0; }
-"""
-)
-
-
 @pytest.fixture(scope="module")
 def built(tmp_path_factory):
     compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
@@ -159,7 +132,7 @@ def built(tmp_path_factory):
         folder = tmp_path_factory.mktemp("orl")
         source, library = folder / "stub.c", folder / f"stub{next(numbers)}.so"
         source.write_text(text)
-        command = [compiler, "-shared", "-fPIC", "-Wall", f"-DASKS={asks}", f"-I{HEADER}", "-o", library, source, "-lm"]
+        command = [compiler, "-shared", "-fPIC", "-Wall", f"-DASKS={asks}", "-o", library, source, "-lm"]
         subprocess.run([str(part) for part in command], check=True)
         return library
 
@@ -169,11 +142,6 @@ def built(tmp_path_factory):
 @pytest.fixture(scope="module")
 def vendor(built) -> Path:
     return built(VENDOR)
-
-
-@pytest.fixture(scope="module")
-def shim(built) -> Path:
-    return built(SHIM)
 
 
 @pytest.fixture
@@ -197,10 +165,8 @@ def joint_move(q, fly=False, **settings):
     return Move(MoveType.JOINT, JointTarget(q), Pdl2Settings(**settings), fly=fly)
 
 
-@pytest.mark.parametrize("kind", ["vendor", "shim"])
-def test_a_program_is_stepped_through_the_library(kind, request, controller, ns16, home):
-    library = request.getfixturevalue(kind)
-    orl = create_interpolator("orl", ns16, None, period=0.002, library=library)
+def test_a_program_is_stepped_through_the_library(vendor, controller, ns16, home):
+    orl = create_interpolator("orl", ns16, None, period=0.002, library=vendor)
     turns = np.radians([[1, 0, 0, 0, 0, 0], [1, 0.5, 0, 0, -0.5, 0], [0, 0.5, 0.3, 0, 0, 0], [0, 0, 0.3, 0, 0, 1]])
     chain = [joint_move(home + turn, fly=k < 3) for k, turn in enumerate(turns)]
     trajectory = orl.plan([*chain, Delay(0.02), joint_move(home)], home)
@@ -284,29 +250,15 @@ def test_a_library_that_stops_before_it_asks_for_the_next_move_is_refused(built,
         orl.plan(moves[:1] + [joint_move(home)], home)
 
 
-def test_what_the_shim_is_told(shim, ns16, home):
-    orl = OrlInterpolator(ns16, library=shim)
-    heard(shim)
-    frame = tuple(tuple(row) for row in pose_of([0.0, 0.0, 0.12, 0.0, 0.0, 0.0]))
-    settings = Pdl2Settings(fly_distance=0.02, linear_speed=0.7, stress_percent=40.0, arm_override=0.5, tool=frame)
-    target = CartesianTarget(pose_of([1.0, 0.1, 0.8, 0.1, 3.0, -0.2]), "S W T1:1")
-    way = JointTarget(np.zeros(6))
-    with pytest.raises(MotionError, match=r"statement 1.*status -5") as caught:
-        orl.plan([Move(MoveType.CIRCULAR, target, settings, fly=True, via=way)], home)
-    assert caught.value.move == 0
-    assert heard(shim) == ["move 1 2 6 via 1 0", "settings 20 0.7 40 50", "target 1000 100 'S W T1:1' tool 120"]
-
-
-def test_a_library_that_is_not_there_or_refuses_says_so(vendor, shim, built, controller, ns16, monkeypatch, tmp_path):
+def test_a_library_that_is_not_there_or_refuses_says_so(vendor, built, controller, ns16, monkeypatch, tmp_path):
     monkeypatch.delenv(LIBRARY, raising=False)
     with pytest.raises(InputError, match=LIBRARY):
         OrlInterpolator(ns16)
     with pytest.raises(InputError, match="does not load"):
         OrlInterpolator(ns16, library=tmp_path / "absent.so")
-    for library in (vendor, shim):
-        with pytest.raises(InputError, match=r"period of 0\.1 ms.*status -9"):
-            OrlInterpolator(ns16, period=0.0001, library=library)
-    monkeypatch.setenv(LIBRARY, str(shim))
+    with pytest.raises(InputError, match=r"period of 0\.1 ms.*status -9"):
+        OrlInterpolator(ns16, period=0.0001, library=vendor)
+    monkeypatch.setenv(LIBRARY, str(vendor))
     assert OrlInterpolator(ns16).plan([], np.zeros(6)).q.shape == (1, 6)
     monkeypatch.setenv(ARM, "5")
     with pytest.raises(InputError, match="1 to 4"):
@@ -325,7 +277,7 @@ def test_a_library_that_is_not_there_or_refuses_says_so(vendor, shim, built, con
         OrlInterpolator(ns16, library=vendor)
 
 
-def test_a_library_with_neither_set_of_calls_is_refused(ns16, controller):
+def test_a_library_without_the_calls_is_refused(ns16, controller):
     import _ctypes
 
     with pytest.raises(InputError, match="not an ORL library"):
