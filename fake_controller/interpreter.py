@@ -117,8 +117,7 @@ class Interpreter:
         self._system = system
         self._variables: dict[Any, Value] = dict(scope.initial)
         self._reals = {name for name, kind in scope.variables.items() if kind.name == "REAL"}
-        sizes = {name: kind.size for name, kind in scope.variables.items() if kind.size is not None}
-        self._memory = Memory(scope.constants, self._variables, system, sizes)
+        self._memory = Memory(scope.constants, self._variables, system, scope.variables)
         self._poses: dict[tuple[Any, ...], np.ndarray] = {}
 
     def run(self) -> Iterator[Statement]:

@@ -16,7 +16,6 @@ from .learned import (
 )
 from .learning import Learner as Learner, RecordedMove as RecordedMove
 from .orl import ARM as ARM, CONTROLLER as CONTROLLER, LIBRARY as LIBRARY
-from .pdl2.errors import Pdl2Error as Pdl2Error
 from .pdl2.evaluation import Memory as Memory, Value as Value, evaluate as evaluate, subscript as subscript
 from .pdl2.job import job_text as job_text
 from .pdl2.pos import pose_to_pos as pose_to_pos
@@ -40,6 +39,7 @@ from .pdl2.syntax import (
     ForLoop as ForLoop,
     Joints as Joints,
     MoveStatement as MoveStatement,
+    Pdl2Error as Pdl2Error,
     Pos as Pos,
     System as System,
 )

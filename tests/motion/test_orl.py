@@ -121,6 +121,7 @@ int ORL_set_fly_parameter(int kind, double value, int verbose, int controller, i
 """
 )
 
+
 @pytest.fixture(scope="module")
 def built(tmp_path_factory):
     compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")

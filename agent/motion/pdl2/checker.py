@@ -5,10 +5,19 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from agent.motion.pdl2 import syntax
-from agent.motion.pdl2.errors import Pdl2Error
-from agent.motion.pdl2.evaluation import NUMBERS, DataType, Memory, Scope, Value, evaluate, require, type_of
-from agent.motion.pdl2.syntax import place_of
-from agent.motion.pdl2.variables import PREDEFINED, SYSTEM_VARIABLES
+from agent.motion.pdl2.evaluation import (
+    NUMBERS,
+    DataType,
+    Memory,
+    Scope,
+    assignable,
+    assigned_value,
+    check_variable,
+    evaluate,
+    setting_value,
+)
+from agent.motion.pdl2.syntax import Pdl2Error, place_of
+from agent.motion.pdl2.variables import PREDEFINED
 
 if TYPE_CHECKING:
     from lark import Token
@@ -36,8 +45,9 @@ def check(program: syntax.ProgramTree) -> Scope:
     declarations = _Declarations()
     for declaration in program.declarations:
         declarations.declare(declaration)
-    _check_block(program.block, declarations.scope)
-    return declarations.scope
+    scope = declarations.scope
+    _check_block(program.block, Memory(scope.constants, {}, {}, scope.variables, checking=True))
+    return scope
 
 
 def _check_header(program: syntax.ProgramTree) -> None:
@@ -62,26 +72,36 @@ def _check_header(program: syntax.ProgramTree) -> None:
 
 
 class _Declarations:
-    """What was declared so far."""
+    """The names that were declared so far."""
 
     def __init__(self) -> None:
         self.scope = Scope({}, {}, {})
-        self._types: dict[str, DataType] = {}
-        self._constants = Scope({}, self.scope.constants, {})
+        self._types = {word: DataType(name) for word, name in _DATA_TYPES.items()}
+        self._constants = Memory(self.scope.constants, {}, {})
 
     def declare(self, declaration: syntax.Declaration) -> None:
-        match declaration:
-            case syntax.ConstantDeclaration():
-                name = self._new(declaration.word)
-                self.scope.constants[name] = self._constant(declaration.value)
-            case syntax.TypeDeclaration():
-                name = self._new(declaration.word)
-                self._types[name] = self._data_type(declaration.type)
-            case syntax.VariableDeclaration():
-                self._variables(declaration)
+        """Add the names of one declaration, or raise Pdl2Error."""
+        data_type = None if declaration.type is None else self._data_type(declaration.type)
+        value = declaration.value
+        initial = None
+        if value is not None:
+            if data_type is not None and data_type.size is not None:
+                raise Pdl2Error("an array has no initial value here; assign its elements", value.place)
+            initial = evaluate(value, self._constants, *(assignable(data_type.name) if data_type else ()))
+        for word in declaration.words:
+            name = self._new(word)
+            if data_type is None:
+                assert initial is not None
+                self.scope.constants[name] = initial
+            elif declaration.section == "TYPE":
+                self._types[name] = data_type
+            else:
+                self.scope.variables[name] = data_type
+                if initial is not None:
+                    self.scope.initial[name] = initial
 
     def _new(self, word: Token) -> str:
-        """The name of a word that nothing is called by yet."""
+        """The name of a word that is not declared yet."""
         name = word.lower()
         if name in PREDEFINED or name in _DATA_TYPES:
             raise Pdl2Error("is a predefined word and cannot be declared", place_of(word))
@@ -89,99 +109,55 @@ class _Declarations:
             raise Pdl2Error("is declared twice", place_of(word))
         return name
 
-    def _constant(self, expression: syntax.Expression) -> Value:
-        """The value of an expression that may refer to constants only."""
-        type_of(expression, self._constants, constant=True)
-        return evaluate(expression, Memory(self.scope.constants, {}, {}))
-
     def _data_type(self, named: syntax.NamedType) -> DataType:
         found = self._types.get(named.name)
         if found is None:
-            if named.name not in _DATA_TYPES:
-                raise Pdl2Error(
-                    "is not a data type known here (INTEGER, REAL, BOOLEAN, POSITION, JOINTPOS)", named.place
-                )
-            found = DataType(_DATA_TYPES[named.name])
+            reason = "is not a data type known here (INTEGER, REAL, BOOLEAN, POSITION, JOINTPOS)"
+            raise Pdl2Error(reason, named.place)
         if named.size is None:
             return found
-        size = self._constant(named.size)
+        size = evaluate(named.size, self._constants)
         if isinstance(size, bool) or not isinstance(size, int) or not 1 <= size <= MAX_ARRAY:
             raise Pdl2Error(f"the size of an array is an integer in 1..{MAX_ARRAY}", named.size.place)
         if found.size is not None:
             raise Pdl2Error("is an array already; arrays of arrays are not read here", named.place)
         return DataType(found.name, size)
 
-    def _variables(self, declaration: syntax.VariableDeclaration) -> None:
-        data_type, initial = self._data_type(declaration.type), declaration.initial
-        if initial is not None:
-            if data_type.size is not None:
-                raise Pdl2Error("an array has no initial value here; assign its elements", initial.place)
-            require(initial, self._constants, *_assignable(data_type.name), constant=True)
-        value = None if initial is None else self._constant(initial)
-        for word in declaration.words:
-            name = self._new(word)
-            self.scope.variables[name] = data_type
-            if value is not None:
-                self.scope.initial[name] = value
 
-
-def _assignable(data_type: str) -> tuple[str, ...]:
-    return NUMBERS if data_type == "REAL" else (data_type,)
-
-
-def _check_block(block: syntax.Block, scope: Scope) -> None:
+def _check_block(block: syntax.Block, memory: Memory) -> None:
     for statement in block:
         match statement:
-            case syntax.Assignment():
-                target = statement.target
-                if isinstance(target, syntax.System):
-                    _check_setting(target, statement.value, scope)
-                else:
-                    _check_variable(target, scope)
-                    require(statement.value, scope, *_assignable(type_of(target, scope)))
+            case syntax.Assignment(target=syntax.System() as target):
+                setting_value(target, statement.value, memory)
+            case syntax.Assignment(target=syntax.Name() | syntax.Element() as target):
+                assigned_value(target, statement.value, memory)
             case syntax.MoveStatement():
-                _check_move(statement, scope)
+                _check_move(statement, memory)
             case syntax.DelayStatement():
-                require(statement.milliseconds, scope, *NUMBERS)
+                evaluate(statement.milliseconds, memory, *NUMBERS)
             case syntax.ForLoop():
                 for expression in (statement.variable, statement.first, statement.last, statement.step):
                     if expression is not None:
-                        require(expression, scope, "INTEGER")
-                _check_variable(statement.variable, scope)
-                _check_block(statement.block, scope)
+                        evaluate(expression, memory, "INTEGER")
+                check_variable(statement.variable, memory)
+                _check_block(statement.block, memory)
             case syntax.Conditional():
-                require(statement.condition, scope, "BOOLEAN")
-                _check_block(statement.then, scope)
-                _check_block(statement.otherwise, scope)
+                evaluate(statement.condition, memory, "BOOLEAN")
+                _check_block(statement.then, memory)
+                _check_block(statement.otherwise, memory)
 
 
-def _check_variable(target: syntax.Name | syntax.Element, scope: Scope) -> None:
-    if target.name in scope.constants or target.name in PREDEFINED:
-        raise Pdl2Error("is a constant and cannot be assigned", target.place)
-
-
-def _check_setting(target: syntax.System, value: syntax.Expression, scope: Scope) -> None:
-    variable = SYSTEM_VARIABLES.get(target.name)
-    if variable is None:
-        raise Pdl2Error("is not a system variable of the motion subset read here", target.place)
-    if variable.choices is not None and isinstance(value, syntax.Name) and value.name in PREDEFINED:
-        if refusal := variable.refusal(PREDEFINED[value.name]):
-            raise Pdl2Error(f"{target.name} {refusal}", value.place)
-        return
-    require(value, scope, *(_assignable(variable.kind) if variable.choices is None else ("predefined",)))
-
-
-def _check_move(statement: syntax.MoveStatement, scope: Scope) -> None:
-    require(statement.target, scope, "POS", "JOINTPOS")
+def _check_move(statement: syntax.MoveStatement, memory: Memory) -> None:
+    evaluate(statement.target, memory, "POS", "JOINTPOS")
     if statement.via is not None:
-        require(statement.via, scope, "POS", "JOINTPOS")
+        evaluate(statement.via, memory, "POS", "JOINTPOS")
         if statement.trajectory in ("LINEAR", "JOINT"):
             raise Pdl2Error(f"VIA belongs to a CIRCULAR move, not to {statement.trajectory}", statement.via.place)
     elif statement.trajectory == "CIRCULAR":
         raise Pdl2Error("a CIRCULAR move needs VIA and a point", statement.place)
     given: set[str] = set()
     for setting in statement.settings:
-        _check_setting(setting, setting.value, scope)
+        setting_value(setting, setting.value, memory)
         if setting.name in given:
             raise Pdl2Error("is set twice in this move", setting.place)
         given.add(setting.name)

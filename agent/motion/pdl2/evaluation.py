@@ -1,4 +1,8 @@
-"""Expressions: their data types, known before a program runs, and their values."""
+"""The value of an expression, and whether its data types fit.
+
+A program is checked before it runs by evaluating every expression with a specimen of each variable's data type
+(`Memory.checking`). So one set of rules says what an expression means and what is wrong with it.
+"""
 
 from __future__ import annotations
 
@@ -10,22 +14,32 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from agent.motion.pdl2 import syntax
-from agent.motion.pdl2.errors import Pdl2Error, TextPosition, shortened
-from agent.motion.pdl2.variables import PREDEFINED, SYSTEM_VARIABLES, read
+from agent.motion.pdl2.syntax import Pdl2Error, TextPosition, shortened
+from agent.motion.pdl2.variables import PREDEFINED, SYSTEM_VARIABLES, SystemVariable, read
 
 MAX_JOINTS = 10
 
 Value = bool | int | float | str | syntax.Constant | syntax.Pos | syntax.Joints
 
 NUMBERS = ("INTEGER", "REAL")
-_VALUE_TYPES = (
+_TYPES = (
     (bool, "BOOLEAN"),  # before int, which bool is too
     (int, "INTEGER"),
     (float, "REAL"),
     (str, "STRING"),
     (syntax.Pos, "POS"),
     (syntax.Joints, "JOINTPOS"),
+    (syntax.Constant, "predefined"),
 )
+#: A value of each data type, which stands for all of them while a program is checked.
+_SPECIMENS: dict[str, Value] = {
+    "BOOLEAN": True,
+    "INTEGER": 1,
+    "REAL": 1.0,
+    "POS": syntax.Pos((0.0,) * 6, ""),
+    "JOINTPOS": syntax.Joints((0.0,)),
+    "predefined": syntax.Constant(""),
+}
 _FLAG = re.compile(r"[SEWAB]|T[1-4]:-?[0-9]{1,3}", re.IGNORECASE | re.ASCII)
 
 
@@ -56,7 +70,7 @@ _COMPARISONS = {"=", "<>", "<", ">", "<=", ">="}
 
 @dataclass(frozen=True)
 class DataType:
-    """INTEGER, REAL, BOOLEAN, STRING, POS, JOINTPOS or predefined; with `size`, an array of them."""
+    """INTEGER, REAL, BOOLEAN, POS or JOINTPOS; with `size`, an array of them."""
 
     name: str
     size: int | None = None
@@ -75,151 +89,162 @@ class Scope:
 
 
 class Memory(NamedTuple):
-    """Constants and variables by name, array elements by (name, index), system variables that were assigned."""
+    """Constants and variables by name, array elements by (name, index), system variables that were assigned, and the
+    data types of the variables (None: only constants may be referred to). While `checking`, no value is looked at."""
 
     constants: Mapping[str, Value]
     variables: Mapping[str | tuple[str, int], Value]
     system: Mapping[str, Value]
-    sizes: Mapping[str, int] = {}
+    types: Mapping[str, DataType] | None = None
+    checking: bool = False
 
 
-def require(expression: syntax.Expression, scope: Scope, *wanted: str, constant: bool = False) -> None:
-    """Check a whole expression; one that is `constant` refers to no variable.
+def evaluate(node: syntax.Expression, memory: Memory, *wanted: str) -> Value:
+    """The value of a whole expression, of one of the data types `wanted` where some are named.
 
     Raises:
-        Pdl2Error: nested too deep, of another data type than one `wanted`, or something in it is.
+        Pdl2Error: an undeclared name, a data type that does not fit, a variable that was not assigned, a subscript out
+            of its array, an overflow, a division by zero.
     """
-    found = type_of(expression, scope, constant)
-    if found not in wanted:
+    value = _value(node, memory)
+    found = _type(value)
+    if wanted and found not in wanted:
         article = "predefined constant" if found == "predefined" else found
-        raise Pdl2Error(f"is {article} where {' or '.join(wanted)} is needed", expression.place)
+        raise Pdl2Error(f"is {article} where {' or '.join(wanted)} is needed", node.place)
+    return value
 
 
-def type_of(expression: syntax.Expression, scope: Scope, constant: bool = False) -> str:
-    """The data type of a whole expression; arrays only by their elements.
-
-    Raises:
-        Pdl2Error: nested too deep, or something in it is undeclared or of the wrong data type.
-    """
-    syntax.check_expression_depth(expression)
-    return _Types(scope, constant).of(expression)
+def assignable(data_type: str) -> tuple[str, ...]:
+    """Data types of the values that a variable of this type takes."""
+    return NUMBERS if data_type == "REAL" else (data_type,)
 
 
-class _Types:
-    def __init__(self, scope: Scope, constant: bool):
-        self.scope, self.constant = scope, constant
-
-    def of(self, node: syntax.Expression) -> str:
-        match node:
-            case syntax.Literal():
-                return _value_type(node.value)
-            case syntax.Name():
-                return self._name(node)
-            case syntax.Element():
-                data_type = self._declared(node)
-                if data_type.size is None:
-                    raise Pdl2Error(f"is {data_type}, not an array", node.place)
-                self._operand(node.index, "a subscript", ("INTEGER",))
-                return data_type.name
-            case syntax.System():
-                if node.name not in SYSTEM_VARIABLES:
-                    raise Pdl2Error("is not a system variable of the motion subset read here", node.place)
-                if self.constant:
-                    raise Pdl2Error("is a variable where a constant is needed", node.place)
-                return SYSTEM_VARIABLES[node.name].kind
-            case syntax.PosLiteral():
-                return self._pos(node)
-            case syntax.JointLiteral():
-                if len(node.fields) > MAX_JOINTS:
-                    raise Pdl2Error(f"a JOINTPOS has at most {MAX_JOINTS} joints, not {len(node.fields)}", node.place)
-                for field in node.fields:
-                    self._operand(field, "a JOINTPOS", NUMBERS)
-                return "JOINTPOS"
-        return self._operation(node)
-
-    def _name(self, node: syntax.Name) -> str:
-        known = PREDEFINED.get(node.name, self.scope.constants.get(node.name))
-        if known is not None:
-            return _value_type(known)
-        data_type = self._declared(node)
-        if data_type.size is not None:
-            raise Pdl2Error(f"is {data_type}; name one element as {node.word}[i]", node.place)
-        return data_type.name
-
-    def _declared(self, node: syntax.Name | syntax.Element) -> DataType:
-        data_type = self.scope.variables.get(node.name)
-        if data_type is None:
-            raise Pdl2Error("is not a constant known here" if self.constant else "is not declared", node.place)
-        return data_type
-
-    def _pos(self, node: syntax.PosLiteral) -> str:
-        count = len(node.fields)
-        if count not in (6, 7):
-            reason = f"POS has 6 fields (x, y, z, a, e, r) or 7 (and the configuration string), not {count}"
-            raise Pdl2Error(reason, node.place)
-        for field in node.fields[:6]:
-            self._operand(field, "a coordinate of POS", NUMBERS)
-        for flags in node.fields[6:]:
-            self._operand(flags, "the configuration of POS", ("STRING",))
-            if isinstance(flags, syntax.Literal):
-                _check_configuration(str(flags.value), flags.place)
-        return "POS"
-
-    def _operation(self, node: syntax.Operation) -> str:
-        if len(node.operands) == 1:
-            return self._operand(node.operands[0], node.operator, ("BOOLEAN",) if node.operator == "NOT" else NUMBERS)
-        left, right = (self._operand(part, node.operator, _OPERATORS[node.operator][0]) for part in node.operands)
-        if node.operator in _COMPARISONS:
-            if left != right and not {left, right} <= set(NUMBERS):
-                raise Pdl2Error(f"compares {left} with {right}", node.place)
-            return "BOOLEAN"
-        return "REAL" if node.operator == "/" or "REAL" in (left, right) else left
-
-    def _operand(self, node: syntax.Expression, what: str, wanted: tuple[str, ...]) -> str:
-        found = self.of(node)
-        if found not in wanted:
-            raise Pdl2Error(f"is {found}; {what} takes {' or '.join(wanted)}", node.place)
-        return found
+def subscript(node: syntax.Element, memory: Memory) -> int:
+    """The index of an array element, from 1."""
+    data_type = _declared(node, memory)
+    if data_type.size is None:
+        raise Pdl2Error(f"is {data_type}, not an array", node.place)
+    index: Any = _operand(node.index, memory, "a subscript", ("INTEGER",))
+    if not (memory.checking or 1 <= index <= data_type.size):
+        reason = f"the subscript of {node.word} is {index}; its elements are 1..{data_type.size}"
+        raise Pdl2Error(reason, node.index.place)
+    return int(index)
 
 
-def _value_type(value: object) -> str:
-    return next((name for kind, name in _VALUE_TYPES if isinstance(value, kind)), "predefined")
-
-
-def evaluate(node: syntax.Expression, memory: Memory) -> Value:
-    """The value of an expression whose data types were checked before.
+def assigned_value(target: syntax.Name | syntax.Element, value: syntax.Expression, memory: Memory) -> Value:
+    """The value for a variable; an INTEGER becomes REAL where the variable is.
 
     Raises:
-        Pdl2Error: a variable that was not assigned, a subscript out of its array, an overflow, a division by zero.
+        Pdl2Error: a constant as the target, a data type that does not fit, and as `evaluate`.
     """
+    check_variable(target, memory)
+    if isinstance(target, syntax.Element):
+        subscript(target, memory)
+    data_type = _declared(target, memory)
+    if data_type.size is not None and isinstance(target, syntax.Name):
+        raise Pdl2Error(f"is {data_type}; name one element as {target.word}[i]", target.place)
+    found: Any = evaluate(value, memory, *assignable(data_type.name))
+    return float(found) if data_type.name == "REAL" else found
+
+
+def setting_value(target: syntax.System, value: syntax.Expression, memory: Memory) -> Value:
+    """The value for a system variable, in its range.
+
+    Raises:
+        Pdl2Error: an unknown variable, a data type or a value that it does not take, and as `evaluate`.
+    """
+    variable = _system(target)
+    if variable.choices is not None and isinstance(value, syntax.Name) and value.name in PREDEFINED:
+        if refusal := variable.refusal(PREDEFINED[value.name]):
+            raise Pdl2Error(f"{target.name} {refusal}", value.place)
+        return PREDEFINED[value.name]
+    found = evaluate(value, memory, *assignable(variable.kind))
+    if not memory.checking and (refusal := variable.refusal(found)):  # type: ignore[arg-type]  # none is of joints
+        raise Pdl2Error(refusal, target.place)
+    return found
+
+
+def check_variable(target: syntax.Name | syntax.Element, memory: Memory) -> None:
+    """Raises Pdl2Error where a constant stands in place of a variable."""
+    if target.name in memory.constants or target.name in PREDEFINED:
+        raise Pdl2Error("is a constant and cannot be assigned", target.place)
+
+
+def _value(node: syntax.Expression, memory: Memory) -> Value:
     match node:
         case syntax.Literal():
             return node.value
         case syntax.Name():
             known = PREDEFINED.get(node.name, memory.constants.get(node.name))
-            return _assigned(memory.variables.get(node.name), node, node.word) if known is None else known
+            if known is not None:
+                return known
+            data_type = _declared(node, memory)
+            if data_type.size is not None:
+                raise Pdl2Error(f"is {data_type}; name one element as {node.word}[i]", node.place)
+            return _held(node, data_type, memory, node.name, node.word)
         case syntax.Element():
             index = subscript(node, memory)
-            return _assigned(memory.variables.get((node.name, index)), node, f"{node.word}[{index}]")
+            return _held(node, _declared(node, memory), memory, (node.name, index), f"{node.word}[{index}]")
         case syntax.System():
-            return read(node.name, memory.system)  # type: ignore[arg-type]
+            variable = _system(node)
+            if memory.types is None:
+                raise Pdl2Error("is a variable where a constant is needed", node.place)
+            return _SPECIMENS[variable.kind] if memory.checking else read(node.name, memory.system)  # type: ignore[arg-type]
         case syntax.PosLiteral():
+            if len(node.fields) not in (6, 7):
+                reason = (
+                    f"POS has 6 fields (x, y, z, a, e, r) or 7 (and the configuration string), not {len(node.fields)}"
+                )
+                raise Pdl2Error(reason, node.place)
+            fields = _numbers(node.fields[:6], memory, "a coordinate of POS")
             configuration = ""
-            if len(node.fields) == 7:
-                configuration = str(evaluate(node.fields[6], memory))
-                _check_configuration(configuration, node.fields[6].place)
-            return syntax.Pos(_coordinates(node.fields[:6], memory), configuration)
+            for flags in node.fields[6:]:
+                configuration = str(_operand(flags, memory, "the configuration of POS", ("STRING",)))
+                _check_configuration(configuration, flags.place)
+            return syntax.Pos(fields, configuration)
         case syntax.JointLiteral():
-            return syntax.Joints(_coordinates(node.fields, memory))
-    return _operated(node, memory)
+            if len(node.fields) > MAX_JOINTS:
+                raise Pdl2Error(f"a JOINTPOS has at most {MAX_JOINTS} joints, not {len(node.fields)}", node.place)
+            return syntax.Joints(_numbers(node.fields, memory, "a JOINTPOS"))
+        case syntax.Operation():
+            return _operated(node, memory)
+    raise AssertionError(node)
 
 
-def subscript(node: syntax.Element, memory: Memory) -> int:
-    """The index of an array element, from 1."""
-    index, size = int(evaluate(node.index, memory)), memory.sizes[node.name]  # type: ignore[arg-type]
-    if not 1 <= index <= size:
-        raise Pdl2Error(f"the subscript of {node.word} is {index}; its elements are 1..{size}", node.index.place)
-    return index
+def _type(value: object) -> str:
+    return next(name for kind, name in _TYPES if isinstance(value, kind))
+
+
+def _declared(node: syntax.Name | syntax.Element, memory: Memory) -> DataType:
+    data_type = None if memory.types is None else memory.types.get(node.name)
+    if data_type is None:
+        raise Pdl2Error("is not a constant known here" if memory.types is None else "is not declared", node.place)
+    return data_type
+
+
+def _held(node: syntax.Expression, data_type: DataType, memory: Memory, key: str | tuple[str, int], word: str) -> Value:
+    """What a variable or an array element holds."""
+    value = _SPECIMENS[data_type.name] if memory.checking else memory.variables.get(key)
+    if value is None:
+        raise Pdl2Error(f"{word} has no value yet", node.place)
+    return value
+
+
+def _system(node: syntax.System) -> SystemVariable:
+    if node.name not in SYSTEM_VARIABLES:
+        raise Pdl2Error("is not a system variable of the motion subset read here", node.place)
+    return SYSTEM_VARIABLES[node.name]
+
+
+def _operand(part: syntax.Expression, memory: Memory, what: str, wanted: tuple[str, ...]) -> Value:
+    value = _value(part, memory)
+    if _type(value) not in wanted:
+        raise Pdl2Error(f"is {_type(value)}; {what} takes {' or '.join(wanted)}", part.place)
+    return value
+
+
+def _numbers(fields: tuple[syntax.Expression, ...], memory: Memory, what: str) -> tuple[float, ...]:
+    return tuple(float(_operand(field, memory, what, NUMBERS)) for field in fields)  # type: ignore[arg-type]
 
 
 def _check_configuration(configuration: str, place: TextPosition) -> None:
@@ -232,28 +257,27 @@ def _check_configuration(configuration: str, place: TextPosition) -> None:
         seen.add(name)
 
 
-def _assigned(value: Value | None, node: syntax.Node, name: str) -> Value:
-    if value is None:
-        raise Pdl2Error(f"{name} has no value yet", node.place)
-    return value
-
-
-def _coordinates(fields: tuple[syntax.Expression, ...], memory: Memory) -> tuple[float, ...]:
-    return tuple(float(evaluate(field, memory)) for field in fields)  # type: ignore[arg-type]
-
-
 def _operated(node: syntax.Operation, memory: Memory) -> Value:
-    left, *others = (evaluate(operand, memory) for operand in node.operands)
-    if node.operator == "NOT":
-        return not left
-    if not others:
-        return _in_range(-left if node.operator == "-" else left, node)  # type: ignore[operator]
-    if node.operator in ("/", "DIV", "MOD") and others[0] == 0:
+    word = node.operator
+    if len(node.operands) == 1:
+        wanted = ("BOOLEAN",) if word == "NOT" else NUMBERS
+        value: Any = _operand(node.operands[0], memory, word, wanted)
+        return not value if word == "NOT" else _in_range(-value if word == "-" else value, node)
+    takes, operate = _OPERATORS[word]
+    left, right = (_operand(part, memory, word, takes) for part in node.operands)
+    types = _type(left), _type(right)
+    if word in _COMPARISONS and types[0] != types[1] and not {*types} <= set(NUMBERS):
+        raise Pdl2Error(f"compares {types[0]} with {types[1]}", node.place)
+    if memory.checking:
+        if word in _COMPARISONS:
+            return True
+        return _SPECIMENS["REAL" if word == "/" or "REAL" in types else types[0]]
+    if word in ("/", "DIV", "MOD") and right == 0:
         raise Pdl2Error("divides by zero", node.place)
-    return _in_range(_OPERATORS[node.operator][1](left, others[0]), node)
+    return _in_range(operate(left, right), node)
 
 
-def _in_range(value: Any, node: syntax.Node) -> Value:
+def _in_range(value: Any, node: syntax.Expression) -> Value:
     if isinstance(value, int) and abs(value) > syntax.MAX_INTEGER:
         raise Pdl2Error(f"the result is beyond the integers of {syntax.MAX_INTEGER}", node.place)
     if not math.isfinite(value):

@@ -19,9 +19,8 @@ from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from agent.motion.pdl2.errors import Pdl2Error, TextPosition
 from agent.motion.pdl2.program import parse_program
-from agent.motion.pdl2.syntax import OUTSIDE_SUBSET
+from agent.motion.pdl2.syntax import OUTSIDE_SUBSET, Pdl2Error, TextPosition
 from agent.motion.pdl2.variables import PREDEFINED, SYSTEM_VARIABLES
 
 if TYPE_CHECKING:

@@ -11,10 +11,10 @@ import numpy as np
 
 from agent.motion.pdl2 import syntax
 from agent.motion.pdl2.checker import check
-from agent.motion.pdl2.errors import Pdl2Error, TextPosition
-from agent.motion.pdl2.evaluation import Memory, Scope, Value, evaluate, subscript
+from agent.motion.pdl2.evaluation import Memory, Scope, Value, assigned_value, evaluate, setting_value, subscript
 from agent.motion.pdl2.pos import pos_to_pose
-from agent.motion.pdl2.variables import SYSTEM_VARIABLES, motion_settings, read
+from agent.motion.pdl2.syntax import Pdl2Error, TextPosition
+from agent.motion.pdl2.variables import motion_settings, read
 from agent.motion.program import CartesianTarget, Delay, JointTarget, Move, MoveType, Statement, Target
 
 if TYPE_CHECKING:
@@ -96,11 +96,9 @@ class _Run:
     def __init__(self, program: Program, limit: int):
         scope = program.scope
         self.robot = program._robot
-        self.types = scope.variables
         self.variables: dict[str | tuple[str, int], Value] = {name: value for name, value in scope.initial.items()}
         self.system: dict[str, Value] = {}
-        sizes = {name: kind.size for name, kind in scope.variables.items() if kind.size is not None}
-        self.memory = Memory(scope.constants, self.variables, self.system, sizes)
+        self.memory = Memory(scope.constants, self.variables, self.system, scope.variables)
         self.limit = limit
         self.left = limit
 
@@ -112,17 +110,18 @@ class _Run:
     def block(self, block: syntax.Block) -> Iterator[Statement]:
         for statement in block:
             self.step(statement.place)
-            if isinstance(statement, syntax.MoveStatement):
-                yield self.move(statement)
-            elif isinstance(statement, syntax.Assignment):
-                self.assign(statement)
-            elif isinstance(statement, syntax.ForLoop):
-                yield from self.loop(statement)
-            elif isinstance(statement, syntax.Conditional):
-                holds = evaluate(statement.condition, self.memory)
-                yield from self.block(statement.then if holds else statement.otherwise)
-            else:
-                yield self.delay(statement)
+            match statement:
+                case syntax.MoveStatement():
+                    yield self.move(statement)
+                case syntax.Assignment():
+                    self.assign(statement)
+                case syntax.ForLoop():
+                    yield from self.loop(statement)
+                case syntax.Conditional():
+                    holds = evaluate(statement.condition, self.memory)
+                    yield from self.block(statement.then if holds else statement.otherwise)
+                case syntax.DelayStatement():
+                    yield self.delay(statement)
 
     def integer(self, expression: syntax.Expression) -> int:
         return int(evaluate(expression, self.memory))  # type: ignore[arg-type]  # the checker knows that it is one
@@ -139,12 +138,10 @@ class _Run:
 
     def assign(self, statement: syntax.Assignment) -> None:
         target = statement.target
-        value = evaluate(statement.value, self.memory)
         if isinstance(target, syntax.System):
-            self.system[target.name] = _checked(target.place, target.name, value)
+            self.system[target.name] = setting_value(target, statement.value, self.memory)
             return
-        if self.types[target.name].name == "REAL":
-            value = float(value)  # type: ignore[arg-type]
+        value = assigned_value(target, statement.value, self.memory)
         if isinstance(target, syntax.Element):
             self.variables[target.name, subscript(target, self.memory)] = value
         else:
@@ -159,8 +156,7 @@ class _Run:
     def move(self, statement: syntax.MoveStatement) -> Move:
         system = dict(self.system)
         for setting in statement.settings:
-            value = evaluate(setting.value, self.memory)
-            system[setting.name] = _checked(setting.place, setting.name, value)
+            system[setting.name] = setting_value(setting, setting.value, self.memory)
         kind = MoveType[statement.trajectory or read("$MOVE_TYPE", system).name]  # type: ignore[arg-type,union-attr]
         if (kind is MoveType.CIRCULAR) != (statement.via is not None):
             raise Pdl2Error("VIA belongs to a CIRCULAR move, and a CIRCULAR move needs it", statement.place)
@@ -199,10 +195,3 @@ def _pose(fields: tuple[float, ...]) -> np.ndarray:
     pose = pos_to_pose(np.array(fields))
     pose.setflags(write=False)  # shared by every move to this point
     return pose
-
-
-def _checked(place: TextPosition, name: str, value: Value) -> Value:
-    refusal = SYSTEM_VARIABLES[name].refusal(value)  # type: ignore[arg-type]
-    if refusal:
-        raise Pdl2Error(refusal, place)
-    return value

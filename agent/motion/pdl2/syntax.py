@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
-from agent.motion.pdl2.errors import Pdl2Error, TextPosition, shortened
+from agent.core import InputError
 
 if TYPE_CHECKING:
     from lark import Lark, Token, UnexpectedToken
@@ -39,6 +39,34 @@ _LINE_END = re.compile(r"\r\n?")
 _LAST_WORD = re.compile(r"(\w+)$")
 
 
+class TextPosition(NamedTuple):
+    """Position of a word in a program: line and column count from 1."""
+
+    line: int
+    column: int
+    word: str
+
+
+class Pdl2Error(InputError):
+    """A program that cannot be read or run: `line`, `column` (from 1) and `word` say where, `reason` says why."""
+
+    def __init__(self, reason: str, place: TextPosition, path: str = ""):
+        self.reason = reason
+        self.place = place
+        self.line, self.column, self.word = place
+        where = f"{path or 'program'}:{place.line}:{place.column}"
+        super().__init__(f"{where}: {shortened(place.word)}: {reason}" if place.word else f"{where}: {reason}")
+
+    def within(self, path: str) -> Pdl2Error:
+        """The same error, naming the file."""
+        return type(self)(self.reason, self.place, path)
+
+
+def shortened(word: str) -> str:
+    """A word quoted for a message, cut where it is long."""
+    return repr(word if len(word) <= 40 else word[:37] + "...")
+
+
 class Constant(NamedTuple):
     """A predefined constant such as FLY_CART, by its name in capitals."""
 
@@ -62,8 +90,8 @@ class Joints:
 
 @dataclass(frozen=True)
 class Node:
-    """Whatever stands in the text, by the word that begins or names it. PDL2 does not tell capitals from small letters:
-    `name` is in small ones."""
+    """A piece of the text, by the word that begins or names it. PDL2 ignores the case of letters: `name` is in small
+    ones."""
 
     word: Token
 
@@ -77,26 +105,64 @@ class Node:
 
 
 @dataclass(frozen=True)
-class Literal(Node):
+class Nested(Node):
+    """An expression or a statement, which may contain others: no deeper than `most`, as reading and running recurse."""
+
+    most: ClassVar[int]
+    too_deep: ClassVar[str]
+
+    def __post_init__(self) -> None:
+        inner = [part for part in self.parts() if part.most == self.most]
+        depth = 1 + max((vars(part)["depth"] for part in inner), default=0)
+        if depth > self.most:
+            raise Pdl2Error(f"{self.too_deep} {self.most}", self.place)
+        self.__dict__["depth"] = depth
+
+    def parts(self) -> list[Nested]:
+        """Expressions and statements directly inside this one."""
+        values = (value if isinstance(value, tuple) else (value,) for value in vars(self).values())
+        return [part for value in values for part in value if isinstance(part, Nested)]
+
+
+@dataclass(frozen=True)
+class Expression(Nested):
+    """What has a value."""
+
+    most = MAX_EXPRESSION_DEPTH
+    too_deep = "an expression is nested deeper than"
+
+
+@dataclass(frozen=True)
+class StatementNode(Nested):
+    """What is executed."""
+
+    most = MAX_BLOCK_DEPTH
+    too_deep = "FOR and IF are nested deeper than"
+
+
+Block = tuple[StatementNode, ...]
+
+
+@dataclass(frozen=True)
+class Literal(Expression):
     value: int | float | str
 
 
 @dataclass(frozen=True)
-class Name(Node):
+class Name(Expression):
     """A variable, a constant of the program or a predefined constant."""
 
 
 @dataclass(frozen=True)
-class Element(Node):
+class Element(Expression):
     """One element of an array."""
 
     index: Expression
 
 
 @dataclass(frozen=True)
-class System(Node):
-    """A system variable; its name is in capitals, and that of a field of the arm's data is the short one that a program
-    of this arm has for it."""
+class System(Expression):
+    """A system variable; its name is in capitals, without the arm that published programs put before it."""
 
     @property
     def name(self) -> str:
@@ -104,7 +170,7 @@ class System(Node):
 
 
 @dataclass(frozen=True)
-class Operation(Node):
+class Operation(Expression):
     """An operator in capitals with one operand or two."""
 
     operator: str
@@ -112,20 +178,17 @@ class Operation(Node):
 
 
 @dataclass(frozen=True)
-class PosLiteral(Node):
+class PosLiteral(Expression):
     fields: tuple[Expression, ...]
 
 
 @dataclass(frozen=True)
-class JointLiteral(Node):
+class JointLiteral(Expression):
     fields: tuple[Expression, ...]
 
 
-Expression = Literal | Name | Element | System | Operation | PosLiteral | JointLiteral
-
-
 @dataclass(frozen=True)
-class Assignment(Node):
+class Assignment(StatementNode):
     target: Name | Element | System
     value: Expression
 
@@ -138,7 +201,7 @@ class Setting(System):
 
 
 @dataclass(frozen=True)
-class MoveStatement(Node):
+class MoveStatement(StatementNode):
     """`trajectory` is LINEAR, JOINT, CIRCULAR or empty, where `$MOVE_TYPE` says."""
 
     trajectory: str
@@ -152,12 +215,12 @@ class MoveStatement(Node):
 
 
 @dataclass(frozen=True)
-class DelayStatement(Node):
+class DelayStatement(StatementNode):
     milliseconds: Expression
 
 
 @dataclass(frozen=True)
-class ForLoop(Node):
+class ForLoop(StatementNode):
     variable: Name
     first: Expression
     down: bool
@@ -167,14 +230,10 @@ class ForLoop(Node):
 
 
 @dataclass(frozen=True)
-class Conditional(Node):
+class Conditional(StatementNode):
     condition: Expression
     then: Block
     otherwise: Block = ()
-
-
-StatementNode = Assignment | MoveStatement | DelayStatement | ForLoop | Conditional
-Block = tuple[StatementNode, ...]
 
 
 @dataclass(frozen=True)
@@ -185,25 +244,14 @@ class NamedType(Node):
 
 
 @dataclass(frozen=True)
-class ConstantDeclaration(Node):
-    value: Expression
+class Declaration(Node):
+    """One line of a section. `words` are the names it declares: a constant has a value and no type, a data type of the
+    program's own a type, and variables a type and perhaps an initial value."""
 
-
-@dataclass(frozen=True)
-class TypeDeclaration(Node):
-    type: NamedType
-
-
-@dataclass(frozen=True)
-class VariableDeclaration(Node):
-    """Variables of one type, each with the initial value where there is one."""
-
+    section: str
     words: tuple[Token, ...]
-    type: NamedType
-    initial: Expression | None
-
-
-Declaration = ConstantDeclaration | TypeDeclaration | VariableDeclaration
+    type: NamedType | None = None
+    value: Expression | None = None
 
 
 @dataclass(frozen=True)
@@ -240,8 +288,6 @@ def parse_tree(text: str) -> ProgramTree:
     except UnexpectedCharacters as error:
         reason = "the string is not closed on its line" if error.char == "'" else "this character has no meaning here"
         raise Pdl2Error(reason, TextPosition(error.line, error.column, error.char)) from None
-    reason = f"FOR and IF are nested deeper than {MAX_BLOCK_DEPTH}"
-    _check_depth(program.block, StatementNode, MAX_BLOCK_DEPTH, reason)
     _check_lines(program, text.split("\n"))
     return program
 
@@ -251,35 +297,14 @@ def place_of(token: Token) -> TextPosition:
     return TextPosition(token.line or 0, token.column or 0, str(token))
 
 
-def check_expression_depth(expression: Expression) -> None:
-    """Raises Pdl2Error where an expression is nested too deep."""
-    reason = f"the expression is nested deeper than {MAX_EXPRESSION_DEPTH} operations"
-    _check_depth([expression], Expression, MAX_EXPRESSION_DEPTH, reason)
-
-
-def _check_depth(nodes: Sequence[Node], kind: Any, most: int, reason: str) -> None:
-    """Itself it does not recurse."""
-    for _ in range(most):
-        nodes = [part for node in nodes for part in _parts(node, kind)]
-        if not nodes:
-            return
-    raise Pdl2Error(reason, nodes[0].place)
-
-
-def _parts(node: Node, kind: Any) -> list[Any]:
-    """What stands directly inside a node and is of a kind: expressions or statements."""
-    values = (value if isinstance(value, tuple) else (value,) for value in vars(node).values())
-    return [part for value in values for part in value if isinstance(part, kind)]
-
-
 def _check_lines(program: ProgramTree, lines: list[str]) -> None:
     """One statement or declaration a line, or separated by a semicolon."""
     places = [declaration.place for declaration in program.declarations]
-    pending: list[StatementNode] = list(program.block)
+    pending: list[Nested] = list(program.block)
     while pending:
         node = pending.pop()
         places.append(node.place)
-        pending += _parts(node, StatementNode)
+        pending += [part for part in node.parts() if isinstance(part, StatementNode)]
     for place in sorted(places):
         before = lines[place.line - 1][: place.column - 1].rstrip()
         word = _LAST_WORD.search(before)
@@ -408,9 +433,9 @@ _RULES: dict[str, Callable[..., Any]] = {
     **dict.fromkeys(("initial", "step"), _optional),
     "program": _program,
     "attribute": lambda word, value=None: Attribute(word, None if value is None else _integer(value)),
-    "constant": ConstantDeclaration,
-    "alias": TypeDeclaration,
-    "variables": lambda words, *rest: VariableDeclaration(words[0], words, *rest),
+    "constant": lambda word, value: Declaration(word, "CONST", (word,), None, value),
+    "alias": lambda word, named: Declaration(word, "TYPE", (word,), named),
+    "variables": lambda words, named, initial: Declaration(words[0], "VAR", words, named, initial),
     "named_type": lambda word, _arm: NamedType(word),
     "array_type": lambda _array, size, word, _arm: NamedType(word, size),
     "for_arm": _for_arm,
