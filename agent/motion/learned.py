@@ -29,7 +29,6 @@ class _Parameters(BaseModel):
     ramps: Literal["window", "blocks"]
     acceleration: float = Field(gt=0, le=1)
     rise: float = Field(ge=0, le=2)
-    override_power: float = Field(ge=0, le=3)
     ramp: float = Field(gt=0, le=20)
     jerk_time: float = Field(gt=0, le=2)
     stress_floor: float = Field(ge=0, le=1)

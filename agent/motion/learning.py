@@ -1,24 +1,22 @@
-"""A controller's interpolation law from its set-points: families of blends and ramps, and their parameters.
+"""A controller's interpolation law from its set-points: its blends, its ramps, and their parameters.
 
-First the path, whatever its speed: the blend family whose path lies nearest to the recorded one. Then the time law: the
-ramps that pass the same places at the same times. What the families are is general practice of motion control; the
-learner knows nothing else of the controller.
+First the path, whatever its speed: the blend whose path lies nearest to the recorded one. Then the ramps that pass the
+same places at the same times. Polynomial blends go with ramps averaged over a window, as in `FlyParameters()`;
+parabolas and circles with one speed for each move and corner, as in most numerical controls.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from agent.motion.fly.interpolator import FlyInterpolator
 from agent.motion.fly.parameters import FlyParameters
-from agent.motion.frames import pose_in_robot_base
 from agent.motion.interpolator import MotionError
 from agent.motion.pdl2.settings import FlyTrajectory, FlyType, Pdl2Settings
-from agent.motion.program import CartesianTarget, JointTarget, MotionSettings, Move, Target, matrix_of
+from agent.motion.program import Move
 from agent.robot import RobotDescription, kinematics_for
 
 #: Parts of the way at which motions are compared; how the ends are crept along is lost in the set-points' digits.
@@ -32,8 +30,6 @@ _ENOUGH, _PLANS = 1e-3, 40
 #: Widths of simplices, in parts of what is unknown: of a family on trial, and one after the other of the best one. In a
 #: valley, as of ramps that are later and stronger at once, a simplex shrinks before it is at the bottom.
 _TRIAL, _FINER = 0.15, (0.05, 0.05, 0.05, 0.02, 0.02)
-#: [rad] Corners that turn by more than this may be stops.
-_SHARP = 2.0
 #: [m/rad] A move that travels at all is measured by its way alone.
 _NO_LEVER = 1e-3
 
@@ -128,59 +124,17 @@ class Learner:
             free.append(("norm_acceleration", 0.3, 20.0))
         # A parabola or a circle touches both moves where it takes equal parts of the tool's way, however that turns.
         curves = [
-            FlyParameters(blend=blend, blend_turn=turn, turn_lever=_NO_LEVER)
-            for turn in ("path", "slerp")
-            for blend in ("parabola", "circle")
+            FlyParameters(blend=blend, blend_turn="slerp", turn_lever=_NO_LEVER) for blend in ("parabola", "circle")
         ]
         families = [(FlyParameters(), [("blend_shape", 0.0, 1.0), *free]), *((curve, free) for curve in curves)]
-        # What is a stop for one family may be a blend of another.
-        return self._best([(self._with_stops(start), free) for start, free in families], self._off_path)
-
-    def _with_stops(self, start: FlyParameters) -> FlyParameters:
-        """With the largest angle from which on corners are stops, as far as the stretches show one."""
-        best, least = start, np.inf
-        with suppress(MotionError):
-            least = self._off_path(start)
-        sharp = np.unique(
-            [start.stop_angle, _SHARP, *(turn for stretch, _ in self._taught for turn in self._turns(stretch))]
-        )
-        for between in 0.5 * (sharp[1:] + sharp[:-1])[::-1]:
-            law = replace(start, stop_angle=float(between))
-            with suppress(MotionError):
-                found = self._off_path(law)
-                if found < _BETTER * least:
-                    best, least = law, found
-        return best
-
-    def _turns(self, stretch: RecordedMove) -> list[float]:
-        """By how much [rad] the way between the ends of its moves turns, where that is a lot."""
-        ends = [self._end(JointTarget(stretch.q[0]), stretch.moves[0].settings)]
-        ends += [self._end(move.target, move.settings) for move in stretch.moves]
-        ways = np.diff(ends, axis=0)
-        ways /= np.maximum(np.linalg.norm(ways, axis=1, keepdims=True), 1e-12)
-        turns = np.arccos(np.clip(np.einsum("ij,ij->i", ways[1:], ways[:-1]), -1.0, 1.0))
-        return [float(turn) for turn in turns if turn > _SHARP]
-
-    def _end(self, target: Target, settings: MotionSettings) -> np.ndarray:
-        if isinstance(target, CartesianTarget):
-            return pose_in_robot_base(target, settings)[:3, 3]
-        return (self._forward(np.asarray(target.position)[None])[0] @ matrix_of(settings.tool))[:3, 3]
+        return self._best(families, self._off_path)
 
     def _time(self, path: FlyParameters) -> FlyParameters:
-        moves = [move for stretch, _ in self._taught for move in stretch.moves]
-        slowed = any(Pdl2Settings.of(move.settings).arm_override < 0.99 for move in moves)
-        powers = (1.0, 2.0, 0.0) if slowed else (1.0,)
         shares = [("acceleration", 0.2, 1.0), ("curve_share", 0.1, 1.0)]
-        families = []
-        for power in powers:
-            known = replace(path, override_power=power)
-            averaged = [*shares, ("ramp", 0.1, 6.0), ("stress_floor", 0.05, 1.0)]
-            families.append((known, averaged))
-            # Where the loop does not tell, the rotational limit holds in curves as it does elsewhere.
-            for turns in (True, False):
-                blocks = replace(known, ramps="blocks", curve_turns=turns, acceleration=0.95, curve_share=0.9)
-                families.append((replace(blocks, rise=0.0), shares))
-                families.append((blocks, [*shares, ("rise", 0.0, 0.6)]))
+        if path.blend == "polynomial":
+            return self._best([(path, [*shares, ("ramp", 0.1, 6.0), ("stress_floor", 0.05, 1.0)])], self._off_time)
+        blocks = replace(path, ramps="blocks", acceleration=0.95, curve_share=0.9)
+        families = [(replace(blocks, rise=0.0), shares), (blocks, [*shares, ("rise", 0.0, 0.6)])]
         return self._best(families, self._off_time)
 
     def _best(

@@ -54,7 +54,7 @@ def random_pose(rng: np.random.Generator) -> np.ndarray:
 
 
 def random_settings(rng: np.random.Generator, **fixed: object) -> Pdl2Settings:
-    """Every mode and number of the subset."""
+    """Every mode and number that is planned."""
 
     def one_of(kind):
         return list(kind)[rng.integers(len(kind))]
@@ -68,7 +68,7 @@ def random_settings(rng: np.random.Generator, **fixed: object) -> Pdl2Settings:
         "speed_option": one_of(SpeedOption),
         "linear_speed": rng.uniform(0.1, 1.5),
         "rotational_speed": rng.uniform(0.2, 2),
-        "orientation": one_of(OrientationType),
+        "orientation": one_of([one for one in OrientationType if one is not OrientationType.WRIST_JNT]),
         "termination": one_of(Termination),
         "speed_override": rng.uniform(0.3, 1),
         "acceleration_override": rng.uniform(0.3, 1),

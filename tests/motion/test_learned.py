@@ -66,19 +66,6 @@ def test_it_holds_where_moves_do_little_but_turn_the_tool(learned):
         assert errors.time < 0.5
 
 
-def test_a_corner_where_the_controller_stops_is_a_part_of_its_law(monkeypatch):
-    """Loop 3 has corners of 146, 95 and 124 degrees, and this controller flies none above 115."""
-    own = FlyParameters(stop_angle=2.0, blend="circle", turn_lever=1e-3)
-    moves = list(parse_program(loop_program(ROBOT, 3), "", ROBOT).run())[1:5]
-    start = kinematics_for(ROBOT).solve(moves[-1].target.pose, START)
-    planned = FlyInterpolator(ROBOT, period=0.016, parameters=own).plan(moves, start)
-    learner = Learner(ROBOT, [RecordedMove(tuple(moves), planned.t, planned.q)], 0.016)
-    monkeypatch.setattr(Learner, "_time", lambda self, path: path)  # the ramps take long and say nothing of it
-    law = learner.learn()
-    assert np.radians(95) < law.stop_angle < np.radians(124)
-    assert learner.errors(law).path < 0.1 < 5 < learner.errors(FlyParameters()).path
-
-
 def test_the_file_is_an_interpolator(learned):
     _, path, _ = learned
     interpolator = create_interpolator(str(path), ROBOT, None, period=0.004)

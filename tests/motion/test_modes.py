@@ -208,23 +208,6 @@ def test_eul_world_changes_the_euler_angles_in_proportion(fly, home, down, kinem
     assert np.max(np.abs(trajectory.tcp - expected)) < 1e-5
 
 
-def test_wrist_jnt_moves_the_wrist_in_proportion_and_passes_its_singularity(fly, kinematics, ns16):
-    start = np.radians([0, 0, -90, 10, -25, 0.0])
-    end = np.radians([10, 10, -80, -10, 25, 5.0])
-    target = kinematics.forward(end[None])[0]
-    flags = str(kinematics.configuration(end))
-    settings = CALM.changed(orientation=OrientationType.WRIST_JNT)
-    trajectory = fly.plan([Move(MoveType.LINEAR, CartesianTarget(target, flags), settings)], start)
-    assert np.max(np.abs(trajectory.q[-1] - end)) < 1e-6
-    first = positions(trajectory)[0]
-    chord = target[:3, 3] - first
-    share = (positions(trajectory) - first) @ chord / (chord @ chord)
-    assert np.max(np.linalg.norm(positions(trajectory) - first - share[:, None] * chord, axis=1)) < 1e-6
-    wrist = start[3:] + share[:, None] * (end - start)[3:]
-    assert np.max(np.abs(trajectory.q[:, 3:] - wrist)) < 1e-5
-    assert trajectory.q[0, 4] < 0 < trajectory.q[-1, 4]
-
-
 def test_speed_options_and_overrides(fly, ns16, home, down):
     end = down([1.0, 0.35, 0.8], np.array([0.0, 0.0, 1.2]))
     cruise = {}

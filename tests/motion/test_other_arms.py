@@ -7,9 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from agent.core.errors import InputError
 from agent.motion import FlyInterpolator
-from agent.motion.pdl2.settings import OrientationType, Pdl2Settings
+from agent.motion.pdl2.settings import Pdl2Settings
 from agent.motion.program import CartesianTarget, JointTarget, Move, MoveType
 from agent.robot import RobotDescription, kinematics_for
 from tests.robot.conftest import build
@@ -88,11 +87,3 @@ def test_lines(name):
     assert np.max(np.linalg.norm(position - position[0] - along[:, None] * chord, axis=1)) < 1e-5
     assert np.max(np.abs(trajectory.tcp[-1] - target)) < 1e-6
     assert trajectory.path_speed.max() == pytest.approx(0.3, rel=1e-3)
-
-
-def test_wrist_jnt_is_for_six_joints():
-    robot, start, end = arm("7 axes")
-    target = CartesianTarget(kinematics_for(robot).forward(end[None])[0])
-    settings = Pdl2Settings(orientation=OrientationType.WRIST_JNT)
-    with pytest.raises(InputError, match="WRIST_JNT needs an arm of 6 joints"):
-        FlyInterpolator(robot).plan([Move(MoveType.LINEAR, target, settings)], start)

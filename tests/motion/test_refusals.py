@@ -8,7 +8,7 @@ from hypothesis import given, settings, strategies as st
 
 from agent.core.errors import InputError
 from agent.motion import FlyInterpolator, MotionError
-from agent.motion.pdl2.settings import FlyTrajectory, FlyType, Pdl2Settings
+from agent.motion.pdl2.settings import FlyTrajectory, FlyType, OrientationType, Pdl2Settings
 from agent.motion.program import CartesianTarget, Delay, JointTarget, Move, MoveType
 
 PLAIN = Pdl2Settings(fly_type=FlyType.FLY_CART, fly_trajectory=FlyTrajectory.FLY_TOL, fly_distance=0.02)
@@ -85,6 +85,12 @@ def test_three_points_on_a_line_are_no_circle(fly, home, down):
     assert refusal(fly, [move], home).limit == "circle"
     with pytest.raises(InputError, match="VIA"):
         fly.plan([Move(MoveType.CIRCULAR, CartesianTarget(down([1.0, 0.2, 0.8])), PLAIN)], home)
+
+
+def test_an_orientation_that_is_not_planned_is_refused_by_name(fly, home, down):
+    error = refusal(fly, [line(down([1.0, 0.2, 0.8]), orientation=OrientationType.WRIST_JNT)], home)
+    assert error.limit == "orientation"
+    assert "WRIST_JNT" in str(error)
 
 
 def test_motions_without_end_are_refused(fly, home, down):

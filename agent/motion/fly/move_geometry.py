@@ -231,38 +231,6 @@ class CartesianSegment:
 
 
 @dataclass(frozen=True, eq=False)
-class WristSegment:
-    """A LINEAR or CIRCULAR move with $ORNT_TYPE WRIST_JNT: joints from the fourth on change in proportion.
-
-    start, end (6,); `arm` (M, 3) roughly the first three joints at M places, equally spaced from σ = 0 to 1.
-    """
-
-    move: int
-    label: str
-    settings: Pdl2Settings
-    kinematics: Any
-    curve: Line | Arc
-    start: np.ndarray
-    end: np.ndarray
-    arm: np.ndarray
-
-    @cached_property
-    def length(self) -> float:
-        """[m]"""
-        return self.curve.length
-
-    @cached_property
-    def extent(self) -> float:
-        """[m] how much path the move is, as for a `CartesianSegment`."""
-        return float(np.hypot(self.length, _turning(self.length, float(np.sum(np.abs(self.end - self.start)[3:])))))
-
-    @property
-    def metric(self) -> float:
-        """What the path parameter s grows by over the move [m]."""
-        return self.extent
-
-
-@dataclass(frozen=True, eq=False)
 class JointSegment:
     """A JOINT move: all joints (n,) start and stop together; `duration` [s] at the joints' full speed."""
 
@@ -292,7 +260,7 @@ def _turning(length: float, angle: float, lever: float = ROTATION_LEVER) -> floa
     return lever * angle if length < 0.5 * lever * angle else 0.0
 
 
-Segment = CartesianSegment | WristSegment | JointSegment
+Segment = CartesianSegment | JointSegment
 
 
 def label_of(segments: Sequence[Segment], move: int) -> str:

@@ -18,7 +18,6 @@ class FlyParameters:
     acceleration for a move, one speed for a corner.
     acceleration: part of the arm's acceleration limits that is planned for.
     rise: [s] of `blocks`, in which the acceleration of a ramp rises to its full; 0 is a trapezoidal speed.
-    override_power: ramps take the acceleration limits times `$ARM_OVR` to this power.
     ramp: length of the jerk-limited ramps, in units of the longest (acceleration limit / jerk limit) of the joints.
     jerk_time: [s] from zero to full acceleration of a joint whose description gives no jerk limit.
     stress_floor: part of the acceleration limits that a blend may use however low `$STRESS_PER` is; at 100 it is all.
@@ -41,7 +40,6 @@ class FlyParameters:
     ramps: str = "window"
     acceleration: float = 1.0
     rise: float = 0.1
-    override_power: float = 1.0
     ramp: float = 1.5
     jerk_time: float = 0.08
     stress_floor: float = 0.5

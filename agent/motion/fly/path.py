@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -17,15 +18,17 @@ from agent.motion.fly.blend import (
     blended_position,
     bump,
 )
-from agent.motion.fly.joints import solve_cartesian, solve_wrist
-from agent.motion.fly.move_geometry import Arc, CartesianSegment, JointSegment, Segment, WristSegment
+from agent.motion.fly.move_geometry import Arc, CartesianSegment, JointSegment, Segment, label_of
 from agent.motion.fly.parameters import FlyParameters
 from agent.motion.fly.rules import corner_rules, segment_rules
+from agent.motion.interpolator import MotionError
+from agent.robot import Kinematics, KinematicsError
 
 #: Largest turn of the orientation, of an arc or of a joint between two knots [rad].
 _TURN = 0.04
 #: No move is cut into more cells, and none into fewer.
 _MOST_CELLS, _FEWEST_CELLS = 4000, 8
+_LIMITS = {"unreachable": "reach", "singular": "singularity", "branch": "branch"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +100,7 @@ def build_path(
         trail = corners[last] if last < len(corners) else None
         unit = segments[first : last + 1]
         body = _body(unit, corners[first:last], lead, trail, parameters, fineness, first)
-        head, solved, tail = _solve(unit, body, lead, trail, q, parameters)
+        head, solved, tail = _solve(unit, body, lead, trail, q)
         if lead is not None:
             two = segments[first - 1], unit[0]
             stretches.append(_joint_corner(2 * first - 1, *two, lead, running_out, head, speeds, parameters))
@@ -108,6 +111,37 @@ def build_path(
         running_out = tail
         q, first = tail[-1], last + 1
     return _assemble(stretches, segments[0], tuple(deviations))
+
+
+def motion_error(error: KinematicsError, move: int, label: str) -> MotionError:
+    """A refusal of the kinematics, as the fault of one move."""
+    # The kinematics counts samples of the path, which the reader of the message never sees.
+    place = re.sub(r"between poses \d+ and \d+, | \(pose \d+\)", "", str(error))
+    place = re.sub(r"\bpose \d+ at", "the point at", place)
+    return MotionError(f"{label}: {place}", move, _LIMITS.get(error.reason, error.reason), error.excess)
+
+
+def solve_cartesian(
+    segments: Sequence[Segment],
+    move: np.ndarray,
+    position: np.ndarray,
+    orientation: np.ndarray,
+    start: np.ndarray,
+    near: np.ndarray | None = None,
+) -> np.ndarray:
+    """(S, n) joints along TCP positions (S, 3) and orientations (S, 4) from `start` (n,) on.
+
+    `move` (S,) is the statement of each sample. A redundant arm takes the joints nearest to `near` (S, n).
+
+    Raises:
+        MotionError: out of reach, singular, or leaving the branch of `start`.
+    """
+    kinematics: Kinematics = segments[0].kinematics
+    try:
+        return kinematics.follow(rotation.to_pose(position, orientation), start, near)
+    except KinematicsError as error:
+        culprit = int(move[min(error.index, len(move) - 1)])
+        raise motion_error(error, culprit, label_of(segments, culprit)) from None
 
 
 def _body(
@@ -141,7 +175,7 @@ def _body(
         return _straight(unit, together, sigmas, steps, parameters, first)
     body: list[_PathPart] = []
     for k, segment in enumerate(unit):
-        body.append(_on_segment(2 * (first + k), segment, sigmas[k], steps[k], parameters))
+        body.append(_on_segment(2 * (first + k), segment, sigmas[k], steps[k]))
         if k < len(inner):
             body.append(_on_corner(2 * (first + k) + 1, inner[k], segment, unit[k + 1], parameters))
     return body
@@ -156,7 +190,7 @@ def _straight(
     first: int,
 ) -> list[_PathPart]:
     """As `_body`, of moves that are worked out together: `sigmas` and `steps` move by move."""
-    rules = [segment_rules(segment, parameters) for segment in unit]
+    rules = [segment_rules(segment) for segment in unit]
     table = np.empty((2 * len(unit) - 1, 7))
     table[::2] = rules
     for k, segment in enumerate(unit[:-1]):
@@ -183,26 +217,21 @@ def _straight(
     ]
 
 
-def _on_segment(
-    block: int, segment: Segment, sigma: np.ndarray, steps: np.ndarray, parameters: FlyParameters
-) -> _PathPart:
+def _on_segment(block: int, segment: Segment, sigma: np.ndarray, steps: np.ndarray) -> _PathPart:
     count = len(sigma)
     stretch = _PathPart(
         np.full(count, block),
         steps,
         np.full(count, segment.move),
-        np.broadcast_to(segment_rules(segment, parameters), (count, 7)),
+        np.broadcast_to(segment_rules(segment), (count, 7)),
         np.ones(count),
     )
     if isinstance(segment, JointSegment):
         stretch.q = segment.start + sigma[:, None] * (segment.end - segment.start)
     else:
         stretch.position = segment.curve.position(sigma)
-        if isinstance(segment, CartesianSegment):
-            stretch.orientation = segment.turn.orientation(sigma)
-            stretch.near = segment.near(sigma)
-        else:
-            stretch.q = solve_wrist(segment, sigma, stretch.position)
+        stretch.orientation = segment.turn.orientation(sigma)
+        stretch.near = segment.near(sigma)
     return stretch
 
 
@@ -224,7 +253,7 @@ def _on_corner(block: int, corner: Corner, before: Segment, after: Segment, para
 
 
 def _corner_rules(before: Segment, after: Segment, parameters: FlyParameters) -> np.ndarray:
-    return corner_rules(before, segment_rules(before, parameters), segment_rules(after, parameters), parameters)
+    return corner_rules(before, segment_rules(before), segment_rules(after), parameters)
 
 
 def _solve(
@@ -233,16 +262,15 @@ def _solve(
     lead: Corner | None,
     trail: Corner | None,
     start: np.ndarray,
-    parameters: FlyParameters,
 ) -> tuple[np.ndarray, list[_PathPart], np.ndarray]:
     """Joints of a unit from `start` (n,): on the way in (lead.cells + 1, n), its knots, on the way out."""
     into = np.empty(0) if lead is None else lead.sigma(lead.tau())[1][:-1]
     out = np.empty(0) if trail is None else trail.sigma(trail.tau())[0][1:]
     ways = list(body)
     if lead is not None:
-        ways.insert(0, _on_segment(-1, unit[0], into, into, parameters))
+        ways.insert(0, _on_segment(-1, unit[0], into, into))
     if trail is not None:
-        ways.append(_on_segment(-1, unit[-1], out, out, parameters))
+        ways.append(_on_segment(-1, unit[-1], out, out))
     if isinstance(unit[0], CartesianSegment):
         position, orientation = (
             np.concatenate([getattr(way, name) for way in ways]) for name in ("position", "orientation")
@@ -335,10 +363,7 @@ def _spacing(segment: Segment, parameters: FlyParameters) -> float:
         turns = segment.extent / parameters.spacing
         if isinstance(segment.curve, Arc):
             turns = max(turns, segment.curve.angle / _TURN)
-        if isinstance(segment, CartesianSegment):
-            turns = max(turns, segment.angle / _TURN)
-        elif isinstance(segment, WristSegment):
-            turns = max(turns, float(np.max(np.abs(segment.end - segment.start))) / _TURN)
+        turns = max(turns, segment.angle / _TURN)
     return segment.metric / min(max(turns, _FEWEST_CELLS), _MOST_CELLS)
 
 

@@ -11,7 +11,6 @@ import numpy as np
 
 from agent.core import InputError
 from agent.motion import rotation
-from agent.motion.fly.joints import motion_error, solve_cartesian, wrist_segment
 from agent.motion.fly.move_geometry import (
     Arc,
     CartesianSegment,
@@ -22,6 +21,7 @@ from agent.motion.fly.move_geometry import (
     euler_angles,
     single_axis,
 )
+from agent.motion.fly.path import motion_error, solve_cartesian
 from agent.motion.frames import pose_in_robot_base, tool_frame
 from agent.motion.interpolator import MotionError
 from agent.motion.pdl2.settings import OrientationType, Pdl2Settings
@@ -110,14 +110,15 @@ class SegmentMaker:
         self, index: int, label: str, move: Move, kinematics: Kinematics, pending: Sequence[Segment], rest: np.ndarray
     ) -> Segment | None:
         settings = Pdl2Settings.of(move.settings)
+        style = settings.orientation
+        if style is OrientationType.WRIST_JNT:
+            reason = "$ORNT_TYPE WRIST_JNT is not planned; use RS_WORLD, or MOVE JOINT through the singularity"
+            raise MotionError(f"{label}: {reason}", index, "orientation", 1.0)
         start, start_turn = self._end_pose(pending, rest, kinematics)
         end, end_turn = self._pose(label, move.target, move.settings, kinematics)
         curve: Line | Arc = Line(start, end)
         if move.type is MoveType.CIRCULAR:
             curve = self._arc(index, label, move, kinematics, start, end)
-        style = settings.orientation
-        if style is OrientationType.WRIST_JNT:
-            return self._wrist(index, label, move, kinematics, curve, _end_joints(pending, rest), end, end_turn)
         if style is OrientationType.EUL_WORLD:
             turn: Any = euler_angles(start_turn, end_turn, rotation.from_matrix(matrix_of(move.settings.base)[:3, :3]))
         else:
@@ -163,29 +164,6 @@ class SegmentMaker:
                 1.0,
             )
         return arc
-
-    def _wrist(
-        self,
-        index: int,
-        label: str,
-        move: Move,
-        kinematics: Kinematics,
-        curve: Line | Arc,
-        start: np.ndarray,
-        end: np.ndarray,
-        end_turn: np.ndarray,
-    ) -> Segment | None:
-        if self.robot.dof != 6:
-            raise InputError(f"{label}: $ORNT_TYPE WRIST_JNT needs an arm of 6 joints; {self.robot.name} has another")
-        pose = rotation.to_pose(end, end_turn)
-        flags = move.target.configuration if isinstance(move.target, CartesianTarget) else ""
-        try:
-            target = kinematics.solve_configuration(pose, flags) if flags else kinematics.solve(pose, start)
-        except KinematicsError as error:
-            raise motion_error(error, index, label) from None
-        if curve.length < _NOTHING and np.max(np.abs(target - start)) < _NOTHING:
-            return None
-        return wrist_segment(index, label, Pdl2Settings.of(move.settings), kinematics, curve, np.array([start, target]))
 
     def _joints(self, index: int, label: str, move: Move, kinematics: Kinematics, start: np.ndarray) -> np.ndarray:
         if isinstance(move.target, JointTarget):

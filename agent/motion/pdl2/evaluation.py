@@ -186,22 +186,12 @@ def _value(node: syntax.Expression, memory: Memory) -> Value:
             index = subscript(node, memory)
             return _held(node, _declared(node, memory), memory, (node.name, index), f"{node.word}[{index}]")
         case syntax.System():
-            variable = _system(node)
+            kind = _system(node).kind
             if memory.types is None:
                 raise Pdl2Error("is a variable where a constant is needed", node.place)
-            return _SPECIMENS[variable.kind] if memory.checking else read(node.name, memory.system)  # type: ignore[arg-type]
+            return _SPECIMENS[kind] if memory.checking else read(node.name, memory.system)  # type: ignore[arg-type]
         case syntax.PosLiteral():
-            if len(node.fields) not in (6, 7):
-                reason = (
-                    f"POS has 6 fields (x, y, z, a, e, r) or 7 (and the configuration string), not {len(node.fields)}"
-                )
-                raise Pdl2Error(reason, node.place)
-            fields = _numbers(node.fields[:6], memory, "a coordinate of POS")
-            configuration = ""
-            for flags in node.fields[6:]:
-                configuration = str(_operand(flags, memory, "the configuration of POS", ("STRING",)))
-                _check_configuration(configuration, flags.place)
-            return syntax.Pos(fields, configuration)
+            return _pos(node, memory)
         case syntax.JointLiteral():
             if len(node.fields) > MAX_JOINTS:
                 raise Pdl2Error(f"a JOINTPOS has at most {MAX_JOINTS} joints, not {len(node.fields)}", node.place)
@@ -245,6 +235,19 @@ def _operand(part: syntax.Expression, memory: Memory, what: str, wanted: tuple[s
 
 def _numbers(fields: tuple[syntax.Expression, ...], memory: Memory, what: str) -> tuple[float, ...]:
     return tuple(float(_operand(field, memory, what, NUMBERS)) for field in fields)  # type: ignore[arg-type]
+
+
+def _pos(node: syntax.PosLiteral, memory: Memory) -> syntax.Pos:
+    count = len(node.fields)
+    if count not in (6, 7):
+        reason = f"POS has 6 fields (x, y, z, a, e, r) or 7 (and the configuration string), not {count}"
+        raise Pdl2Error(reason, node.place)
+    fields = _numbers(node.fields[:6], memory, "a coordinate of POS")
+    configuration = ""
+    for flags in node.fields[6:]:
+        configuration = str(_operand(flags, memory, "the configuration of POS", ("STRING",)))
+        _check_configuration(configuration, flags.place)
+    return syntax.Pos(fields, configuration)
 
 
 def _check_configuration(configuration: str, place: TextPosition) -> None:
