@@ -18,26 +18,6 @@ from agent.robot import RobotDescription
 SUFFIXES = (".yaml", ".yml")
 
 
-class _Parameters(BaseModel):
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
-
-    blend: Literal["polynomial", "parabola", "circle"]
-    blend_shape: float = Field(ge=0, le=1)
-    blend_turn: Literal["path", "slerp"]
-    turn_lever: float = Field(default=0.1, gt=0, le=1)
-    stop_angle: float = Field(default=2.97, gt=0, le=3.1)
-    ramps: Literal["window", "blocks"]
-    acceleration: float = Field(gt=0, le=1)
-    rise: float = Field(ge=0, le=2)
-    ramp: float = Field(gt=0, le=20)
-    jerk_time: float = Field(gt=0, le=2)
-    stress_floor: float = Field(ge=0, le=1)
-    auto_tightness: float = Field(ge=0, le=1)
-    curve_share: float = Field(gt=0, le=1)
-    curve_turns: bool
-    norm_acceleration: float = Field(gt=0, le=100)
-
-
 class LearnedLaw(BaseModel):
     """The content of a law's file: its parameters, and what is known of how they came about.
 
@@ -50,15 +30,10 @@ class LearnedLaw(BaseModel):
     schema_: Literal["interpolator/1"] = Field(alias="schema")
     robot: str
     robot_digest: str
-    learned: _Parameters = Field(alias="parameters")
+    parameters: FlyParameters
     settling_s: dict[str, float] = {}
     figures: dict[str, dict[str, float]] = {}
     logs: list[dict[str, str]] = []
-
-    @property
-    def parameters(self) -> FlyParameters:
-        """As the interpolator takes them."""
-        return FlyParameters(**self.learned.model_dump())
 
     def text(self) -> str:
         """The file's content."""

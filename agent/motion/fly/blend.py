@@ -22,7 +22,7 @@ import numpy as np
 from agent.compiled import blended
 from agent.motion import rotation
 from agent.motion.fly.move_geometry import CartesianSegment, JointSegment, Line, Segment, SingleAxis
-from agent.motion.fly.parameters import FlyParameters
+from agent.motion.fly.parameters import SPACING, FlyParameters
 from agent.motion.pdl2.settings import FlyTrajectory, FlyType, Pdl2Settings
 
 _CELLS, _MOST_CELLS = 24, 256
@@ -142,7 +142,7 @@ def corner_between(before: Segment, after: Segment, parameters: FlyParameters) -
     if turn > parameters.stop_angle:
         return None
     size = min(half, _reach(settings, half, before, parameters))
-    fineness = max(1.0, 0.5 / np.cos(0.5 * turn), 2.0 * size / parameters.spacing / _CELLS)
+    fineness = max(1.0, 0.5 / np.cos(0.5 * turn), 2.0 * size / SPACING / _CELLS)
     cells = 2 * int(min(_MOST_CELLS, _CELLS * fineness) / 2)
 
     bounded = settings.fly_trajectory in (FlyTrajectory.FLY_TOL, FlyTrajectory.FLY_PASS)

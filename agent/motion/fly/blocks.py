@@ -70,11 +70,11 @@ def plan_blocks(
     Raises:
         MotionError: it would take too long, or the arm would all but stop near a singularity; names one of `segments`.
     """
-    refuse_crawling(path, shape, segments, limits, parameters)
+    refuse_crawling(path, shape, segments, limits)
     blocks = _Blocks.of(path, shape, limits, parameters)
     for _ in range(_REPAIRS):
         law = blocks.law(parameters.rise)
-        refuse_long(path, law, segments, parameters)
+        refuse_long(path, law, segments)
         samples = sampled(path, shape, law, period)
         full = np.max(np.abs(samples.qdd) / (limits.acceleration / parameters.acceleration)[:, None], axis=0)
         over = np.array([full[mine].max(initial=0.0) for mine in blocks.split(samples.s)])
@@ -103,7 +103,7 @@ def _within_limits(
             break
         law = replace(law, stretch=law.stretch * stretch)
         samples = sampled(path, shape, law, period)
-    return Run(path, shape, law, samples)
+    return Run(path, shape, samples)
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from copy import copy
 from functools import cached_property
 from itertools import pairwise
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from agent.core import InputError
 from agent.motion import rotation
 from agent.motion.fly import rules
 from agent.motion.fly.move_geometry import Segment
-from agent.motion.fly.parameters import FlyParameters
+from agent.motion.fly.parameters import LONGEST, FlyParameters
 from agent.motion.fly.profile import ArmLimits
 from agent.motion.fly.runs import RunPlanner
 from agent.motion.fly.segment_maker import SegmentMaker
@@ -102,10 +102,9 @@ class _Plan:
 
     def rest(self, index: int, seconds: float) -> None:
         """A DELAY."""
-        longest = self._of.parameters.longest
-        if not 0.0 <= seconds <= longest:
-            excess = seconds / longest if seconds > longest else 1.0
-            message = f"statement {index + 1}: a DELAY of {seconds} s; it has to be 0 to {longest:g} s"
+        if not 0.0 <= seconds <= LONGEST:
+            excess = seconds / LONGEST if seconds > LONGEST else 1.0
+            message = f"statement {index + 1}: a DELAY of {seconds} s; it has to be 0 to {LONGEST:g} s"
             raise MotionError(message, index, "duration", excess)
         self._add_rest(index, round(seconds / self._of.period))
 
@@ -143,7 +142,9 @@ class _Plan:
     def _add(self, run: Run) -> None:
         samples, path = run.samples, run.path
         self._runs.append(((self._samples - 1) * self._of.period, run))
-        counts = _samples_in(path.s[:-1], samples.s + path.s[0], "right")
+        # A sample at a knot belongs to the cell before it.
+        ends = np.searchsorted(samples.s + path.s[0], path.s[:-1], side="right")
+        counts = np.diff(ends, prepend=0, append=len(samples.s))
         speed = np.sqrt(np.einsum("is,is->s", samples.pose_rate[:3], samples.pose_rate[:3]))
         columns = (samples.q.T, samples.qd.T, samples.qdd.T, samples.pose.T, speed, np.repeat(path.move, counts))
         self._parts.append(tuple(column[1:] for column in columns))
@@ -152,10 +153,10 @@ class _Plan:
 
     def _count(self, samples: int, index: int) -> None:
         self._samples += samples
-        seconds, longest = self._samples * self._of.period, self._of.parameters.longest
-        if seconds > longest:
-            message = f"statement {index + 1}: the program takes more than {longest:g} s up to here; run it in parts"
-            raise MotionError(message, index, "duration", seconds / longest - 1.0)
+        seconds = self._samples * self._of.period
+        if seconds > LONGEST:
+            message = f"statement {index + 1}: the program takes more than {LONGEST:g} s up to here; run it in parts"
+            raise MotionError(message, index, "duration", seconds / LONGEST - 1.0)
 
 
 class _Planned(Trajectory):
@@ -186,17 +187,6 @@ class _Planned(Trajectory):
     def binding(self) -> tuple[BindingLimit, ...]:
         limits, names, period, runs = (self.__dict__[name] for name in ("_limits", "_names", "_period", "_runs"))
         return tuple(found for begin, run in runs for found in _binding_limits(run, limits, names, begin, period))
-
-
-def _samples_in(edges: np.ndarray, samples: np.ndarray, side: Literal["left", "right"]) -> np.ndarray:
-    """(E + 1,) how many of the samples (S,) lie before, between and after the edges (E,), both in growing order.
-
-    A sample on an edge counts after it (`left`) or before it (`right`), as in `np.searchsorted`.
-    """
-    ends = np.empty(len(edges) + 2, dtype=np.intp)
-    ends[0], ends[-1] = 0, len(samples)
-    ends[1:-1] = np.searchsorted(samples, edges, side=side)
-    return ends[1:] - ends[:-1]
 
 
 def _binding_limits(

@@ -19,7 +19,7 @@ from agent.motion.fly.blend import (
     bump,
 )
 from agent.motion.fly.move_geometry import Arc, CartesianSegment, JointSegment, Segment, label_of
-from agent.motion.fly.parameters import FlyParameters
+from agent.motion.fly.parameters import SPACING, FlyParameters
 from agent.motion.fly.rules import corner_rules, segment_rules
 from agent.motion.interpolator import MotionError
 from agent.robot import Kinematics, KinematicsError
@@ -100,7 +100,7 @@ def build_path(
         trail = corners[last] if last < len(corners) else None
         unit = segments[first : last + 1]
         body = _body(unit, corners[first:last], lead, trail, parameters, fineness, first)
-        head, solved, tail = _solve(unit, body, lead, trail, q)
+        head, solved, tail = _solve(unit, body, lead, trail, q, parameters)
         if lead is not None:
             two = segments[first - 1], unit[0]
             stretches.append(_joint_corner(2 * first - 1, *two, lead, running_out, head, speeds, parameters))
@@ -164,7 +164,7 @@ def _body(
             None if corner is None else 2.0 * part * segment.metric / corner.cells
             for corner, part in ((before, begin), (after, 1.0 - end))
         ]
-        travel = _cells((end - begin) * segment.metric, edges[0], edges[1], _spacing(segment, parameters) / fineness)
+        travel = _cells((end - begin) * segment.metric, edges[0], edges[1], _spacing(segment) / fineness)
         skip = 0 if k == 0 else 1
         sigmas.append((begin + travel / segment.metric)[skip:])
         steps.append(travel[1:] - travel[:-1])
@@ -175,7 +175,7 @@ def _body(
         return _straight(unit, together, sigmas, steps, parameters, first)
     body: list[_PathPart] = []
     for k, segment in enumerate(unit):
-        body.append(_on_segment(2 * (first + k), segment, sigmas[k], steps[k]))
+        body.append(_on_segment(2 * (first + k), segment, sigmas[k], steps[k], parameters))
         if k < len(inner):
             body.append(_on_corner(2 * (first + k) + 1, inner[k], segment, unit[k + 1], parameters))
     return body
@@ -190,7 +190,7 @@ def _straight(
     first: int,
 ) -> list[_PathPart]:
     """As `_body`, of moves that are worked out together: `sigmas` and `steps` move by move."""
-    rules = [segment_rules(segment) for segment in unit]
+    rules = [segment_rules(segment, parameters) for segment in unit]
     table = np.empty((2 * len(unit) - 1, 7))
     table[::2] = rules
     for k, segment in enumerate(unit[:-1]):
@@ -217,13 +217,15 @@ def _straight(
     ]
 
 
-def _on_segment(block: int, segment: Segment, sigma: np.ndarray, steps: np.ndarray) -> _PathPart:
+def _on_segment(
+    block: int, segment: Segment, sigma: np.ndarray, steps: np.ndarray, parameters: FlyParameters
+) -> _PathPart:
     count = len(sigma)
     stretch = _PathPart(
         np.full(count, block),
         steps,
         np.full(count, segment.move),
-        np.broadcast_to(segment_rules(segment), (count, 7)),
+        np.broadcast_to(segment_rules(segment, parameters), (count, 7)),
         np.ones(count),
     )
     if isinstance(segment, JointSegment):
@@ -253,7 +255,7 @@ def _on_corner(block: int, corner: Corner, before: Segment, after: Segment, para
 
 
 def _corner_rules(before: Segment, after: Segment, parameters: FlyParameters) -> np.ndarray:
-    return corner_rules(before, segment_rules(before), segment_rules(after), parameters)
+    return corner_rules(before, segment_rules(before, parameters), segment_rules(after, parameters), parameters)
 
 
 def _solve(
@@ -262,15 +264,16 @@ def _solve(
     lead: Corner | None,
     trail: Corner | None,
     start: np.ndarray,
+    parameters: FlyParameters,
 ) -> tuple[np.ndarray, list[_PathPart], np.ndarray]:
     """Joints of a unit from `start` (n,): on the way in (lead.cells + 1, n), its knots, on the way out."""
     into = np.empty(0) if lead is None else lead.sigma(lead.tau())[1][:-1]
     out = np.empty(0) if trail is None else trail.sigma(trail.tau())[0][1:]
     ways = list(body)
     if lead is not None:
-        ways.insert(0, _on_segment(-1, unit[0], into, into))
+        ways.insert(0, _on_segment(-1, unit[0], into, into, parameters))
     if trail is not None:
-        ways.append(_on_segment(-1, unit[-1], out, out))
+        ways.append(_on_segment(-1, unit[-1], out, out, parameters))
     if isinstance(unit[0], CartesianSegment):
         position, orientation = (
             np.concatenate([getattr(way, name) for way in ways]) for name in ("position", "orientation")
@@ -355,12 +358,12 @@ def _assemble(stretches: list[_PathPart], segment: Segment, deviations: tuple[fl
     )
 
 
-def _spacing(segment: Segment, parameters: FlyParameters) -> float:
+def _spacing(segment: Segment) -> float:
     """Largest step of s between knots of one move."""
     if isinstance(segment, JointSegment):
         turns = float(np.max(np.abs(segment.end - segment.start))) / _TURN
     else:
-        turns = segment.extent / parameters.spacing
+        turns = segment.extent / SPACING
         if isinstance(segment.curve, Arc):
             turns = max(turns, segment.curve.angle / _TURN)
         turns = max(turns, segment.angle / _TURN)

@@ -14,7 +14,7 @@ from agent.motion.pdl2.settings import SpeedOption
 LINEAR, ROTATIONAL, JOINT, CARTESIAN, STRESS, ACCELERATION, DECELERATION = range(7)
 
 
-def segment_rules(segment: Segment) -> np.ndarray:
+def segment_rules(segment: Segment, parameters: FlyParameters) -> np.ndarray:
     """(7,) rules along one move."""
     settings = segment.settings
     override = settings.speed_override * settings.arm_override
@@ -39,8 +39,8 @@ def segment_rules(segment: Segment) -> np.ndarray:
             joint,
             cartesian,
             1.0,
-            settings.acceleration_override * settings.arm_override,
-            settings.deceleration_override * settings.arm_override,
+            settings.acceleration_override * settings.arm_override**parameters.override_power,
+            settings.deceleration_override * settings.arm_override**parameters.override_power,
         ]
     )
 

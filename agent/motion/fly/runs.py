@@ -22,6 +22,8 @@ from agent.robot import Configuration, RobotDescription, parse_configuration
 _ATTEMPTS, _FINEST = 10, 32.0
 #: A path whose error between knots exceeds the tolerated one by this factor nearly touches a singularity: refused.
 _ROUGHEST = 30.0
+#: Normalised distance from a singularity that $SING_CARE asks for.
+_SING_CARE = 0.05
 #: Slack on joint limits [rad or m], for round-off only.
 _SLACK = 1e-9
 
@@ -134,13 +136,13 @@ class RunPlanner:
                 _check_configuration(segment, parse_configuration(wanted), parse_configuration(found))
             if segment.settings.singularity_care and not isinstance(segment, JointSegment):
                 distance = float(segment.kinematics.singularity(path.q[here]).smallest.min())
-                if distance < self.parameters.singular_distance:
+                if distance < _SING_CARE:
                     raise MotionError(
                         f"{segment.label}: the path comes within {distance:.3g} of a singularity and $SING_CARE allows "
-                        f"{self.parameters.singular_distance:g} (1 is far away); move the point or turn the tool",
+                        f"{_SING_CARE:g} (1 is far away); move the point or turn the tool",
                         segment.move,
                         "singularity",
-                        1.0 - distance / self.parameters.singular_distance,
+                        1.0 - distance / _SING_CARE,
                     )
 
 

@@ -25,7 +25,7 @@ import numpy as np
 from agent.compiled import averaged, law_at, lowered, sampled_on, stretched
 from agent.motion.fly import rules
 from agent.motion.fly.move_geometry import Segment, label_of
-from agent.motion.fly.parameters import FlyParameters
+from agent.motion.fly.parameters import LONGEST, FlyParameters
 from agent.motion.fly.path import Path
 from agent.motion.fly.profile import ArmLimits, PathShape, Ramps, speed_ceiling, widened
 from agent.motion.interpolator import MotionError
@@ -33,6 +33,8 @@ from agent.motion.interpolator import MotionError
 _REPAIRS, _STRETCHES = 7, 6
 #: Repairs examine one sample in this many until those are within limits, then all of them.
 _COARSE = 4
+#: A path is refused where joint speed limits leave less than this part of the programmed speed.
+_CRAWLING = 0.01
 #: [rad/s] fastest turn of a tool where the robot has no limit: distinguishes a singularity from a quick turn.
 _TURNING = 6.0
 #: A stretch of this part is left alone: speed 0.05 %, acceleration 0.1 %, jerk 0.15 % over what is planned for, which
@@ -126,11 +128,10 @@ class SetPoints:
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """What was planned between two standstills: the path, its spline, the time law and the samples."""
+    """What was planned between two standstills: the path, its spline and the samples."""
 
     path: Path
     shape: PathShape
-    law: PathTiming
     samples: SetPoints
 
 
@@ -147,7 +148,7 @@ def plan_run(
     Raises:
         MotionError: it would take too long, or the arm would all but stop near a singularity; names one of `segments`.
     """
-    refuse_crawling(path, shape, segments, limits, parameters)
+    refuse_crawling(path, shape, segments, limits)
     ramp = parameters.ramp * float(np.max(limits.acceleration / limits.jerk))
     window = max(round(ramp / period), 1) * period
     ceiling = widened(path, speed_ceiling(path, shape, limits, parameters), window)
@@ -155,7 +156,7 @@ def plan_run(
     step = _COARSE * period
     for _ in range(_REPAIRS):
         law = _time_law(path, ramps.fastest(ceiling), window)
-        refuse_long(path, law, segments, parameters)
+        refuse_long(path, law, segments)
         samples = sampled(path, shape, law, step)
         stretch = stretch_needed(path, samples, limits, step)
         if step > period and stretch.max() <= 1.0 + _TOLERANCE:
@@ -163,7 +164,7 @@ def plan_run(
             samples = sampled(path, shape, law, step)
             stretch = stretch_needed(path, samples, limits, step)
         if stretch.max() <= 1.0 + _TOLERANCE:
-            return Run(path, shape, law, samples)
+            return Run(path, shape, samples)
         half = round(window / step) // 2
         ceiling = lowered(ceiling, path.s, samples.s, samples.speed, stretch, 1.0 + _TOLERANCE, half)
     for _ in range(_STRETCHES):
@@ -172,12 +173,10 @@ def plan_run(
         if stretch.max() <= 1.0 + _TOLERANCE:
             break
         law = replace(law, stretch=law.stretch * float(stretch.max()))
-    return Run(path, shape, law, samples)
+    return Run(path, shape, samples)
 
 
-def refuse_crawling(
-    path: Path, shape: PathShape, segments: Sequence[Segment], limits: ArmLimits, parameters: FlyParameters
-) -> None:
+def refuse_crawling(path: Path, shape: PathShape, segments: Sequence[Segment], limits: ArmLimits) -> None:
     """Refuse a path on which the arm would all but stop near a singularity (MotionError)."""
     linear = np.minimum(path.rules[:, rules.LINEAR], limits.cartesian.linear_speed)
     turning = min(limits.cartesian.rotational_speed, _TURNING)
@@ -186,7 +185,7 @@ def refuse_crawling(
     programmed[~np.isfinite(path.rules[:, rules.CARTESIAN]) | ~np.isfinite(programmed)] = 0.0
     turns = np.abs(shape.q1) / limits.speed[:, None] * programmed
     joint, knot = np.unravel_index(int(np.argmax(turns)), turns.shape)
-    slowdown = float(turns[joint, knot]) * parameters.singular_slowdown
+    slowdown = float(turns[joint, knot]) * _CRAWLING
     if slowdown <= 1.0:
         return
     move = int(path.move[knot])
@@ -200,18 +199,18 @@ def refuse_crawling(
     )
 
 
-def refuse_long(path: Path, law: PathTiming, segments: Sequence[Segment], parameters: FlyParameters) -> None:
+def refuse_long(path: Path, law: PathTiming, segments: Sequence[Segment]) -> None:
     """Refuse a motion that takes too long (MotionError); names the move on which the longest of it is spent."""
-    if law.duration <= parameters.longest:
+    if law.duration <= LONGEST:
         return
     slowest = int(np.argmax(np.diff(law.t, append=law.duration)))
     move = int(path.move[np.searchsorted(path.s[:-1], path.s[0] + law.s[slowest])])
     raise MotionError(
-        f"{label_of(segments, move)}: the motion would take {law.duration:.3g} s, and {parameters.longest:g} s are "
+        f"{label_of(segments, move)}: the motion would take {law.duration:.3g} s, and {LONGEST:g} s are "
         "allowed; raise the speed or the overrides",
         move,
         "duration",
-        float(np.log10(law.duration / parameters.longest)),
+        float(np.log10(law.duration / LONGEST)),
     )
 
 
