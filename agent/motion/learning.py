@@ -56,7 +56,7 @@ class Learner:
     """Compares laws with stretches of one robot; `period` [s] of its set-points."""
 
     def __init__(self, robot: RobotDescription, stretches: Sequence[RecordedMove], period: float):
-        self._interpolator = FlyInterpolator(robot, period=period)
+        self._robot, self._period = robot, period
         self._forward = kinematics_for(robot).forward
         self._all = [(stretch, _Way.of(stretch.t, stretch.q)) for stretch in stretches]
         # Where something flies, a lone move from stop to stop teaches nothing more, and is judged all the same.
@@ -89,7 +89,7 @@ class Learner:
     def _pairs(
         self, parameters: FlyParameters, stretches: Sequence[tuple[RecordedMove, _Way]]
     ) -> Iterator[tuple[_Way, _Way]]:
-        interpolator = self._interpolator.with_parameters(parameters)
+        interpolator = FlyInterpolator(self._robot, period=self._period, parameters=parameters)
         for stretch, recorded in stretches:
             planned = interpolator.plan(stretch.moves, stretch.q[0])
             yield recorded, _Way.of(planned.t, planned.q)

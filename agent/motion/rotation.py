@@ -8,6 +8,9 @@ from collections.abc import Sequence
 import numpy as np
 
 
+_IDENTITY = np.eye(3)
+
+
 def length(vector: np.ndarray) -> float:
     """Of one vector (m,), as NumPy's norm has it to the last digit, at a tenth of what that costs."""
     return math.sqrt(vector.dot(vector))
@@ -80,18 +83,9 @@ def from_matrix(rotation: np.ndarray) -> np.ndarray:
 
 
 def is_rotation(matrix: np.ndarray) -> bool:
-    """Whether a matrix (3, 3) is one, to 1e-6; in plain numbers, as `from_matrix`."""
-    (a, b, c), (d, e, f), (g, h, i) = matrix.tolist()
-    products = (
-        a * a + b * b + c * c - 1.0,
-        d * d + e * e + f * f - 1.0,
-        g * g + h * h + i * i - 1.0,
-        a * d + b * e + c * f,
-        a * g + b * h + c * i,
-        d * g + e * h + f * i,
-    )
-    volume = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
-    return volume > 0.0 and all(abs(product) <= 1e-6 for product in products)
+    """Whether a matrix (3, 3) is a rotation, to 1e-6."""
+    right_handed = np.linalg.det(matrix) > 0.0
+    return bool(right_handed and np.abs(matrix @ matrix.T - _IDENTITY).max() <= 1e-6)
 
 
 def to_matrix(quaternion: np.ndarray) -> np.ndarray:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from copy import copy
 from functools import cached_property
 from itertools import pairwise
 from typing import TYPE_CHECKING
@@ -55,14 +54,6 @@ class FlyInterpolator:
         self.parameters = parameters or FlyParameters()
         self._planner = RunPlanner(robot, ArmLimits.of(robot, self.parameters), period, self.parameters)
         self._maker = SegmentMaker(robot, tool, self.parameters.turn_lever)
-
-    def with_parameters(self, parameters: FlyParameters) -> FlyInterpolator:
-        """The same with other parameters; what it knows of the arm is shared."""
-        other = copy(self)
-        other.parameters = parameters
-        other._planner = RunPlanner(self.robot, ArmLimits.of(self.robot, parameters), self.period, parameters)
-        other._maker = self._maker.with_lever(parameters.turn_lever)
-        return other
 
     def plan(self, statements: Sequence[Statement], start: np.ndarray) -> Trajectory:
         """Set-points of the program from rest at `start` (n,) [rad] to rest; the first sample is `start` at t = 0.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from copy import copy
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -59,12 +58,6 @@ class SegmentMaker:
         self._of_tool: dict[Any, Kinematics] = {None: self.kinematics, _key(own): self.kinematics}
         self._of_frame: dict[Frame | None, Kinematics] = {}
         self._asked: tuple[bytes, np.ndarray] = b"", np.empty(0)
-
-    def with_lever(self, lever: float) -> SegmentMaker:
-        """The same with another lever."""
-        other = copy(self)
-        other._lever = lever
-        return other
 
     def checked_start(self, start: np.ndarray) -> np.ndarray:
         """The start (n,) as floats.
