@@ -15,13 +15,14 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Mapping
+from contextlib import suppress
 from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from agent.motion.pdl2.program import parse_program
 from agent.motion.pdl2.syntax import OUTSIDE_SUBSET, Pdl2Error, TextPosition
-from agent.motion.pdl2.variables import PREDEFINED, SYSTEM_VARIABLES
+from agent.motion.pdl2.variables import FRAMES
 
 if TYPE_CHECKING:
     from agent.robot import RobotDescription
@@ -50,16 +51,12 @@ _VARIABLE = re.compile(
 )
 _CONSTANT = re.compile(r"(\w+)\s*=\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:E[-+]?\d+)?|TRUE|FALSE|ON|OFF)$", re.IGNORECASE)
 _ROUTINE = re.compile(r"ROUTINE\s+(\w+)", re.IGNORECASE)
-_ASSIGNED = re.compile(r"(\w+)\s*(?:\[([^\]]*)\]\s*)?:=\s*(.+)")
-_SYSTEM_NAME = re.compile(r"\$\w+(?:\[\w*\]\.\w+)?")
-_SYSTEM = re.compile(r"(\$[\w.\[\]]+)\s*:=")
-_FOR = re.compile(r"FOR\s+(\w+)\s*:=\s*(.+)", re.IGNORECASE)
-_NAMES = re.compile(r"(?<![\w.$])[A-Za-z_]\w*|(?<![\w.$])0[xX]\w+")  # a hexadecimal number holds nothing known here
+#: What may be kept, other than a move.
+_KEPT = re.compile(r"(?:FOR|ENDFOR|END)\b|\$[\w.\[\]]+\s*:=|\w+\s*(?:\[[^\]]*\]\s*)?:=", re.IGNORECASE)
 #: Words that begin a statement and are not in `OUTSIDE_SUBSET`, and forms of statements that begin with another word.
-_BEGIN = {"if", "else", "endif", "delay", "cycle", "with", "for", "endfor", "endopen", "end", "or", "and", "not"}
+_BEGIN = {"delay", "cycle", "with", "for", "endfor", "endopen", "end"}
 _CALL = re.compile(r"[$\w.]+(?:\[[^\]]*\][.$\w]*)*\s*(?:\(.*|:=.*|:|)$")
-_KNOWN_WORDS = {"div", "mod", "and", "or", "not", "pos", "to", "downto", "step", "do", *PREDEFINED}
-
+_FIRST = re.compile(r"\$?\w+")
 
 _ENTRY = re.compile(r"^[ \t]*(\w+)[ \t]+([A-Z]{3,4})\b", re.MULTILINE)
 _HEAD = re.compile(r"\s*(?:Arm:\s*(\d+))?\s*(?:Ax:\s*(\d+))?\s*(?:Priv\b)?", re.IGNORECASE)
@@ -91,27 +88,22 @@ def job_text(
         Pdl2Error: something moves that is not understood.
     """
     listed = _read_listing(listing)
-    try:
-        # With a listing the text alone does not say what the variables hold at first.
-        if not listed:
+    if not listed:  # with a listing, the text alone does not say what the variables hold at first
+        with suppress(Pdl2Error):
             parse_program(text, path, robot)
             return text, {}
-    except Pdl2Error:
-        pass
     try:
-        kept, passed = _sieve(text, listed)
+        sieve = _Sieve(text.replace("\r\n", "\n").replace("\r", "\n").split("\n"), listed)
     except Pdl2Error as error:
         raise error.within(path) from None
     while True:
+        kept = "\n".join(sieve.out)
         try:
             parse_program(kept, path, robot)
         except Pdl2Error as error:
-            shorter, word = _without_setting(kept, error.place)
-            if shorter == kept:
-                return kept, passed  # whoever runs it is told where it stops
-            kept, passed = shorter, {**passed, word: passed.get(word, 0) + 1}
-        else:
-            return kept, passed
+            if sieve.passes_over(error.place):
+                continue
+        return kept, dict(sieve.passed)  # if it still moves in a way not understood, whoever runs it is told where
 
 
 def listing_beside(program: Path) -> Path | None:
@@ -155,57 +147,63 @@ def _listed_value(kind: str, rest: str) -> str | None:
     return f"POS({', '.join(by_name[name] for name in _POSE)}, {flags[1] if flags else chr(39) * 2})"
 
 
-def _sieve(text: str, listed: Mapping[str, Listed]) -> tuple[str, dict[str, int]]:
-    """The text with everything blank that does not move, and how often each word that was passed over began a line.
+class _Sieve:
+    """`out`: the text with everything blank that certainly does not move; `passed`: how often each word began a line
+    that was passed over.
 
-    Variables start with what their variable file says of them (`listed`). An XTNDPOS is its pose: the auxiliary axes
-    are passed over and counted.
+    Variables start with the values of the listing. An XTNDPOS is its pose: auxiliary axes are passed over and counted.
 
     Raises:
         Pdl2Error: something moves that the motion subset has no statement for, with its line.
     """
-    sieved = _Sieve(text.replace("\r\n", "\n").replace("\r", "\n").split("\n"), listed)
-    return "\n".join(sieved.lines()), dict(sieved.passed)
 
-
-def _without_setting(text: str, place: TextPosition) -> tuple[str, str]:
-    """The text without the setting of a system variable at a place, and the variable's name.
-
-    Controllers take values that the motion subset refuses, such as a `$FLY_DIST` below zero for none. The text is as it
-    was where no setting stands there, or where it moves a frame and so the places of the job.
-    """
-    start = sum(len(line) + 1 for line in text.split("\n")[: place.line - 1]) + place.column - 1
-    for found in _SETTING.finditer(text):
-        name = found["name"].upper().replace("$ARM_DATA[1].", "$")
-        variable = SYSTEM_VARIABLES.get(name)
-        if found.start() <= start < found.end() and (variable is None or variable.kind != "POS"):
-            end = found.end("more") if found["with"] and found["more"] else found.end()
-            blank = re.sub(r"[^\n]", " ", text[found.start() : end])
-            keep = "WITH" if end > found.end() else ""
-            return text[: found.start()] + keep + blank[len(keep) :] + text[end:], name
-    return text, ""
-
-
-class _Sieve:
     def __init__(self, lines: list[str], listed: Mapping[str, Listed]) -> None:
         self._lines = lines
         self._listed = listed
         self._bare = [_without_comment(line) for line in lines]
+        self.out = [""] * len(lines)
         self.passed: Counter[str] = Counter()
-        self._known: set[str] = set()
         self._constants: dict[str, str] = {}
-        self._valued: set[str] = set()  # of these, what holds a value by here
         self._moving_routines: dict[str, int] = {}
-        self._fors: list[bool] = []
+        at = self._declarations(self.out)
+        while at < len(lines):
+            at = self._statement(at, self.out) + 1
 
-    def lines(self) -> list[str]:
-        """As many lines as there were."""
-        out = [""] * len(self._lines)
-        at = self._declarations(out)
-        while at < len(self._lines):
-            last = self._statement(at, out)
-            at = last + 1
-        return out
+    def passes_over(self, place: TextPosition) -> bool:
+        """Blank the setting or the line with the error at a place, where that changes no move's target.
+
+        Controllers take values that the motion subset refuses, such as a `$FLY_DIST` below zero for none; and names of
+        other programs hold nothing known here.
+        """
+        at = place.line - 1
+        line = self.out[at] if 0 <= at < len(self.out) else ""
+        setting = next((one for one in _SETTING.finditer(line) if one.start() <= place.column - 1 < one.end()), None)
+        first = _FIRST.match(line.strip())
+        if setting is not None:
+            name = setting["name"].upper().replace("$ARM_DATA[1].", "$")
+            unknown = place.word.isidentifier() and place.word.upper() != "POS"
+            if name in FRAMES.values() and not unknown:
+                return False
+            end = setting.end("more") if setting["with"] and setting["more"] else setting.end()
+            keep = "WITH" if end > setting.end() else ""
+            self.out[at] = (line[: setting.start()] + keep.ljust(end - setting.start()) + line[end:]).rstrip()
+            self._pass(name.split("[")[0])
+            return True
+        if first is None or not _KEPT.match(line.strip()) or first[0].upper() == "END":
+            return False
+        self._blank(at)
+        if first[0].upper() == "FOR":
+            depth = 1
+            while depth and at + 1 < len(self.out):
+                at += 1
+                word = _FIRST.match(self.out[at].strip())
+                depth += {"FOR": 1, "ENDFOR": -1}.get(word[0].upper() if word else "", 0)
+            self._blank(at)
+        return True
+
+    def _blank(self, at: int) -> None:
+        first = _FIRST.match(self.out[at].strip())
+        self.out[at] = self._pass(first[0].upper() if first else self.out[at])
 
     def _declarations(self, out: list[str]) -> int:
         """Header, declarations and routines; returns the line after the program's BEGIN."""
@@ -235,13 +233,11 @@ class _Sieve:
             return "VAR " + "; ".join(self._variable(name.strip(), variable) for name in variable[1].split(","))
         if section == "CONST" and constant:
             self._constants[constant[1].lower()] = constant[2]
-            self._valued.add(constant[1].lower())
             return f"CONST {bare}"
         return self._pass(section or bare)
 
     def _variable(self, name: str, declared: re.Match[str]) -> str:
         """One variable of a declaration with its data type and its value at first."""
-        self._known.add(name.lower())
         data_type, named = declared[2], declared[3].upper()
         named = "POSITION" if named == "POS" else named
         if named == "XTNDPOS":
@@ -249,8 +245,6 @@ class _Sieve:
             data_type = re.sub("XTNDPOS", "POSITION", data_type, flags=re.IGNORECASE)
         known = self._listed.get(name.lower())
         value = f" ({known.value})" if known is not None and known.type == named else declared[4] or ""
-        if value:
-            self._valued.add(name.lower())
         return f"{name}: {data_type}{value}"
 
     def _routine(self, at: int, name: str) -> int:
@@ -275,18 +269,14 @@ class _Sieve:
         found = _MOVES.search(_STRING.sub("", self._bare[at]))
         if found:
             raise Pdl2Error("moves, but not in a statement of its own line", self._place(at, found[0]))
-        word = re.match(r"\$?\w+", bare)
+        word = _FIRST.match(bare)
         first = word[0].lower() if word else ""
-        for name in _NAMES.findall(_STRING.sub("", bare)):
+        for name in re.findall(r"\w+", _STRING.sub("", bare)):
             if name.lower() in self._moving_routines:
                 line = self._moving_routines[name.lower()] + 1
                 reason = f"is a routine that moves, in line {line}: write its moves here instead"
                 raise Pdl2Error(reason, self._place(at, name))
-        if first in ("for", "endfor"):
-            keep = self._keeps_loop(bare) if first == "for" else bool(self._fors) and self._fors.pop()
-        else:
-            keep = first == "end" or self._keeps_assignment(bare)
-        if keep:
+        if _KEPT.match(bare):
             out[at] = self._bare[at]
         elif bare:
             self._check_statement(at, first)
@@ -337,40 +327,12 @@ class _Sieve:
         if values != {"1"}:
             raise Pdl2Error("is another arm, or not known to be arm 1", self._place(at, arm))
 
-    def _keeps_loop(self, bare: str) -> bool:
-        loop = _FOR.match(bare)
-        self._fors.append(loop is not None and loop[1].lower() in self._known and self._has_value(loop[2]))
-        if loop and self._fors[-1]:
-            self._valued.add(loop[1].lower())
-        return self._fors[-1]
-
-    def _keeps_assignment(self, bare: str) -> bool:
-        system, assigned = _SYSTEM.match(bare), _ASSIGNED.match(bare)
-        if system:
-            return _is_system(system[1]) and self._has_value(bare[system.end() :])
-        if assigned is None or assigned[1].lower() not in self._known:
-            return False
-        if not self._has_value(f"{assigned[2] or ''} {assigned[3]}"):
-            return False
-        self._valued.add(assigned[1].lower())
-        return True
-
-    def _has_value(self, expression: str) -> bool:
-        """Whether every name in it holds a value by here, which those of other programs and functions do not."""
-        bare = _STRING.sub("", expression)
-        names = {name.lower() for name in _NAMES.findall(bare)}
-        return names <= self._valued | _KNOWN_WORDS and all(map(_is_system, _SYSTEM_NAME.findall(bare)))
-
     def _pass(self, word: str) -> str:
         self.passed[word.split()[0]] += 1
         return ""
 
     def _place(self, at: int, word: str) -> TextPosition:
         return TextPosition(at + 1, self._lines[at].lower().find(word.lower()) + 1, word)
-
-
-def _is_system(name: str) -> bool:
-    return name.upper().replace("$ARM_DATA[1].", "$") in SYSTEM_VARIABLES
 
 
 def _without_comment(line: str) -> str:
