@@ -15,7 +15,6 @@ from agent.motion import (
     Assignment,
     Block,
     CartesianTarget,
-    Conditional,
     Constant,
     Delay,
     DelayStatement,
@@ -140,9 +139,6 @@ class Interpreter:
                     yield Delay(float(self._value(statement.milliseconds)) * 1e-3)  # type: ignore[arg-type]
                 case Assignment():
                     self._assign(statement)
-                case Conditional():
-                    holds = self._value(statement.condition)
-                    yield from self._block(statement.then if holds else statement.otherwise)
                 case ForLoop():
                     yield from self._loop(statement)
 

@@ -31,7 +31,6 @@ from .pdl2.settings import (
 from .pdl2.syntax import (
     Assignment as Assignment,
     Block as Block,
-    Conditional as Conditional,
     Constant as Constant,
     DelayStatement as DelayStatement,
     Element as Element,

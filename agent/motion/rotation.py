@@ -7,7 +7,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-
 _IDENTITY = np.eye(3)
 
 

@@ -141,10 +141,6 @@ def _check_block(block: syntax.Block, memory: Memory) -> None:
                         evaluate(expression, memory, "INTEGER")
                 check_variable(statement.variable, memory)
                 _check_block(statement.block, memory)
-            case syntax.Conditional():
-                evaluate(statement.condition, memory, "BOOLEAN")
-                _check_block(statement.then, memory)
-                _check_block(statement.otherwise, memory)
 
 
 def _check_move(statement: syntax.MoveStatement, memory: Memory) -> None:

@@ -50,14 +50,6 @@ def _quotient(left: int, right: int) -> int:
 
 #: Operators of two operands: the data types that they take, and what they do.
 _OPERATORS: dict[str, tuple[tuple[str, ...], Callable[[Any, Any], Any]]] = {
-    "AND": (("BOOLEAN",), lambda left, right: bool(left and right)),
-    "OR": (("BOOLEAN",), lambda left, right: bool(left or right)),
-    "=": ((*NUMBERS, "BOOLEAN", "predefined"), operator.eq),
-    "<>": ((*NUMBERS, "BOOLEAN", "predefined"), operator.ne),
-    "<": (NUMBERS, operator.lt),
-    ">": (NUMBERS, operator.gt),
-    "<=": (NUMBERS, operator.le),
-    ">=": (NUMBERS, operator.ge),
     "+": (NUMBERS, operator.add),
     "-": (NUMBERS, operator.sub),
     "*": (NUMBERS, operator.mul),
@@ -65,7 +57,6 @@ _OPERATORS: dict[str, tuple[tuple[str, ...], Callable[[Any, Any], Any]]] = {
     "DIV": (("INTEGER",), _quotient),
     "MOD": (("INTEGER",), lambda left, right: left - _quotient(left, right) * right),
 }
-_COMPARISONS = {"=", "<>", "<", ">", "<=", ">="}
 
 
 @dataclass(frozen=True)
@@ -263,18 +254,12 @@ def _check_configuration(configuration: str, place: TextPosition) -> None:
 def _operated(node: syntax.Operation, memory: Memory) -> Value:
     word = node.operator
     if len(node.operands) == 1:
-        wanted = ("BOOLEAN",) if word == "NOT" else NUMBERS
-        value: Any = _operand(node.operands[0], memory, word, wanted)
-        return not value if word == "NOT" else _in_range(-value if word == "-" else value, node)
+        value: Any = _operand(node.operands[0], memory, word, NUMBERS)
+        return _in_range(-value if word == "-" else value, node)
     takes, operate = _OPERATORS[word]
     left, right = (_operand(part, memory, word, takes) for part in node.operands)
-    types = _type(left), _type(right)
-    if word in _COMPARISONS and types[0] != types[1] and not {*types} <= set(NUMBERS):
-        raise Pdl2Error(f"compares {types[0]} with {types[1]}", node.place)
     if memory.checking:
-        if word in _COMPARISONS:
-            return True
-        return _SPECIMENS["REAL" if word == "/" or "REAL" in types else types[0]]
+        return _SPECIMENS["REAL" if word == "/" or "REAL" in (_type(left), _type(right)) else "INTEGER"]
     if word in ("/", "DIV", "MOD") and right == 0:
         raise Pdl2Error("divides by zero", node.place)
     return _in_range(operate(left, right), node)

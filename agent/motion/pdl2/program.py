@@ -117,9 +117,6 @@ class _Run:
                     self.assign(statement)
                 case syntax.ForLoop():
                     yield from self.loop(statement)
-                case syntax.Conditional():
-                    holds = evaluate(statement.condition, self.memory)
-                    yield from self.block(statement.then if holds else statement.otherwise)
                 case syntax.DelayStatement():
                     yield self.delay(statement)
 

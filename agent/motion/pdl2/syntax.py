@@ -25,16 +25,16 @@ MAX_INTEGER = 2**31 - 1
 
 #: Words of PDL2 that the motion subset leaves out; known by name so that the message can say so.
 OUTSIDE_SUBSET = re.compile(
-    r"""ABORT|ABOUT|ACTIVATE|ALONG|ARM|ATTACH|AUX|AWAY|BREAK|BY|BYPASS|CALL|CANCEL|CASE|CLOSE|CONDITION|CONNECT
-    |DEACTIVATE|DECODE|DETACH|DISABLE|DISCONNECT|ELSIF|ENABLE|ENCODE|ENDCONDITION|ENDNODE|ENDRECORD|ENDSELECT|ENDTRY
-    |ENDWHILE|ERROR|EVENT|EXECS|EXIT|EXPORTED|FROM|GOTO|HALT|HAND|IMPORT|LOCK|NEAR|NODE|OPEN|PATH|PAUSE|PULSE|PURGE
-    |READ|RECORD|RELATIVE|RELAX|REPEAT|RESUME|RETURN|ROUTINE|SEGMENT|SELECT|SEMAPHORE|SIGNAL|SYNCMOVE|SYNCMOVEFLY|TIL
+    r"""ABORT|ABOUT|ACTIVATE|ALONG|AND|ARM|ATTACH|AUX|AWAY|BREAK|BY|BYPASS|CALL|CANCEL|CASE|CLOSE|CONDITION|CONNECT
+    |DEACTIVATE|DECODE|DETACH|DISABLE|DISCONNECT|ELSE|ELSIF|ENABLE|ENCODE|ENDCONDITION|ENDIF|ENDNODE|ENDRECORD|ENDSELECT|ENDTRY
+    |ENDWHILE|ERROR|EVENT|EXECS|EXIT|EXPORTED|FROM|GOTO|HALT|HAND|IF|IMPORT|LOCK|NEAR|NODE|NOT|OPEN|OR|PATH|PAUSE|PULSE|PURGE
+    |READ|RECORD|RELATIVE|RELAX|REPEAT|RESUME|RETURN|ROUTINE|SEGMENT|SELECT|SEMAPHORE|SIGNAL|SYNCMOVE|SYNCMOVEFLY|THEN|TIL
     |TIME|TRY|UNLOCK|UNPAUSE|UNTIL|VECTOR|WAIT|WHEN|WHILE|WRITE|XOR|XTNDPOS""",
     re.VERBOSE | re.IGNORECASE,
 )
 _OUTSIDE = "is a word of PDL2, but not of the motion subset read here"
 #: What may stand before a statement or a declaration on its line.
-_OPENING = {"BEGIN", "CYCLE", "DO", "THEN", "ELSE", "CONST", "TYPE", "VAR"}
+_OPENING = {"BEGIN", "CYCLE", "DO", "CONST", "TYPE", "VAR"}
 _LINE_END = re.compile(r"\r\n?")
 _LAST_WORD = re.compile(r"(\w+)$")
 
@@ -137,7 +137,7 @@ class StatementNode(Nested):
     """What is executed."""
 
     most = MAX_BLOCK_DEPTH
-    too_deep = "FOR and IF are nested deeper than"
+    too_deep = "FOR is nested deeper than"
 
 
 Block = tuple[StatementNode, ...]
@@ -227,13 +227,6 @@ class ForLoop(StatementNode):
     last: Expression
     step: Expression | None
     block: Block
-
-
-@dataclass(frozen=True)
-class Conditional(StatementNode):
-    condition: Expression
-    then: Block
-    otherwise: Block = ()
 
 
 @dataclass(frozen=True)
@@ -368,7 +361,6 @@ _WORDS = {
     "REAL_LITERAL": "a number",
     "STRING_LITERAL": "a string",
     "OPERATOR": "* or /",
-    "COMPARISON": "< or >",
     "SIGN": "+ or -",
     "$END": "the end of the text",
 }
@@ -395,11 +387,6 @@ def _for_arm(*words: Token) -> None:
 def _program(name: Token, attributes: tuple[Attribute, ...], *rest: Any) -> ProgramTree:
     *sections, (cycle, block, end) = rest
     return ProgramTree(name, attributes, tuple(one for section in sections for one in section), cycle, block, end)
-
-
-def _comparison(left: Expression, *rest: Any) -> Operation:
-    word, operator = (rest[0], str(rest[0])) if len(rest) == 2 else (left.word, "=")
-    return Operation(word, operator, (left, rest[-1]))
 
 
 def _move(word: Token, trajectory: str, _to: Token, target: Expression, clauses: list[Any]) -> MoveStatement:
@@ -443,7 +430,6 @@ _RULES: dict[str, Callable[..., Any]] = {
     "assignment": lambda target, value: Assignment(target.word, target, value),
     "for_loop": lambda word, variable, *rest: ForLoop(word, Name(variable), *rest),
     "direction": lambda word: word.upper() == "DOWNTO",
-    "conditional": Conditional,
     "delay": DelayStatement,
     "move": _move,
     "trajectory": lambda word="": word.upper(),
@@ -453,7 +439,6 @@ _RULES: dict[str, Callable[..., Any]] = {
     "with_setting": _with,
     "setting": Setting,
     "binary": lambda left, word, right: Operation(word, word.upper(), (left, right)),
-    "comparison": _comparison,
     "unary": lambda word, operand: Operation(word, word.upper(), (operand,)),
     "integer": _integer,
     "real": _real,

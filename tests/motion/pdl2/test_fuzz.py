@@ -25,14 +25,11 @@ BEGIN CYCLE
   $LIN_SPD := 0.5 ; $TOOL := POS(0, 0, 120, 0, 0, 0, '')
   MOVE JOINT TO home, WITH $PROG_SPD_OVR = 10, ENDMOVE
   FOR i := 4 DOWNTO 2 STEP 1 DO
-    IF (i > 2) AND NOT (k = 1) THEN
-      MOVEFLY LINEAR TO p[i] ADVANCE,
-        WITH $FLY_TYPE = FLY_CART, $FLY_DIST = 20,
-             $TERM_TYPE = COARSE, $TOL_COARSE = 1,
-      ENDMOVE
-    ELSE
-      MOVE CIRCULAR TO p[1] VIA p[2]
-    ENDIF
+    MOVEFLY LINEAR TO p[i] ADVANCE,
+      WITH $FLY_TYPE = FLY_CART, $FLY_DIST = 20,
+           $TERM_TYPE = COARSE, $TOL_COARSE = 1,
+    ENDMOVE
+    MOVE CIRCULAR TO p[1] VIA p[2]
   ENDFOR
   x := (k DIV 2) * 1.5E-1 - -i MOD 2
   DELAY 100
@@ -102,9 +99,8 @@ LONG = {
     "closed parentheses": "x := " + "(" * 50_000 + "1" + ")" * 50_000,
     "signs": "x := " + "- " * 50_000 + "1",
     "sums": "x := 1" + " + 1" * 50_000,
-    "comparisons": "IF " + "NOT " * 50_000 + "TRUE THEN\nENDIF",
     "subscripts": "x := " + "p[" * 50_000 + "1" + "]" * 50_000,
-    "blocks": "IF TRUE THEN\n" * 20_000 + "ENDIF\n" * 20_000,
+    "blocks": "FOR i := 1 TO 1 DO\n" * 20_000 + "ENDFOR\n" * 20_000,
     "settings": "MOVE TO home WITH " + ", ".join(["$LIN_SPD = 1"] * 20_000),
     "joints": "home := {" + ", ".join(["1"] * 50_000) + "}",
     "digits": "x := " + "9" * 900_000,

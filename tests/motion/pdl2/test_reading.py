@@ -89,22 +89,23 @@ def test_a_whole_program_with_declarations_loops_and_arithmetic():
       home := {0, 0, -90, 0, 90.5, -.5}
       MOVE JOINT TO home
       FOR j := rounds DOWNTO 1 DO
-        IF (j = 2) AND NOT (x <> 100) THEN
-          FOR i := 1 TO 3 STEP 2 DO
-            MOVEFLY LINEAR TO p[i] ADVANCE
-          ENDFOR
-        ELSE
-          DELAY 250
-        ENDIF
+        FOR i := 1 TO 3 STEP 2 DO
+          MOVEFLY LINEAR TO p[i] ADVANCE
+        ENDFOR
+        DELAY 250 * j
       ENDFOR
       MOVE LINEAR TO p[7 DIV 3]; MOVE CIRCULAR TO p[1] VIA p[3 MOD 2 + 1]
     END task
     """
     result = moves(text)
-    assert [m.name for m in result if not isinstance(m, Delay)] == ["home", "p[1]", "p[3]", "p[2]", "p[1]"]
-    assert isinstance(result[3], Delay)
-    assert result[3].seconds == 0.25
-    home, first, third, _, second, circle = result
+    assert [m.name for m in result if not isinstance(m, Delay)] == [
+        "home",
+        *(2 * ["p[1]", "p[3]"]),
+        "p[2]",
+        "p[1]",
+    ]
+    assert [each.seconds for each in result if isinstance(each, Delay)] == [0.5, 0.25]
+    home, first, third, *_, second, circle = result
     assert isinstance(home.target, JointTarget)
     np.testing.assert_allclose(home.target.position, np.radians([0, 0, -90, 0, 90.5, -0.5]), rtol=1e-15)
     assert isinstance(first.target, CartesianTarget)
