@@ -8,7 +8,7 @@ acceleration of the run. A controller whose set-points look so is planned for so
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -157,47 +157,50 @@ class _Blocks:
                 if self.corner[k]:
                     border[other] = min(border[other], border[one])
                 else:
-                    border[other] = _reached(border[one], border[other], length[k], rate[k], jerk)
-        phases: list[tuple[float, float, float]] = []
-        speeds: list[float] = []
-        for k in range(count):
-            for phase, speed in self._phases(k, border[k], border[k + 1], length[k], jerk):
-                phases.append(phase)
-                speeds.append(speed)
+                    border[other] = self._reached(border[one], border[other], length[k], rate[k], jerk)
+        phases = [phase for k in range(count) for phase in self._phases(k, border[k], border[k + 1], length[k], jerk)]
         times, acceleration, jerks = np.array(phases).T
-        ends = np.cumsum(times)
-        s = np.empty(len(times))
-        at = 0.0
-        for k, (dt, a, j) in enumerate(phases):
-            s[k] = at
-            at += dt * (speeds[k] + dt * (0.5 * a + j * dt / 6.0))
-        # Round-off of the ramps' lengths is put right here: the run ends where its path does.
-        scale = self.edges[-1] / at if at > 0.0 else 1.0
-        return BlockLaw(
-            ends - times, s * scale, np.array(speeds) * scale, acceleration * scale, jerks * scale, float(ends[-1])
-        )
+        gained = times * (acceleration + 0.5 * jerks * times)
+        speed = np.cumsum(gained) - gained
+        covered = times * (speed + times * (0.5 * acceleration + jerks * times / 6.0))
+        s, ends = np.cumsum(covered) - covered, np.cumsum(times)
+        # Removes the round-off of the ramps' lengths: the run ends where its path does.
+        scale = self.edges[-1] / covered.sum() if covered.sum() > 0.0 else 1.0
+        return BlockLaw(ends - times, s * scale, speed * scale, acceleration * scale, jerks * scale, float(ends[-1]))
 
-    def _phases(
-        self, k: int, start: float, end: float, length: float, jerk: float
-    ) -> list[tuple[tuple[float, float, float], float]]:
-        """((duration, acceleration, jerk), speed at its beginning) of one block."""
+    @staticmethod
+    def _reached(start: float, wanted: float, length: float, acceleration: float, jerk: float) -> float:
+        """The highest speed up to `wanted` that a ramp from `start` reaches within `length`."""
+        if wanted <= start:
+            return wanted
+        return _largest(start, wanted, lambda speed: _length(start, speed, acceleration, jerk) <= length)
+
+    def _phases(self, k: int, start: float, end: float, length: float, jerk: float) -> list[_Phase]:
         if self.corner[k]:
-            return [((length / max(start, _SMALL), 0.0, 0.0), start)]
+            return [(length / max(start, _SMALL), 0.0, 0.0)]
         up, down = self.up[k], self.down[k]
 
         def needs(peak: float) -> float:
             return _length(start, peak, up, jerk) + _length(peak, end, down, jerk)
 
-        peak, low = max(self.speed[k], start, end), max(start, end)
-        if needs(peak) > length:
-            high = peak
-            for _ in range(_HALVINGS):
-                peak = 0.5 * (low + high)
-                low, high = (peak, high) if needs(peak) <= length else (low, peak)
-            peak = low
+        peak = _largest(max(start, end), max(self.speed[k], start, end), lambda peak: needs(peak) <= length)
         rest = max(length - needs(peak), 0.0)
-        flat = [((rest / max(peak, _SMALL), 0.0, 0.0), peak)] if rest > _SMALL else []
+        flat = [(rest / max(peak, _SMALL), 0.0, 0.0)] if rest > _SMALL else []
         return [*_ramp_phases(start, peak, up, jerk), *flat, *_ramp_phases(peak, end, down, jerk)]
+
+
+#: Duration [s], acceleration at the beginning, and jerk.
+_Phase = tuple[float, float, float]
+
+
+def _largest(low: float, high: float, fits: Callable[[float], bool]) -> float:
+    """The largest number from `low` to `high` that fits, where all smaller ones do."""
+    if fits(high):
+        return high
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if fits(middle) else (low, middle)
+    return low
 
 
 def _times(change: float, acceleration: float, jerk: float) -> tuple[float, float]:
@@ -211,31 +214,16 @@ def _length(start: float, end: float, acceleration: float, jerk: float) -> float
     return 0.5 * (start + end) * (2.0 * rise + flat)
 
 
-def _reached(start: float, wanted: float, length: float, acceleration: float, jerk: float) -> float:
-    """The highest speed up to `wanted` that a ramp from `start` reaches within `length`."""
-    if wanted <= start or _length(start, wanted, acceleration, jerk) <= length:
-        return wanted
-    low, high = start, wanted
-    for _ in range(_HALVINGS):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if _length(start, middle, acceleration, jerk) <= length else (low, middle)
-    return low
-
-
-def _ramp_phases(
-    start: float, end: float, acceleration: float, jerk: float
-) -> list[tuple[tuple[float, float, float], float]]:
+def _ramp_phases(start: float, end: float, acceleration: float, jerk: float) -> list[_Phase]:
     change = abs(end - start)
     if change < _SMALL:
         return []
     rise, flat = _times(change, acceleration, jerk)
-    sign = float(np.sign(end - start))
-    peak = sign * change / (rise + flat)
-    bent = peak / rise if rise > 0.0 else 0.0
-    early = [((rise, 0.0, bent), start)] if rise > 0.0 else []
-    even = [((flat, peak, 0.0), start + 0.5 * peak * rise)] if flat > 0.0 else []
-    late = [((rise, peak, -bent), end - 0.5 * peak * rise)] if rise > 0.0 else []
-    return [*early, *even, *late]
+    peak = float(np.sign(end - start)) * change / (rise + flat)
+    if rise == 0.0:
+        return [(flat, peak, 0.0)]
+    even = [(flat, peak, 0.0)] if flat > 0.0 else []
+    return [(rise, 0.0, peak / rise), *even, (rise, peak, -peak / rise)]
 
 
 def _bent_joints(path: Path, shape: PathShape, limits: ArmLimits) -> np.ndarray:
