@@ -24,7 +24,17 @@ from agent.motion.fly.path import motion_error, solve_cartesian
 from agent.motion.frames import pose_in_robot_base, tool_frame
 from agent.motion.interpolator import MotionError
 from agent.motion.pdl2.settings import OrientationType, Pdl2Settings
-from agent.motion.program import CartesianTarget, Frame, JointTarget, MotionSettings, Move, MoveType, Target, matrix_of
+from agent.motion.program import (
+    CartesianTarget,
+    Frame,
+    JointTarget,
+    MotionSettings,
+    Move,
+    MoveType,
+    Target,
+    frame_of,
+    matrix_of,
+)
 from agent.robot import Kinematics, KinematicsError, RobotDescription, kinematics_for
 
 if TYPE_CHECKING:
@@ -54,10 +64,8 @@ class SegmentMaker:
         prismatic = np.array([joint.prismatic for joint in robot.joints])
         self._turning = ~prismatic & (upper - lower > 2 * np.pi)
         self.kinematics = kinematics_for(robot, tool)
-        own = tool_frame(tool)
-        self._of_tool: dict[Any, Kinematics] = {None: self.kinematics, _key(own): self.kinematics}
-        self._of_frame: dict[Frame | None, Kinematics] = {}
-        self._asked: tuple[bytes, np.ndarray] = b"", np.empty(0)
+        own = frame_of(tool_frame(tool))
+        self._of_tool: dict[Frame | None, Kinematics] = {None: self.kinematics, own: self.kinematics}
 
     def checked_start(self, start: np.ndarray) -> np.ndarray:
         """The start (n,) as floats.
@@ -72,10 +80,7 @@ class SegmentMaker:
 
     def pose_at(self, q: np.ndarray) -> np.ndarray:
         """(7,) position [m] and orientation (unit quaternion) of the interpolator's own TCP at joints (n,)."""
-        # A rest and the move after it ask for the same.
-        if self._asked[0] != q.tobytes():
-            self._asked = q.tobytes(), np.concatenate(_pose_of(self.kinematics, q))
-        return self._asked[1]
+        return np.concatenate(_pose_of(self.kinematics, q))
 
     def segment(self, index: int, move: Move, pending: Sequence[Segment], rest: np.ndarray) -> Segment | None:
         """The segment of a move that follows `pending` ones, which started at `rest` (n,); None where it moves nothing.
@@ -193,15 +198,11 @@ class SegmentMaker:
         return pose[:3, 3].copy(), rotation.from_matrix(pose[:3, :3])
 
     def _with_tool(self, settings: MotionSettings) -> Kinematics:
-        if settings.tool not in self._of_frame:
-            frame = matrix_of(settings.tool)
-            key = None if settings.tool is None else _key(frame)
-            if key not in self._of_tool:
-                from agent.robot import Tool  # loads Pinocchio
+        if settings.tool not in self._of_tool:
+            from agent.robot import Tool  # loads Pinocchio
 
-                self._of_tool[key] = kinematics_for(self.robot, Tool(frame=frame))
-            self._of_frame[settings.tool] = self._of_tool[key]
-        return self._of_frame[settings.tool]
+            self._of_tool[settings.tool] = kinematics_for(self.robot, Tool(frame=matrix_of(settings.tool)))
+        return self._of_tool[settings.tool]
 
 
 def _pose_of(kinematics: Kinematics, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -257,8 +258,3 @@ def _check(settings: Pdl2Settings, label: str) -> None:
             raise InputError(f"{label}: {name} is {getattr(settings, name)}; it has to be more than 0 and at most 1")
     if not 0.0 <= settings.fly_distance < np.inf:
         raise InputError(f"{label}: fly_distance is {settings.fly_distance} m; it cannot be negative")
-
-
-def _key(frame: np.ndarray) -> tuple[float, ...]:
-    """A frame but for the digits that are lost between millimetres and metres."""
-    return tuple((np.asarray(frame, dtype=float).round(10) + 0.0).ravel())
