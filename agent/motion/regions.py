@@ -9,13 +9,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from agent.core import InputError
 from agent.motion import rotation
 from agent.motion.rotation import pose_of
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Slerp
 
 #: [rad] how far the tool may turn around a task.
 _TASK_CONE = np.radians(10.0)
@@ -52,56 +55,48 @@ class BoxRegion:
     half: np.ndarray
     cone: float
 
-    @property
-    def _turn(self) -> np.ndarray:
-        return self.cone * np.array([np.sqrt(0.5), np.sqrt(0.5), 1.0])
-
     def poses(self, genes: np.ndarray) -> np.ndarray:
-        signed = 2.0 * genes - 1.0
         poses = np.tile(self.middle, (len(genes), 1, 1))
-        poses[:, :3, 3] += signed[:, :3] * self.half
-        turn = rotation.from_rotation_vector(signed[:, 3:] * self._turn)
-        poses[:, :3, :3] = self.middle[:3, :3] @ rotation.to_matrix(turn)
+        poses[:, :3, 3] += (2.0 * genes[:, :3] - 1.0) * self.half
+        poses[:, :3, :3] = self.middle[:3, :3] @ _turns(genes, self.cone)
         return poses
+
+
+def _turns(genes: np.ndarray, cone: float) -> np.ndarray:
+    """(N, 3, 3) turns of the tool within `cone` [rad] by the last three of six genes (N, 6)."""
+    most = cone * np.array([np.sqrt(0.5), np.sqrt(0.5), 1.0])
+    return rotation.to_matrix(rotation.from_rotation_vector((2.0 * genes[:, 3:] - 1.0) * most))
 
 
 @dataclass(frozen=True, eq=False)
 class TubeRegion:
-    """A stretch of a path: `points` (M, 3) [m] and `turns` (M, 4) at arc lengths `along` (M,), from `begin` to `end`.
+    """A stretch of a path: `points` (M, 3) [m] at arc lengths `along` (M,) from `begin` to `end`, turned by `turns`.
 
     One position gene runs along the path, two across it within `radius` [m]; the tool turns as in a `BoxRegion`.
     """
 
     along: np.ndarray
     points: np.ndarray
-    turns: np.ndarray
+    turns: Slerp
     begin: float
     end: float
     radius: float
     cone: float
 
     def poses(self, genes: np.ndarray) -> np.ndarray:
-        return np.array([self._pose(one) for one in genes])
-
-    def _pose(self, genes: np.ndarray) -> np.ndarray:
-        middle, across = self._at(self.begin + genes[0] * (self.end - self.begin))
-        middle[:3, 3] += np.sqrt(0.5) * self.radius * (2.0 * genes[1:3] - 1.0) @ across
-        turned = np.concatenate((np.full(3, 0.5), genes[3:]))
-        return BoxRegion(middle, np.zeros(3), self.cone).poses(turned[None])[0]
-
-    def _at(self, length: float) -> tuple[np.ndarray, np.ndarray]:
-        """The path's pose (4, 4) at an arc length [m], and two unit vectors (2, 3) across it."""
-        k = int(np.clip(np.searchsorted(self.along, length, side="right") - 1, 0, len(self.along) - 2))
-        part = (length - self.along[k]) / max(self.along[k + 1] - self.along[k], 1e-300)
-        between = rotation.multiply(self.turns[k + 1], rotation.conjugate(self.turns[k]))
-        turned = rotation.from_rotation_vector(np.clip(part, 0.0, 1.0) * rotation.rotation_vector(between))
-        chord = self.points[k + 1] - self.points[k]
-        place = self.points[k] + np.clip(part, 0.0, 1.0) * chord
-        pose = rotation.to_pose(place, rotation.multiply(turned, self.turns[k]))
-        tangent = chord / max(float(np.linalg.norm(chord)), 1e-300)
-        first = np.cross(tangent, np.eye(3)[int(np.argmin(np.abs(tangent)))])
-        first /= np.linalg.norm(first)
-        return pose, np.array([first, np.cross(tangent, first)])
+        length = self.begin + genes[:, 0] * (self.end - self.begin)
+        chords = np.diff(self.points, axis=0)
+        tangent = chords[np.clip(np.searchsorted(self.along, length, side="right") - 1, 0, len(chords) - 1)]
+        tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+        first = np.cross(tangent, np.eye(3)[np.argmin(np.abs(tangent), axis=1)])
+        first /= np.linalg.norm(first, axis=1, keepdims=True)
+        aside = np.sqrt(0.5) * self.radius * (2.0 * genes[:, 1:3] - 1.0)
+        poses = np.tile(np.eye(4), (len(genes), 1, 1))
+        for axis in range(3):
+            poses[:, axis, 3] = np.interp(length, self.along, self.points[:, axis])
+        poses[:, :3, 3] += aside[:, :1] * first + aside[:, 1:] * np.cross(tangent, first)
+        poses[:, :3, :3] = self.turns(np.clip(length, 0.0, self.along[-1])).as_matrix() @ _turns(genes, self.cone)
+        return poses
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,9 +154,15 @@ class ViaRegions:
 
         Each via-point has its own stretch of the path, all stretches are equally long.
         """
-        poses = _distinct(np.asarray(path, dtype=float))
+        from scipy.spatial.transform import Rotation, Slerp
+
+        poses = np.asarray(path, dtype=float)
+        moved = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1) > 1e-9
+        poses = poses[np.concatenate(([True], moved))]
+        if len(poses) < 2:
+            raise InputError("a tube needs a path of at least two different points")
         along = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1))))
-        turns = rotation.continuous(rotation.from_matrices(poses[:, :3, :3]))
+        turns = Slerp(along, Rotation.from_matrix(poses[:, :3, :3]))
         cuts = np.linspace(0.0, along[-1], count + 1)
         return cls(
             tuple(
@@ -199,11 +200,3 @@ def _box_around(points: np.ndarray, turns: np.ndarray, around: float) -> BoxRegi
     axes = rotation.to_matrix(turns)[:, :, 2]
     tilt = float(np.max(np.arccos(np.clip(axes @ middle[:3, 2], -1.0, 1.0))))
     return BoxRegion(middle, 0.5 * np.ptp(points, axis=0) + around, min(tilt + _TASK_CONE, np.pi))
-
-
-def _distinct(poses: np.ndarray) -> np.ndarray:
-    moved = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1) > 1e-9
-    poses = poses[np.concatenate(([True], moved))]
-    if len(poses) < 2:
-        raise InputError("a tube needs a path of at least two different points")
-    return poses
