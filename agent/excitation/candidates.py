@@ -10,7 +10,7 @@ import numpy as np
 
 from agent.core import InputError, keep_freed_memory
 from agent.excitation.criterion import Criterion
-from agent.excitation.scoring import LoopScore, infeasible
+from agent.excitation.genetic import LoopScore, infeasible
 from agent.motion import MotionError, MotionSettings, Move, Trajectory, ViaRegions, create_interpolator, loop_moves
 from agent.robot import (
     Box,

@@ -16,34 +16,20 @@ import numpy as np
 from agent.core import InProcess, InputError, LocalProcesses, TaskEngine, available_cores
 from agent.excitation.candidates import Candidates, Loop, LoopProblem
 from agent.excitation.criterion import one_blas_thread
-from agent.excitation.genetic import genetic
-from agent.excitation.scoring import Evaluate, LoopScore, Note, ranking
+from agent.excitation.genetic import METHODS, LoopScore, ranking
 
-
-def random_search(
-    evaluate: Evaluate, genes: int, population: int, generations: int, rng: np.random.Generator, note: Note
-) -> None:
-    """Candidates drawn evenly from the sub-region: what a search has to beat at an equal number of candidates."""
-    for _ in range(generations):
-        genomes = rng.random((population, genes))
-        note(genomes, evaluate(genomes))
-
-
-#: Methods by the names that a recipe uses.
-METHODS = {"genetic": genetic, "random": random_search}
-#: A process more costs as much to start as so many candidates to score.
+#: Starting another process costs as much as scoring this many candidates.
 _CANDIDATES_A_WORKER = 250
-#: At most so many candidates travel and are worked out together: what they share costs little, and a generation feeds
-#: many workers.
+#: Candidates in one task, at most: enough to share work, few enough that a generation feeds many workers.
 _TOGETHER = 7
-#: So many of the best candidates are scored again on all samples.
+#: Best candidates that are scored again on all samples.
 FINALISTS = 10
 
 
 @dataclass(frozen=True)
 class Generation:
-    """Statistics of a generation: its number from 0, best and mean fitness of its feasible candidates (NaN without
-    any), how many are feasible, and how many candidates were evaluated so far."""
+    """Statistics of a generation: its number from 0, best and mean fitness of its feasible candidates (NaN if none is),
+    their number, and how many candidates were evaluated so far. Fitness is on every tenth sample."""
 
     number: int
     best: float
@@ -56,26 +42,24 @@ class Generation:
 class SearchResult:
     """The loop that was found, and how.
 
-    `fitness` is log10 det(HᵀH/M) over all samples of one cycle; best, mean (G,) over the generations are of every tenth
-    sample, NaN where a generation had no feasible candidate; feasible (G,) counts them. `finalists` (F, 2): fitness of
-    the best candidates on every tenth sample and on all. `columns` names the parameters that the fitness counts.
+    `fitness` is log10 det(HᵀH/M) over all samples of one cycle. `finalists` (F, 2): fitness of the best candidates on
+    every tenth sample and on all. `columns` names the parameters that the fitness counts.
     """
 
     loop: Loop
     fitness: float
-    best: np.ndarray
-    mean: np.ndarray
-    feasible: np.ndarray
+    generations: tuple[Generation, ...]
     finalists: np.ndarray
     evaluated: int
     columns: tuple[str, ...]
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data, without the set-points."""
+        names = ("best", "mean", "feasible")
         return {
             "fitness": self.fitness,
             "genome": self.loop.genome.tolist(),
-            "history": {name: getattr(self, name).tolist() for name in ("best", "mean", "feasible")},
+            "history": {name: [getattr(one, name) for one in self.generations] for name in names},
             "finalists": self.finalists.tolist(),
             "evaluated": self.evaluated,
             "parameters": len(self.columns),
@@ -112,36 +96,23 @@ def search(
     with one_blas_thread():
         genome, fitness, finalists = _final(candidates, history)
         loop = candidates.loop(genome)
-    return SearchResult(
-        loop=loop,
-        fitness=fitness,
-        best=np.array([generation.best for generation in history.generations]),
-        mean=np.array([generation.mean for generation in history.generations]),
-        feasible=np.array([generation.feasible for generation in history.generations]),
-        finalists=finalists,
-        evaluated=history.evaluated,
-        columns=candidates.columns,
-    )
+    return SearchResult(loop, fitness, tuple(history.generations), finalists, len(history.archive), candidates.columns)
 
 
 class _History:
-    """Every distinct candidate with its score, and what to tell of each generation."""
+    """Every distinct candidate with its score, and the statistics of each generation."""
 
     def __init__(self, progress: Callable[[Generation], None] | None):
         self.generations: list[Generation] = []
         self.archive: dict[bytes, tuple[np.ndarray, LoopScore]] = {}
         self._progress = progress
 
-    @property
-    def evaluated(self) -> int:
-        return len(self.archive)
-
     def note(self, genomes: np.ndarray, scores: Sequence[LoopScore]) -> None:
         for genome, score in zip(genomes, scores, strict=True):
             self.archive.setdefault(genome.tobytes(), (genome.copy(), score))
         fitness = np.array([score.fitness for score in scores if score.feasible and np.isfinite(score.fitness)])
         best, mean = (float(fitness.max()), float(fitness.mean())) if len(fitness) else (np.nan, np.nan)
-        generation = Generation(len(self.generations), best, mean, len(fitness), self.evaluated)
+        generation = Generation(len(self.generations), best, mean, len(fitness), len(self.archive))
         self.generations.append(generation)
         if self._progress is not None:
             self._progress(generation)
@@ -195,7 +166,7 @@ def _evaluate(engine: TaskEngine, scorer: Scorer, genomes: np.ndarray) -> list[L
     return [score for number in range(len(together)) for score in scores[number]]
 
 
-#: What this thread built last, and of which problem: `key`, `candidates`.
+#: What this thread built last, and for which problem: `key`, `candidates`.
 _built = threading.local()
 
 

@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from agent.excitation import LoopScore, ranking
-from agent.excitation.genetic import genetic
-from agent.excitation.loop_search import random_search
+from agent.excitation.genetic import genetic, random_search
 from agent.pipeline.planning import loop_problem
 from agent.recipe import Recipe
 from benchmarks.evidence import figures

@@ -8,9 +8,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from agent.excitation import LoopScore, ranking
-from agent.excitation.genetic import ELITE, genetic, offspring
-from agent.excitation.loop_search import random_search
-from agent.excitation.scoring import infeasible
+from agent.excitation.genetic import ELITE, genetic, infeasible, offspring, random_search
 
 GENES = 12
 

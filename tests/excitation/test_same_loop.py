@@ -64,7 +64,8 @@ def found(seed: int) -> dict[str, Any]:
     """What a small search ends with."""
     problem = LoopProblem(load_robot("comau_ns16"), regions(), CART)
     result = search(problem, population=8, generations=4, seed=seed, engine=InProcess())
-    return {"genome": result.loop.genome.tolist(), "fitness": result.fitness, "best": result.best.tolist()}
+    best = [generation.best for generation in result.generations]
+    return {"genome": result.loop.genome.tolist(), "fitness": result.fitness, "best": best}
 
 
 @pytest.mark.parametrize("style", STYLES)

@@ -40,9 +40,9 @@ def test_a_seed_gives_the_same_loop_for_any_number_of_workers(problem: LoopProbl
 def test_the_result_is_the_best_of_the_finalists_on_all_samples(problem: LoopProblem, candidates: Candidates) -> None:
     result = search(problem, method="random", population=7, generations=2, seed=2, engine=InProcess())
     assert result.evaluated == 14
-    assert result.feasible.shape == result.best.shape == result.mean.shape == (2,)
+    assert len(result.generations) == 2
     assert result.finalists.shape == (10, 2)
-    assert result.finalists[0, 0] == np.nanmax(result.best)
+    assert result.finalists[0, 0] == np.nanmax([generation.best for generation in result.generations])
     assert (np.diff(result.finalists[:, 0]) <= 0).all()
     assert result.fitness == result.finalists[:, 1].max()
     assert result.fitness == pytest.approx(candidates.score_on_all(result.loop.genome).fitness, abs=1e-9)

@@ -149,7 +149,7 @@ def test_any_address_survives_the_template(recipe_file: Path, address: str) -> N
 
 def test_the_names_of_methods_are_those_that_exist() -> None:
     from agent.estimation.workflow import methods
-    from agent.excitation.loop_search import METHODS as SEARCHES
+    from agent.excitation.genetic import METHODS as SEARCHES
 
     assert set(ESTIMATION_METHODS) == set(methods())
     assert set(SEARCH_METHODS) == set(SEARCHES)
