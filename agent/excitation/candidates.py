@@ -25,11 +25,11 @@ from agent.robot import (
 )
 from agent.safety import Cell, CellReport
 
-#: The search takes the regressor at every so many interpolated samples; limits are checked at every one.
+#: The search evaluates the regressor at one sample in this many; limits are checked at every sample.
 EVERY = 10
 #: Joints of a loop end where they began within this [rad, m].
 _CLOSED = 1e-3
-#: A clearance that lacks so many metres ranks like a limit that is exceeded by its own size.
+#: [m] A clearance that is short by this much ranks like a limit exceeded by its own size.
 CELL_SCALE = 0.1
 #: Genes of a point by where it is in its region: in the middle, at the corners of its position (the orientation in the
 #: middle of its own range), at the ends of its orientation.
@@ -49,9 +49,9 @@ class LoopProblem:
     """What is searched for: a loop of via-points in `regions` that this arm can run. Plain data, so that it travels.
 
     `settings` are those of the loop's moves, `period` [s] the controller's. The arm stays away from itself and from the
-    boxes of `keep_out` by the FLY distance of the settings: by so much the controller's blends may differ from ours.
+    boxes of `keep_out` by the FLY distance of the settings: the controller's blends may differ from ours by that.
     `joint_ranges`: by joint name, (lower, upper) [rad, m] where the joint may go less far than it can. `load` is a
-    known mass at the flange beside the tool: the drives have to bear it.
+    known mass at the flange in addition to the tool, which the drives have to bear.
     """
 
     robot: RobotDescription
@@ -283,8 +283,8 @@ def posture(kinematics: Kinematics, regions: ViaRegions) -> np.ndarray:
     """(n,) joint positions at the middle of the sub-region, from which loops choose their branch.
 
     Of all solutions there, the one from which most of the sub-region's edges are near at hand; among equals, the
-    one nearest to the middle of the joint ranges. A redundant arm has no end of them: the one that leaves most room to
-    the joint limits.
+    one nearest to the middle of the joint ranges. A redundant arm has infinitely many: the one furthest from the joint
+    limits.
 
     Raises:
         KinematicsError: the middle cannot be reached; says by how much.

@@ -66,7 +66,7 @@ class Criterion:
         )
 
     def _may_be_used(self) -> list[np.ndarray]:
-        """Of each joint the columns of H that are not zero whatever the motion."""
+        """For each joint, the columns of H that are not zero for every motion."""
         q, qd, qdd = np.random.default_rng(0).uniform(0.5, 1.5, (3, 4, self._robot.dof))
         blocks = (
             self._dynamics.regressor(q, qd, qdd)[:, :, self._inertial],

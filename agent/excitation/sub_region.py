@@ -1,4 +1,4 @@
-"""Whether the arm reaches its sub-region at all: asked before minutes are spent on a search."""
+"""Whether the arm reaches its sub-region, checked before a search."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from agent.excitation.candidates import CORNERS, MIDDLE, TURNED, LoopProblem
 from agent.motion import ViaRegions, pose_to_pos
 from agent.robot import Kinematics, KinematicsError, RobotDescription, kinematics_for
 
-#: Where in a via-point's region it is asked: the middle, the corners of its position and the ends of its orientation.
+#: Places checked in a via-point's region: the middle, the corners of its position and the ends of its orientation.
 _PLACES = {**MIDDLE, **CORNERS, **TURNED}
 #: Boxes that are tried for an arm, as parts of its reach: distance and height of the centre, and edges.
 _AHEAD, _HEIGHT, _EDGES = (0.5, 0.6, 0.4, 0.7, 0.3), (0.3, 0.45, 0.15, 0.6, 0.0), (0.2, 0.3, 0.15)
@@ -74,7 +74,7 @@ class WorkingBox:
 
 
 def working_box(robot: RobotDescription) -> WorkingBox | None:
-    """A box in front of an arm all of which it reaches, as large and with as much tilt as may be; None: none found."""
+    """The largest of some boxes in front of an arm that it reaches everywhere; None where there is none."""
     kinematics = kinematics_for(robot, None)
     lower, upper = (np.clip(limit, -np.pi, np.pi) for limit in robot.position_limits)
     postures = np.random.default_rng(0).uniform(lower, upper, (200, robot.dof))

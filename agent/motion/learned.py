@@ -14,14 +14,14 @@ from agent.core import InputError, load_document
 from agent.motion.fly.parameters import FlyParameters
 from agent.robot import RobotDescription
 
-#: File name endings that tell a learned interpolator from the name of an installed one.
+#: File name endings that distinguish a learned law from the name of an interpolator.
 SUFFIXES = (".yaml", ".yml")
 
 
 class LearnedLaw(BaseModel):
-    """The content of a law's file: its parameters, and what is known of how they came about.
+    """The content of a law's file: its parameters, how well they fit, and the logs they come from.
 
-    `settling_s` [s] by `$TERM_TYPE`, what a stop takes beyond its set-points. `figures`: path error [mm] and time error
+    `settling_s` [s] by `$TERM_TYPE`: time of a stop after its last set-point. `figures`: path error [mm] and time error
     [%], `before` and `after`. `logs`: name and SHA-256 of each.
     """
 
@@ -65,12 +65,12 @@ def load_law(path: Path, robot: RobotDescription) -> LearnedLaw:
 
 
 def is_file_name(interpolator: str) -> bool:
-    """Whether the name of an interpolator is that of a learned one's file."""
+    """Whether the name of an interpolator is the file of a learned law."""
     return interpolator.lower().endswith(SUFFIXES)
 
 
 def robot_digest(robot: RobotDescription) -> str:
-    """SHA-256 (hex) of all that a law is relative to: joints, their limits and the tool's."""
+    """SHA-256 (hex) of what a law depends on: the joints, their limits and the tool's limits."""
     limits = robot.cartesian_limits
     parts: list[Any] = [
         [joint.name, joint.max_velocity, joint.max_acceleration, joint.max_jerk] for joint in robot.joints

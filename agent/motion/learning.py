@@ -19,24 +19,24 @@ from agent.motion.pdl2.settings import FlyTrajectory, FlyType, Pdl2Settings
 from agent.motion.program import Move
 from agent.robot import RobotDescription, kinematics_for
 
-#: Parts of the way at which motions are compared; how the ends are crept along is lost in the set-points' digits.
+#: Parts of the travel at which motions are compared. Both ends are left out: set-points hardly move there.
 _PARTS = np.linspace(0.002, 0.998, 250)
-#: Part of the path before and after a place in which its counterpart is searched for, and the grid of that search.
+#: Part of the path before and after a place that is searched for its counterpart, and the grid of that search.
 _AROUND, _FINE = 0.03, np.linspace(0.0, 1.0, 1001)
-#: A family has to be better than a simpler one by this part of its error.
+#: A family replaces a simpler one if its error is below this part of the simpler one's.
 _BETTER = 0.9
-#: A simplex ends where the cost changes by less than this part, or after this number of plans.
+#: A simplex ends when the cost changes by less than this part, or after this number of plans.
 _ENOUGH, _PLANS = 1e-3, 40
 #: Widths of simplices, in parts of what is unknown: of a family on trial, and one after the other of the best one. In a
 #: valley, as of ramps that are later and stronger at once, a simplex shrinks before it is at the bottom.
 _TRIAL, _FINER = 0.15, (0.05, 0.05, 0.05, 0.02, 0.02)
-#: [m/rad] A move that travels at all is measured by its way alone.
+#: [m/rad] A move that travels at all is measured by its travel alone.
 _NO_LEVER = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
 class RecordedMove:
-    """What was moved from a standstill to the next: its moves, and times (S,) [s] and set-points (S, n) recorded."""
+    """Moves from one standstill to the next, with the recorded times (S,) [s] and set-points (S, n)."""
 
     moves: tuple[Move, ...]
     t: np.ndarray
@@ -59,7 +59,7 @@ class Learner:
         self._robot, self._period = robot, period
         self._forward = kinematics_for(robot).forward
         self._all = [(stretch, _Way.of(stretch.t, stretch.q)) for stretch in stretches]
-        # Where something flies, a lone move from stop to stop teaches nothing more, and is judged all the same.
+        # A lone move from stop to stop adds nothing where others fly; it still counts in the errors.
         self._taught = [one for one in self._all if any(move.fly for move in one[0].moves)] or self._all
 
     def errors(self, parameters: FlyParameters) -> Errors:
@@ -97,9 +97,9 @@ class Learner:
     def _away(self, recorded: _Way, planned: _Way, place: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
         """(K,) distance of recorded places from the planned path."""
         there = recorded.joints(_PARTS)
-        # Of a corner where the arm stops, samples are dense and the tip is among them.
+        # Samples are dense at a corner where the arm stops, and include its tip.
         parts = np.union1d(_FINE, planned.part)
-        # The same place is looked for a little before and after the same part of the way.
+        # The counterpart of a place is searched near the same part of the travel.
         return _nearest(place(planned.joints(parts)), place(there), np.abs(parts[None] - _PARTS[:, None]) <= _AROUND)
 
     def learn(self, progress: Callable[[str], None] = lambda text: None) -> FlyParameters:
@@ -122,7 +122,7 @@ class Learner:
             free.append(("auto_tightness", 0.0, 1.0))
         if any(settings.fly_type is FlyType.FLY_NORM for settings in flying):
             free.append(("norm_acceleration", 0.3, 20.0))
-        # A parabola or a circle touches both moves where it takes equal parts of the tool's way, however that turns.
+        # A parabola or a circle touches both moves where it takes equal parts of the tool's travel.
         curves = [
             FlyParameters(blend=blend, blend_turn="slerp", turn_lever=_NO_LEVER) for blend in ("parabola", "circle")
         ]
@@ -142,7 +142,7 @@ class Learner:
         families: Iterable[tuple[FlyParameters, list[tuple[str, float, float]]]],
         cost: Callable[[FlyParameters], float],
     ) -> FlyParameters:
-        """The family of the lowest cost; the earlier one of two that are about as good."""
+        """The family of the lowest cost; of two that are about as good, the earlier one."""
         best, least, left = None, np.inf, []
         refused: MotionError | None = None
         for start, free in families:
@@ -189,7 +189,7 @@ def _fitted(
             return 10.0 * first
 
     at = (np.array([getattr(start, name) for name in names]) - low) / (high - low)
-    # Away from the bound that the start may lie on.
+    # Points away from a bound that the start may lie on.
     simplex = np.vstack([at, at + np.diag(np.where(at > 0.5, -width, width))])
     options = {"initial_simplex": simplex, "maxfev": _PLANS, "xatol": _ENOUGH, "fatol": _ENOUGH * first}
     found = minimize(value, at, method="Nelder-Mead", bounds=[(0.0, 1.0)] * len(at), options=options)
@@ -198,7 +198,7 @@ def _fitted(
 
 @dataclass(frozen=True, eq=False)
 class _Way:
-    """Times (S,) and joints (S, n) by the part (S,) of the way in joints that is done."""
+    """Times (S,) and joints (S, n) by the part (S,) of the joint travel that is done."""
 
     t: np.ndarray
     q: np.ndarray
@@ -217,7 +217,7 @@ class _Way:
 
 
 def _late(recorded: _Way, planned: _Way) -> np.ndarray:
-    """(K,) how much later [s] the planned motion passes the same places, both from the first of them on."""
+    """(K,) delay [s] of the planned motion at the same places, counted from the first of them."""
     late = planned.times(_PARTS) - recorded.times(_PARTS)
     return late - late[0]
 

@@ -194,7 +194,7 @@ class ViaRegions:
 
 
 def _box_around(points: np.ndarray, turns: np.ndarray, around: float) -> BoxRegion:
-    # The mean of rotations: the quaternion that the sum of q qᵀ stretches most, whatever the signs of the q.
+    # The mean of rotations: the first eigenvector of the sum of q qᵀ, which ignores the signs of the q.
     mean = np.linalg.eigh(turns.T @ turns)[1][:, -1]
     middle = rotation.to_pose(0.5 * (points.min(axis=0) + points.max(axis=0)), mean)
     axes = rotation.to_matrix(turns)[:, :, 2]

@@ -11,12 +11,12 @@ _IDENTITY = np.eye(3)
 
 
 def length(vector: np.ndarray) -> float:
-    """Of one vector (m,), as NumPy's norm has it to the last digit, at a tenth of what that costs."""
+    """Norm of one vector (m,): the same digits as NumPy's in a tenth of the time."""
     return math.sqrt(vector.dot(vector))
 
 
 def multiply(left: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """(S, 4) Hamilton product; either side may be one quaternion (4,), or both, which is quicker in plain numbers."""
+    """(S, 4) Hamilton product; either side may be one quaternion (4,), or both, in plain numbers."""
     if left.ndim == right.ndim == 1:
         (w, x, y, z), (a, b, c, d) = left.tolist(), right.tolist()
         return np.array(
@@ -68,7 +68,7 @@ def from_matrices(rotations: np.ndarray) -> np.ndarray:
 
 
 def from_matrix(rotation: np.ndarray) -> np.ndarray:
-    """(4,) quaternion of one rotation matrix (3, 3); in plain numbers, which is quicker for one."""
+    """(4,) quaternion of one rotation matrix (3, 3), in plain numbers, which is quicker."""
     (a, b, c), (d, e, f), (g, h, i) = rotation.tolist()
     rows = (
         (1.0 + a + e + i, h - f, c - g, d - b),

@@ -3,7 +3,7 @@
 So most numerical controls run a path (Biagiotti and Melchiorri, Trajectory Planning for Automatic Machines and Robots,
 2008, ch. 3): a move has the lowest speed and acceleration that its limits leave anywhere on it, and speed changes on
 moves only. A ramp is trapezoidal in speed, or its acceleration rises and falls at the jerk a/rise, with a the highest
-acceleration of the run. A controller whose set-points look so is planned for so (`agent learn-interpolator`).
+acceleration of the run. `agent learn-interpolator` finds whether a controller does so.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _TOLERANCE = 5e-4
 
 @dataclass(frozen=True, eq=False)
 class BlockLaw:
-    """s over time: phases from t (P,) on, at s, speed and acceleration (P,), with a constant jerk (P,)."""
+    """s over time: phases that begin at t (P,) with s, speed and acceleration (P,), each of constant jerk (P,)."""
 
     t: np.ndarray
     s: np.ndarray
@@ -93,7 +93,7 @@ def _within_limits(
     samples: SetPoints,
     period: float,
 ) -> Run:
-    """The run, stretched in time by what is left beyond the arm's limits."""
+    """The run, stretched in time until it keeps the arm's limits."""
     tcp = replace(limits.cartesian, linear_acceleration=np.inf, rotational_acceleration=np.inf)
     joints = limits.acceleration / parameters.acceleration
     whole = ArmLimits(limits.speed, joints, np.full(len(joints), np.inf), tcp)
@@ -137,7 +137,7 @@ class _Blocks:
         return cls(path.s[borders] - path.s[0], speed, up, down, corner)
 
     def split(self, s: np.ndarray) -> list[np.ndarray]:
-        """Which samples at s (S,) are of which block."""
+        """Masks of the samples at s (S,), one for each block."""
         block = np.clip(np.searchsorted(self.edges, s, side="right") - 1, 0, len(self.speed) - 1)
         return [block == k for k in range(len(self.speed))]
 

@@ -28,16 +28,16 @@ if TYPE_CHECKING:
     from agent.robot import Tool
 
 
-#: One sample in this many is examined; below this part of the programmed speed a run counts as slowed down.
+#: One sample in this many is examined. A run is slowed down below this part of its programmed speed.
 _EVERY, _REACHED = 5, 0.995
-#: A limit is in force from this part of it on.
+#: A limit is in force above this part of it.
 _FULL = 0.7
 
 
 class FlyInterpolator:
     """Plans MOVE and MOVEFLY programs at the controller's period.
 
-    `tool` is the TCP of moves that name no $TOOL; `period` [s]; `parameters` are what public sources leave open.
+    `tool` is the TCP of moves that name no $TOOL; `period` [s]; `parameters`: see `FlyParameters`.
     """
 
     def __init__(
@@ -80,7 +80,7 @@ class FlyInterpolator:
 
 
 class _Plan:
-    """A trajectory in the making: where the arm rests, the moves not yet planned, and the samples so far."""
+    """A trajectory under construction: the joints at rest, the moves not yet planned, and the samples."""
 
     def __init__(self, interpolator: FlyInterpolator, q: np.ndarray):
         self.q = q
@@ -151,7 +151,7 @@ class _Plan:
 
 
 class _Planned(Trajectory):
-    """Poses and the limits that bind are worked out when they are asked for: a search never asks for them."""
+    """Poses and binding limits are computed on first use: a search never uses them."""
 
     def __init__(
         self,
@@ -185,7 +185,7 @@ def _binding_limits(
 ) -> list[BindingLimit]:
     """The limits in force where the run is slower than programmed, the fullest one at each time; `begin` [s].
 
-    A limit is as full as the part of it that stress and overrides leave, so what is named may be below the arm's own.
+    Stress and overrides reduce a limit, so the limit that is named may be below the arm's own.
     """
     samples, path = run.samples, run.path
     pick = slice(None, None, _EVERY)

@@ -12,7 +12,7 @@ import numpy as np
 from agent.motion import rotation
 from agent.motion.pdl2.settings import Pdl2Settings
 
-#: [m/rad] a rotation counts as that much travel where a move hardly does anything but rotate.
+#: [m/rad] converts a rotation into travel, where a move does little but rotate.
 ROTATION_LEVER = 0.1
 
 
@@ -51,7 +51,7 @@ class Line:
         return self.way, self.way
 
     def path_frame(self, sigma: np.ndarray) -> np.ndarray:
-        """(S, 4) how far the tangent has turned since the start: not at all."""
+        """(S, 4) rotation of the tangent since the start: none."""
         return np.broadcast_to(np.array([1.0, 0.0, 0.0, 0.0]), (len(sigma), 4))
 
 
@@ -91,7 +91,7 @@ class Arc:
         return self.angle * (np.cos(angle) * side - np.sin(angle) * self.radius)
 
     def path_frame(self, sigma: np.ndarray) -> np.ndarray:
-        """(S, 4) how far the tangent has turned since the start."""
+        """(S, 4) rotation of the tangent since the start."""
         return rotation.about(self.normal, sigma * self.angle)
 
 
@@ -197,7 +197,7 @@ class CartesianSegment:
     lever: float = ROTATION_LEVER
 
     def near(self, sigma: np.ndarray) -> np.ndarray | None:
-        """(S, n) the straight way in joint space, None where the pose alone says what the joints are."""
+        """(S, n) the straight line in joint space; None where the pose determines the joints."""
         return None if self.ends is None else self.ends[0] + sigma[:, None] * (self.ends[1] - self.ends[0])
 
     @cached_property
@@ -221,12 +221,12 @@ class CartesianSegment:
 
     @cached_property
     def extent(self) -> float:
-        """[m] how much path the move is: its TCP length, or its rotation times a lever where it does little else."""
+        """[m] size of the move: its TCP length, or its rotation times a lever where it does little else."""
         return float(np.hypot(self.length, self.turning))
 
     @property
     def metric(self) -> float:
-        """What the path parameter s grows by over the move [m]."""
+        """Change of the path parameter s over the move [m]."""
         return self.extent
 
 
@@ -244,12 +244,12 @@ class JointSegment:
 
     @property
     def metric(self) -> float:
-        """What the path parameter s grows by over the move: its duration at full speed [s]."""
+        """Change of the path parameter s over the move: its duration at full speed [s]."""
         return self.duration
 
     @cached_property
     def extent(self) -> float:
-        """[m] length of the TCP's way, or the largest joint change times a lever where the TCP hardly moves."""
+        """[m] length of the TCP's path, or the largest joint change times a lever where the TCP hardly moves."""
         sigma = np.linspace(0.0, 1.0, 9)[:, None]
         points = self.kinematics.forward(self.start + sigma * (self.end - self.start))[:, :3, 3]
         travel = float(np.sum(np.linalg.norm(np.diff(points, axis=0), axis=1)))

@@ -1,4 +1,4 @@
-"""The way of the arm between two standstills, on a grid of knots: geometry only, no speed."""
+"""The path of the arm between two standstills, on a grid of knots: geometry only, no speed."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _LIMITS = {"unreachable": "reach", "singular": "singularity", "branch": "branch"
 
 @dataclass(frozen=True, eq=False)
 class Path:
-    """K knots of one run. `s` is the length of the TCP's way [m] wherever the TCP travels.
+    """K knots of one run. `s` is the length of the TCP's path [m] wherever the TCP travels.
 
     s (K,); q (K, n); position (K, 3) [m] and orientation (K, 4) of the TCP; move (K,) statement index;
     rules (K, 7) as in `path_rules`; overlap (K,) the part of the speed that FLY_NORM leaves, 1 elsewhere;
@@ -59,7 +59,7 @@ class Path:
 
 @dataclass(eq=False)
 class _PathPart:
-    """Knots in a row: `steps` (k,) of s, each from the knot before, and what is known of the knots so far."""
+    """Consecutive knots: `steps` (k,) of s, each from the knot before, and what is known of them."""
 
     block: np.ndarray
     steps: np.ndarray

@@ -21,11 +21,11 @@ from agent.motion.fly.path import Path
 from agent.robot import CartesianLimits, RobotDescription
 
 _PASSES = 20
-#: The part of every limit that is planned for. The rest is for what a sample may be over at the end of all repairs.
+#: The planned part of every limit. The rest is a margin for what the repairs leave.
 _KEPT = 0.998
 #: [rad, m] of error between two knots of the path.
 _TOLERATED = 3e-6
-#: A joint slower than this part of its limit, a TCP slower than this [m/s, rad/s] stands still: round-off moves it.
+#: A joint slower than this part of its limit, or a TCP slower than this [m/s, rad/s], is stationary but for round-off.
 _STILL = 1e-5
 
 
@@ -77,7 +77,7 @@ class PathShape:
     smooth: bool
 
     def roughness(self, path: Path) -> float:
-        """How far joints and TCP may be from the true path between knots, in units of what is tolerated.
+        """Error of joints and TCP between knots, in units of the tolerated one.
 
         A cubic spline errs by h⁴/384 times the fourth derivative, which is the change of the third over h.
         """
@@ -165,7 +165,7 @@ def _override(rule: np.ndarray) -> np.ndarray:
 
 
 class Ramps:
-    """What the acceleration limits leave of changes of speed along one path, whatever the ceiling of its speed."""
+    """Changes of speed that the acceleration limits allow along one path, for any ceiling of its speed."""
 
     def __init__(self, path: Path, shape: PathShape, limits: ArmLimits):
         rule = path.rules

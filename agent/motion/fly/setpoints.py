@@ -1,17 +1,13 @@
 """From the path of one run to its set-points: profile, time law, limits checked at every sample.
 
-Limits are kept by construction up to the width of the averaging window (`profile_time`). What is left is repaired: the
-speed ceiling is lowered around every sample that breaks a limit, a bounded number of times; whatever then remains is
-taken out by stretching the time of the run, which divides speed, acceleration and jerk by the factor, its square, cube.
-
 The speed profile of `profile` changes its acceleration in steps. Averaged over a window of T seconds,
 
     s_T(t) = 1/T ∫ s from t − T to t,
 
 position, speed and acceleration along the path are averages of allowed ones, and the jerk is at most the step of the
-acceleration over T. The path itself is untouched: only the way it is run through is smoothed. Because the window also
-moves along the path, limits can be broken a little; then the ceiling is lowered where that happens, and at last the
-time of the run is stretched by what is left.
+acceleration over T. The path itself does not change. Because the window moves along the path, samples may break a
+limit a little. The speed ceiling is then lowered around them, a bounded number of times. Stretching the time of the run
+removes the rest: it divides speed, acceleration and jerk by the factor, its square and its cube.
 """
 
 from __future__ import annotations
@@ -37,13 +33,13 @@ _COARSE = 4
 _CRAWLING = 0.01
 #: [rad/s] fastest turn of a tool where the robot has no limit: distinguishes a singularity from a quick turn.
 _TURNING = 6.0
-#: A stretch of this part is left alone: speed 0.05 %, acceleration 0.1 %, jerk 0.15 % over what is planned for, which
-#: itself is 0.2 % below the arm's limits.
+#: Tolerated stretch: speed 0.05 %, acceleration 0.1 %, jerk 0.15 % above the planned limits, which are 0.2 % below the
+#: arm's.
 _TOLERANCE = 5e-4
 
 
 class PathTiming(Protocol):
-    """s over time: from t (P,) on at s (P,), until `duration` [s]."""
+    """s over time: its pieces begin at t (P,) [s] with s (P,), and it ends at `duration` [s]."""
 
     @property
     def t(self) -> np.ndarray: ...

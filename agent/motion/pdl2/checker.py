@@ -1,4 +1,4 @@
-"""What can be known of a program before it runs: names, data types, constants and the shape of each move."""
+"""Checks of a program before it runs: names, data types, constants and the shape of each move."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def _check_header(program: syntax.ProgramTree) -> None:
 
 
 class _Declarations:
-    """The names that were declared so far."""
+    """The declared names."""
 
     def __init__(self) -> None:
         self.scope = Scope({}, {}, {})

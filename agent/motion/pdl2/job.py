@@ -1,13 +1,13 @@
 """Programs as people have them: what moves is kept, what does not move is passed over and counted.
 
-For a job that a recipe's `like` names it matters where the arm goes, not when or under which condition. So statements
-of a program that is more than the motion subset are taken in the order of the text, each branch and each loop of
-unknown length once; lines keep their numbers, so that whatever moves and is not understood is reported with its line.
+A recipe's `like` asks where a job goes, not when or under which condition. So the statements of a program beyond the
+motion subset are taken in the order of the text, each branch and each loop of unknown length once. Lines keep their
+numbers, so a move that is not understood is reported with its line.
 
-What its variables hold at first stands in a file of its own, as text a listing (`.lsv`) of what the controller keeps in
-a `.var`. An entry is `name POS Priv X:… Y:… Z:… A:… E:… R:… CNFG: 'flags'`, `name JNTP Arm: 1 Ax: 6 Priv 1:… 2:… …`,
-`name XTND Arm: 1 Ax: 1 Priv X:… … R:… 7:… CNFG: 'flags'`, or `name INT Priv 3`, on one line or on several. That is how
-public post-processors and editors of such files write them; no listing by a controller was at hand.
+The initial values of variables are in a file of their own (`.var`), whose listing as text is an `.lsv`. An entry is
+`name POS Priv X:… Y:… Z:… A:… E:… R:… CNFG: 'flags'`, `name JNTP Arm: 1 Ax: 6 Priv 1:… 2:… …`,
+`name XTND Arm: 1 Ax: 1 Priv X:… … R:… 7:… CNFG: 'flags'`, or `name INT Priv 3`, on one line or on several. Public
+post-processors and editors write them so; no listing by a controller was available.
 """
 
 from __future__ import annotations
@@ -79,10 +79,10 @@ class Listed(NamedTuple):
 def job_text(
     text: str, path: str = "", robot: RobotDescription | None = None, listing: str = ""
 ) -> tuple[str, dict[str, int]]:
-    """A program for the places it goes to: as it is where it is of the motion subset, else what moves in it.
+    """The text of a program if it is of the motion subset, else the lines of it that move the arm.
 
-    `listing` is the text of its variable file (`listing_beside`), which says what variables hold at first.
-    Also returns how often each word that does not move was passed over.
+    `listing` is the text of its variable file (`listing_beside`), with the initial values. Also returns how often each
+    word that does not move was passed over.
 
     Raises:
         Pdl2Error: something moves that is not understood.
@@ -103,7 +103,7 @@ def job_text(
         except Pdl2Error as error:
             if sieve.passes_over(error.place):
                 continue
-        return kept, dict(sieve.passed)  # if it still moves in a way not understood, whoever runs it is told where
+        return kept, dict(sieve.passed)  # if something in it still is not understood, reading it says where
 
 
 def listing_beside(program: Path) -> Path | None:
@@ -113,7 +113,7 @@ def listing_beside(program: Path) -> Path | None:
 
 
 def _read_listing(text: str) -> dict[str, Listed]:
-    """What a listing says of each variable, by its name in small letters.
+    """Data type and value of each listed variable, by its name in small letters.
 
     Left out: other data types, other arms, arrays, and entries that do not give all their numbers, so that a move to
     one of them is listed as a move to a position without a value.

@@ -1,4 +1,4 @@
-"""From text to a program that is known to be sound as far as that can be known without moving, and its run."""
+"""From text to a checked program, and the moves that it makes."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from agent.motion.program import CartesianTarget, Delay, JointTarget, Move, Move
 if TYPE_CHECKING:
     from agent.robot import RobotDescription
 
-#: Statements and loop turns after which a run is refused, where the caller does not say otherwise.
+#: Default number of statements and loop turns after which a run is refused.
 MAX_STEPS = 1_000_000
 MAX_DELAY = 3_600_000
-#: A program has no inputs: what it does in its first steps it always does, so that much is tried when it is read.
+#: A program has no inputs, so its first steps are the same on every run. They are tried when it is read.
 _TRIAL_STEPS = 5000
 
 
@@ -53,7 +53,7 @@ def parse_program(text: str, path: str = "", robot: RobotDescription | None = No
 class Program:
     """A program that was read and checked. `cycle` says that it has BEGIN CYCLE and so never ends by itself.
 
-    `syntax` and `scope` are what was read, for whoever gives it a meaning of their own.
+    `syntax` and `scope` are what was read, for another interpreter.
     """
 
     name: str
@@ -91,7 +91,7 @@ class StepLimitError(Pdl2Error):
 
 
 class _Run:
-    """The state of one run: what was assigned so far, and how many steps are left."""
+    """The state of one run: assigned values, and the number of steps that are left."""
 
     def __init__(self, program: Program, limit: int):
         scope = program.scope

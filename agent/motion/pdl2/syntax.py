@@ -23,7 +23,7 @@ MAX_EXPRESSION_DEPTH, MAX_BLOCK_DEPTH = 100, 32
 #: INTEGER has 32 bits.
 MAX_INTEGER = 2**31 - 1
 
-#: Words of PDL2 that the motion subset leaves out; known by name so that the message can say so.
+#: Words of PDL2 outside the motion subset; a message names them as such.
 OUTSIDE_SUBSET = re.compile(
     r"""ABORT|ABOUT|ACTIVATE|ALONG|AND|ARM|ATTACH|AUX|AWAY|BREAK|BY|BYPASS|CALL|CANCEL|CASE|CLOSE|CONDITION|CONNECT
     |DEACTIVATE|DECODE|DETACH|DISABLE|DISCONNECT|ELSE|ELSIF|ENABLE|ENCODE|ENDCONDITION|ENDIF|ENDNODE|ENDRECORD|ENDSELECT|ENDTRY
@@ -126,7 +126,7 @@ class Nested(Node):
 
 @dataclass(frozen=True)
 class Expression(Nested):
-    """What has a value."""
+    """An expression."""
 
     most = MAX_EXPRESSION_DEPTH
     too_deep = "an expression is nested deeper than"
@@ -134,7 +134,7 @@ class Expression(Nested):
 
 @dataclass(frozen=True)
 class StatementNode(Nested):
-    """What is executed."""
+    """A statement."""
 
     most = MAX_BLOCK_DEPTH
     too_deep = "FOR is nested deeper than"
