@@ -14,7 +14,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from agent.compiled import derivatives, fastest, growth, held, not_a_knot
+from agent.compiled import derivatives, fastest, growth, not_a_knot
 from agent.motion.fly import rules
 from agent.motion.fly.parameters import FlyParameters
 from agent.motion.fly.path import Path
@@ -153,11 +153,6 @@ def speed_ceiling(path: Path, shape: PathShape, limits: ArmLimits, parameters: F
         return np.minimum(
             ceiling, share * limits.cartesian.rotational_acceleration / np.maximum(shape.turn_bend, 1e-12)
         )
-
-
-def widened(path: Path, ceiling: np.ndarray, window: float) -> np.ndarray:
-    """(K,) the ceiling with every dip held for `window` [s], so that an average over the window reaches its bottom."""
-    return held(path.s, ceiling, window)
 
 
 def _override(rule: np.ndarray) -> np.ndarray:

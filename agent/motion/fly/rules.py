@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from agent.motion.fly.move_geometry import CartesianSegment, JointSegment, Segment
+from agent.motion.fly.move_geometry import JointSegment, Segment
 from agent.motion.fly.parameters import FlyParameters
 from agent.motion.pdl2.settings import SpeedOption
 
@@ -26,8 +26,7 @@ def segment_rules(segment: Segment, parameters: FlyParameters) -> np.ndarray:
     elif option is SpeedOption.SPD_JNT:
         joint = override
     else:
-        angle = segment.angle if isinstance(segment, CartesianSegment) else 0.0
-        by_rotation = option is SpeedOption.SPD_ROT and angle > 1e-6
+        by_rotation = option is SpeedOption.SPD_ROT and segment.angle > 1e-6
         if not by_rotation:
             linear = settings.linear_speed * override
         if by_rotation or option is SpeedOption.SPD_CONST or segment.length < 1e-6:

@@ -138,13 +138,10 @@ class SegmentMaker:
     def _end_pose(
         self, pending: Sequence[Segment], rest: np.ndarray, kinematics: Kinematics
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Where the TCP of `kinematics` is after the pending moves: exactly the last target where that is its own."""
+        """Pose of the TCP after the pending moves: exactly the last target where that has the same TCP."""
         if pending and isinstance(pending[-1], CartesianSegment) and pending[-1].kinematics is kinematics:
             return pending[-1].curve.last, pending[-1].turn.last
-        if pending or kinematics is not self.kinematics:
-            return _pose_of(kinematics, _end_joints(pending, rest))
-        pose = self.pose_at(rest)
-        return pose[:3], pose[3:]
+        return _pose_of(kinematics, _end_joints(pending, rest))
 
     def _arc(
         self, index: int, label: str, move: Move, kinematics: Kinematics, start: np.ndarray, end: np.ndarray

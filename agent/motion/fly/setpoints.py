@@ -18,12 +18,12 @@ from typing import Protocol
 
 import numpy as np
 
-from agent.compiled import averaged, law_at, lowered, sampled_on, stretched
+from agent.compiled import averaged, held, law_at, lowered, sampled_on, stretched
 from agent.motion.fly import rules
 from agent.motion.fly.move_geometry import Segment, label_of
 from agent.motion.fly.parameters import LONGEST, FlyParameters
 from agent.motion.fly.path import Path
-from agent.motion.fly.profile import ArmLimits, PathShape, Ramps, speed_ceiling, widened
+from agent.motion.fly.profile import ArmLimits, PathShape, Ramps, speed_ceiling
 from agent.motion.interpolator import MotionError
 
 _REPAIRS, _STRETCHES = 7, 6
@@ -147,7 +147,8 @@ def plan_run(
     refuse_crawling(path, shape, segments, limits)
     ramp = parameters.ramp * float(np.max(limits.acceleration / limits.jerk))
     window = max(round(ramp / period), 1) * period
-    ceiling = widened(path, speed_ceiling(path, shape, limits, parameters), window)
+    # Every dip is held for the window, so that the average over the window reaches its bottom.
+    ceiling = held(path.s, speed_ceiling(path, shape, limits, parameters), window)
     ramps = Ramps(path, shape, limits)
     step = _COARSE * period
     for _ in range(_REPAIRS):
