@@ -133,11 +133,11 @@ class Search:
         self._candidates = candidates
         self.seen: list[tuple[np.ndarray, LoopScore]] = []
 
-    def run(self, method: Callable, population: int, generations: int, seed: int) -> Search:
-        """Search with a method as `agent.excitation` has them."""
+    def run(self, method: Callable, population: int, generations: int, seed: int) -> dict:
+        """The best loop of a method as `agent.excitation` has them."""
         rng = np.random.default_rng(seed)
         method(self._scores, self._candidates.problem.genes, population, generations, rng, lambda genomes, scores: None)
-        return self
+        return self.best()
 
     def _scores(self, genomes: np.ndarray) -> list[LoopScore]:
         parts = (genomes[first : first + _TOGETHER] for first in range(0, len(genomes), _TOGETHER))
@@ -171,7 +171,7 @@ def found_loop(recipe: Recipe, machine: int, setting: str, candidates: Candidate
     found = kept.get(seed, setting)
     if found is None:
         started = time.process_time()
-        found = Search(candidates).run(genetic, recipe.search.population, recipe.search.generations, seed).best()
+        found = Search(candidates).run(genetic, recipe.search.population, recipe.search.generations, seed)
         kept.keep(seed, setting, found, time.process_time() - started)
     return candidates.loop(np.array(found["genome"])).trajectory
 
