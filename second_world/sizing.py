@@ -57,7 +57,7 @@ def sized(world: DrawnWorld, effect: Mapping[str, Any], day: int, motions: Motio
         machine = build(world, [{**effect, "parameters": {"amount": amount}}], day)
         if plain is None:
             return _path_change(machine, motions) / _PATH
-        return largest_change(machine.run(motions), plain, world.arm.torque)[0]
+        return largest_change(machine.run(motions), plain, world.arm.torque)
 
     if "amount" in effect["parameters"]:
         return {**effect, "found": found(effect["parameters"]["amount"])}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
+from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
 from fake_controller.faults import check_wire
@@ -16,22 +16,10 @@ WIRES = {"tcp": "tcp", "modbus": "modbus", "serial": "serial", "rtu": "serial", 
 
 
 class _OnCable:
-    """A serial server with a cable of its own, for machines without a serial port."""
+    """A server with a cable of its own, for machines without a serial port; both end together."""
 
-    def __init__(self, wire: str, controller: Controller, baud: int, watchdog: float, waits: bool) -> None:
-        from fake_controller.servers.cable import Cable
-
-        with contextlib.ExitStack() as undo:
-            cable = Cable(baud)
-            undo.callback(cable.close)
-            server = _on_port(wire, controller, cable.near, baud, watchdog, waits)
-            undo.callback(server.close)
-            self._undo = undo.pop_all()
-        self.address = ",".join([cable.far, str(baud), *(["rtu"] if wire == "rtu" else [])])
-
-    def close(self) -> None:
-        """Bring the arm to rest, stop serving, and take the cable away."""
-        self._undo.close()
+    def __init__(self, address: str, undo: ExitStack) -> None:
+        self.address, self.close = address, undo.close
 
 
 def open_server(
@@ -76,9 +64,15 @@ def open_server(
         from fake_controller.servers.cnr.server import CnrServer
 
         return CnrServer(controller, address, port, watchdog, broker, waits, node_period)
-    if serial_port is None:
-        return _OnCable(wire, controller, baud, watchdog, waits)
-    return _on_port(wire, controller, serial_port, baud, watchdog, waits)
+    if serial_port is not None:
+        return _on_port(wire, controller, serial_port, baud, watchdog, waits)
+    from fake_controller.servers.cable import Cable
+
+    with ExitStack() as undo:
+        cable = Cable(baud)
+        undo.callback(cable.close)
+        undo.callback(_on_port(wire, controller, cable.near, baud, watchdog, waits).close)
+        return _OnCable(f"{cable.far},{baud}" + ",rtu" * (wire == "rtu"), undo.pop_all())
 
 
 def _on_port(wire: str, controller: Controller, port: str, baud: int, watchdog: float, waits: bool) -> Server:
