@@ -64,8 +64,8 @@ def check(count: int, seed: int, folder: Path, console: Console) -> dict[str, An
         run.go_on()
         console.progress(f"further motions: {number + 1} of {count} runs", (number + 1) / count)
     scores = {"schema": "active-check/2", **active_scores([run.entry() for run in runs])}
-    write_atomically(folder / "active_check.json", json.dumps(scores, indent=1) + "\n")
-    return scores
+    path = write_atomically(folder / "active_check.json", json.dumps(scores, indent=1) + "\n")
+    return json.loads(path.read_text(encoding="utf-8"))
 
 
 if __name__ == "__main__":

@@ -239,18 +239,7 @@ def _scatter_link(parameters: np.ndarray, rng: np.random.Generator) -> np.ndarra
     pseudo = rng.uniform(0.87, 1.13) * change @ pseudo @ change.T
     second = pseudo[:3, :3]
     inertia = np.trace(second) * np.eye(3) - second
-    return np.array(
-        [
-            pseudo[3, 3],
-            *pseudo[:3, 3],
-            inertia[0, 0],
-            inertia[0, 1],
-            inertia[1, 1],
-            inertia[0, 2],
-            inertia[1, 2],
-            inertia[2, 2],
-        ]
-    )
+    return np.array([pseudo[3, 3], *pseudo[:3, 3], *inertia[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]])
 
 
 def _draw_friction(
