@@ -124,10 +124,7 @@ class JointPublisher:
         # τ = Cᵀ diag(gear) τ_motor, and τ_motor = constant · current.
         constants = np.array([joint.torque_constant or TORQUE_CONSTANT for joint in robot.joints])
         self._to_currents = np.linalg.inv(robot.coupling) / (robot.gear_ratios * constants)
-        self._faults = faults
-        self._cut = cut
-        self._waits = waits
-        self._node = node
+        self._faults, self._cut, self._waits, self._node = faults, cut, waits, node
         self._published = 0
         self._marker = f"fake_controller/{secrets.token_hex(8)}"
         self._returned = threading.Semaphore(0)
