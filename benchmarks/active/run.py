@@ -24,17 +24,17 @@ from agent.core import AgentError, Console, finite, write_atomically
 from agent.diagnosis import Diagnosis, diagnose
 from agent.estimation import estimate
 from agent.experiment import KINDS, Outlook, as_drawn, d_optimal
-from agent.link import open_link, planned_load
+from agent.link import planned_load
 from agent.model import CATALOGUE, PAYLOAD, IdentifiedModel, payload_of, payload_text
 from agent.pipeline.next_experiment import LONGEST, NextMotion, mass_beside, plan_next, run_otherwise
-from agent.pipeline.planning import Plan, checked_chains, make_plan, program_text
+from agent.pipeline.planning import Plan, make_plan, program_text
 from agent.recipe import Recipe, load_recipe, template
 from agent.recording import PARTS, PLANNED_PARTS, Log, read_log
 from agent.robot import Tool
 from benchmarks.active.scoring import WAYS, class_of
 from drivers.errors import DriverError
 from fake_controller.withheld.cases import Case
-from fake_controller.withheld.runs import fake_controller
+from fake_controller.withheld.runs import record_motions
 
 ROBOT = "comau_ns16"
 _QUIET = Console(verbosity=-1)
@@ -203,19 +203,11 @@ class ActiveRun:
         self, effects: Sequence[Mapping[str, Any]], texts: Mapping[str, str], keep: Sequence[str], folder: Path
     ) -> list[Path]:
         """Run the programs one after the other on the case's machine; paths of the logs to keep."""
-        folder.mkdir(parents=True, exist_ok=True)
-        with fake_controller(ROBOT, self._case.machine, effects) as address:
-            controller = self._recipe.controller.model_copy(update={"address": address})
-            there = replace(self._recipe, controller=controller)
-            with open_link(there, _QUIET, True, folder) as link:
-                for name, text in texts.items():
-                    log = folder / f"{name}.mcap"
-                    log.unlink(missing_ok=True)  # of a check that was stopped in the middle of it
-                    program, chains = checked_chains(there, text, f"{name}.pdl", link.position())
-                    link.run(program, text, log, name, chains)
-                    if name not in keep:
-                        log.unlink()
-        return [folder / f"{name}.mcap" for name in keep]
+        logs = record_motions(ROBOT, self._case.machine, effects, texts, folder, self._recipe)
+        for log in logs:
+            if log.stem not in keep:
+                log.unlink()
+        return [log for log in logs if log.stem in keep]
 
     def _diagnose(self, logs: Sequence[Path], drives_off: bool = False) -> Diagnosis:
         robot = self._recipe.robot

@@ -69,11 +69,6 @@ SETTINGS = {
 }
 
 
-def settings(recipe: Recipe) -> list[str]:
-    """Names of `SETTINGS`."""
-    return list(SETTINGS)
-
-
 def measure(recipe: Recipe, machine: int, name: str, loops: Results, memory: dict) -> dict:
     """What the loop of a setting is worth on one machine."""
     setting = SETTINGS[name]

@@ -27,14 +27,13 @@ AS_DRAWN = "URDF as it is"
 _METHODS = ("weighted", "consistent", "paper")
 
 
-def settings(recipe: Recipe) -> list[str]:
-    """The description as it is, with long data too; then descriptions that are wrong by so much."""
-    return [AS_DRAWN, *map(wrong, PRIORS)]
-
-
 def wrong(share: int) -> str:
     """The setting of links that are wrong by so many percent."""
     return f"URDF {share} % wrong"
+
+
+#: The description as it is, with long data too; then descriptions that are wrong by so much.
+SETTINGS = [AS_DRAWN, *map(wrong, PRIORS)]
 
 
 def measure(recipe: Recipe, machine: int, setting: str, loops: Results, memory: dict) -> dict:
@@ -94,7 +93,7 @@ def section(results: Results) -> PageSection:
     """The section; it only says what is missing where nothing was run."""
     part = PageSection()
     part.say("## Few data and long data")
-    kept = {name: lines for name in (AS_DRAWN, *map(wrong, PRIORS)) if (lines := results.of(name))}
+    kept = {name: lines for name in SETTINGS if (lines := results.of(name))}
     if not kept:
         part.weak.append("few data: not run")
         return part

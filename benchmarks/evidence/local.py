@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 
 import numpy as np
 
@@ -32,72 +31,54 @@ _ENOUGH = 90.0  # % of samples, of 95 % intervals
 _ALIKE = 1.05  # a ratio that nobody would notice
 
 
-@dataclass(frozen=True, eq=False)
-class Place:
-    """What one machine runs, the same in every world: loops to calibrate by, and motions that judge."""
+def motions(recipe: Recipe, machine: int, loops: Results) -> dict[str, dict]:
+    """What one machine runs, the same in every world: loops to calibrate by, and motions that judge.
 
-    recipe: Recipe
-    machine: int
-    loops: Results
-
-    @cached_property
-    def ways(self) -> dict[str, Trajectory]:
-        """The loop of every way to calibrate."""
-        fast = loop_problem(self.recipe, self.recipe.motion.speed)
-        ways = {LOCAL: LocalLoops(fast), GLOBAL: GlobalLoops(fast, OVERRIDE)}
-        return {name: found_loop(self.recipe, self.machine, name, loops, self.loops) for name, loops in ways.items()}
-
-    @cached_property
-    def near(self) -> list[Trajectory]:
-        """Random motions in the sub-region at the speed of validation."""
-        return unseen_motions(self.recipe, self.machine)
-
-    @cached_property
-    def far(self) -> list[Trajectory]:
-        """A random motion over the whole workspace."""
-        anywhere = GlobalLoops(loop_problem(self.recipe, self.recipe.motion.speed), OVERRIDE)
-        return random_loops(anywhere, 1, np.random.default_rng([self.machine, 22]))
-
-    @cached_property
-    def away(self) -> dict[float, list[Trajectory]]:
-        """A random motion in a box like the sub-region at each distance [m] from it, in a random direction."""
-        rng = np.random.default_rng([self.machine, 23])
-        return {distance: [self._in_a_box(distance, rng)] for distance in DISTANCES}
-
-    def _in_a_box(self, distance: float, rng: np.random.Generator) -> Trajectory:
-        problem = loop_problem(self.recipe, _AWAY_SPEED)
-        via = self.recipe.motion.via_points
-        for _ in range(100):
-            direction = rng.normal(size=3)
-            centre = np.asarray(via.box.centre) + distance * direction / np.linalg.norm(direction)
-            box = ViaRegions.from_box(via.count, centre, via.box.size, via.box.orientation, via.box.cone)
-            try:
-                return random_loops(LocalLoops(replace(problem, regions=box)), 1, rng)[0]
-            except (InputError, KinematicsError, RuntimeError):
-                continue
-        raise RuntimeError(f"no box {distance} m away can be reached")
+    These are random motions in the sub-region at the speed of validation (`near`), over the whole workspace (`far`),
+    and in boxes like the sub-region whose middle lies at each distance [m] from it, in a random direction (`away`).
+    """
+    fast = loop_problem(recipe, recipe.motion.speed)
+    ways = {LOCAL: LocalLoops(fast), GLOBAL: GlobalLoops(fast, OVERRIDE)}
+    rng = np.random.default_rng([machine, 23])
+    return {
+        "ways": {name: found_loop(recipe, machine, name, way, loops) for name, way in ways.items()},
+        "near": dict(enumerate(unseen_motions(recipe, machine))),
+        "far": dict(enumerate(random_loops(ways[GLOBAL], 1, np.random.default_rng([machine, 22])))),
+        "away": {distance: _in_a_box(recipe, distance, rng) for distance in DISTANCES},
+    }
 
 
-def settings(recipe: Recipe) -> list[str]:
-    """One for each world."""
-    return list(WORLDS)
+def _in_a_box(recipe: Recipe, distance: float, rng: np.random.Generator) -> Trajectory:
+    problem, via = loop_problem(recipe, _AWAY_SPEED), recipe.motion.via_points
+    for _ in range(100):
+        direction = rng.normal(size=3)
+        centre = np.asarray(via.box.centre) + distance * direction / np.linalg.norm(direction)
+        box = ViaRegions.from_box(via.count, centre, via.box.size, via.box.orientation, via.box.cone)
+        try:
+            return random_loops(LocalLoops(replace(problem, regions=box)), 1, rng)[0]
+        except (InputError, KinematicsError, RuntimeError):
+            continue
+    raise RuntimeError(f"no box {distance} m away can be reached")
 
 
 def measure(recipe: Recipe, machine: int, world: str, loops: Results, memory: dict) -> dict:
     """Errors of every way to calibrate this machine in this world; `memory` keeps what its worlds share."""
-    place = memory.setdefault(("place", machine), Place(recipe, machine, loops))
+    if ("motions", machine) not in memory:
+        memory["motions", machine] = motions(recipe, machine, loops)
+    own = memory["motions", machine]
     calibrated, at_work = effects(world, recipe.robot, machine)
     worker = Plant(recipe.robot, machine, at_work)
-    near, far = ([record(worker, [motion]) for motion in motions] for motions in (place.near, place.far))
-    away = {distance: [record(worker, [m]) for m in motions] for distance, motions in place.away.items()}
+    near, far, away = (
+        {key: record(worker, [motion]) for key, motion in own[kind].items()} for kind in ("near", "far", "away")
+    )
     found = {}
-    for name, loop in place.ways.items():
+    for name, loop in own["ways"].items():
         model = fitted(recipe, repeated(Plant(recipe.robot, machine, calibrated), loop, SECONDS), SECONDS)
         found[name] = {
-            "near": {"error": error(model, near)},
+            "near": {"error": error(model, list(near.values()))},
             "intervals": {"covered": covered(model, near[0])},
-            "far": error(model, far),
-            "away": {f"{distance:g}": error(model, logs) for distance, logs in away.items()},
+            "far": error(model, list(far.values())),
+            "away": {f"{distance:g}": error(model, [log]) for distance, log in away.items()},
         }
     return found
 

@@ -15,11 +15,14 @@ from benchmarks.evidence.results import Results
 from benchmarks.evidence.tables import FEWEST
 
 #: What is measured, by name: its settings, and how one of them is measured.
-PIECES: dict[str, tuple[Callable, Callable]] = {
-    "local": (local.settings, local.measure),
-    "few-data": (few_data.settings, few_data.measure),
-    "criteria": (criteria.settings, criteria.measure),
-    **{f"search-{budget}": (search.settings_at(budget), search.measure) for budget in search.BUDGETS},
+PIECES: dict[str, tuple[list[str], Callable]] = {
+    "local": (list(local.WORLDS), local.measure),
+    "few-data": (few_data.SETTINGS, few_data.measure),
+    "criteria": (list(criteria.SETTINGS), criteria.measure),
+    **{
+        f"search-{budget}": ([search.setting(method, budget) for method in search.METHODS], search.measure)
+        for budget in search.BUDGETS
+    },
 }
 
 _HEAD = """# Evidence
@@ -58,7 +61,7 @@ def complete(machine: int, piece: str, folder: Path, recipe: Recipe, end: float)
     results, loops = Results(folder, piece), Results(folder, "loops")
     settings, measure = PIECES[piece]
     memory: dict = {}
-    missing = [setting for setting in settings(recipe) if results.get(machine, setting) is None]
+    missing = [setting for setting in settings if results.get(machine, setting) is None]
     for done, setting in enumerate(missing):
         if time.time() > end:
             return len(missing) - done

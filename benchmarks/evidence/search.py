@@ -13,7 +13,7 @@ from agent.excitation.loop_search import random_search
 from agent.pipeline.planning import loop_problem
 from agent.recipe import Recipe
 from benchmarks.evidence.criteria import SHORT, judged
-from benchmarks.evidence.loops import LocalLoops, Search
+from benchmarks.evidence.loops import LocalLoops, best_loop
 from benchmarks.evidence.results import Results
 from benchmarks.evidence.tables import FEWEST, PageSection, difference_of, each, mean_of, ratio_of, text, verdict
 
@@ -76,11 +76,6 @@ METHODS: dict[str, Callable] = {
 BUDGETS = {500: 25, 2000: 50, 20_000: 100}
 
 
-def settings_at(budget: int) -> Callable[[Recipe], list[str]]:
-    """The settings of a piece: every method with so many candidates."""
-    return lambda recipe: [setting(method, budget) for method in METHODS]
-
-
 def setting(method: str, budget: int) -> str:
     """Name of one."""
     return f"{method} at {budget}"
@@ -91,7 +86,7 @@ def measure(recipe: Recipe, machine: int, name: str, loops: Results, memory: dic
     method, budget = name.rsplit(" at ", 1)
     candidates = memory.setdefault("candidates", LocalLoops(loop_problem(recipe, recipe.motion.speed)))
     population = BUDGETS[int(budget)]
-    found = Search(candidates).run(METHODS[method], population, int(budget) // population, machine)
+    found = best_loop(candidates, METHODS[method], population, int(budget) // population, machine)
     loop = candidates.loop(np.array(found["genome"])).trajectory
     return {"fitness": found["fitness"], **judged(recipe, machine, loop, memory)}
 

@@ -111,7 +111,7 @@ class FrameClient(ABC):
                 reply = wire.IdentityReply(controller.name, controller.serial, CONTROLLER, VERSION, names, PERIOD)
             case wire.AskStatus():
                 name, checksum = controller.stored
-                about = {"program": name, "checksum": checksum, "position": tuple(controller.position)}
+                about: dict[str, Any] = {"program": name, "checksum": checksum, "position": tuple(controller.position)}
                 reply = wire.StatusReply(**vars(controller.state), moving=controller.moving, **about)
             case wire.AskTemperatures():
                 reply = wire.TemperaturesReply(controller.temperatures)

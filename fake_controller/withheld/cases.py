@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -112,7 +112,7 @@ def _parameters(name: str, robot: RobotDescription, k: int, s: float, rng: np.ra
     """Parameters of an effect on joint k; at s = 1 a few percent of nominal torque (of 100 N·m without one)."""
     nominal, fastest = float(np.nan_to_num(robot.nominal_torque, nan=100.0)[k]), float(robot.max_velocity[k])
     sign, seed, draw = float(rng.choice([-1.0, 1.0])), float(rng.integers(1_000_000)), rng.uniform
-    drawn = {  # parameters are drawn as they are asked for
+    drawn: dict[str, Callable[[], dict[str, Any]]] = {  # only the ones that are asked for are drawn
         "stribeck": lambda: {"rise": 0.06 * s * nominal, "speed": draw(0.02, 0.08) * fastest},
         "asymmetric_friction": lambda: {
             "coulomb": sign * min(0.25 * s, 0.8),

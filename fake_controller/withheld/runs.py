@@ -8,6 +8,7 @@ import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -42,7 +43,7 @@ _PATIENCE = 20.0  # s
 #: by a tenth of a metre at times, in one draw by 0.2 m.
 _RECIPE = """\
 robot: {robot}
-controller: {{driver: tcp, address: "{address}"}}
+controller: {{driver: tcp, address: "127.0.0.1:9"}}
 motion:
   speed: 1 m/s
   fly: {{distance: 300 mm}}
@@ -50,11 +51,11 @@ motion:
 """
 
 
-def link_recipe(robot: str, address: str = "127.0.0.1:9") -> Recipe:
-    """What `agent record` would be told about this controller."""
+def link_recipe(robot: str) -> Recipe:
+    """What `agent record` would be told about such a controller."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "recipe.yaml"
-        path.write_text(_RECIPE.format(robot=robot, address=address), encoding="utf-8")
+        path.write_text(_RECIPE.format(robot=robot), encoding="utf-8")
         return load_recipe(path)
 
 
@@ -147,9 +148,16 @@ def fake_controller(robot: str, machine: int, effects: Sequence[Mapping[str, Any
 
 
 def record_motions(
-    robot: str, machine: int, effects: Sequence[Mapping[str, Any]], programs: Mapping[str, str], folder: Path
+    robot: str,
+    machine: int,
+    effects: Sequence[Mapping[str, Any]],
+    programs: Mapping[str, str],
+    folder: Path,
+    recipe: Recipe | None = None,
 ) -> list[Path]:
     """Start a controller, run the programs one after the other, and record a log of each; returns their paths.
+
+    `recipe`: of another sub-region than `link_recipe` has.
 
     Raises:
         ControllerError, SafetyError, DriverError: the arm did not do it.
@@ -158,14 +166,14 @@ def record_motions(
     from agent.link import open_link, plan_statements
 
     folder.mkdir(parents=True, exist_ok=True)
-    logs = []
+    recipe, logs = recipe or link_recipe(robot), []
     with fake_controller(robot, machine, effects) as address:
-        recipe = link_recipe(robot, address)
-        with open_link(recipe, Console(verbosity=-1), True, folder) as link:
+        there = replace(recipe, controller=recipe.controller.model_copy(update={"address": address}))
+        with open_link(there, Console(verbosity=-1), True, folder) as link:
             for name, text in programs.items():
                 log = folder / f"{name}.mcap"
                 log.unlink(missing_ok=True)  # of a check that was stopped in the middle of it
-                program, chains = plan_statements(recipe, text, f"{name}.pdl", link.position())
+                program, chains = plan_statements(there, text, f"{name}.pdl", link.position())
                 link.run(program, text, log, name, chains)
                 logs.append(log)
     return logs

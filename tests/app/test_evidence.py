@@ -40,7 +40,7 @@ def test_a_line_of_a_piece_and_a_page_of_what_is_there(tmp_path: Path, recipe: P
     with pytest.raises(SystemExit):
         evidence.main([*given, "page", "--docs", str(tmp_path)])
     assert "has no results" in capsys.readouterr().err
-    monkeypatch.setitem(page.PIECES, "criteria", (lambda recipe: [DEFAULT], criteria.measure))
+    monkeypatch.setitem(page.PIECES, "criteria", ([DEFAULT], criteria.measure))
     evidence.main([*given, "run", "criteria", "--machines", "1"])
     assert "complete" in capsys.readouterr().err
     (line,) = (tmp_path / "results/criteria.jsonl").read_text("utf-8").splitlines()
@@ -62,7 +62,7 @@ def test_what_is_there_is_not_computed_again(tmp_path: Path, recipe: Path, monke
         asked.append((machine, setting))
         return {"error": 1.0}
 
-    monkeypatch.setitem(page.PIECES, "local", (lambda recipe: ["a", "b"], measure))
+    monkeypatch.setitem(page.PIECES, "local", (["a", "b"], measure))
     evidence.main([*given, "1", "--minutes", "-1"])
     assert (asked, capsys.readouterr().err) == ([], "2 left; the same command goes on\n")
     evidence.main([*given, "1"])

@@ -159,7 +159,8 @@ class LockStep(Port):
             self._awaited = False
             self._changed.notify_all()
 
-    left = opened
+    def left(self) -> None:
+        self.opened()
 
     def drop(self) -> None:
         super().drop()
