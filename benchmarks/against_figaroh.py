@@ -1,12 +1,11 @@
 """The same TX40 recording through figaroh 1.0.2 and through this agent, side by side.
 
-    python benchmarks/against_figaroh.py [--python PYTHON_OF_AN_ENVIRONMENT_WITH_FIGAROH]
+    python benchmarks/against_figaroh.py PYTHON      (of an environment with pip install figaroh==1.0.2)
 
 Both get the same joint positions and torques, 5 kHz, 0.1 s to 4.54 s, and predict 4.54 s to 7.5 s, which neither saw.
 Measured torque and both predictions then go through one filter (20 Hz, zero phase), no sample is dropped. figaroh runs
-by its own classes in an environment of its own, made in a temporary folder (about 1 GB; `--python` takes one that is
-there); the columns of the coupled wrist motor are added to its regressor, and torque is filtered like positions: both
-it leaves to the user.
+by its own classes; the columns of the coupled wrist motor are added to its regressor, and torque is filtered like
+positions: both it leaves to the user.
 """
 
 from __future__ import annotations
@@ -24,7 +23,6 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT / "../shared/data/tx40"
 EXAMPLE = ROOT / "recipes/examples/tx40"
-VERSION = "1.0.2"
 CUTOFF = 20.0
 #: figaroh's settings: low-pass of positions and torque [Hz], decimation of regressor and torque. First its defaults,
 #: then the best of those tried (20 to 100 Hz, every 1st to 100th) on the held-out segment itself, which flatters it.
@@ -32,9 +30,9 @@ SETTINGS = {"defaults (100 Hz, every 10th)": (100.0, 10), "best tried (100 Hz, e
 
 
 def main() -> int:
-    """0, also where figaroh cannot be had: that is said."""
+    """0, also where figaroh fails: that is said."""
     parser = argparse.ArgumentParser()
-    parser.add_argument("--python", type=Path, help="an environment with figaroh")
+    parser.add_argument("python", type=Path, help="of an environment with figaroh")
     parser.add_argument("--worker", type=Path, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.worker:
@@ -47,32 +45,15 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         logs = export_data(folder)
-        python = arguments.python or install(folder / "environment")
-        if python:
-            run_worker(python, folder)
+        run_worker(arguments.python, folder)
         table(held_out_errors(logs, folder))
     return 0
-
-
-def install(folder: Path) -> Path | None:
-    """Python of a new environment with figaroh, None where it cannot be installed."""
-    print(f"installing figaroh {VERSION} into a temporary folder", file=sys.stderr)
-    try:
-        subprocess.run([sys.executable, "-m", "venv", str(folder)], check=True, capture_output=True)
-        python = folder / "bin" / "python"
-        pip = [str(python), "-m", "pip", "install", "--quiet", "--disable-pip-version-check", f"figaroh=={VERSION}"]
-        subprocess.run(pip, check=True, capture_output=True, text=True)
-    except (OSError, subprocess.CalledProcessError) as error:
-        reason = (getattr(error, "stderr", None) or str(error)).strip().splitlines()
-        print(f"figaroh skipped: it cannot be installed ({reason[-1] if reason else error})")
-        return None
-    return python
 
 
 def run_worker(python: Path, folder: Path) -> None:
     """Have figaroh write its predictions; where it fails that is said."""
     run = subprocess.run(
-        [str(python), str(Path(__file__).resolve()), "--worker", str(folder)],
+        [str(python), str(Path(__file__).resolve()), str(python), "--worker", str(folder)],
         env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "PYTHONPATH": ""},
         capture_output=True,
         text=True,

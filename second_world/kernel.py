@@ -79,69 +79,46 @@ def _hash(x: float) -> float:
 
 
 @compiled
-def _speed_level(kind: int, p: np.ndarray, s: np.ndarray, v: float, dt: float) -> float:
-    speed = abs(v)
+def _level(  # noqa: C901
+    p: np.ndarray, s: np.ndarray, q: float, v: float, load: float, power: float, t: float, dt: float
+) -> float:
+    """What a term adds to the level [N·m]."""
+    kind, size, speed = int(p[0]), p[2], abs(v)
     if kind == 0:
-        return p[2] * exp(-min((speed / p[3]) ** p[4], 700.0))
+        return size * exp(-min((speed / p[3]) ** p[4], 700.0))
     if kind == 1:
-        return p[2] / (1 + (v / p[3]) ** 2)
+        return size / (1 + (v / p[3]) ** 2)
     if kind == 2:
         s[0] += (speed - s[0]) * min(dt / p[4], 1.0)
-        return p[2] * exp(-s[0] / p[3])
-    sign = (1.0 if v > 0 else -1.0) if v != 0 else 0.0
-    if kind == 3:
-        return p[2] * sign
-    return p[2] * sign * (speed / p[3]) / (1 + speed / p[3])
-
-
-@compiled
-def _load_level(kind: int, p: np.ndarray, v: float, load: float) -> float:
-    share = abs(load) / p[3]
-    if kind == 10:
-        return p[2] * share
-    if kind == 11:
-        return p[2] * share ** p[4]
-    if kind == 12:
-        return p[2] * share if load * v > 0 else 0.0
-    return p[2] * max(share - p[4], 0.0)
-
-
-@compiled
-def _warm_level(kind: int, p: np.ndarray, s: np.ndarray, v: float, power: float, t: float, dt: float) -> float:
+        return size * exp(-s[0] / p[3])
+    if kind < 10:
+        sign = (1.0 if v > 0 else -1.0) if v != 0 else 0.0
+        return size * sign if kind == 3 else size * sign * (speed / p[3]) / (1 + speed / p[3])
+    if kind < 20:
+        share = abs(load) / p[3]
+        if kind == 12:
+            return size * share if load * v > 0 else 0.0
+        if kind == 13:
+            return size * max(share - p[4], 0.0)
+        return size * (share if kind == 10 else share ** p[4])
     if kind == 20:
-        return p[2] * exp(-t / p[3])
+        return size * exp(-t / p[3])
     if kind == 21:
-        s[0] += abs(v) * dt
-        return p[2] * exp(-s[0] / p[3])
+        s[0] += speed * dt
+        return size * exp(-s[0] / p[3])
     if kind == 22:
         s[0] += (p[3] * abs(power) - s[0] / p[4]) * dt
-        return p[2] * exp(-s[0])
-    s[0] += (abs(v) / p[3] * (1 - s[0]) - s[0] / p[4]) * dt
-    return p[2] * (1 - s[0])
-
-
-@compiled
-def _other_level(kind: int, p: np.ndarray, q: float, t: float) -> float:
+        return size * exp(-s[0])
+    if kind == 23:
+        s[0] += (speed / p[3] * (1 - s[0]) - s[0] / p[4]) * dt
+        return size * (1 - s[0])
     if kind == 30:
-        return p[2]
+        return size
     if kind == 31:
-        return p[2] if _hash(floor(t / p[3]) + p[4]) < 0.4 else 0.0
+        return size if _hash(floor(t / p[3]) + p[4]) < 0.4 else 0.0
     x = q / p[3] + p[4]
     at = floor(x)
-    return p[2] * ((1 - x + at) * _hash(at) ** 2 + (x - at) * _hash(at + 1) ** 2)
-
-
-@compiled
-def _level(p: np.ndarray, s: np.ndarray, q: float, v: float, load: float, power: float, t: float, dt: float) -> float:
-    """What a term adds to the level [N·m]."""
-    kind = int(p[0])
-    if kind < 10:
-        return _speed_level(kind, p, s, v, dt)
-    if kind < 20:
-        return _load_level(kind, p, v, load)
-    if kind < 30:
-        return _warm_level(kind, p, s, v, power, t, dt)
-    return _other_level(kind, p, q, t)
+    return size * ((1 - x + at) * _hash(at) ** 2 + (x - at) * _hash(at + 1) ** 2)
 
 
 @compiled
