@@ -38,9 +38,9 @@ def build(world: DrawnWorld, effects: Sequence[Mapping[str, Any]], day: int) -> 
     machine = DrawnMachine(world)
     machine.drift(day)
     for effect in effects:
-        joints = tuple(world.arm.joint_names.index(joint) for joint in effect["joints"])
+        first = world.arm.joint_names.index(effect["joints"][0]) if effect["joints"] else 0
         rng = np.random.default_rng(np.random.SeedSequence([effect["seed"], 2]))
-        known_law(effect).build(machine, joints, effect["parameters"]["amount"], rng)
+        known_law(effect).build(machine, first, effect["parameters"]["amount"], rng)
     return machine
 
 
