@@ -12,7 +12,7 @@ from agent.robot import Dynamics, RobotDescription
 from agent.simulators import ExternalTorque, ForwardSimulation, ServoGains
 from fake_controller.actuation import load_effect
 from fake_controller.actuation.drive import Drive, SteppedSimulation, rigid_actuation
-from fake_controller.actuation.machine import Machine, check_bodies, draw_machine
+from fake_controller.actuation.machine import Machine, check_bodies, draw_machine, poses
 from fake_controller.actuation.sensors import Measured, Sensors
 
 if TYPE_CHECKING:
@@ -152,9 +152,8 @@ def _rate_for_gears(machine: Machine, dynamics: Dynamics, gains: ServoGains) -> 
     """
     rotors = machine.reflected_rotors
     rigid = np.array([rotor if k not in machine.gears else 0.0 for k, rotor in enumerate(rotors)])
-    lower, upper = (np.clip(limit, -np.pi, np.pi) for limit in machine.robot.position_limits)
     rate = 0.0
-    for q in np.random.default_rng(0).uniform(lower, upper, (32, machine.robot.dof)):
+    for q in poses(machine.robot, 32):
         matrix = dynamics.mass_matrix(q) + machine.coupling.T @ np.diag(rigid) @ machine.coupling
         mobility = np.diag(machine.coupling @ np.linalg.solve(matrix, machine.coupling.T))
         for k, gear in machine.gears.items():
