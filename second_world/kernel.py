@@ -122,24 +122,6 @@ def _level(  # noqa: C901
 
 
 @compiled
-def _speed_torque(kind: int, p: np.ndarray, v: float, t: float) -> float:
-    x = v / p[3]
-    if kind == 40:
-        return p[2] * asinh(x)
-    if kind == 41:
-        return p[2] * x / (1 + x * x) ** p[4]
-    if kind == 42:
-        return p[2] * x * abs(x)
-    if kind == 43:
-        return p[2] * x / (abs(x) ** (2 / 3) + 0.05)
-    if kind == 44:
-        return p[2] * abs(x) * p[4]
-    if kind == 45:
-        return p[2] * x * exp(-t / p[4])
-    return p[2] * x
-
-
-@compiled
 def _place_torque(kind: int, p: np.ndarray, s: np.ndarray, q: float, t: float, dt: float) -> float:
     x = q - p[3]
     if kind == 50:
@@ -182,21 +164,6 @@ def _hysteresis(kind: int, p: np.ndarray, s: np.ndarray, q: float, v: float, dt:
 
 
 @compiled
-def _ripple(kind: int, p: np.ndarray, q: float, current: float) -> float:
-    x = p[3] * q + p[4]
-    if kind == 70:
-        return p[2] * (sin(x) + p[5] * sin(2 * x))
-    if kind == 71:
-        turn = x / (2 * pi)
-        return p[2] * (4 * abs(turn - floor(turn) - 0.5) - 1)
-    if kind == 72:
-        return p[2] * sin(x) * abs(current) / p[5]
-    if kind == 73:
-        return p[2] * (abs(sin(x)) - 2 / pi)
-    return p[2] * (sin(x) + sin(p[5] * x))
-
-
-@compiled
 def _outside(kind: int, p: np.ndarray, s: np.ndarray, q: float, v: float, t: float, dt: float) -> float:
     if kind == 80:
         return p[2] * sin(2 * pi * p[3] * t + p[4])
@@ -224,18 +191,41 @@ def _outside(kind: int, p: np.ndarray, s: np.ndarray, q: float, v: float, t: flo
 
 
 @compiled
-def _torque(p: np.ndarray, s: np.ndarray, q: float, v: float, current: float, t: float, dt: float) -> float:
+def _torque(  # noqa: C901
+    p: np.ndarray, s: np.ndarray, q: float, v: float, current: float, t: float, dt: float
+) -> float:
     """What a term takes of the motor's torque [N·m]."""
     kind = int(p[0])
     if kind < 50:
-        return _speed_torque(kind, p, v, t)
+        x = v / p[3]
+        if kind == 40:
+            return p[2] * asinh(x)
+        if kind == 41:
+            return p[2] * x / (1 + x * x) ** p[4]
+        if kind == 42:
+            return p[2] * x * abs(x)
+        if kind == 43:
+            return p[2] * x / (abs(x) ** (2 / 3) + 0.05)
+        if kind == 44:
+            return p[2] * abs(x) * p[4]
+        return p[2] * x * exp(-t / p[4]) if kind == 45 else p[2] * x
     if kind < 60:
         return _place_torque(kind, p, s, q, t, dt)
     if kind < 70:
         return _hysteresis(kind, p, s, q, v, dt)
-    if kind < 80:
-        return _ripple(kind, p, q, current)
-    return _outside(kind, p, s, q, v, t, dt)
+    if kind >= 80:
+        return _outside(kind, p, s, q, v, t, dt)
+    x = p[3] * q + p[4]
+    if kind == 70:
+        return p[2] * (sin(x) + p[5] * sin(2 * x))
+    if kind == 71:
+        turn = x / (2 * pi)
+        return p[2] * (4 * abs(turn - floor(turn) - 0.5) - 1)
+    if kind == 72:
+        return p[2] * sin(x) * abs(current) / p[5]
+    if kind == 73:
+        return p[2] * (abs(sin(x)) - 2 / pi)
+    return p[2] * (sin(x) + sin(p[5] * x))
 
 
 @compiled
