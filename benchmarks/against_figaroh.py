@@ -1,18 +1,16 @@
 """The same TX40 recording through figaroh 1.0.2 and through this agent, side by side.
 
-    python benchmarks/against_figaroh.py [--python PYTHON_OF_AN_ENVIRONMENT_WITH_FIGAROH]
+    python benchmarks/against_figaroh.py PYTHON      (of an environment with pip install figaroh==1.0.2)
 
 Both get the same joint positions and torques, 5 kHz, 0.1 s to 4.54 s, and predict 4.54 s to 7.5 s, which neither saw.
 Measured torque and both predictions then go through one filter (20 Hz, zero phase), no sample is dropped. figaroh runs
-by its own classes in an environment of its own, made in a temporary folder (about 1 GB; `--python` takes one that is
-there); the columns of the coupled wrist motor are added to its regressor, and torque is filtered like positions: both
-it leaves to the user. Then one candidate of an excitation search of each is timed: six points, limits and objective.
+by its own classes; the columns of the coupled wrist motor are added to its regressor, and torque is filtered like
+positions: both it leaves to the user.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import subprocess
 import sys
@@ -25,21 +23,16 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT / "../shared/data/tx40"
 EXAMPLE = ROOT / "recipes/examples/tx40"
-VERSION = "1.0.2"
 CUTOFF = 20.0
-CANDIDATES = 20
 #: figaroh's settings: low-pass of positions and torque [Hz], decimation of regressor and torque. First its defaults,
 #: then the best of those tried (20 to 100 Hz, every 1st to 100th) on the held-out segment itself, which flatters it.
 SETTINGS = {"defaults (100 Hz, every 10th)": (100.0, 10), "best tried (100 Hz, every 50th)": (100.0, 50)}
-#: The agent's sub-region on the TX40, and as many points as figaroh's spline.
-POINTS = 6
-REGION = {"centre": (0.25, 0.0, 0.6), "size": (0.2, 0.3, 0.2), "orientation": (0.0, 0.8, 0.0), "cone": 0.4}
 
 
 def main() -> int:
-    """0, also where figaroh cannot be had: that is said."""
+    """0, also where figaroh fails: that is said."""
     parser = argparse.ArgumentParser()
-    parser.add_argument("--python", type=Path, help="an environment with figaroh")
+    parser.add_argument("python", type=Path, help="of an environment with figaroh")
     parser.add_argument("--worker", type=Path, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.worker:
@@ -52,31 +45,15 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         logs = export_data(folder)
-        python = arguments.python or install(folder / "environment")
-        theirs = run_worker(python, folder) if python else None
-        table(agent_side(logs, folder), theirs)
+        run_worker(arguments.python, folder)
+        table(held_out_errors(logs, folder))
     return 0
 
 
-def install(folder: Path) -> Path | None:
-    """Python of a new environment with figaroh, None where it cannot be installed."""
-    print(f"installing figaroh {VERSION} into a temporary folder", file=sys.stderr)
-    try:
-        subprocess.run([sys.executable, "-m", "venv", str(folder)], check=True, capture_output=True)
-        python = folder / "bin" / "python"
-        pip = [str(python), "-m", "pip", "install", "--quiet", "--disable-pip-version-check", f"figaroh=={VERSION}"]
-        subprocess.run(pip, check=True, capture_output=True, text=True)
-    except (OSError, subprocess.CalledProcessError) as error:
-        reason = (getattr(error, "stderr", None) or str(error)).strip().splitlines()
-        print(f"figaroh skipped: it cannot be installed ({reason[-1] if reason else error})")
-        return None
-    return python
-
-
-def run_worker(python: Path, folder: Path) -> dict | None:
-    """What figaroh finds, None where it fails: that is said."""
+def run_worker(python: Path, folder: Path) -> None:
+    """Have figaroh write its predictions; where it fails that is said."""
     run = subprocess.run(
-        [str(python), str(Path(__file__).resolve()), "--worker", str(folder)],
+        [str(python), str(Path(__file__).resolve()), str(python), "--worker", str(folder)],
         env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "PYTHONPATH": ""},
         capture_output=True,
         text=True,
@@ -84,8 +61,6 @@ def run_worker(python: Path, folder: Path) -> dict | None:
     )
     if run.returncode:
         print(f"figaroh skipped: {run.stderr.strip().splitlines()[-1]}")
-        return None
-    return json.loads((folder / "figaroh.json").read_text(encoding="utf-8"))
 
 
 def export_data(folder: Path) -> dict:
@@ -104,14 +79,11 @@ def export_data(folder: Path) -> dict:
     return {"robot": robot, **logs}
 
 
-def agent_side(logs: dict, folder: Path) -> dict:
-    """Held-out errors of both, by the same filter, and the agent's times."""
+def held_out_errors(logs: dict, folder: Path) -> list[tuple]:
+    """Label, held-out errors by the same filter, and seconds of the fit, of the agent and of what figaroh predicted."""
     from agent.estimation import EstimationSettings, FilterSettings, estimate
     from agent.estimation.filtering import motions
-    from agent.excitation import Candidates, LoopProblem
-    from agent.excitation.criterion import one_blas_thread
-    from agent.motion import ViaRegions
-    from agent.motion.pdl2.settings import FlyTrajectory, FlyType, Pdl2Settings
+    from agent.excitation import one_blas_thread
     from agent.validation import validate
 
     rows = []
@@ -131,47 +103,26 @@ def agent_side(logs: dict, folder: Path) -> dict:
             relative = np.linalg.norm(error, axis=0) / np.linalg.norm(measured, axis=0)
             total = float(np.linalg.norm(error) / np.linalg.norm(measured))
             rows.append((f"figaroh, {found['label']}", total, relative, float(found["seconds"])))
-        settings = Pdl2Settings(
-            fly_type=FlyType.FLY_CART, fly_trajectory=FlyTrajectory.FLY_TOL, fly_distance=0.02, linear_speed=1.0
-        )
-        regions = ViaRegions.from_box(POINTS, *REGION.values())
-        candidates = Candidates(LoopProblem(logs["robot"], regions, settings))
-        rng = np.random.default_rng(0)
-        genomes = [g for g in rng.random((10 * CANDIDATES, candidates.problem.genes)) if candidates.score(g).feasible]
-        genomes = genomes[:CANDIDATES]
-        start = time.process_time()
-        for genome in genomes:
-            candidates.score(genome)
-        each = (time.process_time() - start) / max(len(genomes), 1)
-        motion_time = float(np.mean([candidates.loop(genome).trajectory.duration for genome in genomes]))
-    return {"rows": rows, "candidate": (each, motion_time, len(candidates.columns))}
+    return rows
 
 
-def table(ours: dict, theirs: dict | None) -> None:
-    """Print both."""
+def table(rows: list[tuple]) -> None:
+    """Print all."""
     print(f"TX40, held-out segment, {CUTOFF:g} Hz, relative torque error [%]; CPU time of the fit, one thread")
     print(f"{'':42} {'all':>6}  {'per joint':36} {'fit':>8}")
-    for label, total, joints, seconds in ours["rows"]:
+    for label, total, joints, seconds in rows:
         cells = " ".join(f"{100 * value:5.1f}" for value in joints)
         print(f"{label:42} {100 * total:6.2f}  {cells:36} {seconds:6.2f} s")
-    print(f"\nOne candidate of an excitation search, {POINTS} points")
-    candidates = {"agent: path, limits, cell, determinant": ours["candidate"]}
-    if theirs:
-        candidates["figaroh: spline, limits, condition number"] = theirs["candidate"]
-    for label, (seconds, motion, columns) in candidates.items():
-        print(f"{label:42} {1000 * seconds:8.1f} ms for {motion:.1f} s of motion, {columns} parameters")
 
 
 def figaroh_side(folder: Path) -> None:
-    """In figaroh's environment: fit, predict, and time a candidate."""
+    """In figaroh's environment: fit and predict."""
     import logging
 
     from figaroh.identification.base_identification import BaseIdentification
-    from figaroh.identification.parameter import add_standard_additional_parameters, get_standard_parameters
-    from figaroh.tools.qrdecomposition import build_baseRegressor, get_baseIndex
-    from figaroh.tools.regressor import build_regressor_basic, build_regressor_reduced, get_index_eliminate
+    from figaroh.tools.qrdecomposition import build_baseRegressor
+    from figaroh.tools.regressor import build_regressor_reduced
     from figaroh.tools.robot import Robot
-    from figaroh.utils.cubic_spline import CubicSpline, WaypointsGeneration
 
     logging.disable(logging.CRITICAL)
     robot = Robot(str(folder / "robot.urdf"), str(folder))
@@ -239,29 +190,6 @@ def figaroh_side(folder: Path) -> None:
         torque = build_baseRegressor(reduced, fit._base_indices) @ fit.phi_base
         torque = torque.reshape(6, -1).T
         np.savez(folder / f"predicted_{number}.npz", torque=torque, label=label, seconds=seconds)
-
-    config = settings_of(100.0)
-    spline = CubicSpline(robot, POINTS, joints)
-    points = WaypointsGeneration(robot, POINTS, joints)
-    points.gen_rand_pool(np.full((3, 6), 0.05))
-    times = np.arange(POINTS, dtype=float)[:, None]
-    names = {**get_standard_parameters(robot.model, config), **add_standard_additional_parameters(robot.model, config)}
-    drawn = []
-    for _ in range(CANDIDATES):
-        drawn.append(points.gen_rand_wp())
-    motion = spline.get_full_config(100, times, *drawn[0])
-    first = build_regressor_basic(robot, *motion[1:], config)
-    eliminated, kept = get_index_eliminate(first, names, tol_e=0.001)
-    independent = get_baseIndex(build_regressor_reduced(first, eliminated), kept)
-    start = time.process_time()
-    for waypoints in drawn:
-        motion = spline.get_full_config(100, times, *waypoints)
-        spline.check_cfg_constraints(motion[1], motion[2])
-        columns = build_regressor_reduced(build_regressor_basic(robot, *motion[1:], config), eliminated)
-        np.linalg.cond(build_baseRegressor(columns, independent))
-    each = (time.process_time() - start) / CANDIDATES
-    result = {"candidate": [each, float(np.ptp(np.asarray(motion[0]))), len(independent)]}
-    (folder / "figaroh.json").write_text(json.dumps(result), encoding="utf-8")
 
 
 if __name__ == "__main__":

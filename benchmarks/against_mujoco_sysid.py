@@ -6,9 +6,8 @@ The arm is the file's with masses, friction and rotors that are wrong or missing
 dynamics. MuJoCo's fits every joint's frictionloss, damping and armature and every body's mass, each from the file's
 value or a tenth of the joint's torque, to windows of 0.2 s that start at measured states and run by recorded torque:
 positions and speeds, its own roll-outs, residuals and optimizer, on one core. Two motions are fitted to, the third is
-run forward by either, and by the true arm. First without an effect, then with one that none of these parameters is, on
-the third joint: friction that grows with its load, a spring. Printed with it: the parameters of that joint in the true
-arm and as MuJoCo's moved them, and by how much the parameters of all other joints are off, in the middle.
+run forward by either. First without an effect, then with one that none of these parameters is, on the third joint:
+friction that grows with its load, a spring.
 """
 
 from __future__ import annotations
@@ -35,11 +34,11 @@ WINDOW, HORIZONS, STARTS = 0.2, np.array([0.2, 0.5, 1.0]), 40
 JOINT = 2  # that has the effect
 
 
-def load_dependent_friction(level, q, qd, torque, load):
+def load_dependent_friction(level, q, qd, load):
     return 0.12 * np.abs(load) * np.tanh(qd / 0.01)
 
 
-def gravity_spring(level, q, qd, torque, load):
+def gravity_spring(level, q, qd, load):
     return 1.5 * level * np.cos(q - 0.4)
 
 
@@ -90,38 +89,8 @@ def inverse(model, q, qd, qdd):
     return torque
 
 
-class Oracle:
-    """The true arm forward: recorded torque, less friction and effects, in steps of 1 ms."""
-
-    def __init__(self, model, coulomb, put_in):
-        self._model, self._coulomb, self._put_in = model, coulomb, put_in
-        model.opt.timestep = 1e-3
-
-    def run(self, q, qd, drive, times):
-        data = mujoco.MjData(self._model)
-        data.qpos[:], data.qvel[:] = q, qd
-        found = np.empty((2, len(times), len(q)))
-        for row, until in enumerate(times):
-            while data.time < until - 0.25 * self._model.opt.timestep:
-                q, qd = data.qpos, data.qvel
-                given = drive(data.time, q, qd)
-                torque, dry = given.copy(), self._coulomb * np.tanh(qd / 0.01)
-                rubbing = dry + self._model.dof_damping * qd
-                for effect, k in self._put_in:
-                    for _ in range(3):  # the effect is of the torque without it
-                        load = torque[k] - rubbing[k]
-                        torque[k] = given[k] - effect(self._coulomb[k], q[k], qd[k], torque[k], load)
-                data.qfrc_applied[:] = torque - dry
-                mujoco.mj_step(self._model, data)
-                if not np.abs(data.qvel).max() < 1e3:  # explicit friction of a light joint may blow up
-                    found[:, row:] = np.nan
-                    return found[0], found[1]
-            found[:, row] = data.qpos, data.qvel
-        return found[0], found[1]
-
-
 def recorded(path, seed, folder, put_in):
-    """Three logs of a robot made of a file with effects put in, as (form, joint), their names, and the oracle."""
+    """Three logs of a robot made of a file, with effects put in as functions on `JOINT`."""
     rng = np.random.default_rng(seed)
     model, coulomb = robot(path, rng)
     names, logs = tuple(model.joint(k).name for k in range(model.nv)), []
@@ -129,15 +98,15 @@ def recorded(path, seed, folder, put_in):
         t, q, qd, qdd = motion(rng, *model.jnt_range.T, model.nq)
         torque = inverse(model, q, qd, qdd) + coulomb * np.tanh(qd / 0.01)
         load = torque - coulomb * np.tanh(qd / 0.01) - model.dof_damping * qd
-        for effect, k in put_in:
-            torque[:, k] += effect(coulomb[k], q[:, k], qd[:, k], torque[:, k], load[:, k])
+        for effect in put_in:
+            torque[:, JOINT] += effect(coulomb[JOINT], *(values[:, JOINT] for values in (q, qd, load)))
         torque += 0.005 * torque.std(axis=0) * rng.normal(size=torque.shape)
         logs.append(folder / f"{number}.mcap")
         file = LogFile(logs[-1], names, path.stem, f"motion {number}", RATE)
         file.write_states(STATES, 100 + t, q, qd, torque)
         file.finish()
         file.close()
-    return logs, [[effect.__name__, names[k]] for effect, k in put_in], Oracle(model, coulomb, put_in)
+    return logs
 
 
 def drift(which, log, horizons, starts, causes=()):
@@ -206,7 +175,7 @@ def windows(spec, logs, names):
 
 
 def by_sysid(path, names, logs):
-    """A roll-out engine with what MuJoCo's identification finds, that, and its processor time."""
+    """A roll-out engine with what MuJoCo's identification finds, and its processor time."""
     started = time.process_time()
     spec = torque_driven(path, names)
     given = spec.compile()
@@ -225,31 +194,13 @@ def by_sysid(path, names, logs):
     seconds = time.process_time() - started
     engine = MujocoEngine(path, names)
     engine._model = with_parameters(engine._model, found.as_vector())
-    return engine, found.as_vector(), seconds
-
-
-def told(found, oracle, path):
-    """What MuJoCo's identification moved, beside the true arm's."""
-    n, model = len(oracle._coulomb), oracle._model
-    true = np.concatenate(
-        [oracle._coulomb, model.dof_damping, model.dof_armature, model.body_mass[model.body_mass > 0]]
-    )
-    given = mujoco.MjModel.from_xml_path(str(path))
-    file = [given.dof_frictionloss, given.dof_damping, given.dof_armature, given.body_mass[given.body_mass > 0]]
-    off = np.abs(found / true - 1)
-    for kind, name in enumerate(("frictionloss", "damping", "armature", "mass")):
-        k, part = kind * n + JOINT, slice(kind * n, (kind + 1) * n if kind < 3 else None)
-        others = np.median(np.delete(off[part], JOINT)) if kind < 3 else np.median(off[part])
-        own = (
-            f"{file[kind][JOINT]:.3g} in the file, {found[k]:.3g} by sysid, {true[k]:.3g} in truth" if kind < 3 else ""
-        )
-        print(f"  sysid: {name:12} {own:60} others off by {100 * others:.0f} %")
+    return engine, seconds
 
 
 def compare(path, seed, effects):
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        logs, put_in, oracle = recorded(path, seed, folder, [(effect, JOINT) for effect in effects])
+        logs = recorded(path, seed, folder, effects)
         fixed = folder / "fixed.xml"
         started = time.process_time()
         result = diagnose_files(None, logs[:2], GapQuestion(path, out=fixed), Console(-1))
@@ -258,16 +209,15 @@ def compare(path, seed, effects):
         names = read[0].joint_names
         beside = folder / "fixed_effects.py"
         ours = MujocoEngine(fixed, names, beside if beside.exists() else None)
-        theirs, moved, theirs_s = by_sysid(path, names, read[:2])
+        theirs, theirs_s = by_sysid(path, names, read[:2])
         starts = np.linspace(250, len(read[2].t) - 300, 24).astype(int)
         named = [[c["effect"], *c["joints"], round(c["probability"], 2)] for c in result["causes"]]
+        put_in = [[effect.__name__, names[JOINT]] for effect in effects]
         print(path.stem, seed, "put in:", put_in, "named:", named, result["verdict"])
-        told(moved, oracle, path)
         for called, which, seconds, causes in (
             ("given", MujocoEngine(path, names), 0.0, ()),
             ("sysid", theirs, theirs_s, ()),
             ("ours", ours, ours_s, result["causes"]),
-            ("true", oracle, 0.0, ()),
         ):
             error = np.sqrt(np.mean(drift(which, read[2], HORIZONS, starts, causes) ** 2, axis=(0, 2)))
             print(f"  {called:6} {seconds:6.1f} s  error after {HORIZONS} s: {error.round(4)} rad", flush=True)

@@ -11,20 +11,23 @@ import threading
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 from agent.core import AgentError, InputError, read_json, write_atomically
-from fake_controller.servers import WIRES
+from fake_controller.actuation.machine import weighs_nothing
+from fake_controller.build import build_controller, build_ur_cell
+from fake_controller.controller import Controller
+from fake_controller.effects_list import effects_text
+from fake_controller.interpolation import KINDS
+from fake_controller.scenario import SetupSection, load_scenario
+from fake_controller.servers import WIRES, NoBrokerError, Server, open_server
+from fake_controller.ur.arm import MODELS
+from fake_controller.ur.cell import UrCell
+from fake_controller.ur.server import UrServer
 
-if TYPE_CHECKING:
-    from fake_controller.controller import Controller
-    from fake_controller.servers import Server
-    from fake_controller.ur.cell import UrCell
-
-#: Shortest watchdog [s] by clock: an arm that is simulated as fast as it goes keeps no rhythm on the wall.
+#: Shortest watchdog [s] by clock: an arm that is simulated as fast as possible has no steady pace in wall time.
 WATCHDOGS = {"fast": 5.0, "real": 0.05}
 DEFAULT_PORT, UR = 9100, "ur"
-#: How long [s] the simulated arm may keep the interpreter from the servers' threads: a link with many short exchanges
+#: How long [s] the simulated arm may keep the interpreter from the servers' threads. A link with many short exchanges
 #: waits for it in each of them, and a controller answers while it plans.
 SWITCH_INTERVAL = 0.0005
 #: Levels of priority (`nice`) by which the emulator is ahead of other programs.
@@ -35,8 +38,6 @@ def main(arguments: list[str] | None = None) -> int:
     """Serve until SIGTERM or SIGINT; returns the exit code."""
     options = _parser().parse_args(arguments)
     if options.list_effects:
-        from fake_controller.effects_list import effects_text
-
         print(effects_text())
         return 0
     sys.setswitchinterval(SWITCH_INTERVAL)
@@ -45,50 +46,17 @@ def main(arguments: list[str] | None = None) -> int:
     done = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: done.set())
-
-    from fake_controller.servers import NoBrokerError, open_server
-    from fake_controller.ur.cell import UrCell
-    from fake_controller.ur.server import UrServer
-
     try:
         controller = _controller(options)
+        server = _server(options, controller)
     except AgentError as error:
         print(f"fake controller: {error}", file=sys.stderr)
         return error.exit_code
-    try:
-        if isinstance(controller, UrCell):
-            server: Server = UrServer(controller, options.address)
-        else:
-            server = open_server(
-                options.driver,
-                controller,
-                options.address,
-                DEFAULT_PORT if options.port is None else options.port,
-                options.watchdog or WATCHDOGS[options.clock],
-                options.clock == "fast",
-                options.baud,
-                options.serial_port,
-                options.broker,
-                options.node_period and options.node_period * 1e-3,
-            )
-    except NoBrokerError as error:
-        print(
-            f"fake controller: {error}; start one (apt-get install mosquitto), or name it by --broker", file=sys.stderr
-        )
-        return 2
-    except OSError as error:
-        ports = " (a published port of UR controllers)" if options.driver == UR else f":{options.port or DEFAULT_PORT}"
-        where = options.serial_port or f"{options.address}{ports}"
-        print(f"fake controller: cannot listen at {where}: {error.strerror}; is the port taken?", file=sys.stderr)
-        return 2
-    except ValueError as error:
-        print(f"fake controller: {options.scenario}: {error}; choose another --driver", file=sys.stderr)
-        return 2
     ready = None
     try:
         if options.ready_file is not None:
             ready = write_atomically(options.ready_file, server.address + "\n")
-        gc.freeze()  # to look through all that is here again takes up to a second, in which nothing is said
+        gc.freeze()  # to look through all that is here again takes up to a second, in which nothing is sent
         print(f"fake controller: {controller.robot.name} at {server.address}, clock {options.clock}", flush=True)
         done.wait()
     except AgentError as error:
@@ -109,36 +77,32 @@ def _controller(options: argparse.Namespace) -> Controller | UrCell:
     Raises:
         InputError: a scenario or an effect that makes no sense, or an unknown robot.
     """
-    from fake_controller.actuation.machine import weighs_nothing
-    from fake_controller.build import build_controller, build_ur_cell
-    from fake_controller.scenario import SetupSection, load_scenario
-    from fake_controller.ur.arm import MODELS
-
     scenario = None if options.scenario is None else load_scenario(options.scenario)
     setup = SetupSection(clock="real", seed=0) if scenario is None else scenario.setup
     if options.model and options.robot:
         raise InputError("--model has its own robot: leave out --robot")
     options.clock = options.clock or setup.clock
+    options.watchdog = options.watchdog or WATCHDOGS[options.clock]
     robot = options.robot or setup.robot
-    seed = setup.seed if options.seed is None else options.seed
-    effects = [*setup.effects, *(_effects(options.effects) if options.effects else ())]
-    faults = [] if scenario is None else scenario.build_faults(options.robot)
     options.driver = options.driver or (UR if robot in MODELS and not options.model else "tcp")
+    effects = list(setup.effects)
+    if options.effects:
+        data = read_json(options.effects)
+        if not isinstance(data, list) or not all(isinstance(entry, dict) for entry in data):
+            raise InputError(
+                f"{options.effects}: a list of effects is expected, each with the keys effect, joints, parameters"
+            )
+        effects += data
+    seed = setup.seed if options.seed is None else options.seed
+    faults = [] if scenario is None else scenario.build_faults(options.robot)
+    about = (robot, seed, options.clock, effects, faults, options.model)
     controller: Controller | UrCell
-    if options.driver == UR:
-        if options.port is not None:
-            raise InputError("a UR controller listens at its published ports: leave out --port, choose an --address")
-        controller = build_ur_cell(
-            robot,
-            seed,
-            options.clock,
-            effects,
-            faults,
-            options.model,
-            shortest_watchdog=options.watchdog or WATCHDOGS[options.clock],
-        )
+    if options.driver != UR:
+        controller = build_controller(*about, options.interpolator)
+    elif options.port is not None:
+        raise InputError("a UR controller listens at its published ports: leave out --port, choose an --address")
     else:
-        controller = build_controller(robot, seed, options.clock, effects, faults, options.model, options.interpolator)
+        controller = build_ur_cell(*about, shortest_watchdog=options.watchdog)
     controller.state = setup.state.model_copy()
     if options.model is None and weighs_nothing(controller.robot):
         print(
@@ -151,11 +115,36 @@ def _controller(options: argparse.Namespace) -> Controller | UrCell:
     return controller
 
 
-def _effects(path: Path) -> list[dict[str, Any]]:
-    data = read_json(path)
-    if not isinstance(data, list) or not all(isinstance(entry, dict) for entry in data):
-        raise InputError(f"{path}: a list of effects is expected, each with the keys effect, joints, parameters")
-    return data
+def _server(options: argparse.Namespace, controller: Controller | UrCell) -> Server:
+    """The server of the controller's wire.
+
+    Raises:
+        InputError: it cannot be opened.
+    """
+    port = DEFAULT_PORT if options.port is None else options.port
+    try:
+        if isinstance(controller, UrCell):
+            return UrServer(controller, options.address)
+        return open_server(
+            options.driver,
+            controller,
+            address=options.address,
+            port=port,
+            watchdog=options.watchdog,
+            waits=options.clock == "fast",
+            baud=options.baud,
+            serial_port=options.serial_port,
+            broker=options.broker,
+            node_period=options.node_period and options.node_period * 1e-3,
+        )
+    except NoBrokerError as error:
+        raise InputError(f"{error}; start one (apt-get install mosquitto), or name it by --broker") from None
+    except OSError as error:
+        ports = " (a published port of UR controllers)" if options.driver == UR else f":{port}"
+        where = options.serial_port or f"{options.address}{ports}"
+        raise InputError(f"cannot listen at {where}: {error.strerror}; is the port taken?") from None
+    except ValueError as error:
+        raise InputError(f"{options.scenario}: {error}; choose another --driver") from None
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -163,53 +152,44 @@ def _parser() -> argparse.ArgumentParser:
         prog="python -m fake_controller",
         description="An emulated robot controller: it runs programs (PDL2, URScript) on a simulated arm.",
     )
-    parser.add_argument("--robot", help="built-in robot (comau_ns16 if none is named), or path of a robot.yaml")
-    parser.add_argument(
+    add = parser.add_argument
+    add("--robot", help="built-in robot (default: comau_ns16), or path of a robot.yaml")
+    add(
         "--driver",
         choices=[*WIRES, UR],
-        help="which driver's wire to speak; rtu is serial's. If none is named: ur for its robots, else tcp",
+        help="which driver's wire to speak (default: ur for its robots, else tcp); rtu is serial's",
     )
-    parser.add_argument(
+    add(
         "--port",
         type=_port,
-        help=f"TCP port, {DEFAULT_PORT} if none is named; 0 takes a free one and prints it; ur has its published ports",
+        help=f"TCP port (default: {DEFAULT_PORT}); 0 takes a free one and prints it; ur has its published ports",
     )
-    parser.add_argument("--address", default="127.0.0.1", help="where to listen; others cannot connect by default")
-    parser.add_argument(
-        "--baud",
-        type=_between(int, 1200, 4_000_000, "baud rate"),
-        default=115_200,
-        help="of a serial line, bits per second",
-    )
-    parser.add_argument("--serial-port", help="a port of this machine; if none is named, a pseudo-terminal is made")
-    parser.add_argument(
-        "--broker", type=_broker, default="127.0.0.1:1883", help="MQTT broker that cnr_comau's samples go by"
-    )
-    parser.add_argument(
+    add("--address", default="127.0.0.1", help="where to listen; others cannot connect by default")
+    baud = _between(int, 1200, 4_000_000, "baud rate")
+    add("--baud", type=baud, default=115_200, help="of a serial line, bits per second")
+    add("--serial-port", help="a port of this machine (default: a new pseudo-terminal)")
+    add("--broker", type=_broker, default="127.0.0.1:1883", help="MQTT broker of cnr_comau's samples")
+    add(
         "--node-period",
         type=_between(float, 1.0, 20.0, "period of a node [ms]"),
-        help="cnr_comau's samples come from a loop of so many ms, as from the published C5G Open node: uneven stamps, "
-        "snapshots repeated and left out, no velocities; without it every sample comes once",
+        help="cnr_comau's samples come from a loop of this period [ms], as from the published C5G Open node: uneven "
+        "stamps, snapshots repeated and left out, no velocities; without it every sample comes once",
     )
-    parser.add_argument("--seed", type=_seed, help="of the arm's true parameters and its noise; 0 if none is given")
-    parser.add_argument("--clock", choices=("fast", "real"), help="as fast as it goes, or real time (if none is given)")
-    parser.add_argument(
-        "--watchdog",
-        type=_between(float, 0.05, 5.0, "watchdog here"),
-        help="shortest [s] that a client is granted, 0.05 to 5",
-    )
-    parser.add_argument("--scenario", type=Path, help="what is set up and what goes wrong; docs/scenarios.md")
-    parser.add_argument("--effects", type=Path, help="JSON list of effects to build into the arm")
-    parser.add_argument("--list-effects", action="store_true", help="print the effects and their parameters, and end")
-    parser.add_argument("--model", type=Path, help="model file that the arm is to be like, effects included")
-    parser.add_argument(
+    add("--seed", type=_seed, help="of the arm's true parameters and its noise (default: 0)")
+    add("--clock", choices=("fast", "real"), help="as fast as possible, or real time (default)")
+    watchdog = _between(float, 0.05, 5.0, "watchdog here")
+    add("--watchdog", type=watchdog, help="shortest [s] that a client is granted, 0.05 to 5")
+    add("--scenario", type=Path, help="what is set up and what goes wrong; docs/scenarios.md")
+    add("--effects", type=Path, help="JSON list of effects to build into the arm")
+    add("--list-effects", action="store_true", help="print the effects and their parameters, and end")
+    add("--model", type=Path, help="model file that the arm is to be like, effects included")
+    add(
         "--interpolator",
-        choices=("ours", "second", "drawn"),
-        default="ours",
-        help="that of the planner with ramps and blends a few percent off, another one with a law drawn from the seed, "
-        "or either of them, drawn from the seed too",
+        choices=KINDS,
+        default=KINDS[0],
+        help="the planner's with ramps and blends a few percent off, or another one with a law drawn from the seed",
     )
-    parser.add_argument("--ready-file", type=Path, help="write the address there once the port is open")
+    add("--ready-file", type=Path, help="write the address there once the port is open")
     return parser
 
 

@@ -35,27 +35,22 @@ def build_controller(
 
     Args:
         robot_name: built-in robot, or path of a robot.yaml.
-        seed: of the machine, its noise, and the frames that somebody's last program has left.
+        seed: of the machine, its noise, and the frames that an earlier program has left.
         clock: `fast` or `real`.
         effects: built into the machine, as `fake_controller.actuation.load_effect` takes them.
         faults: what goes wrong, and when.
         model: file of a model that the machine is to be like, with its robot, instead of one drawn from the seed.
-        interpolator: one of `fake_controller.interpolation.KINDS`, or `drawn`: which of them is the seed's.
+        interpolator: one of `fake_controller.interpolation.KINDS`.
 
     Raises:
         InputError: no such robot or model, or an effect that does not fit it.
     """
     robot, plant = _machine(robot_name, seed, effects, PERIOD, model)
-    return Controller(
-        robot,
-        plant,
-        build_interpolator(interpolator, robot, seed, PERIOD),
-        kinematics_for(robot).forward,
-        CLOCKS[clock](),
-        serial=_serial(seed),
-        faults=Faults(faults),
-        system=left_over(seed),
-    )
+    own = build_interpolator(interpolator, robot, seed, PERIOD)
+    number = f"{seed:04d}" if seed < 10_000 else _digest(seed)[:8]  # a long seed is secret
+    forward = kinematics_for(robot).forward
+    serial, system = f"FAKE-{number}", left_over(seed)
+    return Controller(robot, plant, own, forward, CLOCKS[clock](), serial, Faults(faults), system)
 
 
 def build_ur_cell(
@@ -87,7 +82,7 @@ def build_ur_cell(
         check_wire(faults, "ur")
     except ValueError as error:
         raise InputError(str(error)) from None
-    serial = f"2019{int(hashlib.sha256(str(seed).encode()).hexdigest()[:6], 16):08d}"
+    serial = f"2019{int(_digest(seed)[:6], 16):08d}"
     return UrCell(robot, plant, CLOCKS[clock](), serial, seed, version, Faults(faults), shortest_watchdog)
 
 
@@ -103,7 +98,5 @@ def _machine(
     return robot, Plant(robot, seed, effects, period=period, model=identified)
 
 
-def _serial(seed: int) -> str:
-    """Of the machine with a seed. A long seed is secret, so its serial is a digest of it."""
-    number = f"{seed:04d}" if seed < 10_000 else hashlib.sha256(str(seed).encode()).hexdigest()[:8]
-    return f"FAKE-{number}"
+def _digest(seed: int) -> str:
+    return hashlib.sha256(str(seed).encode()).hexdigest()

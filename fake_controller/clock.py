@@ -1,29 +1,13 @@
-"""Controller time: as it passes on the wall, or as fast as the machine can go."""
+"""Controller time in nanoseconds since it was switched on: wall time, or as fast as the machine can go."""
 
 from __future__ import annotations
 
 import threading
 import time
-from typing import Protocol
-
-
-class Clock(Protocol):
-    """What tells the controller's time, in nanoseconds since it was switched on.
-
-    `slice_samples` is how many samples are worth computing before the clock is looked at again.
-    """
-
-    slice_samples: int
-
-    def now(self) -> int:
-        """Controller time [ns]."""
-
-    def wait_until(self, moment: int) -> None:
-        """Return once controller time has reached `moment` [ns]."""
 
 
 class RealClock:
-    """Controller time is time on the wall."""
+    """Controller time is wall time. `slice_samples`: samples worth computing before the clock is looked at again."""
 
     slice_samples = 10
 
@@ -31,16 +15,18 @@ class RealClock:
         self._start = time.monotonic_ns()
 
     def now(self) -> int:
+        """Controller time [ns]."""
         return time.monotonic_ns() - self._start
 
     def wait_until(self, moment: int) -> None:
+        """Return once controller time has reached `moment` [ns]."""
         left = moment - self.now()
         if left > 0:
             time.sleep(left * 1e-9)
 
 
 class FastClock:
-    """Controller time is what the controller has lived through: waiting takes none of ours."""
+    """Controller time is what the controller has simulated: waiting takes no wall time."""
 
     slice_samples = 100
 
@@ -56,4 +42,5 @@ class FastClock:
             self._now = max(self._now, moment)
 
 
+Clock = RealClock | FastClock
 CLOCKS: dict[str, type[RealClock] | type[FastClock]] = {"fast": FastClock, "real": RealClock}

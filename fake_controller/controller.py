@@ -7,7 +7,7 @@ import time
 import traceback
 from collections import OrderedDict, deque
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from itertools import chain
 from typing import Protocol
 
@@ -25,41 +25,30 @@ from fake_controller.plant import Plant
 from fake_controller.programs import ProgramMemory, RefusedRequest, check_program
 from fake_controller.state import State, home
 
-RING = 100_000  # samples
-
-
-@dataclass(frozen=True, eq=False)
-class Recorded:
-    """Consecutive samples from sequence number `first` on, with their controller times (K,) [ns]."""
-
-    first: int
-    time_ns: np.ndarray
-    samples: Slice
-
-
-@dataclass
-class Ring:
-    """The last `RING` samples of a motion."""
-
-    size: int = 0
-    parts: deque[Recorded] = field(default_factory=deque)
-
-    def append(self, part: Recorded) -> None:
-        """Keep it; the oldest make room."""
-        self.parts.append(part)
-        self.size += len(part.samples)
-        while self.size > RING:
-            self.size -= len(self.parts.popleft().samples)
-
-    def find(self, first: int) -> Recorded | None:
-        """The part that has sample `first`, or the earliest after it."""
-        return next((part for part in self.parts if part.first + len(part.samples) > first), None)
-
-
 CONTROLLER = "fake controller"
 VERSION = "1.0"
 PERIOD = 0.002  # s
+RING = 100_000  # samples
 REMEMBERED_MOTIONS = 10_000
+
+
+class Ring:
+    """The last `RING` samples of a motion: parts of (sequence number of the first, controller times [ns], samples)."""
+
+    def __init__(self) -> None:
+        self.size = 0
+        self._parts: deque[tuple[int, np.ndarray, Slice]] = deque()
+
+    def append(self, first: int, time_ns: np.ndarray, samples: Slice) -> None:
+        """Keep samples; the oldest make room."""
+        self._parts.append((first, time_ns, samples))
+        self.size += len(samples)
+        while self.size > RING:
+            self.size -= len(self._parts.popleft()[2])
+
+    def find(self, first: int) -> tuple[int, np.ndarray, Slice] | None:
+        """The part that has sample `first`, or the earliest after it."""
+        return next((part for part in self._parts if part[0] + len(part[2]) > first), None)
 
 
 class Listener(Protocol):
@@ -100,26 +89,19 @@ class Controller:
         faults: Faults | None = None,
         system: Mapping[str, Value] = FACTORY,
     ) -> None:
-        self.robot = robot
-        self._system = dict(system)
-        self.name = robot.name
-        self.serial = serial
+        self.robot, self.name, self.serial = robot, robot.name, serial
+        self.faults, self.clock, self.forward = faults or Faults(), clock, forward
         self.state = State()
-        self.faults = faults or Faults()
-        self.clock = clock
-        self.forward = forward
         self.motions_started = 0
         self.ends: list[EndReason] = []
         self.when_restarting: list[Callable[[], object]] = []
-        self._slowness = 1.0
+        self._system = dict(system)
+        self._slowness, self._obeys = 1.0, True
         self._lies: dict[str, Fault] = {}
-        self._obeys = True
-        self._counter_zero = 0
-        self._count = 0
+        self._counter_zero = self._count = 0
         self._planner = Planner(interpolator)
         self._execution = Execution(plant, forward, robot.max_acceleration, PERIOD, clock.slice_samples)
-        self._machine = plant.machine
-        self._lock = threading.RLock()
+        self._machine, self._lock = plant.machine, threading.RLock()
         self._programs = ProgramMemory(robot)
         self._motion_ids: OrderedDict[bytes, None] = OrderedDict()
         self._ring = Ring()
@@ -268,9 +250,10 @@ class Controller:
             part = self._ring.find(first)
         if part is None or count < 1:
             raise RefusedRequest(Refusal.NOT_AVAILABLE, f"there are no samples from {first} on")
-        begin = max(first - part.first, 0)
+        began, time_ns, samples = part
+        begin = max(first - began, 0)
         chosen = slice(begin, begin + count)
-        return part.first + begin, part.time_ns[chosen], part.samples.part(chosen)
+        return began + begin, time_ns[chosen], samples.part(chosen)
 
     def wait(self, timeout: float) -> bool:
         """Wait until the arm rests and its client has heard of it; False if that takes longer [s]."""
@@ -290,8 +273,9 @@ class Controller:
         match fault.name:
             case "disobey":
                 self._obeys = False
-            case "override":
-                self.state.override = fault.amount
+            case "override" | "off_speed":  # the second without a word
+                if fault.name == "override":
+                    self.state.override = fault.amount
                 if self._switch is not None:
                     self._switch.speed = fault.amount
             case "off_path":
@@ -300,9 +284,6 @@ class Controller:
                 self._execution.astray.lose_servo(fault.joint - 1, fault.amount)
             case "other_motion":
                 self._execution.astray.change_way(fault.joint - 1, fault.amount)
-            case "off_speed":
-                if self._switch is not None:
-                    self._switch.speed = fault.amount
             case "restart":
                 self._restart()
             case "reset_counters":
@@ -310,21 +291,17 @@ class Controller:
                 self._ring = Ring()
             case "slow":
                 self._slowness = fault.amount
+            case "wrong_program" if fault.phase == "upload":
+                self._programs.alter_next = True
             case "wrong_program":
-                self._alter_stored(fault.phase)
+                with self._lock:
+                    self._programs.alter()
             case "wrong_robot":
                 self.name = f"{self.name}_other"
             case "full_memory":
                 self._programs.full = True
             case "untranslatable":
                 self._programs.refused_line = round(fault.amount)
-
-    def _alter_stored(self, phase: str) -> None:
-        with self._lock:
-            if phase == "upload":
-                self._programs.alter_next = True
-            else:
-                self._programs.alter()
 
     def _restart(self) -> None:
         """Power off and on: connections, programs and memory are gone, and the drives are off."""
@@ -350,7 +327,7 @@ class Controller:
                     time.sleep((self._slowness - 1.0) * PERIOD * len(samples))
                 first = count - self._counter_zero
                 with self._lock:
-                    self._ring.append(Recorded(first, time_ns, samples))
+                    self._ring.append(first, time_ns, samples)
                     self.position, self.torque = samples.position[-1], samples.torque[-1]
                     self.reference = samples.reference_position[-1]
                 self._tell(listener, first, time_ns, samples)

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
 
-from fake_controller.actuation import EFFECTS, OUTSIDE, SimulatedEffect
+from fake_controller.actuation import EFFECTS, OUTSIDE
 from fake_controller.actuation.effect import ArmEffect, JointEffect
 
 #: Units by the name of a parameter, after its effect where the name means several things; empty for ratios and counts.
@@ -23,43 +22,21 @@ _UNITS = {
 }  # fmt: skip
 
 
-@dataclasses.dataclass(frozen=True)
-class ListedEffect:
-    """One effect for people; `parameters` are (name, unit, default or "required")."""
-
-    name: str
-    joints: str
-    words: str
-    parameters: tuple[tuple[str, str, str], ...]
-
-
-def listed_effects() -> Iterator[ListedEffect]:
-    """Those of the vocabulary, then those that the vocabulary has no name for."""
-    for name, form in (EFFECTS | OUTSIDE).items():
-        joints = "none" if issubclass(form, ArmEffect) else "one or more" if issubclass(form, JointEffect) else "two"
-        words = " ".join((form.__doc__ or "").split())
-        yield ListedEffect(name, joints, words, tuple(_parameters(name, form)))
-
-
-def _parameters(effect: str, form: type[SimulatedEffect]) -> Iterator[tuple[str, str, str]]:
-    for field in dataclasses.fields(form):
-        if field.name == "joints":
-            continue
-        key, default = f"{effect}.{field.name}", field.default
-        shown = "required" if default is dataclasses.MISSING else str(default).replace("(", "[").replace(")", "]")
-        yield field.name, _UNITS[key if key in _UNITS else field.name], shown
-
-
 def effects_text() -> str:
-    """The list as a terminal shows it, with an entry to copy."""
+    """The list as a terminal shows it: effects of the vocabulary, then those without a name in it."""
     lines = [
         "An entry of a scenario's `effects`, or of the JSON list of --effects:",
         '  {"effect": "dress_pack", "joints": ["joint_4"], "parameters": {"stiffness": 30.0, "centre": 0.5}}',
         "",
     ]
-    for effect in listed_effects():
-        lines.append(f"{effect.name} (joints: {effect.joints})")
-        lines.append(f"    {effect.words}")
-        for name, unit, default in effect.parameters:
-            lines.append(f"    {name:16}{f'[{unit}]' if unit else '':16}{default}")
+    for name, form in (EFFECTS | OUTSIDE).items():
+        joints = "none" if issubclass(form, ArmEffect) else "one or more" if issubclass(form, JointEffect) else "two"
+        lines += [f"{name} (joints: {joints})", f"    {' '.join((form.__doc__ or '').split())}"]
+        for field in dataclasses.fields(form):
+            if field.name != "joints":
+                key = f"{name}.{field.name}"
+                unit = _UNITS[key if key in _UNITS else field.name]
+                missing = field.default is dataclasses.MISSING
+                shown = "required" if missing else str(field.default).replace("(", "[").replace(")", "]")
+                lines.append(f"    {field.name:16}{f'[{unit}]' if unit else '':16}{shown}")
     return "\n".join(lines)

@@ -9,7 +9,7 @@ the model predicts.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -59,16 +59,18 @@ def modelled_machine(model: IdentifiedModel) -> Machine:
 
 def _simulated(entry: ModelEffect, machine: Machine) -> Iterator[dict[str, Any]]:
     """The simulated form of an effect of `_SIMULATED`, as `load_effect` takes it; nothing of others."""
-    fitted, joints = entry.parameters, list(entry.joints)
-    parameters: list[dict[str, float]] = []
+    fitted, parameters = entry.parameters, list[dict[str, float]]()
     match entry.effect:
         case "joint_elasticity":
             parameters = [{"stiffness": fitted["stiffness"]}]
         case "backlash":
             parameters = [{"gap": fitted["gap"]}]
         case "torque_ripple":
-            gear = machine.robot.gear_ratios[machine.robot.joint_names.index(joints[0])]
-            parameters = [_ripple(fitted, harmonic, gear) for harmonic in range(1, int(fitted["harmonics"]) + 1)]
+            gear = machine.robot.gear_ratios[machine.robot.joint_names.index(entry.joints[0])]
+            for harmonic in range(1, int(fitted["harmonics"]) + 1):  # the motor gives what its ripple takes away
+                cosine, sine = fitted[f"cosine_{harmonic}"], fitted[f"sine_{harmonic}"]
+                wave = {"amplitude": float(np.hypot(cosine, sine)), "phase": float(np.arctan2(-cosine, -sine))}
+                parameters.append({**wave, "order": float(harmonic * fitted["order"] / gear)})
         case "torque_constant":
             parameters = [{"scale": 1.0 + fitted["scale_error"]}]
         case "torque_offset":
@@ -76,17 +78,7 @@ def _simulated(entry: ModelEffect, machine: Machine) -> Iterator[dict[str, Any]]
         case "time_delay":
             parameters = [{"delay": fitted["delay"] * fitted["share"]}]
     for values in parameters:
-        yield {"effect": entry.effect, "joints": joints, "parameters": values}
-
-
-def _ripple(fitted: Mapping[str, float], harmonic: int, gear: float) -> dict[str, float]:
-    """One harmonic; what the motor has to give more is what its ripple takes away."""
-    cosine, sine = fitted[f"cosine_{harmonic}"], fitted[f"sine_{harmonic}"]
-    return {
-        "amplitude": float(np.hypot(cosine, sine)),
-        "phase": float(np.arctan2(-cosine, -sine)),
-        "order": float(harmonic * fitted["order"] / gear),
-    }
+        yield {"effect": entry.effect, "joints": list(entry.joints), "parameters": values}
 
 
 def _own_friction(model: IdentifiedModel) -> np.ndarray:

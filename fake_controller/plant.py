@@ -12,7 +12,7 @@ from agent.robot import Dynamics, RobotDescription
 from agent.simulators import ExternalTorque, ForwardSimulation, ServoGains
 from fake_controller.actuation import load_effect
 from fake_controller.actuation.drive import Drive, SteppedSimulation, rigid_actuation
-from fake_controller.actuation.machine import Machine, check_bodies, draw_machine
+from fake_controller.actuation.machine import Machine, check_bodies, draw_machine, poses
 from fake_controller.actuation.sensors import Measured, Sensors
 
 if TYPE_CHECKING:
@@ -78,7 +78,8 @@ class Plant:
     @property
     def position(self) -> np.ndarray:
         """(n,) where the controller believes the joints to be, without quantisation."""
-        return self._simulation.motor_position @ self._to_joints + self.machine.encoder_offset
+        to_joints = np.linalg.inv(self.machine.coupling).T  # as this machine's controller knows its coupling
+        return self._simulation.motor_position @ to_joints + self.machine.encoder_offset
 
     def rest(self, q: np.ndarray) -> None:
         """Put the arm at the set-point q (n,), at rest and settled; time starts again.
@@ -98,12 +99,6 @@ class Plant:
         reference = np.repeat(np.asarray(q, dtype=float)[None], max(1, round(duration / self._period)), axis=0)
         return self.run(reference, np.zeros_like(reference))
 
-    def settled(self, tolerance: np.ndarray | float) -> bool:
-        """Whether every joint is within `tolerance` [rad] of the last set-point and will stay there."""
-        error = np.abs(self.position - self._reference)
-        slow = np.abs(self._simulation.velocity) * 0.1 < tolerance
-        return bool(np.all(error < tolerance) and np.all(slow))
-
     def run(self, reference: np.ndarray, reference_velocity: np.ndarray, chunk: int = 250) -> Iterator[Measured]:
         """Follow set-points (S, n) and their velocities, one a period; yields what was measured at their moments.
 
@@ -116,7 +111,6 @@ class Plant:
         for at in range(0, len(reference), chunk):
             part = slice(at, at + chunk)
             motion = self._simulation.run(reference[part] - self.machine.encoder_offset, reference_velocity[part])
-            self._reference = reference[part][-1]
             yield self._sensors.measure(motion)
 
     def executed_path(self, position: np.ndarray, velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -128,11 +122,6 @@ class Plant:
             position = change(position, self._period)
             velocity = np.gradient(position, self._period, axis=0)
         return position, velocity
-
-    @property
-    def _to_joints(self) -> np.ndarray:
-        """(n, n) T with q = axle positions @ T, as this machine's controller knows its coupling."""
-        return np.linalg.inv(self.machine.coupling).T
 
     def _external(self, dynamics: Dynamics, period: float) -> ExternalTorque | None:
         """Joint torque of everything that sits on the joints or pushes the flange, and of what a model has beyond."""
@@ -163,9 +152,8 @@ def _rate_for_gears(machine: Machine, dynamics: Dynamics, gains: ServoGains) -> 
     """
     rotors = machine.reflected_rotors
     rigid = np.array([rotor if k not in machine.gears else 0.0 for k, rotor in enumerate(rotors)])
-    lower, upper = (np.clip(limit, -np.pi, np.pi) for limit in machine.robot.position_limits)
     rate = 0.0
-    for q in np.random.default_rng(0).uniform(lower, upper, (32, machine.robot.dof)):
+    for q in poses(machine.robot, 32):
         matrix = dynamics.mass_matrix(q) + machine.coupling.T @ np.diag(rigid) @ machine.coupling
         mobility = np.diag(machine.coupling @ np.linalg.solve(matrix, machine.coupling.T))
         for k, gear in machine.gears.items():

@@ -45,11 +45,9 @@ class ProgramMemory:
     """
 
     def __init__(self, robot: RobotDescription) -> None:
-        self._robot = robot
+        self._robot, self._last = robot, ""
         self._programs: dict[str, StoredProgram] = {}
-        self._last = ""
-        self.full = False
-        self.alter_next = False
+        self.full = self.alter_next = False
         self.refused_line = 0
 
     @property

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -34,7 +33,7 @@ class SetupSection(_Section):
 
 
 class FaultSection(_Section):
-    """One fault; `Fault` has the meaning of the keys."""
+    """One fault; `Fault` has the meaning of the keys. A joint may be given by name."""
 
     fault: str
     phase: str
@@ -44,18 +43,11 @@ class FaultSection(_Section):
 
     @model_validator(mode="after")
     def _makes_sense(self) -> FaultSection:
-        self.build(() if isinstance(self.joint, int) else (self.joint,))
+        self.build(1)
         return self
 
-    def build(self, joints: Sequence[str] = ()) -> Fault:
-        """The fault itself; `joints` are the robot's, where this one is named.
-
-        Raises:
-            InputError: the robot has no joint of that name.
-        """
-        if isinstance(self.joint, str) and self.joint not in joints:
-            raise InputError(f"faults: joint: there is no {self.joint!r}; there are {', '.join(joints)}")
-        joint = self.joint if isinstance(self.joint, int) else 1 + list(joints).index(self.joint)
+    def build(self, joint: int) -> Fault:
+        """The fault itself, on a joint by number."""
         return Fault(self.fault, self.phase, self.after, self.value, joint)
 
 
@@ -100,10 +92,21 @@ class Scenario(_Section):
         return self.elsewhere.get(wire, self.expect)
 
     def build_faults(self, robot: str | None = None) -> list[Fault]:
-        """The faults themselves, of the `robot` where another one is named than in the file."""
-        named = any(isinstance(section.joint, str) for section in self.faults)
-        joints = load_robot(robot or self.setup.robot).joint_names if named else ()
-        return [section.build(joints) for section in self.faults]
+        """The faults themselves, of the `robot` where another one is named than in the file.
+
+        Raises:
+            InputError: the robot has no joint of that name.
+        """
+        faults = []
+        for section in self.faults:
+            joint = section.joint
+            if isinstance(joint, str):
+                names = load_robot(robot or self.setup.robot).joint_names
+                if joint not in names:
+                    raise InputError(f"faults: joint: there is no {joint!r}; there are {', '.join(names)}")
+                joint = 1 + names.index(joint)
+            faults.append(section.build(joint))
+        return faults
 
 
 def load_scenario(path: Path) -> Scenario:

@@ -1,7 +1,7 @@
 """The second world as a process: `python -m second_world draw` prints runs, `… run` makes the logs of one.
 
-Both take an object on stdin, as JSON. That of `draw` holds `count`, `seed`, `laws` ("development" or "judgement") and,
-optionally, a `mix`. No secret stands in the arguments, which everybody on a machine can read.
+Both take an object on stdin, as JSON. That of `draw` holds `count`, `seed` and `laws` ("development" or "judgement").
+No secret stands in the arguments, which everybody on a machine can read.
 """
 
 from __future__ import annotations
@@ -38,16 +38,14 @@ def main(arguments: list[str]) -> int:
 
 
 def run(job: dict[str, Any]) -> dict[str, Any]:
-    """Logs of one run in `folder`, its effects with their sizes, and how much they change the torque together: `size`,
-    None without effects. A path that is not the planned one changes no torque at a set-point and has none.
+    """Logs of one run in `folder`, its effects with their sizes, and how much they change the torque together.
 
-    With `describe` the robot is written as well, and the motions are those of a baseline. Motions are drawn, or come
-    as `set_points`: by name a file of (S, n) at 1 kHz, and when their `cycles` begin [s]. Effects are sized along the
-    drawn ones in any case.
+    The last is `size`, None without effects. A path that is not the planned one changes no torque at a set-point and
+    has none. With `describe` the robot is written as well, and the motions are those of a baseline.
     """
     from second_world.arms import write_description
     from second_world.machine import largest_change
-    from second_world.motions import BASELINE, RATE, Motions, draw_motions
+    from second_world.motions import BASELINE, RATE, draw_motions
     from second_world.recorder import Take, write_take
     from second_world.sizing import build, sized
     from second_world.world import draw_world
@@ -56,26 +54,20 @@ def run(job: dict[str, Any]) -> dict[str, Any]:
     if job.get("describe"):
         write_description(world.arm, Path(job["describe"]))
     kinds = world.motions | (BASELINE if job.get("describe") else {})
-    motions: Motions = draw_motions(kinds, day, world.arm.range, world.arm.speed, job.get("cycle", 10.0))
+    motions = draw_motions(kinds, day, world.arm.range, world.arm.speed, job.get("cycle", 10.0))
     effects = [sized(world, effect, day, motions) for effect in job["effects"]]
-    given = "set_points" in job
-    if given:
-        cycles = job.get("cycles", {})
-        motions = {name: (np.load(path), tuple(cycles.get(name, ()))) for name, path in job["set_points"].items()}
     machine = build(world, effects, day)
     reported = machine.run(motions)
     folder.mkdir(parents=True, exist_ok=True)
     began = _STAMP + np.random.default_rng(np.random.SeedSequence([day, 4])).uniform(0, 1e6)
     for number, (name, (planned, cycle_starts)) in enumerate(motions.items()):
-        executed = machine.executed(planned)
-        take = Take(name, reported[name], executed, planned, cycle_starts, began)
+        take = Take(name, reported[name], machine.executed(planned), planned, cycle_starts, began)
         write_take(folder / f"{name}.mcap", world, take, 10 * day + number)
         began += reported[name].shape[1] / RATE + _PAUSE
+    paths = [effect for effect in effects if effect["effect"] == "interpolator_mismatch"]
     size = None
-    if effects and not given:
-        paths = [effect for effect in effects if effect["effect"] == "interpolator_mismatch"]
-        plain = build(world, paths, day).run(motions)
-        size = largest_change(reported, plain, world.arm.torque)[0] if len(paths) < len(effects) else None
+    if len(paths) < len(effects):
+        size = largest_change(reported, build(world, paths, day).run(motions), world.arm.torque)
     return {"logs": [str(folder / f"{name}.mcap") for name in motions], "size": size, "effects": effects}
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import numpy as np
@@ -17,82 +16,42 @@ Card = TypeVar("Card")
 SHARES = {"none": 1 / 3, "two": 0.12, "three": 0.05, "outside": 0.13}
 #: Lowest and highest size: largest rms change of torque over nominal.
 SIZES = (0.003, 0.05)
-#: Size of an effect of strength 1 in draws with a mix of their own.
+#: Size of an effect of strength 1.
 USUAL_SIZE = 0.015
 
 _GEARS = ("joint_elasticity", "backlash", "lopsided_backlash")
 _COUNTS = {"none": 0, "two": 2, "three": 3}
 
 
-@dataclass(frozen=True)
-class DrawMix:
-    """What is drawn: `shares` of each kind of run, lowest and highest `sizes`, `names` of effects, `group` of runs that
-    share a machine."""
+def draw_cases(count: int, seed: int, laws: str) -> list[dict[str, Any]]:
+    """`count` runs as plain data in random order, each with a machine of its own, which `world` describes.
 
-    shares: Mapping[str, float]
-    sizes: tuple[float, float]
-    names: Sequence[str]
-    group: int
-
-
-@dataclass(frozen=True)
-class DrawnRun:
-    """One run: its kind, the numbers of its machine and its motions, and its effects as plain data.
-
-    An effect is {"effect", "law", "joints", "size", "seed", "parameters"}; `size` is what is asked for, and
-    `parameters` hold the amount where it is known before the motion is.
-    """
-
-    kind: str
-    machine: int
-    motion: int
-    size: float
-    effects: tuple[dict[str, Any], ...]
-
-
-def draw_runs(count: int, seed: int, laws: str, mix: DrawMix | None = None) -> list[DrawnRun]:
-    """`count` runs in random order; effects and their laws come up equally often.
+    Effects and their laws come up equally often. An effect is {"effect", "law", "joints", "size", "seed",
+    "parameters"}; `size` is what is asked for, and `parameters` hold the amount where it is known before the motion is.
 
     Raises:
         ValueError: `laws` is neither "development" nor "judgement".
     """
     if laws not in SETS:
         raise ValueError(f"laws: {laws!r} is not known; one of {', '.join(SETS)}")
-    mix = mix or DrawMix(SHARES, SIZES, tuple(LAWS), 3)
     rng = np.random.default_rng(np.random.SeedSequence([SETS.index(laws), seed, 0]))
-    kinds = [kind for kind, share in mix.shares.items() if kind != "one" for _ in range(round(share * count))]
+    kinds = [kind for kind, share in SHARES.items() for _ in range(round(share * count))]
     kinds = [str(kind) for kind in rng.permutation([*kinds, *["one"] * (count - len(kinds))])]
-    inside, beyond = _LawDeck({name: LAWS[name] for name in mix.names}, laws, rng), _LawDeck(OUTSIDE, laws, rng)
-    runs = []
+    inside, beyond = _LawDeck(LAWS, laws, rng), _LawDeck(OUTSIDE, laws, rng)
+    cases = []
     for number, kind in enumerate(kinds):
-        machine = machine_number(seed, number // mix.group, laws)
+        machine = machine_number(seed, number, laws)
         world = draw_world(machine)
         deck = beyond if kind == "outside" else inside
-        size = float(np.exp(rng.uniform(*np.log(mix.sizes))))
+        size = float(np.exp(rng.uniform(*np.log(SIZES))))
         effects: list[dict[str, Any]] = []
         while len(effects) < _COUNTS.get(kind, 1):
             effect = _place(deck.draw(), world, size, rng)
             if not _collide(effect, effects, world):
                 effects.append(effect)
-        runs.append(DrawnRun(kind, machine, 2 * int(rng.integers(2**61)) + SETS.index(laws), size, tuple(effects)))
-    return runs
-
-
-def draw_cases(count: int, seed: int, laws: str, mix: Mapping[str, Any] | None = None) -> list[dict[str, Any]]:
-    """Runs as plain data: of the whole family, each with a machine of its own, which `world` describes.
-
-    `mix`: other `shares`, `strengths` (lowest, highest) and `names` of effects, four runs a machine.
-    """
-    drawn = DrawMix(SHARES, SIZES, tuple(LAWS), group=1)
-    if mix is not None:
-        low, high = mix["strengths"]
-        drawn = DrawMix(mix["shares"], (USUAL_SIZE * low, USUAL_SIZE * high), mix["names"], group=4)
-    cases = []
-    for number, run in enumerate(draw_runs(count, seed, laws, drawn)):
-        world = draw_world(run.machine)
-        about = {"machine": run.machine, "motion": run.motion, "strength": run.size / USUAL_SIZE}
-        case = {"number": number, "kind": run.kind, **about, "effects": list(run.effects)}
-        cases.append({**case, "recorder": world.recorder, "world": world.to_dict()})
+        motion = 2 * int(rng.integers(2**61)) + SETS.index(laws)
+        case = {"number": number, "kind": kind, "machine": machine, "motion": motion, "strength": size / USUAL_SIZE}
+        cases.append({**case, "effects": effects, "recorder": world.recorder, "world": world.to_dict()})
     return cases
 
 

@@ -79,87 +79,46 @@ def _hash(x: float) -> float:
 
 
 @compiled
-def _speed_level(kind: int, p: np.ndarray, s: np.ndarray, v: float, dt: float) -> float:
-    speed = abs(v)
+def _level(  # noqa: C901
+    p: np.ndarray, s: np.ndarray, q: float, v: float, load: float, power: float, t: float, dt: float
+) -> float:
+    """What a term adds to the level [N·m]."""
+    kind, size, speed = int(p[0]), p[2], abs(v)
     if kind == 0:
-        return p[2] * exp(-min((speed / p[3]) ** p[4], 700.0))
+        return size * exp(-min((speed / p[3]) ** p[4], 700.0))
     if kind == 1:
-        return p[2] / (1 + (v / p[3]) ** 2)
+        return size / (1 + (v / p[3]) ** 2)
     if kind == 2:
         s[0] += (speed - s[0]) * min(dt / p[4], 1.0)
-        return p[2] * exp(-s[0] / p[3])
-    sign = (1.0 if v > 0 else -1.0) if v != 0 else 0.0
-    if kind == 3:
-        return p[2] * sign
-    return p[2] * sign * (speed / p[3]) / (1 + speed / p[3])
-
-
-@compiled
-def _load_level(kind: int, p: np.ndarray, v: float, load: float) -> float:
-    share = abs(load) / p[3]
-    if kind == 10:
-        return p[2] * share
-    if kind == 11:
-        return p[2] * share ** p[4]
-    if kind == 12:
-        return p[2] * share if load * v > 0 else 0.0
-    return p[2] * max(share - p[4], 0.0)
-
-
-@compiled
-def _warm_level(kind: int, p: np.ndarray, s: np.ndarray, v: float, power: float, t: float, dt: float) -> float:
+        return size * exp(-s[0] / p[3])
+    if kind < 10:
+        sign = (1.0 if v > 0 else -1.0) if v != 0 else 0.0
+        return size * sign if kind == 3 else size * sign * (speed / p[3]) / (1 + speed / p[3])
+    if kind < 20:
+        share = abs(load) / p[3]
+        if kind == 12:
+            return size * share if load * v > 0 else 0.0
+        if kind == 13:
+            return size * max(share - p[4], 0.0)
+        return size * (share if kind == 10 else share ** p[4])
     if kind == 20:
-        return p[2] * exp(-t / p[3])
+        return size * exp(-t / p[3])
     if kind == 21:
-        s[0] += abs(v) * dt
-        return p[2] * exp(-s[0] / p[3])
+        s[0] += speed * dt
+        return size * exp(-s[0] / p[3])
     if kind == 22:
         s[0] += (p[3] * abs(power) - s[0] / p[4]) * dt
-        return p[2] * exp(-s[0])
-    s[0] += (abs(v) / p[3] * (1 - s[0]) - s[0] / p[4]) * dt
-    return p[2] * (1 - s[0])
-
-
-@compiled
-def _other_level(kind: int, p: np.ndarray, q: float, t: float) -> float:
+        return size * exp(-s[0])
+    if kind == 23:
+        s[0] += (speed / p[3] * (1 - s[0]) - s[0] / p[4]) * dt
+        return size * (1 - s[0])
     if kind == 30:
-        return p[2]
+        return size
     if kind == 31:
-        return p[2] if _hash(floor(t / p[3]) + p[4]) < 0.4 else 0.0
+        return size if _hash(floor(t / p[3]) + p[4]) < 0.4 else 0.0
     x = q / p[3] + p[4]
     at = floor(x)
-    return p[2] * ((1 - x + at) * _hash(at) ** 2 + (x - at) * _hash(at + 1) ** 2)
-
-
-@compiled
-def _level(p: np.ndarray, s: np.ndarray, q: float, v: float, load: float, power: float, t: float, dt: float) -> float:
-    """What a term adds to the level [N·m]."""
-    kind = int(p[0])
-    if kind < 10:
-        return _speed_level(kind, p, s, v, dt)
-    if kind < 20:
-        return _load_level(kind, p, v, load)
-    if kind < 30:
-        return _warm_level(kind, p, s, v, power, t, dt)
-    return _other_level(kind, p, q, t)
-
-
-@compiled
-def _speed_torque(kind: int, p: np.ndarray, v: float, t: float) -> float:
-    x = v / p[3]
-    if kind == 40:
-        return p[2] * asinh(x)
-    if kind == 41:
-        return p[2] * x / (1 + x * x) ** p[4]
-    if kind == 42:
-        return p[2] * x * abs(x)
-    if kind == 43:
-        return p[2] * x / (abs(x) ** (2 / 3) + 0.05)
-    if kind == 44:
-        return p[2] * abs(x) * p[4]
-    if kind == 45:
-        return p[2] * x * exp(-t / p[4])
-    return p[2] * x
+    return size * ((1 - x + at) * _hash(at) ** 2 + (x - at) * _hash(at + 1) ** 2)
 
 
 @compiled
@@ -205,21 +164,6 @@ def _hysteresis(kind: int, p: np.ndarray, s: np.ndarray, q: float, v: float, dt:
 
 
 @compiled
-def _ripple(kind: int, p: np.ndarray, q: float, current: float) -> float:
-    x = p[3] * q + p[4]
-    if kind == 70:
-        return p[2] * (sin(x) + p[5] * sin(2 * x))
-    if kind == 71:
-        turn = x / (2 * pi)
-        return p[2] * (4 * abs(turn - floor(turn) - 0.5) - 1)
-    if kind == 72:
-        return p[2] * sin(x) * abs(current) / p[5]
-    if kind == 73:
-        return p[2] * (abs(sin(x)) - 2 / pi)
-    return p[2] * (sin(x) + sin(p[5] * x))
-
-
-@compiled
 def _outside(kind: int, p: np.ndarray, s: np.ndarray, q: float, v: float, t: float, dt: float) -> float:
     if kind == 80:
         return p[2] * sin(2 * pi * p[3] * t + p[4])
@@ -247,18 +191,41 @@ def _outside(kind: int, p: np.ndarray, s: np.ndarray, q: float, v: float, t: flo
 
 
 @compiled
-def _torque(p: np.ndarray, s: np.ndarray, q: float, v: float, current: float, t: float, dt: float) -> float:
+def _torque(  # noqa: C901
+    p: np.ndarray, s: np.ndarray, q: float, v: float, current: float, t: float, dt: float
+) -> float:
     """What a term takes of the motor's torque [N·m]."""
     kind = int(p[0])
     if kind < 50:
-        return _speed_torque(kind, p, v, t)
+        x = v / p[3]
+        if kind == 40:
+            return p[2] * asinh(x)
+        if kind == 41:
+            return p[2] * x / (1 + x * x) ** p[4]
+        if kind == 42:
+            return p[2] * x * abs(x)
+        if kind == 43:
+            return p[2] * x / (abs(x) ** (2 / 3) + 0.05)
+        if kind == 44:
+            return p[2] * abs(x) * p[4]
+        return p[2] * x * exp(-t / p[4]) if kind == 45 else p[2] * x
     if kind < 60:
         return _place_torque(kind, p, s, q, t, dt)
     if kind < 70:
         return _hysteresis(kind, p, s, q, v, dt)
-    if kind < 80:
-        return _ripple(kind, p, q, current)
-    return _outside(kind, p, s, q, v, t, dt)
+    if kind >= 80:
+        return _outside(kind, p, s, q, v, t, dt)
+    x = p[3] * q + p[4]
+    if kind == 70:
+        return p[2] * (sin(x) + p[5] * sin(2 * x))
+    if kind == 71:
+        turn = x / (2 * pi)
+        return p[2] * (4 * abs(turn - floor(turn) - 0.5) - 1)
+    if kind == 72:
+        return p[2] * sin(x) * abs(current) / p[5]
+    if kind == 73:
+        return p[2] * (abs(sin(x)) - 2 / pi)
+    return p[2] * (sin(x) + sin(p[5] * x))
 
 
 @compiled

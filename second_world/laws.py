@@ -1,26 +1,31 @@
 """Every effect as several laws: what each changes of a machine, and of which kinds no catalogue has a form.
 
-A law is a function of the machine, its joints, an `amount` and a generator for its shape; the generator is always a
-fresh one, so that only the amount differs between two tries. `second_world.sizing` finds the amount at which the torque
-changes by the size that is asked for.
+A law is a function of the machine, the first of its joints, an `amount` and a generator for its shape. The generator is
+always a fresh one, so that only the amount differs between two tries. `second_world.sizing` finds the amount at which
+the torque changes by the size that is asked for.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 import numpy as np
 
 from second_world.kernel import Kind
 from second_world.machine import AddedBody, DrawnMachine, Push
 
-Build = Callable[[DrawnMachine, tuple[int, ...], float, np.random.Generator], None]
+Build = Callable[[DrawnMachine, int, float, np.random.Generator], None]
 
 
 @dataclass(frozen=True)
 class WorldLaw:
-    """`highest` amount that makes sense, `first` that is tried; `reserved` ones are drawn for judgement alone."""
+    """`highest` amount that makes sense, `first` that is tried; `reserved` ones are drawn for judgement alone.
+
+    `where`: on a `joint`, `lifting` (not on the first, whose torque no gravity changes), `wrist` (the last two), `arm`.
+    """
 
     effect: str
     name: str
@@ -35,9 +40,6 @@ class WorldLaw:
 LAWS: dict[str, dict[str, WorldLaw]] = {}
 #: Effects that no catalogue has a form for.
 OUTSIDE: dict[str, dict[str, WorldLaw]] = {}
-#: The places an effect can have: a joint, a joint but not the first (whose torque no gravity changes), the last two,
-#: the whole arm.
-WHERE = ("joint", "lifting", "wrist", "arm")
 
 
 def law(
@@ -58,12 +60,8 @@ def law(
     return enter
 
 
-def outside(
-    effect: str, name: str, where: str = "joint", first: float = 0.03, highest: float = 1.0, reserved: bool = False
-) -> Callable[[Build], Build]:
-    """Decorator: enters a law of an effect that no catalogue has."""
-    return law(effect, name, where, first, highest, reserved, OUTSIDE)
-
+#: Decorator: enters a law of an effect that no catalogue has.
+outside = partial(law, catalogue=OUTSIDE)
 
 #: A number of a term: fixed, or drawn for a machine and a joint.
 Number = float | Callable[[DrawnMachine, int, np.random.Generator], float]
@@ -91,27 +89,17 @@ def among(*values: float) -> Number:
 def _term(kind: Kind, numbers: tuple[Number, ...], signed: bool = False) -> Build:
     """A law that is one term on its joint, `amount` of the nominal torque large, of either sign where `signed`."""
 
-    def build(machine: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
-        joint = joints[0]
+    def build(machine: DrawnMachine, k: int, amount: float, rng: np.random.Generator) -> None:
         sign = float(rng.choice([-1.0, 1.0])) if signed else 1.0
-        size = sign * amount * float(machine.world.arm.torque[joint])
-        machine.add(kind, joint, size, *_drawn(numbers, machine, joint, rng))
+        size = sign * amount * float(machine.world.arm.torque[k])
+        machine.add(kind, k, size, *_drawn(numbers, machine, k, rng))
 
     return build
 
 
-def _enter(
-    effect: str,
-    name: str,
-    kind: Kind,
-    *numbers: Number,
-    signed: bool = False,
-    reserved: bool = False,
-    where: str = "joint",
-    catalogue: dict[str, dict[str, WorldLaw]] = LAWS,
-    highest: float = 1.0,
-) -> None:
-    law(effect, name, where, reserved=reserved, catalogue=catalogue, highest=highest)(_term(kind, numbers, signed))
+def _enter(effect: str, name: str, kind: Kind, *numbers: Number, signed: bool = False, **more: Any) -> None:
+    """Enters a law that is one term; `more` as of `law`."""
+    law(effect, name, **more)(_term(kind, numbers, signed))
 
 
 def _speed(m: DrawnMachine, k: int, rng: np.random.Generator | None = None) -> float:
@@ -151,8 +139,8 @@ _enter("viscous_nonlinearity", "root", Kind.ROOT, of_speed(0.1, 0.3), reserved=T
 
 
 @law("thermal_friction", "cold_start")
-def _cold_start(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
-    k, after = joints[0], rng.uniform(15, 60)
+def _cold_start(m: DrawnMachine, k: int, amount: float, rng: np.random.Generator) -> None:
+    after = rng.uniform(15, 60)
     m.add(Kind.COLD_TIME, k, amount * _nominal(m, k), after)
     m.add(Kind.COLD_VISCOUS, k, amount * _nominal(m, k), _speed(m, k), after)
 
@@ -165,8 +153,8 @@ _enter("thermal_friction", "dry_start", Kind.DRY, between(0.3, 1.5), between(5, 
 def _presliding(kind: Kind, second: bool = False) -> Build:
     """A share of the level builds up over `amount` [rad] more than usual after a reversal; sliding is as it was."""
 
-    def build(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
-        k, share = joints[0], rng.uniform(0.5, 0.9)
+    def build(m: DrawnMachine, k: int, amount: float, rng: np.random.Generator) -> None:
+        share = rng.uniform(0.5, 0.9)
         part, usual = share * m.friction[k, 1], m.friction[k, 1] / m.friction[k, 5]
         m.add(Kind.CONSTANT, k, -part)
         m.add(kind, k, part, usual + amount, *([usual + amount * rng.uniform(0.3, 0.6)] if second else []))
@@ -181,20 +169,18 @@ law("presliding", "lopsided", first=0.02, highest=0.6, reserved=True)(_preslidin
 
 
 @law("friction_change", "coulomb")
-def _coulomb(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
-    k = joints[0]
+def _coulomb(m: DrawnMachine, k: int, amount: float, rng: np.random.Generator) -> None:
     change = amount * _nominal(m, k) / m.friction[k, 1]
     m.friction[k, 1:3] *= 1 + change if rng.random() < 0.6 else max(1 - change, 0.2)
 
 
 @law("friction_change", "viscous", highest=3.0)
-def _viscous(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
-    m.friction[joints[0], 4] += amount * _nominal(m, joints[0]) / _speed(m, joints[0])
+def _viscous(m: DrawnMachine, k: int, amount: float, rng: np.random.Generator) -> None:
+    m.friction[k, 4] += amount * _nominal(m, k) / _speed(m, k)
 
 
 @law("friction_change", "both")
-def _both(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
-    k = joints[0]
+def _both(m: DrawnMachine, k: int, amount: float, rng: np.random.Generator) -> None:
     m.friction[k, 1:3] *= 1 + amount * _nominal(m, k) / m.friction[k, 1]
     m.friction[k, 4] += rng.uniform(0.5, 2.0) * amount * _nominal(m, k) / _speed(m, k)
 
@@ -210,8 +196,7 @@ def _reduced(m: DrawnMachine, k: int) -> float:
 def _soft(kind: int, shape: Callable[[np.random.Generator], float] = lambda r: 1.0) -> Build:
     """A gear that is `amount` times as soft as one that swings at 20 Hz, never stiffer than one at 70 Hz."""
 
-    def build(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
-        k = joints[0]
+    def build(m: DrawnMachine, k: int, amount: float, rng: np.random.Generator) -> None:
         inertia = _reduced(m, k)
         stiffness = inertia * (2 * np.pi) ** 2 * min(400.0 / amount, 4900.0)
         damping = 2 * rng.uniform(0.03, 0.12) * np.sqrt(stiffness * inertia)
@@ -223,8 +208,7 @@ def _soft(kind: int, shape: Callable[[np.random.Generator], float] = lambda r: 1
 def _play(kind: int) -> Build:
     """Teeth with a play of `amount` [rad]."""
 
-    def build(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
-        k = joints[0]
+    def build(m: DrawnMachine, k: int, amount: float, rng: np.random.Generator) -> None:
         inertia = _reduced(m, k)
         stiffness = inertia * (2 * np.pi * rng.uniform(90, 130)) ** 2
         damping = 2 * rng.uniform(0.1, 0.3) * np.sqrt(stiffness * inertia)
@@ -255,21 +239,21 @@ def _ratio(rng: np.random.Generator) -> float:
 
 
 @law("wrist_coupling", "drag", "wrist")
-def _drag(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
-    first, second = joints
+def _drag(m: DrawnMachine, k: int, amount: float, rng: np.random.Generator) -> None:
+    first, second = k, k + 1
     size, ratio = amount * _nominal(m, second), _ratio(rng)
     m.pairs.append([first, second, ratio, size, rng.uniform(0, 1) * size / _speed(m, second)])
 
 
 @law("wrist_coupling", "oil", "wrist", highest=3.0)
-def _oil(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
-    first, second = joints
+def _oil(m: DrawnMachine, k: int, amount: float, rng: np.random.Generator) -> None:
+    first, second = k, k + 1
     m.pairs.append([first, second, _ratio(rng), 0.0, amount * _nominal(m, second) / _speed(m, second)])
 
 
 @law("wrist_coupling", "shaft", "wrist", highest=3.0)
-def _shaft(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
-    first, second = joints
+def _shaft(m: DrawnMachine, k: int, amount: float, rng: np.random.Generator) -> None:
+    first, second = k, k + 1
     ratio = _ratio(rng)
     m.wrist_inertia = first, second, ratio, amount * float(m.world.arm.rotor[second])
     m.pairs.append([first, second, ratio, 0.3 * amount * _nominal(m, second), 0.0])
@@ -287,7 +271,7 @@ def _direction(rng: np.random.Generator) -> np.ndarray:
 
 
 def _tool(shape: str) -> Build:
-    def build(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
+    def build(m: DrawnMachine, k: int, amount: float, rng: np.random.Generator) -> None:
         mass, last = amount * _hanging(m, 0), m.world.arm.n - 1
         reach = float(np.abs(m.world.arm.origin).sum())
         place = reach * np.array([rng.uniform(-0.04, 0.04), rng.uniform(-0.04, 0.04), rng.uniform(0.0, 0.1)])
@@ -308,27 +292,27 @@ for _shape, _reserved in (("point", False), ("ball", False), ("rod", False), ("p
 
 
 @law("inertial_mismatch", "denser", "arm", highest=3.0)
-def _denser(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
+def _denser(m: DrawnMachine, k: int, amount: float, rng: np.random.Generator) -> None:
     link, change = int(rng.integers(1, m.world.arm.n - 1)), amount * float(rng.choice([-1, 1]))
     m.mass[link] *= max(1 + 2 * change, 0.3)
     m.inertia[link] *= max(1 + 2 * change, 0.3)
 
 
 @law("inertial_mismatch", "bolted_on", "arm", highest=1.0)
-def _bolted_on(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
+def _bolted_on(m: DrawnMachine, k: int, amount: float, rng: np.random.Generator) -> None:
     link, mass = int(rng.integers(1, m.world.arm.n - 1)), amount * _hanging(m, 0)
     reach = float(np.abs(m.world.arm.origin).sum())
     m.bodies.append(AddedBody(link, mass, 0.15 * reach * _direction(rng), np.full(3, 1e-3 * mass * reach**2)))
 
 
 @law("inertial_mismatch", "shifted", "arm", highest=1.0)
-def _shifted(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
+def _shifted(m: DrawnMachine, k: int, amount: float, rng: np.random.Generator) -> None:
     link = int(rng.integers(1, m.world.arm.n - 1))
     m.centre[link] += amount * float(np.abs(m.world.arm.origin).sum()) * _direction(rng)
 
 
 def _leaning(how: str) -> Build:
-    def build(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
+    def build(m: DrawnMachine, k: int, amount: float, rng: np.random.Generator) -> None:
         heading = rng.uniform(0, 2 * np.pi) if how == "wedge" else rng.integers(4) * np.pi / 2
         after = rng.uniform(10, 40)
 
@@ -349,7 +333,7 @@ law("base_tilt", "settling", "arm", highest=0.5)(_leaning("settling"))
 def _pushing(how: str) -> Build:
     """A force of `amount` nominal shoulder torques over a metre, on a link, over a stretch of every motion."""
 
-    def build(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
+    def build(m: DrawnMachine, k: int, amount: float, rng: np.random.Generator) -> None:
         link, way = int(rng.integers(2, m.world.arm.n)), _direction(rng)
         size, start, duration = amount * _hanging(m, 0) * 9.81, rng.uniform(0.05, 0.6), rng.uniform(0.08, 0.3)
         began: dict[int, np.ndarray] = {}
@@ -384,8 +368,7 @@ _enter("gravity_spring", "cam", Kind.CAM, between(-0.6, 0.6), between(0.3, 0.8),
 
 
 def _rubbing_hose(kind: Kind, *numbers: Number) -> Build:
-    def build(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
-        k = joints[0]
+    def build(m: DrawnMachine, k: int, amount: float, rng: np.random.Generator) -> None:
         m.add(kind, k, amount * _nominal(m, k), *_drawn(numbers, m, k, rng))
         m.add(Kind.DAHL, k, rng.uniform(0.05, 0.2) * amount * _nominal(m, k), rng.uniform(0.02, 0.1))
 
@@ -410,47 +393,47 @@ def _reads(m: DrawnMachine, k: int, reading: Callable[[np.ndarray, float], np.nd
 
 
 @law("torque_constant", "sensor")
-def _sensor(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
+def _sensor(m: DrawnMachine, k: int, amount: float, rng: np.random.Generator) -> None:
     scale = 1 + amount * float(rng.choice([-1, 1]))
-    _reads(m, joints[0], lambda torque, _: torque * scale)
+    _reads(m, k, lambda torque, _: torque * scale)
 
 
 @law("torque_constant", "magnets", highest=0.7)
-def _magnets(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
-    m.servo[joints[0], 8] = 1 + amount if rng.random() < 0.3 else 1 - amount
+def _magnets(m: DrawnMachine, k: int, amount: float, rng: np.random.Generator) -> None:
+    m.servo[k, 8] = 1 + amount if rng.random() < 0.3 else 1 - amount
 
 
 @law("torque_constant", "saturating", highest=3.0)
-def _saturating(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
-    knee = rng.uniform(0.7, 2.0) * _nominal(m, joints[0])
-    _reads(m, joints[0], lambda current, _: current * (1 + amount / np.sqrt(1 + (current / knee) ** 2)))
+def _saturating(m: DrawnMachine, k: int, amount: float, rng: np.random.Generator) -> None:
+    knee = rng.uniform(0.7, 2.0) * _nominal(m, k)
+    _reads(m, k, lambda current, _: current * (1 + amount / np.sqrt(1 + (current / knee) ** 2)))
 
 
 @law("torque_offset", "sensor")
-def _shift(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
-    _reads(m, joints[0], lambda torque, _: torque + amount)
+def _shift(m: DrawnMachine, k: int, amount: float, rng: np.random.Generator) -> None:
+    _reads(m, k, lambda torque, _: torque + amount)
 
 
 @law("torque_offset", "in_the_loop")
-def _in_the_loop(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
-    m.servo[joints[0], 9] -= amount
+def _in_the_loop(m: DrawnMachine, k: int, amount: float, rng: np.random.Generator) -> None:
+    m.servo[k, 9] -= amount
 
 
 @law("torque_offset", "wandering")
-def _wandering(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
+def _wandering(m: DrawnMachine, k: int, amount: float, rng: np.random.Generator) -> None:
     slow, phase = rng.uniform(60, 200), rng.uniform(0, 6)
 
     def reading(torque: np.ndarray, began: float) -> np.ndarray:
         t = began + np.arange(len(torque)) / 1000.0
         return torque + amount * (1 + 0.15 * np.sin(2 * np.pi * t / slow + phase))
 
-    _reads(m, joints[0], reading)
+    _reads(m, k, reading)
 
 
 def _late(how: str) -> Build:
     """Torques that are `amount` [s] late, by a shift, a filter or a mean, or early, as where positions are late."""
 
-    def build(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
+    def build(m: DrawnMachine, k: int, amount: float, rng: np.random.Generator) -> None:
         samples = 1000.0 * amount
 
         def one(values: np.ndarray) -> np.ndarray:
@@ -477,14 +460,14 @@ for _how, _reserved in (("late", False), ("early", False), ("filtered", False), 
 
 
 @law("encoder_offset", "mounted", "lifting", highest=0.5)
-def _mounted(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
-    m.servo[joints[0], 7] += amount * float(rng.choice([-1, 1]))
+def _mounted(m: DrawnMachine, k: int, amount: float, rng: np.random.Generator) -> None:
+    m.servo[k, 7] += amount * float(rng.choice([-1, 1]))
 
 
 @law("encoder_offset", "eccentric", "lifting", highest=0.5)
-def _eccentric(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
+def _eccentric(m: DrawnMachine, k: int, amount: float, rng: np.random.Generator) -> None:
     """The offset, and a scale that is off centre by a fifth of it."""
-    k, sign, phase = joints[0], float(rng.choice([-1, 1])), rng.uniform(0, 6)
+    sign, phase = float(rng.choice([-1, 1])), rng.uniform(0, 6)
     m.servo[k, 7] += amount * sign
 
     def report(signals: np.ndarray, began: float) -> np.ndarray:
@@ -495,9 +478,9 @@ def _eccentric(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.
 
 
 @law("encoder_offset", "belt", "lifting", highest=0.5)
-def _belt(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
+def _belt(m: DrawnMachine, k: int, amount: float, rng: np.random.Generator) -> None:
     """The offset, and a belt in front of the encoder that stretches with the torque by up to a tenth of it."""
-    k, sign = joints[0], float(rng.choice([-1, 1]))
+    sign = float(rng.choice([-1, 1]))
     m.servo[k, 7] += amount * sign
 
     def report(signals: np.ndarray, began: float) -> np.ndarray:
@@ -511,7 +494,7 @@ def _other_path(how: str) -> Build:
     """Set-points that are not the planned ones, by about `amount` of the speed: faster or slower, corners rounded, or
     late by joint. They take as long as the plan, so that the duration of a log tells nothing."""
 
-    def build(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
+    def build(m: DrawnMachine, k: int, amount: float, rng: np.random.Generator) -> None:
         rate = 1 + amount * float(rng.choice([-1, 1]))
         lags = rng.uniform(0.3, 1.5, m.world.arm.n)
 
@@ -540,7 +523,7 @@ law("interpolator_mismatch", "late", "arm", first=0.02, highest=0.3)(_other_path
 
 # What no catalogue has.
 @outside("flexible_base", "rocking", "arm", first=0.03, highest=1.0)
-def _flexible_base(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
+def _flexible_base(m: DrawnMachine, k: int, amount: float, rng: np.random.Generator) -> None:
     stiffness = float(m.world.arm.torque[1]) / (0.02 * amount)
     damping = 0.05 * stiffness / (2 * np.pi * rng.uniform(6, 12))
     m.base = stiffness, damping
@@ -574,8 +557,8 @@ _enter(
 
 
 @outside("crosstalk", "linear")
-def _crosstalk(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
-    k, n = joints[0], m.world.arm.n
+def _crosstalk(m: DrawnMachine, k: int, amount: float, rng: np.random.Generator) -> None:
+    n = m.world.arm.n
     other = (k + 1 + int(rng.integers(n - 1))) % n
     share = float(rng.choice([-1, 1])) * amount * _nominal(m, k) / _nominal(m, other)
 
@@ -587,8 +570,8 @@ def _crosstalk(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.
 
 
 @outside("warm_magnets", "heated_by_current", highest=3.0)
-def _warm_magnets(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
-    k, after = joints[0], rng.uniform(8, 30)
+def _warm_magnets(m: DrawnMachine, k: int, amount: float, rng: np.random.Generator) -> None:
+    after = rng.uniform(8, 30)
     now = 0.0
 
     def reading(torque: np.ndarray, began: float) -> np.ndarray:
@@ -603,7 +586,7 @@ def _warm_magnets(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: 
 
 
 @outside("tool_drag", "square", "arm", first=0.1, highest=50.0)
-def _tool_drag(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
+def _tool_drag(m: DrawnMachine, k: int, amount: float, rng: np.random.Generator) -> None:
     """A broad tool in air or in a liquid: −c |v| v, stronger across a direction of the base frame."""
     size, way = amount * _hanging(m, 0) * 9.81, _direction(rng)
 
@@ -614,7 +597,7 @@ def _tool_drag(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.
 
 
 @outside("holding_sensor", "now_and_then", first=0.05, highest=1.5, reserved=True)
-def _holding(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
+def _holding(m: DrawnMachine, k: int, amount: float, rng: np.random.Generator) -> None:
     starts = np.cumsum(rng.exponential(1500.0, 200)).astype(int)
     lengths = rng.exponential(1.0, 200)
 
@@ -624,13 +607,13 @@ def _holding(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.ra
                 torque[start : start + int(1000 * amount * length)] = torque[start]
         return torque
 
-    _reads(m, joints[0], reading)
+    _reads(m, k, reading)
 
 
 @outside("clipped_torque", "converter", first=0.05, highest=1.0, reserved=True)
-def _clipped(m: DrawnMachine, joints: tuple[int, ...], amount: float, rng: np.random.Generator) -> None:
+def _clipped(m: DrawnMachine, k: int, amount: float, rng: np.random.Generator) -> None:
     def reading(torque: np.ndarray, began: float) -> np.ndarray:
         limit = (1 - amount) * np.abs(torque).max()
         return np.clip(torque, -limit, limit)
 
-    _reads(m, joints[0], reading)
+    _reads(m, k, reading)

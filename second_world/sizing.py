@@ -38,9 +38,9 @@ def build(world: DrawnWorld, effects: Sequence[Mapping[str, Any]], day: int) -> 
     machine = DrawnMachine(world)
     machine.drift(day)
     for effect in effects:
-        joints = tuple(world.arm.joint_names.index(joint) for joint in effect["joints"])
+        first = world.arm.joint_names.index(effect["joints"][0]) if effect["joints"] else 0
         rng = np.random.default_rng(np.random.SeedSequence([effect["seed"], 2]))
-        known_law(effect).build(machine, joints, effect["parameters"]["amount"], rng)
+        known_law(effect).build(machine, first, effect["parameters"]["amount"], rng)
     return machine
 
 
@@ -57,7 +57,7 @@ def sized(world: DrawnWorld, effect: Mapping[str, Any], day: int, motions: Motio
         machine = build(world, [{**effect, "parameters": {"amount": amount}}], day)
         if plain is None:
             return _path_change(machine, motions) / _PATH
-        return largest_change(machine.run(motions), plain, world.arm.torque)[0]
+        return largest_change(machine.run(motions), plain, world.arm.torque)
 
     if "amount" in effect["parameters"]:
         return {**effect, "found": found(effect["parameters"]["amount"])}

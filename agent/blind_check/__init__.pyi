@@ -2,4 +2,4 @@ from .check import BlindCheck as BlindCheck, score_answers as score_answers
 from .export import export_runs as export_runs
 from .report import summary_of as summary_of
 from .scoring import class_of as class_of, clopper_pearson as clopper_pearson, outcome as outcome
-from .worlds import ask_world as ask_world, world_of as world_of
+from .worlds import world_of as world_of

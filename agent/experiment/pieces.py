@@ -29,7 +29,6 @@ from agent.robot import KinematicsError, RobotDescription
 
 #: Kinds of pieces, and how often each is drawn; loops alone are what an excitation is.
 KINDS = {"loop": 0.4, "stops": 0.3, "reversals": 0.3}
-LOOPS = {"loop": 1.0}
 #: Speed of a loop or of stops, over the recipe's; of reversals, over the joint's highest.
 _LOOP_SPEEDS = (1.0, 0.5, 0.2)
 _STOP_SPEEDS = (1.0, 0.3, 0.1)

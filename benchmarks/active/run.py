@@ -1,39 +1,50 @@
-"""A run of a blind check with further motions: recorded, asked, answered, every answer in a file of its own."""
+"""One run: recorded behind the fake controller, diagnosed, continued in several ways, every answer in its own file.
+
+Every way starts from the same first recording, the excitation loop of a recipe, and gets the same robot time. Its
+motion follows the first one on the same machine, which is then as warm as it would be. Diagnosis and planning get logs,
+model and recipe, never the case.
+
+Where the first answer may be an offset of a torque channel, the tool asks for seconds with the drives off, which are
+then recorded before the planned motion. Where it asks for a known mass at the flange, a motion is planned with it.
+"""
 
 from __future__ import annotations
 
 import json
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import numpy as np
 
 from agent.core import AgentError, Console, finite, write_atomically
+from agent.diagnosis import Diagnosis, diagnose
+from agent.estimation import estimate
+from agent.experiment import KINDS, Outlook, as_drawn, d_optimal
+from agent.link import planned_load
+from agent.model import CATALOGUE, PAYLOAD, IdentifiedModel, payload_of, payload_text
 from agent.pipeline.next_experiment import LONGEST, NextMotion, mass_beside, plan_next, run_otherwise
 from agent.pipeline.planning import Plan, make_plan, program_text
-from agent.recipe import Recipe
-from benchmarks.active.machines import ActiveWorld, Job, mounted, on_brakes
+from agent.recipe import Recipe, load_recipe, template
+from agent.recording import PARTS, PLANNED_PARTS, Log, read_log
+from agent.robot import Tool
 from benchmarks.active.scoring import WAYS, class_of
 from drivers.errors import DriverError
+from fake_controller.withheld.cases import Case
+from fake_controller.withheld.runs import record_motions
 
-if TYPE_CHECKING:
-    from agent.diagnosis import Diagnosis
-    from agent.pipeline.other_tests import WithMass
-    from agent.recording import Log
-    from agent.robot import Tool
-    from fake_controller.withheld.cases import Case
-
+ROBOT = "comau_ns16"
 _QUIET = Console(verbosity=-1)
-#: Further motions of a run.
-ROUNDS = 2
+#: Seconds with the drives off, and the noise of a torque channel there over what it shows in motion.
+_DRIVES_OFF, _CHANNEL_NOISE = 4.0, 0.01
 
 
 @dataclass(frozen=True)
 class WayMotion:
-    """The next motion of a way: its program (empty where it has none), duration [s], what is expected of it, and the
-    mass at the flange that is asked for, if any."""
+    """A further motion: its program (empty where there is none), duration [s], expectation, and the mass asked for."""
 
     text: str
     seconds: float
@@ -42,62 +53,51 @@ class WayMotion:
 
 
 class ActiveRun:
-    """One run: what is said after its first motions, and after every further one of every way."""
+    """What is said of a case after its first motions, and after a further one of every way."""
 
-    def __init__(self, world: ActiveWorld, case: Case, folder: Path):
-        self._world, self._case = world, case
+    def __init__(self, case: Case, folder: Path):
+        self._case = case
         self._folder = folder / "runs" / f"{case.number:04d}"
         self._machine = folder / "machines" / f"{case.number:04d}"
-        self._found: dict[tuple[tuple[Path, ...], bool], Diagnosis] = {}
-
-    @property
-    def number(self) -> int:
-        """As drawn."""
-        return self._case.number
 
     @property
     def ambiguous(self) -> bool:
-        """Whether that is what its first motions came to."""
+        """Whether that is the verdict on its first motions."""
         return self._read("first").get("verdict") == "ambiguous"
 
-    def go_on(self, rounds: int) -> None:
-        """Whatever is missing of the first motions and so many further ones of each way."""
-        first = self._kept("first", self._begin)
-        for way in WAYS if first.get("verdict") not in (None, "explained") else ():
-            if way != "planned":
-                if rounds and self._read("planned1").get("mass"):
-                    self._kept("planned_mass", self._with_mass)
-                if not self._seconds(1):
-                    break  # no robot time is spent on it
-            last = first
-            for number in range(1, rounds + 1):
-                if last["verdict"] == "explained" or (last["verdict"] == "no_gap" and number > 1):
-                    break
-                said = self._kept(f"{way}{number}", partial(self._further, way, number))
-                if "result" not in said:
-                    break
-                last = said["result"]
-        if rounds and first.get("verdict") not in (None, "explained") and _may_be_of_channel(first):
-            self._kept("brakes", self._on_brakes)
-            for way in WAYS:
-                self._kept(f"{way}_brakes", partial(self._beside_brakes, way))
-        self._found.clear()
+    def begin(self) -> None:
+        """Record the first motions and diagnose them."""
+        self._kept("first", self._first)
+
+    def go_on(self) -> None:
+        """Add a further motion of every way, and the tests that the tool asks for."""
+        first = self._read("first")
+        if first.get("verdict") in (None, "explained"):
+            return
+        mass = self._kept("planned", partial(self._moved, "planned", "planned", LONGEST)).get("mass")
+        if mass:
+            self._kept("planned_mass", partial(self._moved, "planned", "planned_mass", LONGEST, load=payload_of(mass)))
+        took = [said["seconds"] for name in ("planned", "planned_mass") if "result" in (said := self._read(name))]
+        for way in WAYS[1:] if took else ():  # no robot time is spent where no motion would tell
+            self._kept(way, partial(self._moved, way, way, took[0]))
+        named = [place["effect"] for cause in first["causes"] for place in class_of(cause)]
+        if any(CATALOGUE[name].adds_to_report for name in named):
+            self._kept("planned_brakes", self._with_drives_off)
 
     def entry(self) -> dict[str, Any]:
         """The case with everything that was said."""
         first = self._read("first")
         if "error" in first:
-            return {**self._case.to_dict(), **first}
-        ways: dict[str, list[dict[str, Any]]] = {}
-        missing = []
-        for way in WAYS:
-            said = [self._read(f"{way}{number}") for number in range(1, ROUNDS + 1)]
-            ways[way] = [one for one in said if "result" in one]
-            missing += [f"{way}: {one['error']}" for one in said if "error" in one]
-        answers = {way: self._read(f"{way}_brakes") for way in WAYS}
-        beside = {way: answer["result"] for way, answer in answers.items() if "result" in answer}
-        tests = {"brakes": beside, "mass": self._read("planned_mass").get("result")}
-        return {**self._case.to_dict(), "first": first, "ways": ways, **tests, "missing": missing}
+            return {**asdict(self._case), **first}
+        said = {way: self._read(way) for way in WAYS}
+        tests = [self._read(name).get("result") for name in ("planned_brakes", "planned_mass")]
+        return {
+            **asdict(self._case),
+            "first": first,
+            "ways": {way: one for way, one in said.items() if "result" in one},
+            "tests": next((result for result in tests if result), None),
+            "missing": [f"{way}: {one['error']}" for way, one in said.items() if "error" in one],
+        }
 
     def _read(self, name: str) -> dict[str, Any]:
         path = self._folder / f"{name}.json"
@@ -115,117 +115,64 @@ class ActiveRun:
             write_atomically(path, json.dumps(finite(said)) + "\n")
         return self._read(name)
 
-    def _begin(self) -> dict[str, Any]:
-        logs = self._record(self._case.effects, self._texts, list(self._texts), self._folder)
-        return _said(self._diagnose(logs))
-
-    def _further(self, way: str, number: int) -> dict[str, Any]:
-        """One further motion of a way: seconds, what was expected, what all logs then say; empty where it has none."""
-        seconds = LONGEST if way == "planned" else self._seconds(number) or LONGEST
-        before = {f"further{k}": self._folder / f"{way}{k}" for k in range(1, number)}
-        return self._moved(way, f"{way}{number}", before, seconds)
-
-    def _seconds(self, number: int) -> float | None:
-        """What the planned motion of a round took, bare or with the mass that was asked for; None: there is none."""
-        names = [f"planned{number}", *(["planned_mass"] if number == 1 else [])]
-        return next((said["seconds"] for name in names if "result" in (said := self._read(name))), None)
-
-    def _with_mass(self) -> dict[str, Any]:
-        """What is said after the motion planned with the mass that was asked for."""
-        from agent.model import payload_of
-
-        return self._moved("planned", "planned_mass", {}, LONGEST, load=payload_of(self._read("planned1")["mass"]))
+    def _first(self) -> dict[str, Any]:
+        self._record(self._case.effects, self._texts, list(self._texts), self._folder)
+        return _said(self._diagnose(self._first_logs))
 
     def _moved(
-        self,
-        way: str,
-        name: str,
-        before: Mapping[str, Path],
-        seconds: float,
-        brakes: bool = False,
-        load: Tool | None = None,
+        self, way: str, name: str, seconds: float, drives_off: bool = False, load: Tool | None = None
     ) -> dict[str, Any]:
-        """What is said after a way's next motion of at most so many `seconds`, and the mass that it asks for; no result
-        where it has none.
+        """What is said after a way's motion of at most `seconds`, and the mass it asks for; no result without a motion.
 
-        `name` is that of the answer, `before` are the folders of its further motions until then, by name, `load` a mass
-        at the flange.
+        `name` is that of the answer; `load` is a known mass at the flange.
         """
-        logs = [self._folder / f"{program}.mcap" for program in self._texts]
-        logs += [folder / f"{program}.mcap" for program, folder in before.items()]
-        found, number = self._diagnose(logs, brakes), len(before) + 1
-        started, program = time.process_time(), f"further{number}"
-        mass = not before and not brakes and load is None
-        motion = self._motion(way, found, seconds, program, self._case.motion + number, load, mass)
+        found, started = self._diagnose(self._first_logs, drives_off), time.process_time()
+        motion = self._motion(way, found, seconds, load, ask_mass=not drives_off and load is None)
         asked = {} if motion.mass is None else {"mass": motion.mass}
         if not motion.text:
             return asked
         planning = time.process_time() - started
-        texts = self._texts | {there: (folder / "program.pdl").read_text() for there, folder in before.items()}
         folder = self._folder / name
         on_it = [] if load is None else [mounted(load)]
-        logs += self._record([*self._case.effects, *on_it], {**texts, program: motion.text}, [program], folder)
+        texts = {**self._texts, "further": motion.text}
+        log = self._record([*self._case.effects, *on_it], texts, ["further"], folder)
         write_atomically(folder / "program.pdl", motion.text)
-        result = _said(self._diagnose(logs, brakes))
+        result = _said(self._diagnose([*self._first_logs, *log], drives_off))
         planned = {"seconds": motion.seconds, "planning_s": planning, "expected": motion.expected}
         return {**planned, "result": result, **asked}
 
-    def _on_brakes(self) -> dict[str, Any]:
-        """What the first motions say with seconds on the brakes."""
-        return {"result": _said(self._diagnose([self._folder / f"{name}.mcap" for name in self._texts], True))}
+    def _with_drives_off(self) -> dict[str, Any]:
+        """With seconds with the drives off, and with a motion planned for what they leave open."""
+        first = {"result": _said(self._diagnose(self._first_logs, drives_off=True))}
+        if first["result"]["verdict"] == "explained":
+            return first
+        said = self._moved("planned", "planned_brakes", LONGEST, drives_off=True)
+        return said if "result" in said else first
 
-    def _beside_brakes(self, way: str) -> dict[str, Any]:
-        """What a way's first further motion says with seconds on the brakes before it."""
-        first = self._read("brakes")["result"]
-        planned = self._read("planned_brakes")
-        if first["verdict"] == "explained" or (way != "planned" and planned.get("seconds") is None):
-            return {"result": first}  # no robot time is spent
-        if way != "planned" and "result" in self._read(f"{way}1"):
-            logs = [self._folder / f"{name}.mcap" for name in self._texts] + [
-                self._folder / f"{way}1" / "further1.mcap"
-            ]
-            return {"result": _said(self._diagnose(logs, True))}
-        seconds = LONGEST if way == "planned" else planned["seconds"]
-        said = self._moved(way, f"{way}_brakes", {}, seconds, True)
-        return said if "result" in said else {"result": first}
-
-    def _motion(
-        self,
-        way: str,
-        found: Diagnosis,
-        seconds: float,
-        name: str,
-        seed: int,
-        load: Tool | None = None,
-        mass: bool = False,
-    ) -> WayMotion:
-        """A way's next motion of at most so many `seconds`, with a known `load` at the flange or none; `mass`: whether
-        one beside it is asked about."""
-        from agent.experiment import KINDS, LOOPS, Outlook, as_drawn, d_optimal
-
+    def _motion(self, way: str, found: Diagnosis, seconds: float, load: Tool | None, ask_mass: bool) -> WayMotion:
+        """A way's motion of at most `seconds`, with a known `load` or none; `ask_mass`: whether another mass helps."""
         if way == "planned":
-            motion = plan_next(found, self._recipe, _QUIET, seconds, name, load)
+            motion = plan_next(found, self._recipe, _QUIET, seconds, "further", load)
             if not isinstance(motion, NextMotion):
-                return WayMotion("", 0.0, mass=_text_of(motion.mass))
-            beside = mass_beside(found, self._recipe, motion, _QUIET) if mass else None
-            return WayMotion(motion.text, motion.duration, motion.to_dict(name)["probability"], _text_of(beside))
+                return WayMotion("", 0.0, mass=motion.mass and payload_text(motion.mass.load))
+            mass = mass_beside(found, self._recipe, motion, _QUIET) if ask_mass else None
+            expected = motion.to_dict("further")["probability"]
+            return WayMotion(motion.text, motion.duration, expected, mass and payload_text(mass.load))
         if way == "loop_again":
             cycle = self._plan.excitation.loop.trajectory.duration
-            again = replace(self._plan.excitation, name=name, cycles=max(1, round(seconds / cycle)))
+            again = replace(self._plan.excitation, name="further", cycles=max(1, round(seconds / cycle)))
             return WayMotion(program_text(self._recipe, again), again.cycles * cycle)
-        pick = (
-            as_drawn
-            if way.startswith("random")
-            else d_optimal(found.dataset, Outlook(found.dataset, found.finding.evidence, ()).model_information)
-        )
-        kinds = LOOPS if way.endswith("loops") else KINDS
-        other = run_otherwise(pick, kinds, self._recipe, seconds, name, seed % 1_000_000)
+        pick = as_drawn
+        if way == "d_optimal_pieces":
+            pick = d_optimal(found.dataset, Outlook(found.dataset, found.finding.evidence, ()).model_information)
+        other = run_otherwise(pick, KINDS, self._recipe, seconds, "further", (self._case.motion + 1) % 1_000_000)
         return WayMotion("", 0.0) if other is None else WayMotion(*other)
 
     @cached_property
     def _recipe(self) -> Recipe:
         """Where further motions may lie."""
-        return self._world.recipe(self._case, self._machine)
+        self._machine.mkdir(parents=True, exist_ok=True)
+        return load_recipe(write_atomically(self._machine / "recipe.yaml", template(ROBOT, "127.0.0.1:9", cycles=2)))
 
     @cached_property
     def _plan(self) -> Plan:
@@ -237,72 +184,71 @@ class ActiveRun:
         """Programs of the first motions."""
         return _programs(self._recipe, self._plan)
 
-    @cached_property
-    def _model(self) -> Path:
-        """Of the same machine without an effect, from other motions than those of its runs."""
-        from agent.estimation import estimate
-        from agent.recording import read_log
+    @property
+    def _first_logs(self) -> list[Path]:
+        return [self._folder / f"{name}.mcap" for name in self._texts]
 
+    @cached_property
+    def _model(self) -> IdentifiedModel:
+        """Of the same machine without an effect, from other motions than those of its runs."""
         path = self._machine.with_suffix(".json")
         if not path.exists():
-            recipe = _short(self._world.recipe(self._case, self._machine), self._case.machine, 2)
+            recipe = _short(self._recipe, self._case.machine, 2)
             texts = _programs(recipe, make_plan(recipe, _QUIET))
-            logs = self._record((), texts, list(texts), self._machine, recipe)
+            logs = self._record((), texts, list(texts), self._machine)
             estimate(recipe.robot, [read_log(log, recipe.robot) for log in logs]).save(path)
-        return path
+        return IdentifiedModel.load(path)
 
     def _record(
-        self,
-        effects: Sequence[Mapping[str, Any]],
-        texts: Mapping[str, str],
-        keep: Sequence[str],
-        folder: Path,
-        recipe: Recipe | None = None,
+        self, effects: Sequence[Mapping[str, Any]], texts: Mapping[str, str], keep: Sequence[str], folder: Path
     ) -> list[Path]:
         """Run the programs one after the other on the case's machine; paths of the logs to keep."""
-        folder.mkdir(parents=True, exist_ok=True)
-        for log in (folder / f"{name}.mcap" for name in texts):
-            log.unlink(missing_ok=True)  # of a check that was stopped in the middle of it
-        self._world.run(Job(self._case, effects, recipe or self._recipe, texts, keep, folder))
-        return [folder / f"{name}.mcap" for name in keep]
+        logs = record_motions(ROBOT, self._case.machine, effects, texts, folder, self._recipe)
+        for log in logs:
+            if log.stem not in keep:
+                log.unlink()
+        return [log for log in logs if log.stem in keep]
 
-    def _diagnose(self, logs: Sequence[Path], brakes: bool = False) -> Diagnosis:
-        """Remembered while this run is gone on with; `brakes`: beside a log on the brakes."""
-        from agent.diagnosis import diagnose
-        from agent.model import IdentifiedModel
-        from agent.recording import read_log
-
-        key = tuple(logs), brakes
-        if key not in self._found:
-            robot = self._recipe.robot
-            # this controller's path is not quite what we planned, with an effect or without
-            read = [replace(_as_recorded(read_log(log, robot)), planned_position=None) for log in logs]
-            at_rest = on_brakes(read[0], self._case.effects) if brakes else None
-            self._found[key] = diagnose(robot, read, IdentifiedModel.load(self._model), drives_off=at_rest)
-        return self._found[key]
+    def _diagnose(self, logs: Sequence[Path], drives_off: bool = False) -> Diagnosis:
+        robot = self._recipe.robot
+        # This controller's path is not quite the planned one, with an effect or without.
+        read = [replace(_as_recorded(read_log(log, robot)), planned_position=None) for log in logs]
+        at_rest = with_drives_off(read[0], self._case.effects) if drives_off else None
+        return diagnose(robot, read, self._model, drives_off=at_rest)
 
 
-def _text_of(mass: WithMass | None) -> str | None:
-    """What is to be mounted, as `agent.model.payload_of` reads it."""
-    from agent.model import payload_text
+def mounted(load: Tool) -> dict[str, Any]:
+    """A known mass at the flange as machines are given it: as an effect."""
+    centre = np.zeros(3) if load.centre_of_mass is None else load.centre_of_mass
+    return {"effect": "payload", "joints": [], "parameters": {"mass": load.mass, "centre": centre.tolist()}}
 
-    return None if mass is None else payload_text(mass.load)
 
-
-def _may_be_of_channel(said: Mapping[str, Any]) -> bool:
-    """Whether an answer has an offset of a torque channel in it."""
-    from agent.model import CATALOGUE
-
-    return any(CATALOGUE[place["effect"]].adds_to_report for cause in said["causes"] for place in class_of(cause))
+def with_drives_off(log: Log, effects: Sequence[Mapping[str, Any]]) -> Log:
+    """A log of the resting arm where another log ended: noise about the zero of every channel, or about its offset."""
+    assert log.effort is not None
+    count = round(_DRIVES_OFF * log.sample_rate)
+    position = np.tile(log.position[-1], (count, 1))
+    zero = np.zeros(position.shape[1])
+    for effect in effects:
+        if effect["effect"] in CATALOGUE and CATALOGUE[effect["effect"]].adds_to_report:
+            zero[log.joint_names.index(effect["joints"][0])] += sum(effect["parameters"].values())
+    noise = _CHANNEL_NOISE * np.std(log.effort, axis=0) * np.random.default_rng(count).normal(size=position.shape)
+    return replace(
+        log,
+        t=np.arange(count) / log.sample_rate,
+        position=position,
+        velocity=0 * position,
+        effort=zero + noise,
+        reference_position=None,
+        planned_position=None,
+        segments=((0, count),),
+        cycle_starts=(),
+    )
 
 
 def _as_recorded(log: Log) -> Log:
-    """What `agent record` says in the log of a motion that was put together from pieces, and of a mass on it."""
-    from agent.link import planned_load
-    from agent.model import PAYLOAD
-    from agent.recording import PARTS, PLANNED_PARTS
-
-    if not log.path.stem.startswith("further") or log.path.parent.name.startswith("loop_again"):
+    """What `agent record` notes in the log of a motion that was put together from pieces, and of a mass on it."""
+    if log.path.stem != "further" or log.path.parent.name == "loop_again":
         return log
     load = planned_load(log.path.with_name("program.pdl").read_text(encoding="utf-8"))
     mass = {} if load is None else {PAYLOAD: load}
@@ -310,7 +256,7 @@ def _as_recorded(log: Log) -> Log:
 
 
 def _short(recipe: Recipe, seed: int, motions: int) -> Recipe:
-    """A short search, and so many validation motions, of a seed."""
+    """A short search, and a number of validation motions, of a seed."""
     seed %= 1_000_000
     search = recipe.search.model_copy(update={"population": 8, "generations": 3, "seed": seed})
     validate = recipe.validate.model_copy(update={"motions": motions, "speed": 0.4, "seed": seed})
@@ -318,17 +264,8 @@ def _short(recipe: Recipe, seed: int, motions: int) -> Recipe:
 
 
 def _programs(recipe: Recipe, plan: Plan) -> dict[str, str]:
-    motions = (plan.excitation, *plan.validation)
-    return {motion.name: program_text(recipe, motion) for motion in motions}
+    return {motion.name: program_text(recipe, motion) for motion in (plan.excitation, *plan.validation)}
 
 
 def _said(found: Diagnosis) -> dict[str, Any]:
-    from agent.diagnosis import smallest_sizes
-
-    keys = ("verdict", "causes", "closure")
-    said = {key: found.result[key] for key in keys}
-    if said["verdict"] == "no_gap":
-        names = found.dataset.robot.joint_names
-        sizes = smallest_sizes(found.dataset, found.finding.evidence).items()
-        said["smallest"] = {" ".join((effect, *(names[j] for j in joints))): size for (effect, joints), size in sizes}
-    return said
+    return {key: found.result[key] for key in ("verdict", "causes", "closure")}

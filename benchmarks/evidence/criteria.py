@@ -8,18 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
-from agent.excitation import Candidates, Criterion
+from agent.excitation import Criterion
 from agent.motion import Trajectory, ViaRegions
 from agent.pipeline.planning import loop_problem
 from agent.recipe import Recipe
-from benchmarks.evidence import figures
-from benchmarks.evidence.emulation import plant, record, repeated
-from benchmarks.evidence.judging import error, intervals
-from benchmarks.evidence.local import fitted
+from benchmarks.evidence.emulation import record, repeated
+from benchmarks.evidence.judging import error, fitted
 from benchmarks.evidence.loops import (
     LocalLoops,
     ScaledCriterion,
@@ -29,7 +26,8 @@ from benchmarks.evidence.loops import (
     unseen_motions,
 )
 from benchmarks.evidence.results import Results
-from benchmarks.evidence.statistics import each, ratio_of, text, verdict
+from benchmarks.evidence.tables import PageSection, each, ratio_of, text, verdict
+from fake_controller.plant import Plant
 
 #: Seconds of motion that the models are fitted to.
 SECONDS = (10.0, 30.0)
@@ -71,31 +69,34 @@ SETTINGS = {
 }
 
 
-def settings(recipe: Recipe) -> list[str]:
-    """Names of `SETTINGS`."""
-    return list(SETTINGS)
-
-
 def measure(recipe: Recipe, machine: int, name: str, loops: Results, memory: dict) -> dict:
     """What the loop of a setting is worth on one machine."""
     setting = SETTINGS[name]
-    noise = _noise(recipe, machine, loops, memory) if setting.noise else np.ones(recipe.robot.dof)
-    loop = found_loop(recipe, machine, _kept_as(name), _candidates(recipe, setting, noise), loops)
+    default = LocalLoops(loop_problem(recipe, recipe.motion.speed))
+    noise = np.ones(recipe.robot.dof)
+    if setting.noise:  # RMS of what a first calibration by the default's loop leaves [N·m]
+        loop = found_loop(recipe, machine, _kept_as(DEFAULT), default, loops)
+        noise = fitted(recipe, repeated(Plant(recipe.robot, machine), loop, SECONDS[0]), SECONDS[0]).residual_rmse
+    problem, via = loop_problem(recipe, setting.speed or recipe.motion.speed), recipe.motion.via_points
+    if setting.points is not None:
+        box = ViaRegions.from_box(setting.points, via.box.centre, via.box.size, via.box.orientation, via.box.cone)
+        problem = replace(problem, regions=box)
+    kind = StoppingLoops if setting.stops else LocalLoops
+    candidates = kind(problem, setting.criterion(recipe, noise) if setting.criterion else None)
+    loop = found_loop(recipe, machine, _kept_as(name), candidates, loops)
     return judged(recipe, machine, loop, memory)
 
 
 def judged(recipe: Recipe, machine: int, loop: Trajectory, memory: dict) -> dict:
-    """Error and intervals of models of the first seconds of a loop, run again and again."""
-    near = memory.setdefault(("near", machine), [])
-    if not near:
-        near += [record(plant(recipe.robot, machine), [motion]) for motion in unseen_motions(recipe, machine)]
-    arm = plant(recipe.robot, machine)
-    log = repeated(arm, loop, max(SECONDS))
-    found: dict = {}
-    for seconds in SECONDS:
-        model = fitted(recipe, log, seconds)
-        found[f"{seconds:g}"] = {"error": error(model, near)} | intervals(model, near[:1])
-    return found
+    """Error of models of the first seconds of a loop, run again and again; `memory` keeps the motions that judge."""
+    if ("near", machine) not in memory:
+        memory["near", machine] = [
+            record(Plant(recipe.robot, machine), [motion]) for motion in unseen_motions(recipe, machine)
+        ]
+    log = repeated(Plant(recipe.robot, machine), loop, max(SECONDS))
+    return {
+        f"{seconds:g}": {"error": error(fitted(recipe, log, seconds), memory["near", machine])} for seconds in SECONDS
+    }
 
 
 def _kept_as(name: str) -> str:
@@ -103,26 +104,9 @@ def _kept_as(name: str) -> str:
     return "sub-region" if name == DEFAULT else name
 
 
-def _candidates(recipe: Recipe, setting: Setting, noise: np.ndarray) -> Candidates:
-    problem = loop_problem(recipe, setting.speed or recipe.motion.speed)
-    via = recipe.motion.via_points
-    if setting.points is not None:
-        box = ViaRegions.from_box(setting.points, via.box.centre, via.box.size, via.box.orientation, via.box.cone)
-        problem = replace(problem, regions=box)
-    kind = StoppingLoops if setting.stops else LocalLoops
-    return kind(problem, setting.criterion(recipe, noise) if setting.criterion else None)
-
-
-def _noise(recipe: Recipe, machine: int, loops: Results, memory: dict) -> np.ndarray:
-    """(n,) RMS of what a first calibration of ten seconds by the default's loop leaves [N·m]."""
-    default = LocalLoops(loop_problem(recipe, recipe.motion.speed))
-    loop = found_loop(recipe, machine, _kept_as(DEFAULT), default, loops)
-    return fitted(recipe, repeated(plant(recipe.robot, machine), loop, SECONDS[0]), SECONDS[0]).residual_rmse
-
-
-def section(results: Results, pictures: Path) -> figures.PageSection:
+def section(results: Results) -> PageSection:
     """What a loop is searched for."""
-    part = figures.PageSection()
+    part = PageSection()
     part.say("## What a loop is searched for")
     kept = {name: lines for name in SETTINGS if (lines := results.of(name))}
     if DEFAULT not in kept:
@@ -133,24 +117,16 @@ def section(results: Results, pictures: Path) -> figures.PageSection:
         f"torque, 6 points, FLY, 1 m/s. Models use {SHORT} and {_LONG} s of each loop. Ratios are over the default. "
         "Inverse torque is the metric of the paper's eq. 8. Learned noise is what a first fit leaves of each joint."
     )
-    rows, picture = [], {}
+    rows = []
     for name, lines in kept.items():
-        errors = {s: each(lines, lambda v, s=s: v[s]["error"]) for s in (SHORT, _LONG)}
-        ratios = {s: ratio_of(errors[s], each(kept[DEFAULT], lambda v, s=s: v[s]["error"])) for s in errors}
-        rows.append([name, str(len(lines)), *(text(r) for r in ratios.values())])
-        if name != DEFAULT:
-            said = {s: verdict(ratio, len(lines)) for s, ratio in ratios.items()}
-            picture[name] = ratios[SHORT], said[SHORT]
-            if "better" in said.values():
-                part.weak.append(
-                    f"{name} led to better models than the default: {text(ratios[SHORT])} times its error after "
-                    f"{SHORT} s, {text(ratios[_LONG])} after {_LONG} s ({len(lines)} machines)"
-                )
-    part.table(
-        ["loop", "machines", f"ratio, {SHORT} s", f"ratio, {_LONG} s"],
-        rows,
-    )
-    if picture:
-        figures.ratios(pictures / "criteria.svg", picture, f"error after {SHORT} s over that of the default")
-        part.picture("criteria", "Ratio of errors by what the loop was searched for")
+        ratios = [
+            ratio_of(*(each(of, lambda v, s=s: v[s]["error"]) for of in (lines, kept[DEFAULT]))) for s in (SHORT, _LONG)
+        ]
+        rows.append([name, str(len(lines)), *map(text, ratios)])
+        if name != DEFAULT and "better" in [verdict(ratio, len(lines)) for ratio in ratios]:
+            part.weak.append(
+                f"{name} led to better models than the default: {text(ratios[0])} times its error after "
+                f"{SHORT} s, {text(ratios[1])} after {_LONG} s ({len(lines)} machines)"
+            )
+    part.table(["loop", "machines", f"ratio, {SHORT} s", f"ratio, {_LONG} s"], rows)
     return part

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -24,81 +23,42 @@ WORLDS = {
     "payload 1 % wrong": "at work 0.16 kg more at the flange than when it was calibrated (1 % of the rated payload)",
     "all of them": "all of these at once",
 }
-_RATED_PAYLOAD = 16.0  # kg
 
 
 def effects(world: str, robot: RobotDescription, machine: int) -> tuple[list[dict], list[dict]]:
     """What is built into a machine while it is calibrated, and while it works; drawn from the machine's number."""
     rng = np.random.default_rng([machine, 20])
-    makers = dict(zip(list(WORLDS)[1:-1], (_dress_pack, _friction, _elastic, _thermal, _payload), strict=True))
-    drawn = {name: maker(robot, rng) for name, maker in makers.items()}
-    chosen = list(drawn.values()) if world == "all of them" else [drawn[world]] if world in drawn else []
-    return [e for calibrated, _ in chosen for e in calibrated], [e for _, at_work in chosen for e in at_work]
+    nominal, names = robot.nominal_torque, robot.joint_names
 
+    def on(k: int, effect: str, **parameters: float) -> dict:
+        numbers = {name: float(value) for name, value in parameters.items()}
+        return {"effect": effect, "joints": [names[k]], "parameters": numbers}
 
-Built = tuple[list[dict], list[dict]]
-
-
-def _dress_pack(robot: RobotDescription, rng: np.random.Generator) -> Built:
-    built = []
+    hoses = []
     for k in (0, 3, 5):
-        nominal = robot.nominal_torque[k]
-        parameters = {
-            "stiffness": 0.05 * nominal * rng.uniform(0.5, 1.5),
-            "cubic": 0.003 * nominal,
-            "centre": rng.uniform(-1.0, 1.0),
-            "hysteresis": 0.02 * nominal * rng.uniform(0.5, 1.5),
-        }
-        built.append(_on(robot, k, "dress_pack", parameters))
-    return built, built
-
-
-def _friction(robot: RobotDescription, rng: np.random.Generator) -> Built:
-    built = []
-    for k, nominal in enumerate(robot.nominal_torque):
-        built.append(_on(robot, k, "load_dependent_friction", {"coefficient": rng.uniform(0.04, 0.12)}))
-        rough = {
-            "amplitude": nominal * rng.uniform(0.04, 0.10),
-            "patch": rng.uniform(0.1, 0.4),
-            "seed": int(rng.integers(1_000_000)),
-        }
-        built.append(_on(robot, k, "rough_bearing", rough))
-    return built, built
-
-
-def _elastic(robot: RobotDescription, rng: np.random.Generator) -> Built:
+        stiffness, cubic = 0.05 * nominal[k] * rng.uniform(0.5, 1.5), 0.003 * nominal[k]
+        centre, hysteresis = rng.uniform(-1.0, 1.0), 0.02 * nominal[k] * rng.uniform(0.5, 1.5)
+        hoses.append(on(k, "dress_pack", stiffness=stiffness, cubic=cubic, centre=centre, hysteresis=hysteresis))
+    friction = []
+    for k, torque in enumerate(nominal):
+        friction.append(on(k, "load_dependent_friction", coefficient=rng.uniform(0.04, 0.12)))
+        amplitude, patch = torque * rng.uniform(0.04, 0.10), rng.uniform(0.1, 0.4)
+        friction.append(on(k, "rough_bearing", amplitude=amplitude, patch=patch, seed=int(rng.integers(1_000_000))))
     lower, upper = robot.position_limits
     inertia = Dynamics(robot).mass_matrix(np.clip(0.5 * (lower + upper), -np.pi, np.pi)).diagonal()
     swing = 2 * np.pi * rng.uniform(8.0, 14.0, 3)
-    built = [_on(robot, k, "joint_elasticity", {"stiffness": inertia[k] * swing[k] ** 2}) for k in range(3)]
-    return built, built
-
-
-def _thermal(robot: RobotDescription, rng: np.random.Generator) -> Built:
+    elastic = [on(k, "joint_elasticity", stiffness=inertia[k] * swing[k] ** 2) for k in range(3)]
     cold, slow = -rng.uniform(5.0, 25.0), rng.uniform(300.0, 900.0)
 
-    def at(start: float) -> list[dict]:
-        warm = {"start": start, "resistance": 0.1, "time_constant": slow, "coulomb_rate": 0.012, "viscous_rate": 0.02}
-        return [_on(robot, k, "thermal_friction", warm) for k in range(robot.dof)]
+    def thermal(start: float) -> list[dict]:
+        warm = {"resistance": 0.1, "time_constant": slow, "coulomb_rate": 0.012, "viscous_rate": 0.02}
+        return [on(k, "thermal_friction", start=start, **warm) for k in range(robot.dof)]
 
-    return at(cold), at(0.0)
-
-
-def _payload(robot: RobotDescription, rng: np.random.Generator) -> Built:
-    return [], [{"effect": "payload", "parameters": {"mass": 0.01 * _RATED_PAYLOAD, "centre": [0.0, 0.0, 0.1]}}]
-
-
-def _on(robot: RobotDescription, k: int, name: str, parameters: dict[str, Any]) -> dict:
-    return {
-        "effect": name,
-        "joints": [robot.joint_names[k]],
-        "parameters": {k: float(v) for k, v in parameters.items()},
-    }
-
-
-def plant(robot: RobotDescription, machine: int, built: Sequence[dict] = ()) -> Plant:
-    """The machine of a number, drawn around the description, with effects built in."""
-    return Plant(robot, machine, built)
+    payload = [{"effect": "payload", "parameters": {"mass": 0.16, "centre": [0.0, 0.0, 0.1]}}]
+    built = [(hoses, hoses), (friction, friction), (elastic, elastic), (thermal(cold), thermal(0.0)), ([], payload)]
+    drawn = dict(zip(list(WORLDS)[1:-1], built, strict=True))
+    chosen = built if world == "all of them" else [drawn[world]] if world in drawn else []
+    return [e for calibrated, _ in chosen for e in calibrated], [e for _, at_work in chosen for e in at_work]
 
 
 def record(arm: Plant, cycles: Sequence[Trajectory], seconds: float = np.inf) -> Log:
@@ -127,10 +87,5 @@ def record(arm: Plant, cycles: Sequence[Trajectory], seconds: float = np.inf) ->
 
 
 def repeated(arm: Plant, loop: Trajectory, seconds: float) -> Log:
-    """A loop run again and again for so many seconds."""
+    """A loop run again and again for a number of seconds."""
     return record(arm, [loop] * int(np.ceil(seconds / loop.duration)), seconds)
-
-
-def true_parameters(arm: Plant) -> np.ndarray:
-    """(11 n,) standard parameters of this machine's bodies and its rotors, as models count them."""
-    return np.concatenate([arm.machine.parameters, arm.machine.rotor_inertias])

@@ -126,43 +126,33 @@ def _planned(plan: Callable, genome: np.ndarray, poses: np.ndarray, start: np.nd
         return error
 
 
-class Search:
-    """Runs one search and knows the best loop at any number of candidates."""
+def best_loop(candidates: Candidates, method: Callable, population: int, generations: int, seed: int) -> dict:
+    """Genome and fitness, on all samples, of the best candidate of a search that keeps all limits there.
 
-    def __init__(self, candidates: Candidates):
-        self._candidates = candidates
-        self.seen: list[tuple[np.ndarray, LoopScore]] = []
+    Raises:
+        RuntimeError: there is none.
+    """
+    seen: list[tuple[np.ndarray, LoopScore]] = []
 
-    def run(self, method: Callable, population: int, generations: int, seed: int) -> Search:
-        """Search with a method as `agent.excitation` has them."""
-        rng = np.random.default_rng(seed)
-        method(self._scores, self._candidates.problem.genes, population, generations, rng, lambda genomes, scores: None)
-        return self
-
-    def _scores(self, genomes: np.ndarray) -> list[LoopScore]:
+    def evaluate(genomes: np.ndarray) -> list[LoopScore]:
         parts = (genomes[first : first + _TOGETHER] for first in range(0, len(genomes), _TOGETHER))
-        scores = [score for part in parts for score in self._candidates.scores(part)]
-        self.seen.extend(zip(genomes.copy(), scores, strict=True))
+        scores = [score for part in parts for score in candidates.scores(part)]
+        seen.extend(zip(genomes.copy(), scores, strict=True))
         return scores
 
-    def best(self) -> dict:
-        """Genome and fitness, on all samples, of the best candidate that keeps all limits there.
-
-        Raises:
-            RuntimeError: there is none.
-        """
-        seen, found = self.seen, None
-        order = ranking([score for _, score in seen])
-        for rank, k in enumerate(order):
-            if found is not None and rank >= _FINALISTS:
-                break
-            final = self._candidates.score_on_all(seen[k][0])
-            better = found is None or final.fitness > found["fitness"]
-            if final.feasible and np.isfinite(final.fitness) and better:
-                found = {"genome": seen[k][0].tolist(), "fitness": final.fitness, "candidates": len(seen)}
-        if found is None:
-            raise RuntimeError(f"none of {len(seen)} loops keeps all limits")
-        return found
+    rng = np.random.default_rng(seed)
+    method(evaluate, candidates.problem.genes, population, generations, rng, lambda genomes, scores: None)
+    found = None
+    for rank, k in enumerate(ranking([score for _, score in seen])):
+        if found is not None and rank >= _FINALISTS:
+            break
+        final = candidates.score_on_all(seen[k][0])
+        better = found is None or final.fitness > found["fitness"]
+        if final.feasible and np.isfinite(final.fitness) and better:
+            found = {"genome": seen[k][0].tolist(), "fitness": final.fitness, "candidates": len(seen)}
+    if found is None:
+        raise RuntimeError(f"none of {len(seen)} loops keeps all limits")
+    return found
 
 
 def found_loop(recipe: Recipe, machine: int, setting: str, candidates: Candidates, kept: Results) -> Trajectory:
@@ -171,7 +161,7 @@ def found_loop(recipe: Recipe, machine: int, setting: str, candidates: Candidate
     found = kept.get(seed, setting)
     if found is None:
         started = time.process_time()
-        found = Search(candidates).run(genetic, recipe.search.population, recipe.search.generations, seed).best()
+        found = best_loop(candidates, genetic, recipe.search.population, recipe.search.generations, seed)
         kept.keep(seed, setting, found, time.process_time() - started)
     return candidates.loop(np.array(found["genome"])).trajectory
 

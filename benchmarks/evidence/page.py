@@ -1,14 +1,29 @@
-"""`docs/measured/evidence.md` and its pictures, from the results that are there; what is not there is said."""
+"""The pieces, and `docs/measured/evidence.md` from the results that are there; what is not there is said."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import sys
+import time
+from collections.abc import Callable
 from pathlib import Path
 
+from agent.excitation import one_blas_thread
+from agent.recipe import Recipe
 from benchmarks.evidence import criteria, few_data, local, search
 from benchmarks.evidence.loops import FIRST_MACHINE, SEARCHES
 from benchmarks.evidence.results import Results
-from benchmarks.evidence.statistics import FEWEST
+from benchmarks.evidence.tables import FEWEST
+
+#: What is measured, by name: its settings, and how one of them is measured.
+PIECES: dict[str, tuple[list[str], Callable]] = {
+    "local": (list(local.WORLDS), local.measure),
+    "few-data": (few_data.SETTINGS, few_data.measure),
+    "criteria": (list(criteria.SETTINGS), criteria.measure),
+    **{
+        f"search-{budget}": ([search.setting(method, budget) for method in search.METHODS], search.measure)
+        for budget in search.BUDGETS
+    },
+}
 
 _HEAD = """# Evidence
 
@@ -38,17 +53,42 @@ machines take their loops in turn.
 """
 
 
-def write(folder: Path, docs: Path, pieces: Iterable[str]) -> Path:
-    """Write the page and its pictures into `docs`, from the results in `folder`."""
-    results = {piece: Results(folder, piece) for piece in pieces}
-    pictures = docs / "evidence"
+def complete(machine: int, piece: str, folder: Path, recipe: Recipe, end: float) -> int:
+    """Compute what is missing of a machine in a piece, and keep it; returns how many lines are left.
+
+    At `end`, a time [s] as of `time.time`, nothing new is started.
+    """
+    results, loops = Results(folder, piece), Results(folder, "loops")
+    settings, measure = PIECES[piece]
+    memory: dict = {}
+    missing = [setting for setting in settings if results.get(machine, setting) is None]
+    for done, setting in enumerate(missing):
+        if time.time() > end:
+            return len(missing) - done
+        started = time.process_time()
+        with one_blas_thread():
+            values = measure(recipe, machine, setting, loops, memory)
+        seconds = time.process_time() - started
+        results.keep(machine, setting, values, seconds)
+        print(f"{piece}: machine {machine}, {setting}: {seconds:.0f} s", file=sys.stderr, flush=True)
+    return 0
+
+
+def write(folder: Path, docs: Path) -> Path:
+    """Write the page into `docs`, from the results in `folder`."""
+    results = {piece: Results(folder, piece) for piece in PIECES}
     parts = [
-        local.section(results["local"], pictures),
-        criteria.section(results["criteria"], pictures),
-        search.section({name: r for name, r in results.items() if name.startswith("search-")}, pictures),
-        few_data.section(results["few-data"], pictures),
+        local.section(results["local"]),
+        criteria.section(results["criteria"]),
+        search.section({name: r for name, r in results.items() if name.startswith("search-")}),
+        few_data.section(results["few-data"]),
     ]
     weak = [_NARROW, *(line for part in parts for line in part.weak), *_thin(results), _NEVER_RUN]
+    runs = [
+        f"{piece} on {len(kept.machines)} machines ({', '.join(kept.commits)})"
+        for piece, kept in results.items()
+        if len(kept)
+    ]
     text = [
         _HEAD,
         *(line for part in parts for line in (*part.lines, "")),
@@ -57,7 +97,7 @@ def write(folder: Path, docs: Path, pieces: Iterable[str]) -> Path:
         *(f"- {line}" for line in weak),
         "",
         _REPEAT.format(first=FIRST_MACHINE, loops=SEARCHES),
-        *_runs(results),
+        f"Run: {'; '.join(runs)}.",
     ]
     path = docs / "evidence.md"
     path.write_text("\n".join(text).rstrip() + "\n", encoding="utf-8")
@@ -68,18 +108,7 @@ def _thin(results: dict[str, Results]) -> list[str]:
     """What was run on too few machines for any claim."""
     few = []
     for piece, kept in results.items():
-        settings = kept.settings()
-        thin = sum(len(kept.of(setting)) < FEWEST for setting in settings)
+        thin = sum(len(kept.of(setting)) < FEWEST for setting in kept.settings)
         if thin:
-            few.append(f"{piece} ({thin} of {len(settings)} settings)")
+            few.append(f"{piece} ({thin} of {len(kept.settings)} settings)")
     return [f"on fewer than {FEWEST} machines, so that nothing is claimed: {', '.join(few)}"] if few else []
-
-
-def _runs(results: dict[str, Results]) -> Sequence[str]:
-    """What was run, and on which commits."""
-    found = {
-        piece: f"{piece} on {len({machine for machine, _ in kept})} machines ({', '.join(kept.commits())})"
-        for piece, kept in results.items()
-        if len(kept)
-    }
-    return [f"Run: {'; '.join(found.values()) or 'nothing'}."]

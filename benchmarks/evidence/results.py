@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import json
 import subprocess
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +37,7 @@ class Results:
         return None if entry is None else entry["values"]
 
     def keep(self, machine: int, setting: str, values: Any, seconds: float) -> None:
-        """Append a line; `seconds` of CPU went into it."""
+        """Append a line that took `seconds` of CPU."""
         entry = {"machine": machine, "setting": setting, "commit": commit(), "seconds": round(seconds, 2)}
         entry["values"] = values
         self._path.parent.mkdir(parents=True, exist_ok=True)
@@ -51,20 +50,20 @@ class Results:
         """By machine: the values of one setting."""
         return {machine: e["values"] for (machine, name), e in sorted(self._lines.items()) if name == setting}
 
+    @property
     def settings(self) -> list[str]:
         """Names in the order in which they came."""
         return list(dict.fromkeys(name for _, name in self._lines))
 
-    def seconds(self) -> float:
-        """CPU time of all lines."""
-        return sum(entry["seconds"] for entry in self._lines.values())
+    @property
+    def machines(self) -> set[int]:
+        """Numbers of the machines."""
+        return {machine for machine, _ in self._lines}
 
+    @property
     def commits(self) -> list[str]:
         """Of the code that computed them."""
         return list(dict.fromkeys(entry["commit"] for entry in self._lines.values()))
-
-    def __iter__(self) -> Iterator[tuple[int, str]]:
-        return iter(self._lines)
 
 
 @functools.cache

@@ -78,26 +78,25 @@ class SimulatedEffect(ABC):
         Raises:
             InputError: an unknown parameter, or a value that is no number.
         """
-        allowed = [field.name for field in dataclasses.fields(cls) if field.name != "joints"]
-        for key in parameters:
-            if key not in allowed:
-                close = difflib.get_close_matches(str(key), allowed, 1)
+        fields = {field.name: field for field in dataclasses.fields(cls) if field.name != "joints"}
+        values = {}
+        for key, value in parameters.items():
+            if key not in fields:
+                close = difflib.get_close_matches(str(key), fields, 1)
                 hint = f" (did you mean {close[0]}?)" if close else ""
                 raise InputError(
-                    f"effect {cls.name}: parameters: unknown key {key!r}{hint}; allowed are {', '.join(allowed)}"
+                    f"effect {cls.name}: parameters: unknown key {key!r}{hint}; allowed are {', '.join(fields)}"
                 )
+            values[key] = _plain(cls.name, key, value)
+            listed = str(fields[key].type).startswith("tuple")
+            if listed != isinstance(values[key], tuple):
+                kind = "a list of numbers" if listed else "one number"
+                raise InputError(f"effect {cls.name}: parameters: {key}: {kind} is expected")
         missing = [
-            field.name
-            for field in dataclasses.fields(cls)
-            if field.name not in parameters and field.default is dataclasses.MISSING
+            name for name, field in fields.items() if name not in values and field.default is dataclasses.MISSING
         ]
         if missing:
             raise InputError(f"effect {cls.name}: parameters: {', '.join(missing)} must be given")
-        values = {key: _plain(cls.name, key, value) for key, value in parameters.items()}
-        for field in dataclasses.fields(cls):
-            if field.name in values and str(field.type).startswith("tuple") != isinstance(values[field.name], tuple):
-                kind = "a list of numbers" if str(field.type).startswith("tuple") else "one number"
-                raise InputError(f"effect {cls.name}: parameters: {field.name}: {kind} is expected")
         return cls(joints=joints, **values)
 
     def need(self, holds: bool, key: str, what: str) -> None:

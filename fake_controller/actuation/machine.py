@@ -165,9 +165,8 @@ def check_bodies(machine: Machine) -> None:
         InputError: the kinetic energy of some motion is negative; names the pose and the joint that moves most in it.
     """
     dynamics, robot = machine.dynamics(), machine.robot
-    lower, upper = (np.clip(limit, -np.pi, np.pi) for limit in robot.position_limits)
     rotors = machine.coupling.T @ np.diag(machine.reflected_rotors) @ machine.coupling
-    for q in np.random.default_rng(0).uniform(lower, upper, (64, robot.dof)):
+    for q in poses(robot, 64):
         matrix = dynamics.mass_matrix(q) + rotors
         values, vectors = np.linalg.eigh(matrix)
         if values[0] < -_ROUND_OFF * values[-1]:
@@ -177,6 +176,12 @@ def check_bodies(machine: Machine) -> None:
                 f"a motion of {joint} has a negative kinetic energy. Correct the inertias in the robot's URDF, or "
                 "estimate the model with --method consistent"
             )
+
+
+def poses(robot: RobotDescription, count: int) -> np.ndarray:
+    """(count, n) joint positions over the workspace, one turn at most; always the same ones."""
+    lower, upper = (np.clip(limit, -np.pi, np.pi) for limit in robot.position_limits)
+    return np.random.default_rng(0).uniform(lower, upper, (count, robot.dof))
 
 
 def weighs_nothing(robot: RobotDescription) -> bool:
@@ -209,8 +214,7 @@ def nominal_parameters(robot: RobotDescription) -> np.ndarray:
 def _typical(robot: RobotDescription, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(n,) inertia that an axle sees [kg·m²] and (n,) torque it carries [N·m] without rotors, over the workspace."""
     dynamics = Dynamics(robot).with_parameters(parameters)
-    lower, upper = (np.clip(limit, -np.pi, np.pi) for limit in robot.position_limits)
-    q = np.random.default_rng(0).uniform(lower, upper, (64, robot.dof))
+    q = poses(robot, 64)
     qdd = np.random.default_rng(1).choice([-1.0, 1.0], q.shape) * robot.max_acceleration
     to_axles = np.linalg.inv(robot.coupling)
     matrices = np.array([to_axles.T @ dynamics.mass_matrix(row) @ to_axles for row in q])
@@ -239,18 +243,7 @@ def _scatter_link(parameters: np.ndarray, rng: np.random.Generator) -> np.ndarra
     pseudo = rng.uniform(0.87, 1.13) * change @ pseudo @ change.T
     second = pseudo[:3, :3]
     inertia = np.trace(second) * np.eye(3) - second
-    return np.array(
-        [
-            pseudo[3, 3],
-            *pseudo[:3, 3],
-            inertia[0, 0],
-            inertia[0, 1],
-            inertia[1, 1],
-            inertia[0, 2],
-            inertia[1, 2],
-            inertia[2, 2],
-        ]
-    )
+    return np.array([pseudo[3, 3], *pseudo[:3, 3], *inertia[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]])
 
 
 def _draw_friction(

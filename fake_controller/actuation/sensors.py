@@ -72,41 +72,26 @@ class Sensors:
 
 
 class _Late:
-    """Samples (K, n) that are late by `delay` samples: one half is a shift, the other two first-order filters."""
+    """Samples (K, n) that are late by `delay` samples: half is a shift, the other half two first-order filters."""
 
     def __init__(self, delay: float):
-        self._line = _DelayLine(0.5 * delay)
+        self._whole = int(np.ceil(0.5 * delay))
+        self._share = self._whole - 0.5 * delay  # of the next sample, linear in between
         self._kept = 0.25 * delay / (1.0 + 0.25 * delay)
-        self._memory: np.ndarray | None = None
-
-    def pass_on(self, samples: np.ndarray) -> np.ndarray:
-        if self._kept == 0.0:
-            return samples
-        late = self._line.pass_on(samples)
-        if self._memory is None:
-            self._memory = np.tile(late[0], (2, 1))
-        out = np.empty_like(late)
-        for k, sample in enumerate(late):
-            self._memory[0] += (1.0 - self._kept) * (sample - self._memory[0])
-            self._memory[1] += (1.0 - self._kept) * (self._memory[0] - self._memory[1])
-            out[k] = self._memory[1]
-        return out
-
-
-class _DelayLine:
-    """Samples (K, n) as they were `delay` samples ago, linear in between."""
-
-    def __init__(self, delay: float):
-        self._whole = int(np.ceil(delay))
-        self._share = self._whole - delay
-        self._memory: np.ndarray | None = None
+        self._line = self._memory = np.empty((0, 0))
 
     def pass_on(self, samples: np.ndarray) -> np.ndarray:
         if self._whole == 0:
             return samples
-        if self._memory is None:
-            self._memory = np.repeat(samples[:1], self._whole, axis=0)
-        series = np.vstack([self._memory, samples])
-        self._memory = series[-self._whole :]
-        count = len(samples)
-        return (1.0 - self._share) * series[:count] + self._share * series[1 : count + 1]
+        first = not self._line.size
+        series = np.vstack([np.repeat(samples[:1], self._whole, axis=0) if first else self._line, samples])
+        self._line = series[-self._whole :]
+        shifted = (1.0 - self._share) * series[: len(samples)] + self._share * series[1 : len(samples) + 1]
+        if first:
+            self._memory = np.tile(shifted[0], (2, 1))
+        out = np.empty_like(shifted)
+        for k, sample in enumerate(shifted):
+            self._memory[0] += (1.0 - self._kept) * (sample - self._memory[0])
+            self._memory[1] += (1.0 - self._kept) * (self._memory[0] - self._memory[1])
+            out[k] = self._memory[1]
+        return out

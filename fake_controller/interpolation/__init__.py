@@ -3,8 +3,6 @@ with it but the settings of a move."""
 
 from __future__ import annotations
 
-import numpy as np
-
 from agent.motion import FlyInterpolator, FlyParameters, Interpolator
 from agent.robot import RobotDescription
 from fake_controller.interpolation.parts import drawn_law
@@ -13,18 +11,10 @@ from fake_controller.interpolation.second import SecondInterpolator
 #: Ramps and blends of the controller's own: a few percent off those of our interpolator, as a real one's are.
 PARAMETERS = FlyParameters(blend_shape=0.05, ramp=1.56, jerk_time=0.083, stress_floor=0.52, curve_share=0.77)
 KINDS = ("ours", "second")
-DRAWN = "drawn"  # one of them, by the seed
-
-
-def drawn_kind(seed: int) -> str:
-    """Which of `KINDS` the controller of a seed has, where that is left to it."""
-    return KINDS[int(np.random.default_rng([seed, 18]).integers(len(KINDS)))]
 
 
 def build_interpolator(kind: str, robot: RobotDescription, seed: int, period: float) -> Interpolator:
-    """One of `KINDS`, or the drawn one, at `period` [s]; the second one's law is drawn from the seed."""
-    if kind == DRAWN:
-        kind = drawn_kind(seed)
+    """One of `KINDS` at `period` [s]; the second one's law is drawn from the seed."""
     if kind == "second":
         return SecondInterpolator(robot, drawn_law(seed), period)
     return FlyInterpolator(robot, period=period, parameters=PARAMETERS)

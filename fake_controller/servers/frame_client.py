@@ -4,37 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import time
+from abc import ABC, abstractmethod
 from typing import Any
 
 from drivers.errors import ProtocolError
+from drivers.wire import tcp as wire
 from drivers.wire.reasons import EndReason, Refusal
-from drivers.wire.tcp import (
-    VERSION,
-    AskFrames,
-    AskStatus,
-    AskTemperatures,
-    Done,
-    Fetch,
-    Frame,
-    FrameDecoder,
-    FramesReply,
-    Heartbeat,
-    Hello,
-    Identify,
-    IdentityReply,
-    Refused,
-    Start,
-    Started,
-    StatusReply,
-    Stop,
-    Stored,
-    TemperaturesReply,
-    UploadBegin,
-    UploadBlock,
-    UploadEnd,
-    decode,
-)
-from fake_controller.controller import CONTROLLER, PERIOD, VERSION as CONTROLLER_VERSION, Controller
+from fake_controller.controller import CONTROLLER, PERIOD, VERSION, Controller
 from fake_controller.programs import RefusedRequest
 from fake_controller.servers.base import stop_unheard
 
@@ -45,9 +21,7 @@ class Upload:
     """A program on its way in; `checksum` is the SHA-256 (hex) that was announced."""
 
     def __init__(self, name: str, size: int, checksum: str) -> None:
-        self.name = name
-        self._size = size
-        self._checksum = checksum.lower()
+        self.name, self._size, self._checksum = name, size, checksum.lower()
         self._data = bytearray()
 
     def add(self, offset: int, data: bytes) -> None:
@@ -75,55 +49,35 @@ class Upload:
         return bytes(self._data)
 
 
-def identity_reply(controller: Controller) -> IdentityReply:
-    """Who the controller is."""
-    robot = controller.robot
-    return IdentityReply(controller.name, controller.serial, CONTROLLER, CONTROLLER_VERSION, robot.joint_names, PERIOD)
-
-
-def status_reply(controller: Controller) -> StatusReply:
-    """How it is."""
-    name, checksum = controller.stored
-    return StatusReply(
-        **vars(controller.state),
-        moving=controller.moving,
-        program=name,
-        checksum=checksum,
-        position=tuple(controller.position),
-    )
-
-
-class FrameClient:
+class FrameClient(ABC):
     """Requests of one client of one controller; a subclass has the wire, and is the motion's `Listener`."""
 
     def __init__(self, controller: Controller) -> None:
         self.controller = controller
-        self._greeted = False
-        self._driving = False  # this client's motion runs
+        self._greeted = self._driving = False  # the second: this client's motion runs
         self._upload: Upload | None = None
-        self._watchdog = IDLE_LIMIT  # s
-        self._silence = 0.0  # s since the last frame
+        self._watchdog, self._silence = IDLE_LIMIT, 0.0  # s; the second since the last frame
 
+    @abstractmethod
     def _reply(self, message: Any, request: int) -> None:
         """Send an answer."""
-        raise NotImplementedError
 
-    def _greet(self, hello: Hello, request: int) -> None:
+    @abstractmethod
+    def _greet(self, hello: wire.Hello, request: int) -> None:
         """Take the client, if its version is spoken here, or refuse it."""
-        raise NotImplementedError
 
-    def _begin(self) -> None:
+    def _begin(self) -> None:  # noqa: B027  # a wire may have nothing to do for it
         """A motion of this client is about to give samples."""
 
+    @abstractmethod
     def _fetched(self, first: int, count: int) -> Any:
         """The message with samples that are asked for again, the first at or after `first`.
 
         Raises:
             RefusedRequest: there are none.
         """
-        raise NotImplementedError
 
-    def _take(self, data: bytes, decoder: FrameDecoder, began: float) -> None:
+    def _take(self, data: bytes, decoder: wire.FrameDecoder, began: float) -> None:
         """Answer what came since `began` [s, monotonic]; an arm whose client is silent for its watchdog stops."""
         # A stall of this process is not the client's silence: no turn counts for more than it should last.
         self._silence += min(time.monotonic() - began, self._watchdog / 4)
@@ -133,63 +87,66 @@ class FrameClient:
         if self._driving and self._silence >= self._watchdog:
             stop_unheard(self.controller, self._watchdog)
 
-    def _answer(self, frame: Frame) -> None:
+    def _answer(self, frame: wire.Frame) -> None:
         try:
-            message = decode(frame)
-            if not isinstance(message, Heartbeat):
+            message = wire.decode(frame)
+            if not isinstance(message, wire.Heartbeat):
                 self._carry_out(message, frame.request)
         except ProtocolError as error:
-            self._reply(Refused(Refusal.UNKNOWN_MESSAGE, 0, 0, str(error)), frame.request)
+            self._reply(wire.Refused(Refusal.UNKNOWN_MESSAGE, 0, 0, str(error)), frame.request)
         except RefusedRequest as refused:
-            self._reply(Refused(refused.reason, refused.line, refused.column, str(refused)), frame.request)
+            self._reply(wire.Refused(refused.reason, refused.line, refused.column, str(refused)), frame.request)
 
     def _carry_out(self, message: Any, request: int) -> None:  # noqa: C901
-        controller = self.controller
-        if isinstance(message, Hello):
+        if isinstance(message, wire.Hello):
             self._greet(message, request)
             return
         if not self._greeted:
             raise RefusedRequest(Refusal.BAD_REQUEST, "the first message must be the greeting")
+        controller = self.controller
+        reply: Any = wire.Done()
         match message:
-            case Identify():
-                self._reply(identity_reply(controller), request)
-            case AskStatus():
-                self._reply(status_reply(controller), request)
-            case AskTemperatures():
-                self._reply(TemperaturesReply(controller.temperatures), request)
-            case AskFrames():
+            case wire.Identify():
+                names = controller.robot.joint_names
+                reply = wire.IdentityReply(controller.name, controller.serial, CONTROLLER, VERSION, names, PERIOD)
+            case wire.AskStatus():
+                name, checksum = controller.stored
+                about: dict[str, Any] = {"program": name, "checksum": checksum, "position": tuple(controller.position)}
+                reply = wire.StatusReply(**vars(controller.state), moving=controller.moving, **about)
+            case wire.AskTemperatures():
+                reply = wire.TemperaturesReply(controller.temperatures)
+            case wire.AskFrames():
                 base, uframe, tool = controller.frames
-                self._reply(FramesReply(base, tool, uframe), request)
-            case UploadBegin(name, size, checksum):
+                reply = wire.FramesReply(base, tool, uframe)
+            case wire.UploadBegin(name, size, checksum):
                 controller.check_upload(name, size)
                 self._upload = Upload(name, size, checksum)
-                self._reply(Done(), request)
-            case UploadBlock(offset, data):
+            case wire.UploadBlock(offset, data):
                 self._current_upload().add(offset, data)
-                self._reply(Done(), request)
-            case UploadEnd():
+            case wire.UploadEnd():
                 upload, self._upload = self._current_upload(), None
-                self._reply(Stored(upload.name, controller.store(upload.name, upload.complete())), request)
-            case Start(name, checksum, motion_id):
+                reply = wire.Stored(upload.name, controller.store(upload.name, upload.complete()))
+            case wire.Start(name, checksum, motion_id):
                 self._start(name, checksum, motion_id, request)
-            case Stop():
+                return
+            case wire.Stop():
                 controller.stop(EndReason.STOPPED, "stopped on command")
-                self._reply(Done(), request)
-            case Fetch(first, count):
-                self._reply(self._fetched(first, count), request)
+            case wire.Fetch(first, count):
+                reply = self._fetched(first, count)
             case _:
                 raise RefusedRequest(Refusal.UNKNOWN_MESSAGE, f"{type(message).__name__} is not a request")
+        self._reply(reply, request)
 
-    def _check_version(self, hello: Hello) -> None:
-        if hello.version < VERSION:
-            raise RefusedRequest(Refusal.UNSUPPORTED_VERSION, f"version {VERSION} of the link is spoken here")
+    def _check_version(self, hello: wire.Hello) -> None:
+        if hello.version < wire.VERSION:
+            raise RefusedRequest(Refusal.UNSUPPORTED_VERSION, f"version {wire.VERSION} of the link is spoken here")
 
     def _start(self, name: str, checksum: str, motion_id: bytes, request: int) -> None:
         self.controller.start(name, checksum, motion_id, self)  # type: ignore[arg-type]
         self._begin()
         self._driving = True
         try:
-            self._reply(Started(motion_id), request)
+            self._reply(wire.Started(motion_id), request)
         finally:
             self.controller.go()
 

@@ -49,9 +49,8 @@ class SerialServer(FrameClient):
         waits: bool = False,
     ) -> None:
         super().__init__(controller)
-        self.address = port
+        self.address, self._waits = port, waits
         self._shortest = max(watchdog, 3 * frame_time(baud, LONGEST_FRAME))
-        self._waits = waits
         joints = controller.robot.dof
         self._batch = samples_per_frame(joints)
         self._times = np.empty(memory, np.int64)
@@ -60,13 +59,11 @@ class SerialServer(FrameClient):
             self._port = serial.serial_for_url(port, baudrate=baud, write_timeout=_WRITE_LIMIT, exclusive=True)
         except serial.SerialException as error:
             raise OSError(error.errno or errno.ENOENT, str(error)) from None
-        self._lock = threading.Condition()
+        self._lock, self._closing = threading.Condition(), threading.Event()
         self._replies: deque[bytes] = deque()
         self._produced = self._sent = 0
         self._end: End | None = None
-        self._end_sent = True
-        self._gone = True  # nothing was heard from the client for its watchdog
-        self._closing = threading.Event()
+        self._end_sent = self._gone = True  # the second: nothing was heard from the client for its watchdog
         controller.when_restarting.append(self._forget)
         self._threads = [threading.Thread(target=work, daemon=True) for work in (self._read, self._write)]
         for thread in self._threads:

@@ -7,25 +7,14 @@ import selectors
 import socket
 import threading
 import time
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from drivers.errors import ProtocolError
+from drivers.wire import tcp as wire
 from drivers.wire.reasons import EndReason, Refusal
-from drivers.wire.tcp import (
-    MAX_BATCH,
-    MAX_REQUEST_PAYLOAD,
-    VERSION,
-    End,
-    FrameDecoder,
-    Heartbeat,
-    Hello,
-    Refused,
-    Samples,
-    Welcome,
-    encode,
-)
 from fake_controller.controller import Controller
 from fake_controller.execution import Slice
 from fake_controller.programs import RefusedRequest
@@ -52,15 +41,12 @@ class TcpServer:
         port: int = 0,
         watchdog: float = WATCHDOG_RANGE[0],
     ) -> None:
-        self.controller = controller
-        self.watchdog = watchdog
+        self.controller, self.watchdog = controller, watchdog
         self._listener = listening_socket(address, port, controller.faults.refusing, MAX_CONNECTIONS)
-        self.port = self._listener.getsockname()[1]
-        self.address = name_of(self._listener.getsockname())
-        self._lock = threading.Lock()
+        self.port, self.address = self._listener.getsockname()[1], name_of(self._listener.getsockname())
+        self._lock, self._closing = threading.Lock(), threading.Event()
         self._sessions: set[Session] = set()
         self._holder: Session | None = None
-        self._closing = threading.Event()
         self._thread = threading.Thread(target=self._accept, name="accept", daemon=True)
         if not controller.faults.refusing:
             self._thread.start()
@@ -118,17 +104,12 @@ class Session(FrameClient):
 
     def __init__(self, server: TcpServer, connection: socket.socket) -> None:
         super().__init__(server.controller)
-        self._server = server
-        self._socket = connection
-        self._socket.settimeout(SEND_LIMIT)
-        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self._send_lock = threading.Lock()
-        self._closed = threading.Event()
+        self._server, self._socket = server, connection
+        connection.settimeout(SEND_LIMIT)
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._send_lock, self._closed = threading.Lock(), threading.Event()
         self._thread = threading.Thread(target=self._serve, name="session", daemon=True)
-
-    def start(self) -> None:
-        """Begin to serve."""
-        self._thread.start()
+        self.start, self.join = self._thread.start, partial(self._thread.join, 2 * LINGER)
 
     def close(self) -> None:
         """Say that nothing more will come; the reader thread does the rest."""
@@ -136,27 +117,23 @@ class Session(FrameClient):
         with contextlib.suppress(OSError):
             self._socket.shutdown(socket.SHUT_WR)
 
-    def join(self) -> None:
-        """Wait until the connection is closed."""
-        self._thread.join(2 * LINGER)
-
     def on_samples(self, first: int, time_ns: np.ndarray, samples: Slice) -> None:
         """Stream what the arm just did; a client that is gone ends the motion."""
-        for begin in range(0, len(samples), MAX_BATCH):
-            chosen = slice(begin, begin + MAX_BATCH)
-            self._send_or_close(Samples(first + begin, time_ns[chosen], *samples.part(chosen).columns))
+        for begin in range(0, len(samples), wire.MAX_BATCH):
+            chosen = slice(begin, begin + wire.MAX_BATCH)
+            self._send_or_close(wire.Samples(first + begin, time_ns[chosen], *samples.part(chosen).columns))
 
     def on_end(self, reason: EndReason, samples: int, message: str) -> None:
         """Tell that the arm rests."""
         self._driving = False
-        self._send_or_close(End(reason, samples, message))
+        self._send_or_close(wire.End(reason, samples, message))
 
     def _serve(self) -> None:
         try:
             self._read()
         except ProtocolError as error:
             with contextlib.suppress(OSError):
-                self._reply(Refused(Refusal.BAD_REQUEST, 0, 0, f"{error}; the connection is closed"))
+                self._reply(wire.Refused(Refusal.BAD_REQUEST, 0, 0, f"{error}; the connection is closed"))
         except OSError:
             pass
         finally:
@@ -177,7 +154,7 @@ class Session(FrameClient):
                     return
 
     def _read(self) -> None:
-        decoder = FrameDecoder(MAX_REQUEST_PAYLOAD)
+        decoder = wire.FrameDecoder(wire.MAX_REQUEST_PAYLOAD)
         with selectors.DefaultSelector() as selector:
             selector.register(self._socket, selectors.EVENT_READ)
             while not self._closed.is_set():
@@ -190,7 +167,7 @@ class Session(FrameClient):
                 if self._silence >= IDLE_LIMIT:
                     return
 
-    def _greet(self, hello: Hello, request: int) -> None:
+    def _greet(self, hello: wire.Hello, request: int) -> None:
         if self._greeted:
             raise RefusedRequest(Refusal.BAD_REQUEST, "the greeting comes once")
         self._check_version(hello)
@@ -199,16 +176,16 @@ class Session(FrameClient):
         self._watchdog = min(max(hello.watchdog_ms / 1000, self._server.watchdog), WATCHDOG_RANGE[1])
         self._greeted = True
         self.controller.reach("connect")
-        self._reply(Welcome(VERSION, round(self._watchdog * 1000)), request)
+        self._reply(wire.Welcome(wire.VERSION, round(self._watchdog * 1000)), request)
         threading.Thread(target=self._beat, name="heartbeat", daemon=True).start()
 
     def _beat(self) -> None:
         while not self._closed.wait(self._watchdog / 4):
-            self._send_or_close(Heartbeat())
+            self._send_or_close(wire.Heartbeat())
 
-    def _fetched(self, first: int, count: int) -> Samples:
-        first, time_ns, samples = self.controller.fetch(first, min(count, MAX_BATCH))
-        return Samples(first, time_ns, *samples.columns)
+    def _fetched(self, first: int, count: int) -> wire.Samples:
+        first, time_ns, samples = self.controller.fetch(first, min(count, wire.MAX_BATCH))
+        return wire.Samples(first, time_ns, *samples.columns)
 
     def _send_or_close(self, message: Any) -> None:
         try:
@@ -217,9 +194,9 @@ class Session(FrameClient):
             self.close()
 
     def _reply(self, message: Any, request: int = 0) -> None:
-        frame = encode(message, request)
+        frame = wire.encode(message, request)
         with self._send_lock:
-            self.controller.faults.send(frame, self._socket.sendall, self._cut, isinstance(message, Heartbeat))
+            self.controller.faults.send(frame, self._socket.sendall, self._cut, isinstance(message, wire.Heartbeat))
 
     def _cut(self) -> None:
         self._closed.set()

@@ -10,24 +10,21 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from agent.core import AgentError, read_yaml, write_atomically
-from agent.link import moving_segments
 from agent.recording import Log, read_log, write_log
 from agent.robot import description_file, load_robot
 from drivers.errors import DriverError
 from fake_controller.withheld.cases import draw_cases
-from fake_controller.withheld.motions import draw_programs
-from fake_controller.withheld.runs import REST, link_recipe, record_motions, torque_change
+from fake_controller.withheld.runs import between_stops, draw_programs, link_recipe, record_motions, torque_change
 
 #: One robot, and about 20 s of each of three motions.
 _USUAL = {"robot": "comau_ns16", "cycle": 10.0}
-_NOWHERE = "127.0.0.1:9"  # plans are drawn without a controller
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -36,7 +33,7 @@ def main(arguments: Sequence[str]) -> int:
     if arguments[0] == "draw":
         options = _USUAL | job["options"]
         drawn = draw_cases(job["count"], job["seed"], load_robot(options["robot"]))
-        print(json.dumps([{**case.to_dict(), **options} for case in drawn]))
+        print(json.dumps([{**asdict(case), **options} for case in drawn]))
         return 0
     try:
         print(json.dumps({"size": write(job["truth"], Path(job["folder"]))}))
@@ -49,10 +46,13 @@ def main(arguments: Sequence[str]) -> int:
 def write(truth: Mapping[str, Any], folder: Path) -> float | None:
     """Record a run: description, `baseline/` of the healthy machine, `logs/`; returns the size of its effects.
 
-    The controller's interpolator differs from ours, so our plan is not what a run should be like. The planned
-    set-points of a log are those that this controller executes for the same programs without an effect.
+    The controller's interpolator differs from ours, so our plan does not describe a healthy run. The planned set-points
+    of a log are those that this controller executes for the same programs without an effect.
     """
-    _describe(truth["robot"], folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    source = description_file(truth["robot"])
+    for path in (source, source.parent / read_yaml(source)["urdf"]):
+        write_atomically(folder / path.name, path.read_text(encoding="utf-8"))
     for log in _run(truth, truth["machine"], (), folder / "baseline"):
         write_log(log.path, replace(log, planned_position=None))
     logs = plain = _run(truth, truth["motion"], truth["effects"], folder / "logs")
@@ -61,35 +61,24 @@ def write(truth: Mapping[str, Any], folder: Path) -> float | None:
         plain = _run(truth, truth["motion"], (), folder / "without")
         size = torque_change(load_robot(truth["robot"]), logs, plain)
     for log, other in zip(logs, plain, strict=True):
-        assert other.reference_position is not None
-        write_log(log.path, planned_as(log, other.reference_position))
+        write_log(log.path, _planned_as(log, other))
     return size
 
 
 def _run(truth: Mapping[str, Any], motion: int, effects: Sequence[Mapping[str, Any]], folder: Path) -> list[Log]:
-    robot = load_robot(truth["robot"])
-    programs = draw_programs(link_recipe(truth["robot"], _NOWHERE), motion, truth["cycle"])
-    return [
-        read_log(path, robot) for path in record_motions(truth["robot"], truth["machine"], effects, programs, folder)
-    ]
+    programs = draw_programs(link_recipe(truth["robot"]), motion, truth["cycle"])
+    paths = record_motions(truth["robot"], truth["machine"], effects, programs, folder)
+    return [read_log(path, load_robot(truth["robot"])) for path in paths]
 
 
-def _describe(robot: str, folder: Path) -> None:
-    """Copy the description of a robot and its URDF."""
-    folder.mkdir(parents=True, exist_ok=True)
-    source = description_file(robot)
-    for path in (source, source.parent / read_yaml(source)["urdf"]):
-        write_atomically(folder / path.name, path.read_text(encoding="utf-8"))
+def _planned_as(log: Log, other: Log) -> Log:
+    """The log with the executed set-points of another run as its plan.
 
-
-def planned_as(log: Log, set_points: np.ndarray) -> Log:
-    """The log with the set-points (T, n) of another run as its plan, for every sample.
-
-    Both are aligned from stop to stop, and a stop holds the last set-point. Where the stops differ in number, the
-    plan begins with the log and is not aligned again.
+    Both are aligned from stop to stop, and a stop holds the last set-point. Where the stops differ in number, the plan
+    begins with the log and is not aligned again.
     """
-    assert log.reference_position is not None
-    here, there = (moving_segments(points, REST) for points in (log.reference_position, set_points))
+    here, there, set_points = between_stops(log), between_stops(other), other.reference_position
+    assert set_points is not None
     planned = set_points[np.minimum(np.arange(len(log.t)), len(set_points) - 1)]
     if len(here) == len(there):
         for (start, _), (first, last) in zip(here, there, strict=True):

@@ -3,31 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from agent.model import CATALOGUE
-from agent.robot import RobotDescription
+from agent.robot import Dynamics, RobotDescription
 
-#: Share of each kind of run. `outside`: an effect that the catalogue has no form for.
-SHARES = {"none": 0.35, "one": 0.45, "two": 0.1, "outside": 0.1}
-
+#: Effects that the catalogue has no form for.
 OUTSIDE = ("rough_bearing", "wandering_torque", "rubbing_brake")
 
 
 @dataclass(frozen=True)
 class Mix:
-    """What is drawn: share of each kind of run, lowest and highest strength, and the names of effects (None: all)."""
+    """What is drawn: the share of each kind of run, lowest and highest strength, and the effects by name."""
 
     shares: Mapping[str, float]
     strengths: tuple[float, float]
-    names: tuple[str, ...] | None = None
+    names: tuple[str, ...]
 
 
-#: From a tenth of what an effect usually is, which is too small to matter, to twice as much.
-USUAL = Mix(SHARES, (0.1, 2.0))
+#: From a tenth of an effect's usual size, which is too small to matter, to twice the usual size.
+USUAL = Mix({"none": 0.35, "one": 0.45, "two": 0.1, "outside": 0.1}, (0.1, 2.0), tuple(CATALOGUE))
 
 
 @dataclass(frozen=True)
@@ -44,28 +42,20 @@ class Case:
     strength: float
     effects: tuple[dict[str, Any], ...]
 
-    def to_dict(self) -> dict[str, Any]:
-        """Plain data."""
-        return {**asdict(self), "effects": list(self.effects)}
-
 
 def draw_cases(count: int, seed: int, robot: RobotDescription, mix: Mix = USUAL) -> list[Case]:
-    """`count` runs in random order; every effect of the mix comes up equally often.
+    """Draw `count` runs in random order; every effect of the mix comes up equally often.
 
-    Seeds of machines and motions are 62 random bits each, too many to try: whoever knew one could repeat the run
-    without its effect.
+    Seeds of machines and motions have 62 random bits each. Somebody who knew one could repeat the run without its
+    effect, and these are too many to try.
     """
     rng = np.random.default_rng([seed, 77])
     kinds = [str(kind) for kind in rng.permutation(_kinds(count, mix.shares))]
-    names = _Deck(mix.names or tuple(_sizes(robot, 0, 1.0, rng)), rng)
-    outside = _Deck(OUTSIDE, rng)
+    names, outside = _Deck(mix.names, rng), _Deck(OUTSIDE, rng)
     cases = []
     for number, kind in enumerate(kinds):
         strength = float(np.exp(rng.uniform(*np.log(mix.strengths))))
-        if kind == "outside":
-            chosen = [outside.draw()]
-        else:
-            chosen = [names.draw() for _ in range({"none": 0, "two": 2}.get(kind, 1))]
+        chosen = [(outside if kind == "outside" else names).draw() for _ in range({"none": 0, "two": 2}.get(kind, 1))]
         effects = tuple(draw_effect(name, robot, strength, rng) for name in chosen)
         while _collide(effects):
             effects = tuple(draw_effect(name, robot, strength, rng) for name in (chosen[0], names.draw()))
@@ -98,21 +88,16 @@ class _Deck:
 
 
 def _collide(effects: tuple[dict[str, Any], ...]) -> bool:
-    """Two effects that are one, or two gears in one place."""
+    """Whether two effects are the same one, or two gears in one joint."""
     if len(effects) < 2:
         return False
     first, second = effects
-    gears = _twists(first["effect"]) and _twists(second["effect"])
+    gears = all("twist" in CATALOGUE[effect["effect"]].shapes for effect in effects)
     return first["effect"] == second["effect"] or (gears and first["joints"] == second["joints"])
 
 
-def _twists(name: str) -> bool:
-    """Whether an effect is one of a gear that gives way."""
-    return name in CATALOGUE and "twist" in CATALOGUE[name].shapes
-
-
 def draw_effect(name: str, robot: RobotDescription, strength: float, rng: np.random.Generator) -> dict[str, Any]:
-    """Where and how an effect sits on the arm, `strength` times as large as usual."""
+    """Draw where and how an effect sits on the arm, `strength` times as large as usual."""
     n = robot.dof
     joint = int(rng.integers(n))
     whole = name in CATALOGUE and CATALOGUE[name].scope in ("arm", "base")
@@ -120,18 +105,14 @@ def draw_effect(name: str, robot: RobotDescription, strength: float, rng: np.ran
     if name == "wrist_coupling":
         first, second = sorted(rng.choice(range(max(0, n - 3), n), 2, replace=False))
         joints = [robot.joint_names[first], robot.joint_names[second]]
-    make = (_sizes(robot, joint, strength, rng) | _outside_sizes(robot, joint, strength, rng))[name]
-    return {"effect": name, "joints": joints, "parameters": _plain(make())}
+    return {"effect": name, "joints": joints, "parameters": _plain(_parameters(name, robot, joint, strength, rng))}
 
 
-def _sizes(
-    robot: RobotDescription, k: int, s: float, rng: np.random.Generator
-) -> dict[str, Callable[[], dict[str, Any]]]:
-    """Parameters of every effect of the vocabulary; at s = 1 a few percent of nominal torque."""
-    n, nominal, fastest = robot.dof, _nominal(robot)[k], float(robot.max_velocity[k])
-    sign = float(rng.choice([-1.0, 1.0]))
-    draw = rng.uniform
-    return {
+def _parameters(name: str, robot: RobotDescription, k: int, s: float, rng: np.random.Generator) -> dict[str, Any]:
+    """Parameters of an effect on joint k; at s = 1 a few percent of nominal torque (of 100 N·m without one)."""
+    nominal, fastest = float(np.nan_to_num(robot.nominal_torque, nan=100.0)[k]), float(robot.max_velocity[k])
+    sign, seed, draw = float(rng.choice([-1.0, 1.0])), float(rng.integers(1_000_000)), rng.uniform
+    drawn: dict[str, Callable[[], dict[str, Any]]] = {  # only the ones that are asked for are drawn
         "stribeck": lambda: {"rise": 0.06 * s * nominal, "speed": draw(0.02, 0.08) * fastest},
         "asymmetric_friction": lambda: {
             "coulomb": sign * min(0.25 * s, 0.8),
@@ -171,12 +152,12 @@ def _sizes(
         },
         "base_tilt": lambda: {"roll": sign * 0.02 * s, "pitch": draw(-0.02, 0.02) * s},
         "inertial_mismatch": lambda: {
-            "link": float(rng.integers(2, max(n, 3))),  # a changed last link is a payload by another name
+            "link": float(rng.integers(2, max(robot.dof, 3))),  # a changed last link is a payload by another name
             "scale": 1 + sign * 0.2 * s,
             "points": [[4 * s, *draw(-0.3, 0.3, 3)]],
         },
         "contact": lambda: {
-            "force": _direction(rng) * 120 * s,
+            "force": (way := rng.normal(size=3)) / np.linalg.norm(way) * 120 * s,
             "start": draw(5, 50),
             "duration": draw(0.5, 3),
         },
@@ -185,45 +166,21 @@ def _sizes(
         "time_delay": lambda: {"delay": 0.006 * s},
         "encoder_offset": lambda: {"offset": sign * 0.02 * s},
         "interpolator_mismatch": lambda: {"rate": 1 + sign * 0.02 * s, "blend": draw(0, 0.08) * s},
-    }
-
-
-def _outside_sizes(
-    robot: RobotDescription, k: int, s: float, rng: np.random.Generator
-) -> dict[str, Callable[[], dict[str, Any]]]:
-    nominal, seed = _nominal(robot)[k], float(rng.integers(1_000_000))
-    return {
-        "rough_bearing": lambda: {"amplitude": 0.15 * s * nominal, "patch": rng.uniform(0.04, 0.15), "seed": seed},
+        "rough_bearing": lambda: {"amplitude": 0.15 * s * nominal, "patch": draw(0.04, 0.15), "seed": seed},
         "wandering_torque": lambda: {
             "amplitude": 0.05 * s * nominal,
-            "memory": float(np.exp(rng.uniform(np.log(0.2), np.log(2.0)))),
+            "memory": float(np.exp(draw(np.log(0.2), np.log(2.0)))),
             "seed": seed,
         },
-        "rubbing_brake": lambda: {
-            "drag": 0.1 * s * nominal,
-            "on": rng.uniform(0.2, 0.8),
-            "off": rng.uniform(0.5, 2),
-            "seed": seed,
-        },
+        "rubbing_brake": lambda: {"drag": 0.1 * s * nominal, "on": draw(0.2, 0.8), "off": draw(0.5, 2), "seed": seed},
     }
-
-
-def _nominal(robot: RobotDescription) -> np.ndarray:
-    """(n,) [N·m]; a hundred where the description has none."""
-    return np.nan_to_num(robot.nominal_torque, nan=100.0)
+    return drawn[name]()
 
 
 def _inertia(robot: RobotDescription, k: int) -> float:
     """[kg·m²] that joint k sees in the middle of its range."""
-    from agent.robot import Dynamics
-
     lower, upper = (np.clip(limit, -np.pi, np.pi) for limit in robot.position_limits)
     return float(Dynamics(robot).mass_matrix(0.5 * (lower + upper))[k, k])
-
-
-def _direction(rng: np.random.Generator) -> np.ndarray:
-    vector = rng.normal(size=3)
-    return vector / np.linalg.norm(vector)
 
 
 def _plain(value: Any) -> Any:

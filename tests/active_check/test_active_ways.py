@@ -29,7 +29,7 @@ def test_the_planned_motion_names_no_fewer_than_the_d_optimal_pieces(measured):
             run.terminate()  # what it has started ends with it
             pytest.skip(f"not done after {_LONGEST} s: call it again, it goes on in {folder}")
     scores = json.loads((folder / "active_check.json").read_text(encoding="utf-8"))
-    found = {way: row["right_after_one"]["count"] for way, row in scores["ways"].items()}
+    found = {way: row["right"]["count"] for way, row in scores["ways"].items()}
     for way, count in found.items():
         measured(f"right after one further motion, {way}", count, f"of {scores['ambiguous']} ambiguous")
     assert found["planned"] >= found["d_optimal_pieces"]

@@ -12,8 +12,7 @@ from fake_controller import actuation
 from fake_controller.build import build_controller
 from fake_controller.plant import Plant
 from fake_controller.withheld.cases import OUTSIDE, draw_cases, draw_effect
-from fake_controller.withheld.motions import draw_programs
-from fake_controller.withheld.runs import link_recipe
+from fake_controller.withheld.runs import draw_programs, link_recipe
 
 ROBOT = load_robot("comau_ns16")
 
@@ -70,5 +69,5 @@ def test_the_serial_of_a_machine_does_not_hold_its_seed():
 
 def test_a_program_says_with_which_tool_its_corners_are_flown():
     """What another program has left in the controller shapes the corners of joint moves, too."""
-    programs = draw_programs(link_recipe(ROBOT.name, "127.0.0.1:9"), 3, 2.0)
+    programs = draw_programs(link_recipe(ROBOT.name), 3, 2.0)
     assert all("$TOOL := POS(0, 0, 0, 0, 0, 0" in text for text in programs.values())

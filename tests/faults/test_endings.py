@@ -91,18 +91,43 @@ def on_terminal(tmp_path: Path) -> Iterator[Callable[..., Terminal]]:
 
 
 @pytest.fixture
-def moving(bench, on_terminal):
-    """A real-time controller and an agent on a terminal that moves it."""
+def on_pipes(bench, tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen]]:
+    """Starts `agent record …` off a terminal."""
+    made: list[subprocess.Popen] = []
+
+    def start(*options: str, preexec_fn: Callable[[], None] = end_with_tests, **pipes: int) -> subprocess.Popen:
+        command = [sys.executable, "-m", "agent", "record", bench.recipe, "--program", bench.program, "-o", bench.log]
+        quiet = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL) | pipes
+        more = {"cwd": tmp_path, "env": _environment(), "preexec_fn": preexec_fn}
+        made.append(subprocess.Popen([*command, *options], **quiet, **more))
+        return made[-1]
+
+    yield start
+    for process in made:
+        process.kill()
+        process.wait()
+
+
+@pytest.fixture
+def controller(bench) -> Controller:
+    """A real-time controller, and a program of minutes for it."""
     controller = bench.serve(clock="real")
     bench.program.write_text(LONG, encoding="utf-8")
+    return controller
+
+
+@pytest.fixture
+def moving(bench, controller, on_terminal):
+    """A real-time controller and an agent on a terminal that moves it."""
     terminal = on_terminal("record", bench.recipe, "--program", bench.program, "-o", bench.log, "--yes")
     terminal.read_until("of motion")
     _wait_for(controller, controller.recorded + MOMENT)
     return controller, terminal
 
 
-def _wait_for(controller: Controller, recorded: int) -> None:
+def _wait_for(controller: Controller, recorded: int, process: subprocess.Popen | None = None) -> None:
     while controller.recorded < recorded:
+        assert process is None or process.poll() is None
         os.sched_yield()
 
 
@@ -127,35 +152,19 @@ def test_a_frozen_terminal_delays_no_stop_and_loses_nothing(bench, moving, asser
 
 
 @pytest.mark.verify
-def test_a_pipe_that_nobody_reads_delays_no_stop(bench, tmp_path, assert_at_rest):
-    controller = bench.serve(clock="real")
-    bench.program.write_text(LONG, encoding="utf-8")
+def test_a_pipe_that_nobody_reads_delays_no_stop(bench, controller, on_pipes, assert_at_rest):
     read, write = os.pipe()
     os.set_blocking(write, False)
     with contextlib.suppress(BlockingIOError):
         while True:
             os.write(write, b"x" * 1024)
     os.set_blocking(write, True)
-    process = subprocess.Popen(
-        [sys.executable, "-m", "agent", "record", bench.recipe, "--program", bench.program, "-o", bench.log, "-v"],
-        cwd=tmp_path,
-        env=_environment(),
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=write,
-        preexec_fn=end_with_tests,
-    )
-    try:
-        while controller.recorded < 500:
-            assert process.poll() is None
-            os.sched_yield()
-        controller.state.override = 0.5
-        assert process.wait(60) == 5
-    finally:
-        process.kill()
-        process.wait()
-        os.close(read)
-        os.close(write)
+    process = on_pipes("-v", stderr=write)
+    _wait_for(controller, 500, process)
+    controller.state.override = 0.5
+    assert process.wait(60) == 5
+    os.close(read)
+    os.close(write)
     assert_at_rest(controller, 1)
     _assert_nothing_lost(bench, controller)
 
@@ -215,31 +224,14 @@ def test_a_terminal_that_is_closed_ends_in_a_stop(bench, moving, assert_at_rest)
     _assert_nothing_lost(bench, controller)
 
 
-def test_a_session_without_a_terminal_that_drops_ends_in_a_stop(bench, tmp_path, assert_at_rest):
+def test_a_session_without_a_terminal_that_drops_ends_in_a_stop(controller, on_pipes, assert_at_rest):
     """`ssh host agent record …` has pipes; nothing but their far end tells that it is gone, and `-q` writes nothing."""
-    controller = bench.serve(clock="real")
-    bench.program.write_text(LONG, encoding="utf-8")
     read, write = os.pipe()
-    command = [sys.executable, "-m", "agent", "record", bench.recipe, "--program", bench.program, "-o", bench.log, "-q"]
-    process = subprocess.Popen(
-        command,
-        cwd=tmp_path,
-        env=_environment(),
-        stdin=subprocess.DEVNULL,
-        stdout=write,
-        stderr=write,
-        preexec_fn=end_with_tests,
-    )
+    process = on_pipes("-q", stdout=write, stderr=write)
     os.close(write)
-    try:
-        while controller.recorded < 500 + MOMENT:
-            assert process.poll() is None
-            os.sched_yield()
-        os.close(read)
-        assert process.wait(30) == 129
-    finally:
-        process.kill()
-        process.wait()
+    _wait_for(controller, 500 + MOMENT, process)
+    os.close(read)
+    assert process.wait(30) == 129
     assert [end.name for end in controller.ends] == ["STOPPED"]
     assert_at_rest(controller, 1)
 
@@ -254,40 +246,23 @@ def test_a_second_signal_does_not_cut_the_stop_short(bench, moving, assert_at_re
     assert_at_rest(controller, 1)
 
 
-def test_what_is_told_to_survive_a_hang_up_does(bench, tmp_path, assert_at_rest):
+def test_what_is_told_to_survive_a_hang_up_does(bench, controller, on_pipes, assert_at_rest):
     """`nohup agent …`"""
-    controller = bench.serve(clock="real")
     bench.program.write_text(LONG.replace("200", "1"), encoding="utf-8")
 
     def deaf() -> None:
         end_with_tests()
         signal.signal(signal.SIGHUP, signal.SIG_IGN)
 
-    process = subprocess.Popen(
-        [sys.executable, "-m", "agent", "record", bench.recipe, "--program", bench.program, "-o", bench.log],
-        cwd=tmp_path,
-        env=_environment(),
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        preexec_fn=deaf,
-    )
-    try:
-        while controller.recorded < 100:
-            assert process.poll() is None
-            os.sched_yield()
-        process.send_signal(signal.SIGHUP)
-        assert process.wait(60) == 0
-    finally:
-        process.kill()
-        process.wait()
+    process = on_pipes(preexec_fn=deaf)
+    _wait_for(controller, 100, process)
+    process.send_signal(signal.SIGHUP)
+    assert process.wait(60) == 0
     assert [end.name for end in controller.ends] == ["DONE"]
 
 
 @pytest.mark.parametrize("error", [MemoryError, RuntimeError])
-def test_an_error_in_any_thread_ends_in_a_stop(bench, assert_at_rest, monkeypatch, error):
-    controller = bench.serve(clock="real")
-    bench.program.write_text(LONG, encoding="utf-8")
+def test_an_error_in_any_thread_ends_in_a_stop(bench, controller, assert_at_rest, monkeypatch, error):
     strike = controller.faults.strike
 
     def fail() -> None:
@@ -308,14 +283,12 @@ def test_an_error_in_any_thread_ends_in_a_stop(bench, assert_at_rest, monkeypatc
     assert_at_rest(controller, 1)
 
 
-def test_memory_that_runs_out_ends_in_a_stop(bench, assert_at_rest, monkeypatch):
+def test_memory_that_runs_out_ends_in_a_stop(bench, controller, assert_at_rest, monkeypatch):
     from agent.recording import LogWriter
 
     def write(self, block):
         raise MemoryError
 
-    controller = bench.serve(clock="real")
-    bench.program.write_text(LONG, encoding="utf-8")
     monkeypatch.setattr(LogWriter, "write", write)
     ended = bench.record()
     assert ended.code == 1
@@ -323,7 +296,7 @@ def test_memory_that_runs_out_ends_in_a_stop(bench, assert_at_rest, monkeypatch)
     assert_at_rest(controller, 1)
 
 
-def test_a_disk_that_takes_nothing_ends_in_a_stop(bench, assert_at_rest, monkeypatch):
+def test_a_disk_that_takes_nothing_ends_in_a_stop(bench, controller, assert_at_rest, monkeypatch):
     from agent.recording.mcap import writer as module
 
     awake = threading.Event()
@@ -333,8 +306,6 @@ def test_a_disk_that_takes_nothing_ends_in_a_stop(bench, assert_at_rest, monkeyp
             awake.wait(60.0)
             super().write(samples)
 
-    controller = bench.serve(clock="real")
-    bench.program.write_text(LONG, encoding="utf-8")
     monkeypatch.setattr(module, "LogFile", Stuck)
     quick = {**module.LogWriter.__init__.__kwdefaults__, "stall_limit": 0.3}
     monkeypatch.setattr(module.LogWriter.__init__, "__kwdefaults__", quick)
@@ -353,29 +324,23 @@ def test_a_disk_that_takes_nothing_ends_in_a_stop(bench, assert_at_rest, monkeyp
     _assert_nothing_lost(bench, controller)
 
 
-def _delete(log: Path) -> None:
-    log.unlink()
-
-
-def _truncate(log: Path) -> None:
-    os.truncate(log, 0)
-
-
 def _replace(log: Path) -> None:
     log.with_name("other").write_bytes(log.read_bytes())
     log.with_name("other").rename(log)
 
 
-def _take_the_folder(log: Path) -> None:
-    log.parent.rename(log.parent.with_name("elsewhere"))
+HARMS = {
+    "delete": Path.unlink,
+    "truncate": lambda log: os.truncate(log, 0),
+    "replace": _replace,
+    "take the folder": lambda log: log.parent.rename(log.parent.with_name("elsewhere")),
+}
 
 
 @pytest.mark.parametrize(
-    "harm", [_delete, *(pytest.param(one, marks=pytest.mark.verify) for one in (_truncate, _replace, _take_the_folder))]
+    "harm", [pytest.param(name, marks=() if name == "delete" else pytest.mark.verify) for name in HARMS]
 )
-def test_a_log_that_is_taken_away_in_motion_ends_in_a_stop(bench, assert_at_rest, monkeypatch, harm):
-    controller = bench.serve(clock="real")
-    bench.program.write_text(LONG, encoding="utf-8")
+def test_a_log_that_is_taken_away_in_motion_ends_in_a_stop(bench, controller, assert_at_rest, monkeypatch, harm):
     bench.log = bench.folder / "taken" / "swing.mcap"
     bench.log.parent.mkdir()
     strike, harmed = controller.faults.strike, []
@@ -383,7 +348,7 @@ def test_a_log_that_is_taken_away_in_motion_ends_in_a_stop(bench, assert_at_rest
     def once(phase: str, motion_time: float = 0.0):
         if phase == "streaming" and motion_time > 1.0 + MOMENT / 1000 and not harmed:
             harmed.append(controller.recorded)
-            harm(bench.log)
+            HARMS[harm](bench.log)
         return strike(phase, motion_time)
 
     monkeypatch.setattr(controller.faults, "strike", once)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import resource
 import socket
 import struct
 from contextlib import closing
@@ -13,9 +12,9 @@ import pytest
 
 from fake_controller.build import build_controller
 from fake_controller.servers.cnr.server import CnrServer
+from tests.faults.test_fuzzing import GROWTH, memory
 
 FRAMES = [pytest.param(2_000), pytest.param(100_000, marks=pytest.mark.verify)]
-GROWTH = 100  # MiB
 #: Length and types of what each port takes.
 PORTS = ((76, (1, 3001, 3002, 3010, 3011, 3012, 3020)), (204, (3004,)), (40, (13,)))
 PING = struct.pack("<4i", 76, 1, 2, 0) + bytes(64)
@@ -37,11 +36,6 @@ def fuzzed(rng: np.random.Generator, length: int, types: tuple[int, ...]) -> byt
         case _:
             frame[rng.integers(16)] ^= 1 << int(rng.integers(8))
             return bytes(frame)
-
-
-def memory() -> float:
-    """Most that this process ever had [MiB]."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
 @pytest.mark.parametrize("frames", FRAMES)

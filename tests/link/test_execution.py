@@ -7,7 +7,7 @@ from hypothesis import given, settings, strategies as st
 from agent.motion.program import Delay, JointTarget, Move, MoveType
 from agent.motion.trajectory import Trajectory
 from fake_controller.clock import FastClock, RealClock
-from fake_controller.execution import Planner, path_stop, retimed
+from fake_controller.execution import Planner, retimed
 
 PERIOD = 0.002
 LIMITS = np.array([4.0, 8.0])
@@ -26,7 +26,7 @@ def test_a_stop_stays_on_the_path_and_ends_at_rest(phase, seconds):
     ramp = np.linspace(1, 0, len(position))[:, None]  # a trajectory ends at rest
     velocity = velocity * ramp
     position = position[0] + PERIOD * np.cumsum(velocity, axis=0)
-    q, qd = path_stop(position, velocity, LIMITS, PERIOD)
+    q, qd = (part[1:] for part in retimed(position, velocity, 0.0, LIMITS, PERIOD))
     np.testing.assert_allclose(qd[-1], 0, atol=1e-9)
     # Set-points go on from the last one without a step, and velocity is the derivative of position.
     joined = np.vstack([position[:1], q])
@@ -40,7 +40,7 @@ def test_a_stop_stays_on_the_path_and_ends_at_rest(phase, seconds):
 
 def test_a_stop_near_the_end_ends_at_the_end():
     position = np.linspace(0, 1, 6)[:, None] * [1e-3, 2e-3]
-    q, qd = path_stop(position, np.gradient(position, PERIOD, axis=0), LIMITS, PERIOD)
+    q, qd = retimed(position, np.gradient(position, PERIOD, axis=0), 0.0, LIMITS, PERIOD)
     np.testing.assert_array_equal(q[-1], position[-1])
     np.testing.assert_array_equal(qd[-1], 0)
 

@@ -98,10 +98,7 @@ class PointQueue:
 class TrajectoryPort(Port):
     """Carries out what its client asks for; who is connected here holds the controller.
 
-    Args:
-        controller, folder, reports: what it acts on.
-        address, port, cut: as of a `Port`.
-        gone: called when the client has left.
+    `gone` is called when the client has left; address, port and cut are as of a `Port`.
     """
 
     def __init__(
@@ -114,11 +111,9 @@ class TrajectoryPort(Port):
         cut: Callable[[], None],
         gone: Callable[[], None],
     ) -> None:
-        self._controller = controller
-        self._gone = gone
-        self._folder = folder
-        self._reports = reports
+        self._controller, self._folder, self._reports = controller, folder, reports
         self.queue = PointQueue(controller.robot)
+        self.left = gone  # type: ignore[method-assign]
         super().__init__(address, port, controller.faults, cut)
 
     def opened(self) -> None:
@@ -126,9 +121,6 @@ class TrajectoryPort(Port):
         self._controller.reach("connect")
         self._folder.write_identity()
         self._reports.silence = 0.0
-
-    def left(self) -> None:
-        self._gone()
 
     def press_start(self) -> None:
         """Run the program that the folder names, as somebody who stands at the controller does.
@@ -144,10 +136,9 @@ class TrajectoryPort(Port):
     def heard(self, client: Client, message: Message) -> None:
         point = message.record
         assert isinstance(point, Point)
-        if message.comm != CommType.REQUEST:
-            self._answer(client, message, done=False)
-            return
         match message.type:
+            case _ if message.comm != CommType.REQUEST:
+                self._answer(client, message, done=False)
             case MessageType.PING:
                 self._answer(client, message, done=True)
             case MessageType.POINT:
@@ -161,12 +152,10 @@ class TrajectoryPort(Port):
                 self.queue.started = True
                 self.queue.read_ahead()
                 self._run_points(client, message)
-            case MessageType.STOP if self._under_way():
-                self.queue.started = False  # held: the next start goes on with it
-                self._controller.stop(EndReason.STOPPED, "stopped on command")
-                self._answer(client, message, done=True)
-            case MessageType.CANCEL if self._under_way():
-                self.queue.clear()
+            case MessageType.STOP | MessageType.CANCEL if self._under_way():
+                if message.type == MessageType.CANCEL:
+                    self.queue.clear()
+                self.queue.started = False  # held: the next start continues with it
                 self._controller.stop(EndReason.STOPPED, "stopped on command")
                 self._answer(client, message, done=True)
             case MessageType.SHUTDOWN:
@@ -182,12 +171,10 @@ class TrajectoryPort(Port):
     def _take(self, client: Client, message: Message, point: Point) -> None:
         if self.queue.empty:
             self._controller.reach("upload")
-        if self._controller.faults.acts("queue_full"):
-            outcome = QueueStatus.BUSY
-        elif self._controller.faults.acts("sequence_error"):
-            outcome = QueueStatus.ERROR
-        else:
-            outcome = self.queue.add(point)
+        outcome = self._queue_status()
+        if outcome is not QueueStatus.BUSY:
+            wrong = self._controller.faults.acts("sequence_error")
+            outcome = QueueStatus.ERROR if wrong else self.queue.add(point)
         taken = outcome is QueueStatus.READY
         self._answer(client, message, taken, self._queue_status() if taken else outcome, point.sequence_number)
 

@@ -51,14 +51,12 @@ class FtpFolder:
     """
 
     def __init__(self, controller: Controller, address: str, port: int, watchdog: float) -> None:
-        self._controller = controller
-        self._watchdog = watchdog
+        self._controller, self._watchdog = controller, watchdog
         self._socket = listening_socket(address, port, controller.faults.refusing)
         self.port = self._socket.getsockname()[1]
         self._folder = tempfile.TemporaryDirectory(prefix="fake_controller_")
         self.path = Path(self._folder.name).resolve()
-        self._loop = IOLoop()
-        self._ending = threading.Event()
+        self._loop, self._ending = IOLoop(), threading.Event()
         self._thread = threading.Thread(target=self._serve, name="ftp", daemon=True)
         self.write_identity()
         if not controller.faults.refusing:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import secrets
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -42,24 +42,11 @@ class Publication(NamedTuple):
     current: int
 
 
-class IdealNode:
-    """Publishes every sample once, at the controller's own times."""
-
-    fills_velocities = True
-
-    def turns(self, time_ns: np.ndarray, samples: Slice) -> tuple[Slice, Iterator[Publication]]:
-        """What is published of samples (K,) that follow those of before, and the samples that it is taken from."""
-        return samples, (Publication(stamp, k, CURRENTS_LATE, k) for k, stamp in enumerate(time_ns.tolist()))
-
-
 class LoopingNode:
     """As the published node does it: a loop sleeps `period` [s], reads the last positions and then the last currents.
 
-    So a snapshot comes twice, or not at all, currents may be of the next one, and stamps are the PC's. Velocities are
-    never filled.
+    So a snapshot comes twice, or not at all, currents may be of the next one, and stamps are the PC's.
     """
-
-    fills_velocities = False
 
     def __init__(self, period: float) -> None:
         self._period = period * 1e9
@@ -68,8 +55,11 @@ class LoopingNode:
         self._late = 0.0
         self._kept: tuple[np.ndarray, Slice] | None = None
 
-    def turns(self, time_ns: np.ndarray, samples: Slice) -> tuple[Slice, Iterator[Publication]]:
-        """As of `IdealNode`; the last samples stay for the next call."""
+    def turns(self, time_ns: np.ndarray, samples: Slice) -> tuple[Slice, list[Publication]]:
+        """What is published of samples (K,) that follow those of before, and the samples that it is taken from.
+
+        The last samples stay for the next call.
+        """
         if self._kept is not None:
             time_ns = np.concatenate([self._kept[0], time_ns])
             pairs = zip(self._kept[1].columns, samples.columns, strict=True)
@@ -86,7 +76,7 @@ class LoopingNode:
         self._next = at
         first = max(0, int(np.searchsorted(time_ns, at, side="right")) - 1)
         self._kept = time_ns[first:], samples.part(slice(first, None))
-        return samples, iter(made)
+        return samples, made
 
 
 #: The node's clock: what it shows when the controller's shows nothing [µs], and how much faster it runs.
@@ -106,7 +96,7 @@ class JointPublisher:
         faults: what becomes of the messages.
         cut: ends the connections to the controller, where a fault asks for that.
         waits: wait for the broker where it is slower than the arm, as only an emulated arm can.
-        node: when it publishes, and what.
+        node: when it publishes, and what; without it every sample once, at the controller's own times.
 
     Raises:
         NoBrokerError: nobody there.
@@ -119,15 +109,12 @@ class JointPublisher:
         faults: Faults,
         cut: Callable[[], None],
         waits: bool,
-        node: IdealNode | LoopingNode,
+        node: LoopingNode | None,
     ) -> None:
         # τ = Cᵀ diag(gear) τ_motor, and τ_motor = constant · current.
         constants = np.array([joint.torque_constant or TORQUE_CONSTANT for joint in robot.joints])
         self._to_currents = np.linalg.inv(robot.coupling) / (robot.gear_ratios * constants)
-        self._faults = faults
-        self._cut = cut
-        self._waits = waits
-        self._node = node
+        self._faults, self._cut, self._waits, self._node = faults, cut, waits, node
         self._published = 0
         self._marker = f"fake_controller/{secrets.token_hex(8)}"
         self._returned = threading.Semaphore(0)
@@ -156,8 +143,12 @@ class JointPublisher:
 
     def publish(self, time_ns: np.ndarray, samples: Slice, spare: bool) -> None:
         """Publish samples with their controller times (K,) [ns]; `spare` as in `Faults.send`."""
-        samples, turns = self._node.turns(time_ns, samples)
-        filled = float(self._node.fills_velocities)
+        turns: Iterable[Publication]
+        if self._node is None:
+            turns = (Publication(stamp, k, CURRENTS_LATE, k) for k, stamp in enumerate(time_ns.tolist()))
+        else:
+            samples, turns = self._node.turns(time_ns, samples)
+        filled = float(self._node is None)  # the published node fills no velocities
         columns = {
             POSITIONS: np.degrees(samples.position),
             VELOCITIES: filled * np.degrees(samples.velocity),

@@ -49,18 +49,11 @@ class Reports:
         watchdog: float,
         waits: bool,
     ) -> None:
-        self.moving = False
+        self.moving = self.program_error = self._by_hand = False
         self.last_point = 0
-        self.program_error = False
         self.silence = 0.0  # s since feedback was answered
-        self._by_hand = False
-        self._controller = controller
-        self._feedback = feedback
-        self._status = status
-        self._publisher = publisher
-        self._cut = cut
-        self._watchdog = watchdog
-        self._waits = waits
+        self._controller, self._feedback, self._status, self._publisher = controller, feedback, status, publisher
+        self._cut, self._watchdog, self._waits = cut, watchdog, waits
         self._finished = 0  # last point once the program has run to its end
         self._next_sample = 0
         self._counted_from = 0  # ns; where times were counted from since the counters were reset
@@ -69,9 +62,8 @@ class Reports:
         self._last = Slice(controller.position[None], still, controller.torque[None], controller.reference[None], still)
         self._told: Feedback | None = None  # the record that was offered last
         self._told_at = 0.0  # s, monotonic
-        self._lock = threading.Lock()
+        self._lock, self._closing = threading.Lock(), threading.Event()
         self._telling = threading.Lock()  # records go out in the order in which they were true
-        self._closing = threading.Event()
         self._thread = threading.Thread(target=self._rest, name="reports", daemon=True)
         self._thread.start()
 

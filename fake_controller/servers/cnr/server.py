@@ -10,7 +10,7 @@ from fake_controller.controller import Controller
 from fake_controller.servers.base import BROKER
 from fake_controller.servers.cnr.commands import TrajectoryPort
 from fake_controller.servers.cnr.ftp import FtpFolder
-from fake_controller.servers.cnr.mqtt import IdealNode, JointPublisher, LoopingNode
+from fake_controller.servers.cnr.mqtt import JointPublisher, LoopingNode
 from fake_controller.servers.cnr.reports import Reports
 from fake_controller.servers.cnr.sockets import LockStep
 
@@ -38,7 +38,7 @@ class CnrServer:
         watchdog = max(watchdog, SHORTEST_WATCHDOG)
         cut = self.drop_clients
         trajectory, feedback, status, ftp = (port + k if port else 0 for k in range(4))
-        node = IdealNode() if node_period is None else LoopingNode(node_period)
+        node = None if node_period is None else LoopingNode(node_period)
         with ExitStack() as undo:
             self._publisher = JointPublisher(broker, controller.robot, controller.faults, cut, waits, node)
             undo.callback(self._publisher.close)

@@ -17,14 +17,12 @@ _RECEIVE = 64 * 1024
 
 
 class Client:
-    """One connection. Its thread reads; anybody may send."""
+    """One connection. Its thread reads; any thread may send."""
 
     def __init__(self, connection: socket.socket, faults: Faults, cut: Callable[[], None]) -> None:
-        self._socket = connection
-        self._socket.settimeout(SEND_LIMIT)
-        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self._faults = faults
-        self._cut = cut
+        connection.settimeout(SEND_LIMIT)
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._socket, self._faults, self._cut = connection, faults, cut
         self._lock = threading.Lock()
 
     def send(self, message: Message, spare: bool = False) -> None:
@@ -39,7 +37,13 @@ class Client:
         """Hand on what comes until the connection ends or makes no sense."""
         decoder = MessageDecoder(LITTLE)
         with contextlib.suppress(OSError, ProtocolError):
-            while data := self._receive():
+            while True:
+                try:
+                    data = self._socket.recv(_RECEIVE)
+                except TimeoutError:
+                    continue
+                if not data:
+                    return
                 for message in decoder.feed(self._faults.heard(data)):
                     heard(message)
 
@@ -47,11 +51,6 @@ class Client:
         """End the connection; the reading thread does the rest."""
         with contextlib.suppress(OSError):
             self._socket.shutdown(socket.SHUT_RDWR)
-
-    def _receive(self) -> bytes:
-        while True:
-            with contextlib.suppress(TimeoutError):
-                return self._socket.recv(_RECEIVE)
 
 
 class Port:
@@ -67,18 +66,16 @@ class Port:
     """
 
     def __init__(self, address: str, port: int, faults: Faults, cut: Callable[[], None]) -> None:
-        self._faults = faults
-        self._cut = cut
+        self._faults, self._cut = faults, cut
         self._listener = listening_socket(address, port, faults.refusing)
         self.port = self._listener.getsockname()[1]
         self.client: Client | None = None
-        self._lock = threading.Lock()
-        self._closing = threading.Event()
+        self._lock, self._closing = threading.Lock(), threading.Event()
         if not faults.refusing:
             threading.Thread(target=self._accept, name=f"port {self.port}", daemon=True).start()
 
     def close(self) -> None:
-        """Let the client go and stop listening."""
+        """Disconnect the client and stop listening."""
         self._closing.set()
         with contextlib.suppress(OSError):
             self._listener.shutdown(socket.SHUT_RDWR)
@@ -92,21 +89,21 @@ class Port:
             client.close()
 
     def drop(self) -> None:
-        """Let the client go; the next may come at once."""
+        """Disconnect the client; the next may come at once."""
         with self._lock:
             client, self.client = self.client, None
         if client is not None:
             client.close()
 
     def opened(self) -> None:
-        """A client has come. For those who know more about it."""
+        """Called when a client has come."""
 
     def heard(self, client: Client, message: Message) -> None:
-        """It says something."""
+        """Called with what it sends."""
         raise NotImplementedError
 
     def left(self) -> None:
-        """It has gone."""
+        """Called when it has gone."""
 
     def _accept(self) -> None:
         for connection in accepted(self._listener, self._closing):
@@ -131,18 +128,11 @@ class Port:
 
 
 class LockStep(Port):
-    """A port where the controller speaks: it sends a record, waits for the answer, and sends the next.
-
-    Args:
-        kind: of its messages.
-        address, port, faults, cut: as of a `Port`.
-    """
+    """A port where the controller speaks: it sends a record of a `kind`, waits for the answer, and sends the next."""
 
     def __init__(self, kind: MessageType, address: str, port: int, faults: Faults, cut: Callable[[], None]) -> None:
         self.answers = 0
-        self._kind = kind
-        self._changed = threading.Condition()
-        self._awaited = False
+        self._kind, self._awaited, self._changed = kind, False, threading.Condition()
         super().__init__(address, port, faults, cut)
 
     @property
@@ -164,22 +154,19 @@ class LockStep(Port):
         with self._changed:
             self._changed.wait_for(lambda: not self._awaited, timeout)
 
+    def opened(self) -> None:
+        with self._changed:
+            self._awaited = False
+            self._changed.notify_all()
+
+    def left(self) -> None:
+        self.opened()
+
     def drop(self) -> None:
         super().drop()
-        self._expect_nothing()
-
-    def opened(self) -> None:
-        self._expect_nothing()
+        self.opened()
 
     def heard(self, client: Client, message: Message) -> None:
         if (message.type, message.comm, message.reply) == (self._kind, CommType.REPLY, ReplyCode.SUCCESS):
             self.answers += 1
-            self._expect_nothing()
-
-    def left(self) -> None:
-        self._expect_nothing()
-
-    def _expect_nothing(self) -> None:
-        with self._changed:
-            self._awaited = False
-            self._changed.notify_all()
+            self.opened()

@@ -34,34 +34,23 @@ class RegisterMap:
     """
 
     def __init__(self, controller: Controller, watchdog: float, memory: int = MEMORY, waits: bool = False) -> None:
-        self._controller = controller
-        self._shortest = watchdog
-        self._joints = controller.robot.dof
-        if self._joints > wire.MAX_JOINTS:
-            raise ValueError(f"{self._joints} joints; the register map has room for {wire.MAX_JOINTS}")
-        self._slots = wire.slot_count(self._joints)
-        self._slot = wire.slot_registers(self._joints)
-        self._waits = waits
+        joints = controller.robot.dof
+        if joints > wire.MAX_JOINTS:
+            raise ValueError(f"{joints} joints; the register map has room for {wire.MAX_JOINTS}")
+        self._controller, self._shortest, self._waits = controller, watchdog, waits
+        self._slots, self._slot = wire.slot_count(joints), wire.slot_registers(joints)
         self._rows = np.empty((memory, self._slot), np.uint16)
         self._empty = np.zeros(self._slot, np.uint16)
         self._empty[:2] = 0xFFFF
-        self._lock = threading.Lock()
-        self._taken_changed = threading.Condition(self._lock)
-        self._taken = 0
-        self._produced = 0
-        self._state = wire.MotionState.NONE
-        self._motion = b""
-        self._end = (EndReason.DONE, "")
-        self._session = 0
-        self._request = 0
-        self._watchdog = 1.0
-        self._heard = False
-        self._silence = 0.0
-        self._heartbeat = 0
+        self._taken_changed = threading.Condition()
+        self._taken = self._produced = 0  # samples
+        self._state, self._motion, self._end = wire.MotionState.NONE, b"", (EndReason.DONE, "")
+        self._session = self._request = 0
+        self._watchdog, self._silence = 1.0, 0.0  # s
+        self._heartbeat, self._heard = 0, False
         self._answer = _no_answer()
         self._upload: Upload | None = None
-        self._stop_wanted = False
-        self._driving = False
+        self._stop_wanted = self._driving = False
         self._worker = ThreadPoolExecutor(1, "command")
         self._closing = threading.Event()
         controller.when_restarting.append(self._forget)
@@ -128,9 +117,6 @@ class RegisterMap:
         return result
 
     def _content(self, block: Block) -> list[int]:
-        reported = own_registers(self._controller, block)
-        if reported is not None:
-            return reported
         if block is wire.ANSWER:
             return block.pack(**self._answer)
         if block is wire.PROGRESS:
@@ -144,7 +130,50 @@ class RegisterMap:
                 oldest=max(0, produced - len(self._rows)),
                 reason=self._end[0],
             )
-        return block.pack(message=self._end[1])
+        if block is wire.END:
+            return block.pack(message=self._end[1])
+        return self._own(block)
+
+    def _own(self, block: Block) -> list[int]:
+        """Identity, joint names, status, frames and alarms."""
+        controller, state = self._controller, self._controller.state
+        if block is wire.IDENTITY:
+            return block.pack(
+                magic=wire.MAGIC,
+                version=wire.VERSION,
+                joints=controller.robot.dof,
+                period=round(PERIOD * 1e9),
+                slots=self._slots,
+                robot=controller.name,
+                serial=controller.serial,
+                controller=CONTROLLER,
+                software=VERSION,
+            )
+        if block is wire.STATUS:
+            flags = {
+                wire.Flag.DRIVES_ON: state.drives_on,
+                wire.Flag.EMERGENCY_STOP: state.emergency_stop,
+                wire.Flag.CELL_CLOSED: state.cell_closed,
+                wire.Flag.MOVING: controller.moving,
+                wire.Flag.EMULATOR: state.emulator,
+            }
+            name, checksum = controller.stored
+            return block.pack(
+                flags=sum(flag for flag, on in flags.items() if on),
+                mode=wire.MODES.get(state.mode, 0),
+                alarms=len(state.alarms),
+                override=state.override,
+                position=controller.position,
+                program=name,
+                checksum=bytes.fromhex(checksum),
+            )
+        if block is wire.FRAMES:
+            base, uframe, tool = controller.frames
+            return block.pack(base=base, tool=tool, uframe=uframe)
+        if block is wire.ALARMS:
+            return block.pack(text="\n".join(state.alarms))
+        first = wire.NAMES.index(block) * wire.NAMES_PER_BLOCK
+        return block.pack(names=controller.robot.joint_names[first : first + wire.NAMES_PER_BLOCK])
 
     def _ring(self, at: int, count: int) -> list[int]:
         first, last = at // self._slot, (at + count - 1) // self._slot
@@ -307,47 +336,3 @@ def _no_answer(
     about = {key: values[key] if values else 0 for key in ("session", "request")}
     empty = {"refusal": 0, "line": 0, "column": 0, "message": "", "checksum": b"", "watchdog": 0}
     return {**about, "outcome": outcome, **empty, **more}
-
-
-def own_registers(controller: Controller, block: Block) -> list[int] | None:
-    """The registers of identity, joint names, status, frames and alarms; None for any other block."""
-    state, joints = controller.state, controller.robot.dof
-    if block is wire.IDENTITY:
-        return block.pack(
-            magic=wire.MAGIC,
-            version=wire.VERSION,
-            joints=joints,
-            period=round(PERIOD * 1e9),
-            slots=wire.slot_count(joints),
-            robot=controller.name,
-            serial=controller.serial,
-            controller=CONTROLLER,
-            software=VERSION,
-        )
-    if block in wire.NAMES:
-        first = wire.NAMES.index(block) * wire.NAMES_PER_BLOCK
-        return block.pack(names=controller.robot.joint_names[first : first + wire.NAMES_PER_BLOCK])
-    if block is wire.STATUS:
-        flags = {
-            wire.Flag.DRIVES_ON: state.drives_on,
-            wire.Flag.EMERGENCY_STOP: state.emergency_stop,
-            wire.Flag.CELL_CLOSED: state.cell_closed,
-            wire.Flag.MOVING: controller.moving,
-            wire.Flag.EMULATOR: state.emulator,
-        }
-        name, checksum = controller.stored
-        return block.pack(
-            flags=sum(flag for flag, on in flags.items() if on),
-            mode=wire.MODES.get(state.mode, 0),
-            alarms=len(state.alarms),
-            override=state.override,
-            position=controller.position,
-            program=name,
-            checksum=bytes.fromhex(checksum),
-        )
-    if block is wire.FRAMES:
-        base, uframe, tool = controller.frames
-        return block.pack(base=base, tool=tool, uframe=uframe)
-    if block is wire.ALARMS:
-        return block.pack(text="\n".join(state.alarms))
-    return None

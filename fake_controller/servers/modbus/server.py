@@ -8,6 +8,7 @@ import errno
 import logging
 import threading
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from pymodbus.framer import FramerType
@@ -44,7 +45,8 @@ class ModbusServer:
         memory: int = MEMORY,
         waits: bool = False,
     ) -> None:
-        self._where = (address, port)
+        self._where: tuple[str, int] | None = (address, port)
+        self._make: Callable[..., ModbusBaseServer] = partial(_TcpServer, framer=FramerType.SOCKET, address=self._where)
         self._run(controller, watchdog, memory, waits)
         controller.when_restarting.append(self.drop_clients)
 
@@ -59,8 +61,9 @@ class ModbusServer:
         self._loop.call_soon_threadsafe(self._drop)
 
     def _run(self, controller: Controller, watchdog: float, memory: int, waits: bool) -> None:
-        self.controller = controller
+        self.controller, self._faults = controller, controller.faults
         self.registers = RegisterMap(controller, watchdog, memory, waits)
+        self._server: ModbusBaseServer | None = None
         self._failure: OSError | None = None
         started = threading.Event()
         self._thread = threading.Thread(target=lambda: asyncio.run(self._serve(started)), name="modbus", daemon=True)
@@ -74,40 +77,34 @@ class ModbusServer:
         self._loop = asyncio.get_running_loop()
         self._loop.set_exception_handler(lambda *_: None)  # a client's nonsense ends its connection, nothing else
         self._done = asyncio.Event()
+        deaf = None
         try:
-            await self._open()
+            if self._where is not None and self._faults.refusing:
+                deaf = listening_socket(*self._where, deaf=True)
+                self._name(deaf.getsockname())
+            else:
+                self._server = self._make(self.registers.device(), self._faults)
+                if not await self._server.listen():
+                    raise OSError(errno.EADDRINUSE, "address cannot be used")
+                if self._where is not None:
+                    self._name(self._server.transport.sockets[0].getsockname())  # type: ignore[attr-defined]
         except OSError as error:
             self._failure = error
             return
         finally:
             started.set()
         await self._done.wait()
-        await self._end()
-
-    async def _open(self) -> None:
-        if self.controller.faults.refusing:
-            self._deaf = listening_socket(*self._where, deaf=True)
-            self._name(self._deaf.getsockname())
-            return
-        device, faults = self.registers.device(), self.controller.faults
-        self._server: _TcpServer | _LineServer = _TcpServer(
-            device, faults, framer=FramerType.SOCKET, address=self._where
-        )
-        await _listen(self._server)
-        self._name(self._server.transport.sockets[0].getsockname())  # type: ignore[attr-defined]
-
-    async def _end(self) -> None:
-        if self.controller.faults.refusing:
-            self._deaf.close()
-            return
         self._drop()
-        await self._server.shutdown()
+        if self._server is not None:
+            await self._server.shutdown()
+        if deaf is not None:
+            deaf.close()
 
     def _name(self, where: tuple[str, int]) -> None:
         self.port, self.address = where[1], name_of(where)
 
     def _drop(self) -> None:
-        if not self.controller.faults.refusing:
+        if self._server is not None:
             for client in list(self._server.active_connections.values()):
                 client.close()
 
@@ -124,19 +121,9 @@ class ModbusRtuServer(ModbusServer):
         memory: int = MEMORY,
         waits: bool = False,
     ) -> None:
-        self.address = port
-        self._baud = baud
+        self.address, self._where = port, None
+        self._make = partial(_LineServer, framer=FramerType.RTU, port=port, baudrate=baud)
         self._run(controller, watchdog, memory, waits)
-
-    async def _open(self) -> None:
-        device, faults = self.registers.device(), self.controller.faults
-        self._server = _LineServer(device, faults, framer=FramerType.RTU, port=self.address, baudrate=self._baud)
-        await _listen(self._server)
-
-    async def _end(self) -> None:
-        for line in list(self._server.active_connections.values()):
-            line.close()
-        await self._server.shutdown()
 
 
 class _Connection(ServerRequestHandler):
@@ -219,8 +206,3 @@ class _LineServer(ModbusSerialServer):
     def callback_new_connection(self) -> _Connection:
         """Called by the library as the port is opened."""
         return _Connection(self, self._faults, cut=self._faults.unplug)
-
-
-async def _listen(server: ModbusBaseServer) -> None:
-    if not await server.listen():
-        raise OSError(errno.EADDRINUSE, "address cannot be used")

@@ -1,35 +1,38 @@
-"""Intervals over machines."""
+"""Intervals over machines, and sections of the page."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
+#: Value, and lowest and highest end of its 95 % interval.
+Interval = tuple[float, float, float]
 _RESAMPLES = 4000
 #: Machines that a verdict takes; fewer agree by chance more often than one time in twenty (sign test).
 FEWEST = 6
 
 
-def mean_of(values: Mapping[int, float]) -> tuple[float, float, float]:
+def mean_of(values: Mapping[int, float]) -> Interval:
     """Mean over machines and its 95 % bootstrap interval; NaN where there is one machine only."""
     drawn = np.array(list(values.values()))
     return _interval(drawn, np.ones_like(drawn))
 
 
-def ratio_of(first: Mapping[int, float], second: Mapping[int, float]) -> tuple[float, float, float]:
+def ratio_of(first: Mapping[int, float], second: Mapping[int, float]) -> Interval:
     """Ratio of means over the machines that both have, with its 95 % interval: machines are drawn again in pairs."""
     both = [machine for machine in first if machine in second]
     return _interval(np.array([first[m] for m in both]), np.array([second[m] for m in both]))
 
 
-def difference_of(first: Mapping[int, float], second: Mapping[int, float]) -> tuple[float, float, float]:
+def difference_of(first: Mapping[int, float], second: Mapping[int, float]) -> Interval:
     """Mean of first minus second over the machines that both have, with its 95 % interval."""
     return mean_of({machine: first[machine] - second[machine] for machine in first if machine in second})
 
 
-def _interval(first: np.ndarray, second: np.ndarray) -> tuple[float, float, float]:
+def _interval(first: np.ndarray, second: np.ndarray) -> Interval:
     value = float(first.sum() / second.sum())
     if len(first) < 2:
         return value, np.nan, np.nan
@@ -44,7 +47,7 @@ def each(lines: Mapping[int, Any], pick: Callable[[Any], Any]) -> dict[int, floa
     return {machine: float(np.mean(pick(values))) for machine, values in lines.items()}
 
 
-def text(found: tuple[float, float, float], digits: int = 2) -> str:
+def text(found: Interval, digits: int = 2) -> str:
     """A figure and its interval; of one machine there is none."""
     if np.isnan(found[1]):
         return f"{found[0]:.{digits}f}"
@@ -52,8 +55,24 @@ def text(found: tuple[float, float, float], digits: int = 2) -> str:
     return f"{value} [{low}, {high}]"
 
 
-def verdict(found: tuple[float, float, float], machines: int) -> str:
-    """What a ratio of errors over so many machines says of the first: better, worse or open."""
+def verdict(found: Interval, machines: int) -> str:
+    """What a ratio of errors says of the first: better, worse or open."""
     if machines < FEWEST:
         return "open"
     return "better" if found[2] < 1 else "worse" if found[1] > 1 else "open"
+
+
+@dataclass
+class PageSection:
+    """Markdown `lines`, and which statements belong among the limits."""
+
+    lines: list[str] = field(default_factory=list)
+    weak: list[str] = field(default_factory=list)
+
+    def say(self, *lines: str) -> None:
+        """Add lines, and an empty one."""
+        self.lines += [*lines, ""]
+
+    def table(self, head: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
+        """Add a table."""
+        self.say(*("| " + " | ".join(row) + " |" for row in (head, ["---"] * len(head), *rows)))
