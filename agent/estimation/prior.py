@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from agent.estimation.observation import Observation
-from agent.model import FORMS, FrictionTerm
+from agent.model import FORMS, FrictionTerm, link_scale
 from agent.robot import ParameterLayout
 
 _LINK_DOUBT = 0.5  # standard deviation of a link's mass, first moment and inertia, relative
@@ -69,24 +69,17 @@ def link_prior(observation: Observation, source: str = DESCRIPTION) -> tuple[np.
     links = ParameterLayout.of(robot).blocks(dynamics.standard_parameters())
     if source != DESCRIPTION:
         links = np.zeros_like(links)
-    rng = np.random.default_rng(0)
-    reach = np.linalg.norm(dynamics.tip_pose(rng.uniform(-3, 3, (50, robot.dof)))[:, :3, 3], axis=1).max()
-    reach = max(float(reach), 0.1)
     gravity = max(float(np.linalg.norm(robot.gravity)), 1.0)
     torque = _largest_torque(observation)
-    liftable = torque.max() / gravity / reach
-    least = liftable if source != DESCRIPTION else 0.02 * max(links[:, 0].sum(), liftable)
-    mass = np.maximum(links[:, 0], least)
-    gyration = np.sqrt(np.maximum(links[:, [4, 6, 9]].sum(axis=1), 0) / 2 / mass)
-    radius = np.maximum(gyration, (_FREE_RADIUS if source != DESCRIPTION else 0.1) * reach)
-    scale = mass[:, None] * np.stack([np.ones_like(mass), *[radius] * 3, *[radius**2] * 6], axis=1)
-
+    liftable = torque.max() / gravity / dynamics.reach
+    if source == DESCRIPTION:
+        doubt = _LINK_DOUBT * link_scale(links, 0.02 * max(links[:, 0].sum(), liftable), 0.1 * dynamics.reach)
+    else:
+        doubt = _FREE_DOUBT * link_scale(links, liftable, _FREE_RADIUS * dynamics.reach)
     rotors = np.array([joint.rotor_inertia or 0.0 for joint in robot.joints])
     acceleration = np.max([np.abs(segment.motion.qdd).max(axis=0) for segment in observation.segments], axis=0)
     largest = torque / np.maximum(acceleration, 0.01 * robot.max_acceleration) / robot.gear_ratios**2
-    return np.append(links.ravel(), rotors), np.append(
-        (_FREE_DOUBT if source != DESCRIPTION else _LINK_DOUBT) * scale.ravel(), np.maximum(largest, rotors)
-    )
+    return np.append(links.ravel(), rotors), np.append(doubt.ravel(), np.maximum(largest, rotors))
 
 
 def _largest_torque(observation: Observation) -> np.ndarray:

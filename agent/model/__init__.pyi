@@ -29,10 +29,12 @@ from .regimes import REGIMES as REGIMES, regime_masks as regime_masks, standstil
 from .rigid_friction import HealthyEffect as HealthyEffect, ModelEffect as ModelEffect, ParameterPrior as ParameterPrior
 from .signals import MotionSignals as MotionSignals, NominalModel as NominalModel
 from .standard_parameters import (
+    PSEUDO_INERTIA as PSEUDO_INERTIA,
     body_parameters as body_parameters,
     check_physical as check_physical,
     full_parameters as full_parameters,
     is_body as is_body,
+    link_scale as link_scale,
     nearby_body as nearby_body,
     nearest_bodies as nearest_bodies,
     possible_model as possible_model,

@@ -224,6 +224,12 @@ class Dynamics:
             ends[k, -1] = pin.updateFramePlacement(self._model, self._data, self._tip).translation
         return screws, ends
 
+    @cached_property
+    def reach(self) -> float:
+        """Largest distance of the tip from the base over random postures [m], at least 0.1."""
+        tips = self.tip_pose(np.random.default_rng(0).uniform(-3, 3, (50, self.dof)))[:, :3, 3]
+        return max(float(np.linalg.norm(tips, axis=1).max()), 0.1)
+
     @property
     def link_lengths(self) -> np.ndarray:
         """(n,) [m] from the joint that moves a link to its far end, see `joint_screws`."""
