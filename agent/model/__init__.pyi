@@ -1,3 +1,4 @@
+from .effect_torque import effect_torque as effect_torque
 from .effects import CATALOGUE as CATALOGUE
 from .effects.base_tilt import across as across
 from .effects.dress_pack import N_NODES as N_NODES
@@ -40,4 +41,3 @@ from .standard_parameters import (
     possible_model as possible_model,
     seen_from as seen_from,
 )
-from .with_effects import effect_torque as effect_torque

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from agent.core import InputError
-from agent.model.checks import check_model
+from agent.model.document import ModelDocument, check_model
 from agent.model.friction_terms import FrictionTerm, Reversal
 from agent.model.rigid_friction import HealthyEffect, ModelEffect, ParameterPrior, RigidFrictionModel
 from agent.robot import RobotDescription
@@ -55,7 +55,7 @@ class IdentifiedModel(RigidFrictionModel):
         rigid, friction = self.rigid_and_friction(q, qd, qdd)
         torque = rigid + friction
         for entry in self.effects:
-            from agent.model.with_effects import effect_torque  # with all that a catalogue of effects imports
+            from agent.model.effect_torque import effect_torque  # with all that a catalogue of effects imports
 
             torque = torque + effect_torque(self, entry, {"time": time, "q": q, "qd": qd, "qdd": qdd})
         return torque, friction
@@ -167,7 +167,7 @@ class IdentifiedModel(RigidFrictionModel):
         }
 
     def save(self, path: str | Path) -> None:
-        """Write the model file, beside and renamed, so that a reader never sees half of it.
+        """Write the model file under another name, then rename it, so that no reader sees half a file.
 
         Raises:
             AgentError: the disk is full or not writable; what was there stays.
@@ -184,7 +184,6 @@ class IdentifiedModel(RigidFrictionModel):
             InputError: missing, not JSON, of another schema, or incomplete; names the key.
         """
         from agent.core import first_fault
-        from agent.model.document import ModelDocument  # with pydantic
 
         path = Path(path)
         try:

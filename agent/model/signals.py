@@ -48,7 +48,7 @@ class NominalModel:
         standard = mean + prior_std**2 * (model.projection.T @ np.linalg.solve(spread, away))
         layout = ParameterLayout.of(self.robot)
         self.links: Dynamics = nominal.with_parameters(standard[layout.links])
-        # what a description without masses leaves open, or with made-up ones, only the model tells the size of
+        # a description without masses, or with made-up ones, says nothing of their size; the model does
         if np.any(links):
             times = _times_further(away, spread, model.covariance[: len(away), : len(away)])
         else:
@@ -100,7 +100,7 @@ def _bodies(standard: np.ndarray, layout: ParameterLayout, reach: float) -> np.n
 
 
 def _liftable(links: Dynamics, nominal: Dynamics) -> float:
-    """[kg] what would weigh at the tip as much as all links do, a thousandth of a kilogram at least."""
+    """Mass at the tip that weighs as much as all links together [kg], at least 1 g."""
     poses = np.random.default_rng(0).uniform(-3, 3, (50, nominal.dof))
     weight = np.abs(links.inverse_dynamics(poses, np.zeros_like(poses), np.zeros_like(poses))).max()
     gravity = max(float(np.linalg.norm(links.robot.gravity)), 1.0)

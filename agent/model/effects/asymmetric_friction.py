@@ -12,8 +12,8 @@ from agent.model.signals import MotionSignals, NominalModel
 class AsymmetricFriction(Effect):
     """τ = a |s| + b |w|, or either term alone.
 
-    The first is an offset while the joint slides, and at rest too: anything within -(f - a) and f + a is a and anything
-    within ± f. No motion tells the two apart. The second does, at high speeds.
+    The first term equals a torque offset, both in motion and at standstill, so no motion distinguishes the two. The
+    second term does, at high speeds.
     """
 
     name = "asymmetric_friction"

@@ -15,33 +15,32 @@ import numpy as np
 from agent.model.effects.effect import Columns, Effect, FitContext, Joints, Numbers
 from agent.model.signals import MotionSignals, NominalModel
 
-_EDGE = 0.15  # of the duration, at either end
-_LINKS = 3  # tried as the one that all pushes are on
+_EDGE = 0.15  # share of the duration over which a force rises, and falls
+_LINKS = 3  # links tried for the case that all pushes act on one link
 _DURATIONS = (0.2, 0.3, 0.4, 0.55, 0.75, 1.0, 1.35, 1.8, 2.4, 3.2, 4.2, 6.0, 8.5, 12.0)  # s
-_STARTS = 0.05  # s
-#: A push takes no more of its log than this: what is there all along is no event, and nothing says what is usual.
-_MOST_OF_LOG = 0.8
-_USUAL, _STANDS_OUT = 0.9, 3.0  # quantile of the other windows of a length, and how far above it a contact is
-_SHARP = 100.0  # the same of one that may come back with the cycle beside one that does not
-_FROM_START = 20.0  # the same of one that begins with the log, where nothing before it is quiet
-_CLEARANCE = 2.0  # durations before and after, where no window comes near it
-_BORDER = 0.3  # s from where a motion's samples begin: what there is before tells whether that is quiet
-_AGAIN = 0.2  # s that what comes back with the cycle may be early or late
-_ALONE = 2.0  # times the window at the same place of another cycle
-_MAX_PUSHES, _LEAST_GAIN_RATIO = 30, 0.02  # pushes, and part of the strongest one's gain that another has
-_FEW, _RARE = 6, 0.15  # pushes that may last, and part of the time that more of them may have: else it is none
-_EDGE_STEPS, _EDGE_PARTS = 8, 40  # by which either end of a push is moved to fit, of so many parts of its length each
-_PARTS, _PART = np.linspace(0.13, 0.7, 10), 1 / 6  # of a push, where parts of it begin that are judged for a pause
-_PAUSE, _SHOWS = 0.5, 0.1  # of the force, missing there, and of the push's usual gain, that it would have to be
-_ROUNDS = 30  # of force and place in turns
-_WEAK = 1e-6  # of what is known of the rest: a place along the force turns no joint
-_LARGE = 1 / 3  # of the arm's reach: so large is a link in any direction, if not longer
+_STARTS = 0.05  # s between starts of windows
+_MOST_OF_LOG = 0.8  # largest share of its log that a push takes: a longer one is no event
+_USUAL, _STANDS_OUT = 0.9, 3.0  # quantile of the other windows of this length; factor above it that a push needs
+_SHARP = 100.0  # the same factor for a push that may repeat with the cycle, next to one that does not
+_FROM_START = 20.0  # the same factor for a push that starts with the log, with no quiet time before it
+_CLEARANCE = 2.0  # durations before and after a push in which windows are compared with it
+_BORDER = 0.3  # s after the first sample within which a push counts as starting with the log
+_AGAIN = 0.2  # s by which a repetition may be early or late
+_ALONE = 2.0  # factor over the window at the same phase of another cycle
+_MAX_PUSHES, _LEAST_GAIN_RATIO = 30, 0.02  # largest count; least gain over that of the strongest push
+_FEW, _RARE = 6, 0.15  # pushes of any duration; share of the time that more pushes may take
+_EDGE_STEPS, _EDGE_PARTS = 8, 40  # steps by which each end moves in the fit; steps per duration
+_PARTS, _PART = np.linspace(0.13, 0.7, 10), 1 / 6  # starts and length of the parts checked for a pause, per duration
+_PAUSE, _SHOWS = 0.5, 0.1  # share of the force missing in a pause; least share of the usual gain to see it
+_ROUNDS = 30  # alternating fits of force and place
+_WEAK = 1e-6  # regularisation over the mean information: a place along the force turns no joint
+_LARGE = 1 / 3  # size of a link in any direction over the arm's reach, if it is not longer
 
 
 class Contact(Effect):
-    """τ = −J_lᵀ F over one segment of time or several, F constant but for its edges, at one place of link l each.
+    """τ = −J_lᵀ F during one or several windows; F is constant except at the edges, at one place of link l each.
 
-    That is its far end, unless another place of the link leaves less.
+    The place is the far end of the link, unless another one leaves less error.
     """
 
     name = "contact"
@@ -57,11 +56,11 @@ class Contact(Effect):
     once = True
 
     def settings(self, context: FitContext, joints: Joints) -> list[dict[str, float]]:
-        """Where three force components leave least: the strongest windows that do not overlap, fewest first.
+        """The strongest windows that do not overlap, in sets of growing size.
 
-        All on the link that explains most, or each on its own; and each at the far end of its link, or where it fits.
-        A model's own error and what drifts make windows too: a contact stands out from the other segments of its
-        length, those before and after it above all, and does not come back at the same place of the next cycle.
+        All pushes act on the link that explains most, or each on its own link; at its far end, or where it fits best.
+        Model error and drift make windows too. So a contact must stand out from the windows before and after it, and
+        must not repeat at the same phase of the next cycle.
         """
         dof = context.reference.robot.dof
         motions = list(zip(context.signals, context.residuals_as_given, context.sigmas, strict=True))
@@ -94,13 +93,13 @@ class Contact(Effect):
         return {joint: block[:, joint] for joint in range(n)}
 
     def prior_precision(self, context: FitContext, joints: Joints, settings: Numbers) -> np.ndarray | None:
-        """A force is as the strongest joint holds at full reach: what turns no joint is not seen, and is small."""
+        """Usual force: what the strongest joint holds at full reach. A force that turns no joint stays small."""
         usual = float(context.reference.scale.max()) / context.reference.reach
         return np.eye(len(self.names(settings))) / usual**2
 
     def reported(self, reference: NominalModel, settings: Numbers, values: Numbers) -> dict[str, float]:
-        """Of each push the link (counted from 1), force [N, base frame], log (from 0), start and end [s]; and where on
-        the link [m, its frame, from the far end], if elsewhere."""
+        """Of each push the link (from 1), force [N, base frame], log (from 0), start and end [s]; and its place [m] in
+        the link's frame from the far end, if it is not there."""
         found: dict[str, float] = {}
         for number in _numbers(settings):
             start = settings[f"start_{number}"]
@@ -123,13 +122,13 @@ def _settings(pushes: Sequence[PushedWindow], places: Sequence[np.ndarray | None
 
 
 def _numbers(settings: Numbers) -> list[int]:
-    """Of the pushes, from 1."""
+    """Numbers of the pushes, from 1."""
     return [int(key.removeprefix("link_")) for key in settings if key.startswith("link_")]
 
 
 @dataclass(frozen=True)
 class PushedWindow:
-    """A window in which a force on a link would take `gain` away."""
+    """A window in which a force on a link lowers the squared error by `gain`."""
 
     gain: float
     link: int
@@ -227,7 +226,7 @@ class Windows:
         return self.best([])
 
     def best(self, taken: Sequence[PushedWindow]) -> PushedWindow | None:
-        """The strongest window beside those taken."""
+        """The strongest window that shares no time with those taken."""
         gain = np.where(self._shared(taken) | ~self.whole, -np.inf, self.gain)
         at = int(np.argmax(gain))
         if not np.isfinite(gain[at]):
@@ -235,7 +234,7 @@ class Windows:
         return PushedWindow(float(gain[at]), self.link, self.log, float(self.starts[at]), self.duration)
 
     def fitted(self, push: PushedWindow, taken: Sequence[PushedWindow]) -> PushedWindow:
-        """A push of these windows with both ends where it gains most: what it leaves out would be seen beside it."""
+        """A push with both ends moved to where it gains most, so that no remainder shows next to it."""
         step = max(_STARTS, push.duration / _EDGE_PARTS)
         moved = step * np.arange(-_EDGE_STEPS, _EDGE_STEPS + 1)
         starts, ends = (part.ravel() for part in np.meshgrid(push.start + moved, push.start + push.duration + moved))
@@ -252,7 +251,7 @@ class Windows:
         return PushedWindow(float(gain[at]), self.link, self.log, float(starts[at]), float(ends[at] - starts[at]))
 
     def bare(self, push: PushedWindow) -> bool:
-        """Whether a push begins where the samples do, so that nothing before it tells whether that is quiet."""
+        """Whether a push starts with the samples, so that there is no quiet time before it to compare with."""
         return push.log == self.log and push.start < self.starts[0] + _BORDER
 
     def beside(self, taken: Sequence[PushedWindow]) -> np.ndarray:
@@ -272,9 +271,9 @@ class Windows:
         return float(self.gain[close[0] | close[1]].max(initial=0.0)) / self.duration
 
     def again(self, push: PushedWindow, taken: Sequence[PushedWindow]) -> float:
-        """Largest gain at the same place, give or take half a step, of another cycle; nought where there is none.
+        """Largest gain at the same phase of another cycle, within one step; 0 without cycles.
 
-        Another push that only meets that place, neither end at its own, is no repetition.
+        Another push that overlaps this phase but shares neither end is no repetition.
         """
         edges = np.asarray(self.cycle_starts, dtype=float)
         here = int(np.searchsorted(edges, push.start + 1e-9)) - 1
@@ -309,9 +308,9 @@ def strongest(windows: Sequence[Windows]) -> list[PushedWindow]:
             break
         last = of_length.fitted(push, taken)
         if len(taken) >= _FEW and sum(one.duration for one in (*taken, last)) > _RARE * lasting:
-            break  # windows enough would follow any torque
+            break  # many windows can follow any torque
         taken.append(last)
-        # where the strongest of a length shares no time with it, it stays the strongest
+        # a strongest window that shares no time with the new push stays the strongest
         best = [w.best(taken) if one and last.meets(one) else one for one, w in zip(best, windows, strict=True)]
     found = [(push, *_beside(push, taken, windows)) for push in taken]
     bare = [push for push in taken if any(w.bare(push) for w in windows)]
@@ -320,7 +319,7 @@ def strongest(windows: Sequence[Windows]) -> list[PushedWindow]:
         for push, around, again in found
         if push.gain > max((_FROM_START if push in bare else _STANDS_OUT) * around, _ALONE * again)
     ]
-    # beside a push that does not come back, one that does and has nothing like it around it is a push as well
+    # next to a push that does not repeat, one that repeats counts too if nothing around it is similar
     return [p for p, around, _ in found if p in alone or (alone and p.gain > _SHARP * around)]
 
 
@@ -338,9 +337,9 @@ def _beside(push: PushedWindow, taken: Sequence[PushedWindow], windows: Sequence
 
 
 def _usual(push: PushedWindow, taken: Sequence[PushedWindow], windows: Sequence[Windows]) -> float:
-    """Gain of a segment as long as a push where none is, from shorter ones where the pushes leave no room for it.
+    """Usual gain of a window as long as a push, scaled up from shorter windows if no such window is free.
 
-    Infinite where they leave room for none: what is there from the first sample to the last is no event.
+    Infinite if no window is free: a force from the first sample to the last is no event.
     """
     for duration in (length for length in reversed(_DURATIONS) if length <= push.duration):
         parts = [w.beside(taken) for w in windows if w.duration == duration]

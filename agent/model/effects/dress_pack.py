@@ -11,19 +11,17 @@ from agent.model.friction_terms import dahl
 from agent.model.signals import MotionSignals, NominalModel
 
 N_NODES = 6
-_STIFFEST = 5.0  # nominal torque a radian
-_BEND = 0.1  # nominal torque: deviation from a straight line at a node, before any data
-_TRAVELS = (0.002, 0.03)  # of the range, until the hose slides: on the arm, at once, or in itself
+_STIFFEST = 5.0  # nominal torque per radian
+_BEND = 0.1  # nominal torque: usual deviation from a straight line at a node
+_TRAVELS = (0.002, 0.03)  # of the range over which the hose starts to slide on the arm, or in itself
 
 
 class DressPack(Effect):
     """τ = a + b x (+ c x² + e x³), or a curve through torques at N_NODES positions; with hysteresis d z(q) (Dahl's z).
 
-    The curve is the natural cubic spline over the travelled range `low` to `high`, straight beyond it: a hose may be
-    slack up to some angle, harden, or give way, and its curve has no formula of its own. Where a motion that is fitted
-    ends short of that range its curve is held straight from there on, by a prior on its bends. One that hardens goes on
-    hardening, so that a motion that goes further than all others is better told by the cubic: x is q there from the
-    `middle` of the range, which is `reach` to both sides.
+    The curve is a natural cubic spline over the travelled range `low` to `high`, straight beyond it, because a hose may
+    be slack up to some angle, harden, or give way. A prior on its bends keeps it straight where no motion shows it. The
+    cubic extrapolates a hose that hardens; its x is q from the `middle` of the range, which is `reach` to both sides.
     """
 
     name = "dress_pack"
@@ -69,7 +67,7 @@ class DressPack(Effect):
         return {joints[0]: np.column_stack(parts)}
 
     def prior_precision(self, context: FitContext, joints: Joints, settings: Numbers) -> np.ndarray | None:
-        """Of a curve: at a node it bends by a tenth of the joint's nominal torque, roughly."""
+        """A curve bends by about a tenth of the joint's nominal torque at each node."""
         if "low" not in settings:
             return None
         bends = np.diff(np.eye(N_NODES), 2, axis=0) / (_BEND * float(context.reference.scale[joints[0]]))
@@ -84,5 +82,5 @@ class DressPack(Effect):
 
 
 def _curve(q: np.ndarray, low: float, high: float) -> list[np.ndarray]:
-    """(S,) of each node: the natural spline that is one there and nought at the others."""
+    """(S,) per node: the natural spline that is 1 at this node and 0 at the others."""
     return list(cubic_spline(np.linspace(low, high, N_NODES), np.eye(N_NODES), q, natural=True).T)

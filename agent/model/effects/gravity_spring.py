@@ -9,8 +9,6 @@ from agent.model.effects.experiments import WHOLE_RANGE
 from agent.model.signals import MotionSignals, NominalModel
 
 _STRONGEST = 10.0  # nominal torque: what a joint could not be built against
-#: Of the first harmonic: a b / 2 (a² + b²) is 0.12 to 0.2 where one arm is a quarter to half of the other.
-_SECOND = 0.2
 
 
 class GravitySpring(Effect):

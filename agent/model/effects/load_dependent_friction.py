@@ -12,13 +12,12 @@ from agent.model.signals import MotionSignals
 
 
 class LoadDependentFriction(FrictionLevel):
-    """τ = a s |τ_load|, or a s τ₁ (|τ_load| / τ₁)^p, with b w |τ_load| or b τ_load besides.
+    """τ = a s |τ_load| or a s τ₁ (|τ_load| / τ₁)^p, plus b w |τ_load| or b τ_load.
 
-    Teeth rub in proportion to the load, preloaded rollers and flexsplines with another power of it; a film of oil under
-    load rubs more the faster it is sheared (`sheared`); and a gear that is driven by its load loses another part of it
-    than one that drives (`driven`): a s |τ| + b τ is (a + b) |τ| one way and (a − b) |τ| the other. What a gear
-    transmits turns the links and not its own rotor, which is most of what a small axis carries (`links`); where a rotor
-    could not be told from the links, it is the torque of both.
+    Friction of teeth is proportional to the load; that of preloaded rollers and flexsplines follows another power.
+    An oil film under load resists more at higher speed (`sheared`). A gear driven by its load has another efficiency
+    than one that drives (`driven`): a s |τ| + b τ is (a + b) |τ| one way and (a − b) |τ| the other. The gear transmits
+    the torque of the links without the rotor (`links`), or of both where these could not be distinguished.
     """
 
     name = "load_dependent_friction"

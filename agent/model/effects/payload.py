@@ -11,8 +11,8 @@ from agent.robot import ParameterLayout
 
 _ROUNDS = 6
 _START = ("m0", "hx0", "hy0", "hz0")
-_POINT = "point_mass"  # of settings without an own inertia
-_INERTIA_TOLERANCE = 0.1  # of m r²: an inertia that is estimated below zero by no more is none
+_POINT = "point_mass"  # in settings without an inertia of its own
+_INERTIA_TOLERANCE = 0.1  # of m r²: an inertia this far below zero counts as zero
 _LEAST_RADIUS = 0.05  # m, of that r
 _BALL = np.array([1.0, 0.0, 1.0, 0.0, 0.0, 1.0])
 

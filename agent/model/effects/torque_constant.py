@@ -7,7 +7,7 @@ from types import MappingProxyType
 from agent.model.effects.effect import Columns, Effect, Joints, Numbers, on_axle
 from agent.model.signals import MotionSignals
 
-#: A scale off by a larger factor is no drive's: a joint's friction beside it would then be as wrong the other way.
+#: No drive's scale is off by a larger factor; friction of the joint would then be as wrong the other way.
 _MOST = 3.0
 
 

@@ -112,7 +112,7 @@ class TwoMass(Effect):
         return [dict(zip(entry, combination, strict=True)) for combination in product(*values)]
 
     def _alone(self, context: FitContext) -> dict[int, tuple[list[dict[str, float]], np.ndarray]]:
-        """Per joint: what is tried, and (S', len(tried)) torque on that joint alone, all motions in a row."""
+        """Per joint: the grid, and (S', len(grid)) torque on this joint alone, motions concatenated."""
         known = context.signals[0].memory.setdefault("alone", {})
         if self.name not in known:
             heavy = (k for k in range(context.reference.robot.dof) if _inertia(context, k) > _MASSLESS)
