@@ -200,18 +200,13 @@ def motions(log: Log, settings: FilterSettings, reduce: bool = True) -> Iterator
         for piece in log.scratch.each(_pieces(-(-clock.size // every), margin, step)):
             grid = slice(piece.start * every, min(piece.stop * every, clock.size))
             position, torque, set_points = clock.signals(grid)
-            q, qd, qdd = smooth_and_differentiate(position, clock.rate, flat, stop, every)
-            qd = quiet_velocity(
-                position,
-                clock.rate,
-                qd,
-                stop,
-                partial(_velocity, position, clock.rate, (flat, stop), every),
-            )
+            smooth = partial(_smooth, rate=clock.rate, band=(flat, stop), every=every)
+            q, qd, qdd = smooth(position, orders=(0, 1, 2))
+            qd = quiet_velocity(position, clock.rate, qd, stop, partial(_velocity, smooth, position))
             if torque is not None and every > 1:
-                (torque,) = _smooth(torque, clock.rate, (flat, stop), every, (0,))
+                (torque,) = smooth(torque, orders=(0,))
             if set_points is not None:
-                (set_points,) = _smooth(set_points, clock.rate, (flat, stop), every, (0,))
+                (set_points,) = smooth(set_points, orders=(0,))
             yield Motion(
                 log=log.name,
                 time=clock.time(grid)[::every],
@@ -298,17 +293,23 @@ def smooth_and_differentiate(
 
 
 def _velocity(
-    position: np.ndarray, rate: float, band: tuple[float, float], every: int, factor: float, joints: np.ndarray
+    smooth: Callable[..., list[np.ndarray]], position: np.ndarray, factor: float, joints: np.ndarray
 ) -> np.ndarray:
-    """(S, k) of some joints, with both edges of the band [Hz] times `factor`."""
-    return _smooth(position[:, joints], rate, (factor * band[0], factor * band[1]), every, (1,))[0]
+    """(S, k) of some joints, smoothed in a band `factor` times as wide."""
+    return smooth(position[:, joints], orders=(1,), factor=factor)[0]
 
 
 def _smooth(
-    position: np.ndarray, rate: float, band: tuple[float, float], every: int, orders: tuple[int, ...]
+    position: np.ndarray,
+    rate: float,
+    band: tuple[float, float],
+    every: int,
+    orders: tuple[int, ...],
+    factor: float = 1.0,
 ) -> list[np.ndarray]:
-    """The derivatives of these orders, 0 to 2, of what `smooth_and_differentiate` smooths."""
-    middle, width = sum(band) / 2, (band[1] - band[0]) / (2 * _HALF_BAND)
+    """Derivatives of these orders, 0 to 2, smoothed as by `smooth_and_differentiate`; the band [Hz] times `factor`."""
+    flat, stop = factor * band[0], factor * band[1]
+    middle, width = (flat + stop) / 2, (stop - flat) / (2 * _HALF_BAND)
 
     def responses(frequency: np.ndarray) -> list[np.ndarray]:
         argument = (frequency - middle) / (np.sqrt(2) * width)
