@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,24 +10,10 @@ import numpy as np
 import pytest
 
 from agent.robot import RobotDescription, load_robot
-from agent.robot.base_reduction import BaseParameters, base_parameters
+from agent.robot.base_reduction import base_parameters
 from agent.robot.drivetrain import rotor_regressor
 from agent.robot.dynamics import Dynamics
-
-NAMES = (
-    "slide",
-    "lift",
-    "planar",
-    "planar, flat",
-    "anthropomorphic",
-    "gantry",
-    "scara",
-    "skew",
-    "spherical",
-    "coupled wrist",
-    "seven axes",
-    "comau_ns16",
-)
+from tests.robot.conftest import NAMES
 
 
 def standard_regressor(robot: RobotDescription, rotors: bool, seed: int = 7) -> np.ndarray:
@@ -81,35 +66,23 @@ def counts(robot: RobotDescription) -> tuple[int, int]:
     return len(base_parameters(robot)), len(base_parameters(robot, rotors=False))
 
 
-def test_the_ns16_has_forty_and_thirty_six(ns16: RobotDescription) -> None:
-    assert counts(ns16) == (40, 36)
+def test_arms_with_a_spherical_wrist_have_forty_and_thirty_six(ns16, make_spherical) -> None:
+    """Neither a wrist coupling nor a URDF with four digits of pi changes the number."""
+    coupling = np.eye(6)
+    coupling[4, 3], coupling[5, 3], coupling[5, 4] = -0.02, 0.0204, 0.02
+    coupled = replace(ns16, motor_coupling=tuple(map(tuple, coupling)))
+    for robot in (ns16, coupled, make_spherical(), make_spherical(pi=3.1416)):
+        assert counts(robot) == (40, 36)
 
 
 def test_the_arm_of_the_development_runs_has_as_many(shared_data: Path) -> None:
     assert counts(load_robot(shared_data / "gap-dev" / "robot.yaml")) == (40, 36)
 
 
-def test_four_digits_of_pi_in_a_urdf_add_none(make_spherical: Callable) -> None:
-    assert counts(make_spherical(pi=3.1416)) == counts(make_spherical()) == (40, 36)
-
-
-def test_wrist_coupling_does_not_change_their_number(ns16: RobotDescription) -> None:
-    coupling = np.eye(6)
-    coupling[4, 3], coupling[5, 3], coupling[5, 4] = -0.02, 0.0204, 0.02
-    assert counts(replace(ns16, motor_coupling=tuple(map(tuple, coupling)))) == (40, 36)
-
-
-@pytest.mark.parametrize(
-    ("name", "expected"),
-    [
-        ("slide", (1, 1)),  # the rotor only adds to the mass
-        ("lift", (2, 1)),  # gravity tells the mass from the rotor
-        ("planar", (7, 6)),
-        ("planar, flat", (5, 4)),
-    ],
-)
-def test_known_counts(arms: dict[str, RobotDescription], name: str, expected: tuple[int, int]) -> None:
-    assert counts(arms[name]) == expected
+def test_known_counts(arms: dict[str, RobotDescription]) -> None:
+    """The rotor only adds to the mass of a slide; on a lift gravity distinguishes them."""
+    known = {"slide": (1, 1), "lift": (2, 1), "planar": (7, 6), "planar, flat": (5, 4)}
+    assert {name: counts(arms[name]) for name in known} == known
 
 
 def test_coefficients_are_clean(ns16: RobotDescription, arms: dict[str, RobotDescription]) -> None:
@@ -130,17 +103,11 @@ def test_gravity_along_a_joint_changes_what_can_be_known(ns16: RobotDescription)
     assert set(base_parameters(tilted).independent) - set(base_parameters(ns16).independent) == {1, 2}
 
 
-def test_they_do_not_depend_on_the_inertias(make_arm: Callable, arms: dict[str, RobotDescription]) -> None:
+def test_they_are_the_same_every_time_and_do_not_depend_on_the_inertias(arms: dict[str, RobotDescription]) -> None:
     robot = arms["scara"]
-    other = replace(robot, urdf=robot.urdf.replace('mass value="8.0"', 'mass value="80.0"'))
-    assert other.urdf != robot.urdf
-    same(base_parameters(robot), base_parameters(other))
-
-
-def test_they_are_the_same_every_time(ns16: RobotDescription) -> None:
-    same(base_parameters(ns16), base_parameters(ns16))
-
-
-def same(one: BaseParameters, other: BaseParameters) -> None:
-    np.testing.assert_array_equal(one.projection, other.projection)
-    assert one.names == other.names
+    heavier = replace(robot, urdf=robot.urdf.replace('mass value="8.0"', 'mass value="80.0"'))
+    assert heavier.urdf != robot.urdf
+    one = base_parameters(robot)
+    for other in map(base_parameters, (robot, heavier)):
+        np.testing.assert_array_equal(one.projection, other.projection)
+        assert one.names == other.names
