@@ -1,4 +1,4 @@
-from .effect_torque import effect_torque as effect_torque
+from .effect_prediction import effect_torque as effect_torque
 from .effects import CATALOGUE as CATALOGUE
 from .effects.base_tilt import across as across
 from .effects.dress_pack import N_NODES as N_NODES

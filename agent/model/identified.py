@@ -55,7 +55,7 @@ class IdentifiedModel(RigidFrictionModel):
         rigid, friction = self.rigid_and_friction(q, qd, qdd)
         torque = rigid + friction
         for entry in self.effects:
-            from agent.model.effect_torque import effect_torque  # with all that a catalogue of effects imports
+            from agent.model.effect_prediction import effect_torque  # with all that a catalogue of effects imports
 
             torque = torque + effect_torque(self, entry, {"time": time, "q": q, "qd": qd, "qdd": qdd})
         return torque, friction
