@@ -18,12 +18,11 @@ def weighted(problem: Problem) -> Estimate:
     """Weighted least squares with a prior; the weights follow from a first fit in which every joint counts alike.
 
     With row groups g of weight w_g, the estimate minimises Σ w_g |y_g - X_g θ|² + k (θ - θ₀)ᵀ Λ (θ - θ₀). The
-    paper's weights are the inverse residual variance of each joint (AIM 2013, eq. 4); here the rows in which a
-    joint stands still form a group of their own, never weighted above its moving rows: what stiction leaves open
-    counts for what it is worth.
+    paper's weights are the inverse residual variance of each joint (AIM 2013, eq. 4). Here the stationary rows of a
+    joint form a group of their own, never weighted above its moving rows, because stiction leaves their torque open.
 
-    Normal equations square the condition number; one step of refinement from the rows' own residuals gives that
-    back (corrected seminormal equations, Björck, Linear Algebra Appl. 88, 1987).
+    Normal equations square the condition number; one refinement step from the residuals of the rows restores the
+    accuracy (corrected seminormal equations, Björck, Linear Algebra Appl. 88, 1987).
     """
     found = problem.estimate(problem.weights())
     prior, joints = problem.prior, np.arange(found.weights.shape[1])
@@ -90,7 +89,7 @@ def paper(problem: Problem) -> Estimate:
 
     with σ_j the residual deviation of joint j under ordinary least squares (eq. 4). The columns are base parameters
     and the three friction terms of eq. 2, or, for `plain`, Coulomb and viscous friction and an offset. There is no
-    prior: what the motion does not excite is left to the pseudo-inverse, which takes the solution of minimum norm
+    prior: in directions that the motion does not excite, the pseudo-inverse takes the solution of minimum norm
     (columns scaled to unit length, so that units do not matter).
     """
     return _without_prior(
@@ -101,7 +100,7 @@ def paper(problem: Problem) -> Estimate:
 
 
 def plain(problem: Problem) -> Estimate:
-    """Weighted least squares of minimum norm, its weights in keeping with the residuals."""
+    """Weighted least squares of minimum norm; the weights are iterated until they match the residuals."""
     return _without_prior(
         problem,
         _PLAIN_ROUNDS,
@@ -146,14 +145,13 @@ def consistent(problem: Problem) -> Estimate:
     Unknowns are the standard parameters of every link, the rotor inertias and the friction terms. They minimise the
     same weighted squares and the same prior as `weighted`, with the constraints that
 
-    * every link's pseudo-inertia [[½ tr(I) 1 - I, m c], [m cᵀ, m]] is positive definite, which is what a density over
-      space amounts to (Traversaro et al., IROS 2016; Wensing, Kim and Slotine, IEEE RA-L 3, 2018);
+    * every link's pseudo-inertia [[½ tr(I) 1 - I, m c], [m cᵀ, m]] is positive definite, as that of any density over
+      space (Traversaro et al., IROS 2016; Wensing, Kim and Slotine, IEEE RA-L 3, 2018);
     * rotor inertias, Coulomb and viscous friction are not negative, nor Coulomb and Stribeck friction together at rest.
 
-    Where the data is silent the prior decides, so links stay near their URDF; held-out error decides how much it is
-    trusted beyond what it is worth against noise alone, since what a model gets wrong makes its rows worth less.
-    The convex programme goes to Clarabel directly: its cost is one small matrix made of the moments, its cones are
-    4 × 4 matrices.
+    In directions without data the prior decides, so links stay near their URDF. Held-out error decides whether the
+    prior gets more weight than against noise alone, because model errors make rows worth less. Clarabel solves the
+    convex programme: the cost is one small matrix made of the moments, the cones are 4 × 4 matrices.
     """
     problem = _weigh_prior(problem)
     programme = _Programme(problem)
@@ -164,7 +162,7 @@ def consistent(problem: Problem) -> Estimate:
 
 
 def _weigh_prior(problem: Problem) -> Problem:
-    """The same problem with more weight on the prior, where held-out error clearly gains by it."""
+    """The same problem with more weight on the prior, if that clearly lowers held-out error."""
     weights = problem.weights()
     trials = [replace(problem, prior_weight=factor * problem.prior_weight) for factor in _FACTORS]
     errors = [np.sum(weights * trial.held_out(weights), axis=(1, 2)) for trial in trials]
@@ -197,7 +195,7 @@ class _Programme:
             rows = np.zeros((10, len(self.scale)))
             # Clarabel wants off-diagonal entries times √2
             rows[:, layout.link(link)] = [(1 if i == j else np.sqrt(2)) * PSEUDO_INERTIA[:, i, j] for i, j in _TRIANGLE]
-            # in units of the link's own mass and length, so that one tolerance serves all
+            # in units of the link's own mass and length, so that one tolerance fits all links
             unit = np.sqrt([links[link, 4] / links[link, 0]] * 3 + [1.0])
             weight = np.array([1 / (unit[i] * unit[j] * links[link, 0]) for i, j in _TRIANGLE])
             blocks.append(rows * weight[:, None] * self.scale)
