@@ -282,13 +282,13 @@ def resolve_cutoff(log: Log, settings: FilterSettings) -> float:
 
 
 def smooth_and_differentiate(
-    position: np.ndarray, rate: float, pass_edge: float, stop_edge: float, every: int = 1
+    position: np.ndarray, rate: float, pass_edge: float, stop_edge: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Low-pass an evenly sampled (S, n) signal; returns it and its first and second derivative, thinned by `every`.
+    """Low-pass an evenly sampled (S, n) signal; returns it and its first and second derivative.
 
     Flat up to `pass_edge`, nothing from `stop_edge` on [Hz].
     """
-    q, qd, qdd = _smooth(position, rate, (pass_edge, stop_edge), every, (0, 1, 2))
+    q, qd, qdd = _smooth(position, rate, (pass_edge, stop_edge), 1, (0, 1, 2))
     return q, qd, qdd
 
 

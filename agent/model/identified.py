@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from statistics import NormalDist
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,8 @@ from agent.robot import RobotDescription
 SCHEMA = "model/1"
 
 
+#: Half the 95 % interval of a normal distribution, in standard deviations.
+_NORMAL_95 = NormalDist().inv_cdf(0.975)
 #: Rule of thumb for exciting trajectories (Gautier and Khalil 1992).
 USUAL_CONDITION = 100
 
@@ -60,21 +63,17 @@ class IdentifiedModel(RigidFrictionModel):
             torque = torque + effect_torque(self, entry, {"time": time, "q": q, "qd": qd, "qdd": qdd})
         return torque, friction
 
-    def prediction_interval(
-        self, columns: np.ndarray, speed: np.ndarray | None = None, probability: float = 0.95
-    ) -> np.ndarray:
-        """(S, n) half width [N·m] around a prediction from regressor columns (S, n, p), filtered as it is.
+    def prediction_interval(self, columns: np.ndarray, speed: np.ndarray | None = None) -> np.ndarray:
+        """(S, n) half the 95 % interval [N·m] of a prediction, from its regressor columns (S, n, p), filtered alike.
 
-        The variance is that of the parameters, xᵀ Σ x, and that of held-out rows: in motion, or at standstill where the
-        joints' `speed` (S, n) is given and says so, since stiction leaves friction open there.
+        The variance is that of the parameters, xᵀ Σ x, plus that of held-out rows: in motion, or at standstill where
+        the joints' `speed` (S, n) says so, because stiction leaves friction open there.
         """
-        from statistics import NormalDist
-
         variance = np.einsum("snp,pq,snq->sn", columns, self.covariance, columns, optimize=True)
         rest = self.residual_rmse
         if speed is not None and self.group_rmse is not None:
             rest = np.where(np.abs(speed) > self.standstill_speed, *self.group_rmse)
-        return NormalDist().inv_cdf(0.5 + probability / 2) * np.sqrt(variance + rest**2)
+        return _NORMAL_95 * np.sqrt(variance + rest**2)
 
     def _term_unit(self, term: FrictionTerm) -> str:
         return term.unit(self.robot.joints[term.axle].prismatic)

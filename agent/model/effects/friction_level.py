@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from typing import ClassVar
 
 import numpy as np
 
@@ -21,8 +22,8 @@ class FrictionLevel(Effect):
     torque: z is Dahl's state over that travel, and r the `reversal_level`, the friction at which the joint turns back.
     """
 
-    refined = ("reversal_travel",)
-    nonlinear = ("reversal_travel",)
+    refined: ClassVar[tuple[str, ...]] = ("reversal_travel",)
+    nonlinear: ClassVar[tuple[str, ...] | None] = ("reversal_travel",)
 
     @abstractmethod
     def level_names(self, settings: Numbers) -> tuple[str, ...]:
