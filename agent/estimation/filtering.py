@@ -108,12 +108,10 @@ class FilterSettings:
 
     cutoff: -6 dB point of the zero-phase filter (30 Hz, lower where the sampling rate is too low for it).
     order: of the Butterworth filter, before it runs forward and backward.
-    smoothing: up to where the smoothing of positions is flat.
     """
 
     cutoff: float | None = None
     order: int = 8
-    smoothing: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,7 +178,7 @@ def motions(log: Log, settings: FilterSettings, reduce: bool = True) -> Iterator
         InputError: no segment is longer than the filter's edges, or the sampling rate is too low for the cut-off.
     """
     cutoff = resolve_cutoff(log, settings)
-    flat, stop = _bands(log, cutoff, settings)
+    flat, stop = _bands(log, cutoff)
     edge = _edge_time(cutoff, flat, stop)
     needed = _needed(cutoff, edge)
     segments = log.bridged(_BRIDGED / cutoff)
@@ -228,7 +226,7 @@ def motions(log: Log, settings: FilterSettings, reduce: bool = True) -> Iterator
 def used_text(log: Log, settings: FilterSettings) -> str:
     """How many samples of a log a filter leaves to work with, and what is left out, for people."""
     cutoff = resolve_cutoff(log, settings)
-    edge = _edge_time(cutoff, *_bands(log, cutoff, settings))
+    edge = _edge_time(cutoff, *_bands(log, cutoff))
     segments = log.bridged(_BRIDGED / cutoff)
     short = [(a, b) for a, b in segments if not log.t[b - 1] - log.t[a] > _needed(cutoff, edge)]
     used = sum(
@@ -350,17 +348,10 @@ def _respond(signals: np.ndarray, rate: float, responses: _Responses, kept: slic
     return [result.T for result in results]
 
 
-def _bands(log: Log, cutoff: float, settings: FilterSettings) -> tuple[float, float]:
-    """Up to where the smoothing is flat, and from where it passes nothing [Hz]."""
-    if settings.smoothing is None:
-        stop = min(4.5 * cutoff, 0.47 * log.sample_rate)
-        return max(stop * 2 / 3, 1.15 * cutoff), stop
-    if not 1.15 * cutoff <= settings.smoothing <= 0.4 * log.sample_rate:
-        raise InputError(
-            f"{log.path}: positions smoothed at {settings.smoothing:g} Hz: what is possible is between 1.15 times the "
-            f"cut-off ({1.15 * cutoff:g} Hz) and 0.4 times the sampling rate ({0.4 * log.sample_rate:g} Hz)"
-        )
-    return settings.smoothing, min(1.5 * settings.smoothing, 0.47 * log.sample_rate)
+def _bands(log: Log, cutoff: float) -> tuple[float, float]:
+    """Highest frequency at which the smoothing is flat, and lowest at which it passes nothing [Hz]."""
+    stop = min(4.5 * cutoff, 0.47 * log.sample_rate)
+    return max(stop * 2 / 3, 1.15 * cutoff), stop
 
 
 def _edge_time(cutoff: float, pass_edge: float, stop_edge: float) -> float:
