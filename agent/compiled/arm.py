@@ -186,10 +186,10 @@ def _solve(matrix: np.ndarray, x: np.ndarray) -> None:
 def _servo(
     reference: np.ndarray, position: float, velocity: float, gains: np.ndarray, integral: np.ndarray, dt: float
 ) -> float:
-    """u = kv (kff ṙ + kp (r − θ) − θ̇) + ki ∫(…) dt + torque, clamped; the integral holds while clamped."""
+    """u = kv (kff ṙ + kp (r − θ) − θ̇) + ki ∫(…) dt, clamped; the integral holds while clamped."""
     kp, kv, ki, kff, limit = gains
     error = kff * reference[1] + kp * (reference[0] - position) - velocity
-    command = kv * error + integral[0] + reference[2]
+    command = kv * error + integral[0]
     if command > limit:
         return limit
     if command < -limit:
@@ -252,7 +252,7 @@ def march(  # noqa: C901
     gains (5, n): position, velocity and integral, part of the reference velocity, limit
     friction (10, n): f0, f1, f2 and transition of what has no memory; of bristles coulomb, rise, 1 / Stribeck speed,
         viscous, 1 / knee and stiffness
-    references (S · substeps, 3, n): position, velocity, torque
+    references (S · substeps, 2, n): position, velocity
     state (5, n): joints' position, velocity and acceleration; servos' integral, bristles' torque; goes on from here
     found (S, 5, n): joints' position and velocity, motors' position, velocity and torque; written
     """

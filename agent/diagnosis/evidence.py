@@ -612,8 +612,8 @@ class Evidence:
 
     def _cost(self, candidate: Candidate) -> float:
         """Log evidence that nonlinear parameters chosen on the data cost (Schwarz, Ann. Statist. 6, 1978)."""
-        chosen = candidate.effect.n_parameters(candidate.settings) - len(candidate.names)
-        return 0.5 * float(np.log(self.count)) * max(chosen, 0)
+        chosen = candidate.effect.counted(candidate.settings)
+        return 0.5 * float(np.log(self.count)) * chosen
 
     def _left(self, j: int, joint: JointMoments, mean: np.ndarray) -> float:
         """Squared torque over nominal that remains beyond the background's usual energy."""

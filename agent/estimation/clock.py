@@ -1,17 +1,13 @@
-"""The even grid on which a segment of a log was sampled, and its signals there, a part at a time.
+"""The times at which the samples of a segment were taken, and its signals on an even grid, a part at a time.
 
-Uneven stamps mean an uneven sampling, a late stamp on an even one, or both. Where the stamps keep the phase of a grid,
-the position tells: sampled evenly it is smooth in the sample number, else in the stamps. Without a grid they are
-believed. Where recorded velocities give times in which its squared fourth
-differences are a tenth of those in either, these are taken.
+Uneven stamps mean uneven sampling, late stamps on even sampling, or both. The candidate times are the even grid (if the
+stamps keep its phase), the stamps, and times from recorded velocities. Positions are smoothest over the right ones: the
+sum of their squared fourth differences decides. Times from velocities must lower it by a factor of ten.
 
-When samples were taken that are neither even nor stamped well, by recorded positions and velocities.
+These times follow from the motion: between two samples each joint moves by its mean velocity times the interval, so the
+joints that move determine the interval Δ. If nothing moves, it is the mean interval. The stamps bound the drift:
 
-From one sample to the next each joint moves by its mean velocity times the time between them, so joints that move
-together tell that time, each as well as its step follows from its velocity otherwise. Where nothing moves the mean
-interval stands in. What adds up over many intervals is held by the stamps:
-
-    Σ ((t_i - stamp_i) / σ)² + Σ ((t_{i+1} - t_i - Δ_i) / σ_i)² is least.
+    minimise Σ ((t_i - stamp_i) / σ)² + Σ ((t_{i+1} - t_i - Δ_i) / σ_i)².
 """
 
 from __future__ import annotations
@@ -27,9 +23,9 @@ _ROUNDS = 3  # of weights of the joints
 
 
 def taken_at(stamps: np.ndarray, even: np.ndarray, position: np.ndarray, velocity: np.ndarray) -> np.ndarray | None:
-    """(S,) [s] rising, from stamps (S,), what they are on an even grid (S,), positions and velocities (S, n).
+    """(S,) increasing times [s] from stamps (S,), the even grid (S,), positions and velocities (S, n).
 
-    None where fewer than two joints move, so that none bears out another, or where no times rise.
+    None if fewer than two joints move, so that none confirms another, or if the times do not increase.
     """
     from scipy.linalg import solveh_banded
 
@@ -60,15 +56,15 @@ def taken_at(stamps: np.ndarray, even: np.ndarray, position: np.ndarray, velocit
     return times if np.all(np.diff(times) > 0) else None
 
 
-_SMOOTHER = 10.0  # times, squared fourth differences
-_HALO = 100  # samples at either side of a part, beyond which a spline does not feel its knots
+_SMOOTHER = 10.0  # factor between the sums of squared fourth differences
+_HALO = 100  # samples on either side of a part that its spline depends on
 
 
 @dataclass(frozen=True, eq=False)
 class SampleClock:
-    """Of the samples from `start` on: their `number` (S,) on the grid and their `knots` (S,) [s], to interpolate from.
+    """The samples from `start` on: their `number` (S,) on the grid, and their times `knots` (S,) [s] to interpolate.
 
-    `knots` is None where every sample lies on the grid and none is missing.
+    `knots` is None if every sample lies on the grid and none is missing.
     """
 
     log: Log
@@ -130,7 +126,7 @@ class SampleClock:
         rows = self._rows(grid)
         if self.knots is None:
             return values[rows]
-        from scipy.interpolate import CubicSpline, PchipInterpolator  # most of a second, and even logs need none of it
+        from scipy.interpolate import CubicSpline, PchipInterpolator  # slow to load, and even logs do not need it
 
         knots = self.knots[rows.start - self.start : rows.stop - self.start]
         curve: Callable[[np.ndarray], np.ndarray]

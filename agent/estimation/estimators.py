@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from types import SimpleNamespace
 
 import numpy as np
 
 from agent.estimation.moments import Moments, clear_gain, collect, pseudo_inverse, scaled_rank, solve_scaled, standstill
 from agent.estimation.prior import link_prior
 from agent.estimation.problem import Estimate, Problem
+from agent.model import PSEUDO_INERTIA
 from agent.robot import ParameterLayout
 
 
@@ -18,12 +18,11 @@ def weighted(problem: Problem) -> Estimate:
     """Weighted least squares with a prior; the weights follow from a first fit in which every joint counts alike.
 
     With row groups g of weight w_g, the estimate minimises Σ w_g |y_g - X_g θ|² + k (θ - θ₀)ᵀ Λ (θ - θ₀). The
-    paper's weights are the inverse residual variance of each joint (AIM 2013, eq. 4); here the rows in which a
-    joint stands still form a group of their own, never weighted above its moving rows: what stiction leaves open
-    counts for what it is worth.
+    paper's weights are the inverse residual variance of each joint (AIM 2013, eq. 4). Here the stationary rows of a
+    joint form a group of their own, never weighted above its moving rows, because stiction leaves their torque open.
 
-    Normal equations square the condition number; one step of refinement from the rows' own residuals gives that
-    back (corrected seminormal equations, Björck, Linear Algebra Appl. 88, 1987).
+    Normal equations square the condition number; one refinement step from the residuals of the rows restores the
+    accuracy (corrected seminormal equations, Björck, Linear Algebra Appl. 88, 1987).
     """
     found = problem.estimate(problem.weights())
     prior, joints = problem.prior, np.arange(found.weights.shape[1])
@@ -90,7 +89,7 @@ def paper(problem: Problem) -> Estimate:
 
     with σ_j the residual deviation of joint j under ordinary least squares (eq. 4). The columns are base parameters
     and the three friction terms of eq. 2, or, for `plain`, Coulomb and viscous friction and an offset. There is no
-    prior: what the motion does not excite is left to the pseudo-inverse, which takes the solution of minimum norm
+    prior: in directions that the motion does not excite, the pseudo-inverse takes the solution of minimum norm
     (columns scaled to unit length, so that units do not matter).
     """
     return _without_prior(
@@ -101,7 +100,7 @@ def paper(problem: Problem) -> Estimate:
 
 
 def plain(problem: Problem) -> Estimate:
-    """Weighted least squares of minimum norm, its weights in keeping with the residuals."""
+    """Weighted least squares of minimum norm; the weights are iterated until they match the residuals."""
     return _without_prior(
         problem,
         _PLAIN_ROUNDS,
@@ -134,6 +133,8 @@ def _eq_4(moments: Moments, parameters: np.ndarray) -> np.ndarray:
     return np.tile(1 / np.maximum(variance, floor), (2, 1))
 
 
+#: Upper triangle of a 4 × 4 matrix, column by column: the order of Clarabel's cone.
+_TRIANGLE = [(i, j) for j in range(4) for i in range(j + 1)]
 _FACTORS = (1.0, 3.0, 10.0, 30.0, 100.0)  # of the prior's weight against noise alone
 _SOLIDITY = 1e-4  # smallest eigenvalue of a pseudo-inertia, in units of the link's own scale
 
@@ -144,14 +145,13 @@ def consistent(problem: Problem) -> Estimate:
     Unknowns are the standard parameters of every link, the rotor inertias and the friction terms. They minimise the
     same weighted squares and the same prior as `weighted`, with the constraints that
 
-    * every link's pseudo-inertia [[½ tr(I) 1 - I, m c], [m cᵀ, m]] is positive definite, which is what a density over
-      space amounts to (Traversaro et al., IROS 2016; Wensing, Kim and Slotine, IEEE RA-L 3, 2018);
+    * every link's pseudo-inertia [[½ tr(I) 1 - I, m c], [m cᵀ, m]] is positive definite, as that of any density over
+      space (Traversaro et al., IROS 2016; Wensing, Kim and Slotine, IEEE RA-L 3, 2018);
     * rotor inertias, Coulomb and viscous friction are not negative, nor Coulomb and Stribeck friction together at rest.
 
-    Where the data is silent the prior decides, so links stay near their URDF; held-out error decides how much it is
-    trusted beyond what it is worth against noise alone, since what a model gets wrong makes its rows worth less.
-    The convex programme goes to Clarabel directly: its cost is one small matrix made of the moments, its cones are
-    4 × 4 matrices.
+    In directions without data the prior decides, so links stay near their URDF. Held-out error decides whether the
+    prior gets more weight than against noise alone, because model errors make rows worth less. Clarabel solves the
+    convex programme: the cost is one small matrix made of the moments, the cones are 4 × 4 matrices.
     """
     problem = _weigh_prior(problem)
     programme = _Programme(problem)
@@ -162,7 +162,7 @@ def consistent(problem: Problem) -> Estimate:
 
 
 def _weigh_prior(problem: Problem) -> Problem:
-    """The same problem with more weight on the prior, where held-out error clearly gains by it."""
+    """The same problem with more weight on the prior, if that clearly lowers held-out error."""
     weights = problem.weights()
     trials = [replace(problem, prior_weight=factor * problem.prior_weight) for factor in _FACTORS]
     errors = [np.sum(weights * trial.held_out(weights), axis=(1, 2)) for trial in trials]
@@ -193,17 +193,17 @@ class _Programme:
         blocks, floors = [], []
         for link in range(layout.n_links):
             rows = np.zeros((10, len(self.scale)))
-            rows[:, layout.link(link)] = _PSEUDO_INERTIA
-            # in units of the link's own mass and length, so that one tolerance serves all
+            # Clarabel wants off-diagonal entries times √2
+            rows[:, layout.link(link)] = [(1 if i == j else np.sqrt(2)) * PSEUDO_INERTIA[:, i, j] for i, j in _TRIANGLE]
+            # in units of the link's own mass and length, so that one tolerance fits all links
             unit = np.sqrt([links[link, 4] / links[link, 0]] * 3 + [1.0])
             weight = np.array([1 / (unit[i] * unit[j] * links[link, 0]) for i, j in _TRIANGLE])
             blocks.append(rows * weight[:, None] * self.scale)
             offset = (rows * weight[:, None]) @ self.mean
             floors.append(_SOLIDITY * np.array([float(i == j) for i, j in _TRIANGLE]) - offset)
-        positive = [_unit(k, len(self.scale)) for k in range(layout.rotors.start, layout.rotors.stop)]
-        rest: dict[int, np.ndarray] = {}
-        for k, term in enumerate(problem.terms):
-            row = _unit(layout.size + k, len(self.scale))
+        units = np.eye(len(self.scale))
+        positive, rest = list(units[layout.rotors]), dict[int, np.ndarray]()
+        for row, term in zip(units[layout.size :], problem.terms, strict=True):
             if term.form in ("coulomb", "viscous"):
                 positive.append(row)
             if term.form in ("coulomb", "stribeck"):
@@ -221,6 +221,7 @@ class _Programme:
     def solve(self, total: np.ndarray) -> np.ndarray:
         """(10 n + n + T,) unknowns from a weighted sum of moments (p + 1, p + 1)."""
         import clarabel
+        from scipy.sparse import csc_matrix
 
         columns = self.to_parameters * self.scale
         offset = self.to_parameters @ self.mean
@@ -232,53 +233,14 @@ class _Programme:
         settings.max_threads = 1
         cones = [clarabel.NonnegativeConeT(self._linear), *[clarabel.PSDTriangleConeT(4)] * self._links]
         solution = clarabel.DefaultSolver(
-            _by_columns(np.triu(cost / size)),
+            csc_matrix(np.triu(cost / size)),
             slope / size,
-            _by_columns(-self._cone_rows),
+            csc_matrix(-self._cone_rows),
             -self._cone_floor,
             cones,
             settings,
         ).solve()
         return self.mean + self.scale * np.array(solution.x)
-
-
-def _by_columns(matrix: np.ndarray) -> SimpleNamespace:
-    """A matrix (m, n) in compressed columns: what Clarabel reads of one of SciPy's, which is slow to load."""
-    column, row = np.nonzero(matrix.T)
-    starts = np.searchsorted(column, np.arange(matrix.shape[1] + 1))
-    return SimpleNamespace(
-        data=matrix[row, column], indices=row, indptr=starts, shape=matrix.shape, has_canonical_format=True
-    )
-
-
-def _unit(k: int, size: int) -> np.ndarray:
-    row = np.zeros(size)
-    row[k] = 1.0
-    return row
-
-
-#: Upper triangle of a 4 × 4 matrix, column by column: the order of Clarabel's cone.
-_TRIANGLE = [(i, j) for j in range(4) for i in range(j + 1)]
-
-
-def _pseudo_inertia_rows() -> np.ndarray:
-    """(10, 10) from [m, mx, my, mz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz] to that triangle, off-diagonal entries times √2."""
-    entries = {(0, 1): 5, (0, 2): 7, (1, 2): 8}
-    rows = np.zeros((10, 10))
-    for k, (i, j) in enumerate(_TRIANGLE):
-        if i == j == 3:
-            rows[k, 0] = 1.0
-        elif j == 3:
-            rows[k, 1 + i] = np.sqrt(2)
-        elif i == j:
-            rows[k, [4, 6, 9]] = 0.5
-            rows[k, (4, 6, 9)[i]] = -0.5
-        else:
-            rows[k, entries[i, j]] = -np.sqrt(2)
-    return rows
-
-
-_PSEUDO_INERTIA = _pseudo_inertia_rows()
 
 
 @dataclass(frozen=True)

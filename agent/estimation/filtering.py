@@ -108,12 +108,10 @@ class FilterSettings:
 
     cutoff: -6 dB point of the zero-phase filter (30 Hz, lower where the sampling rate is too low for it).
     order: of the Butterworth filter, before it runs forward and backward.
-    smoothing: up to where the smoothing of positions is flat.
     """
 
     cutoff: float | None = None
     order: int = 8
-    smoothing: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,7 +178,7 @@ def motions(log: Log, settings: FilterSettings, reduce: bool = True) -> Iterator
         InputError: no segment is longer than the filter's edges, or the sampling rate is too low for the cut-off.
     """
     cutoff = resolve_cutoff(log, settings)
-    flat, stop = _bands(log, cutoff, settings)
+    flat, stop = _bands(log, cutoff)
     edge = _edge_time(cutoff, flat, stop)
     needed = _needed(cutoff, edge)
     segments = log.bridged(_BRIDGED / cutoff)
@@ -200,18 +198,13 @@ def motions(log: Log, settings: FilterSettings, reduce: bool = True) -> Iterator
         for piece in log.scratch.each(_pieces(-(-clock.size // every), margin, step)):
             grid = slice(piece.start * every, min(piece.stop * every, clock.size))
             position, torque, set_points = clock.signals(grid)
-            q, qd, qdd = smooth_and_differentiate(position, clock.rate, flat, stop, every)
-            qd = quiet_velocity(
-                position,
-                clock.rate,
-                qd,
-                stop,
-                partial(_velocity, position, clock.rate, (flat, stop), every),
-            )
+            smooth = partial(_smooth, rate=clock.rate, band=(flat, stop), every=every)
+            q, qd, qdd = smooth(position, orders=(0, 1, 2))
+            qd = quiet_velocity(position, clock.rate, qd, stop, partial(_velocity, smooth, position))
             if torque is not None and every > 1:
-                (torque,) = _smooth(torque, clock.rate, (flat, stop), every, (0,))
+                (torque,) = smooth(torque, orders=(0,))
             if set_points is not None:
-                (set_points,) = _smooth(set_points, clock.rate, (flat, stop), every, (0,))
+                (set_points,) = smooth(set_points, orders=(0,))
             yield Motion(
                 log=log.name,
                 time=clock.time(grid)[::every],
@@ -233,7 +226,7 @@ def motions(log: Log, settings: FilterSettings, reduce: bool = True) -> Iterator
 def used_text(log: Log, settings: FilterSettings) -> str:
     """How many samples of a log a filter leaves to work with, and what is left out, for people."""
     cutoff = resolve_cutoff(log, settings)
-    edge = _edge_time(cutoff, *_bands(log, cutoff, settings))
+    edge = _edge_time(cutoff, *_bands(log, cutoff))
     segments = log.bridged(_BRIDGED / cutoff)
     short = [(a, b) for a, b in segments if not log.t[b - 1] - log.t[a] > _needed(cutoff, edge)]
     used = sum(
@@ -287,28 +280,34 @@ def resolve_cutoff(log: Log, settings: FilterSettings) -> float:
 
 
 def smooth_and_differentiate(
-    position: np.ndarray, rate: float, pass_edge: float, stop_edge: float, every: int = 1
+    position: np.ndarray, rate: float, pass_edge: float, stop_edge: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Low-pass an evenly sampled (S, n) signal; returns it and its first and second derivative, thinned by `every`.
+    """Low-pass an evenly sampled (S, n) signal; returns it and its first and second derivative.
 
     Flat up to `pass_edge`, nothing from `stop_edge` on [Hz].
     """
-    q, qd, qdd = _smooth(position, rate, (pass_edge, stop_edge), every, (0, 1, 2))
+    q, qd, qdd = _smooth(position, rate, (pass_edge, stop_edge), 1, (0, 1, 2))
     return q, qd, qdd
 
 
 def _velocity(
-    position: np.ndarray, rate: float, band: tuple[float, float], every: int, factor: float, joints: np.ndarray
+    smooth: Callable[..., list[np.ndarray]], position: np.ndarray, factor: float, joints: np.ndarray
 ) -> np.ndarray:
-    """(S, k) of some joints, with both edges of the band [Hz] times `factor`."""
-    return _smooth(position[:, joints], rate, (factor * band[0], factor * band[1]), every, (1,))[0]
+    """(S, k) of some joints, smoothed in a band `factor` times as wide."""
+    return smooth(position[:, joints], orders=(1,), factor=factor)[0]
 
 
 def _smooth(
-    position: np.ndarray, rate: float, band: tuple[float, float], every: int, orders: tuple[int, ...]
+    position: np.ndarray,
+    rate: float,
+    band: tuple[float, float],
+    every: int,
+    orders: tuple[int, ...],
+    factor: float = 1.0,
 ) -> list[np.ndarray]:
-    """The derivatives of these orders, 0 to 2, of what `smooth_and_differentiate` smooths."""
-    middle, width = sum(band) / 2, (band[1] - band[0]) / (2 * _HALF_BAND)
+    """Derivatives of these orders, 0 to 2, smoothed as by `smooth_and_differentiate`; the band [Hz] times `factor`."""
+    flat, stop = factor * band[0], factor * band[1]
+    middle, width = (flat + stop) / 2, (stop - flat) / (2 * _HALF_BAND)
 
     def responses(frequency: np.ndarray) -> list[np.ndarray]:
         argument = (frequency - middle) / (np.sqrt(2) * width)
@@ -349,17 +348,10 @@ def _respond(signals: np.ndarray, rate: float, responses: _Responses, kept: slic
     return [result.T for result in results]
 
 
-def _bands(log: Log, cutoff: float, settings: FilterSettings) -> tuple[float, float]:
-    """Up to where the smoothing is flat, and from where it passes nothing [Hz]."""
-    if settings.smoothing is None:
-        stop = min(4.5 * cutoff, 0.47 * log.sample_rate)
-        return max(stop * 2 / 3, 1.15 * cutoff), stop
-    if not 1.15 * cutoff <= settings.smoothing <= 0.4 * log.sample_rate:
-        raise InputError(
-            f"{log.path}: positions smoothed at {settings.smoothing:g} Hz: what is possible is between 1.15 times the "
-            f"cut-off ({1.15 * cutoff:g} Hz) and 0.4 times the sampling rate ({0.4 * log.sample_rate:g} Hz)"
-        )
-    return settings.smoothing, min(1.5 * settings.smoothing, 0.47 * log.sample_rate)
+def _bands(log: Log, cutoff: float) -> tuple[float, float]:
+    """Highest frequency at which the smoothing is flat, and lowest at which it passes nothing [Hz]."""
+    stop = min(4.5 * cutoff, 0.47 * log.sample_rate)
+    return max(stop * 2 / 3, 1.15 * cutoff), stop
 
 
 def _edge_time(cutoff: float, pass_edge: float, stop_edge: float) -> float:

@@ -1,9 +1,8 @@
-"""What is known before any data: links are roughly what the URDF says, the rest is of a plausible size.
+"""The prior: links are roughly as the URDF says, everything else has a plausible size.
 
-A prior in the standard parameters is carried over to the base parameters, β = P π, so that directions the motion does
-not excite stay near the URDF instead of growing without bound, while excited ones hardly feel it. A URDF may hold
-placeholders, so the data may overrule it: held-out error decides how far its links are believed, or whether only their
-possible size is (see `prior_choice`).
+A prior of the standard parameters becomes one of the base parameters, β = P π. Directions that the motion does not
+excite stay near the URDF; excited ones hardly depend on it. Many URDFs hold placeholders, so held-out error decides
+whether the prior uses the URDF's links or only their possible size (see `selection.choose_links`).
 """
 
 from __future__ import annotations
@@ -13,20 +12,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from agent.estimation.observation import Observation
-from agent.model import FORMS, FrictionTerm
+from agent.model import FORMS, FrictionTerm, link_scale
 from agent.robot import ParameterLayout
 
 _LINK_DOUBT = 0.5  # standard deviation of a link's mass, first moment and inertia, relative
-_FREE_DOUBT = (
-    2.5  # the same of a link of which only its possible size is known, relative to what the torques could hold
-)
-_FREE_RADIUS = 0.5  # of the reach: the size of such a link
-_OFFSET = 0.1  # standard deviation of a torque offset, of the largest torque: gravity is the likelier constant
+_FREE_DOUBT = 2.5  # the same of a link with unknown inertia, relative to what the torques could hold
+_FREE_RADIUS = 0.5  # of the reach: size of such a link
+_OFFSET = 0.1  # standard deviation of a torque offset over the largest torque: gravity is more likely
 
 
-#: What a prior of the links may rest on: the description's inertials, or only what the torques could hold.
+#: Source of the links' prior: the description's inertials, or only what the torques could hold.
 DESCRIPTION, SIZE = "description", "size"
-#: As SIZE, where neither held-out error nor the evidence speaks for the description, and held-out error not against it.
+#: As SIZE, if neither held-out error nor evidence favours the description, and held-out error does not reject it.
 EITHER = "either"
 
 
@@ -38,7 +35,7 @@ class Prior:
     precision: np.ndarray
 
     def select(self, chosen: np.ndarray) -> Prior:
-        """Of some of the parameters, the others being at their mean."""
+        """The prior of some parameters, with the others at their mean."""
         return Prior(self.mean[chosen], self.precision[np.ix_(chosen, chosen)])
 
 
@@ -61,32 +58,25 @@ def physical_prior(observation: Observation, terms: tuple[FrictionTerm, ...], li
 def link_prior(observation: Observation, source: str = DESCRIPTION) -> tuple[np.ndarray, np.ndarray]:
     """Mean and standard deviation (10 n + n,) of the links' standard parameters and the rotor inertias.
 
-    A link's size is its radius of gyration, at least a tenth of the reach; a massless link has at least 2 % of the
-    robot's mass, or of what its torques could hold, and all of that where only the size is known (`SIZE`). A rotor may
-    be as large as the torque and acceleration seen allow.
+    A link's size is its radius of gyration, at least 10 % of the reach. A massless link has at least 2 % of the robot's
+    mass, or of the mass that its torques could hold; all of that with `SIZE`. A rotor may be as large as the measured
+    torque and acceleration allow.
     """
     robot, dynamics = observation.robot, observation.rigid.dynamics
     links = ParameterLayout.of(robot).blocks(dynamics.standard_parameters())
     if source != DESCRIPTION:
         links = np.zeros_like(links)
-    rng = np.random.default_rng(0)
-    reach = np.linalg.norm(dynamics.tip_pose(rng.uniform(-3, 3, (50, robot.dof)))[:, :3, 3], axis=1).max()
-    reach = max(float(reach), 0.1)
     gravity = max(float(np.linalg.norm(robot.gravity)), 1.0)
     torque = _largest_torque(observation)
-    liftable = torque.max() / gravity / reach
-    least = liftable if source != DESCRIPTION else 0.02 * max(links[:, 0].sum(), liftable)
-    mass = np.maximum(links[:, 0], least)
-    gyration = np.sqrt(np.maximum(links[:, [4, 6, 9]].sum(axis=1), 0) / 2 / mass)
-    radius = np.maximum(gyration, (_FREE_RADIUS if source != DESCRIPTION else 0.1) * reach)
-    scale = mass[:, None] * np.stack([np.ones_like(mass), *[radius] * 3, *[radius**2] * 6], axis=1)
-
+    liftable = torque.max() / gravity / dynamics.reach
+    if source == DESCRIPTION:
+        doubt = _LINK_DOUBT * link_scale(links, 0.02 * max(links[:, 0].sum(), liftable), 0.1 * dynamics.reach)
+    else:
+        doubt = _FREE_DOUBT * link_scale(links, liftable, _FREE_RADIUS * dynamics.reach)
     rotors = np.array([joint.rotor_inertia or 0.0 for joint in robot.joints])
     acceleration = np.max([np.abs(segment.motion.qdd).max(axis=0) for segment in observation.segments], axis=0)
     largest = torque / np.maximum(acceleration, 0.01 * robot.max_acceleration) / robot.gear_ratios**2
-    return np.append(links.ravel(), rotors), np.append(
-        (_FREE_DOUBT if source != DESCRIPTION else _LINK_DOUBT) * scale.ravel(), np.maximum(largest, rotors)
-    )
+    return np.append(links.ravel(), rotors), np.append(doubt.ravel(), np.maximum(largest, rotors))
 
 
 def _largest_torque(observation: Observation) -> np.ndarray:

@@ -1,3 +1,4 @@
+from .effect_prediction import effect_torque as effect_torque
 from .effects import CATALOGUE as CATALOGUE
 from .effects.base_tilt import across as across
 from .effects.dress_pack import N_NODES as N_NODES
@@ -29,13 +30,14 @@ from .regimes import REGIMES as REGIMES, regime_masks as regime_masks, standstil
 from .rigid_friction import HealthyEffect as HealthyEffect, ModelEffect as ModelEffect, ParameterPrior as ParameterPrior
 from .signals import MotionSignals as MotionSignals, NominalModel as NominalModel
 from .standard_parameters import (
+    PSEUDO_INERTIA as PSEUDO_INERTIA,
     body_parameters as body_parameters,
     check_physical as check_physical,
     full_parameters as full_parameters,
     is_body as is_body,
+    link_scale as link_scale,
     nearby_body as nearby_body,
     nearest_bodies as nearest_bodies,
     possible_model as possible_model,
     seen_from as seen_from,
 )
-from .with_effects import effect_torque as effect_torque

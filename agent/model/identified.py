@@ -5,12 +5,13 @@ from __future__ import annotations
 import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from statistics import NormalDist
 from typing import Any
 
 import numpy as np
 
 from agent.core import InputError
-from agent.model.checks import check_model
+from agent.model.document import ModelDocument, check_model
 from agent.model.friction_terms import FrictionTerm, Reversal
 from agent.model.rigid_friction import HealthyEffect, ModelEffect, ParameterPrior, RigidFrictionModel
 from agent.robot import RobotDescription
@@ -18,6 +19,8 @@ from agent.robot import RobotDescription
 SCHEMA = "model/1"
 
 
+#: Half the 95 % interval of a normal distribution, in standard deviations.
+_NORMAL_95 = NormalDist().inv_cdf(0.975)
 #: Rule of thumb for exciting trajectories (Gautier and Khalil 1992).
 USUAL_CONDITION = 100
 
@@ -55,26 +58,22 @@ class IdentifiedModel(RigidFrictionModel):
         rigid, friction = self.rigid_and_friction(q, qd, qdd)
         torque = rigid + friction
         for entry in self.effects:
-            from agent.model.with_effects import effect_torque  # with all that a catalogue of effects imports
+            from agent.model.effect_prediction import effect_torque  # with all that a catalogue of effects imports
 
             torque = torque + effect_torque(self, entry, {"time": time, "q": q, "qd": qd, "qdd": qdd})
         return torque, friction
 
-    def prediction_interval(
-        self, columns: np.ndarray, speed: np.ndarray | None = None, probability: float = 0.95
-    ) -> np.ndarray:
-        """(S, n) half width [N·m] around a prediction from regressor columns (S, n, p), filtered as it is.
+    def prediction_interval(self, columns: np.ndarray, speed: np.ndarray | None = None) -> np.ndarray:
+        """(S, n) half the 95 % interval [N·m] of a prediction, from its regressor columns (S, n, p), filtered alike.
 
-        The variance is that of the parameters, xᵀ Σ x, and that of held-out rows: in motion, or at standstill where the
-        joints' `speed` (S, n) is given and says so, since stiction leaves friction open there.
+        The variance is that of the parameters, xᵀ Σ x, plus that of held-out rows: in motion, or at standstill where
+        the joints' `speed` (S, n) says so, because stiction leaves friction open there.
         """
-        from statistics import NormalDist
-
         variance = np.einsum("snp,pq,snq->sn", columns, self.covariance, columns, optimize=True)
         rest = self.residual_rmse
         if speed is not None and self.group_rmse is not None:
             rest = np.where(np.abs(speed) > self.standstill_speed, *self.group_rmse)
-        return NormalDist().inv_cdf(0.5 + probability / 2) * np.sqrt(variance + rest**2)
+        return _NORMAL_95 * np.sqrt(variance + rest**2)
 
     def _term_unit(self, term: FrictionTerm) -> str:
         return term.unit(self.robot.joints[term.axle].prismatic)
@@ -167,7 +166,7 @@ class IdentifiedModel(RigidFrictionModel):
         }
 
     def save(self, path: str | Path) -> None:
-        """Write the model file, beside and renamed, so that a reader never sees half of it.
+        """Write the model file under another name, then rename it, so that no reader sees half a file.
 
         Raises:
             AgentError: the disk is full or not writable; what was there stays.
@@ -184,7 +183,6 @@ class IdentifiedModel(RigidFrictionModel):
             InputError: missing, not JSON, of another schema, or incomplete; names the key.
         """
         from agent.core import first_fault
-        from agent.model.document import ModelDocument  # with pydantic
 
         path = Path(path)
         try:

@@ -27,7 +27,7 @@ def payload_of(text: str) -> Tool:
     """The mass that a text says, a point at its centre.
 
     Raises:
-        InputError: not a mass and three lengths, or a mass that is none.
+        InputError: not a mass and three lengths, or an impossible mass.
     """
     parts = [part.strip() for part in text.split(",")]
     if len(parts) != 4:

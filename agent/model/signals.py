@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
 
@@ -13,11 +13,13 @@ from agent.core import symmetric_eigen
 from agent.model.friction_terms import AxleMotion, Reversal, axle_columns
 from agent.model.known_load import carrying
 from agent.model.rigid_friction import RigidFrictionModel
-from agent.model.standard_parameters import from_pseudo_inertia, pseudo_inertia
+from agent.model.standard_parameters import from_pseudo_inertia, link_scale, pseudo_inertia
 from agent.robot import ParameterLayout, RobotDescription
 
 if TYPE_CHECKING:
     from agent.robot import Dynamics, Tool
+
+T = TypeVar("T")
 
 _MASS_STEP = 10  # mass matrices change slowly: one in ten samples is computed
 
@@ -46,7 +48,7 @@ class NominalModel:
         standard = mean + prior_std**2 * (model.projection.T @ np.linalg.solve(spread, away))
         layout = ParameterLayout.of(self.robot)
         self.links: Dynamics = nominal.with_parameters(standard[layout.links])
-        # what a description without masses leaves open, or with made-up ones, only the model tells the size of
+        # a description without masses, or with made-up ones, says nothing of their size; the model does
         if np.any(links):
             times = _times_further(away, spread, model.covariance[: len(away), : len(away)])
         else:
@@ -56,11 +58,11 @@ class NominalModel:
         #: where that has none, the nearest bodies to the spread ones
         self.solid: Dynamics = self.links
         if not np.any(links):
-            self.solid = nominal.with_parameters(_bodies(standard, layout, _reach(nominal)))
+            self.solid = nominal.with_parameters(_bodies(standard, layout, nominal.reach))
         elif not _sound(self.links, nominal):
             self.solid = nominal
         self.rotors = standard[layout.rotors]
-        self.reach = _reach(nominal)
+        self.reach = nominal.reach
         self.coupling = self.robot.coupling
         self.from_joints = np.linalg.inv(self.coupling)
         self.reversals = tuple(self._reversal(axle) for axle in range(self.robot.dof))
@@ -97,28 +99,18 @@ def _bodies(standard: np.ndarray, layout: ParameterLayout, reach: float) -> np.n
     return found.ravel()
 
 
-def _reach(nominal: Dynamics) -> float:
-    """[m] how far the tip gets, at least 0.1."""
-    tips = nominal.tip_pose(np.random.default_rng(0).uniform(-3, 3, (50, nominal.dof)))[:, :3, 3]
-    return max(float(np.linalg.norm(tips, axis=1).max()), 0.1)
-
-
 def _liftable(links: Dynamics, nominal: Dynamics) -> float:
-    """[kg] what would weigh at the tip as much as all links do, a thousandth of a kilogram at least."""
+    """Mass at the tip that weighs as much as all links together [kg], at least 1 g."""
     poses = np.random.default_rng(0).uniform(-3, 3, (50, nominal.dof))
     weight = np.abs(links.inverse_dynamics(poses, np.zeros_like(poses), np.zeros_like(poses))).max()
     gravity = max(float(np.linalg.norm(links.robot.gravity)), 1.0)
-    return max(float(weight) / gravity / _reach(nominal), 1e-3)
+    return max(float(weight) / gravity / nominal.reach, 1e-3)
 
 
 def _doubt(robot: RobotDescription, nominal: Dynamics, links: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Mean and prior deviation (10 n + n,) of the standard parameters: half a link, any rotor that the drive turns."""
-    reach = _reach(nominal)
     blocks = ParameterLayout.of(robot).blocks(links)
-    mass = np.maximum(blocks[:, 0], 0.02 * max(blocks[:, 0].sum(), 1e-3))
-    gyration = np.sqrt(np.maximum(blocks[:, [4, 6, 9]].sum(axis=1), 0) / 2 / mass)
-    radius = np.maximum(gyration, 0.1 * reach)
-    scale = mass[:, None] * np.stack([np.ones_like(mass), *[radius] * 3, *[radius**2] * 6], axis=1)
+    scale = link_scale(blocks, 0.02 * max(blocks[:, 0].sum(), 1e-3), 0.1 * nominal.reach)
     matrix = nominal.mass_matrix(np.zeros(robot.dof))
     rotors = np.array([joint.rotor_inertia or 0.0 for joint in robot.joints])
     usual = np.maximum(np.diag(matrix), 1e-3 * np.diag(matrix).max() + 1e-9) / robot.gear_ratios**2
@@ -167,6 +159,13 @@ class MotionSignals:
     started: float = 0.0
     low_pass: Callable[[np.ndarray], np.ndarray] = np.asarray
     driving: np.ndarray | None = None
+    memory: dict[Any, Any] = field(default_factory=dict, init=False, repr=False)
+
+    def remembered(self, key: Hashable, make: Callable[[], T]) -> T:
+        """What `make` returns for a key, computed once for this motion."""
+        if key not in self.memory:
+            self.memory[key] = make()
+        return cast(T, self.memory[key])
 
     @cached_property
     def axles(self) -> AxleMotion:
@@ -245,12 +244,11 @@ class MotionSignals:
         return jacobian
 
     def _turned(self, link: int, rows: np.ndarray) -> np.ndarray:
-        """(K, 3, 3) rotation of a link (from 0) in the base frame; those asked for last are remembered."""
-        key, known = (link, rows.tobytes()), self.__dict__.setdefault("_rotations", {})
-        if key not in known:
-            known.clear()
-            known[key] = self.reference.links.link_rotations(self.q[rows], link)
-        return known[key]
+        """(K, 3, 3) rotation of a link (from 0) in the base frame; the latest ones are kept."""
+        key = link, rows.tobytes()
+        if self.memory.get("rotations", (None, None))[0] != key:
+            self.memory["rotations"] = key, self.reference.links.link_rotations(self.q[rows], link)
+        return cast(np.ndarray, self.memory["rotations"][1])
 
     @cached_property
     def _screws(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -152,11 +152,10 @@ def seen_from(block: np.ndarray, pose: np.ndarray) -> np.ndarray:
 
 def pseudo_inertia(block: np.ndarray) -> np.ndarray:
     """(4, 4) [[½ tr(I) 1 - I, m c], [m cᵀ, m]] of ten standard parameters (10,)."""
-    return np.tensordot(block, LOG_DET_BASIS, axes=1)
+    return np.tensordot(block, PSEUDO_INERTIA, axes=1)
 
 
 def _basis() -> np.ndarray:
-    """(10, 4, 4): pseudo-inertia per unit of m, mx, my, mz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz."""
     basis = np.zeros((10, 4, 4))
     basis[0, 3, 3] = 1.0
     for axis in range(3):
@@ -170,12 +169,13 @@ def _basis() -> np.ndarray:
     return basis
 
 
-LOG_DET_BASIS = _basis()
+#: (10, 4, 4) pseudo-inertia per unit of m, mx, my, mz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz.
+PSEUDO_INERTIA = _basis()
 
 
 def from_pseudo_inertia(matrix: np.ndarray) -> np.ndarray:
     """(10,) the inverse of `pseudo_inertia`."""
-    return np.linalg.lstsq(LOG_DET_BASIS.reshape(10, 16).T, matrix.ravel(), rcond=None)[0]
+    return np.linalg.lstsq(PSEUDO_INERTIA.reshape(10, 16).T, matrix.ravel(), rcond=None)[0]
 
 
 def _logs(standard: np.ndarray, layout: ParameterLayout) -> float:
@@ -187,14 +187,14 @@ def _logs(standard: np.ndarray, layout: ParameterLayout) -> float:
 def log_det_gradient(standard: np.ndarray, layout: ParameterLayout) -> np.ndarray:
     """(11 n,) gradient of Σ log det S + Σ log J."""
     inverse = [np.linalg.inv(pseudo_inertia(block)) for block in layout.blocks(standard)]
-    return np.concatenate([*(np.einsum("kij,ji->k", LOG_DET_BASIS, s) for s in inverse), 1 / standard[layout.rotors]])
+    return np.concatenate([*(np.einsum("kij,ji->k", PSEUDO_INERTIA, s) for s in inverse), 1 / standard[layout.rotors]])
 
 
 def log_det_hessian(standard: np.ndarray, layout: ParameterLayout) -> np.ndarray:
     """(11 n, 11 n) Hessian of -Σ log det S - Σ log J."""
     hessian = np.zeros((layout.size, layout.size))
     for k, block in enumerate(layout.blocks(standard)):
-        turned = np.linalg.inv(pseudo_inertia(block)) @ LOG_DET_BASIS
+        turned = np.linalg.inv(pseudo_inertia(block)) @ PSEUDO_INERTIA
         hessian[layout.link(k), layout.link(k)] = np.einsum("aij,bji->ab", turned, turned)
     place = np.arange(layout.rotors.start, layout.rotors.stop)
     hessian[place, place] = standard[layout.rotors] ** -2
@@ -206,8 +206,7 @@ def reference_parameters(model: RigidFrictionModel) -> np.ndarray:
     robot, dynamics = model.robot, model.rigid.dynamics
     n = robot.dof
     links = ParameterLayout.of(robot).blocks(dynamics.standard_parameters())
-    q = np.random.default_rng(0).uniform(-3, 3, (50, n))
-    reach = max(float(np.linalg.norm(dynamics.tip_pose(q)[:, :3, 3], axis=1).max()), 0.1)
+    q, reach = np.random.default_rng(0).uniform(-3, 3, (50, n)), dynamics.reach
     total = max(float(links[:, 0].sum()), float(np.abs(model.base_values).max()), 1e-3)
     bodies = [nearby_body(block, _WEIGHTLESS * total, reach) for block in links]
     inertia = np.mean([np.diag(dynamics.mass_matrix(row)) for row in q], axis=0)
@@ -228,6 +227,17 @@ def nearby_body(block: np.ndarray, mass: float, reach: float) -> np.ndarray:
     second = (axes * np.maximum(values, thin)) @ axes.T + matrix[3, 3] * np.outer(centre, centre)
     inertia = np.trace(second) * np.eye(3) - second
     return np.array([matrix[3, 3], *matrix[:3, 3], *(inertia[i, j] for i, j in _INERTIA_ORDER)])
+
+
+def link_scale(blocks: np.ndarray, least_mass: float, least_radius: float) -> np.ndarray:
+    """(n, 10) usual size of the parameters of links (n, 10): mass m, m r and m r² with r the radius of gyration [m].
+
+    Neither m [kg] nor r is taken below the least value given.
+    """
+    mass = np.maximum(blocks[:, 0], least_mass)
+    gyration = np.sqrt(np.maximum(blocks[:, [4, 6, 9]].sum(axis=1), 0) / 2 / mass)
+    radius = np.maximum(gyration, least_radius)
+    return np.asarray(mass[:, None] * np.stack([np.ones_like(mass), *[radius] * 3, *[radius**2] * 6], axis=1))
 
 
 def _how_far(model: RigidFrictionModel, base: np.ndarray) -> str:

@@ -12,13 +12,14 @@ from .description import (
     load_robot as load_robot,
 )
 from .drivetrain import (
+    PAPER_TERMS as PAPER_TERMS,
     axle_motion as axle_motion,
+    friction_regressor as friction_regressor,
     rotor_mass_matrix as rotor_mass_matrix,
     rotor_regressor as rotor_regressor,
     torque_per_ampere as torque_per_ampere,
 )
 from .dynamics import Dynamics as Dynamics, Tool as Tool
-from .friction import PAPER_TERMS as PAPER_TERMS, friction_regressor as friction_regressor
 from .kinematics.base import (
     Kinematics as Kinematics,
     KinematicsError as KinematicsError,

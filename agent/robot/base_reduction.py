@@ -30,7 +30,7 @@ _STATES = 60
 class BaseParameters:
     """The b base parameters of an arm with p standard ones: ten a link, then (with rotors) one rotor inertia a joint.
 
-    independent (b,): the columns of the standard regressor that stay; projection (b, p): π_b = P π;
+    independent (b,): the columns of the standard regressor that stay; projection (b, p): π_b = P π, Y π = Y_b π_b;
     names (b,): each as the text of its combination; standard_names (p,): "m1", "mx1", …, "Izz6", "J1", ….
     """
 
@@ -38,18 +38,6 @@ class BaseParameters:
     projection: np.ndarray
     names: tuple[str, ...]
     standard_names: tuple[str, ...]
-
-    def __len__(self) -> int:
-        """Number of base parameters b."""
-        return len(self.independent)
-
-    def regressor(self, standard: np.ndarray) -> np.ndarray:
-        """(..., b) regressor of the base parameters, from (..., p) of the standard ones: Y π = Y_b π_b."""
-        return standard[..., self.independent]
-
-    def values(self, standard: np.ndarray) -> np.ndarray:
-        """(b,) base parameters of the standard parameters (p,)."""
-        return self.projection @ standard
 
 
 def base_parameters(robot: RobotDescription, rotors: bool = True) -> BaseParameters:

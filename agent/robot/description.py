@@ -218,15 +218,9 @@ class RobotDescription:
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> RobotDescription:
         """The inverse of `to_dict`, also after a round trip through JSON."""
+        open_ends = (("lower", -np.inf), ("upper", np.inf))
         joints = tuple(
-            Joint(
-                **{
-                    **joint,
-                    "lower": -np.inf if joint["lower"] is None else joint["lower"],
-                    "upper": np.inf if joint["upper"] is None else joint["upper"],
-                }
-            )
-            for joint in data["joints"]
+            Joint(**joint | {end: value for end, value in open_ends if joint[end] is None}) for joint in data["joints"]
         )
         limits = data["cartesian_limits"]
         return cls(

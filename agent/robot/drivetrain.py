@@ -11,6 +11,9 @@ import numpy as np
 from agent.core import InputError
 from agent.robot.description import RobotDescription
 
+#: The three friction terms of the paper: f0 sign(q̇) + f1 q̇ + f2 sign(q̇) q̇² (AIM 2013, eq. 2).
+PAPER_TERMS = ("f0", "f1", "f2")
+
 
 def axle_motion(robot: RobotDescription, motion: np.ndarray) -> np.ndarray:
     """(S, n) of the axles, from (S, n) positions, velocities or accelerations of the joints."""
@@ -46,3 +49,10 @@ def rotor_regressor(robot: RobotDescription, qdd: np.ndarray) -> np.ndarray:
 def rotor_mass_matrix(robot: RobotDescription, rotor_inertias: np.ndarray) -> np.ndarray:
     """(n, n) Cᵀ diag(g² J) C [kg·m²] for rotor inertias (n,) [kg·m², motor side]."""
     return robot.coupling.T @ np.diag(robot.gear_ratios**2 * rotor_inertias) @ robot.coupling
+
+
+def friction_regressor(robot: RobotDescription, qd: np.ndarray) -> np.ndarray:
+    """(S, n, 3 n) columns of `PAPER_TERMS`: f0 of every axle, then f1, then f2."""
+    speed = axle_motion(robot, qd)
+    sign = np.sign(speed)
+    return np.concatenate([joint_columns(robot, term) for term in (sign, speed, sign * speed**2)], axis=2)

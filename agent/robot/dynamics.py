@@ -193,11 +193,7 @@ class Dynamics:
 
     def tip_pose(self, q: np.ndarray) -> np.ndarray:
         """(S, 4, 4) pose of the tip frame in the base frame."""
-        poses = np.empty((len(q), 4, 4))
-        for k in range(len(poses)):
-            pin.forwardKinematics(self._model, self._data, q[k])
-            poses[k] = pin.updateFramePlacement(self._model, self._data, self._tip).homogeneous
-        return poses
+        return self._poses(q, self._tip)
 
     def tcp_jacobian(self, q: np.ndarray) -> np.ndarray:
         """(S, 6, n) Jacobian of the TCP: linear velocity of its origin, then angular, in the base frame."""
@@ -224,11 +220,16 @@ class Dynamics:
             ends[k, -1] = pin.updateFramePlacement(self._model, self._data, self._tip).translation
         return screws, ends
 
+    @cached_property
+    def reach(self) -> float:
+        """Largest distance of the tip from the base over random postures [m], at least 0.1."""
+        tips = self.tip_pose(np.random.default_rng(0).uniform(-3, 3, (50, self.dof)))[:, :3, 3]
+        return max(float(np.linalg.norm(tips, axis=1).max()), 0.1)
+
     @property
     def link_lengths(self) -> np.ndarray:
         """(n,) [m] from the joint that moves a link to its far end, see `joint_screws`."""
-        between = [self._model.jointPlacements[k].translation for k in range(2, self.dof + 1)]
-        return np.linalg.norm([*between, self._model.frames[self._tip].placement.translation], axis=1)
+        return np.asarray(np.linalg.norm(self.link_ends(), axis=1))
 
     def link_rotations(self, q: np.ndarray, link: int) -> np.ndarray:
         """(S, 3, 3) rotation in the base frame of the link that a joint (from 0) moves."""
@@ -240,11 +241,13 @@ class Dynamics:
 
     def link_poses(self, q: np.ndarray, link: str) -> np.ndarray:
         """(S, 4, 4) pose of a URDF link's frame in the base frame."""
-        frame = frame_id(self._model, link)
+        return self._poses(q, frame_id(self._model, link))
+
+    def _poses(self, q: np.ndarray, frame: int) -> np.ndarray:
         poses = np.empty((len(q), 4, 4))
         for k in range(len(poses)):
-            pin.framesForwardKinematics(self._model, self._data, q[k])
-            poses[k] = self._data.oMf[frame].homogeneous
+            pin.forwardKinematics(self._model, self._data, q[k])
+            poses[k] = pin.updateFramePlacement(self._model, self._data, frame).homogeneous
         return poses
 
 

@@ -27,8 +27,8 @@ class RigidActuation:
     """Stiff gears and friction f0 tanh(v / transition) + f1 v + f2 |v| v on every axle; it runs compiled.
 
     Arrays (n,): `coulomb` f0 [N·m], `viscous` f1 [N·m·s/rad], `quadratic` f2 [N·m·s²/rad²], `transition` [rad/s], all
-    taken at the velocity after the step, so that friction that is stiff at rest stays stable. `bristles` (6, n) are
-    those of `agent.compiled.march`, friction with a memory beside it.
+    taken at the velocity after the step, so that stiff friction stays stable at standstill. `bristles` (6, n) add
+    friction with a memory, see `agent.compiled.march`.
     """
 
     def __init__(
@@ -48,18 +48,16 @@ class RigidActuation:
 class ServoGains:
     """Gains of the cascaded position and velocity servo of an industrial drive, on n axles, arrays (n,).
 
-    u = kv (kff ṙ + kp (r − θ) − θ̇) + ki ∫(…) dt + J r̈ + τ_ff, clamped; the integral holds while clamped.
+    u = kv (kff ṙ + kp (r − θ) − θ̇) + ki ∫(…) dt, clamped; the integral holds while clamped.
 
     `position` [1/s]; `velocity` [N·m·s/rad] and `integral` [N·m/rad] of the PI velocity loop; `feedforward`, the
-    fraction of the reference velocity that is fed forward; `inertia` [kg·m²], fed forward on the reference
-    acceleration; `limit` [N·m], the largest torque of the drive.
+    fraction of the reference velocity that is fed forward; `limit` [N·m], the largest torque of the drive.
     """
 
     position: np.ndarray
     velocity: np.ndarray
     integral: np.ndarray
     feedforward: np.ndarray
-    inertia: np.ndarray
     limit: np.ndarray
 
     @classmethod
@@ -69,7 +67,7 @@ class ServoGains:
         Position loop of 30/s, velocity loop of 190 rad/s that resets at 30/s, 95 % of the velocity fed forward.
         """
         ones, gain = np.ones(len(inertia)), 190.0 * inertia
-        return cls(30.0 * ones, gain, 30.0 * gain, 0.95 * ones, 0.0 * inertia, limit)
+        return cls(30.0 * ones, gain, 30.0 * gain, 0.95 * ones, limit)
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +111,6 @@ class ForwardSimulation:
         self._dynamics = dynamics
         self._actuation = actuation
         self._gains = gains
-        self._inertia_feedforward = np.asarray(gains.inertia, dtype=float)
         self._external = external
         self._coupling = np.array(robot.coupling, dtype=float)
         self._rotors = robot.gear_ratios**2 * np.asarray(rotor_inertias, dtype=float)
@@ -137,7 +134,7 @@ class ForwardSimulation:
         return np.asarray(self._coupling @ self.position)
 
     def rest(self, q: np.ndarray) -> None:
-        """Put the arm at q (n,), at rest, holding itself; transients of friction and gears are not waited for."""
+        """Put the stationary arm at q (n,), holding itself; transients of friction and gears remain."""
         # As compiled: position, velocity, acceleration of the joints; integral of the servos, torque of the bristles.
         self._state = np.zeros((5, len(q)))
         self._state[0] = q
@@ -148,11 +145,9 @@ class ForwardSimulation:
         self._state[3] = np.linalg.solve(self._coupling.T, load)
         self._set_point = (self._coupling @ self.position, np.zeros(len(q)))
 
-    def run(
-        self, reference: np.ndarray, reference_velocity: np.ndarray, feedforward: np.ndarray | None = None
-    ) -> SimulatedMotion:
-        """Follow joint set-points (S, n), one a period; `feedforward` (S, n) [N·m] is added to the torque command."""
-        references = self._inner_references(reference, reference_velocity, feedforward)
+    def run(self, reference: np.ndarray, reference_velocity: np.ndarray) -> SimulatedMotion:
+        """Follow joint set-points (S, n) and their velocities, one per period."""
+        references = self._inner_references(reference, reference_velocity)
         found = self._march(references)
         time = self.time + self.period * np.arange(len(found))
         self.time += self.period * len(found)
@@ -174,10 +169,8 @@ class ForwardSimulation:
             march(*arm, part, outside, steps, self.period / steps, self._state, found[k : k + together])
         return found
 
-    def _inner_references(
-        self, reference: np.ndarray, reference_velocity: np.ndarray, feedforward: np.ndarray | None
-    ) -> np.ndarray:
-        """(S · substeps, 3, n) position, velocity, torque of the axles: cubic Hermite from the last set-point given."""
+    def _inner_references(self, reference: np.ndarray, reference_velocity: np.ndarray) -> np.ndarray:
+        """(S · substeps, 2, n) position and velocity of the axles: cubic Hermite from the last set-point given."""
         position = np.vstack([self._set_point[0], np.asarray(reference, dtype=float) @ self._coupling.T])
         velocity = np.vstack([self._set_point[1], np.asarray(reference_velocity, dtype=float) @ self._coupling.T])
         self._set_point = (position[-1], velocity[-1])
@@ -187,7 +180,4 @@ class ForwardSimulation:
         v0, v1 = velocity[:-1, None], velocity[1:, None]
         fine = p0 + s * (h * v0 + s * (3 * (p1 - p0) - h * (2 * v0 + v1) + s * (2 * (p0 - p1) + h * (v0 + v1))))
         fine_velocity = v0 + s * (6 * (p1 - p0) / h - 4 * v0 - 2 * v1 + 3 * s * (2 * (p0 - p1) / h + v0 + v1))
-        torque = self._inertia_feedforward * np.repeat((v1 - v0) / h, self._substeps, axis=1)
-        if feedforward is not None:
-            torque = torque + np.asarray(feedforward, dtype=float)[:, None]
-        return np.stack([fine, fine_velocity, torque], axis=2).reshape(-1, 3, position.shape[1])
+        return np.stack([fine, fine_velocity], axis=2).reshape(-1, 2, position.shape[1])

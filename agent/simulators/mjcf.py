@@ -8,6 +8,7 @@ import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element, SubElement
@@ -93,7 +94,7 @@ def read_mjcf(path: Path, root: Element, match: Callable[[Sequence[str]], Mappin
     """
     scene = _Scene(path, match)
     model, chosen = scene.model, scene.chosen
-    urdf, carrying = scene.chain()
+    urdf, carrying = scene.as_urdf()
     dof, limited = model.jnt_dofadr[chosen], model.jnt_limited[chosen].astype(bool)
     lower, upper = np.where(limited, model.jnt_range[chosen].T, [[-np.inf], [np.inf]])
     joints = map(plain_joint, scene.joint_names, map(scene.slides, chosen), lower, upper)
@@ -152,19 +153,13 @@ class _Scene:
         self.chosen = [j for j, name in self.names.items() if name in self.used]
         self.joint_names = tuple(self.used[self.names[j]] for j in self.chosen)
         self.link_of = np.zeros(self.model.nbody, dtype=int)
-        for reason in self._refusals():
+        # no serial arm, or forces on the arm that are not supported
+        for reason in chain(self._branches(), self._floating_base(), self._equalities(), self._tendons()):
             raise InputError(f"{path}: {reason}")
 
     def slides(self, joint: int) -> bool:
         """Whether a joint is prismatic."""
         return bool(self.model.jnt_type[joint] == self.mujoco.mjtJoint.mjJNT_SLIDE)
-
-    def _refusals(self) -> Iterator[str]:
-        """Why the file cannot be used: no serial arm, or forces on the arm that are not supported."""
-        yield from self._branches()
-        yield from self._floating_base()
-        yield from self._equalities()
-        yield from self._tendons()
 
     def _branches(self) -> Iterator[str]:
         """Joints that do not form one chain; assigns every body to its link on the way."""
@@ -245,7 +240,7 @@ class _Scene:
         if model.opt.density or model.opt.viscosity:
             yield "the medium (density, viscosity) is ignored"
 
-    def chain(self) -> tuple[Element, tuple[CarryingBody, ...]]:
+    def as_urdf(self) -> tuple[Element, tuple[CarryingBody, ...]]:
         """The arm as a URDF at q = 0, and which body takes a change of each link.
 
         All links' frames are parallel to the world's, bodies lumped into the link that carries them.

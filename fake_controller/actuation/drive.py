@@ -149,14 +149,14 @@ class SteppedSimulation(ForwardSimulation):
         whole, half = np.full((2, len(q)), dt) * [[1.0], [0.5]]  # small arrays times a number are slower
         outside = None
         rows = []
-        for step, (position, velocity, torque) in enumerate(references.tolist()):
+        for step, (position, velocity) in enumerate(references.tolist()):
             predicted = v + half * a
             if coupled:
                 axle, speed = (coupling @ q).tolist(), (coupling @ predicted).tolist()
             else:
                 axle, speed = q.tolist(), predicted.tolist()
             motor, motor_speed = motors(axle, speed)
-            command = servo(position, velocity, torque, motor, motor_speed, dt)
+            command = servo(position, velocity, motor, motor_speed, dt)
             if step % substeps == 0:
                 rows.append((q.copy(), predicted, motor, motor_speed, command))
                 if external is not None:
@@ -177,7 +177,7 @@ class CascadedServo:
     """The servo of `ServoGains`, one step at a time."""
 
     def __init__(self, gains: ServoGains):
-        columns = (gains.position, gains.velocity, gains.integral, gains.feedforward, gains.inertia, gains.limit)
+        columns = (gains.position, gains.velocity, gains.integral, gains.feedforward, gains.limit)
         self._axles = list(zip(*(np.asarray(column, dtype=float).tolist() for column in columns), strict=True))
         self._integral = [0.0] * len(self._axles)
 
@@ -189,17 +189,16 @@ class CascadedServo:
         self,
         reference: Sequence[float],
         reference_velocity: Sequence[float],
-        feedforward: Sequence[float],
         position: Sequence[float],
         velocity: Sequence[float],
         dt: float,
     ) -> list[float]:
-        """(n,) motor torque, on the axles; all arguments (n,). `feedforward` [N·m] is everything fed forward."""
+        """(n,) motor torque, on the axles; all arguments (n,)."""
         integral = self._integral
         torque = []
-        for k, (kp, kv, ki, kff, _, limit) in enumerate(self._axles):
+        for k, (kp, kv, ki, kff, limit) in enumerate(self._axles):
             error = kff * reference_velocity[k] + kp * (reference[k] - position[k]) - velocity[k]
-            command = kv * error + integral[k] + feedforward[k]
+            command = kv * error + integral[k]
             if command > limit:
                 command = limit
             elif command < -limit:

@@ -10,23 +10,7 @@ import pytest
 
 from agent.estimation import EstimationSettings, estimate
 from agent.estimation.selection import placeholders
-from agent.recording import read_log
-from agent.robot import load_robot
 from agent.robot.bodies import rigid_bodies
-from agent.validation import validate
-
-
-@pytest.mark.parametrize("description", ["real", "none", "dummy"])
-def test_a_measured_arm_is_predicted_whatever_its_description_says(shared_data, measured, description):
-    folder = shared_data / "real-dev/kr300"
-    robot = load_robot(folder / f"robot_{description}.yaml")
-    fit, held_out = [read_log(folder / f"{name}.mcap", robot) for name in "AB"], [read_log(folder / "C.mcap", robot)]
-    model = estimate(robot, fit, EstimationSettings.create(cutoff=10.0))
-    error = validate(model, held_out).overall.relative_error_all_joints
-    measured(f"KR300, A and B to C, inertials {description}", 100 * error, "%", "at most 9.5 %", error <= 0.095)
-    assert error <= 0.095
-    if description != "real":
-        assert model.provenance["link_prior"] == "size"
 
 
 def test_a_link_prior_that_is_wrong_is_not_believed_and_is_said(arm, multisine, make_log):
@@ -64,23 +48,3 @@ def test_links_of_one_mass_are_placeholders():
     assert placeholders(links(3, 3, 3, 3, 3, 3.2))
     assert not placeholders(links(3.7, 8.4, 2.3, 1.2, 1.2, 0.2))
     assert not placeholders(links(5.0))
-
-
-@pytest.mark.parametrize(
-    ("arm", "fitted", "held_out"),
-    [pytest.param("tiago", ("fit",), "held", marks=pytest.mark.verify), ("kr300", ("A", "B"), "C")],
-    ids=["tiago", "kr300"],
-)
-def test_measured_arms_are_predicted_better_than_by_plain_least_squares(shared_data, arm, fitted, held_out):
-    folder = shared_data / "real-dev" / arm
-    robot = load_robot(folder / "robot.yaml")
-    logs = [read_log(folder / f"{name}.mcap", robot) for name in fitted]
-    ours, plain = (
-        validate(
-            estimate(robot, logs, EstimationSettings.create(cutoff=10, method=method)),
-            [read_log(folder / f"{held_out}.mcap", robot)],
-            10,
-        ).overall.relative_error_all_joints
-        for method in (None, "plain")
-    )
-    assert ours <= plain

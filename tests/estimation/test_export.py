@@ -22,6 +22,11 @@ from agent.robot import RobotDescription, load_robot
 from agent.robot.bodies import rigid_bodies
 from agent.simulators.export import export_model
 
+try:
+    import mujoco
+except ImportError:
+    mujoco = None
+needs_mujoco = pytest.mark.skipif(mujoco is None, reason="mujoco is missing: pip install calibration-agent[mujoco]")
 WRIST = ((1, 0, 0, 0, 0, 0), (0, 1, 0, 0, 0, 0), (0, 0, 1, 0, 0, 0), (0, 0, 0, 1, 0, 0), (0, 0, 0, 0, 1, 0))
 COUPLED = (*(tuple(map(float, row)) for row in WRIST), (0.0, 0.0, 0.0, 0.0, 1.0, 1.0))
 
@@ -77,6 +82,30 @@ def states(robot: RobotDescription, count: int = 30) -> tuple[np.ndarray, np.nda
     return q, rng.choice([-1, 1], q.shape) * rng.uniform(0.2, 1, q.shape) * robot.max_velocity, rng.normal(size=q.shape)
 
 
+def by_pinocchio(urdf: Path, friction: Path, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
+    """(S, n) torque of an exported URDF with the rotors and gravity of its friction file."""
+    read, drive = pin.buildModelFromUrdf(str(urdf)), json.loads(friction.read_text())
+    assert tuple(read.names)[1:] == tuple(axle["name"] for axle in drive["axles"])
+    read.gravity.linear = np.array(drive["gravity"])
+    read.armature = np.array([axle["armature"] for axle in drive["axles"]])
+    data, torque = read.createData(), np.empty(q.shape)
+    for k, here in enumerate(q):
+        # a continuous joint has two coordinates in Pinocchio
+        parts = [[np.cos(x), np.sin(x)] if width == 2 else [x] for x, width in zip(here, read.nqs[1:], strict=False)]
+        torque[k] = pin.rnea(read, data, np.concatenate(parts), qd[k], qdd[k])
+    return torque
+
+
+def by_mujoco(read, data, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
+    """(S, n) torque of MuJoCo's inverse dynamics without constraints."""
+    torque = np.empty(q.shape)
+    for k in range(len(q)):
+        data.qpos[:], data.qvel[:], data.qacc[:] = q[k], qd[k], qdd[k]
+        mujoco.mj_inverse(read, data)
+        torque[k] = data.qfrc_inverse - data.qfrc_constraint
+    return torque
+
+
 def friction_torque(model: IdentifiedModel, qd: np.ndarray) -> np.ndarray:
     speed = qd @ model.robot.coupling.T
     values = model.values[len(model.independent) :].reshape(-1, 2)
@@ -130,14 +159,8 @@ def test_pseudo_inertia_is_the_second_moment_of_a_density() -> None:
 def test_pinocchio_finds_the_torques_of_the_fit(ns16: RobotDescription, tmp_path: Path, known: bool) -> None:
     model = model_of(ns16, bodies(ns16), known)
     urdf, _, friction, *_ = export_model(model, tmp_path)
-    read = pin.buildModelFromUrdf(str(urdf))
-    data = read.createData()
-    drive = json.loads(friction.read_text())
-    read.gravity.linear = np.array(drive["gravity"])
-    read.armature = np.array([axle["armature"] for axle in drive["axles"]])
-    q, qd, qdd = states(ns16)
-    torque = np.array([pin.rnea(read, data, *state) for state in zip(q, qd, qdd, strict=True)])
-    np.testing.assert_allclose(torque, model.rigid.torque(q, qd, qdd, model.base_values), rtol=0, atol=1e-9)
+    torque, expected = by_pinocchio(urdf, friction, *states(ns16)), model.rigid.torque(*states(ns16), model.base_values)
+    np.testing.assert_allclose(torque, expected, rtol=0, atol=1e-9)
 
 
 def test_friction_is_the_joints_dynamics(ns16: RobotDescription, tmp_path: Path) -> None:
@@ -186,27 +209,21 @@ def test_bodies_fixed_to_a_link_become_part_of_it(tmp_path: Path) -> None:
     assert [link.get("name") for link in ElementTree.parse(written).getroot().iter("link") if len(link)] == ["arm"]
 
 
+@needs_mujoco
 @pytest.mark.parametrize("coupled", [False, True])
 def test_mujoco_finds_the_torques_of_the_fit(ns16: RobotDescription, tmp_path: Path, coupled: bool) -> None:
-    mujoco = pytest.importorskip("mujoco", reason="mujoco is not installed: pip install calibration-agent[mujoco]")
     robot = replace(ns16, motor_coupling=COUPLED) if coupled else ns16
     model = model_of(robot, bodies(robot), known=True)
     read = mujoco.MjModel.from_xml_path(str(export_model(model, tmp_path)[1]))
     read.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_LIMIT | mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS
-    data = mujoco.MjData(read)
     q, qd, qdd = states(robot)
     coulomb = np.array([10.0 + axle for axle in range(robot.dof)]) * np.sign(qd @ robot.coupling.T) @ robot.coupling
     expected = model.rigid.torque(q, qd, qdd, model.base_values) + friction_torque(model, qd) - coulomb
-    torque = np.empty_like(expected)
-    for k in range(len(q)):
-        data.qpos[:], data.qvel[:], data.qacc[:] = q[k], qd[k], qdd[k]
-        mujoco.mj_inverse(read, data)
-        torque[k] = data.qfrc_inverse
-    np.testing.assert_allclose(torque, expected, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(by_mujoco(read, mujoco.MjData(read), q, qd, qdd), expected, rtol=0, atol=1e-9)
 
 
+@needs_mujoco
 def test_mujoco_reads_the_urdf_too(ns16: RobotDescription, tmp_path: Path) -> None:
-    mujoco = pytest.importorskip("mujoco", reason="mujoco is not installed: pip install calibration-agent[mujoco]")
     model = model_of(ns16, bodies(ns16), known=True)
     urdf, _, friction, *_ = export_model(model, tmp_path)
     read = mujoco.MjModel.from_xml_path(str(urdf))
@@ -214,13 +231,10 @@ def test_mujoco_reads_the_urdf_too(ns16: RobotDescription, tmp_path: Path) -> No
     read.dof_armature[:] = [axle["armature"] for axle in json.loads(friction.read_text())["axles"]]
     np.testing.assert_allclose(read.dof_frictionloss, [10.0 + k for k in range(6)])
     read.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS
-    data = mujoco.MjData(read)
-    q, _, qdd = states(ns16)
-    for k in range(len(q)):
-        data.qpos[:], data.qvel[:], data.qacc[:] = q[k], 0, qdd[k]
-        mujoco.mj_inverse(read, data)
-        expected = model.rigid.torque(q[k : k + 1], np.zeros((1, 6)), qdd[k : k + 1], model.base_values)[0]
-        np.testing.assert_allclose(data.qfrc_inverse - data.qfrc_constraint, expected, rtol=0, atol=1e-9)
+    q, qd, qdd = states(ns16)
+    torque = by_mujoco(read, mujoco.MjData(read), q, 0 * qd, qdd)
+    expected = model.rigid.torque(q, 0 * qd, qdd, model.base_values)
+    np.testing.assert_allclose(torque, expected, rtol=0, atol=1e-9)
 
 
 BODY = (
@@ -293,18 +307,9 @@ def test_every_description_is_exported_and_read_back(tmp_path: Path, kind: str) 
     robot = described(tmp_path, *DESCRIPTIONS[kind])
     model = model_of(robot, bodies(robot, spread=0.1), known=True)
     urdf, _, friction, *_ = export_model(model, tmp_path / "out")
-    read = pin.buildModelFromUrdf(str(urdf))
-    assert tuple(read.names)[1:] == robot.joint_names
-    data, drive = read.createData(), json.loads(friction.read_text())
-    read.armature = np.array([axle["armature"] for axle in drive["axles"]])
-    read.gravity.linear = np.array(drive["gravity"])
-    q, qd, qdd = states(robot)
-    torque = np.empty(q.shape)
-    for k, (here, speed, acceleration) in enumerate(zip(q, qd, qdd, strict=True)):
-        # a continuous joint has two coordinates in Pinocchio
-        parts = [[np.cos(x), np.sin(x)] if width == 2 else [x] for x, width in zip(here, read.nqs[1:], strict=False)]
-        torque[k] = pin.rnea(read, data, np.concatenate(parts), speed, acceleration)
-    np.testing.assert_allclose(torque, model.rigid.torque(q, qd, qdd, model.base_values), rtol=0, atol=1e-9)
+    assert [axle["name"] for axle in json.loads(friction.read_text())["axles"]] == list(robot.joint_names)
+    torque, motion = by_pinocchio(urdf, friction, *states(robot)), states(robot)
+    np.testing.assert_allclose(torque, model.rigid.torque(*motion, model.base_values), rtol=0, atol=1e-9)
 
 
 def test_the_sdf_has_the_torques_of_the_bodies(ns16, tmp_path):

@@ -33,14 +33,8 @@ from tests.model.correcting import (
 def test_only_what_was_released_changes_and_every_change_is_said(kind, tmp_path):
     given = simulator(tmp_path, kind)
     change = moved(given, links=[1], rotors=[0])
-    found = corrected(
-        given,
-        [entry("stribeck", "pan", speed=0.2, shape=2, rise=1.5)],
-        links=[1],
-        rotors=[0],
-        friction=[2],
-        change=change,
-    )
+    effects = [entry("stribeck", "pan", speed=0.2, shape=2, rise=1.5)]
+    found = corrected(given, effects, links=[1], rotors=[0], friction=[2], change=change)
     out = tmp_path / f"fixed{given.arm.path.suffix}"
     written = write_corrected(given, found, out)
     time, q, qd, qdd = motion()

@@ -84,6 +84,9 @@ def spherical(
     )
 
 
+#: Arms of the fixture `arms`.
+NAMES = ("slide", "lift", "planar", "planar, flat", "anthropomorphic", "gantry", "scara", "skew", "spherical")
+NAMES = (*NAMES, "coupled wrist", "seven axes", "comau_ns16")
 SEVEN_AXES: list[JointSpec] = [
     ("R", (0, 0, 0.34), (0, 0, 0), (0, 0, 1)),
     ("R", (0, 0, 0), (-np.pi / 2, 0, 0), (0, 0, 1)),

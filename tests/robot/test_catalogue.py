@@ -73,6 +73,10 @@ def test_holding_the_outstretched_arm_is_within_what_the_motors_can_do(ns16: Rob
     assert (torque < ns16.nominal_torque).all()
 
 
+def test_the_reach_is_that_of_the_outstretched_arm(arms: dict[str, RobotDescription]) -> None:
+    assert 0.79 < Dynamics(arms["planar"]).reach <= 0.8
+
+
 @pytest.mark.parametrize("joints", [1, 3, 6])
 def test_the_torque_of_many_samples_is_that_of_each(ns16: RobotDescription, joints: int) -> None:
     motion = np.random.default_rng(0).uniform(-1.0, 1.0, (3, 200, joints))

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
-from agent.model.effects.effect import Columns, Effect, FitContext, on_axle, rubs
+from agent.model.effects.effect import Columns, Effect, FitContext, Joints, Numbers, on_axle, rubs
 from agent.model.effects.experiments import RAMPS_AND_STANDSTILLS
 from agent.model.signals import MotionSignals, NominalModel
 
@@ -14,8 +12,8 @@ from agent.model.signals import MotionSignals, NominalModel
 class AsymmetricFriction(Effect):
     """τ = a |s| + b |w|, or either term alone.
 
-    The first is an offset while the joint slides, and at rest too: anything within -(f - a) and f + a is a and anything
-    within ± f. No motion tells the two apart. The second does, at high speeds.
+    The first term equals a torque offset, both in motion and at standstill, so no motion distinguishes the two. The
+    second term does, at high speeds.
     """
 
     name = "asymmetric_friction"
@@ -31,27 +29,19 @@ class AsymmetricFriction(Effect):
     shapes = ("speed", "position")
     experiment = RAMPS_AND_STANDSTILLS
     not_reported = ("coulomb", "viscous")
+    nonlinear = ()
 
-    def settings(self, context: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
+    def settings(self, context: FitContext, joints: Joints) -> list[dict[str, float]]:
         return [{"coulomb": 1.0}, {"viscous": 1.0}, {"coulomb": 1.0, "viscous": 1.0}]
 
-    def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
+    def names(self, settings: Numbers) -> tuple[str, ...]:
         return tuple(f"{kind}_asymmetry" for kind in ("coulomb", "viscous") if kind in settings)
 
-    def columns(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
+    def columns(self, signals: MotionSignals, joints: Joints, settings: Numbers) -> Columns:
         (axle,) = joints
         parts = {"coulomb": np.abs(signals.direction(axle)), "viscous": signals.axles.magnitude[:, axle]}
         return on_axle(signals.reference, axle, *(parts[kind] for kind in parts if kind in settings))
 
-    def possible(
-        self,
-        reference: NominalModel,
-        joints: tuple[int, ...],
-        settings: Mapping[str, float],
-        values: Mapping[str, float],
-    ) -> bool:
+    def possible(self, reference: NominalModel, joints: Joints, settings: Numbers, values: Numbers) -> bool:
         less = {kind: -abs(values[f"{kind}_asymmetry"]) for kind in ("coulomb", "viscous") if kind in settings}
         return rubs(reference, joints[0], **less)
-
-    def n_parameters(self, settings: Mapping[str, float]) -> int:
-        return len(settings)

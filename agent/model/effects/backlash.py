@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
-from agent.model.effects.effect import FitContext
+from agent.model.effects.effect import FitContext, Joints, Numbers
 from agent.model.effects.experiments import SLOW_REVERSALS
 from agent.model.effects.two_mass import TwoMass
 
@@ -35,9 +33,9 @@ class Backlash(TwoMass):
     grid = tuple((float(frequency), _DAMPING, float(gap)) for frequency in _FREQUENCIES for gap in _GAPS)
     few = tuple((frequency, _DAMPING, gap) for frequency in (22.0, 45.0) for gap in (8e-4, 3e-3))
 
-    def settings(self, context: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
+    def settings(self, context: FitContext, joints: Joints) -> list[dict[str, float]]:
         loads = np.concatenate([s.link_load[s.kept, joints[0]] for s in context.signals])
         return super().settings(context, joints) if np.sum(np.diff(np.sign(loads)) != 0) >= 4 else []
 
-    def plausible(self, settings: Mapping[str, float], values: Mapping[str, float]) -> bool:
+    def plausible(self, settings: Numbers, values: Numbers) -> bool:
         return 0.15 < values["share"] < 4.0

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
-from agent.model.effects.effect import Columns, Effect, FitContext
+from agent.model.effects.effect import Columns, Effect, FitContext, Joints, Numbers
 from agent.model.effects.experiments import WHOLE_RANGE
 from agent.model.signals import MotionSignals
 
@@ -26,13 +24,13 @@ class BaseTilt(Effect):
     experiment = WHOLE_RANGE
     why_absent = "no gravity in the robot description"
 
-    def settings(self, context: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
+    def settings(self, context: FitContext, joints: Joints) -> list[dict[str, float]]:
         return [{}] if np.linalg.norm(context.reference.robot.gravity) > 0 else []
 
-    def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
+    def names(self, settings: Numbers) -> tuple[str, ...]:
         return ("tilt_1", "tilt_2")
 
-    def columns(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
+    def columns(self, signals: MotionSignals, joints: Joints, settings: Numbers) -> Columns:
         gravity = np.array(signals.reference.robot.gravity)
         still = np.zeros_like(signals.q)
         torques = []
@@ -42,7 +40,7 @@ class BaseTilt(Effect):
         stacked = np.stack(torques, axis=2)
         return {joint: stacked[:, joint] for joint in range(signals.q.shape[1])}
 
-    def plausible(self, settings: Mapping[str, float], values: Mapping[str, float]) -> bool:
+    def plausible(self, settings: Numbers, values: Numbers) -> bool:
         return float(np.hypot(values["tilt_1"], values["tilt_2"])) < 0.5
 
 

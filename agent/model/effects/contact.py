@@ -1,24 +1,46 @@
-"""External force over a segment of time."""
+"""External force on the arm during short windows of time.
+
+The search runs in three steps: windows in which a constant force on a link leaves the least error (`Windows`), the
+windows that stand out from all others (`strongest`), and the place on the link where each force acts (`place_of`).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from agent.model.effects.contact_place import place_of
-from agent.model.effects.contact_windows import PushedWindow, Windows, strongest
-from agent.model.effects.effect import Columns, Effect, FitContext
+from agent.model.effects.effect import Columns, Effect, FitContext, Joints, Numbers
 from agent.model.signals import MotionSignals, NominalModel
 
-_EDGE = 0.15  # of the duration, at either end
-_LINKS = 3  # tried as the one that all pushes are on
+_EDGE = 0.15  # share of the duration over which a force rises, and falls
+_LINKS = 3  # links tried for the case that all pushes act on one link
+_DURATIONS = (0.2, 0.3, 0.4, 0.55, 0.75, 1.0, 1.35, 1.8, 2.4, 3.2, 4.2, 6.0, 8.5, 12.0)  # s
+_STARTS = 0.05  # s between starts of windows
+_MOST_OF_LOG = 0.8  # largest share of its log that a push takes: a longer one is no event
+_USUAL, _STANDS_OUT = 0.9, 3.0  # quantile of the other windows of this length; factor above it that a push needs
+_SHARP = 100.0  # the same factor for a push that may repeat with the cycle, next to one that does not
+_FROM_START = 20.0  # the same factor for a push that starts with the log, with no quiet time before it
+_CLEARANCE = 2.0  # durations before and after a push in which windows are compared with it
+_BORDER = 0.3  # s after the first sample within which a push counts as starting with the log
+_AGAIN = 0.2  # s by which a repetition may be early or late
+_ALONE = 2.0  # factor over the window at the same phase of another cycle
+_MAX_PUSHES, _LEAST_GAIN_RATIO = 30, 0.02  # largest count; least gain over that of the strongest push
+_FEW, _RARE = 6, 0.15  # pushes of any duration; share of the time that more pushes may take
+_EDGE_STEPS, _EDGE_PARTS = 8, 40  # steps by which each end moves in the fit; steps per duration
+_PARTS, _PART = np.linspace(0.13, 0.7, 10), 1 / 6  # starts and length of the parts checked for a pause, per duration
+_PAUSE, _SHOWS = 0.5, 0.1  # share of the force missing in a pause; least share of the usual gain to see it
+_ROUNDS = 30  # alternating fits of force and place
+_WEAK = 1e-6  # regularisation over the mean information: a place along the force turns no joint
+_LARGE = 1 / 3  # size of a link in any direction over the arm's reach, if it is not longer
 
 
 class Contact(Effect):
-    """τ = −J_lᵀ F over one segment of time or several, F constant but for its edges, at one place of link l each.
+    """τ = −J_lᵀ F during one or several windows; F is constant except at the edges, at one place of link l each.
 
-    That is its far end, unless another place of the link leaves less.
+    The place is the far end of the link, unless another one leaves less error.
     """
 
     name = "contact"
@@ -33,12 +55,12 @@ class Contact(Effect):
     residual_driven = True
     once = True
 
-    def settings(self, context: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
-        """Where three force components leave least: the strongest windows that do not overlap, fewest first.
+    def settings(self, context: FitContext, joints: Joints) -> list[dict[str, float]]:
+        """The strongest windows that do not overlap, in sets of growing size.
 
-        All on the link that explains most, or each on its own; and each at the far end of its link, or where it fits.
-        A model's own error and what drifts make windows too: a contact stands out from the other segments of its
-        length, those before and after it above all, and does not come back at the same place of the next cycle.
+        All pushes act on the link that explains most, or each on its own link; at its far end, or where it fits best.
+        Model error and drift make windows too. So a contact must stand out from the windows before and after it, and
+        must not repeat at the same phase of the next cycle.
         """
         dof = context.reference.robot.dof
         motions = list(zip(context.signals, context.residuals_as_given, context.sigmas, strict=True))
@@ -50,10 +72,10 @@ class Contact(Effect):
         tried += [_settings(pushes, [place_of(push, motions) for push in pushes]) for pushes in sets]
         return list({str(entry): entry for entry in tried}.values())
 
-    def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
+    def names(self, settings: Numbers) -> tuple[str, ...]:
         return tuple(f"force_{axis}_{number}" for number in _numbers(settings) for axis in "xyz")
 
-    def columns(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
+    def columns(self, signals: MotionSignals, joints: Joints, settings: Numbers) -> Columns:
         n = signals.q.shape[1]
         numbers = _numbers(settings)
         block = np.zeros((len(signals.time), n, 3 * len(numbers)))
@@ -70,18 +92,14 @@ class Contact(Effect):
             block[inside, :, 3 * place : 3 * place + 3] = -pushed * window[inside, None, None]
         return {joint: block[:, joint] for joint in range(n)}
 
-    def prior_precision(
-        self, context: FitContext, joints: tuple[int, ...], settings: Mapping[str, float]
-    ) -> np.ndarray | None:
-        """A force is as the strongest joint holds at full reach: what turns no joint is not seen, and is small."""
+    def prior_precision(self, context: FitContext, joints: Joints, settings: Numbers) -> np.ndarray | None:
+        """Usual force: what the strongest joint holds at full reach. A force that turns no joint stays small."""
         usual = float(context.reference.scale.max()) / context.reference.reach
         return np.eye(len(self.names(settings))) / usual**2
 
-    def reported(
-        self, reference: NominalModel, settings: Mapping[str, float], values: Mapping[str, float]
-    ) -> dict[str, float]:
-        """Of each push the link (counted from 1), force [N, base frame], log (from 0), start and end [s]; and where on
-        the link [m, its frame, from the far end], if elsewhere."""
+    def reported(self, reference: NominalModel, settings: Numbers, values: Numbers) -> dict[str, float]:
+        """Of each push the link (from 1), force [N, base frame], log (from 0), start and end [s]; and its place [m] in
+        the link's frame from the far end, if it is not there."""
         found: dict[str, float] = {}
         for number in _numbers(settings):
             start = settings[f"start_{number}"]
@@ -103,6 +121,267 @@ def _settings(pushes: Sequence[PushedWindow], places: Sequence[np.ndarray | None
     return entries
 
 
-def _numbers(settings: Mapping[str, float]) -> list[int]:
-    """Of the pushes, from 1."""
+def _numbers(settings: Numbers) -> list[int]:
+    """Numbers of the pushes, from 1."""
     return [int(key.removeprefix("link_")) for key in settings if key.startswith("link_")]
+
+
+@dataclass(frozen=True)
+class PushedWindow:
+    """A window in which a force on a link lowers the squared error by `gain`."""
+
+    gain: float
+    link: int
+    log: int
+    start: float
+    duration: float
+
+    def meets(self, other: PushedWindow) -> bool:
+        """Whether another push shares time with it."""
+        return bool(self.overlaps(other.log, np.array(other.start), other.duration))
+
+    def only_meets(self, other: PushedWindow, late: float) -> bool:
+        """Whether it shares time with another `late` [s], neither end with that one's."""
+        start, end = other.start + late, other.start + other.duration + late
+        apart = abs(self.start - start), abs(self.start + self.duration - end)
+        shared = self.start < end and self.start + self.duration > start
+        return shared and min(apart) > max(_AGAIN, other.duration / _EDGE_PARTS)
+
+    def overlaps(self, log: int, starts: np.ndarray, duration: float) -> np.ndarray:
+        """(K,) bool: which windows of a log it shares time with."""
+        return (log == self.log) & (starts < self.start + self.duration) & (starts + duration > self.start)
+
+
+@dataclass(frozen=True, eq=False)
+class _Sums:
+    """Running sums over the rows of one motion, time (S',) [s]: moments (S', 3, 3) of the columns of a force, and with
+    the error (S', 3)."""
+
+    time: np.ndarray
+    gram: np.ndarray
+    side: np.ndarray
+
+    def between(self, starts: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Moments (K, 3, 3) of the force's columns, and with the error (K, 3), from `starts` to `ends` (K,) [s]."""
+        first = np.searchsorted(self.time, starts)
+        last = np.minimum(np.searchsorted(self.time, ends), len(self.time) - 1)
+        return self.gram[last] - self.gram[first], self.side[last] - self.side[first]
+
+    def forces(self, starts: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(K,) what a constant force takes away from `starts` to `ends` (K,) [s], and that force (K, 3) [N]."""
+        moments, pull = self.between(starts, ends)
+        moments += 1e-6 * np.trace(moments, axis1=1, axis2=2)[:, None, None] * np.eye(3) + 1e-12 * np.eye(3)
+        force = np.linalg.solve(moments, pull[:, :, None])[:, :, 0]
+        return np.einsum("ka,ka->k", pull, force), force
+
+    def whole(self, starts: np.ndarray, duration: float, gain: np.ndarray, force: np.ndarray) -> np.ndarray:
+        """(K,) bool: which forces (K, 3) [N] from `starts` for `duration` [s] pull in the middle of it as well, as far
+        as they would show there: else there are two with a pause between."""
+        whole = np.ones(len(starts), dtype=bool)
+        if duration < 3 * _DURATIONS[0]:
+            return whole
+        for begin in _PARTS:
+            moments, pull = self.between(starts + begin * duration, starts + (begin + _PART) * duration)
+            expected = np.einsum("ka,kab,kb->k", force, moments, force)
+            missing = expected - np.einsum("ka,ka->k", force, pull)
+            whole &= missing <= _PAUSE * expected + _SHOWS * _PART * gain
+        return whole
+
+
+@dataclass(frozen=True, eq=False)
+class Windows:
+    """All windows of a length in one motion: starts (K,) [s], gain (K,) of a force on a link, from its `sums`; `again`
+    (K,) is the largest gain at the same place of another cycle; `whole` (K,): no pause in the middle of it."""
+
+    link: int
+    log: int
+    duration: float
+    starts: np.ndarray
+    gain: np.ndarray
+    whole: np.ndarray
+    cycle_starts: Sequence[float]
+    sums: _Sums
+
+    @classmethod
+    def of(cls, link: int, signals: MotionSignals, residual: np.ndarray, sigma: np.ndarray) -> Iterator[Windows]:
+        """Of every length, from running sums over the rows: moments of the force's columns, and with the error."""
+        rows = np.zeros(len(signals.time), dtype=bool)
+        rows[signals.kept] = True
+        columns = -signals.pushed(link, rows) / sigma[:, None]
+        gram = np.cumsum(np.einsum("san,sbn->sab", columns, columns), axis=0)
+        side = np.cumsum(np.einsum("san,sn->sa", columns, residual / sigma), axis=0)
+        time = signals.time[signals.kept]
+        sums = _Sums(time, gram, side)
+        for duration in _DURATIONS:
+            if duration > _MOST_OF_LOG * (time[-1] - time[0]):
+                return
+            starts = np.arange(time[0], time[-1] - duration, _STARTS)
+            gain, force = sums.forces(starts, starts + duration)
+            whole = sums.whole(starts, duration, gain, force)
+            yield cls(link, signals.log_index, duration, starts, gain, whole, signals.cycle_starts, sums)
+
+    @cached_property
+    def strongest(self) -> PushedWindow | None:
+        """The strongest window."""
+        return self.best([])
+
+    def best(self, taken: Sequence[PushedWindow]) -> PushedWindow | None:
+        """The strongest window that shares no time with those taken."""
+        gain = np.where(self._shared(taken) | ~self.whole, -np.inf, self.gain)
+        at = int(np.argmax(gain))
+        if not np.isfinite(gain[at]):
+            return None
+        return PushedWindow(float(gain[at]), self.link, self.log, float(self.starts[at]), self.duration)
+
+    def fitted(self, push: PushedWindow, taken: Sequence[PushedWindow]) -> PushedWindow:
+        """A push with both ends moved to where it gains most, so that no remainder shows next to it."""
+        step = max(_STARTS, push.duration / _EDGE_PARTS)
+        moved = step * np.arange(-_EDGE_STEPS, _EDGE_STEPS + 1)
+        starts, ends = (part.ravel() for part in np.meshgrid(push.start + moved, push.start + push.duration + moved))
+        free = (starts >= self.starts[0] + (0 if self.bare(push) else _BORDER)) & (ends <= self.sums.time[-1])
+        free &= ends - starts >= _DURATIONS[0] - 1e-9
+        free &= ends - starts <= _MOST_OF_LOG * (self.sums.time[-1] - self.sums.time[0])
+        for other in taken:
+            free &= (other.log != self.log) | (starts >= other.start + other.duration) | (ends <= other.start)
+        if not free.any():
+            return push
+        starts, ends = starts[free], ends[free]
+        gain, _ = self.sums.forces(starts, ends)
+        at = int(np.argmax(gain))
+        return PushedWindow(float(gain[at]), self.link, self.log, float(starts[at]), float(ends[at] - starts[at]))
+
+    def bare(self, push: PushedWindow) -> bool:
+        """Whether a push starts with the samples, so that there is no quiet time before it to compare with."""
+        return push.log == self.log and push.start < self.starts[0] + _BORDER
+
+    def beside(self, taken: Sequence[PushedWindow]) -> np.ndarray:
+        """Gains of the windows that share no time with those taken."""
+        return self.gain[~self._shared(taken)]
+
+    def near(self, push: PushedWindow, taken: Sequence[PushedWindow]) -> float:
+        """Largest gain of the windows right before and after a push that share no time with those taken."""
+        reach = (1 + _CLEARANCE) * push.duration
+        around = (np.abs(self.starts - push.start) <= reach) & ~self._shared(taken)
+        return float(self.gain[around].max(initial=0.0))
+
+    def beside_edges(self, push: PushedWindow) -> float:
+        """Largest gain a second of the windows that end just before a push or begin just after it."""
+        before, after = push.start - self.duration - self.starts, self.starts - push.start - push.duration
+        close = [(gap >= _STARTS) & (gap <= _BORDER) for gap in (before, after)]
+        return float(self.gain[close[0] | close[1]].max(initial=0.0)) / self.duration
+
+    def again(self, push: PushedWindow, taken: Sequence[PushedWindow]) -> float:
+        """Largest gain at the same phase of another cycle, within one step; 0 without cycles.
+
+        Another push that overlaps this phase but shares neither end is no repetition.
+        """
+        edges = np.asarray(self.cycle_starts, dtype=float)
+        here = int(np.searchsorted(edges, push.start + 1e-9)) - 1
+        if len(edges) < 2 or here < 0:
+            return 0.0
+        others = [other for other in taken if other.log == self.log and other is not push]
+        late = np.delete(edges, here) - edges[here]
+        places = [push.start + by for by in late if not any(other.only_meets(push, by) for other in others)]
+        return max(
+            (float(self.gain[np.abs(self.starts - at) < 2 * _STARTS].max(initial=0.0)) for at in places), default=0
+        )
+
+    def _shared(self, taken: Sequence[PushedWindow]) -> np.ndarray:
+        shared = np.zeros(len(self.starts), dtype=bool)
+        for push in taken:
+            shared |= push.overlaps(self.log, self.starts, self.duration)
+        return shared
+
+
+def strongest(windows: Sequence[Windows]) -> list[PushedWindow]:
+    """The strongest windows that do not overlap, as far as they stand out; strongest first."""
+    taken: list[PushedWindow] = []
+    best = [w.strongest for w in windows]
+    spans = [(w.log, float(np.ptp(w.starts)) + w.duration) for w in windows if len(w.starts)]
+    lasting = sum(max(span for log, span in spans if log == one) for one in {log for log, _ in spans})
+    while len(taken) < _MAX_PUSHES:
+        candidates = [(push, w) for push, w in zip(best, windows, strict=True) if push is not None]
+        if not candidates:
+            break
+        push, of_length = max(candidates, key=lambda pair: pair[0].gain)
+        if taken and push.gain < _LEAST_GAIN_RATIO * taken[0].gain:
+            break
+        last = of_length.fitted(push, taken)
+        if len(taken) >= _FEW and sum(one.duration for one in (*taken, last)) > _RARE * lasting:
+            break  # many windows can follow any torque
+        taken.append(last)
+        # a strongest window that shares no time with the new push stays the strongest
+        best = [w.best(taken) if one and last.meets(one) else one for one, w in zip(best, windows, strict=True)]
+    found = [(push, *_beside(push, taken, windows)) for push in taken]
+    bare = [push for push in taken if any(w.bare(push) for w in windows)]
+    alone = [
+        push
+        for push, around, again in found
+        if push.gain > max((_FROM_START if push in bare else _STANDS_OUT) * around, _ALONE * again)
+    ]
+    # next to a push that does not repeat, one that repeats counts too if nothing around it is similar
+    return [p for p, around, _ in found if p in alone or (alone and p.gain > _SHARP * around)]
+
+
+def _beside(push: PushedWindow, taken: Sequence[PushedWindow], windows: Sequence[Windows]) -> tuple[float, float]:
+    """Gain that is usual or near a push, and the one that comes back at its place of another cycle."""
+    of_link = [w for w in windows if w.link == push.link]
+    here = [w for w in of_link if w.log == push.log]
+    as_long = min((w.duration for w in here), key=lambda duration: abs(duration - push.duration))
+    scale = push.duration / as_long
+    usual = _usual(push, taken, of_link)
+    again = scale * max((w.again(push, taken) for w in here if w.duration == as_long), default=0.0)
+    near = scale * max((w.near(push, taken) for w in here if w.duration == as_long), default=0.0)
+    shortest = [w for w in of_link if w.duration == _DURATIONS[0] and w.log == push.log]
+    return max(usual, near, push.duration * max((w.beside_edges(push) for w in shortest), default=0.0)), again
+
+
+def _usual(push: PushedWindow, taken: Sequence[PushedWindow], windows: Sequence[Windows]) -> float:
+    """Usual gain of a window as long as a push, scaled up from shorter windows if no such window is free.
+
+    Infinite if no window is free: a force from the first sample to the last is no event.
+    """
+    for duration in (length for length in reversed(_DURATIONS) if length <= push.duration):
+        parts = [w.beside(taken) for w in windows if w.duration == duration]
+        others = np.concatenate([np.zeros(0), *parts])
+        if len(others):
+            return float(np.quantile(others, _USUAL)) * push.duration / duration
+    return np.inf
+
+
+def place_of(push: PushedWindow, motions: Sequence[tuple[MotionSignals, np.ndarray, np.ndarray]]) -> np.ndarray | None:
+    """(3,) [m] from the far end of a push's link, in the link's frame; None where that would be off the link.
+
+    The torque J(p)ᵀ F of a force F at a place p of the link is linear in F for a place, and in p for a force; so each
+    is fitted in turns (alternating least squares), which never leaves more. It starts at the far end.
+
+    Args:
+        motions: of every motion its signals, and the error and background (S', n) of the rows that are kept.
+    """
+    moments, side, farthest = np.zeros((12, 12)), np.zeros(12), 0.0
+    for signals, residual, sigma in motions:
+        time = signals.time[signals.kept]
+        inside = (time >= push.start) & (time <= push.start + push.duration)
+        if signals.log_index != push.log or not inside.any():
+            continue
+        rows = np.zeros(len(signals.time), dtype=bool)
+        rows[signals.kept] = inside
+        end = signals.pushed(push.link, rows)
+        levers = [signals.pushed(push.link, rows, along) - end for along in np.eye(3)]
+        columns = -np.concatenate([end, *levers], axis=1) / sigma[inside, None]
+        moments += np.einsum("san,sbn->ab", columns, columns)
+        side += np.einsum("san,sn->a", columns, (residual / sigma)[inside])
+        farthest = max(signals.reference.links.link_lengths[push.link], _LARGE * signals.reference.reach)
+    place = np.zeros(3)
+    for _ in range(_ROUNDS):
+        of_force = np.kron(np.append(1.0, place), np.eye(3)).T
+        force = _solved(of_force.T @ moments @ of_force, of_force.T @ side)
+        fixed = np.concatenate([force, np.zeros(9)])
+        of_place = np.vstack([np.zeros((3, 3)), np.kron(np.eye(3), force[:, None])])
+        place = _solved(of_place.T @ moments @ of_place, of_place.T @ (side - moments @ fixed))
+    return place if np.linalg.norm(place) < farthest else None
+
+
+def _solved(moments: np.ndarray, side: np.ndarray) -> np.ndarray:
+    weak = (_WEAK * np.trace(moments) + 1e-12) * np.eye(len(side))
+    return np.linalg.solve(moments + weak, side)

@@ -2,30 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
 from agent.core import cubic_spline
-from agent.model.effects.effect import Columns, Effect, FitContext
+from agent.model.effects.effect import Columns, Effect, FitContext, Joints, Numbers
 from agent.model.effects.experiments import WHOLE_RANGE
 from agent.model.friction_terms import dahl
 from agent.model.signals import MotionSignals, NominalModel
 
 N_NODES = 6
-_STIFFEST = 5.0  # nominal torque a radian
-_BEND = 0.1  # nominal torque: deviation from a straight line at a node, before any data
-_TRAVELS = (0.002, 0.03)  # of the range, until the hose slides: on the arm, at once, or in itself
+_STIFFEST = 5.0  # nominal torque per radian
+_BEND = 0.1  # nominal torque: usual deviation from a straight line at a node
+_TRAVELS = (0.002, 0.03)  # of the range over which the hose starts to slide on the arm, or in itself
 
 
 class DressPack(Effect):
     """τ = a + b x (+ c x² + e x³), or a curve through torques at N_NODES positions; with hysteresis d z(q) (Dahl's z).
 
-    The curve is the natural cubic spline over the travelled range `low` to `high`, straight beyond it: a hose may be
-    slack up to some angle, harden, or give way, and its curve has no formula of its own. Where a motion that is fitted
-    ends short of that range its curve is held straight from there on, by a prior on its bends. One that hardens goes on
-    hardening, so that a motion that goes further than all others is better told by the cubic: x is q there from the
-    `middle` of the range, which is `reach` to both sides.
+    The curve is a natural cubic spline over the travelled range `low` to `high`, straight beyond it, because a hose may
+    be slack up to some angle, harden, or give way. A prior on its bends keeps it straight where no motion shows it. The
+    cubic extrapolates a hose that hardens; its x is q from the `middle` of the range, which is `reach` to both sides.
     """
 
     name = "dress_pack"
@@ -41,30 +37,28 @@ class DressPack(Effect):
     shapes = ("position",)
     experiment = WHOLE_RANGE
     refined = ("travel",)
+    nonlinear = ()
 
-    def settings(self, context: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
+    def settings(self, context: FitContext, joints: Joints) -> list[dict[str, float]]:
         low = float(min(s.q[:, joints[0]].min() for s in context.signals))
         high = max(float(max(s.q[:, joints[0]].max() for s in context.signals)), low + 1e-9)
         curve, rubbing = {"low": low, "high": high}, [{"travel": share * (high - low)} for share in _TRAVELS]
         shapes: list[dict[str, float]] = [{}, {"middle": (low + high) / 2, "reach": (high - low) / 2}, curve]
         return [{**shape, **kind} for shape in shapes for kind in ({}, *rubbing)]
 
-    def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
+    def names(self, settings: Numbers) -> tuple[str, ...]:
         straight = ("constant", "stiffness", *(("quadratic", "cubic") if "middle" in settings else ()))
         nodes = tuple(f"torque_{k}" for k in range(N_NODES)) if "low" in settings else straight
         return (*nodes, "hysteresis") if "travel" in settings else nodes
 
-    def plausible(self, settings: Mapping[str, float], values: Mapping[str, float]) -> bool:
+    def plausible(self, settings: Numbers, values: Numbers) -> bool:
         return values.get("hysteresis", 0.0) >= 0
 
-    def columns(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
+    def columns(self, signals: MotionSignals, joints: Joints, settings: Numbers) -> Columns:
         q = signals.q[:, joints[0]]
         if "low" in settings:
-            known = signals.__dict__.setdefault("_curves", {})
-            place = (joints[0], settings["low"], settings["high"])
-            if place not in known:
-                known[place] = _curve(q, settings["low"], settings["high"])
-            parts = known[place]
+            low, high = settings["low"], settings["high"]
+            parts = signals.remembered(("curve", joints[0], low, high), lambda: _curve(q, low, high))
         else:
             x = q - settings.get("middle", 0.0)
             parts = [x**power for power in range(4 if "middle" in settings else 2)]
@@ -72,10 +66,8 @@ class DressPack(Effect):
             parts = [*parts, dahl(q, np.array([settings["travel"]]))[:, 0]]
         return {joints[0]: np.column_stack(parts)}
 
-    def prior_precision(
-        self, context: FitContext, joints: tuple[int, ...], settings: Mapping[str, float]
-    ) -> np.ndarray | None:
-        """Of a curve: at a node it bends by a tenth of the joint's nominal torque, roughly."""
+    def prior_precision(self, context: FitContext, joints: Joints, settings: Numbers) -> np.ndarray | None:
+        """A curve bends by about a tenth of the joint's nominal torque at each node."""
         if "low" not in settings:
             return None
         bends = np.diff(np.eye(N_NODES), 2, axis=0) / (_BEND * float(context.reference.scale[joints[0]]))
@@ -83,21 +75,12 @@ class DressPack(Effect):
         precision[:N_NODES, :N_NODES] = bends.T @ bends
         return precision
 
-    def possible(
-        self,
-        reference: NominalModel,
-        joints: tuple[int, ...],
-        settings: Mapping[str, float],
-        values: Mapping[str, float],
-    ) -> bool:
+    def possible(self, reference: NominalModel, joints: Joints, settings: Numbers, values: Numbers) -> bool:
         reach = settings.get("reach", 0.0)
         bent = 2 * abs(values.get("quadratic", 0.0)) * reach + 3 * abs(values.get("cubic", 0.0)) * reach**2
         return abs(values.get("stiffness", 0.0)) + bent < _STIFFEST * float(reference.scale[joints[0]])
 
-    def n_parameters(self, settings: Mapping[str, float]) -> int:
-        return len(self.names(settings))
-
 
 def _curve(q: np.ndarray, low: float, high: float) -> list[np.ndarray]:
-    """(S,) of each node: the natural spline that is one there and nought at the others."""
+    """(S,) per node: the natural spline that is 1 at this node and 0 at the others."""
     return list(cubic_spline(np.linspace(low, high, N_NODES), np.eye(N_NODES), q, natural=True).T)

@@ -1,4 +1,4 @@
-"""What every effect offers: its form as columns that are linear in its parameters, and what is known about it."""
+"""The base of every effect: its torque as columns, linear in its parameters, and what is known about it."""
 
 from __future__ import annotations
 
@@ -17,14 +17,18 @@ if TYPE_CHECKING:
 
 #: Joint → (S, k) torque [N·m] on it per unit of each of the k parameters; joints that feel nothing are left out.
 Columns = dict[int, np.ndarray]
+#: The joints of a hypothesis, counted from 0.
+Joints = tuple[int, ...]
+#: Numbers by name: the nonlinear parameters (`settings`) or the linear ones (`values`) of an effect.
+Numbers = Mapping[str, float]
 
 
 class FitContext(Protocol):
-    """What an effect may look at to choose where its nonlinear parameters are tried."""
+    """The data that an effect may use to choose its grid of nonlinear parameters."""
 
     @property
     def reference(self) -> NominalModel:
-        """The model that is diagnosed against."""
+        """The model under diagnosis."""
 
     @property
     def signals(self) -> Sequence[MotionSignals]:
@@ -32,57 +36,57 @@ class FitContext(Protocol):
 
     @property
     def residuals(self) -> Sequence[np.ndarray]:
-        """Per motion (S', n) [N·m]: what is left of the torque."""
+        """Per motion (S', n) [N·m]: measured torque minus the fitted model's."""
 
     @property
     def residuals_as_given(self) -> Sequence[np.ndarray]:
-        """The same where the model's parameters stay as they are, if it is of other data."""
+        """The same with the model's parameters as given, if the model was fitted to other data."""
 
     @property
     def sigmas(self) -> Sequence[np.ndarray]:
-        """Per motion (S', n) [N·m]: the background."""
+        """Per motion (S', n) [N·m]: standard deviation of the noise."""
 
     @property
     def given(self) -> bool:
-        """Whether the model is of other data, so that an effect shows as an error over the background only."""
+        """Whether the model was fitted to other data, so that an effect must exceed the noise."""
 
     def gains_alone(self, joint: int, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(K,) Σ e² / σ² that columns (S', K) [N·m] on one joint would take away one by one, and their factors (K,)."""
+        """(K,) drop of Σ e² / σ² by each of the columns (S', K) [N·m] alone on one joint, and their factors (K,)."""
 
-    def fit(self, effect: Effect, joints: tuple[int, ...], settings: Mapping[str, float]) -> np.ndarray:
-        """(k,) parameters fitted to all the data together with the model, under its prior."""
+    def fit(self, effect: Effect, joints: Joints, settings: Numbers) -> np.ndarray:
+        """(k,) parameters fitted to all data together with the model, under its prior."""
 
 
 class Effect(ABC):
-    """One effect of the vocabulary: its fitted form, and all that is known about it.
+    """One effect of the vocabulary: its parameterisation, and what is known about it.
 
-    `family` is the part of the arm it belongs to: friction, transmission, load, measurement or path. `signature` is how
-    it shows in the residual, `phrase` what it is for somebody who has never read the vocabulary, and `look_at` what to
-    check on the arm. `confused_with` are its usual confusions, and `experiment` the motion that tells it from them.
+    An effect is data plus `settings` (the grid of nonlinear parameters), `names` and `columns`; all other methods
+    have a default.
 
-    `scope` is joint, pair, arm or base. `shows_in` is torque, or path: the set-points alone. One that `moves_arm` is
-    not of the measurement alone. `practical` is the smallest torque that matters, root mean square over nominal.
-
-    `structurally_equivalent` are forms that equal it by definition unless the data distinguish them. `shapes` are what
-    its torque is a curve over (speed, position, twist, mass): a second effect with such a shape on the same joint would
-    only imitate a third.
-
-    `once` marks an effect that happens once, so that another log has no information on it; `refined` are the nonlinear
-    parameters worth a finer search; `residual_driven` ones are chosen from what is left, so anew in every scan.
-    `why_absent` says why `settings` may be empty.
-
-    A joint shows an effect only if it travels `needs_travel` [rad, or 0.1 m], reaches `needs_speed` [rad/s, or 0.1 m/s]
-    and turns back `needs_reversals` times. One of `fast_torque` is named only where the torque that was measured
-    goes with the prediction that has it: fast torque may be noise of the positions. Every arm has a little of one that
-    is `usual`.
-
-    `units` are those of parameters whose name alone does not say them, `not_reported` settings that no page shows.
-    `sizes` are parameters that are above zero, or the opposite of the effect was found: of a simulator's file, whose
-    friction changes sign as its engine lets it, that is no effect.
-    `numbers` are those of a simulator's file that move under its name: `friction` of its joint, `links`, or the `load`
-    that the last link gained. The torque that a drive reports is that of its
-    motor times one plus the parameter `scales_report`, plus the parameter `adds_to_report`; most effects have neither.
-    `of_servos` are `phrase` and `look_at` where torque is that of position servos at recorded set-points.
+    | attribute | meaning |
+    | --- | --- |
+    | `family` | friction, transmission, load, measurement or path |
+    | `scope` | joint, pair, arm or base |
+    | `signature`, `phrase`, `look_at` | how it shows in the residual; what it is in plain words; what to check |
+    | `confused_with`, `experiment` | effects with a similar residual; the motion that distinguishes them |
+    | `structurally_equivalent` | effects with an equal form unless the data distinguish them |
+    | `practical` | smallest torque that matters, RMS over nominal |
+    | `shows_in` | torque, or path (set-points only) |
+    | `moves_arm` | whether it changes the motion, not only the measurement |
+    | `shapes` | what its torque is a curve over: speed, position, twist, mass. Two effects of one joint share none |
+    | `once` | transient: other logs carry no information on it |
+    | `refined` | nonlinear parameters worth a finer search |
+    | `nonlinear` | nonlinear parameters that cost evidence, because the data choose them; None: all |
+    | `residual_driven` | its grid follows the residual, so it is chosen anew in every scan |
+    | `why_absent` | why its grid may be empty |
+    | `needs_travel`, `needs_speed`, `needs_reversals` | motion a joint needs to show it [rad or 0.1 m; rad/s] |
+    | `fast_torque` | acts on fast torque, which may be noise of the positions |
+    | `usual` | every arm has a little of it |
+    | `units`, `not_reported` | units that a name does not say; settings that no page shows |
+    | `sizes` | parameters that must be positive |
+    | `numbers` | numbers of a simulator's file that change under its name: friction, links or load |
+    | `scales_report`, `adds_to_report` | parameters by which the reported torque is off: factor − 1, and offset |
+    | `of_servos` | `phrase` and `look_at` where torque is that of position servos |
     """
 
     name: ClassVar[str]
@@ -102,6 +106,7 @@ class Effect(ABC):
     structurally_equivalent: ClassVar[tuple[str, ...]] = ()
     once: ClassVar[bool] = False
     refined: ClassVar[tuple[str, ...]] = ()
+    nonlinear: ClassVar[tuple[str, ...] | None] = None
     residual_driven: ClassVar[bool] = False
     why_absent: ClassVar[str] = ""
     needs_travel: ClassVar[float] = 0.02
@@ -119,82 +124,65 @@ class Effect(ABC):
 
     @property
     def of_the_arm(self) -> bool:
-        """Whether it is part of the arm that a simulator has: not once only, nor in the set-points alone."""
+        """Whether a simulator of the arm has it: neither transient nor in the set-points only."""
         return not self.once and self.shows_in == "torque"
 
-    def happens_once(self, settings: Mapping[str, float]) -> bool:
-        """Whether it does with these nonlinear parameters."""
+    def happens_once(self, settings: Numbers) -> bool:
+        """Whether it is transient with these nonlinear parameters."""
         return self.once
 
-    def places(self, robot: RobotDescription) -> list[tuple[int, ...]]:
-        """Joints (from 0) it may sit on."""
+    def places(self, robot: RobotDescription) -> list[Joints]:
+        """Joints where it may act."""
         return [(k,) for k in range(robot.dof)] if self.scope == "joint" else [()]
 
-    def settings(self, context: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
-        """Nonlinear parameters to try; one empty dictionary where there are none."""
+    def settings(self, context: FitContext, joints: Joints) -> list[dict[str, float]]:
+        """Grid of nonlinear parameters; one empty dictionary where there are none."""
         return [{}]
 
-    def reversing(
-        self, context: FitContext, joints: tuple[int, ...], settings: Mapping[str, float]
-    ) -> list[dict[str, float]]:
-        """The same settings with reversals of their own, to try beside them; none where it has no such."""
+    def reversing(self, context: FitContext, joints: Joints, settings: Numbers) -> list[dict[str, float]]:
+        """The same settings with a friction reversal of their own; none by default."""
         return []
 
-    def nearby(self, settings: Mapping[str, float], factor: float) -> list[dict[str, float]]:
-        """Settings with one of the nonlinear parameters that are worth a finer search a `factor` up or down."""
+    def nearby(self, settings: Numbers, factor: float) -> list[dict[str, float]]:
+        """Settings with one `refined` parameter a `factor` down or up."""
         steps = ((name, scale) for name in self.refined if name in settings for scale in (1 / factor, factor))
         return [{**settings, name: settings[name] * scale} for name, scale in steps]
 
+    def counted(self, settings: Numbers) -> int:
+        """Number of nonlinear parameters that cost evidence."""
+        return len(settings) if self.nonlinear is None else sum(name in settings for name in self.nonlinear)
+
     @abstractmethod
-    def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
+    def names(self, settings: Numbers) -> tuple[str, ...]:
         """(k,) names of the linear parameters."""
 
-    def prepare(
-        self, motions: Sequence[MotionSignals], wanted: Sequence[tuple[tuple[int, ...], Mapping[str, float]]]
-    ) -> None:
-        """Work out together what several (joints, settings) need of all motions, where that saves time."""
+    def prepare(self, motions: Sequence[MotionSignals], wanted: Sequence[tuple[Joints, Numbers]]) -> None:
+        """Compute what several (joints, settings) share on all motions, where that saves time."""
         return
 
     @abstractmethod
-    def columns(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
+    def columns(self, signals: MotionSignals, joints: Joints, settings: Numbers) -> Columns:
         """Torque per unit of each linear parameter."""
 
-    def filtered(
-        self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]
-    ) -> Columns | None:
-        """`columns` after the filter of the torque, where many forms are made of few parts; None: they are to be
-        filtered one by one."""
+    def filtered(self, signals: MotionSignals, joints: Joints, settings: Numbers) -> Columns | None:
+        """`columns` after the torque filter, where many forms share few filtered parts; None: filter each column."""
         return None
 
-    def prior_precision(
-        self, context: FitContext, joints: tuple[int, ...], settings: Mapping[str, float]
-    ) -> np.ndarray | None:
-        """(k, k) how far the parameters are known before, none of them being likelier than its opposite; None: not."""
+    def prior_precision(self, context: FitContext, joints: Joints, settings: Numbers) -> np.ndarray | None:
+        """(k, k) precision of a zero-mean prior on the parameters; None: there is no prior."""
         return None
 
-    def plausible(self, settings: Mapping[str, float], values: Mapping[str, float]) -> bool:
-        """Whether fitted parameters can be true."""
+    def plausible(self, settings: Numbers, values: Numbers) -> bool:
+        """Whether fitted parameters are possible on any arm."""
         return True
 
-    def possible(
-        self,
-        reference: NominalModel,
-        joints: tuple[int, ...],
-        settings: Mapping[str, float],
-        values: Mapping[str, float],
-    ) -> bool:
-        """Whether they can be true of an effect on these joints of this arm, beside what its model has there."""
+    def possible(self, reference: NominalModel, joints: Joints, settings: Numbers, values: Numbers) -> bool:
+        """Whether they are possible on these joints of this arm, given the model's own friction and torque."""
         return True
 
-    def reported(
-        self, reference: NominalModel, settings: Mapping[str, float], values: Mapping[str, float]
-    ) -> dict[str, float]:
-        """Parameters as a result gives them."""
+    def reported(self, reference: NominalModel, settings: Numbers, values: Numbers) -> dict[str, float]:
+        """Parameters as a result shows them."""
         return {**settings, **values}
-
-    def n_parameters(self, settings: Mapping[str, float]) -> int:
-        """Number of parameters, nonlinear ones included."""
-        return len(self.names(settings)) + len(settings)
 
 
 def on_axle(reference: NominalModel, axle: int, *columns: np.ndarray) -> Columns:
@@ -205,23 +193,23 @@ def on_axle(reference: NominalModel, axle: int, *columns: np.ndarray) -> Columns
 
 
 def rubs(reference: NominalModel, axle: int, **changes: float) -> bool:
-    """Whether the model's friction on an axle stays a friction when its levels, by form, change by as much.
+    """Whether the model's friction on an axle stays positive when its levels, by form, change by these amounts.
 
-    A tenth of a level below nought is let be: levels are estimates. A level that the model does not have is not judged.
+    Tolerates levels down to −10 %, because levels are estimates. Forms that the model lacks are not judged.
     """
     levels = friction_levels(reference, axle)
     return all(levels[form] + change > -0.1 * abs(levels[form]) for form, change in changes.items() if form in levels)
 
 
 def friction_levels(reference: NominalModel, axle: int) -> dict[str, float]:
-    """Parameters of the model's friction on an axle by their form."""
+    """Parameters of the model's friction terms on an axle, by form."""
     model = reference.model
     terms = enumerate(model.terms, len(model.independent))
     return {term.form: float(model.values[k]) for k, term in terms if term.axle == axle}
 
 
 def highest_speed(context: FitContext, axle: int) -> float:
-    """Of an axle over all motions [rad/s], not below a millionth of what the joint could."""
+    """Highest speed of an axle over all motions [rad/s], at least a millionth of the joint's limit."""
     seen = max(float(np.abs(s.axles.speed[:, axle]).max()) for s in context.signals)
     return max(seen, 1e-6 * float(context.reference.robot.max_velocity[axle]))
 
@@ -231,3 +219,13 @@ def travelled(context: FitContext, axle: int) -> tuple[float, float]:
     low = min(float(s.axles.position[:, axle].min()) for s in context.signals)
     high = max(float(s.axles.position[:, axle].max()) for s in context.signals)
     return low, max(high, low + 1e-9)
+
+
+def harmonic_names(settings: Numbers) -> tuple[str, ...]:
+    """Names of a cosine and a sine for each of the `harmonics`."""
+    return tuple(f"{part}_{h}" for h in range(1, int(settings["harmonics"]) + 1) for part in ("cosine", "sine"))
+
+
+def harmonics(angle: np.ndarray, settings: Numbers) -> list[np.ndarray]:
+    """(S,) columns of these cosines and sines over an angle (S,) [rad]."""
+    return [part(h * angle) for h in range(1, int(settings["harmonics"]) + 1) for part in (np.cos, np.sin)]

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from types import MappingProxyType
 
-from agent.model.effects.effect import Columns, Effect
+from agent.model.effects.effect import Columns, Effect, Joints, Numbers
 from agent.model.effects.experiments import WHOLE_RANGE
 from agent.model.signals import MotionSignals
 
@@ -25,12 +24,12 @@ class EncoderOffset(Effect):
     units = MappingProxyType({"offset": "rad"})
     experiment = WHOLE_RANGE
 
-    def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
+    def names(self, settings: Numbers) -> tuple[str, ...]:
         return ("offset",)
 
-    def columns(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
+    def columns(self, signals: MotionSignals, joints: Joints, settings: Numbers) -> Columns:
         change = -signals.link_slope[:, :, joints[0]]
         return {joint: change[:, joint, None] for joint in range(signals.q.shape[1])}
 
-    def plausible(self, settings: Mapping[str, float], values: Mapping[str, float]) -> bool:
+    def plausible(self, settings: Numbers, values: Numbers) -> bool:
         return abs(values["offset"]) < 0.3

@@ -1,4 +1,4 @@
-"""Motions that tell effects apart. Each effect names the one that suits it best; of two the lower `order` is run."""
+"""Motions that distinguish effects. Each effect names the best one; of two effects the lower `order` is run."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ class SeparatingMotion:
 
     order: int
     motion: str
-    #: What the arm tells on its brakes beside it, where that is not known yet.
+    #: What to record with the drives off first, where that is not known yet.
     brakes: str = ""
 
     @property
     def with_brakes(self) -> str:
-        """Both in words, the one that moves nothing first."""
+        """Both in words, the recording without motion first."""
         return f"{self.brakes}{self.motion}"
 
 
@@ -38,4 +38,4 @@ POSTURES = SeparatingMotion(
 SHARP_REVERSALS = SeparatingMotion(60, "short sharp reversals of this joint with the arm stretched and folded")
 THREE_LOADS = SeparatingMotion(
     70, "constant speeds both ways on this joint at three loads (arm stretched, half, folded)"
-)  # what tells most pairs apart
+)  # distinguishes most pairs

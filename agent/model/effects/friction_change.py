@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
-from agent.model.effects.effect import FitContext, rubs
+from agent.model.effects.effect import FitContext, Joints, Numbers, rubs
 from agent.model.effects.friction_level import FrictionLevel
 from agent.model.signals import MotionSignals, NominalModel
 
@@ -28,24 +26,19 @@ class FrictionChange(FrictionLevel):
     not_reported = ("coulomb", "viscous")
     numbers = "friction"
 
-    def settings(self, context: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
+    def settings(self, context: FitContext, joints: Joints) -> list[dict[str, float]]:
         return [{"coulomb": 1.0}, {"viscous": 1.0}, {"coulomb": 1.0, "viscous": 1.0}]
 
-    def level_names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
+    def level_names(self, settings: Numbers) -> tuple[str, ...]:
         return tuple(f"{kind}_change" for kind in ("coulomb", "viscous") if kind in settings)
 
-    def level_columns(self, signals: MotionSignals, axle: int, settings: Mapping[str, float]) -> tuple[np.ndarray, ...]:
+    def level_columns(self, signals: MotionSignals, axle: int, settings: Numbers) -> tuple[np.ndarray, ...]:
         parts = {"coulomb": signals.direction(axle), "viscous": signals.axles.speed[:, axle]}
         return tuple(parts[kind] for kind in parts if kind in settings)
 
-    def level_possible(
-        self, reference: NominalModel, axle: int, settings: Mapping[str, float], values: Mapping[str, float]
-    ) -> bool:
+    def level_possible(self, reference: NominalModel, axle: int, settings: Numbers, values: Numbers) -> bool:
         change = {kind: values[f"{kind}_change"] for kind in ("coulomb", "viscous") if kind in settings}
         return rubs(reference, axle, **change)
 
-    def level_changes(self, settings: Mapping[str, float]) -> bool:
-        return "coulomb" in settings
-
-    def level_parameters(self, settings: Mapping[str, float]) -> int:
-        return len(settings)
+    def reversing(self, context: FitContext, joints: Joints, settings: Numbers) -> list[dict[str, float]]:
+        return super().reversing(context, joints, settings) if "coulomb" in settings else []

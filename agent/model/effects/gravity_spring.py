@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
-from agent.model.effects.effect import Columns, Effect, FitContext
+from agent.model.effects.effect import Columns, Effect, FitContext, Joints, Numbers, harmonic_names, harmonics
 from agent.model.effects.experiments import WHOLE_RANGE
 from agent.model.signals import MotionSignals, NominalModel
 
 _STRONGEST = 10.0  # nominal torque: what a joint could not be built against
-#: Of the first harmonic: a b / 2 (a² + b²) is 0.12 to 0.2 where one arm is a quarter to half of the other.
-_SECOND = 0.2
 
 
 class GravitySpring(Effect):
@@ -34,32 +30,23 @@ class GravitySpring(Effect):
     needs_travel = 0.2
     shapes = ("position",)
     experiment = WHOLE_RANGE
+    nonlinear = ()
 
-    def settings(self, context: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
+    def settings(self, context: FitContext, joints: Joints) -> list[dict[str, float]]:
         slides = context.reference.robot.joints[joints[0]].prismatic
         return [{}] if slides else [*({"harmonics": float(h)} for h in (1, 2, 3)), {}]
 
-    def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
+    def names(self, settings: Numbers) -> tuple[str, ...]:
         if "harmonics" not in settings:
             return ("constant", "stiffness")
-        return tuple(f"{part}_{h}" for h in range(1, int(settings["harmonics"]) + 1) for part in ("cosine", "sine"))
+        return harmonic_names(settings)
 
-    def columns(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
+    def columns(self, signals: MotionSignals, joints: Joints, settings: Numbers) -> Columns:
         q = signals.q[:, joints[0]]
         if "harmonics" not in settings:
             return {joints[0]: np.column_stack([np.ones(len(q)), q])}
-        parts = [f(h * q) for h in range(1, int(settings["harmonics"]) + 1) for f in (np.cos, np.sin)]
-        return {joints[0]: np.column_stack(parts)}
+        return {joints[0]: np.column_stack(harmonics(q, settings))}
 
-    def possible(
-        self,
-        reference: NominalModel,
-        joints: tuple[int, ...],
-        settings: Mapping[str, float],
-        values: Mapping[str, float],
-    ) -> bool:
+    def possible(self, reference: NominalModel, joints: Joints, settings: Numbers, values: Numbers) -> bool:
         swing = [value for name, value in values.items() if name != "constant"]  # about where it is at rest
         return float(np.linalg.norm(swing)) < _STRONGEST * float(reference.scale[joints[0]])
-
-    def n_parameters(self, settings: Mapping[str, float]) -> int:
-        return len(self.names(settings))

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
-from agent.model.effects.effect import Columns, Effect, FitContext
+from agent.model.effects.effect import Columns, Effect, FitContext, Joints, Numbers
 from agent.model.effects.experiments import POSTURES
 from agent.model.signals import MotionSignals
 from agent.robot import LINK_PARAMETERS, ParameterLayout
@@ -28,23 +26,19 @@ class InertialMismatch(Effect):
     shapes = ("mass",)
     experiment = POSTURES
     numbers = "links"
+    nonlinear = ()
 
-    def settings(self, context: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
+    def settings(self, context: FitContext, joints: Joints) -> list[dict[str, float]]:
         return [{"link": float(k + 1)} for k in range(context.reference.robot.dof)]
 
-    def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
+    def names(self, settings: Numbers) -> tuple[str, ...]:
         return tuple(f"{name}{int(settings['link'])}" for name in LINK_PARAMETERS)
 
-    def columns(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
+    def columns(self, signals: MotionSignals, joints: Joints, settings: Numbers) -> Columns:
         last = int(settings["link"])
         link = ParameterLayout.of(signals.reference.robot).link(last - 1)
         return {joint: signals.standard[:, joint, link] for joint in range(last)}
 
-    def prior_precision(
-        self, context: FitContext, joints: tuple[int, ...], settings: Mapping[str, float]
-    ) -> np.ndarray | None:
+    def prior_precision(self, context: FitContext, joints: Joints, settings: Numbers) -> np.ndarray | None:
         layout = ParameterLayout.of(context.reference.robot)
         return np.diag(1 / context.reference.prior_std[layout.link(int(settings["link"]) - 1)] ** 2)
-
-    def n_parameters(self, settings: Mapping[str, float]) -> int:
-        return len(LINK_PARAMETERS)

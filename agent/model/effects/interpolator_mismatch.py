@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
-from agent.model.effects.effect import Columns, Effect
+from agent.model.effects.effect import Columns, Effect, Joints, Numbers
 from agent.model.signals import MotionSignals
 from agent.robot import RobotDescription
 
@@ -25,8 +23,8 @@ class InterpolatorMismatch(Effect):
     def places(self, robot: RobotDescription) -> list[tuple[int, ...]]:
         return []
 
-    def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
+    def names(self, settings: Numbers) -> tuple[str, ...]:
         return ()
 
-    def columns(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
+    def columns(self, signals: MotionSignals, joints: Joints, settings: Numbers) -> Columns:
         return {}

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
+from agent.model.effects.effect import Numbers
 from agent.model.effects.experiments import SHARP_REVERSALS
 from agent.model.effects.two_mass import TwoMass
 
@@ -32,5 +31,5 @@ class JointElasticity(TwoMass):
     grid = tuple((float(frequency), damping, 0.0) for frequency in _FREQUENCIES for damping in _DAMPING)
     few = grid[1::14]
 
-    def plausible(self, settings: Mapping[str, float], values: Mapping[str, float]) -> bool:
+    def plausible(self, settings: Numbers, values: Numbers) -> bool:
         return 0.3 < values["share"] < 2.5

@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from types import MappingProxyType
 
 import numpy as np
 
-from agent.model.effects.effect import FitContext
+from agent.model.effects.effect import FitContext, Joints, Numbers
 from agent.model.effects.friction_level import FrictionLevel
 from agent.model.signals import MotionSignals
 
 
 class LoadDependentFriction(FrictionLevel):
-    """τ = a s |τ_load|, or a s τ₁ (|τ_load| / τ₁)^p, with b w |τ_load| or b τ_load besides.
+    """τ = a s |τ_load| or a s τ₁ (|τ_load| / τ₁)^p, plus b w |τ_load| or b τ_load.
 
-    Teeth rub in proportion to the load, preloaded rollers and flexsplines with another power of it; a film of oil under
-    load rubs more the faster it is sheared (`sheared`); and a gear that is driven by its load loses another part of it
-    than one that drives (`driven`): a s |τ| + b τ is (a + b) |τ| one way and (a − b) |τ| the other. What a gear
-    transmits turns the links and not its own rotor, which is most of what a small axis carries (`links`); where a rotor
-    could not be told from the links, it is the torque of both.
+    Friction of teeth is proportional to the load; that of preloaded rollers and flexsplines follows another power.
+    An oil film under load resists more at higher speed (`sheared`). A gear driven by its load has another efficiency
+    than one that drives (`driven`): a s |τ| + b τ is (a + b) |τ| one way and (a − b) |τ| the other. The gear transmits
+    the torque of the links without the rotor (`links`), or of both where these could not be distinguished.
     """
 
     name = "load_dependent_friction"
@@ -36,8 +34,9 @@ class LoadDependentFriction(FrictionLevel):
     shapes = ("speed",)
     units = MappingProxyType({"load": "N·m"})
     not_reported = ("sheared", "driven", "links")
+    nonlinear = ("power", "reversal_travel")
 
-    def settings(self, context: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
+    def settings(self, context: FitContext, joints: Joints) -> list[dict[str, float]]:
         nominal = float(context.reference.scale[joints[0]])
         return [
             {},
@@ -48,10 +47,10 @@ class LoadDependentFriction(FrictionLevel):
             {"links": 1.0, "driven": 1.0},
         ]
 
-    def level_names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
+    def level_names(self, settings: Numbers) -> tuple[str, ...]:
         return ("coefficient", *(f"{kind}_coefficient" for kind in ("sheared", "driven") if kind in settings))
 
-    def level_columns(self, signals: MotionSignals, axle: int, settings: Mapping[str, float]) -> tuple[np.ndarray, ...]:
+    def level_columns(self, signals: MotionSignals, axle: int, settings: Numbers) -> tuple[np.ndarray, ...]:
         assert signals.axles.load is not None
         loads = signals.link_load @ signals.reference.from_joints if "links" in settings else signals.axles.load
         load, slide = loads[:, axle], signals.direction(axle)
@@ -63,8 +62,5 @@ class LoadDependentFriction(FrictionLevel):
             columns.append(load)
         return tuple(columns)
 
-    def plausible(self, settings: Mapping[str, float], values: Mapping[str, float]) -> bool:
+    def plausible(self, settings: Numbers, values: Numbers) -> bool:
         return abs(values.get("driven_coefficient", 0.0)) <= abs(values["coefficient"])
-
-    def level_parameters(self, settings: Mapping[str, float]) -> int:
-        return 1 + bool(settings.keys() - {"links"})

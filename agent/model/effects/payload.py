@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
-from agent.model.effects.effect import Columns, Effect, FitContext
+from agent.model.effects.effect import Columns, Effect, FitContext, Joints, Numbers
 from agent.model.effects.experiments import POSTURES
 from agent.model.signals import MotionSignals
 from agent.robot import ParameterLayout
 
 _ROUNDS = 6
 _START = ("m0", "hx0", "hy0", "hz0")
-_POINT = "point_mass"  # of settings without an own inertia
-_INERTIA_TOLERANCE = 0.1  # of m r²: an inertia that is estimated below zero by no more is none
+_POINT = "point_mass"  # in settings without an inertia of its own
+_INERTIA_TOLERANCE = 0.1  # of m r²: an inertia this far below zero counts as zero
 _LEAST_RADIUS = 0.05  # m, of that r
 _BALL = np.array([1.0, 0.0, 1.0, 0.0, 0.0, 1.0])
 
@@ -42,8 +40,9 @@ class Payload(Effect):
     residual_driven = True
     not_reported = (*_START, _POINT)
     numbers = "load"
+    nonlinear = ()
 
-    def settings(self, context: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
+    def settings(self, context: FitContext, joints: Joints) -> list[dict[str, float]]:
         settled: dict[str, float] = {}
         start = settled
         for _ in range(_ROUNDS):
@@ -54,39 +53,34 @@ class Payload(Effect):
         whole = self._has_inertia(dict(zip(self.names(settled), values, strict=True)))
         return [start if whole else {**start, _POINT: 1.0}]
 
-    def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
+    def names(self, settings: Numbers) -> tuple[str, ...]:
         first = ("mass", "moment_x", "moment_y", "moment_z")
         if _POINT in settings:
             return first
         own = ("inertia",) if "m0" in settings else tuple(f"inertia_{k}" for k in ("xx", "xy", "yy", "xz", "yz", "zz"))
         return (*first, *own)
 
-    def columns(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
+    def columns(self, signals: MotionSignals, joints: Joints, settings: Numbers) -> Columns:
         n = signals.q.shape[1]
         link = signals.standard[:, :, ParameterLayout.of(signals.reference.robot).link(n - 1)]
         if settings:
             link = link @ ball(settings)
         return {joint: link[:, joint] for joint in range(n)}
 
-    def prior_precision(
-        self, context: FitContext, joints: tuple[int, ...], settings: Mapping[str, float]
-    ) -> np.ndarray | None:
+    def prior_precision(self, context: FitContext, joints: Joints, settings: Numbers) -> np.ndarray | None:
         scales = [20.0, 5.0, 5.0, 5.0, *([0.5] if settings else [2.0] * 6)]
         return np.diag(1 / np.array(scales[: len(self.names(settings))]) ** 2)
 
-    def plausible(self, settings: Mapping[str, float], values: Mapping[str, float]) -> bool:
+    def plausible(self, settings: Numbers, values: Numbers) -> bool:
         moment = np.array([values["moment_x"], values["moment_y"], values["moment_z"]])
         mass = abs(values["mass"])
         return mass > 0.01 and float(np.linalg.norm(moment)) < mass and self._has_inertia(values)
 
-    def _has_inertia(self, values: Mapping[str, float]) -> bool:
+    def _has_inertia(self, values: Numbers) -> bool:
         """Whether a ball's own inertia, counted as its mass is, is not clearly below zero."""
         mass, *moment = (values[name] for name in ("mass", "moment_x", "moment_y", "moment_z"))
         radius = max(float(np.linalg.norm(moment)) / abs(mass), _LEAST_RADIUS)
         return values.get("inertia", 0.0) / mass > -_INERTIA_TOLERANCE * radius**2
-
-    def n_parameters(self, settings: Mapping[str, float]) -> int:
-        return 4
 
 
 def _voigt(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -95,7 +89,7 @@ def _voigt(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return tensor[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
 
 
-def ball(settings: Mapping[str, float]) -> np.ndarray:
+def ball(settings: Numbers) -> np.ndarray:
     """(10, 5) parameters of a link per unit of a ball's mass, first moments and own inertia, about (m0, h0); (10, 4) of
     a point's."""
     m, h = settings["m0"], np.array([settings["hx0"], settings["hy0"], settings["hz0"]])

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
-from agent.model.effects.effect import Columns, Effect, FitContext, on_axle, travelled
+from agent.model.effects.effect import Columns, Effect, FitContext, Joints, Numbers, on_axle, travelled
 from agent.model.effects.experiments import SLOW_REVERSALS
 from agent.model.friction_terms import Reversal
 from agent.model.signals import MotionSignals
@@ -26,14 +24,14 @@ class Presliding(Effect):
     experiment = SLOW_REVERSALS
     refined = ("travel",)
 
-    def settings(self, context: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
+    def settings(self, context: FitContext, joints: Joints) -> list[dict[str, float]]:
         low, high = travelled(context, joints[0])
         return [{"travel": (high - low) * fraction} for fraction in (2e-4, 5e-4, 1e-3, 2e-3, 4e-3, 8e-3, 0.016, 0.03)]
 
-    def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
+    def names(self, settings: Numbers) -> tuple[str, ...]:
         return ("level",)
 
-    def columns(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
+    def columns(self, signals: MotionSignals, joints: Joints, settings: Numbers) -> Columns:
         (axle,) = joints
         state = signals.axles.direction(axle, Reversal("travel", settings["travel"]))
         return on_axle(signals.reference, axle, state - signals.direction(axle))

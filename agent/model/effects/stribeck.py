@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
-from agent.model.effects.effect import FitContext, highest_speed, rubs
+from agent.model.effects.effect import FitContext, Joints, Numbers, highest_speed, rubs
 from agent.model.effects.experiments import SLOW_REVERSALS
 from agent.model.effects.friction_level import FrictionLevel
 from agent.model.signals import MotionSignals, NominalModel
@@ -32,20 +30,19 @@ class Stribeck(FrictionLevel):
     shapes = ("speed",)
     sizes = ("rise",)
     experiment = SLOW_REVERSALS
-    refined = ("speed",)
+    refined = ("speed", "reversal_travel")
+    nonlinear = ("speed", "shape", "reversal_travel")
 
-    def settings(self, context: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
+    def settings(self, context: FitContext, joints: Joints) -> list[dict[str, float]]:
         fastest = highest_speed(context, joints[0])
         return [{"speed": fastest * fraction, "shape": shape} for fraction in _SPEEDS for shape in (1.0, 2.0)]
 
-    def level_names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
+    def level_names(self, settings: Numbers) -> tuple[str, ...]:
         return ("rise",)
 
-    def level_columns(self, signals: MotionSignals, axle: int, settings: Mapping[str, float]) -> tuple[np.ndarray, ...]:
+    def level_columns(self, signals: MotionSignals, axle: int, settings: Numbers) -> tuple[np.ndarray, ...]:
         fading = (signals.axles.magnitude[:, axle] / settings["speed"]) ** settings["shape"]
         return (signals.direction(axle) * np.exp(-np.minimum(fading, 700)),)
 
-    def level_possible(
-        self, reference: NominalModel, axle: int, settings: Mapping[str, float], values: Mapping[str, float]
-    ) -> bool:
+    def level_possible(self, reference: NominalModel, axle: int, settings: Numbers, values: Numbers) -> bool:
         return rubs(reference, axle, coulomb=values["rise"])

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
-from agent.model.effects.effect import FitContext, rubs
+from agent.model.effects.effect import FitContext, Joints, Numbers, rubs
 from agent.model.effects.experiments import FROM_COLD
 from agent.model.effects.friction_level import FrictionLevel
 from agent.model.signals import MotionSignals, NominalModel
@@ -19,11 +19,10 @@ _OF_START = (0.03, 0.1, 0.3)  # of its time or way
 
 
 class ThermalFriction(FrictionLevel):
-    """τ = (a + b c(t)) s + (d + e c(t)) w with c(t) how cold the drive still is.
+    """τ = (a + b c(t)) s + (d + e c(t)) w, where c(t) says how cold the drive still is.
 
-    c = exp(−t / T), t from the start of each log, or of the first of a session. Where the arm pauses or goes at very
-    different speeds, heat comes from the friction's own work and not from the clock: c = exp(−x / W) with x the way
-    that the joint has gone, likewise.
+    c = exp(−t / T), with t from the start of each log, or of the first log of a session. Heat comes from the work of
+    friction, so where the arm pauses or its speed varies, c = exp(−x / W) with x the distance travelled, likewise.
     """
 
     name = "thermal_friction"
@@ -39,10 +38,11 @@ class ThermalFriction(FrictionLevel):
     needs_reversals = 1
     shapes = ("speed",)
     experiment = FROM_COLD
-    refined = ("time_constant", "way")
+    refined = ("time_constant", "way", "reversal_travel")
     not_reported = ("session", _STARTS)
+    nonlinear = ("time_constant", "way", "reversal_travel")
 
-    def settings(self, context: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
+    def settings(self, context: FitContext, joints: Joints) -> list[dict[str, float]]:
         (axle,) = joints
         motions = context.signals
         longest = max(float(s.time[-1]) for s in motions)
@@ -71,28 +71,26 @@ class ThermalFriction(FrictionLevel):
             ),
         ]
 
-    def happens_once(self, settings: Mapping[str, float]) -> bool:
-        """Where the drive is warm before the first log of a session ends: none of the others shows that it was cold."""
+    def happens_once(self, settings: Numbers) -> bool:
+        """If the drive is warm before the first log of a session ends, no other log shows that it was cold."""
         return _STARTS in settings
 
-    def level_names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
+    def level_names(self, settings: Numbers) -> tuple[str, ...]:
         return ("coulomb_change", "coulomb_drift", "viscous_change", "viscous_drift")
 
-    def prepare(
-        self, motions: Sequence[MotionSignals], wanted: Sequence[tuple[tuple[int, ...], Mapping[str, float]]]
-    ) -> None:
-        """Note in every motion how far the axles have gone before it, in its log and in the session."""
+    def prepare(self, motions: Sequence[MotionSignals], wanted: Sequence[tuple[Joints, Numbers]]) -> None:
+        """Store in every motion the distance travelled before it, in its log and in the session."""
         gone: dict[int, np.ndarray] = {}
         whole = np.zeros(motions[0].q.shape[1])
         for motion in sorted(motions, key=lambda s: (s.started, s.log_index, float(s.time[0]))):
             before = gone.setdefault(motion.log_index, np.zeros(len(whole)))
-            motion.__dict__["_gone"] = before, whole
+            motion.memory["gone"] = before, whole
             way = np.array([float(_way(motion, axle)[-1]) for axle in range(len(whole))])
             gone[motion.log_index], whole = before + way, whole + way
 
-    def level_columns(self, signals: MotionSignals, axle: int, settings: Mapping[str, float]) -> tuple[np.ndarray, ...]:
+    def level_columns(self, signals: MotionSignals, axle: int, settings: Numbers) -> tuple[np.ndarray, ...]:
         if "way" in settings:
-            before = signals.__dict__.get("_gone", (np.zeros(signals.q.shape[1]),) * 2)["session" in settings][axle]
+            before = signals.memory.get("gone", (np.zeros(signals.q.shape[1]),) * 2)["session" in settings][axle]
             fading = np.exp(-(before + _way(signals, axle)) / settings["way"])
         else:
             since = signals.time + (signals.started if "session" in settings else 0.0)
@@ -100,24 +98,15 @@ class ThermalFriction(FrictionLevel):
         slide, speed = signals.direction(axle), signals.axles.speed[:, axle]
         return slide, slide * fading, speed, speed * fading
 
-    def plausible(self, settings: Mapping[str, float], values: Mapping[str, float]) -> bool:
+    def plausible(self, settings: Numbers, values: Numbers) -> bool:
         return settings.get("time_constant", np.inf) > _SHORTEST and settings.get("way", np.inf) > _LEAST_WAY
 
-    def level_possible(
-        self, reference: NominalModel, axle: int, settings: Mapping[str, float], values: Mapping[str, float]
-    ) -> bool:
+    def level_possible(self, reference: NominalModel, axle: int, settings: Numbers, values: Numbers) -> bool:
         cold = {kind: values[f"{kind}_change"] + values[f"{kind}_drift"] for kind in ("coulomb", "viscous")}
         return rubs(reference, axle, **cold)
 
-    def level_parameters(self, settings: Mapping[str, float]) -> int:
-        return 5
-
 
 def _way(signals: MotionSignals, axle: int) -> np.ndarray:
-    """(S,) that an axle has gone since the first sample [rad]."""
-    known = signals.__dict__.setdefault("_ways", {})
-    if axle not in known:
-        known[axle] = np.cumsum(
-            np.abs(np.diff(signals.axles.position[:, axle], prepend=signals.axles.position[0, axle]))
-        )
-    return known[axle]
+    """(S,) distance that an axle has travelled since the first sample [rad]."""
+    q = signals.axles.position[:, axle]
+    return signals.remembered(("travelled", axle), lambda: np.cumsum(np.abs(np.diff(q, prepend=q[0]))))

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 
 from agent.core import CubicSplines
-from agent.model.effects.effect import Columns, Effect, FitContext
+from agent.model.effects.effect import Columns, Effect, FitContext, Joints, Numbers
 from agent.model.effects.experiments import SHARP_REVERSALS
 from agent.model.friction_terms import axle_columns
 from agent.model.rigid_friction import RigidFrictionModel
@@ -46,8 +45,9 @@ class TimeDelay(Effect):
     fast_torque = True
     moves_arm = False
     of_servos = ("set-points act later than they were recorded", "bus, rate and stamps of the set-points")
+    nonlinear = ("reversal",)
 
-    def settings(self, context: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
+    def settings(self, context: FitContext, joints: Joints) -> list[dict[str, float]]:
         tried = [{"delay": delay} for delay in _TRIED]
         best = min(tried, key=lambda s: abs(float(context.fit(self, joints, s)[0]) - 1))
         plain = self._solved(context, joints, best)
@@ -55,7 +55,7 @@ class TimeDelay(Effect):
             return [plain]
         return [plain, *(self._solved(context, joints, {**plain, "reversal": part}) for part in _SHARPER)]
 
-    def _solved(self, context: FitContext, joints: tuple[int, ...], settings: dict[str, float]) -> dict[str, float]:
+    def _solved(self, context: FitContext, joints: Joints, settings: dict[str, float]) -> dict[str, float]:
         """The delay at which the share is one, by two steps of Gauss and Newton."""
         delay = settings["delay"]
         for _ in range(2):
@@ -64,30 +64,28 @@ class TimeDelay(Effect):
             delay = float(np.copysign(max(abs(delay), _SHORTEST), delay))
         return {**settings, "delay": delay}
 
-    def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
+    def names(self, settings: Numbers) -> tuple[str, ...]:
         return ("share",)
 
-    def columns(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
+    def columns(self, signals: MotionSignals, joints: Joints, settings: Numbers) -> Columns:
         late = np.clip(signals.time - settings["delay"], signals.time[0], signals.time[-1])
         shifted = _over_time(signals, settings.get("reversal"))(late)
         change = shifted - signals.predicted if signals.driving is None else signals.driving - shifted
         return {joint: change[:, joint, None] for joint in range(signals.q.shape[1])}
 
-    def plausible(self, settings: Mapping[str, float], values: Mapping[str, float]) -> bool:
+    def plausible(self, settings: Numbers, values: Numbers) -> bool:
         return 0.5 < values["share"] < 1.5
-
-    def n_parameters(self, settings: Mapping[str, float]) -> int:
-        return len(settings)
 
 
 def _over_time(signals: MotionSignals, part: float | None) -> CubicSplines:
     """Of the torque that is shifted over time: that of set-points, or the model's, its friction turning over a `part`
     of the way; remembered, as many delays are tried."""
-    known: dict[float | None, CubicSplines] = signals.__dict__.setdefault("_over_time", {})
-    if part not in known:
+
+    def made() -> CubicSplines:
         torque = signals.predicted if part is None else _turning_faster(signals, part)
-        known[part] = CubicSplines(signals.time, torque if signals.driving is None else signals.driving)
-    return known[part]
+        return CubicSplines(signals.time, torque if signals.driving is None else signals.driving)
+
+    return signals.remembered(("over time", part), made)
 
 
 def _turns_slowly(model: RigidFrictionModel) -> bool:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from types import MappingProxyType
 
-from agent.model.effects.effect import Columns, Effect, on_axle
+from agent.model.effects.effect import Columns, Effect, Joints, Numbers, on_axle
 from agent.model.signals import MotionSignals
 
-#: A scale off by a larger factor is no drive's: a joint's friction beside it would then be as wrong the other way.
+#: No drive's scale is off by a larger factor; friction of the joint would then be as wrong the other way.
 _MOST = 3.0
 
 
@@ -29,11 +28,11 @@ class TorqueConstant(Effect):
     scales_report = "scale_error"
     of_servos = ("its servo has another gain", "gain (P) of this servo in its firmware, and its supply voltage")
 
-    def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
+    def names(self, settings: Numbers) -> tuple[str, ...]:
         return ("scale_error",)
 
-    def plausible(self, settings: Mapping[str, float], values: Mapping[str, float]) -> bool:
+    def plausible(self, settings: Numbers, values: Numbers) -> bool:
         return 1 / _MOST - 1 < values["scale_error"] < _MOST - 1
 
-    def columns(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
+    def columns(self, signals: MotionSignals, joints: Joints, settings: Numbers) -> Columns:
         return on_axle(signals.reference, joints[0], signals.axle_torque[:, joints[0]])

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from types import MappingProxyType
 
 import numpy as np
 
-from agent.model.effects.effect import Columns, Effect, on_axle
+from agent.model.effects.effect import Columns, Effect, Joints, Numbers, on_axle
 from agent.model.effects.experiments import RAMPS_AND_STANDSTILLS
 from agent.model.signals import MotionSignals
 
@@ -31,8 +30,8 @@ class TorqueOffset(Effect):
     units = MappingProxyType({"offset": "N·m"})
     adds_to_report = "offset"
 
-    def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
+    def names(self, settings: Numbers) -> tuple[str, ...]:
         return ("offset",)
 
-    def columns(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
+    def columns(self, signals: MotionSignals, joints: Joints, settings: Numbers) -> Columns:
         return on_axle(signals.reference, joints[0], np.ones(len(signals.time)))

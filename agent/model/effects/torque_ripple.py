@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
-from agent.model.effects.effect import Columns, Effect, FitContext, on_axle, travelled
+from agent.model.effects.effect import (
+    Columns,
+    Effect,
+    FitContext,
+    Joints,
+    Numbers,
+    harmonic_names,
+    harmonics,
+    on_axle,
+    travelled,
+)
 from agent.model.signals import MotionSignals
 
 _HIGHEST = 13.0  # periods a motor turn
@@ -29,8 +37,9 @@ class TorqueRipple(Effect):
     refined = ("order",)
     residual_driven = True
     fast_torque = True
+    nonlinear = ("order",)
 
-    def settings(self, context: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
+    def settings(self, context: FitContext, joints: Joints) -> list[dict[str, float]]:
         """Highest peaks of the residual's spectrum over the angle, by sums in narrow bins and one transform."""
         (axle,) = joints
         low, high = travelled(context, axle)
@@ -63,13 +72,9 @@ class TorqueRipple(Effect):
             gain[max(0, best - 8) : best + 9] = 0
         return found
 
-    def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
-        return tuple(f"{part}_{h}" for h in range(1, int(settings["harmonics"]) + 1) for part in ("cosine", "sine"))
+    def names(self, settings: Numbers) -> tuple[str, ...]:
+        return harmonic_names(settings)
 
-    def columns(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
+    def columns(self, signals: MotionSignals, joints: Joints, settings: Numbers) -> Columns:
         phase = settings["order"] * signals.axles.position[:, joints[0]]
-        parts = [f(h * phase) for h in range(1, int(settings["harmonics"]) + 1) for f in (np.cos, np.sin)]
-        return on_axle(signals.reference, joints[0], *parts)
-
-    def n_parameters(self, settings: Mapping[str, float]) -> int:
-        return 1 + 2 * int(settings["harmonics"])
+        return on_axle(signals.reference, joints[0], *harmonics(phase, settings))

@@ -8,7 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from agent.model.effects.effect import Columns, Effect, FitContext
+from agent.model.effects.effect import Columns, Effect, FitContext, Joints, Numbers
 from agent.model.signals import MotionSignals
 
 _MASSLESS = 1e-9  # kg·m² or kg: a description of kinematics alone, whose links cannot ring
@@ -75,12 +75,13 @@ class TwoMass(Effect):
     """
 
     fast_torque = True
+    nonlinear = ("stiffness",)
 
     #: (frequency [Hz] of the link on its locked motor, damping ratio, play [rad])
     grid: ClassVar[tuple[tuple[float, float, float], ...]]
     few: ClassVar[tuple[tuple[float, float, float], ...]]
 
-    def settings(self, context: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
+    def settings(self, context: FitContext, joints: Joints) -> list[dict[str, float]]:
         (k,) = joints
         if _inertia(context, k) <= _MASSLESS:
             return []
@@ -111,8 +112,8 @@ class TwoMass(Effect):
         return [dict(zip(entry, combination, strict=True)) for combination in product(*values)]
 
     def _alone(self, context: FitContext) -> dict[int, tuple[list[dict[str, float]], np.ndarray]]:
-        """Per joint: what is tried, and (S', len(tried)) torque on that joint alone, all motions in a row."""
-        known = context.signals[0].__dict__.setdefault("_alone", {})
+        """Per joint: the grid, and (S', len(grid)) torque on this joint alone, motions concatenated."""
+        known = context.signals[0].memory.setdefault("alone", {})
         if self.name not in known:
             heavy = (k for k in range(context.reference.robot.dof) if _inertia(context, k) > _MASSLESS)
             known[self.name] = {}
@@ -121,7 +122,7 @@ class TwoMass(Effect):
                 self.prepare(context.signals, [((k,), entry) for entry in entries])
                 known[self.name][k] = entries, self._on_joint(context, k, entries)
                 for motion in context.signals:
-                    del motion.__dict__["_leads"]  # large, and few of the grid are asked for again
+                    del motion.memory["leads"]  # large, and few of them are needed again
         return known[self.name]
 
     def _tried(self, context: FitContext, k: int) -> list[dict[str, float]]:
@@ -140,14 +141,12 @@ class TwoMass(Effect):
             parts.append(signals.low_pass(-np.stack([self._lead(signals, k, entry)[0] for entry in tried]).T))
         return np.concatenate(parts)
 
-    def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
+    def names(self, settings: Numbers) -> tuple[str, ...]:
         return ("share",)
 
-    def prepare(
-        self, motions: Sequence[MotionSignals], wanted: Sequence[tuple[tuple[int, ...], Mapping[str, float]]]
-    ) -> None:
+    def prepare(self, motions: Sequence[MotionSignals], wanted: Sequence[tuple[Joints, Numbers]]) -> None:
         keys = dict.fromkeys(_key(joints[0], settings) for joints, settings in wanted)
-        known = [motion.__dict__.setdefault("_leads", {}) for motion in motions]
+        known = [motion.memory.setdefault("leads", {}) for motion in motions]
         new = [key for key in keys if any(key not in of_motion for of_motion in known)]
         if not new:
             return
@@ -155,21 +154,16 @@ class TwoMass(Effect):
         for of_motion, parts in zip(known, leads(motions, joints, stiffness, gap, damping), strict=True):
             of_motion.update(zip(new, zip(*(part.T for part in parts), strict=True), strict=True))
 
-    def _lead(
-        self, signals: MotionSignals, k: int, settings: Mapping[str, float]
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        return signals.__dict__["_leads"][_key(k, settings)]
+    def _lead(self, signals: MotionSignals, k: int, settings: Numbers) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        return signals.memory["leads"][_key(k, settings)]
 
-    def columns(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
+    def columns(self, signals: MotionSignals, joints: Joints, settings: Numbers) -> Columns:
         (k,) = joints
         self.prepare([signals], [(joints, settings)])
         torque, second, lead = self._lead(signals, k, settings)
         felt = signals.mass[:, :, k] * second[:, None] + signals.link_slope[:, :, k] * lead[:, None]
         felt[:, k] = torque
         return {j: -felt[:, j, None] for j in range(signals.q.shape[1])}
-
-    def n_parameters(self, settings: Mapping[str, float]) -> int:
-        return 2
 
 
 def _inertia(context: FitContext, k: int) -> float:
@@ -183,5 +177,5 @@ def _energy(context: FitContext) -> np.ndarray:
     return np.mean(np.concatenate([(left / sigma) ** 2 for left, sigma in parts]), axis=0)
 
 
-def _key(k: int, settings: Mapping[str, float]) -> tuple[int, float, float, float]:
+def _key(k: int, settings: Numbers) -> tuple[int, float, float, float]:
     return k, settings["stiffness"], settings["damping"], settings.get("gap", 0.0)

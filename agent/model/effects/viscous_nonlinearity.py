@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
-from agent.model.effects.effect import FitContext, highest_speed
+from agent.model.effects.effect import FitContext, Joints, Numbers, highest_speed
 from agent.model.effects.friction_level import FrictionLevel
 from agent.model.signals import MotionSignals
 
@@ -25,19 +23,20 @@ class ViscousNonlinearity(FrictionLevel):
     needs_speed = 0.1
     needs_reversals = 1
     shapes = ("speed",)
-    refined = ("speed", "power")
+    refined = ("speed", "power", "reversal_travel")
+    nonlinear = ("speed", "power", "reversal_travel")
 
-    def settings(self, context: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
+    def settings(self, context: FitContext, joints: Joints) -> list[dict[str, float]]:
         fastest = highest_speed(context, joints[0])
         return [
             *({"speed": fastest * fraction} for fraction in (0.01, 0.03, 0.1, 0.3)),
             *({"power": power} for power in (0.5, 1.5, 2.0, 3.0)),
         ]
 
-    def level_names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
+    def level_names(self, settings: Numbers) -> tuple[str, ...]:
         return ("bend", "viscous_change")
 
-    def level_columns(self, signals: MotionSignals, axle: int, settings: Mapping[str, float]) -> tuple[np.ndarray, ...]:
+    def level_columns(self, signals: MotionSignals, axle: int, settings: Numbers) -> tuple[np.ndarray, ...]:
         speed = signals.axles.speed[:, axle]
         if "power" in settings:
             bent = np.sign(speed) * np.abs(speed) ** settings["power"]

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 
 import numpy as np
 
-from agent.model.effects.effect import Columns, Effect, FitContext
+from agent.model.effects.effect import Columns, Effect, FitContext, Joints, Numbers
 from agent.model.friction_terms import AxleMotion, axle_columns
 from agent.model.signals import MotionSignals, NominalModel
 from agent.robot import RobotDescription
@@ -44,12 +44,13 @@ class WristCoupling(Effect):
     needs_travel = 0.1
     needs_speed = 0.05
     refined = ("ratio",)
+    nonlinear = ("ratio",)
 
     def places(self, robot: RobotDescription) -> list[tuple[int, ...]]:
         first = max(0, robot.dof - 3)
         return [(i, j) for i in range(first, robot.dof) for j in range(i + 1, robot.dof)]
 
-    def settings(self, context: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
+    def settings(self, context: FitContext, joints: Joints) -> list[dict[str, float]]:
         kinds = [
             *({"ratio": ratio} for ratio in _RATIOS),
             *({"ratio": ratio, "free": 1.0} for ratio in _FREE_RATIOS),
@@ -60,7 +61,7 @@ class WristCoupling(Effect):
         rubbing += [{"ratio": ratio, "besides": 1.0, "turning": 1.0} for ratio in _FREE_RATIOS]
         return [{**kind, "ratio": sign * kind["ratio"]} for kind in turning + rubbing for sign in (-1.0, 1.0)]
 
-    def nearby(self, settings: Mapping[str, float], factor: float) -> list[dict[str, float]]:
+    def nearby(self, settings: Numbers, factor: float) -> list[dict[str, float]]:
         """Several steps each way, as the gain peaks narrowly over the ratio; a free one with the model's friction."""
         tied = {name: value for name, value in settings.items() if name != "free"}
         kinds = [settings, tied] if "free" in settings else [settings]
@@ -69,7 +70,7 @@ class WristCoupling(Effect):
             kinds = [rubbing, {**rubbing, "turning": 1.0}, {**rubbing, "shaft": 1.0}]
         return [{**kind, "ratio": kind["ratio"] * factor**power} for kind in kinds for power in range(-3, 4)]
 
-    def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
+    def names(self, settings: Numbers) -> tuple[str, ...]:
         if "besides" in settings:
             more = ("rotor", "share") if "turning" in settings else ("inertia",) if "shaft" in settings else ()
             return ("viscous", "coulomb", *more)
@@ -77,13 +78,13 @@ class WristCoupling(Effect):
             return ("rotor", "share")
         return ("rotor", "viscous", "coulomb", *(("transmission",) if "axle_side" in settings else ()))
 
-    def columns(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
+    def columns(self, signals: MotionSignals, joints: Joints, settings: Numbers) -> Columns:
         return self._made(_Parts(signals), joints, settings)
 
-    def filtered(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
-        return self._made(_FilteredParts(signals), joints, settings)
+    def filtered(self, signals: MotionSignals, joints: Joints, settings: Numbers) -> Columns:
+        return self._made(_Parts(signals, filtered=True), joints, settings)
 
-    def _made(self, parts: _Parts, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
+    def _made(self, parts: _Parts, joints: Joints, settings: Numbers) -> Columns:
         i, j = joints
         ratio = settings["ratio"]
         coupling = parts.signals.reference.coupling
@@ -112,7 +113,7 @@ class WristCoupling(Effect):
         felt = np.flatnonzero(np.abs(coupling[j]) + np.abs(carriers))
         return {int(k): coupling[j, k] * more + carriers[k] * ratio * carried for k in felt}
 
-    def plausible(self, settings: Mapping[str, float], values: Mapping[str, float]) -> bool:
+    def plausible(self, settings: Numbers, values: Numbers) -> bool:
         if abs(settings["ratio"]) < _LEAST_RATIO:
             return False
         if "besides" in settings:
@@ -121,28 +122,19 @@ class WristCoupling(Effect):
             return rubs and turns and 0.3 < values.get("share", 1.0) < 1.7
         return values["rotor"] > 0 and 0.3 < values.get("share", 1.0) < 1.7 and values.get("transmission", -1.0) < 0
 
-    def possible(
-        self,
-        reference: NominalModel,
-        joints: tuple[int, ...],
-        settings: Mapping[str, float],
-        values: Mapping[str, float],
-    ) -> bool:
+    def possible(self, reference: NominalModel, joints: Joints, settings: Numbers, values: Numbers) -> bool:
         """What rubs at the coupled speed drives at none, but for a tenth of what it rubs: both are estimates."""
         if "besides" not in settings:
             return True
         at_most = values["viscous"] * float(reference.robot.max_velocity[joints[1]])
         return min(values["coulomb"], at_most) > -0.1 * max(values["coulomb"], at_most)
 
-    def n_parameters(self, settings: Mapping[str, float]) -> int:
-        return 1 + len(self.names(settings))
-
 
 class _Parts:
-    """What all columns are made of, along one motion."""
+    """What all columns are made of, along one motion; `filtered` as the torque is."""
 
-    def __init__(self, signals: MotionSignals):
-        self.signals = signals
+    def __init__(self, signals: MotionSignals, filtered: bool = False):
+        self.signals, self._filtered = signals, filtered
 
     def friction(self, axle: int, joint: int, ratio: float, free: bool) -> np.ndarray:
         """(S, 1) of the model on an axle that also turns with a joint, or (S, 2) parts of its own."""
@@ -164,22 +156,12 @@ class _Parts:
         return self._part(("load", axle), lambda: carried[:, axle])
 
     def _part(self, key: tuple[object, ...], make: Callable[[], np.ndarray]) -> np.ndarray:
-        """Remembered: many forms ask for the same."""
-        known = self.signals.__dict__.setdefault("_turning", {})
-        if key not in known:
-            known[key] = make()
-        return known[key]
-
-
-class _FilteredParts(_Parts):
-    """The same, filtered as torque is."""
-
-    def _part(self, key: tuple[object, ...], make: Callable[[], np.ndarray]) -> np.ndarray:
-        known = self.signals.__dict__.setdefault("_turning_filtered", {})
-        if key not in known:
-            part = super()._part(key, make)
-            known[key] = self.signals.low_pass(part.reshape(len(part), -1)).reshape(-1, *part.shape[1:])
-        return known[key]
+        """Computed once, because many forms need the same part."""
+        part = self.signals.remembered(("coupling", *key), make)
+        if not self._filtered:
+            return part
+        flat, low_pass = part.reshape(len(part), -1), self.signals.low_pass
+        return self.signals.remembered(("filtered coupling", *key), lambda: low_pass(flat).reshape(-1, *part.shape[1:]))
 
 
 def _model_friction(signals: MotionSignals, axle: int, joint: int, ratio: float) -> np.ndarray:

@@ -1,1 +1,1 @@
-"""A simulator corrected: numbers that its file has are moved in place, effects that it cannot say go beside it."""
+"""Corrects a simulator: changes numbers of its file in place, and writes other effects to a file next to it."""

@@ -1,7 +1,7 @@
 """Writes a corrected simulator: the given file with only the corrected values changed.
 
-Beside it stand `<name>.changes.json`, every change with its old value and the reason, and `<name>_effects.py`, what the
-format cannot say. Nothing is written that was not read back and found to be the corrected arm.
+Next to it go `<name>.changes.json`, every change with its old value and the reason, and `<name>_effects.py`, the
+effects that the format cannot express. Everything is read back and compared with the corrected arm before writing.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ import json
 import os
 import tempfile
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -30,15 +29,8 @@ _TOLERANCE = 1e-8  # of the largest torque, between what is written and what was
 _LEAST = 1e-12  # relative, that a number changes
 
 
-@dataclass(frozen=True)
-class FileChange:
-    """One changed value: element, attribute, old and new value (SI), and the reason."""
-
-    element: str
-    attribute: str
-    old: float | list[float]
-    new: float | list[float]
-    reason: str
+#: One changed value: element, attribute, old and new value (SI), and the reason.
+Change = dict[str, str | float | list[float]]
 
 
 def written_files(out: Path) -> tuple[Path, Path]:
@@ -67,7 +59,7 @@ def write_corrected(simulator: Simulator, correction: Correction, out: Path) -> 
     document = {
         "schema": SCHEMA,
         "from": {"file": source.name, "sha256": hashlib.sha256(source.read_bytes()).hexdigest()},
-        "changes": [asdict(change) for change in changes],
+        "changes": changes,
         "effects": [entry.to_dict() for entry in correction.effects],
         "effects_file": None if code is None else effects.name,
         "notes": list(correction.notes),
@@ -80,7 +72,7 @@ def write_corrected(simulator: Simulator, correction: Correction, out: Path) -> 
     return (*files, beside, *([] if code is None else [effects]))
 
 
-def _changes(correction: Correction, edits: UrdfEdits | MjcfEdits) -> Iterator[FileChange]:
+def _changes(correction: Correction, edits: UrdfEdits | MjcfEdits) -> Iterator[Change]:
     """Change the file number by number and report each change."""
     before, after, released = correction.given, correction.arm, correction.released
     numbers = (
@@ -95,11 +87,11 @@ def _changes(correction: Correction, edits: UrdfEdits | MjcfEdits) -> Iterator[F
             old, new = float(was[k]), float(becomes[k])
             if k in reasons and key in edits.numbers and abs(new - old) > _LEAST * max(abs(old), abs(new)):
                 edits.set_number(k, key, new)
-                yield FileChange(f"joint {joint}", key, old, new, reasons[k])
+                yield _change(f"joint {joint}", key, old, new, reasons[k])
         if k in released.offsets:
             old_zero, new_zero = edits.move_zero(k, released.offsets[k])
             why = "encoder_offset: the joint's zero is elsewhere"
-            yield FileChange(f"joint {joint}", edits.zero, old_zero, new_zero, why)
+            yield _change(f"joint {joint}", edits.zero, old_zero, new_zero, why)
         if k in released.links:
             body = after.carrying[k]
             blocks = [seen_from(entry.own, body.pose) for entry in (before.carrying[k], body)]
@@ -107,13 +99,17 @@ def _changes(correction: Correction, edits: UrdfEdits | MjcfEdits) -> Iterator[F
             owner = f"{'link' if before.is_urdf else 'body'} {body.name or 'of ' + joint}"
             given, fixed = map(_said, blocks)
             for key in given:
-                yield FileChange(owner, key, given[key], fixed[key], released.links[k])
+                yield _change(owner, key, given[key], fixed[key], released.links[k])
     if before.robot.gravity != after.robot.gravity:
         edits.set_gravity(after.robot.gravity)
-        yield FileChange("option", "gravity", list(before.robot.gravity), list(after.robot.gravity), released.gravity)
+        yield _change("option", "gravity", list(before.robot.gravity), list(after.robot.gravity), released.gravity)
 
 
-def _servo_changes(correction: Correction, edits: MjcfEdits) -> Iterator[FileChange]:
+def _change(element: str, attribute: str, old: float | list[float], new: float | list[float], reason: str) -> Change:
+    return {"element": element, "attribute": attribute, "old": old, "new": new, "reason": reason}
+
+
+def _servo_changes(correction: Correction, edits: MjcfEdits) -> Iterator[Change]:
     """Change servo gains. Damping given as a ratio is written as a number where masses change."""
     given, released = correction.given.servos, correction.released
     servos = correction.arm.servos
@@ -126,10 +122,10 @@ def _servo_changes(correction: Correction, edits: MjcfEdits) -> Iterator[FileCha
         (_, before), (gain, bias) = given.parameters(k), servos.parameters(k)
         edits.set_servo(k, gain, bias)
         if k in released.gains:
-            yield FileChange(f"actuator of {joint}", "kp", -before[1], -bias[1], released.gains[k])
+            yield _change(f"actuator of {joint}", "kp", -before[1], -bias[1], released.gains[k])
         if bias[2]:
             kept = "as it was: a dampratio would move it with the masses"
-            yield FileChange(f"actuator of {joint}", "kv", -before[2], -bias[2], released.gains.get(k, kept))
+            yield _change(f"actuator of {joint}", "kv", -before[2], -bias[2], released.gains.get(k, kept))
 
 
 def _said(block: np.ndarray) -> dict[str, float | list[float]]:
@@ -150,7 +146,7 @@ def _read_back(correction: Correction, simulator: Simulator, files: dict[Path, b
     names = dict(zip(arm.file_joints, arm.joint_names, strict=True))
     trial: dict[Path, Path] = {}
     try:
-        for path in files:  # beside the files to come, as what these refer to is found from there
+        for path in files:  # in the folder of the output, because relative paths start there
             handle, name = tempfile.mkstemp(prefix=".", suffix=path.suffix, dir=out.absolute().parent)
             os.close(handle)
             trial[path] = Path(name)
@@ -166,7 +162,7 @@ def _read_back(correction: Correction, simulator: Simulator, files: dict[Path, b
         for path in trial.values():
             path.unlink(missing_ok=True)
     states = np.random.default_rng(0).uniform(-1, 1, (3, 50, wanted.robot.dof))
-    # a URDF says no rotor inertia: those are the effects file's
+    # a URDF has no rotor inertia: the effects file has it
     expected = (
         wanted.rigid.dynamics.inverse_dynamics(states[0], states[1], states[2])
         if arm.is_urdf
@@ -181,5 +177,5 @@ def _read_back(correction: Correction, simulator: Simulator, files: dict[Path, b
 
 
 def _plain(model: IdentifiedModel, states: np.ndarray) -> np.ndarray:
-    """(S, n) torque at q, qd, qdd (3, S, n) without friction, whose reversal no file has, and without effects."""
+    """(S, n) torque at q, qd, qdd (3, S, n) without friction (no file says how it reverses) and effects."""
     return np.asarray(model.rigid.torque(states[0], states[1], states[2], model.base_values))

@@ -2,7 +2,7 @@
 
 What is linear in numbers that the file has becomes part of them: friction levels, rotor and link inertias, a payload,
 gravity of a tilted base, the zero of an encoder (joint `ref` of an MJCF, `origin` of a URDF), a linear spring (MJCF).
-The rest are effects beside the file (`effects_file`).
+The other effects go to a file next to it (`effects_file`).
 """
 
 from __future__ import annotations
@@ -96,7 +96,7 @@ def correct(
     Args:
         weight: (b, b) information of the logs on the base parameters; `unexplained` in the same unit: squared
             error that the fit leaves; `inertia` as in `Correction`.
-        effects: found beside the change; `reasons` by effect and joints.
+        effects: found in addition to the change; `reasons` by effect and joints.
     """
     given, model = simulator.arm, simulator.model
     names, n = given.joint_names, len(given.joint_names)

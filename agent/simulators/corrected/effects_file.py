@@ -24,7 +24,7 @@ def is_supported(entry: ModelEffect) -> bool:
 
 
 def effects_text(correction: Correction, source: str, out: str) -> str | None:
-    """The file's text; None where nothing is to be said beside the simulator's file."""
+    """The file's text; None where the simulator's file says everything."""
     effects = [_entry(correction, entry) for entry in correction.effects if is_supported(entry)]
     arm, n = correction.arm, len(correction.arm.joint_names)
     unsaid = arm.armature if arm.is_urdf else np.zeros(n)
