@@ -49,9 +49,6 @@ class DecisionLimits:
 
     # What a verdict promises
     explained: float = known(0.75, "gap", "that all causes close together, or it is not explained", _CONTRACT)
-    least_closure: float = known(
-        0.25, "gap", "of all or of its joints, that a cause closes, or it has no size", "chosen"
-    )
     least_share: float = known(0.03, "gap", "a cause that closes less by itself has no size", "chosen")
     path_probability: float = known(
         0.97,

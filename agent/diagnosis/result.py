@@ -84,7 +84,7 @@ def build(
     """
     robot = dataset.robot
     if dataset.given and calibrated is None and not finding.causes:
-        if gap.absorbed > dataset.limits.least_closure:
+        if gap.absorbed > 1 - dataset.limits.explained:
             warnings = (*warnings, _within_uncertainty(gap.absorbed))
         gap = gap.unclosed
     causes, verdict, closure = causes_of(dataset, finding, gap), finding.verdict, gap.closure

@@ -118,8 +118,7 @@ class Search:
     def _extend(self, base: Evaluated, count: int) -> None:
         """Evaluate the most promising places added to a hypothesis, and something else on each joint."""
         evidence = self.evidence
-        base = evidence.as_expected(base)
-        gains, values = self._refined(base)
+        gains, values = self._refined(evidence.as_expected(base))
         for forms in self._promising(base, gains, values, count).values():
             for k in forms:
                 self._keep(evidence.evaluate([*base.effects, k], base.free, base.scales))

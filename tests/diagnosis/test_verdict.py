@@ -22,7 +22,7 @@ VERDICTS = st.sampled_from(["no_gap", "explained", "ambiguous", "unknown"])
 closures = st.one_of(
     st.none(),
     st.floats(-1, 3),
-    st.sampled_from([0.0, LIMITS.least_share, LIMITS.least_closure, LIMITS.explained, np.nan, -np.inf]),
+    st.sampled_from([0.0, LIMITS.least_share, LIMITS.explained, np.nan, -np.inf]),
 )
 causes = st.builds(
     Cause,
