@@ -8,7 +8,7 @@ export OMP_NUM_THREADS ?= 1
 # Many containers forbid Python to keep what it has compiled, so that every process of ours compiles again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: env dev calibrate test verify docs lint format lock package clean
+.PHONY: env dev calibrate test verify docs lint format lock package release clean
 
 env: $(VENV)/.user
 dev: $(VENV)/.dev
@@ -68,6 +68,17 @@ package: env
 	$(INSTALL) build twine
 	$(BIN)/python -m build --outdir build/package
 	$(BIN)/twine check --strict build/package/*
+
+# Checks, builds and tags the version in pyproject.toml; publishing is left to a person.
+VERSION := $(shell sed -n 's/^version = "\(.*\)"/\1/p' pyproject.toml)
+release: dev
+	@test -z "$$(git status --porcelain)" || { echo "commit or remove your changes first: git status"; exit 2; }
+	@grep -q '^## $(VERSION)$$' CHANGELOG.md || { echo "CHANGELOG.md has no section '## $(VERSION)'"; exit 2; }
+	@grep -q '^version: $(VERSION)$$' CITATION.cff || { echo "CITATION.cff names another version than $(VERSION)"; exit 2; }
+	@! git rev-parse -q --verify refs/tags/v$(VERSION) > /dev/null || { echo "v$(VERSION) is tagged already"; exit 2; }
+	$(MAKE) test package
+	git tag --annotate v$(VERSION) --message "Version $(VERSION)"
+	@echo "tagged v$(VERSION); build/package holds what can be published"
 
 clean:
 	rm -rf $(VENV)
