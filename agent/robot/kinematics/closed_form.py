@@ -9,8 +9,9 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import product
-from typing import NoReturn
+from typing import Any, NoReturn, Self
 
 import numpy as np
 
@@ -36,6 +37,48 @@ _BEYOND = -2e-9  # a squared margin below this is out of reach, above it round-o
 _REACHED = 1e-9  # m and rad: Newton steps that leave more have not converged
 
 
+class AtZero:
+    """An arm of six revolute joints at zero: axes and points (6, 3) of its joints and `tcp` (4, 4), in the base frame.
+
+    `base` (3, 3) and `origin` (3,) are frame B (see `ArmGeometry`), for axes that are within `tolerance` [rad, or as
+    part of the arm's size] of what a closed form needs.
+    """
+
+    def __init__(self, chain: KinematicChain, tolerance: float):
+        self.axes, self.points, self.tcp = chain.axes_at_zero()
+        self.size = float(np.linalg.norm(np.diff(self.points, axis=0), axis=1).sum())
+        self.tolerance = tolerance
+
+    @cached_property
+    def base(self) -> np.ndarray:
+        axes, points = self.axes, self.points
+        frame = frame_of(axes[0] if axes[0, 2] > -self.tolerance else -axes[0], axes[1])
+        backwards = frame[:, 0] @ (points[1] - points[0]) < -self.tolerance * self.size
+        return frame @ np.diag([-1.0, -1.0, 1.0]) if backwards else frame
+
+    @cached_property
+    def origin(self) -> np.ndarray:
+        return np.asarray(self.points[0] + self.axes[0] * ((self.points[1] - self.points[0]) @ self.axes[0]))
+
+    def nearest(self, axis: int) -> np.ndarray:
+        """(3,) the point of an axis that is nearest to the next axis, which is perpendicular to it."""
+        axes, points = self.axes, self.points
+        return np.asarray(points[axis] + axes[axis] * ((points[axis + 1] - points[axis]) @ axes[axis]))
+
+    def fits(self, crossing: Sequence[int], parallel: Sequence[int], meeting: Sequence[tuple[int, np.ndarray]]) -> bool:
+        """Whether axes cross the next one at a right angle, are parallel to it, and pass through points (3,)."""
+        axes = self.axes
+        off = [abs(axes[k] @ axes[k + 1]) for k in crossing]
+        off += [np.linalg.norm(np.cross(axes[k], axes[k + 1])) for k in parallel]
+        off += [np.linalg.norm(np.cross(axes[k], point - self.points[k])) / self.size for k, point in meeting]
+        return max(off) <= self.tolerance
+
+    def is_short(self, vector: np.ndarray) -> bool:
+        """Whether a vector (3,) has no length in the plane of the arm."""
+        x, _, z = self.base.T @ vector
+        return bool(np.hypot(x, z) < self.tolerance * self.size)
+
+
 @dataclass(frozen=True, eq=False)
 class ArmGeometry:
     """Constants of an arm whose axis 2 is across axis 1 and whose axis 3 is parallel to axis 2.
@@ -59,6 +102,41 @@ class ArmGeometry:
     senses: tuple[float, ...]
     wrist_angle: float
     selection: np.ndarray
+
+    @classmethod
+    def of(
+        cls,
+        arm: AtZero,
+        end: np.ndarray,
+        centre: np.ndarray,
+        wrist: np.ndarray,
+        wrist_angle: float,
+        **more: Any,
+    ) -> Self:
+        """From an arm at zero, where its forearm ends, its wrist centre (3,), and the wrist's axes (3, 3) there.
+
+        `more`: what a subclass has beyond that.
+        """
+        axes, points, base = arm.axes, arm.points, arm.base
+        upper_arm, forearm = base.T @ (points[2] - points[1]), base.T @ (end - points[2])
+        selection = np.zeros((12, 16))
+        entries = [0, 1, 2, 4, 5, 6, 8, 9, 10]  # of the rotation in a flattened pose
+        selection[:9, entries] = np.kron(base.T, (arm.tcp[:3, :3].T @ wrist).T)
+        selection[9:, entries] = -np.kron(base.T, arm.tcp[:3, :3].T @ (arm.tcp[:3, 3] - centre))
+        selection[9:, [3, 7, 11]] = base.T
+        selection[9:, 15] = -base.T @ arm.origin
+        return cls(
+            shoulder_offset=float((base.T @ (points[1] - arm.origin))[0]),
+            lateral_offset=float((base.T @ (centre - arm.origin))[1]),
+            upper_arm=float(np.hypot(upper_arm[0], upper_arm[2])),
+            forearm=float(np.hypot(forearm[0], forearm[2])),
+            upper_arm_angle=float(np.arctan2(upper_arm[0], upper_arm[2])),
+            forearm_angle=float(np.arctan2(forearm[0], forearm[2])),
+            senses=tuple(float(np.sign(axes[k] @ base[:, across])) for k, across in enumerate((2, 1, 1, 1))),
+            wrist_angle=wrist_angle,
+            selection=selection,
+            **more,
+        )
 
     @property
     def reach(self) -> float:
@@ -278,36 +356,8 @@ class ClosedFormKinematics(Kinematics):
         return bool(np.abs(self.forward(np.array(solved)) - poses).max() < _REACHED)
 
 
-def base_frame(axes: np.ndarray, points: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
-    """Axes (3, 3) and origin (3,) of frame B in the base frame, from the joint axes' directions and points (6, 3)."""
-    up = axes[0] if axes[0, 2] > -tolerance else -axes[0]
-    frame = frame_of(up, axes[1])
-    size = np.linalg.norm(np.diff(points, axis=0), axis=1).sum()
-    if frame[:, 0] @ (points[1] - points[0]) < -tolerance * size:
-        frame = frame @ np.diag([-1.0, -1.0, 1.0])
-    return frame, points[0] + axes[0] * ((points[1] - points[0]) @ axes[0])
-
-
 def frame_of(z: np.ndarray, y: np.ndarray) -> np.ndarray:
     """(3, 3) rotation with third column z and second column y, made exactly perpendicular."""
     y = y - z * (z @ y)
     y = y / np.linalg.norm(y)
     return np.column_stack([np.cross(y, z), y, z])
-
-
-def nearest_point(axes: np.ndarray, points: np.ndarray, axis: int) -> np.ndarray:
-    """(3,) the point of an axis that is nearest to the next axis, which is perpendicular to it."""
-    return np.asarray(points[axis] + axes[axis] * ((points[axis + 1] - points[axis]) @ axes[axis]))
-
-
-def selection_of(
-    base: np.ndarray, origin: np.ndarray, tcp: np.ndarray, centre: np.ndarray, wrist: np.ndarray
-) -> np.ndarray:
-    """`ArmGeometry.selection` for a wrist centre (3,) and wrist axes (3, 3) at zero, where the TCP is at `tcp`."""
-    selection = np.zeros((12, 16))
-    entries = [0, 1, 2, 4, 5, 6, 8, 9, 10]  # of the rotation in a flattened pose
-    selection[:9, entries] = np.kron(base.T, (tcp[:3, :3].T @ wrist).T)
-    selection[9:, entries] = -np.kron(base.T, tcp[:3, :3].T @ (tcp[:3, 3] - centre))
-    selection[9:, [3, 7, 11]] = base.T
-    selection[9:, 15] = -base.T @ origin
-    return selection

@@ -25,13 +25,7 @@ import numpy as np
 
 from agent.robot.description import RobotDescription
 from agent.robot.kinematics.chain import KinematicChain
-from agent.robot.kinematics.closed_form import (
-    ArmGeometry,
-    ClosedFormKinematics,
-    base_frame,
-    nearest_point,
-    selection_of,
-)
+from agent.robot.kinematics.closed_form import ArmGeometry, AtZero, ClosedFormKinematics
 
 #: How far [rad, or as part of the arm's length] calibrated axes may be from parallel, perpendicular or meeting.
 TOLERANCE = 5e-3
@@ -39,7 +33,7 @@ TOLERANCE = 5e-3
 
 @dataclass(frozen=True, eq=False)
 class ParallelAxesGeometry(ArmGeometry):
-    """As `ArmGeometry`; `senses` (4,); hand d₅ [m]: from axis 4 to axis 6 along axis 5; hand_angle: H at zero.
+    """As `ArmGeometry`; hand d₅ [m]: from axis 4 to axis 6 along axis 5; hand_angle: H at zero.
 
     The wrist's axes are axis 5, and the third of a right-handed frame, and axis 6, all at q₅ = q₆ = 0.
     """
@@ -104,33 +98,20 @@ def recognise(chain: KinematicChain) -> ParallelAxesGeometry | None:
     """The constants of an arm of this kind, or None for any other arm."""
     if chain.dof != 6 or chain.prismatic.any():
         return None
-    axes, points, tcp = chain.axes_at_zero()
-    size = np.linalg.norm(np.diff(points, axis=0), axis=1).sum()
-    crossing = np.abs([axes[0] @ axes[1], axes[3] @ axes[4], axes[4] @ axes[5]])
-    skew = [np.linalg.norm(np.cross(axes[k], axes[k + 1])) for k in (1, 2)]
-    end, centre = nearest_point(axes, points, 3), nearest_point(axes, points, 4)
-    missed = [np.linalg.norm(np.cross(axes[4], end - points[4])), np.linalg.norm(np.cross(axes[5], centre - points[5]))]
-    if max(*crossing, *skew, *(np.array(missed) / size)) > TOLERANCE:
+    arm = AtZero(chain, TOLERANCE)
+    end, centre = arm.nearest(3), arm.nearest(4)
+    if not arm.fits(crossing=(0, 3, 4), parallel=(1, 2), meeting=((4, end), (5, centre))):
         return None
-    base, origin = base_frame(axes, points, TOLERANCE)
-    upper_arm, forearm, hand, last = (
-        base.T @ vector for vector in (points[2] - points[1], end - points[2], axes[4], axes[5])
-    )
-    lengths = np.hypot(upper_arm[0], upper_arm[2]), np.hypot(forearm[0], forearm[2])
-    if min(lengths) < TOLERANCE * size:
+    if arm.is_short(arm.points[2] - arm.points[1]) or arm.is_short(end - arm.points[2]):
         return None
-    across = np.cross(hand, [0.0, 1.0, 0.0])
-    wrist = np.column_stack([axes[4], np.cross(axes[5], axes[4]), axes[5]])
-    return ParallelAxesGeometry(
-        shoulder_offset=float((base.T @ (points[1] - origin))[0]),
-        lateral_offset=float((base.T @ (centre - origin))[1]),
-        upper_arm=float(lengths[0]),
-        forearm=float(lengths[1]),
-        upper_arm_angle=float(np.arctan2(upper_arm[0], upper_arm[2])),
-        forearm_angle=float(np.arctan2(forearm[0], forearm[2])),
-        senses=(float(np.sign(axes[0] @ base[:, 2])), *(float(np.sign(axes[k] @ base[:, 1])) for k in (1, 2, 3))),
-        wrist_angle=float(np.arctan2(last @ across, last[1])),
-        selection=selection_of(base, origin, tcp, centre, wrist),
-        hand=float((centre - end) @ axes[4]),
+    fifth, sixth = arm.axes[4:]
+    hand, last = arm.base.T @ fifth, arm.base.T @ sixth
+    return ParallelAxesGeometry.of(
+        arm,
+        end,
+        centre,
+        np.column_stack([fifth, np.cross(sixth, fifth), sixth]),
+        float(np.arctan2(last @ np.cross(hand, [0.0, 1.0, 0.0]), last[1])),
+        hand=float((centre - end) @ fifth),
         hand_angle=float(np.arctan2(hand[0], hand[2])),
     )

@@ -23,14 +23,7 @@ import numpy as np
 from agent.robot.description import RobotDescription
 from agent.robot.kinematics.base import SINGULAR_DISTANCE
 from agent.robot.kinematics.chain import KinematicChain
-from agent.robot.kinematics.closed_form import (
-    ArmGeometry,
-    ClosedFormKinematics,
-    base_frame,
-    frame_of,
-    nearest_point,
-    selection_of,
-)
+from agent.robot.kinematics.closed_form import ArmGeometry, AtZero, ClosedFormKinematics, frame_of
 from agent.robot.kinematics.configuration import Configuration, parse_configuration
 
 #: Axes are taken as parallel, perpendicular or meeting within this [rad, or as part of the arm's length]: URDFs write
@@ -40,7 +33,7 @@ TOLERANCE = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class SphericalWristGeometry(ArmGeometry):
-    """As `ArmGeometry`; `senses` (3,); forearm_rotation (3, 3): from B to the wrist's axes (z axis 4, y axis 5)."""
+    """As `ArmGeometry`; forearm_rotation (3, 3): from B to the wrist's axes (z axis 4, y axis 5)."""
 
     forearm_rotation: np.ndarray
 
@@ -123,42 +116,15 @@ def recognise(chain: KinematicChain) -> SphericalWristGeometry | None:
     """The constants of an arm of this kind, or None for any other arm."""
     if chain.dof != 6 or chain.prismatic.any():
         return None
-    axes, points, tcp = chain.axes_at_zero()
-    size = np.linalg.norm(np.diff(points, axis=0), axis=1).sum()
-    crossing = [axes[0] @ axes[1], axes[3] @ axes[4], axes[4] @ axes[5]]
-    centre = nearest_point(axes, points, 3)
-    missing = [np.linalg.norm(np.cross(axes[k], centre - points[k])) / size for k in (4, 5)]
-    parallel = np.linalg.norm(np.cross(axes[1], axes[2]))
-    if max(*np.abs(crossing), *missing, parallel) > TOLERANCE:
+    arm = AtZero(chain, TOLERANCE)
+    centre = arm.nearest(3)
+    if not arm.fits(crossing=(0, 3, 4), parallel=(1,), meeting=((4, centre), (5, centre))):
         return None
-    base, origin = base_frame(axes, points, TOLERANCE)
-    shoulder = base.T @ (points[1] - origin)
-    upper_arm = base.T @ (points[2] - points[1])
-    forearm = base.T @ (centre - points[2])
-    lengths = np.hypot(upper_arm[0], upper_arm[2]), np.hypot(forearm[0], forearm[2])
-    if min(lengths) < TOLERANCE * size:
+    if arm.is_short(arm.points[2] - arm.points[1]) or arm.is_short(centre - arm.points[2]):
         return None
-    wrist = frame_of(axes[3], axes[4])
-    last = wrist.T @ axes[5]
-    wrist_angle = float(np.arctan2(last[0], last[2]))
-
-    def sense(axis: int, across: int) -> float:
-        return float(np.sign(axes[axis] @ base[:, across]))
-
-    return SphericalWristGeometry(
-        shoulder_offset=float(shoulder[0]),
-        lateral_offset=float((base.T @ (centre - origin))[1]),
-        upper_arm=float(lengths[0]),
-        forearm=float(lengths[1]),
-        upper_arm_angle=float(np.arctan2(upper_arm[0], upper_arm[2])),
-        forearm_angle=float(np.arctan2(forearm[0], forearm[2])),
-        senses=(sense(0, 2), sense(1, 1), sense(2, 1)),
-        wrist_angle=wrist_angle,
-        forearm_rotation=wrist.T @ base,
-        selection=selection_of(base, origin, tcp, centre, wrist @ _about_y(wrist_angle)),
-    )
-
-
-def _about_y(angle: float) -> np.ndarray:
+    wrist = frame_of(arm.axes[3], arm.axes[4])
+    last = wrist.T @ arm.axes[5]
+    angle = float(np.arctan2(last[0], last[2]))
     c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+    turned = wrist @ np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+    return SphericalWristGeometry.of(arm, centre, centre, turned, angle, forearm_rotation=wrist.T @ arm.base)
