@@ -88,7 +88,7 @@ def check_one_machine(logs: Sequence[Any], model: Any, allow_mixed: bool, payloa
     if loaded and not payload_counts:
         raise InputError(
             f"{loaded[0].name}: was recorded with a mass mounted on purpose ({loaded[0].metadata[PAYLOAD]}). Only "
-            "agent diagnose, and agent estimate beside logs of the bare arm, take the mass into account: leave it out"
+            "agent diagnose takes the mass into account, and agent estimate with logs of the bare arm: leave it out"
         )
     if allow_mixed:
         return

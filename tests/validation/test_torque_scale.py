@@ -50,5 +50,5 @@ def test_a_log_with_a_mass_is_not_fitted_alone():
     arm = make_arm("R")
     log = record(Plant(arm, seed=3), "one", 11)
     log.metadata[PAYLOAD] = "1 kg, 0 mm, 0 mm, 0 mm"
-    with pytest.raises(InputError, match="beside logs of the bare arm"):
+    with pytest.raises(InputError, match="with logs of the bare arm"):
         check_one_machine([log], None, allow_mixed=False)
