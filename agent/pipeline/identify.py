@@ -88,7 +88,7 @@ def check_one_machine(logs: Sequence[Any], model: Any, allow_mixed: bool, payloa
     if loaded and not payload_counts:
         raise InputError(
             f"{loaded[0].name}: was recorded with a mass mounted on purpose ({loaded[0].metadata[PAYLOAD]}). Only "
-            "agent diagnose takes the mass into account: leave it out"
+            "agent diagnose takes the mass into account, and agent estimate with logs of the bare arm: leave it out"
         )
     if allow_mixed:
         return
@@ -235,11 +235,15 @@ def fit_files(
     from agent.data_quality import fitted_doubts
     from agent.diagnosis import with_healthy_effects, with_structure
     from agent.estimation import EstimationSettings, estimate
+    from agent.model import PAYLOAD
+    from agent.validation import torque_scales
 
     check_structure(structure)
     description = load_arm(robot, paths, topic) if isinstance(robot, str) else robot
     logs = read_logs(paths, description, console, topic)
-    check_one_machine(logs, None, allow_mixed)
+    bare = [log for log in logs if not log.metadata.get(PAYLOAD)]
+    check_one_machine(logs, None, allow_mixed, payload_counts=bool(bare))
+    logs, loaded = bare or logs, [log for log in logs if log.metadata.get(PAYLOAD)]
     check_plausible(description, logs, force, console)
     say_spoiled(description, logs, console)
     # no fit looks at these, and twenty minutes of them are many
@@ -253,6 +257,8 @@ def fit_files(
     console.step("measuring each effect on the healthy arm")
     model = with_healthy_effects(model, logs)
     say_used(logs, model.cutoff, model.order, console)
+    for scale in torque_scales(model, [*logs, *loaded]) if loaded else ():
+        console.say(f"  {scale.text()}")
     return model, logs
 
 

@@ -11,3 +11,4 @@ from .torque import (
     summary as summary,
     validate as validate,
 )
+from .torque_scale import torque_scales as torque_scales

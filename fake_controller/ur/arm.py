@@ -52,10 +52,6 @@ class DenavitHartenberg:
         """(K, 4, 4) flange poses at joint positions (K, 6)."""
         return self._frames(q)[-1]
 
-    def elbow(self, q: np.ndarray) -> np.ndarray:
-        """(K, 3) places of the elbow."""
-        return self._frames(q)[2][:, :3, 3]
-
     def jacobian(self, q: np.ndarray) -> np.ndarray:
         """(K, 6, 6) of the flange in the base frame, linear above angular."""
         return _jacobian(self._frames(q))
@@ -94,17 +90,19 @@ class DenavitHartenberg:
         return min(found, key=lambda q: float(np.abs(q - near).max()))
 
     def _frames(self, q: np.ndarray) -> list[np.ndarray]:
-        pose = np.broadcast_to(np.eye(4), (len(q), 4, 4))
-        frames = [pose]
+        frames = [np.broadcast_to(np.eye(4), (len(q), 4, 4))]
+        cosines, sines = np.cos(q + self.theta), np.sin(q + self.theta)
         for k in range(6):
-            c, s = np.cos(q[:, k] + self.theta[k]), np.sin(q[:, k] + self.theta[k])
-            ca, sa = np.cos(self.alpha[k]), np.sin(self.alpha[k])
-            step = np.zeros((len(q), 4, 4))
-            step[:, 0] = np.stack([c, -s * ca, s * sa, self.a[k] * c], axis=1)
-            step[:, 1] = np.stack([s, c * ca, -c * sa, self.a[k] * s], axis=1)
-            step[:, 2] = 0.0, sa, ca, self.d[k]
-            step[:, 3, 3] = 1.0
-            frames.append(pose := pose @ step)
+            x, y, z, origin = (frames[-1][:, :3, column] for column in range(4))
+            c, s, ca, sa = cosines[:, k, None], sines[:, k, None], np.cos(self.alpha[k]), np.sin(self.alpha[k])
+            across = c * y - s * x
+            pose = np.zeros((len(q), 4, 4))
+            pose[:, :3, 0] = c * x + s * y
+            pose[:, :3, 1] = ca * across + sa * z
+            pose[:, :3, 2] = ca * z - sa * across
+            pose[:, :3, 3] = origin + self.d[k] * z + self.a[k] * pose[:, :3, 0]
+            pose[:, 3, 3] = 1.0
+            frames.append(pose)
         return frames
 
     def _solve(self, goals: np.ndarray, q: np.ndarray, steps: int, enough: float = _CONVERGED) -> np.ndarray:

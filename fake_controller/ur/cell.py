@@ -134,15 +134,12 @@ class UrCell(UrState):
         self._plant, self._astray = plant, Astray(6, self.period)
         self._functions = script_functions(self)
         self._lock, self._wake, self._closing = threading.RLock(), threading.Event(), threading.Event()
-        self._lies: dict[str, Fault] = {}
         self._refused_line = 0
         self._obeys, self._hidden_rate, self._slowness, self._clock_back = True, 1.0, 1.0, 0.0
         self._program: _Program | None = None
-        self._next_script: Script | None = None
         self._moving: _Moving | None = None
-        self._paused = self._stopping = False
-        self._stopped_at = 0
-        self._rate, self._slew = 1.0, _SLIDER_SLEW
+        self._next_script: Script | None = None
+        self._stopped_at, self._slew = 0, _SLIDER_SLEW
         self._moved = 0.0
         self._looked = time.monotonic()
         plant.rest(self.reference)
@@ -154,25 +151,6 @@ class UrCell(UrState):
         self._thread.start()
 
     # What is asked of it
-
-    @property
-    def moving(self) -> bool:
-        """Whether set-points are being carried out."""
-        return self._moving is not None
-
-    @property
-    def running(self) -> bool:
-        """Whether a program runs or is paused."""
-        return self._program is not None
-
-    @property
-    def runtime_state(self) -> int:
-        """As RTDE has it: 0 stopping, 1 stopped, 2 playing, 3 pausing, 4 paused."""
-        if self._paused:
-            return 3 if self._rate > 0 and self.moving else 4
-        if self._stopping:
-            return 0
-        return 2 if self.running or "no_end" in self._lies else 1
 
     @property
     def mute(self) -> bool:
@@ -204,9 +182,6 @@ class UrCell(UrState):
             return
         self.reach("start")
         with self._lock:
-            if script.secondary:
-                self._run_beside(script)
-                return
             if self.robot_mode != 7 or self.safety_mode not in (1, 2):
                 self._tell(error_message(self.time, 210, 0, _WARNING, "The robot is not ready to run a program"))
                 return
@@ -446,7 +421,7 @@ class UrCell(UrState):
     def _carry_out(self, program: _Program, thread: _Thread, request: Request) -> None:  # noqa: C901
         match request:
             case Action():
-                request.act()
+                request.act(self)
             case Question():
                 try:
                     thread.answer = request.ask()
@@ -496,7 +471,7 @@ class UrCell(UrState):
     def _go_on(self, moving: _Moving) -> None:
         """The next move takes over, or the arm has come to its goal."""
         for action in moving.deferred:
-            action.act()
+            action.act(self)
         if moving.after is None:
             self._moving, moving.thread.waits_for, self.control_line = None, "", 0
             return
@@ -571,21 +546,6 @@ class UrCell(UrState):
             self.protective_stop(why)
             raise ScriptError(f"runtime_error: {why}", move.line)
         return planned
-
-    def _run_beside(self, script: Script) -> None:
-        """A secondary program: within one cycle, without motion."""
-        thread = _Thread(script.run(), -1)
-        try:
-            while not thread.over:
-                request = self._next(thread)
-                if isinstance(request, Action):
-                    request.act()
-                elif isinstance(request, Question):
-                    thread.answer = request.ask()
-                elif request is not None:
-                    raise ScriptError("runtime_error: a secondary program takes no time", request.line)
-        except ScriptError as error:
-            self._tell(exception_message(self.time, error.line, error.column, str(error)))
 
     def _end_program(self, reason: EndReason) -> None:
         self._next_script = None

@@ -147,12 +147,6 @@ class Cycles:
                 q, qd = getattr(self, f"{name[:6]}_q"), getattr(self, f"{name[:6]}_qd")
                 ahead = cell.kinematics.forward(q + 1e-6 * qd) @ cell.tcp
                 return twist_between(self._tcp(name[:6]), ahead) / 1e-6
-            case "elbow_position":
-                return cell.kinematics.elbow(self.actual_q)
-            case "elbow_velocity":
-                return (
-                    cell.kinematics.elbow(self.actual_q + 1e-6 * self.actual_qd) - cell.kinematics.elbow(self.actual_q)
-                ) / 1e-6
             case "actual_tool_accelerometer":
                 return self._tcp("actual")[:, :3, :3].transpose(0, 2, 1) @ cell.gravity
         return cell.state_field(name)

@@ -151,13 +151,13 @@ class _Functions:
     def rtde_set_watchdog(self, variable_name: str, min_frequency: float, action: str = "pause") -> Action:
         if action not in ("ignore", "pause", "stop"):
             raise ValueError(f"{action!r} is no action")
-        return Action(lambda: self._cell.watch(variable_name, min_frequency, action))
+        return Action(lambda cell: cell.watch(variable_name, min_frequency, action))
 
     def textmsg(self, s1: Any, s2: Any = "") -> Action:
-        return Action(lambda: self._cell.tell_text(_said(s1) + _said(s2)))
+        return Action(lambda cell: cell.tell_text(_said(s1) + _said(s2)))
 
     def protective_stop(self) -> Action:
-        return Action(lambda: self._cell.protective_stop("the program asked for it"))
+        return Action(lambda cell: cell.protective_stop("the program asked for it"))
 
     def _move(self, kind: str, target: Any, a: float, v: float, t: float, r: float, via: Any = None) -> Go:
         if min(a, v) <= 0 or min(t, r) < 0 or len(target) != 6:
@@ -177,7 +177,7 @@ class _Functions:
         registers = self._cell.registers[f"output_{kind}"]
         if not 0 <= address < len(registers):
             raise ValueError(f"there is no register {address}")
-        return Action(lambda: registers.__setitem__(address, value))
+        return Action(lambda _: registers.__setitem__(address, value))
 
 
 def _missing(*_: Any, **__: Any) -> Any:

@@ -1,4 +1,4 @@
-"""What the primary and real-time interfaces send: big-endian, each message with its length before it."""
+"""What the primary interface sends: big-endian, each message with its length before it."""
 
 from __future__ import annotations
 
@@ -12,43 +12,6 @@ from fake_controller.ur.state import UrState
 
 _STATE, _MESSAGE = 16, 20
 _ROBOT_SOURCE = -2
-#: The real-time record by columns: fields of RTDE, or so many numbers that nothing is simulated for. The last ones are
-#: left out by older software.
-_REALTIME: tuple[str | int, ...] = (
-    "timestamp", "target_q", "target_qd", "target_qdd", "target_current", "target_moment", "actual_q", "actual_qd",
-    "actual_current", "joint_control_output", "actual_TCP_pose", "actual_TCP_speed", "actual_TCP_force",
-    "target_TCP_pose", "target_TCP_speed", "actual_digital_input_bits", "joint_temperatures", "actual_execution_time",
-    1, "robot_mode", "joint_mode", "safety_mode", 6, "actual_tool_accelerometer", 6, "speed_scaling",
-    "actual_momentum", 2, "actual_main_voltage", "actual_robot_voltage", "actual_robot_current",
-    "actual_joint_voltage", "actual_digital_output_bits", "runtime_state", "elbow_position", "elbow_velocity",
-    "safety_mode", 3, "payload", "payload_cog", "payload_inertia",
-)  # fmt: skip
-_WIDE = {
-    "timestamp", "actual_digital_input_bits", "actual_execution_time", "robot_mode", "safety_mode", "speed_scaling",
-    "actual_momentum", "actual_main_voltage", "actual_robot_voltage", "actual_robot_current", "payload",
-    "actual_digital_output_bits", "runtime_state",
-}  # fmt: skip
-#: Doubles of the record on a CB3 and on an e-Series of 5.10.
-REALTIME_SIZE = {False: 138, True: 152}
-
-
-def realtime_records(cycles: Cycles) -> bytes:
-    """One record a cycle."""
-    columns: list[np.ndarray] = []
-    for name in _REALTIME:
-        wide = name if isinstance(name, int) else 1 if name in _WIDE else 3 if _is_place(name) else 6
-        values = np.asarray(0.0 if isinstance(name, int) else cycles.field(name), float)
-        values = values[:, None] if wide == 1 and np.ndim(values) == 1 else values
-        columns.append(np.broadcast_to(values, (len(cycles), wide)))
-    table = np.hstack(columns)[:, : REALTIME_SIZE[cycles.cell.e_series]]
-    size = 4 + 8 * table.shape[1]
-    records = np.zeros(len(cycles), [("size", ">i4"), ("values", ">f8", (table.shape[1],))])
-    records["size"], records["values"] = size, table
-    return records.tobytes()
-
-
-def _is_place(name: str) -> bool:
-    return name in ("actual_tool_accelerometer", "elbow_position", "elbow_velocity", "payload_cog")
 
 
 def state_message(cycles: Cycles) -> bytes:

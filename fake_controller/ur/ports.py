@@ -12,7 +12,7 @@ from collections.abc import Callable
 from fake_controller.clock import FastClock
 from fake_controller.ur.cell import UrCell
 from fake_controller.ur.fields import Cycles
-from fake_controller.ur.messages import error_message, realtime_records, state_message, version_message
+from fake_controller.ur.messages import error_message, state_message, version_message
 
 _RECEIVE = 64 * 1024
 _SEND_LIMIT = 5.0  # s after which a client that takes nothing is dropped
@@ -113,7 +113,10 @@ class UrConnection:
 
 
 class ScriptConnection(UrConnection):
-    """Ports 30001, 30002 and 30003: state out, scripts in. After a turn to local mode nothing is taken any more."""
+    """Ports 30001, 30002 and 30003: scripts in, and state out but for the last, whose record is not simulated.
+
+    After a turn to local mode nothing is taken any more.
+    """
 
     def __init__(self, cell: UrCell, connection: socket.socket, realtime: bool) -> None:
         super().__init__(cell, connection)
@@ -134,11 +137,9 @@ class ScriptConnection(UrConnection):
             self.cell.when_local.remove(self.close)
 
     def on_cycles(self, cycles: Cycles) -> None:
-        if self.cell.mute:
+        if self._realtime or self.cell.mute:
             return
-        if self._realtime:
-            self.stream(realtime_records(cycles))
-        elif cycles.time[-1] >= self._next or cycles.time[-1] < self._next - 1.0:
+        if cycles.time[-1] >= self._next or cycles.time[-1] < self._next - 1.0:
             self._next = cycles.time[-1] + _STATE_PERIOD
             self.stream(state_message(cycles))
 
@@ -160,7 +161,7 @@ class ScriptConnection(UrConnection):
 
     def _next_script(self) -> str | None:
         """The next whole script or line, if there is one."""
-        if not self._text.startswith(("def ", "sec ")):
+        if not self._text.startswith("def "):
             line, newline, rest = self._text.partition("\n")
             if newline:
                 self._text = rest

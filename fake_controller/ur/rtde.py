@@ -1,4 +1,4 @@
-"""Port 30004: recipes of fields, samples out, inputs in; versions 1 and 2 of the protocol."""
+"""Port 30004: recipes of fields, samples out, inputs in; version 2 of the protocol."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from fake_controller.ur.fields import Cycles, input_type, output_type, packed, r
 from fake_controller.ur.ports import UrConnection
 
 _LONGEST_NAMES = 2048  # bytes
-_OLDEST, _NEWEST = 1, 2
+_VERSION = 2
 
 
 class RtdeConnection(UrConnection):
@@ -23,7 +23,6 @@ class RtdeConnection(UrConnection):
         super().__init__(cell, connection)
         self._owners = owners
         self._rest = b""
-        self._version = _OLDEST
         self._outputs: list[str] | None = None
         self._layout: np.dtype[Any] = packed([])
         self._every = 1
@@ -56,15 +55,13 @@ class RtdeConnection(UrConnection):
             try:
                 self._answer(chr(kind), payload)
             except (struct.error, UnicodeDecodeError, ValueError):
-                self._reply("M", _text(self._version, "a package that makes no sense", 1))
+                self._reply("M", _text("a package that makes no sense", 1))
 
     def _answer(self, kind: str, payload: bytes) -> None:
         match kind:
             case "V":
                 (version,) = struct.unpack(">H", payload)
-                accepted = _OLDEST <= version <= _NEWEST
-                self._version = version if accepted else self._version
-                self._reply("V", bytes([accepted]))
+                self._reply("V", bytes([version == _VERSION]))
                 self.cell.reach("connect")
             case "v":
                 self._reply("v", struct.pack(">4I", *self.cell.version))
@@ -83,16 +80,14 @@ class RtdeConnection(UrConnection):
             case "M":
                 pass  # for the log
             case _:
-                self._reply("M", _text(self._version, f"there is no package of type {kind!r}", 1))
+                self._reply("M", _text(f"there is no package of type {kind!r}", 1))
 
     def _set_up_outputs(self, payload: bytes) -> None:
-        frequency = 1 / self.cell.period
-        if self._version == 2:
-            (asked,) = struct.unpack_from(">d", payload)
-            payload, frequency = payload[8:], min(asked or frequency, frequency)
-        if not frequency > 0 or len(payload) > _LONGEST_NAMES:
+        (asked,) = struct.unpack_from(">d", payload)
+        frequency = min(asked or np.inf, 1 / self.cell.period)
+        if not frequency > 0 or len(payload) - 8 > _LONGEST_NAMES:
             raise ValueError
-        names = _names(payload)
+        names = _names(payload[8:])
         types = [output_type(name, self.cell.version) for name in names]
         self._every = int(1 / self.cell.period / frequency + 1e-9)
         found = "NOT_FOUND" not in types and bool(names)
@@ -100,8 +95,7 @@ class RtdeConnection(UrConnection):
         self._started = False
         if found:
             self._layout = packed(types)
-        recipe = bytes([found]) if self._version == 2 else b""
-        self._reply("O", recipe + ",".join(types).encode())
+        self._reply("O", bytes([found]) + ",".join(types).encode())
 
     def _set_up_inputs(self, payload: bytes) -> None:
         names = _names(payload)
@@ -138,11 +132,8 @@ class RtdeConnection(UrConnection):
         if self.cell.mute or not self._started or self._outputs is None or first >= len(cycles):
             return
         chosen = cycles.part(slice(first, None, self._every))
-        head = [("size", ">u2"), ("kind", "u1"), *([("recipe", "u1")] if self._version == 2 else [])]
-        rows = np.zeros(len(chosen), [*head, ("values", self._layout)])
-        rows["size"], rows["kind"] = rows.itemsize, ord("U")
-        if self._version == 2:
-            rows["recipe"] = 1
+        rows = np.zeros(len(chosen), [("size", ">u2"), ("kind", "u1"), ("recipe", "u1"), ("values", self._layout)])
+        rows["size"], rows["kind"], rows["recipe"] = rows.itemsize, ord("U"), 1
         for k, name in enumerate(self._outputs):
             values = np.asarray(chosen.field(name))
             column = rows["values"][f"f{k}"]
@@ -161,8 +152,6 @@ def _names(payload: bytes) -> list[str]:
     return [name for name in payload.decode("ascii").split(",") if name]
 
 
-def _text(version: int, text: str, level: int) -> bytes:
+def _text(text: str, level: int) -> bytes:
     data, source = text.encode(), b"rtde"
-    if version == 1:
-        return bytes([level]) + data
     return bytes([len(data)]) + data + bytes([len(source)]) + source + bytes([level])

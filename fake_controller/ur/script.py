@@ -48,9 +48,9 @@ class Request:
 
 @dataclass
 class Action(Request):
-    """Something to do without an answer: after a blended move it is done as the blend begins."""
+    """Something to do with the controller, without an answer: after a blended move it is done as the blend begins."""
 
-    act: Callable[[], object]
+    act: Callable[[Any], object]
 
 
 @dataclass
@@ -124,7 +124,7 @@ class Script:
     """A compiled script.
 
     Args:
-        text: one `def` or `sec`, or statements without any.
+        text: one `def`, or statements without any.
         functions: what the controller knows, by name.
 
     Raises:
@@ -139,11 +139,11 @@ class Script:
             what = error.token if isinstance(error, UnexpectedToken) else ""
             raise ScriptError(f"compile_error_syntax_error:{what}:", max(error.line, 1), max(error.column, 1)) from None
         (self._main,) = tree.children
-        self.name, self.secondary = "unnamed", False
+        self.name = "unnamed"
         statements = self._main.children
         if len(statements) == 1 and statements[0].data == "routine":
-            kind, name, *_, self._main = statements[0].children
-            self.name, self.secondary = str(name), kind == "sec"
+            _, name, *_, self._main = statements[0].children
+            self.name = str(name)
         known = {*functions, *(str(routine.children[1]) for routine in tree.find_data("routine"))}
         for call in tree.find_data("call"):
             name = call.children[1]

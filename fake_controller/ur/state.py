@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 from agent.robot import Dynamics, RobotDescription, Tool
 from fake_controller.actuation.machine import Machine
+from fake_controller.faults import Fault
 from fake_controller.state import State, home
 from fake_controller.ur.arm import MODELS, DenavitHartenberg, poses_of
 
 SWITCHED_ON = 60.0  # s that the controller has been on when it is first seen
 
 
-class UrState(ABC):
-    """State of a cell; what changes it is in `UrCell`.
+class UrState:
+    """State of a cell; what changes it is in `UrCell`, which alone knows what `_program` and `_moving` are.
 
     `tcp` (4, 4) is in the flange's frame; `payload` has mass, centre and inertia in the order of set_target_payload;
     `gravity` (3,) is the acceleration away from the ground. `position`, `velocity`, `reference`, `reference_velocity`
@@ -36,6 +37,11 @@ class UrState(ABC):
         self.state = State()
         self.idle = self.protected = False
         self.cycle = self.control_line = 0
+        self._program: Any = None
+        self._moving: Any = None
+        self._paused = self._stopping = False
+        self._rate = 1.0  # of motion, as a share of the planned one
+        self._lies: dict[str, Fault] = {}
         self.tcp, self.payload, self.gravity = np.eye(4), [0.0] * 10, np.array([0.0, 0.0, 9.80665])
         self.registers: dict[str, list[Any]] = {}
         self.clear_registers()
@@ -44,31 +50,23 @@ class UrState(ABC):
         self._dynamics: tuple[tuple[float, ...], Dynamics] | None = None
 
     @property
-    @abstractmethod
     def moving(self) -> bool:
         """Whether set-points are being carried out."""
+        return self._moving is not None
 
     @property
-    @abstractmethod
     def running(self) -> bool:
         """Whether a program runs or is paused."""
+        return self._program is not None
 
     @property
-    @abstractmethod
     def runtime_state(self) -> int:
         """As RTDE has it: 0 stopping, 1 stopped, 2 playing, 3 pausing, 4 paused."""
-
-    @abstractmethod
-    def protective_stop(self, why: str) -> None:
-        """Come to rest at once; the program is paused."""
-
-    @abstractmethod
-    def watch(self, name: str, frequency: float, action: str) -> None:
-        """rtde_set_watchdog; a frequency of 0 leaves the one there is."""
-
-    @abstractmethod
-    def tell_text(self, text: str) -> None:
-        """textmsg."""
+        if self._paused:
+            return 3 if self._rate > 0 and self.moving else 4
+        if self._stopping:
+            return 0
+        return 2 if self.running or "no_end" in self._lies else 1
 
     @property
     def remote(self) -> bool:
@@ -125,7 +123,7 @@ class UrState(ABC):
             case "payload_inertia":
                 return self.payload[4:]
             case "tcp_offset":
-                return poses_of(self.tcp[None])[0]
+                return _offset(self.tcp.tobytes())
             case "script_control_line":
                 return self.control_line
             case "joint_temperatures":
@@ -143,3 +141,9 @@ class UrState(ABC):
             tool = Tool(np.eye(4), self.payload[0], np.array(self.payload[1:4]))
             self._dynamics = key, Dynamics(self.robot, tool).with_gravity(-self.gravity)
         return self._dynamics[1]
+
+
+@lru_cache(maxsize=4)
+def _offset(tcp: bytes) -> np.ndarray:
+    """(6,) the URScript pose of a matrix (4, 4); a sample of every cycle has it."""
+    return poses_of(np.frombuffer(tcp).reshape(1, 4, 4))[0]

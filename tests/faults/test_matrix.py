@@ -19,10 +19,11 @@ MADE_GOOD = {
 }
 #: Wires on which answers are asked for: a client that is not heard does not learn that its start was taken.
 POLLED = ("modbus", "rtu")
-#: Tried on a UR, in motion; local mode, damaged numbers and a lost client end in more than one way there.
+#: Tried on a UR, in motion; damaged numbers end in more than one way there.
 UR_TRIED = {
     *("silent", "drop", "protective_stop", "off_path", "off_speed", "servo_error", "override", "mute"),
     *("emergency_stop", "drive_fault", "alarm", "restart", "reset_counters", "no_numbers", "clock_back"),
+    *("teach_mode", "lost_client"),
 }
 #: What the controller refuses a start for.
 STATES = ("emergency_stop", "drive_fault", "alarm", "protective_stop", "teach_mode")
@@ -68,7 +69,7 @@ def expected(wire: str, name: str, phase: str) -> tuple[int, int, bool]:
         return 0, 1, True
     if name == "emergency_stop":
         return 5, int(phase == "streaming"), phase == "streaming"
-    if name in (*ASTRAY, "no_numbers"):
+    if name in (*ASTRAY, "no_numbers") or (wire, name) == ("ur", "lost_client"):  # there it is a protective stop
         return 5, 1, True
     if name in STATES:
         return (5, 1, True) if phase == "streaming" else (4, 0, False)

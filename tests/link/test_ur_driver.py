@@ -201,8 +201,8 @@ def test_torque_is_the_current_times_what_an_ampere_gives(driver):
     ],
 )
 def test_the_state_is_told_to_the_guard(peer, driver, state, seen):
+    peer.state |= state  # before the connection: a sample that is on its way when the state changes has the old one
     driver.connect()
-    peer.state |= state
     assert seen(driver.status())
 
 
@@ -224,7 +224,7 @@ def test_local_control_is_told_and_refused(peer, driver):
     ],
 )
 def test_what_differs_from_the_program_is_refused_with_both_values(peer, driver, state, message):
-    peer.state |= state  # before the connection: a sample that is on its way when the state changes has the old one
+    peer.state |= state
     checksum = stored(driver)
     with pytest.raises(RefusedError, match=message):
         driver.start("p", checksum)

@@ -157,18 +157,6 @@ def test_what_a_bound_clears_is_not_singular(arms: dict[str, RobotDescription], 
     assert kinematics._suspects(q)[singular].all()
 
 
-@pytest.mark.parametrize("name", ["anthropomorphic", "skew", "scara"])
-def test_all_poses_at_once_are_on_the_branch_of_pose_by_pose(arms: dict[str, RobotDescription], name: str) -> None:
-    kinematics = kinematics_for(arms[name])
-    assert isinstance(kinematics, NumericalKinematics)
-    poses = kinematics.forward(swing(kinematics.dof, np.random.default_rng(3), 150))
-    start = kinematics.solve(poses[0], np.full(kinematics.dof, 0.7))
-    alone = [start]
-    for pose in poses[1:]:
-        alone.append(kinematics.follow(pose[None], alone[-1])[0])
-    np.testing.assert_allclose(kinematics.follow(poses, start), alone, rtol=0, atol=1e-8)
-
-
 @settings(max_examples=10, deadline=None)
 @given(st.sampled_from(("anthropomorphic", "skew", "scara", "seven axes")), st.integers(0, 2**31))
 def test_many_poses_are_solved_as_one_by_one(arms: dict[str, RobotDescription], name: str, seed: int) -> None:

@@ -40,16 +40,14 @@ class Wire:
 
 
 class Rtde(Wire):
-    def __init__(self, address, *names, version=2, frequency=0.0):
+    def __init__(self, address, *names, frequency=0.0):
         super().__init__(address, 30004)
-        self.version = version
         if names:
-            self.ask("V", struct.pack(">H", version))
-            head = struct.pack(">d", frequency) if version == 2 else b""
-            answer = self.ask("O", head + ",".join(names).encode())
-            types = answer[version - 1 :].decode().split(",")
+            self.ask("V", struct.pack(">H", 2))
+            answer = self.ask("O", struct.pack(">d", frequency) + ",".join(names).encode())
+            types = answer[1:].decode().split(",")
             self.names = names
-            self._format = ">" + "B" * (version - 1) + "".join(FORMATS[kind] for kind in types)
+            self._format = ">B" + "".join(FORMATS[kind] for kind in types)
             self._widths = [int(FORMATS[kind][:-1] or 1) for kind in types]
             assert self.ask("S") == b"\1"
 
@@ -73,7 +71,7 @@ class Rtde(Wire):
         """The next sample by name."""
         kind, payload = self.receive()
         assert kind == "U", (kind, payload)
-        values = list(struct.unpack(self._format, payload)[self.version - 1 :])
+        values = list(struct.unpack(self._format, payload)[1:])
         sample = {}
         for name, width in zip(self.names, self._widths, strict=True):
             part, values = values[:width], values[width:]

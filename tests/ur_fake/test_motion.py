@@ -239,7 +239,7 @@ def test_a_client_that_does_not_read_is_dropped(start_ur):
 def test_a_client_of_state_that_does_not_read_misses_it_and_nobody_else_does(start_ur):
     """Real time waits for nobody."""
     ur = start_ur(clock="real")
-    with clients(Wire(ur.address, 30003), Rtde(ur.address, "timestamp")) as (idle, reader):
+    with clients(Wire(ur.address, 30001), Rtde(ur.address, "timestamp")) as (idle, reader):
         idle.socket.setsockopt(1, 8, 4096)  # SOL_SOCKET, SO_RCVBUF
         times = [reader.sample()["timestamp"] for _ in range(1500)]
     np.testing.assert_allclose(np.diff(times), 0.002, atol=1e-9)

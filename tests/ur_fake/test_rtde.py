@@ -53,7 +53,7 @@ def test_fields_are_as_old_as_the_guide_says(name, too_old, old_enough):
     assert output_type(name, old_enough) == PUBLISHED.get(name, "VECTOR6D")
 
 
-def test_bytes_of_the_second_version(ur):
+def test_the_bytes_are_the_published_ones(ur):
     with clients(Rtde(ur)) as client:
         client.send(bytes.fromhex("0005 56 0002"))  # version 2
         assert client.take(4) == bytes.fromhex("0004 56 01")
@@ -72,27 +72,14 @@ def test_bytes_of_the_second_version(ur):
         assert client.ask("P") == b"\1"
 
 
-def test_bytes_of_the_first_version(start_ur):
-    """Until the second is agreed on: no frequency, no recipe number."""
-    with clients(Rtde(start_ur(version=CB3).address)) as client:
-        client.send(bytes.fromhex("0017 4f") + b"safety_mode,payload" + b",")
-        assert client.take(15) == bytes.fromhex("000f 4f") + b"INT32,DOUBLE"
-        client.send(bytes.fromhex("0003 53"))
-        assert client.take(4) == bytes.fromhex("0004 53 01")
-        assert client.take(15) == bytes.fromhex("000f 55 00000001 0000000000000000")
-        assert client.ask("V", b"\0\3") == b"\0"
-        client.package("X")
-        kind, content = client.receive()
-        while kind == "U":
-            kind, content = client.receive()
-        assert (kind, content[0]) == ("M", 1)  # level and text, no lengths
-
-
 def test_one_unknown_name_makes_the_recipe_void(ur):
     with clients(Rtde(ur)) as client:
         client.ask("V", b"\0\2")
         assert client.ask("O", struct.pack(">d", 500) + b"timestamp,no_such") == b"\0DOUBLE,NOT_FOUND"
         assert client.ask("S") == b"\0"
+        assert client.ask("V", b"\0\3") == b"\0"
+        client.package("X")
+        assert client.receive()[0] == "M"
 
 
 def test_an_input_belongs_to_the_client_that_named_it_first(ur):

@@ -21,10 +21,10 @@ def value_of(expression):
     """What an expression is, with nothing but textmsg known."""
     said = []
     script = Script(
-        f"def f():\n  textmsg({expression})\nend\n", {"textmsg": lambda value: Action(lambda: said.append(value))}
+        f"def f():\n  textmsg({expression})\nend\n", {"textmsg": lambda value: Action(lambda _: said.append(value))}
     )
     for request in script.run():
-        request.act()
+        request.act(None)
     return said[0]
 
 

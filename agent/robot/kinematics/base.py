@@ -224,14 +224,20 @@ class Kinematics(ABC):
     def singularity(self, q: np.ndarray) -> SingularityDistance:
         """How far configurations (S, n) are from singular ones."""
 
-    @abstractmethod
     def solve_configuration(self, pose: np.ndarray, configuration: str) -> np.ndarray:
-        """(n,) the solution for a pose (4, 4) with these configuration flags and turns; limits are not checked.
+        """(n,) the solution for a pose (4, 4) with these configuration flags and turns; limits are not checked then.
+
+        Without a spherical wrist an arm has no flags: the empty string gives the solution nearest to mid-range.
 
         Raises:
             InputError: flags that make no sense for this arm.
             KinematicsError: out of reach in that configuration, or singular; index 0.
         """
+        if configuration.strip():
+            raise InputError(
+                f"robot {self.robot.name} has no spherical wrist: configuration {configuration!r} has no meaning for it"
+            )
+        return self.solve(pose, self.middle)
 
     def configuration_text(self, q: np.ndarray) -> str:
         """The configuration string at joint positions q (n,); empty for an arm that has no such flags."""
@@ -273,17 +279,3 @@ def pose_error(target: np.ndarray, actual: np.ndarray) -> np.ndarray:
     error[:, 3:] *= scale[:, None]
     error[(length <= 1e-12) & (angle > 1), 3] = np.pi
     return error
-
-
-def cubic_between(known: np.ndarray, values: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """(P, n) at places (P,) by the cubic through the four nearest of values (K, n) at places `known` (K,)."""
-    count = min(4, len(known))
-    first = np.clip(np.searchsorted(known, places) - count // 2, 0, len(known) - count)
-    total = np.zeros((len(places), values.shape[1]))
-    for one in range(count):
-        part = np.ones(len(places))
-        for other in range(count):
-            if other != one:
-                part *= (places - known[first + other]) / (known[first + one] - known[first + other])
-        total += part[:, None] * values[first + one]
-    return total

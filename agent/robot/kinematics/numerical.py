@@ -12,7 +12,6 @@ from typing import NoReturn
 
 import numpy as np
 
-from agent.core import InputError
 from agent.robot.description import RobotDescription
 from agent.robot.kinematics.base import (
     LARGEST_STEP,
@@ -21,7 +20,6 @@ from agent.robot.kinematics.base import (
     Kinematics,
     KinematicsError,
     SingularityDistance,
-    cubic_between,
     pose_error,
     position_text,
     singular,
@@ -74,9 +72,6 @@ class NumericalKinematics(Kinematics):
         if not error[0] < ACCURACY * self.length:
             self._raise(0, poses[0], first, error)
         q[0] = first[0]
-        if self.dof <= 6 and self._follow_at_once(poses, q):
-            self._check_singularity(poses, q)
-            return q
         longest = 1 if self.dof > 6 else _STRETCH
         done, stretch = 0, longest
         while done < len(poses) - 1:
@@ -87,25 +82,6 @@ class NumericalKinematics(Kinematics):
                 stretch //= 2
         self._check_singularity(poses, q)
         return q
-
-    def _follow_at_once(self, poses: np.ndarray, q: np.ndarray) -> bool:
-        """Fill q (S, n) after its first row for all poses together; False where that may have left the branch.
-
-        First some poses far apart, all from the start, then ever more between those that are known. Neighbours that
-        are near each other, everywhere, are on one branch.
-        """
-        last = len(poses) - 1
-        known = np.zeros(1, dtype=int)
-        for apart in (_STRETCH, _STRETCH // 8, 1):
-            new = np.setdiff1d(np.append(np.arange(0, last, apart), last), known)
-            if len(new) == 0:
-                continue
-            guess = q[:1] if len(known) == 1 else cubic_between(known, q[known], new)
-            q[new], error = self._converge(poses[new], np.broadcast_to(guess, (len(new), self.dof)))
-            if not (error < ACCURACY * self.length).all():
-                return False
-            known = np.sort(np.append(known, new))
-        return bool(np.abs(np.diff(q, axis=0))[:, self._revolute].max(initial=0.0) <= _NEIGHBOURS)
 
     def nearest(self, poses: np.ndarray, near: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(S, n) joints of a redundant arm at poses (S, 4, 4) nearest to `near` (S, n), and where they were found (S,).
@@ -219,14 +195,6 @@ class NumericalKinematics(Kinematics):
         jacobian[:, 3:] *= self.length
         values = np.linalg.svd(jacobian, compute_uv=False)
         return SingularityDistance(("arm",), values[:, -1:] / np.maximum(values[:, :1], np.finfo(float).tiny))
-
-    def solve_configuration(self, pose: np.ndarray, configuration: str) -> np.ndarray:
-        """Such an arm has no configuration flags: the empty string gives the solution nearest to mid-range."""
-        if configuration.strip():
-            raise InputError(
-                f"robot {self.robot.name} has no spherical wrist: configuration {configuration!r} has no meaning for it"
-            )
-        return self.solve(pose, self.middle)
 
     def _refuse(self, pose: np.ndarray) -> NoReturn:
         q, error = self._converge(np.repeat(pose[None], _SEEDS, axis=0), self._seeds)

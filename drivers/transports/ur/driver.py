@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from drivers.errors import ConfigurationError, DriverError, RefusedError
+from drivers.errors import ConfigurationError, DriverError, MotionStopped, RefusedError
 from drivers.protocol import Identity, Status
 from drivers.texts import place_of
 from drivers.transports.base import WATCHDOG, LinkDriver
@@ -37,8 +37,9 @@ JOINTS = (
 _PORTS = {"dashboard": 29999, "primary": 30001, "rtde": 30004}
 #: A pace from this part of the whole one on is the whole one.
 _WHOLE = 0.95
-#: An arm that was told to stop does so within this [s], or the heartbeat is withheld from it.
-_OBEYS = 3.0
+#: An arm that was told to stop rests within this [s], or the heartbeat is withheld: its program then stops it within
+#: `WATCHDOG`, so that a controller which confirms a stop and goes on is stopped after 1 s.
+_OBEYS = 0.4
 #: A simulator keeps no rhythm on the wall: its silence [s] is one from here on.
 _SIMULATED = 5.0
 
@@ -106,16 +107,15 @@ class UrDriver(LinkDriver[UrLink, UrMotion]):
 
     def status(self) -> Status:
         """What the controller says after this call."""
-        link = self._connected()
-        remote = self._remote()
+        link, motion = self._connected(), self._motion
+        streaming = motion is not None and motion.begun and not motion.over
+        remote = self._remote(streaming)
         sample = link.fresh()
         safety = int(sample["safety_mode"])
         stops = (*states.EMERGENCY_STOPS, states.SAFEGUARD, states.NORMAL)
         name, checksum = "", ""
         if self._stored is not None:
             name, checksum = self._stored[0], _checksum(self._stored[1].text)
-        motion = self._motion
-        streaming = motion is not None and motion.begun and not motion.over
         return Status(
             drives_on=int(sample["robot_mode"]) == states.RUNNING,
             mode="auto" if remote else "teach",
@@ -228,10 +228,20 @@ class UrDriver(LinkDriver[UrLink, UrMotion]):
             raise DriverError(f"the link to {self.address} is not open; connect first")
         return self._dashboard.ask(command)
 
-    def _remote(self) -> bool:
+    def _remote(self, streaming: bool = False) -> bool:
+        """Whether the robot is in remote control.
+
+        A dashboard that is silent while the arm moves says nothing: a controller that does not hear its client stops
+        the arm by the heartbeat, and its samples tell so. One that turns to local mode closes the primary interface.
+        """
         assert self._model is not None
         assert self._dashboard is not None
-        return not self._model.remote or self._dashboard.remote()
+        try:
+            return not self._model.remote or self._dashboard.remote()
+        except DriverError:
+            if streaming:
+                return True
+            raise
 
     def _rests(self, link: UrLink, motion: UrMotion | None, timeout: float) -> bool:
         if motion is not None:
@@ -291,6 +301,16 @@ class UrDriver(LinkDriver[UrLink, UrMotion]):
             )
 
     # From here on in the thread of the link.
+
+    def _on_failure(self, error: DriverError) -> None:
+        motion = self._motion
+        if motion is not None and motion.begun and not motion.over:
+            with contextlib.suppress(DriverError):
+                if not self._remote():
+                    error = MotionStopped(
+                        f"the robot at {self.address} was switched to local control in motion: {error}"
+                    )
+        super()._on_failure(error)
 
     def _on_samples(self, samples: np.ndarray) -> None:
         motion, link = self._motion, self._link

@@ -1,0 +1,108 @@
+"""Closed form of arms whose axes 2, 3 and 4 are parallel, exactly or as calibrated."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given, settings, strategies as st
+
+from agent.robot import KinematicsError, RobotDescription, kinematics_for, load_robot
+from agent.robot.kinematics.chain import chain_of
+from agent.robot.kinematics.numerical import NumericalKinematics
+from agent.robot.kinematics.parallel_axes import ParallelAxesKinematics
+
+POSTURE = np.array([0.3, -1.2, 1.4, -1.5, -1.2, 0.4])
+
+
+def arm(make_arm: Callable, seed: int, off: float = 0.0) -> RobotDescription:
+    """An arm of random lengths, offsets and senses; every frame is off by so much [m, rad] of a right angle."""
+    rng = np.random.default_rng(seed)
+    signs = rng.choice([-1, 1], 6)
+    a1, b, d4, d5, d6 = rng.uniform([0.0, -0.1, 0.05, -0.12, 0.02], [0.1, 0.1, 0.15, 0.12, 0.1])
+    upper, forearm = rng.uniform(0.3, 0.7, 2)
+    frames = [
+        ((0.0, 0.0, 0.2), (0.0, 0.0, 0.4)),
+        ((a1, 0.0, 0.1), (-np.pi / 2, 0.0, 0.0)),
+        ((0.1, -upper, b), (0.0, 0.0, 0.3)),
+        ((0.0, forearm, d4), (0.0, 0.0, -0.2)),
+        ((0.0, 0.0, 0.02), (np.pi / 2, 0.0, 0.0)),
+        ((0.0, 0.0, d5), (-np.pi / 2, 0.1, 0.0)),
+    ]
+    joints = [
+        ("R", np.add(xyz, off * rng.uniform(-1, 1, 3)), np.add(rpy, off * rng.uniform(-1, 1, 3)), (0, 0, sign))
+        for (xyz, rpy), sign in zip(frames, signs, strict=True)
+    ]
+    return make_arm(joints, tip=((0.01, 0.02, d6), (0.2, -0.1, 0.5)), limit=2 * np.pi)
+
+
+@settings(max_examples=40)
+@given(st.integers(0, 2**31), st.sampled_from([0.0, 1e-3]))
+def test_inverse_undoes_forward_on_every_branch(make_arm: Callable, seed: int, off: float) -> None:
+    kinematics = kinematics_for(arm(make_arm, seed, off))
+    assert isinstance(kinematics, ParallelAxesKinematics)
+    q = np.random.default_rng(seed).uniform(-np.pi, np.pi, (20, 6))
+    q = q[kinematics.singularity(q).smallest > 0.1]
+    poses = kinematics.forward(q)
+    found = kinematics.inverse(poses)
+    sample, branch = np.nonzero(found.valid)
+    np.testing.assert_allclose(kinematics.forward(found.q[sample, branch]), poses[sample], atol=2e-9)
+    for there, solutions, valid in zip(q, found.q, found.valid, strict=True):
+        mine = solutions[valid]
+        assert np.abs(np.angle(np.exp(1j * (mine - there)))).max(axis=1).min() < 1e-7
+        assert len({kinematics.branch(row) for row in mine}) == len(mine)
+
+
+@settings(max_examples=20)
+@given(st.integers(0, 2**31), st.sampled_from([0.0, 1e-3]))
+def test_follow_keeps_branch_and_turns(make_arm: Callable, seed: int, off: float) -> None:
+    kinematics = kinematics_for(arm(make_arm, seed, off))
+    rng = np.random.default_rng(seed)
+    t = np.linspace(0.0, 1.0, 200)[:, None]
+    q = POSTURE + rng.uniform(0.1, 0.2, 6) * np.sin(2 * np.pi * (t * rng.integers(1, 3, 6) + rng.uniform(0, 1, 6)))
+    q[:, [0, 5]] += 2 * np.pi * rng.integers(-1, 2, 2) + 9.0 * t
+    if kinematics.singularity(q).smallest.min() > 0.05:
+        np.testing.assert_allclose(kinematics.follow(kinematics.forward(q), q[0]), q, atol=1e-7)
+
+
+@pytest.mark.parametrize("name", ["ur3e", "ur5e", "ur10e"])
+def test_it_agrees_with_the_numerical_inverse(name: str) -> None:
+    robot = load_robot(name)
+    closed, numerical = kinematics_for(robot), NumericalKinematics(robot, chain_of(robot))
+    assert isinstance(closed, ParallelAxesKinematics)
+    poses = closed.forward(POSTURE + np.random.default_rng(3).uniform(-0.3, 0.3, (5, 6)))
+    exact, found = closed.inverse(poses), numerical.inverse(poses)
+    for k in range(len(poses)):
+        expected = exact.q[k, exact.valid[k]]
+        for q in found.q[k, found.valid[k]]:
+            assert np.abs(np.angle(np.exp(1j * (expected - q)))).max(axis=1).min() < 1e-7
+
+
+@pytest.mark.parametrize(
+    ("joint", "value", "message"),
+    [(2, 0.0, "elbow is stretched or folded"), (4, 0.0, "axes 4 and 6 parallel")],
+)
+def test_singular_poses_are_refused(joint: int, value: float, message: str) -> None:
+    kinematics = kinematics_for(load_robot("ur5e"))
+    q = POSTURE.copy()
+    q[joint] = value
+    with pytest.raises(KinematicsError, match=message) as refused:
+        kinematics.follow(kinematics.forward(q[None]), POSTURE)
+    assert refused.value.reason == "singular"
+
+
+@pytest.mark.parametrize(
+    ("place", "message"), [((1.2, 0.0, 0.3), "m too far|the arm reaches from"), ((0.0, 0.0, 0.5), "comes no nearer")]
+)
+def test_poses_out_of_reach_are_refused_with_the_distance(place: tuple[float, ...], message: str) -> None:
+    kinematics = kinematics_for(load_robot("ur5e"))
+    pose = np.diag([1.0, -1.0, -1.0, 1.0])
+    pose[:3, 3] = place
+    with pytest.raises(KinematicsError, match=message) as refused:
+        kinematics.solve(pose, POSTURE)
+    assert refused.value.reason == "unreachable"
+
+
+def test_axes_that_are_far_from_parallel_have_no_closed_form(make_arm: Callable) -> None:
+    assert isinstance(kinematics_for(arm(make_arm, 1, off=0.05)), NumericalKinematics)
