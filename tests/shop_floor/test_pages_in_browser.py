@@ -122,7 +122,7 @@ def test_every_control_does_something(small: Path, browser):
 def test_plots_are_read_and_zoomed_by_keyboard_and_linked(small: Path, browser):
     with browser.page(small) as opened:
         opened.draw()
-        first, second = opened.tab.locator("figure[data-name=waves] .panel").all()
+        first, second = opened.tab.locator("figure[data-name=waves] .live .panel").all()
         first.locator(".canvas").focus()
         for key in ("ArrowRight", "+", "ArrowLeft"):
             opened.tab.keyboard.press(key)
