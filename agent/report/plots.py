@@ -5,11 +5,11 @@ from __future__ import annotations
 import base64
 import gzip
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -172,41 +172,34 @@ def packed(text: str) -> str:
 
 def spec(plot: Plot) -> str:
     """What the page's script needs in addition to the data: JSON, safe inside a script element."""
-    column = iter(range(1_000_000))
-    shared = next(column) if plot.x is not None else None
-    panels = [_panel(panel, shared, column) for panel in plot.panels]
-    content = {
+    panels = [
+        {
+            "title": panel.title,
+            "unit": panel.unit,
+            "joint": panel.joint,
+            "own": panel.x is not None,
+            "zero": panel.from_zero,
+            "marks": list(panel.marks.items()),
+            "series": [
+                {
+                    "label": one.label,
+                    "look": one.look if one.low is None else "band",
+                    "colour": one.colour,
+                    "joint": one.joint,
+                }
+                for one in panel.series
+            ],
+        }
+        for panel in plot.panels
+    ]
+    axis = {
+        "shared": plot.x is not None,
         "label": plot.x_label,
         "unit": plot.x_unit,
         "dates": plot.dates,
         "link": plot.link or plot.name,
-        "panels": panels,
     }
-    return json.dumps(content, ensure_ascii=False).replace("<", "\\u003c")
-
-
-def _panel(panel: Panel, shared: int | None, column: Iterator[int]) -> dict[str, Any]:
-    x = shared if panel.x is None else next(column)
-    series = [
-        {
-            "label": one.label,
-            "look": "band" if one.low is not None else one.look,
-            "colour": one.colour,
-            "joint": one.joint,
-            "columns": [next(column)] if one.low is None else [next(column), next(column)],
-        }
-        for one in panel.series
-    ]
-    marks = [[name, value] for name, value in panel.marks.items()]
-    return {
-        "title": panel.title,
-        "unit": panel.unit,
-        "joint": panel.joint,
-        "x": x,
-        "zero": panel.from_zero,
-        "marks": marks,
-        "series": series,
-    }
+    return json.dumps({**axis, "panels": panels}, ensure_ascii=False).replace("<", "\\u003c")
 
 
 def _abscissa_name(plot: Plot) -> str:

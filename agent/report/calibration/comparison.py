@@ -9,7 +9,6 @@ import numpy as np
 
 from agent.core import plus_minus
 from agent.report.calibration.friction import compared_friction
-from agent.report.calibration.parameters import compared_parameters
 from agent.report.calibration.recordings import percent
 from agent.report.calibration.residuals import regime_table
 from agent.report.page import About, Bar, Bars, NextStep, Page, Section, Table, render
@@ -103,7 +102,18 @@ def comparison_page(
         *(comparison_section(one, f"{one.after} against {one.before}", k) for k, one in enumerate(comparisons)),
         Section("Friction curves", (), (compared_friction(models),)),
         Section("Residuals on one motion", (one_motion,), residuals),
-        Section("Parameters side by side", ("With 95 % intervals.",), (compared_parameters(models),)),
+        Section("Parameters side by side", ("With 95 % intervals.",), (_parameters(models),)),
     ]
     title = f"{robot.name}: {', '.join(names[:-1])} and {names[-1]}"
     return render(Page(title, f"{others} {headline}".lstrip(), "bad" if moved else "good", sections, about))
+
+
+def _parameters(models: dict[str, IdentifiedModel]) -> Table:
+    """The values of the models by name, with their 95 % intervals."""
+    units = {row[0]: row[4] for model in models.values() for row in model.rows()[1:]}
+    values = {name: dict.fromkeys(models, "-") for name in units}
+    for run, model in models.items():
+        for name, value, deviation in zip(model.names, model.values, model.standard_deviations, strict=True):
+            values[name][run] = plus_minus(value, 1.96 * deviation)
+    rows = [(name, unit, *values[name].values()) for name, unit in units.items()]
+    return Table("parameters", ("parameter", "unit", *models), rows)

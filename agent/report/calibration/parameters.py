@@ -39,25 +39,6 @@ def parameters_section(table: Sequence[Sequence[str]], notes: Sequence[str] = ()
     return Section("Parameters", (*notes, _PRIOR) if priors else notes, (Table("parameters", header, shown),))
 
 
-def compared_parameters(models: dict[str, IdentifiedModel]) -> Table:
-    """The values of several models by name, with their 95 % intervals."""
-    rows = {name: {row[0]: row for row in model.rows()[1:]} for name, model in models.items()}
-    units = {row[0]: row[4] for of_one in rows.values() for row in of_one.values()}
-    found = {
-        name: dict(zip(model.names, zip(model.values, model.standard_deviations, strict=True), strict=True))
-        for name, model in models.items()
-    }
-    shown = [
-        (
-            name,
-            unit,
-            *(plus_minus(of[name][0], _NORMAL_95 * of[name][1]) if name in of else "-" for of in found.values()),
-        )
-        for name, unit in units.items()
-    ]
-    return Table("parameters", ("parameter", "unit", *models), shown)
-
-
 def _interval(value: str, deviation: str) -> str:
     return plus_minus(float(value), _NORMAL_95 * float(deviation))
 

@@ -38,12 +38,10 @@ from agent.report.phrasing import (
 from agent.report.scene import arm_picture
 from agent.robot import figure_text
 
-#: Title of the section on candidates that were not named.
-REJECTED = "What was rejected"
-_MOST_STEPS = 20
+#: Title of the section on candidates, and how many it lists.
+HYPOTHESES, _MOST_HYPOTHESES = "Hypotheses compared", 20
 #: Columns of the table of pushes, by the name of the parameter.
 _OF_PUSH = {"on link": "link", "from": "start", "to": "end"} | {f"force {axis}": f"force_{axis}" for axis in "xyz"}
-_MOST_REJECTED = 12
 
 
 def diagnosis_report(
@@ -69,8 +67,7 @@ def diagnosis_report(
         _where_section(diagnosis),
         _closure_section(diagnosis, simulated),
         *simulator_sections(diagnosis, None if first else forward),
-        _rejected_section(diagnosis),
-        _steps_section(diagnosis),
+        _hypotheses_section(diagnosis),
         _testability_section(diagnosis),
     ]
     colour = {"no_gap": "good", "explained": "bad"}.get(result["verdict"], "plain")
@@ -118,7 +115,7 @@ def _cause_section(diagnosis: Diagnosis, next_experiment: Mapping[str, Any] | No
     result = diagnosis.result
     text = [sentence for cause in result["causes"] for sentence in _about_cause(cause, result)]
     if result["verdict"] == "unknown":
-        text.append(f"No effect that was tried explains it. How far the nearest fall short: {REJECTED}.")
+        text.append(f"No effect that was tried explains it. How far the nearest fall short: {HYPOTHESES}.")
     if next_experiment is not None:
         text.append(f"{next_text(next_experiment)}.")
     text += [f"Warning: {warning}." for warning in diagnosis.warnings]
@@ -230,40 +227,25 @@ def _closure_section(diagnosis: Diagnosis, simulated: Sequence[Simulated]) -> Se
     return Section("How far it shrinks", text, parts)
 
 
-def _rejected_section(diagnosis: Diagnosis) -> Section:
-    """The effects that were not named, by what each alone explains over the best."""
+def _hypotheses_section(diagnosis: Diagnosis) -> Section:
+    """The hypotheses that were compared, likeliest first."""
     finding, names = diagnosis.finding, diagnosis.dataset.robot.joint_names
     named = {candidate.place for candidate in finding.causes}
     rivals = {place for several in finding.rivals for place in several}
-    singles = sorted((h for h in finding.hypotheses if len(h.effects) == 1 and not h.free), key=lambda h: -h.gain)
-    rows: list[tuple[str, ...]] = []
-    for hypothesis in singles:
-        (candidate,) = hypothesis.effects
-        if candidate.place not in named and len(rows) < _MOST_REJECTED:
-            why = "as good: these logs do not distinguish it" if candidate.place in rivals else "explains less"
-            where = ", ".join(names[j] for j in candidate.joints) or "arm"
-            rows.append((what(candidate.effect.name, diagnosis.result), where, f"{hypothesis.gain:.1f}", why))
-    if not rows:
-        return Section(REJECTED, ("Nothing was tried: there is nothing to explain.",))
-    text = ["Log Bayes factor of each effect alone against none. Next to a named cause, most of it is gone."]
-    return Section(REJECTED, text, (Table("rejected", ("effect", "where", "log Bayes factor", "why"), rows),))
-
-
-def _steps_section(diagnosis: Diagnosis) -> Section:
-    """The hypotheses that were compared, likeliest first."""
-    names = diagnosis.dataset.robot.joint_names
     rows = []
-    for hypothesis in diagnosis.finding.hypotheses[:_MOST_STEPS]:
+    for hypothesis in finding.hypotheses[:_MOST_HYPOTHESES]:
         effects = [candidate.text(names) for candidate in hypothesis.effects]
         effects += [f"something else on {names[joint]}" for joint in hypothesis.free]
         figures = (f"{hypothesis.gain:.1f}", f"{hypothesis.probability:.3f}", f"{100 * hypothesis.explained:.0f} %")
-        rows.append((" + ".join(effects) or "no effect", *figures))
+        places = set(hypothesis.places)
+        equal = "as good: these logs do not distinguish it" if len(places) == 1 and places <= rivals else ""
+        rows.append((" + ".join(effects) or "no effect", *figures, "named" if named and places == named else equal))
     text = [
         "Every effect is compared with none and with the others by its log Bayes factor. The model may move within its "
         "stored uncertainty, and every arm has a little of everything: only what goes beyond that counts.",
     ]
-    header = ("hypothesis", "log Bayes factor", "probability", "explains of the gap")
-    return Section("Hypotheses compared", text, [Table("hypotheses", header, rows)])
+    header = ("hypothesis", "log Bayes factor", "probability", "explains of the gap", "")
+    return Section(HYPOTHESES, text, [Table("hypotheses", header, rows)])
 
 
 def _testability_section(diagnosis: Diagnosis) -> Section:
