@@ -168,8 +168,8 @@ def print_json(data: Any) -> None:
 
 
 def fit_to_show(text: str) -> str:
-    """A message for a terminal: without passwords, control characters and lines that imitate the agent's own, and cut to
-    `LONGEST` characters. Names of folders and joints in it come from others."""
+    """A message for a terminal, cut to `LONGEST` characters: without passwords, control characters and lines that
+    imitate the agent's own. Names of folders and joints in it come from others."""
     return _OWN_LINE.sub(" ", printable(hide_all(text), LONGEST, lines=True))
 
 
