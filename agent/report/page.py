@@ -80,7 +80,7 @@ def shaded_table(
     name: str, caption: str, values: np.ndarray, columns: Sequence[str], rows: Sequence[str], units: Sequence[str] = ()
 ) -> Table:
     """Cells (rows, columns) shaded by their values, against the largest of the rows with the same unit."""
-    body = [
+    body: list[list[str | Shade]] = [
         [f"{row} [{unit}]" if unit else row, *(Shade(float(value), _figure(value), unit=unit) for value in line)]
         for row, unit, line in zip(rows, units or [""] * len(rows), values, strict=True)
     ]

@@ -15,6 +15,7 @@ from agent.report.plots import SERIES, Panel, Plot, Series
 if TYPE_CHECKING:
     from agent.model import IdentifiedModel
     from agent.recording import Log
+    from agent.validation import Observability
 
 _NORMAL_95 = 1.96
 _PRIOR = (
@@ -56,7 +57,7 @@ def observation_section(model: IdentifiedModel, log: Log) -> Section:
     from agent.model import judged_condition
     from agent.validation import observability
 
-    found = observability(model, log)
+    found: Observability = observability(model, log)
     combined = counted(found.combined, "standard parameter")
     hidden = f" No motion of this arm shows {', '.join(found.never_acting)}." if found.never_acting else ""
     text = [

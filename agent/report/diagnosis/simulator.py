@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-from agent.diagnosis import Diagnosis, forward_warning, ranges, ranges_text
+from agent.diagnosis import Diagnosis, Range, forward_warning, ranges, ranges_text
 from agent.report.diagnosis.figures import waterfall
 from agent.report.page import Section, Table
 from agent.report.phrasing import capital
@@ -22,18 +22,23 @@ def simulator_sections(diagnosis: Diagnosis, forward: Mapping[str, Any] | None) 
     if forward:
         sections.append(drift_section(forward))
     if found := ranges(diagnosis):
-        rows = [
-            (f"{one.of}, {one.parameter}", f"{one.value:.4g}", f"{one.low:.4g} to {one.high:.4g}", one.unit)
-            for one in found
-        ]
-        about = (
-            "Remaining uncertainty (90 %) of each corrected parameter: use it as the range for domain randomisation. "
-            "Parameters that are not listed keep their value. Link masses are correlated: each can be anywhere in its "
-            "range, but not all at once. As YAML below.",
-        )
-        table = Table("ranges", ("number", "value", "range", "unit"), rows)
-        sections.append(Section("For training policies", about, (table,), ranges_text(tuple(found))))
+        sections.append(_ranges_section(found))
     return sections
+
+
+def _ranges_section(found: Sequence[Range]) -> Section:
+    """Ranges of the corrected parameters for training."""
+    rows = [
+        (f"{one.of}, {one.parameter}", f"{one.value:.4g}", f"{one.low:.4g} to {one.high:.4g}", one.unit)
+        for one in found
+    ]
+    text = (
+        "Remaining uncertainty (90 %) of each corrected parameter: use it as the range for domain randomisation. "
+        "Parameters that are not listed keep their value. Link masses are correlated: each can be anywhere in its "
+        "range, but not all at once. As YAML below.",
+    )
+    table = Table("ranges", ("number", "value", "range", "unit"), rows)
+    return Section("For training policies", text, (table,), ranges_text(tuple(found)))
 
 
 def drift_section(forward: Mapping[str, Any]) -> Section:
