@@ -50,9 +50,9 @@ def residual_map(predictions: Sequence[Prediction]) -> np.ndarray:
     total, count = np.zeros((2, robot.dof, len(REGIMES)))
     for prediction in predictions:
         rate = 1 / float(np.median(np.diff(prediction.time)))
-        motion = (prediction.position, prediction.velocity, prediction.acceleration, prediction.predicted)
+        q, qd, qdd, load = prediction.position, prediction.velocity, prediction.acceleration, prediction.predicted
         for joint, square in enumerate(prediction.error.T**2):
-            found = regime_masks(*(values[:, joint] for values in motion), float(slowest[joint]), rate)
+            found = regime_masks(q[:, joint], qd[:, joint], qdd[:, joint], load[:, joint], float(slowest[joint]), rate)
             total[joint] += [square[inside].sum() for inside in found.values()]
             count[joint] += [inside.sum() for inside in found.values()]
     with np.errstate(divide="ignore", invalid="ignore"):
