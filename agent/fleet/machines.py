@@ -45,7 +45,7 @@ class MachineRuns:
     def figures(self, name: str, runs: list[int], field: str = "") -> np.ndarray:
         """(R, …) of some runs that are alike in a column of lists, NaN where unknown."""
         values = [[one[field] if field else one for one in self.rows[k][name] or ()] for k in runs]
-        return np.array(values, dtype=float).reshape(len(runs), -1)
+        return np.array(values, dtype=float).reshape(len(runs), len(values[0]) if values else 0)
 
     def rates(self, runs: list[int], field: str) -> np.ndarray:
         """(R, n) of the warm-up of some runs, NaN where a run does not have it for every joint."""
