@@ -104,14 +104,12 @@ def _joint_right(effects: Sequence[Mapping[str, Any]], answer: Mapping[str, Any]
     return bool(answer["where"]) and max(answer["where"], key=lambda one: one["share"])["joint"] in true
 
 
-def clopper_pearson(hits: int, trials: int, confidence: float = 0.95) -> tuple[float, float]:
-    """Exact interval of a proportion (Clopper, Pearson, Biometrika 1934)."""
-    from scipy.stats import beta
+def clopper_pearson(hits: int, trials: int) -> tuple[float, float]:
+    """Exact 95 % interval of a proportion (Clopper, Pearson, Biometrika 1934)."""
+    from scipy.stats import binomtest
 
-    tail = 0.5 * (1.0 - confidence)
-    lower = 0.0 if hits == 0 else float(beta.ppf(tail, hits, trials - hits + 1))
-    upper = 1.0 if hits == trials else float(beta.ppf(1.0 - tail, hits + 1, trials - hits))
-    return lower, upper
+    low, high = binomtest(hits, trials).proportion_ci(0.95, method="exact")
+    return float(low), float(high)
 
 
 def score(results: Sequence[Result]) -> dict[str, Any]:

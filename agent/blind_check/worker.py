@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import sys
-import time
 import traceback
 from collections.abc import Sequence
 from pathlib import Path
@@ -26,7 +25,6 @@ def _answered(folder: Path, without: Sequence[str]) -> dict[str, Any]:
     """The diagnosis, or why there is none."""
     from agent.core import AgentError, finite
 
-    begin = time.process_time()
     try:
         found = diagnose_run(folder, without)
     except AgentError as error:
@@ -34,7 +32,7 @@ def _answered(folder: Path, without: Sequence[str]) -> dict[str, Any]:
     except Exception as error:  # one run that breaks the diagnosis is a result, not the end of the check
         traceback.print_exc()
         return {"error": f"internal error in the diagnosis: {type(error).__name__}: {error}"}
-    return finite({"result": found, "seconds": time.process_time() - begin})
+    return finite({"result": found})
 
 
 def diagnose_run(folder: Path, without: Sequence[str] = ()) -> dict[str, Any]:

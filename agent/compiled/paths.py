@@ -65,7 +65,7 @@ def blended(
 
 @compiled("f8[:,::1](f8[::1], f8[:,:])")
 def _slopes(x: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """(K, m) slopes of the not-a-knot splines through rows (m, K), as `agent.core.spline_slopes`: by the tridiagonal
+    """(K, m) slopes of the not-a-knot splines through rows (m, K), by the tridiagonal
     elimination of LAPACK's dgtsv, which takes the larger of two pivots."""
     count, last = len(rows), len(x) - 1
     h = x[1:] - x[:-1]

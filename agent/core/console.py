@@ -30,7 +30,7 @@ _BAR = 20  # characters
 
 
 class Console:
-    """Progress and messages. Nobody who tells something waits for whoever reads it; `agent.core.output` says how.
+    """Progress and messages. Nobody who sends one waits for a reader (see `agent.core.output`).
 
     On a terminal a running step has a line with a bar below the messages, gone at its end; elsewhere it prints a line
     at most every `interval` seconds, so a log file stays readable and a waiting person still sees that something moves.
@@ -52,16 +52,16 @@ class Console:
         self._stage = self._begin
 
     def step(self, title: str) -> None:
-        """A stage begins."""
+        """Begin a stage."""
         end_progress()
         self._last = -float("inf")
         self._stage = self._clock()
         self.say(title)
 
     def progress(self, text: str, done: float | None = None) -> None:
-        """The running stage has come this far, of 1 `done` where that can be told; shown now and then.
+        """Show how far the running stage has come, at most every `interval` seconds off a terminal.
 
-        With it the time left is shown, once the stage has run for two seconds.
+        With `done`, from 0 to 1, the time left is shown once the stage has run for two seconds.
         """
         if self.verbosity < 0:
             return
@@ -93,7 +93,7 @@ class Console:
         self._print(f"warning: {text}", style="yellow")
 
     def confirm(self, question: str) -> bool:
-        """Ask a person; without a terminal nobody can answer, which is no."""
+        """Ask a person; without a terminal the answer is no."""
         if not (sys.stdin.isatty() and patient(sys.stderr).isatty()):
             return False
         end_progress()
@@ -111,7 +111,7 @@ class Console:
 
 
 class _Messages:
-    """Where messages go at the moment: whoever replaces `sys.stderr` gets them."""
+    """The current `sys.stderr`, which may be replaced at any time."""
 
     def __getattr__(self, name: str) -> Any:
         return getattr(patient(sys.stderr), name)
@@ -168,8 +168,8 @@ def print_json(data: Any) -> None:
 
 
 def fit_to_show(text: str) -> str:
-    """A message for a terminal: no passwords, no control characters, not without end, and no line that looks like one
-    of the agent's own, whoever named the folder or the joint in it."""
+    """A message for a terminal, cut to `LONGEST` characters: without passwords, control characters and lines that
+    imitate the agent's own. Names of folders and joints in it come from others."""
     return _OWN_LINE.sub(" ", printable(hide_all(text), LONGEST, lines=True))
 
 

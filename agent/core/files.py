@@ -22,20 +22,20 @@ _YOUNG = 60.0
 
 @contextmanager
 def written_whole(path: Path) -> Iterator[Path]:
-    """Gives the place beside `path` to write to; at the end of the block it is flushed to the disk and renamed.
+    """Give a temporary path in the same folder; at the end of the block it is flushed to the disk and renamed.
 
-    An error in the block, or in the end of it, leaves what was at `path` as it was.
+    An error in the block, or at its end, leaves the old file unchanged.
     """
-    beside = path.with_name(f".{path.name}.{os.getpid()}")
+    unfinished = path.with_name(f".{path.name}.{os.getpid()}")
     try:
-        beside.unlink(missing_ok=True)
-        yield beside
-        with open(beside, "rb+") as file:
+        unfinished.unlink(missing_ok=True)
+        yield unfinished
+        with open(unfinished, "rb+") as file:
             os.fsync(file.fileno())
-        os.replace(beside, path)
+        os.replace(unfinished, path)
     finally:
         with contextlib.suppress(OSError):
-            beside.unlink(missing_ok=True)
+            unfinished.unlink(missing_ok=True)
 
 
 def write_atomically(path: Path, text: str) -> Path:

@@ -19,7 +19,7 @@ def error_text(share: float | None, torque: float | None, unit: str = "N·m", di
 
 
 def counted(number: int, noun: str) -> str:
-    """So many of something, as "1 log" or "3 logs"."""
+    """A count with its noun, as "1 log" or "3 logs"."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 

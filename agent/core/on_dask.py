@@ -1,17 +1,14 @@
 """Tasks on Dask: processes of this machine, or the workers of a scheduler that somebody else runs.
 
-Dask resubmits what a dead worker was doing, spills and limits memory. What it leaves to its clients is done here: a
-window of tasks instead of all of them at once, so that memory does not grow with their number; a new connection, and
-what was in flight again, where the scheduler was restarted; and a task that seems to kill workers is tried once more
-with nobody beside it before it is given up, because Dask blames every task that was on a worker when it died.
+Dask tries a task again whose worker died, and spills and limits memory. Tasks are submitted in a window, so that memory
+does not grow with their number.
 """
 
 from __future__ import annotations
 
 import contextlib
+import itertools
 import logging
-import time
-from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError
 from typing import Any
@@ -20,20 +17,25 @@ from agent.core.errors import AgentError, InputError
 from agent.core.packages import needed
 from agent.core.parallel import Answer, Task, TaskDone, available_cores
 
-#: So long a scheduler may be gone before the run gives up [s]; what is done stays done.
-PATIENCE = 300.0
-#: So long one attempt to connect may take [s].
-_CONNECT = 10.0
-#: How often a quiet scheduler is looked at [s].
-_LOOK = 2.0
-#: Tasks in flight for each thread of the workers: one at work and one that waits beside it.
+#: Longest time for connecting to a scheduler, which may be starting [s].
+_CONNECT = 30.0
+#: Tasks in flight for each thread of the workers: one at work and one that waits.
 _AHEAD = 2
 #: Run by every local worker as it starts: Ctrl-C reaches all processes of a terminal at once, and ours ends the others.
 _WITHOUT_CTRL_C = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"
 #: Protocols of Dask that let nobody in without a certificate.
 _ENCRYPTED = ("tls://", "wss://")
-#: How often Dask tries a task again whose worker died.
-_TRIES = 2
+_SETTINGS = {
+    "distributed.scheduler.allowed-failures": 2,
+    "distributed.scheduler.worker-saturation": 1.0,
+    "distributed.comm.timeouts.connect": "30s",
+    "distributed.admin.log-format": "%(message)s",
+    # looks at itself less often: otherwise 5 % of a core for one worker
+    "distributed.worker.profile.enabled": False,
+    "distributed.admin.system-monitor.interval": "5s",
+    "distributed.admin.tick.interval": "1s",
+    "distributed.admin.tick.limit": "60s",
+}
 
 
 class DaskEngine:
@@ -45,8 +47,8 @@ class DaskEngine:
         scheduler: address, `tcp://host:8786`; without one, processes of this machine are started.
         workers: how many of those; one a core if None.
         memory: of each of those, as in `2GiB`; their share of the machine's if None.
-        say: called with what a person should know.
-        warn: called where others can run code: a scheduler without TLS does what anybody who reaches it asks for.
+        say: called with messages for a person.
+        warn: called if others can run code: a scheduler without TLS does what anybody who reaches it asks for.
 
     Raises:
         InputError: on entering it: Dask is not installed, or nobody answers at the address.
@@ -67,29 +69,25 @@ class DaskEngine:
         self._warn = warn
         self._cluster: Any = None
         self._client: Any = None
-        self._width = (-float("inf"), 1)
 
     def __enter__(self) -> DaskEngine:
         self._dask = needed("distributed", "work on many cores")
-        # what Dask raises where a connection, or what depended on it, is gone
-        self._lost = (CancelledError, self._dask.client.FuturesCancelledError)
-        self._killed = self._dask.KilledWorker
         logging.getLogger("distributed").setLevel(logging.CRITICAL)  # it tells of every worker that dies; we do, once
         if self._scheduler is None:
             self._start_local()
-        else:
-            if not self._scheduler.startswith(_ENCRYPTED):
-                self._warn(
-                    f"{self._scheduler}: this link is neither encrypted nor authenticated. Whoever reaches the "
-                    "scheduler can run code as the users of its workers; use a scheduler at tls://"
-                )
-            self._say(f"{self._scheduler}: connecting to the scheduler")
-            try:
-                # a client of an address that is none would keep a thread, and the process would not end
-                self._dask.comm.get_address_host_port(self._scheduler)
-                self._client = self._connect(3 * _CONNECT)  # it may be starting
-            except (OSError, ValueError) as error:
-                raise InputError(f"{self._scheduler}: no Dask scheduler answers there: {error or 'no time'}") from None
+            return self
+        if not self._scheduler.startswith(_ENCRYPTED):
+            self._warn(
+                f"{self._scheduler}: this link is neither encrypted nor authenticated. Whoever reaches the "
+                "scheduler can run code as the users of its workers; use a scheduler at tls://"
+            )
+        self._say(f"{self._scheduler}: connecting to the scheduler")
+        try:
+            # a client of a malformed address would keep a thread, and the process would not end
+            self._dask.comm.get_address_host_port(self._scheduler)
+            self._client = self._connect()
+        except (OSError, ValueError) as error:
+            raise InputError(f"{self._scheduler}: no Dask scheduler answers there: {error or 'no time'}") from None
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -102,125 +100,53 @@ class DaskEngine:
         """Answers in the order in which they come.
 
         Raises:
-            AgentError: the scheduler is gone and does not come back.
+            AgentError: the scheduler is gone.
         """
-        unconfirmed: list[tuple[int, Task]] = []
-        yield from self._map(function, iter(enumerate(tasks)), unconfirmed, None)
-        for number, task in unconfirmed:
-            again: list[tuple[int, Task]] = []
-            yield from self._map(function, iter([(number, task)]), again, 1)
-            if again:
-                limit = f" (limit: {self._memory or 'its share of the memory'})" if self._scheduler is None else ""
-                yield TaskDone(
-                    number, None, f"every worker that tried it was killed; memory is the likely reason{limit}"
-                )
-
-    def _map(
-        self,
-        function: Callable[[Task], Answer],
-        tasks: Iterator[tuple[int, Task]],
-        unconfirmed: list[tuple[int, Task]],
-        width: int | None,
-    ) -> Iterator[TaskDone[Answer]]:
-        back: deque[tuple[int, Task]] = deque()  # to be sent again
-        flying: dict[Any, tuple[int, Task]] = {}
+        left = enumerate(tasks)
+        flying: dict[Any, int] = {}
+        arrived = self._dask.as_completed(loop=self._client.loop)
         while True:
-            try:
-                while len(flying) < (width or self._threads() * _AHEAD):
-                    one = back.popleft() if back else next(tasks, None)
-                    if one is None:
-                        break
-                    flying[self._client.submit(function, one[1], pure=False)] = one
+            with self._connected():
+                free = _AHEAD * max(1, sum(self._client.nthreads().values())) - len(flying)
+                for number, task in itertools.islice(left, max(0, free)):
+                    future = self._client.submit(function, task, pure=False)
+                    flying[future] = number
+                    arrived.add(future)
                 if not flying:
                     return
-                arrived = self._arrived(list(flying))
-            except (OSError, *self._lost):
-                back.extend(flying.values())
-                flying.clear()
-                self._reconnect()
-                continue
-            for future in arrived:
-                one = flying.pop(future)
-                if future.status == "error":
-                    error = future.exception()
-                    if not isinstance(error, self._killed):
-                        raise error
-                    unconfirmed.append(one)
-                    continue
-                try:
+                future = next(arrived)
+            number = flying.pop(future)
+            if future.status == "error":
+                yield self._lost(number, future.exception())
+            else:
+                with self._connected():
                     answer = future.result()
-                except (OSError, *self._lost):  # it was lost with its scheduler, or on its way here
-                    back.append(one)
-                    continue
-                yield TaskDone(one[0], answer)
+                yield TaskDone(number, answer)
 
-    def _arrived(self, futures: list[Any]) -> list[Any]:
-        """Those that are no longer pending, as soon as there is one; none where the connection has to be looked at.
-
-        Raises:
-            OSError: the scheduler is gone.
-        """
+    @contextlib.contextmanager
+    def _connected(self) -> Iterator[None]:
         try:
-            with self._client.as_current():
-                self._dask.wait(futures, timeout=_LOOK, return_when="FIRST_COMPLETED")
-        except TimeoutError:
-            if self._client.status != "running":
-                raise OSError("the scheduler does not answer") from None
-            self._width = (-float("inf"), 1)  # workers may have come
-        return [future for future in futures if future.status != "pending"]
+            yield
+        except (OSError, CancelledError):
+            where = self._scheduler or "local Dask cluster"
+            raise AgentError(
+                f"{where}: the scheduler is gone; the same command goes on with what is not done"
+            ) from None
 
-    def _threads(self) -> int:
-        """Of all workers there are now; asked for every few seconds."""
-        asked, width = self._width
-        if time.monotonic() - asked > _LOOK:
-            width = max(1, sum(self._client.nthreads().values()))
-            self._width = (time.monotonic(), width)
-        return width
+    def _lost(self, number: int, error: BaseException) -> TaskDone[Any]:
+        if not isinstance(error, self._dask.KilledWorker):
+            raise error
+        limit = f" (limit: {self._memory or 'its share of the memory'})" if self._scheduler is None else ""
+        return TaskDone(number, None, f"every worker that tried it was killed; memory is the likely reason{limit}")
 
-    def _reconnect(self) -> None:
-        """
-        Raises:
-            AgentError: nobody answers for `PATIENCE`.
-        """
-        self._width = (-float("inf"), 1)
-        with contextlib.suppress(Exception):
-            self._client.close(timeout=1)
-        if self._cluster is not None:  # its scheduler lives in this process
-            raise AgentError("the local Dask cluster has ended; the same command goes on with what is not done")
-        self._say(f"{self._scheduler}: the scheduler is gone; waiting for it")
-        until = time.monotonic() + PATIENCE
-        while time.monotonic() < until:
-            try:
-                self._client = self._connect()
-            except OSError:
-                time.sleep(0.5)
-                continue
-            self._say(f"{self._scheduler}: the scheduler is back")
-            return
-        raise AgentError(
-            f"{self._scheduler}: the scheduler did not come back within {PATIENCE:g} s. What is done is kept: the same "
-            "command goes on"
-        )
-
-    def _connect(self, timeout: float = _CONNECT) -> Any:
-        return self._dask.Client(self._scheduler, timeout=timeout, set_as_default=False)
+    def _connect(self) -> Any:
+        return self._dask.Client(self._scheduler, timeout=_CONNECT, set_as_default=False)
 
     def _start_local(self) -> None:
         import dask
 
         needed("cryptography", "work on many cores")
-        settings = {
-            "distributed.scheduler.allowed-failures": _TRIES,
-            "distributed.scheduler.worker-saturation": 1.0,
-            "distributed.comm.timeouts.connect": "30s",
-            "distributed.admin.log-format": "%(message)s",
-            # looks at itself less often: 5 % of a core otherwise, beside one worker
-            "distributed.worker.profile.enabled": False,
-            "distributed.admin.system-monitor.interval": "5s",
-            "distributed.admin.tick.interval": "1s",
-            "distributed.admin.tick.limit": "60s",
-        }
-        dask.config.set(settings)
+        dask.config.set(_SETTINGS)
         try:
             self._cluster = self._dask.LocalCluster(
                 n_workers=self._workers,

@@ -1,11 +1,12 @@
-"""Messages that nobody waits for: a frozen terminal, a full pipe or a reader that is gone hold up only their own text.
+"""Messages that nobody waits for: a frozen terminal, a full pipe or a closed reader delays only its own text.
 
-Whoever watches a moving arm also says how far it has come, and a library may print a warning in any thread. Python's
+Whoever watches a moving arm also reports its progress, and a library may print a warning in any thread. Python's
 `sys.stderr` would let them wait for as long as the far end does not read.
 """
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import errno
 import io
@@ -20,37 +21,35 @@ from typing import Any, TextIO
 
 from drivers.texts import hide
 
-#: Texts that wait for a far end that does not read; beyond, they are left out and counted.
+#: Texts that wait for a far end that does not read; further ones are dropped.
 LIMIT = 10_000
-#: How often a far end that is not written to is looked at [s].
+#: How often a far end that is not written to is checked [s].
 LOOK = 0.2
-#: At the end of the program, a far end that has taken nothing for so long [s] gets no more.
+#: At the end of the program, a far end that has taken nothing for this time [s] gets no more.
 PATIENCE = 2.0
 _PIECE = 1024  # bytes of a write: a slow line shows that it goes on
 _GONE = (errno.EPIPE, errno.EIO, errno.EBADF, errno.ENXIO)
 
 
 class PatientStream(io.TextIOBase):
-    """Text to a file descriptor by way of a thread: no method but `drain` ever waits or fails.
+    """Text to a file descriptor through a thread: no method but `drain` ever waits or fails.
 
     Where the far end is gone (a reader that ended, a terminal that was closed), `on_gone` is called once, in the
     thread, and what is written from then on goes nowhere. In a forked process text is written directly.
 
     Args:
         descriptor: open for writing; it is left open.
-        encoding: of the far end; what it does not know is escaped.
+        encoding: of the far end; characters that it lacks are escaped.
     """
 
     encoding = "utf-8"
     errors = "backslashreplace"
 
-    def __init__(self, descriptor: int, encoding: str = "utf-8", limit: int = LIMIT):
+    def __init__(self, descriptor: int, encoding: str = "utf-8"):
         self.on_gone: Callable[[], None] | None = None
-        self._descriptor = descriptor
         self.encoding = encoding
-        self._limit = limit
+        self._descriptor = descriptor
         self._queue: queue.SimpleQueue[Any] = queue.SimpleQueue()  # may be used where a signal or the collector strikes
-        self._left_out = 0
         self._written = 0
         self._gone = False
         self._given_up = -1  # bytes that were through when the far end was given up
@@ -79,27 +78,25 @@ class PatientStream(io.TextIOBase):
         text = hide(text)
         if os.getpid() != self._process:
             self._put_out(text)
-        elif self._queue.qsize() >= self._limit:
-            self._left_out += 1
-        elif not self._gone:
+        elif not self._gone and self._queue.qsize() < LIMIT:
             self._queue.put(text)
             self.start()
         return len(text)
 
     @property
     def behind(self) -> bool:
-        """Whether texts wait for the far end: what can be left out is not worth to wait as well."""
+        """Whether texts wait for the far end: progress is not worth adding to them."""
         return not self._queue.empty()
 
-    def drain(self, patience: float = PATIENCE) -> bool:
-        """Wait until all is written; False where the far end took nothing for `patience` seconds."""
+    def drain(self) -> bool:
+        """Wait until all is written; False where the far end took nothing for `PATIENCE` seconds."""
         if self._thread is None or os.getpid() != self._process:
             return True
         through = threading.Event()
         self._queue.put(through)
         while not self._gone:
             before = self._written
-            if through.wait(0.0 if self._given_up == before else patience):
+            if through.wait(0.0 if self._given_up == before else PATIENCE):
                 return not self._gone
             if self._written == before:
                 self._given_up = before
@@ -107,7 +104,7 @@ class PatientStream(io.TextIOBase):
         return False
 
     def start(self) -> None:
-        """Begin to look whether the far end is still there, though nothing was written yet."""
+        """Begin to check whether the far end is still there, though nothing was written yet."""
         if self._thread is None and self._starting.acquire(blocking=False):
             try:
                 thread = threading.Thread(target=self._work, name="messages", daemon=True)
@@ -116,33 +113,20 @@ class PatientStream(io.TextIOBase):
             except (RuntimeError, MemoryError):  # no room for a thread; the next message tries again
                 self._starting.release()
 
-    # From here on in the thread.
+    # The methods below run in the thread.
 
     def _work(self) -> None:
         while not self._gone:
-            try:
-                self._write(self._queue.get(timeout=LOOK))
-            except queue.Empty:
-                self._look()
-            except Exception:  # whatever it is, the next message may fare better
-                self._left_out += 1
-        with contextlib.suppress(queue.Empty):  # nobody waits for what is not written any more
-            while True:
-                item = self._queue.get_nowait()
-                if isinstance(item, threading.Event):
-                    item.set()
-
-    def _write(self, item: str | threading.Event) -> None:
-        if isinstance(item, threading.Event):
-            item.set()
-            return
-        if self._left_out and self._queue.qsize() < self._limit // 2:
-            item = f"\n[{self._left_out} messages were left out: nobody read them]\n{item}"
-            self._left_out = 0
-        self._put_out(item)
+            with contextlib.suppress(Exception):  # whatever it is, the next message may fare better
+                try:
+                    item = self._queue.get(timeout=LOOK)
+                except queue.Empty:
+                    self._look()
+                else:
+                    item.set() if isinstance(item, threading.Event) else self._put_out(item)
 
     def _put_out(self, text: str) -> None:
-        """By the system's call: whoever waits in the stream of Python holds its lock, and the program cannot end."""
+        """By the system's call: a thread that waits in Python's stream holds its lock, and the program cannot end."""
         rest = memoryview(text.encode(self.encoding, "backslashreplace"))
         while rest and not self._gone:
             try:
@@ -158,7 +142,7 @@ class PatientStream(io.TextIOBase):
             self._written += done
 
     def _look(self) -> None:
-        """Nothing was written for a while: is anybody still there?"""
+        """Check whether the far end is still there: nothing was written for a while."""
         poll = select.poll()
         poll.register(self._descriptor, 0)
         if any(event & (select.POLLERR | select.POLLHUP | select.POLLNVAL) for _, event in poll.poll(0)):
@@ -174,7 +158,7 @@ _made: weakref.WeakKeyDictionary[TextIO, PatientStream] = weakref.WeakKeyDiction
 
 
 def patient(stream: TextIO | None) -> Any:
-    """A stream that nobody waits for, in front of this one; one in memory is so already, and stays as it is."""
+    """A stream that nobody waits for, in front of this one; one in memory stays as it is."""
     if stream is None:
         return io.StringIO()
     if isinstance(stream, PatientStream):
@@ -184,8 +168,6 @@ def patient(stream: TextIO | None) -> Any:
     except (OSError, ValueError, AttributeError):
         return stream
     if stream not in _made:
-        import atexit
-
         _made[stream] = PatientStream(descriptor, stream.encoding or "utf-8")
         atexit.register(_made[stream].drain)
     return _made[stream]
@@ -194,7 +176,7 @@ def patient(stream: TextIO | None) -> Any:
 @contextlib.contextmanager
 def patient_messages(on_gone: Callable[[], None]) -> Iterator[None]:
     """Within it nobody waits for `sys.stderr`, whatever writes there: messages, warnings of libraries, their logging.
-    At its end what still waits is written, as far as somebody takes it."""
+    At its end the texts that still wait are written, as far as somebody reads them."""
     before = sys.stderr
     with open(os.devnull, "w", encoding="utf-8") as nowhere:
         stream = sys.stderr = patient(before) if before is not None else nowhere  # print(file=None) is standard output
@@ -211,7 +193,7 @@ def patient_messages(on_gone: Callable[[], None]) -> Iterator[None]:
 
 
 def flush_results() -> None:
-    """Hand over what was printed on standard output, here and not as the program ends.
+    """Hand over what was printed on standard output now, and not as the program ends.
 
     A reader that is gone wanted no more. Raises `OSError` for everything else.
     """
@@ -226,7 +208,7 @@ def flush_results() -> None:
 
 
 def open_standard_descriptors() -> None:
-    """Those of 0 to 2 that the caller has closed would go to the next file or socket, and messages into it."""
+    """Open those of 0 to 2 that the caller has closed: the next file or socket would get them, and messages into it."""
     for descriptor in range(3):
         try:
             os.fstat(descriptor)

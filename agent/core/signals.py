@@ -35,10 +35,10 @@ _OTHERS = (
 ENDING = signal.valid_signals() - {getattr(signal, name, None) for name in _OTHERS}
 #: What suspends a program: nobody would watch the arm.
 _SUSPENDING = (signal.SIGTSTP, signal.SIGTTIN)
-#: So long [s] after one that was raised, no other is raised on the way to the stop.
+#: After a signal was raised, no other is raised for this time [s], on the way to the stop.
 _WAY_TO_STOP = 1.0
-#: So long [s] after one that was raised, others but these say no more than it did: a terminal that closes sends
-#: several, a limit of processor time one a second, and the log is still to be closed.
+#: After a signal was raised, others are ignored for this time [s], except those sent by hand: a terminal that closes
+#: sends several, a limit of processor time one a second, and the log must still be closed.
 _ONE_END = 10.0
 #: File descriptors for the time after a motion.
 _KEPT_BACK = 16

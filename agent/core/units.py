@@ -72,7 +72,7 @@ class Bare:
 class Quantity(GroupedMetadata):
     """Marks a field of a pydantic model that people write as a quantity: ``Annotated[float, Quantity(LENGTH)]``.
 
-    Bounds of a `Field` beside it are checked on the SI value.
+    Bounds of a `Field` next to it are checked on the SI value.
     """
 
     dimension: Dimension

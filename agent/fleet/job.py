@@ -8,7 +8,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 from agent.core import BusyError, Console, TaskEngine, counted
@@ -121,17 +121,13 @@ def _work(
         failed.pop(task.run, None)
         summary.cpu_s += answer.cpu_s
         summary.read_bytes += answer.read_bytes
-        if answer.row is None:
-            result.same(task.run, answer.inputs)
-            summary.kept += 1
-        else:
-            row = _row(task, answer.row, answer.inputs)
-            if answer.model:
-                row["model"] = result.add_model(answer.model)
-            result.add(row)
-            summary.done += 1
-            if row["status"] != "ok":
-                failed[task.run] = _failure(row)
+        row = _row(task, answer.row, answer.inputs)
+        if answer.model:
+            row["model"] = result.add_model(answer.model)
+        result.add(row)
+        summary.done += 1
+        if row["status"] != "ok":
+            failed[task.run] = _failure(row)
         console.progress(f"{number} of {counted(len(todo), 'run')}, {len(failed)} without figures", number / len(todo))
         if time.monotonic() - kept > _KEEP:
             result.keep()
@@ -155,8 +151,7 @@ def _row(task: Task, answer: dict[str, Any], inputs: list[dict[str, Any]]) -> di
 def _to_do(plant: SourceTasks, asked: str, known: Mapping[str, Mapping[str, Any]]) -> Iterator[Task]:
     """Every task that has to run, with what is known of its inputs.
 
-    A row is still valid where it answers the same question and all its input files have the same size and stamp. Where
-    only stamps differ, the worker compares the content.
+    A row is still valid where it answers the same question and all its input files have the same size and stamp.
     """
     for task in plant.tasks:
         row = known.get(task.run)
@@ -166,7 +161,7 @@ def _to_do(plant: SourceTasks, asked: str, known: Mapping[str, Mapping[str, Any]
         inputs = {entry["path"]: entry for entry in row["inputs"] or ()}
         there = all(plant.listing.get(path) == (entry["size"], entry["stamp"]) for path, entry in inputs.items())
         if not there or not {file.path for file in task.files} <= inputs.keys():
-            yield replace(task, known=tuple(sorted((path, entry["sha256"]) for path, entry in inputs.items())))
+            yield task
 
 
 @contextlib.contextmanager

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from datetime import UTC, datetime
 from functools import cached_property
-from itertools import pairwise
+from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -13,95 +14,74 @@ import numpy as np
 LATEST = 60
 #: Rows that are read at once.
 _BATCH = 256
+#: Comes before every run whose time is known.
+_UNKNOWN = datetime.min.replace(tzinfo=UTC)
 
 
 class MachineRuns:
     """The latest runs of one machine, oldest first.
 
-    `table` has the rows of R runs; `started` (R,) datetime64[us], NaT where unknown; `with_figures` (R,) bool. Of the
-    latest run with figures: `joints` (n), and of an estimate `levels` (K joint and speed) and `nominal` (n,) [N·m].
+    `rows` are those of R runs. Of the latest run with figures: `joints` (n), and of an estimate `levels` (K joint and
+    speed) and `nominal` (n,) [N·m].
     """
 
-    def __init__(self, kind: str, table: Any):
-        started = table["started"].to_numpy().astype("datetime64[us]")
-        oldest_first = np.lexsort((table["run"].to_numpy(), started.astype(np.int64)))  # no time comes before any
-        self.table = table = table.take(oldest_first[-LATEST:])
-        self.robot: str = table["robot"][0].as_py()
-        self.runs: list[str] = table["run"].to_pylist()
-        self.started = table["started"].to_numpy()
-        self.with_figures = table["status"].to_numpy() == "ok"
+    def __init__(self, kind: str, rows: list[dict[str, Any]]):
+        self.rows = sorted(rows, key=lambda row: (row["started"] or _UNKNOWN, row["run"]))[-LATEST:]
+        self.robot: str = rows[0]["robot"]
+        self.runs: list[str] = [row["run"] for row in self.rows]
+        self.with_figures = [number for number, row in enumerate(self.rows) if row["status"] == "ok"]
         self._errors = "gap_before" if kind == "diagnose" else "normalised_rmse"
-        latest = np.flatnonzero(self.with_figures)[-1:]
-        self.joints: tuple[str, ...] = ()
-        self.levels: tuple[tuple[str, float], ...] = ()
-        self.nominal = np.empty(0)
-        for row in latest.tolist():
-            self.joints = tuple(table["joints"][row].as_py())
-            self.nominal = np.full(len(self.joints), np.nan)
-            if kind == "estimate":
-                self.levels = tuple((level["joint"], level["speed"]) for level in table["friction"][row].as_py())
-                self.nominal = np.array(table["nominal_torque"][row].as_py(), dtype=float)
+        latest = self.rows[self.with_figures[-1]] if self.with_figures else {}
+        self.joints: tuple[str, ...] = tuple(latest.get("joints", ()))
+        estimated = kind == "estimate" and bool(latest)
+        self.levels = tuple((level["joint"], level["speed"]) for level in latest["friction"]) if estimated else ()
+        self.nominal = np.array(latest["nominal_torque"] if estimated else [np.nan] * len(self.joints), dtype=float)
 
-    def alike(self, name: str) -> np.ndarray:
-        """Row numbers of the runs with as many figures in a column as the latest."""
-        rows = np.flatnonzero(self.with_figures)
-        lengths = self._lengths(name)[rows]
-        return rows[lengths == lengths[-1:]]
+    def alike(self, name: str) -> list[int]:
+        """Numbers of the runs with as many figures in a column as the latest."""
+        lengths = [len(self.rows[k][name] or ()) for k in self.with_figures]
+        return [k for k, length in zip(self.with_figures, lengths, strict=True) if length == lengths[-1]]
 
-    def figures(self, name: str, rows: np.ndarray, field: str = "") -> np.ndarray:
+    def figures(self, name: str, runs: list[int], field: str = "") -> np.ndarray:
         """(R, …) of some runs that are alike in a column of lists, NaN where unknown."""
-        values = self.table[name].combine_chunks().take(rows).flatten()
-        values = (values.field(field) if field else values).to_numpy(zero_copy_only=False)
-        return values.reshape(len(rows), len(values) // max(1, len(rows)))
+        values = [[one[field] if field else one for one in self.rows[k][name] or ()] for k in runs]
+        return np.array(values, dtype=float).reshape(len(runs), len(values[0]) if values else 0)
 
-    def rates(self, rows: np.ndarray, field: str) -> np.ndarray:
+    def rates(self, runs: list[int], field: str) -> np.ndarray:
         """(R, n) of the warm-up of some runs, NaN where a run does not have it for every joint."""
-        n = len(self.joints)
-        found = np.full((len(self.runs), n), np.nan)
-        known = np.flatnonzero(self.with_figures & (self._lengths("warm_up") == n))
-        if len(known):
-            found[known] = self.figures("warm_up", known, field)
-        return found[rows]
-
-    def _lengths(self, name: str) -> np.ndarray:
-        import pyarrow.compute as pc
-
-        return pc.list_value_length(self.table[name]).to_numpy()
+        found = np.full((len(runs), len(self.joints)), np.nan)
+        for number, k in enumerate(runs):
+            known = self.rows[k]["warm_up"] or ()
+            if len(known) == len(self.joints):
+                found[number] = [one[field] for one in known]
+        return found
 
     @cached_property
-    def errors(self) -> tuple[np.ndarray, np.ndarray]:
+    def errors(self) -> tuple[list[int], np.ndarray]:
         """Numbers of the runs with as many errors as the latest, and these errors (R, n), share of nominal torque."""
-        rows = self.alike(self._errors)
-        return rows, self.figures(self._errors, rows)
+        runs = self.alike(self._errors)
+        return runs, self.figures(self._errors, runs)
 
-    def days(self, rows: np.ndarray) -> np.ndarray:
+    def days(self, runs: list[int]) -> np.ndarray:
         """(R,) days since the first of some runs; their numbers where not all have a time of their own."""
-        stamps = self.started[rows]
-        if np.isnat(stamps).any() or not len(rows) or stamps[0] == stamps[-1]:
-            return np.arange(len(rows), dtype=float)
-        return (stamps - stamps[0]) / np.timedelta64(1, "D")
+        stamps = [self.rows[k]["started"] for k in runs]
+        if None in stamps or not stamps or stamps[0] == stamps[-1]:
+            return np.arange(len(runs), dtype=float)
+        return np.array([(stamp - stamps[0]).total_seconds() / 86400.0 for stamp in stamps])
 
-    def date(self, row: int) -> str:
+    def date(self, run: int) -> str:
         """Day of a run, ISO 8601; "" where it is not known."""
-        return "" if np.isnat(self.started[row]) else str(self.started[row])[:10]
+        started = self.rows[run]["started"]
+        return "" if started is None else f"{started:%Y-%m-%d}"
 
 
-def read_machines(kind: str, rows: Any) -> Iterator[MachineRuns]:
+def read_machines(kind: str, file: Any) -> Iterator[MachineRuns]:
     """Machines of a result's Parquet file, in the order of its rows."""
-    import pyarrow as pa
-
     columns = ["robot", "run", "started", "status", "reason", "page", "joints"]
     columns += {
         "estimate": ["normalised_rmse", "friction", "warm_up", "nominal_torque"],
         "validate": ["normalised_rmse"],
         "diagnose": ["gap_before", "verdict", "causes"],
     }[kind]
-    left: list[Any] = []
-    for batch in rows.iter_batches(_BATCH, columns=columns):
-        table = pa.concat_tables([*left, pa.Table.from_batches([batch])])
-        robots = np.array(table["robot"].to_pylist(), dtype=object)
-        *edges, last = [0, *(np.flatnonzero(robots[1:] != robots[:-1]) + 1).tolist()]
-        for start, stop in pairwise([*edges, last]):
-            yield MachineRuns(kind, table.slice(start, stop - start))
-        left = [table.slice(last)]
-    yield from (MachineRuns(kind, table) for table in left if len(table))
+    rows = (row for batch in file.iter_batches(_BATCH, columns=columns) for row in batch.to_pylist())
+    yield from (MachineRuns(kind, list(of_one)) for _, of_one in groupby(rows, key=lambda row: row["robot"]))

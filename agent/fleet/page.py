@@ -11,7 +11,7 @@ import base64
 import gzip
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
@@ -60,10 +60,11 @@ class MachineSummary:
     @classmethod
     def of(cls, machine: MachineRuns, axles: list[AxleTrend]) -> MachineSummary:
         """The summary of a machine."""
-        columns = [machine.table[name].to_pylist() for name in ("status", "reason", "page")]
-        dates = [machine.date(row) for row in range(len(machine.runs))]
-        runs = list(zip(machine.runs, dates, *columns, strict=True))
-        latest = max(np.flatnonzero(machine.with_figures), default=-1)
+        runs = [
+            (row["run"], machine.date(k), row["status"], row["reason"], row["page"])
+            for k, row in enumerate(machine.rows)
+        ]
+        latest = max(machine.with_figures, default=-1)
         failed = [
             f"{status}: {reason}"
             for row, (_, date, status, reason, _) in enumerate(runs)
@@ -78,7 +79,7 @@ class MachineSummary:
             errors[-1] if known else np.full(n, np.nan),
             runs,
             failed[-1] if failed else "",
-            _gap(machine.table),
+            _gap(machine.rows[-1]),
             axles,
         )
 
@@ -194,9 +195,8 @@ def _course(one: AxleTrend) -> dict[str, Any]:
     }
 
 
-def _gap(table: Any) -> str:
+def _gap(told: Mapping[str, Any]) -> str:
     """What the latest run says about the gap; empty where there is none, or the run is no diagnosis."""
-    told = table.slice(len(table) - 1).to_pylist()[0]
     verdict = _VERDICTS.get(told.get("verdict") or "", "")
     causes = told.get("causes") or ()
     named = "; ".join(f"{cause['effect']} on {', '.join(cause['joints']) or 'the whole arm'}" for cause in causes)

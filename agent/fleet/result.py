@@ -140,7 +140,6 @@ class Result:
         self._folder = folder
         self._before = before
         self._fresh: list[dict[str, Any]] = []
-        self._same: dict[str, list[dict[str, Any]]] = {}
         self._parts = self._done_parts()
 
     def known(self) -> dict[str, dict[str, Any]]:
@@ -154,10 +153,6 @@ class Result:
         self._fresh.append(row)
         if len(self._fresh) >= _GROUP:
             self.keep()
-
-    def same(self, run: str, inputs: list[dict[str, Any]]) -> None:
-        """Keep the row of a run whose inputs have new stamps and the same content."""
-        self._same[run] = inputs
 
     def add_model(self, content: bytes) -> str:
         """Keep a model file; returns its name in the result."""
@@ -193,7 +188,7 @@ class Result:
         self.keep()
         files = self._files()
         order = _order(files)
-        if self._before is not None and not self._parts and not self._same:
+        if self._before is not None and not self._parts:
             return len(order)
 
         @lru_cache(maxsize=_OPEN)
@@ -203,24 +198,13 @@ class Result:
         path = self._folder / "committed.parquet"
         with pq.ParquetWriter(path, self._schema, compression="zstd") as writer:
             for first in range(0, len(order), _GROUP):
-                rows = [self._row(group_of(file, group), place) for *_, file, group, place in order[first:][:_GROUP]]
+                rows = [group_of(file, group).slice(place, 1) for *_, file, group, place in order[first:][:_GROUP]]
                 writer.write_table(pa.concat_tables(rows).combine_chunks())
         self.written += path.stat().st_size
         self._store.put(ROWS, path)
         for name in self._parts:
             self._store.remove(f"{DONE}/{name}")
         return len(order)
-
-    def _row(self, table: Any, place: int) -> Any:
-        """A table of one row, with its new stamps."""
-        import pyarrow as pa
-
-        row = table.slice(place, 1)
-        same = self._same.get(row["run"][0].as_py())
-        if same is None:
-            return row
-        column = self._schema.field("inputs")
-        return row.set_column(self._schema.get_field_index("inputs"), column, pa.array([same], column.type))
 
     def _files(self) -> list[Any]:
         """The result as it stands, then what was finished since; later rows replace earlier ones."""

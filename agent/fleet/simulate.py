@@ -13,6 +13,7 @@ in logs is inverse dynamics of the description plus rotors, friction with a smoo
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import astuple, dataclass, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -42,7 +43,6 @@ _START = datetime(2025, 1, 6, 2, 0, tzinfo=UTC)
 _CYCLES, _PERIOD, _RATE = 4, 5.0, 100.0  # of the motion of a log: cycles, s, Hz
 _REVERSAL = 0.01  # share of the highest speed over which friction changes sign
 _NOISE = 0.003  # of nominal torque
-_UNFINISHED = "_unfinished"  # says what is being written, until all of it is
 
 
 @dataclass(frozen=True)
@@ -104,18 +104,15 @@ def draw_fleet(machines: int, weeks: int, joints: tuple[str, ...], seed: int) ->
 
 def simulate_fleet(robot: str, machines: int, weeks: int, seed: int, out: str, rows: bool) -> list[str]:
     """Write a fleet to a folder or URL: logs with their description, or with `rows` the result of `fleet estimate` on
-    a year of them; returns what was written. The same call after an interruption starts over.
+    a year of them; returns what was written.
 
     Raises:
         InputError: a robot that is not known, or a folder with something else in it.
     """
     description = load_robot(robot)
     store = Store(out)
-    asked = f"{robot} {machines} {weeks} {seed} {'rows' if rows else 'logs'}\n".encode()
-    found = store.names(".")
-    if found and not (_UNFINISHED in found and store.read(_UNFINISHED) == asked):
+    if store.names("."):
         raise InputError(f"{out}: there is something in it already; name a new folder")
-    store.put(_UNFINISHED, asked)
     fleet = draw_fleet(machines, weeks, description.joint_names, seed)
     written = _write_rows(store, fleet, description, seed) if rows else _write_logs(store, fleet, description, seed)
     columns = [(name, *column) for name, column in zip(fleet.names, fleet.columns, strict=True)]
@@ -123,7 +120,6 @@ def simulate_fleet(robot: str, machines: int, weeks: int, seed: int, out: str, r
     for name, table in (("machines.csv", [("robot", "cell", "lubricant_batch"), *columns]), ("truth.csv", truth)):
         store.put(f"_{name}" if rows else name, csv_text(table).encode())
         written.append(f"{out}/{'_' if rows else ''}{name}")
-    store.remove(_UNFINISHED)
     return written
 
 
@@ -239,51 +235,30 @@ def _rows(fleet: Fleet, chosen: slice, robot: RobotDescription, rng: np.random.G
     """A table of some machines."""
     import pyarrow as pa
 
-    names, weeks = fleet.names[chosen], range(fleet.friction.shape[1])
-    rows, n, nominal = len(names) * len(weeks), robot.dof, _nominal(robot)
+    names, weeks, n, nominal = fleet.names[chosen], fleet.friction.shape[1], robot.dof, _nominal(robot)
     speeds = np.outer((0.15, 0.6), robot.max_velocity)
-    factor = fleet.friction[chosen, :, None] * (1 + SCATTER * rng.normal(size=(len(names), len(weeks), 2, n)))
-    # (rows, axles, speeds), as `friction_levels` has them
-    value = (factor * nominal * (0.08 + 0.08 * speeds / robot.max_velocity)).swapaxes(2, 3).reshape(rows, -1)
-    rate = -fleet.answer[chosen, None] * fleet.cold[chosen, :, None] / _DECAY
-    rate = (rate + _DOUBT * rng.normal(size=rate.shape)).reshape(rows, n)
-    error = (0.003 + 2e-4 * rng.normal(size=rate.shape)) * nominal
-
-    def lists(array: np.ndarray | list[str]) -> Any:
-        """A list column of (rows, k), or of the same k in every row."""
-        values = np.asarray(array, dtype=object if isinstance(array, list) else float)
-        values = np.broadcast_to(values, (rows, values.shape[-1]))
-        return pa.FixedSizeListArray.from_arrays(pa.array(values.ravel()), values.shape[1])
-
-    def structs(**columns: Any) -> Any:
-        flat = {name: lists(column) for name, column in columns.items()}
-        width = next(iter(flat.values())).type.list_size
-        inner = pa.StructArray.from_arrays([column.values for column in flat.values()], names=list(flat))
-        return pa.FixedSizeListArray.from_arrays(inner, width)
-
-    joints = list(robot.joint_names)
-    given = {
-        "robot": pa.array([name for name in names for _ in weeks]),
-        "run": pa.array([_run(name, week) for name in names for week in weeks]),
-        "status": pa.array(["ok"] * rows),
-        "reason": pa.array([""] * rows),
-        "exit_code": pa.array([0] * rows),
-        "started": pa.array([_week(week) for _ in names for week in weeks]),
-        "serial": pa.array([name for name in names for _ in weeks]),
-        "logs": lists(["excitation.mcap"]),
-        "joints": lists(joints),
-        "rmse": lists(error),
-        "normalised_rmse": lists(error / nominal),
-        "nominal_torque": lists(nominal),
-        "friction": structs(
-            joint=[joint for joint in joints for _ in speeds],
-            speed=speeds.T.ravel(),
-            value=value,
-            standard_deviation=0.01 * value,
-            from_run_to_run=SCATTER * value,
-        ),
-        "warm_up": structs(rate_per_s=rate, standard_deviation=np.full(n, _DOUBT)),
-    }
-    wanted = schema("estimate")
-    columns = [given.get(field.name, pa.nulls(rows)).cast(field.type) for field in wanted]
-    return pa.Table.from_arrays(columns, schema=wanted)
+    factor = fleet.friction[chosen, :, None] * (1 + SCATTER * rng.normal(size=(len(names), weeks, 2, n)))
+    values = factor * nominal * (0.08 + 0.08 * speeds / robot.max_velocity)
+    rates = -fleet.answer[chosen, None] * fleet.cold[chosen, :, None] / _DECAY
+    rates = rates + _DOUBT * rng.normal(size=rates.shape)
+    errors = (0.003 + 2e-4 * rng.normal(size=rates.shape)) * nominal
+    levels = [(axle, speed) for axle in range(n) for speed in range(2)]  # as `friction_levels` has them
+    rows = []
+    for (machine, name), week in itertools.product(enumerate(names), range(weeks)):
+        friction = [
+            {
+                "joint": robot.joint_names[axle],
+                "speed": speeds[speed, axle],
+                "value": (value := values[machine, week, speed, axle]),
+                "standard_deviation": 0.01 * value,
+                "from_run_to_run": SCATTER * value,
+            }
+            for axle, speed in levels
+        ]
+        row = {"robot": name, "run": _run(name, week), "status": "ok", "reason": "", "exit_code": 0}
+        row |= {"started": _week(week), "serial": name, "logs": ["excitation.mcap"], "joints": robot.joint_names}
+        row |= {"rmse": errors[machine, week], "normalised_rmse": errors[machine, week] / nominal}
+        row |= {"nominal_torque": nominal, "friction": friction}
+        row["warm_up"] = [{"rate_per_s": rate, "standard_deviation": _DOUBT} for rate in rates[machine, week]]
+        rows.append(row)
+    return pa.Table.from_pylist(rows, schema("estimate"))

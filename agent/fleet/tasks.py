@@ -77,7 +77,7 @@ class RunQuestion:
 @dataclass(frozen=True)
 class Task:
     """One robot and run. `run` is the folder below the source, "." for the source itself; `description` is the robot's,
-    or a run folder's model; `known` are path and SHA-256 of the inputs of an existing row."""
+    or a run folder's model."""
 
     question: RunQuestion
     source: str
@@ -88,7 +88,6 @@ class Task:
     model: StoredFile | None = None
     state: StoredFile | None = None
     page: str = ""
-    known: tuple[tuple[str, str], ...] = ()
 
     @property
     def files(self) -> tuple[StoredFile, ...]:

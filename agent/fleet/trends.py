@@ -242,7 +242,7 @@ def _errors_of(machine: MachineRuns) -> Iterator[AxleTrend]:
             yield _axle(machine, rows, trend, 1)
 
 
-def _axle(machine: MachineRuns, rows: np.ndarray, trend: Trend, series: int) -> AxleTrend:
+def _axle(machine: MachineRuns, rows: list[int], trend: Trend, series: int) -> AxleTrend:
     from scipy.special import stdtrit
 
     found = trend.found

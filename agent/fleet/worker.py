@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
 #: Statuses that may pass; a rerun tries these rows again.
 PASSING = ("unavailable", "memory", "killed")
-_DATE = re.compile(r"(?<!\d)((?:19|20)\d\d)-?([01]\d)-?([0-3]\d)(?:[T_ ]([0-2]\d)[:-]?([0-5]\d))?")
 
 
 class Notes(Console):
@@ -46,10 +45,10 @@ class Notes(Console):
 class TaskRow:
     """The row of a task, without the columns known from the task, and its model file.
 
-    `row` is None where the inputs have not changed. `inputs` are the files that were read, with their SHA-256.
+    `inputs` are the files that were read, with their SHA-256.
     """
 
-    row: dict[str, Any] | None
+    row: dict[str, Any]
     inputs: list[dict[str, Any]]
     model: bytes = b""
     cpu_s: float = 0.0
@@ -84,7 +83,7 @@ def run_task(task: Task) -> TaskRow:
     began = time.process_time()
     with swept_folder(SCRATCH) as folder:
         inputs = _Inputs(Store(task.source), folder)
-        row: dict[str, Any] | None
+        row: dict[str, Any]
         model = b""
         try:
             with one_blas_thread():
@@ -101,17 +100,16 @@ def run_task(task: Task) -> TaskRow:
         except Exception as error:  # a fault of the agent: of this run alone
             reason = f"internal error: this is a fault of the agent: {type(error).__name__}: {error}"
             row = {"status": "error", "exit_code": 1, "reason": reason}
-        if row is not None:
-            # messages name files as they are called in the source, not where a worker had them
-            places = (f"{folder}/source/", f"{folder}/", f"{inputs.store.absolute}/")
-            here = re.compile("|".join(re.escape(place) for place in places))
-            row = {"started": _named_date(task.run), "warnings": [], **row}
-            row |= {"reason": here.sub("", row["reason"]), "warnings": [here.sub("", text) for text in row["warnings"]]}
+        # messages name files as they are called in the source, not where a worker had them
+        places = (f"{folder}/source/", f"{folder}/", f"{inputs.store.absolute}/")
+        here = re.compile("|".join(re.escape(place) for place in places))
+        row = {"started": _named_date(task.run), "warnings": [], **row}
+        row |= {"reason": here.sub("", row["reason"]), "warnings": [here.sub("", text) for text in row["warnings"]]}
         size = sum(entry["size"] for entry in inputs.read)
         return TaskRow(row, inputs.read, model, time.process_time() - began, size)
 
 
-def _work(task: Task, inputs: _Inputs) -> tuple[dict[str, Any] | None, bytes]:
+def _work(task: Task, inputs: _Inputs) -> tuple[dict[str, Any], bytes]:
     robot = _robot(task, inputs)
     model = inputs.optional(task.model)
     if task.question.model_content is not None:
@@ -119,8 +117,6 @@ def _work(task: Task, inputs: _Inputs) -> tuple[dict[str, Any] | None, bytes]:
         model.write_bytes(task.question.model_content)
     logs = [inputs.fetch(file) for file in task.logs]
     state = inputs.optional(task.state)
-    if task.known and dict(task.known) == {entry["path"]: entry["sha256"] for entry in inputs.read}:
-        return None, b""
     row, content = answer(task.question, robot, model, logs)
     return row | {"status": "ok", "exit_code": 0, "reason": ""} | _when(task, state, logs), content
 
@@ -274,13 +270,9 @@ def _when(task: Task, state: Path | None, logs: list[Path]) -> dict[str, Any]:
 
 
 def _named_date(run: str) -> datetime | None:
-    """The date in the name of a run's folder."""
-    named = _DATE.search(run.rpartition("/")[2])
-    if named is None:
-        return None
-    with contextlib.suppress(ValueError):  # no such day
-        clock = "".join(part or "00" for part in named.group(4, 5))
-        return datetime.fromisoformat("".join(named.group(1, 2, 3)) + "T" + clock).replace(tzinfo=UTC)
+    """The date with which the name of a run's folder begins, as the agent writes it."""
+    with contextlib.suppress(ValueError):
+        return datetime.strptime(run.rpartition("/")[2][:16], "%Y%m%dT%H%M%SZ").replace(tzinfo=UTC)
     return None
 
 

@@ -1,25 +1,65 @@
-"""Results as a notebook shows them: each holds what the rooms of the agent return, and says it in words and a plot."""
+"""Results as a notebook shows them: each holds what the packages of the agent return, in words and one picture."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any
+from html import escape
+from typing import Any
 
 import numpy as np
 
 from agent.core import Console, counted, error_text
 from agent.diagnosis import Diagnosis
 from agent.model import IdentifiedModel
-from agent.notebook.card import Shown, bars, lines
 from agent.pipeline import CalibrationOutcome, PlanFiles, diagnosis_text, validation_text
 from agent.recording import Log
-from agent.report import headline
+from agent.report import SERIES, Bar, Bars, Panel, Plot, Table, headline, joint_series, still, table_html
 from agent.robot import SHARE, torque_units
 from agent.validation import Prediction, summary
 
-if TYPE_CHECKING:
-    from agent.robot import RobotDescription
+
+class Shown(ABC):
+    """A result that prints itself: `text` on a terminal, headline and picture above it in a notebook."""
+
+    @abstractmethod
+    def headline(self) -> str:
+        """The key figure in one sentence."""
+
+    @abstractmethod
+    def text(self) -> str:
+        """Everything a terminal shows."""
+
+    def picture(self) -> Plot | Table | None:
+        """One plot or table of bars, if there is anything to draw."""
+        return None
+
+    def __repr__(self) -> str:
+        return f"{self.headline()}\n{self.text()}".rstrip()
+
+    def _repr_html_(self) -> str:
+        picture, text = self.picture(), escape(self.text())
+        drawn = "" if picture is None else still(picture) if isinstance(picture, Plot) else table_html(picture)
+        more = f"<details><summary>more</summary><pre>{text}</pre></details>" if text else ""
+        return f"<div><p><b>{escape(self.headline())}</b></p>{drawn}{more}</div>"
+
+
+def _lines(x: np.ndarray, names: Sequence[str], values: np.ndarray, label: str, unit: str) -> Plot:
+    """Curves (S, k) over time (S,) [s]."""
+    return Plot("card", "", "time", (Panel(label, unit, joint_series(names, values)),), x, "s")
+
+
+def _bars(joints: Sequence[str], units: Sequence[str], series: Mapping[str, Sequence[float] | np.ndarray]) -> Table:
+    """Figures (n,) of every joint with bars; shares of nominal torque in percent."""
+    rows: list[tuple[str | Bars, ...]] = []
+    height = 0.9 / len(series)
+    for joint, unit, *values in zip(joints, units, *series.values(), strict=True):
+        figures = [100.0 * value if unit == SHARE else float(value) for value in values]
+        drawn = [Bar(0.0, value, SERIES[k], 0.05 + k * height, height) for k, value in enumerate(figures)]
+        texts = [f"{value:.3g}" if np.isfinite(value) else "-" for value in figures]
+        rows.append((joint, *texts, "%" if unit == SHARE else unit, Bars(drawn, unit=unit)))
+    return Table("card", ("joint", *series, "unit", ""), rows)
 
 
 class Logs(Shown, tuple[Log, ...]):
@@ -37,11 +77,10 @@ class Logs(Shown, tuple[Log, ...]):
         ]
         return "\n".join(rows)
 
-    def svg(self) -> str:
-        if not self:
-            return ""
-        first = self[0]
-        return lines(first.t, dict(zip(first.joint_names, first.position.T, strict=True)), "s", f"q, {first.name}")
+    def picture(self) -> Plot | None:
+        return (
+            _lines(self[0].t, self[0].joint_names, self[0].position, f"position, {self[0].name}", "") if self else None
+        )
 
 
 class Model(Shown, IdentifiedModel):
@@ -64,8 +103,12 @@ class Model(Shown, IdentifiedModel):
     def text(self) -> str:
         return IdentifiedModel.text(self)
 
-    def svg(self) -> str:
-        return _errors(self.robot, {"held out": self.held_out_rmse})
+    def picture(self) -> Table:
+        nominal = self.robot.nominal_torque
+        if not np.all(np.isfinite(nominal)):
+            return _bars(self.robot.joint_names, torque_units(self.robot), {"held out": self.held_out_rmse})
+        shares = {"held out": self.held_out_rmse / nominal}
+        return _bars(self.robot.joint_names, [SHARE] * self.robot.dof, shares)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -86,12 +129,14 @@ class TorqueValidation(Shown):
     def text(self) -> str:
         return validation_text(summary(self.predictions))
 
-    def svg(self) -> str:
+    def picture(self) -> Plot:
         first = self.predictions[0]
         joint = int(np.argmax(np.sqrt(np.mean(first.measured**2, axis=0))))
-        name = first.model.robot.joint_names[joint]
-        curves = {"measured": first.measured[:, joint], "predicted": first.predicted[:, joint]}
-        return lines(first.time, curves, "s", f"{name} [{torque_units(first.model.robot)[joint]}]")
+        curves = np.column_stack([first.measured[:, joint], first.predicted[:, joint]])
+        robot = first.model.robot
+        return _lines(
+            first.time, ("measured", "predicted"), curves, robot.joint_names[joint], torque_units(robot)[joint]
+        )
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -108,12 +153,12 @@ class GapDiagnosis(Shown):
         return headline(self.to_dict())
 
     def text(self) -> str:
-        return "\n".join([diagnosis_text(self.to_dict()), *(f"mind: {w}" for w in self.diagnosis.warnings)])
+        return "\n".join([diagnosis_text(self.to_dict()), *(f"warning: {w}" for w in self.diagnosis.warnings)])
 
-    def svg(self) -> str:
+    def picture(self) -> Table:
         gap, floor = self.diagnosis.gap, self.diagnosis.gap.floor
         series = {"gap": gap.before, "with the causes": gap.after, **({} if floor is None else {"floor": floor})}
-        return _figures(self.to_dict()["gap"]["joints"], self.to_dict()["gap"]["units"], series)
+        return _bars(self.to_dict()["gap"]["joints"], self.to_dict()["gap"]["units"], series)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -128,9 +173,9 @@ class PlannedLoop(Shown):
     def text(self) -> str:
         return "\n".join(self.files.text().splitlines()[1:])
 
-    def svg(self) -> str:
+    def picture(self) -> Plot:
         cycle = self.files.motion.loop.trajectory
-        return lines(cycle.t, dict(zip("xyz", cycle.tcp[:, :3, 3].T, strict=True)), "s", "tool [m]")
+        return _lines(cycle.t, "xyz", cycle.tcp[:, :3, 3], "tool", "m")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -151,9 +196,10 @@ class Calibration(Shown):
     def text(self) -> str:
         return self.outcome.summary().strip()
 
-    def svg(self) -> str:
+    def picture(self) -> Table:
         validation = self.outcome.result.validation
-        return bars(validation.joints, {"unseen motions": 100 * validation.normalised_rmse}, "%")
+        units = [SHARE] * len(validation.joints)
+        return _bars(validation.joints, units, {"unseen motions": validation.normalised_rmse})
 
 
 class Listing(Shown, dict[str, Any]):
@@ -170,25 +216,7 @@ class Listing(Shown, dict[str, Any]):
         width = max(map(len, self), default=0)
         return "\n".join(f"{name:{width}}  {self._about[name]}" for name in self)
 
-    def svg(self) -> str:
-        return ""
-
 
 def quiet() -> Console:
     """Warnings only: a notebook has the results."""
     return Console(-1)
-
-
-def _errors(robot: RobotDescription, series: Mapping[str, np.ndarray]) -> str:
-    """Bars of torque errors (n,) [N·m]: in percent of nominal torque where every joint has one."""
-    nominal = robot.nominal_torque
-    if np.all(np.isfinite(nominal)):
-        return bars(robot.joint_names, {name: 100 * values / nominal for name, values in series.items()}, "%")
-    return bars(robot.joint_names, series, "N·m")
-
-
-def _figures(joints: Sequence[str], units: Sequence[str], series: Mapping[str, np.ndarray]) -> str:
-    """Bars of figures in `error_units`: shares in percent."""
-    scale = np.array([100.0 if unit == SHARE else 1.0 for unit in units])
-    unit = "%" if np.all(scale == 100) else "N·m" if np.all(scale == 1) else ""
-    return bars(joints, {name: scale * values for name, values in series.items()}, unit)

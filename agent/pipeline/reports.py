@@ -15,7 +15,7 @@ from agent.runs import History, RunFolder, current_runs, last_accepted
 
 if TYPE_CHECKING:
     from agent.recording import Log
-    from agent.report import TorqueData
+    from agent.report import Plot
     from agent.validation import Comparison, Prediction
 
 
@@ -132,11 +132,11 @@ def _cycle_errors(log: Log, prediction: Prediction) -> np.ndarray:
     return np.array(rows)
 
 
-def _shown_cycle(log: Log, prediction: Prediction) -> TorqueData:
+def _shown_cycle(log: Log, prediction: Prediction) -> Plot:
     """What one cycle shows, few enough samples to be drawn."""
-    from agent.report import TorqueData
+    from agent.report import torque_plot
     from agent.validation import predict_log
 
     # bounds cost a regressor for every sample, so they are made for these alone
     part = predict_log(prediction.model, log.middle_part())
-    return TorqueData.of(part, prediction.rmse(moving=True), *log.middle_cycle())
+    return torque_plot(part, prediction.rmse(moving=True), *log.middle_cycle())

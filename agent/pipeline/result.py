@@ -14,7 +14,7 @@ from agent.pipeline.first_screen import about_run
 from agent.pipeline.plan import planned_motion_data, search_data, with_residual
 from agent.pipeline.planning import Plan
 from agent.recipe import Recipe
-from agent.report import RunData, TorqueData
+from agent.report import RunData, torque_plot
 from agent.robot import torque_units, without_nominal
 
 if TYPE_CHECKING:
@@ -214,7 +214,7 @@ def run_data(
         parameter_rows=model.rows(),
         rmse=np.array([p.rmse(moving=True) for p in predictions]),
         nominal=model.robot.nominal_torque,
-        prediction=TorqueData.of(typical_motion(predictions), pooled_rmse(predictions)),
+        prediction=torque_plot(typical_motion(predictions), pooled_rmse(predictions)),
         further=further,
         validation_paths=np.array([_path(motion.loop.trajectory.tcp) for motion in plan.validation]),
     )

@@ -1,32 +1,47 @@
-from .arm import arm_along as arm_along
-from .common_sections import parameters_section as parameters_section
-from .comparison import comparison_page as comparison_page
-from .comparison_sections import comparison_section as comparison_section
-from .diagnosis_page import diagnosis_report as diagnosis_report
-from .friction_curves import friction_section as friction_section
-from .gap_section import diagnosis_summary as diagnosis_summary
-from .index import IndexData as IndexData, index_page as index_page
-from .log_sections import LogHealth as LogHealth, log_section as log_section
-from .motion_sections import MotionData as MotionData, SearchData as SearchData, plan_report as plan_report
-from .observation import observation_section as observation_section
-from .page import About as About, NextStep as NextStep, Page as Page, Section as Section, render as render
-from .phrasing import (
-    FOUR as FOUR,
-    closes as closes,
-    headline as headline,
-    in_short as in_short,
-    place as place,
-    summary as summary,
-    verdict_text as verdict_text,
-    what as what,
+from .calibration.comparison import comparison_page as comparison_page, comparison_section as comparison_section
+from .calibration.friction import friction_section as friction_section
+from .calibration.motion import MotionData as MotionData, SearchData as SearchData, plan_report as plan_report
+from .calibration.pages import (
+    RunData as RunData,
+    recalibration_report as recalibration_report,
+    run_report as run_report,
 )
-from .recalibration import recalibration_report as recalibration_report
-from .residual_sections import residual_section as residual_section
-from .rounds_section import chances_text as chances_text, next_text as next_text, said_by_rounds as said_by_rounds
-from .run_page import RunData as RunData, run_report as run_report
-from .run_sections import (
+from .calibration.parameters import observation_section as observation_section, parameters_section as parameters_section
+from .calibration.prediction import torque_plot as torque_plot
+from .calibration.recordings import LogHealth as LogHealth, log_section as log_section
+from .calibration.residuals import residual_section as residual_section
+from .calibration.sections import (
     RUN_SECTIONS as RUN_SECTIONS,
     RunContent as RunContent,
     further_sections as further_sections,
 )
-from .torque_section import TorqueData as TorqueData
+from .diagnosis.page import diagnosis_report as diagnosis_report
+from .history import IndexData as IndexData, index_page as index_page
+from .page import (
+    About as About,
+    Bar as Bar,
+    Bars as Bars,
+    NextStep as NextStep,
+    Page as Page,
+    Section as Section,
+    Table as Table,
+    render as render,
+    table_html as table_html,
+)
+from .phrasing import (
+    FOUR as FOUR,
+    chances_text as chances_text,
+    closes as closes,
+    diagnosis_summary as diagnosis_summary,
+    headline as headline,
+    in_short as in_short,
+    next_text as next_text,
+    place as place,
+    said_by_rounds as said_by_rounds,
+    summary as summary,
+    verdict_text as verdict_text,
+    what as what,
+)
+from .plots import SERIES as SERIES, Panel as Panel, Plot as Plot, joint_series as joint_series
+from .scene import arm_along as arm_along
+from .stills import still as still

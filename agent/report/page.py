@@ -3,44 +3,107 @@
 from __future__ import annotations
 
 import base64
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from html import escape
 from importlib.resources import files
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from agent.core import csv_text
-from agent.report.figures import Figure
 from agent.report.plots import Plot, for_screen, packed, plot_csv, spec
 from agent.report.scene import Scene, scene_part
 from agent.report.stills import still
 
 
 @dataclass(frozen=True)
+class Shade:
+    """A number whose cell is shaded by its size, over the largest of the table with the same unit."""
+
+    value: float
+    text: str
+    title: str = ""
+    unit: str = ""
+    colour: str = "#d55e00"
+
+
+@dataclass(frozen=True)
+class Bar:
+    """A bar from `begin` to `end`; `top` and `height` are shares of the cell's height."""
+
+    begin: float
+    end: float
+    colour: str
+    top: float = 0.1
+    height: float = 0.8
+
+
+@dataclass(frozen=True)
+class Bars:
+    """Bars in one cell, and strokes at `marks` by colour; cells of a table with the same unit share a scale."""
+
+    bars: Sequence[Bar]
+    marks: Sequence[tuple[float, str]] = ()
+    unit: str = ""
+
+    @property
+    def places(self) -> list[float]:
+        """All finite places along the scale."""
+        places = [place for bar in self.bars for place in (bar.begin, bar.end)] + [place for place, _ in self.marks]
+        return [place for place in places if math.isfinite(place)]
+
+
+Cell = str | Shade | Bars
+
+
+@dataclass(frozen=True)
 class Table:
-    """A table: header and rows of text; the first column is the row's name, and leads to `links[row]` where given."""
+    """A table: header and rows; the first column is the row's name, and leads to `links[row]` where given.
+
+    `dense`: cells are small squares whose texts are shown by the pointer.
+    """
 
     name: str
     header: Sequence[str]
-    rows: Sequence[Sequence[str]]
+    rows: Sequence[Sequence[Cell]]
     links: Sequence[str] = ()
+    caption: str = ""
+    dense: bool = False
+
+
+def shaded_table(
+    name: str, caption: str, values: np.ndarray, columns: Sequence[str], rows: Sequence[str], units: Sequence[str] = ()
+) -> Table:
+    """Cells (rows, columns) shaded by their values, against the largest of the rows with the same unit."""
+    body: list[list[str | Shade]] = [
+        [f"{row} [{unit}]" if unit else row, *(Shade(float(value), _figure(value), unit=unit) for value in line)]
+        for row, unit, line in zip(rows, units or [""] * len(rows), values, strict=True)
+    ]
+    return Table(name, ("joint", *(column.replace("_", " ") for column in columns)), body, caption=caption)
+
+
+def _figure(value: float) -> str:
+    return "-" if not math.isfinite(value) else f"{value:.0f}" if value >= 9.95 else f"{value:.2g}"
 
 
 @dataclass(frozen=True)
 class Section:
-    """A heading, paragraphs, what belongs under them in order, and a listing of program text."""
+    """A heading, paragraphs, the parts below them in order, and a listing of program text."""
 
     title: str
     text: Sequence[str] = ()
-    parts: Sequence[Table | Figure | Plot | Scene] = ()
+    parts: Sequence[Table | Plot | Scene] = ()
     listing: str = ""
 
 
 @dataclass(frozen=True)
 class NextStep:
-    """What to do next, and the command for it, ready to be copied; it may have none."""
+    """What to do next, and the command for it, if there is one."""
 
     what: str
     command: str = ""
@@ -48,7 +111,7 @@ class NextStep:
 
 @dataclass(frozen=True)
 class About:
-    """The first screen beside the answer.
+    """The first screen in addition to the answer.
 
     What was `asked`, `facts` that the answer rests on and the `identity` of what the page is about, both as (what,
     value), what comes `next`, and a `picture` (SVG text).
@@ -78,21 +141,14 @@ def render(page: Page) -> str:
 
     environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
     template = environment.from_string(_asset("page.html"))
+    names = _identifiers(page.sections)
     sections = [
-        {
-            "title": section.title,
-            "id": identifier,
-            "text": section.text,
-            "parts": [_part(part) for part in section.parts],
-            "listing": section.listing,
-        }
-        for section, identifier in zip(page.sections, _identifiers(page.sections), strict=True)
+        (name, one, [_part(part) for part in one.parts]) for name, one in zip(names, page.sections, strict=True)
     ]
     kinds = {type(part) for section in page.sections for part in section.parts}
     library = _uplot() if Plot in kinds else {}
     scripts = [library["uPlot.iife.js"], _asset("plots.js")] if library else []
     scripts += [_asset("scene.js")] if Scene in kinds else []
-    scripts += [_asset("figures.js")] if Figure in kinds else []
     css = library.get("uPlot.min.css", "") + _asset("page.css")
     return template.render(page=page, sections=sections, css=css, scripts=scripts, plots=bool(library))
 
@@ -106,22 +162,80 @@ def _identifiers(sections: Sequence[Section]) -> list[str]:
     return found
 
 
-def _part(part: Table | Figure | Plot | Scene) -> dict[str, Any]:
+def _part(part: Table | Plot | Scene) -> dict[str, Any]:
     if isinstance(part, Table):
-        csv = base64.b64encode(csv_text((part.header, *part.rows)).encode()).decode("ascii")
-        return {
-            "kind": "table",
-            "part": part,
-            "look": [_look([str(row[k]) for row in part.rows]) for k in range(len(part.header))],
-            "csv": f"data:text/csv;base64,{csv}",
-        }
+        kept = [k for k in range(len(part.header)) if not any(isinstance(row[k], Bars) for row in part.rows)]
+        rows = [[_text(row[k]) for k in kept] for row in (part.header, *part.rows)]
+        csv = base64.b64encode(csv_text(rows).encode()).decode("ascii")
+        return {"kind": "table", "part": part, "html": table_html(part), "csv": f"data:text/csv;base64,{csv}"}
     if isinstance(part, Plot):
         shown = for_screen(part)
         return {"kind": "plot", "part": shown, "svg": still(shown), "spec": spec(shown), "csv": packed(plot_csv(shown))}
-    if isinstance(part, Figure):
-        rows = [[f"{float(value):.6g}" for value in row] for row in part.rows]
-        return {"kind": "figure", "part": part, "csv": packed(csv_text((part.header, *rows)))}
     return scene_part(part)
+
+
+def table_html(table: Table) -> str:
+    """The element `table`: pictures in its cells need no style sheet."""
+    looks = [_look([_text(row[k]) for row in table.rows]) for k in range(len(table.header))]
+    classes = [f' class="{look}"' if look else "" for look in looks]
+    scales = _scales(table)
+    caption = f"<caption>{escape(table.caption)}</caption>\n" if table.caption else ""
+    head = "".join(
+        f'<th scope="col"{look}>{_heading(cell, table.dense)}</th>'
+        for cell, look in zip(table.header, classes, strict=True)
+    )
+    dense = ' class="dense"' if table.dense else ""
+    lines = [f"<table{dense}>\n{caption}<thead><tr>{head}</tr></thead>\n<tbody>"]
+    for number, row in enumerate(table.rows):
+        cells = [_cell(cell, look, scales) for cell, look in zip(row, classes, strict=True)]
+        if table.links and table.links[number]:
+            cells[0] = f'<td{classes[0]}><a href="{escape(table.links[number])}">{escape(_text(row[0]))}</a></td>'
+        lines.append(f"<tr>{''.join(cells)}</tr>")
+    return "\n".join([*lines, "</tbody>\n</table>"])
+
+
+def _heading(cell: str, dense: bool) -> str:
+    text = escape(cell).replace("\n", "<br>")
+    return f"<span>{text}</span>" if dense else text
+
+
+def _scales(table: Table) -> dict[tuple[type, str], tuple[float, float]]:
+    """Least and largest value of the shades and bars of each unit, 0 among them."""
+    found: dict[tuple[type, str], list[float]] = {}
+    for cell in (cell for row in table.rows for cell in row if not isinstance(cell, str)):
+        places = cell.places if isinstance(cell, Bars) else [abs(cell.value)]
+        found.setdefault((type(cell), cell.unit), [0.0]).extend(filter(math.isfinite, places))
+    return {key: (min(places), max(places) if max(places) > min(places) else 1.0) for key, places in found.items()}
+
+
+def _cell(cell: Cell, look: str, scales: dict[tuple[type, str], tuple[float, float]]) -> str:
+    if isinstance(cell, str):
+        return f"<td{look}>{escape(cell)}</td>"
+    low, high = scales[type(cell), cell.unit]
+    if isinstance(cell, Shade):
+        share = round(100 * (0.05 + 0.5 * abs(cell.value) / high)) if math.isfinite(cell.value) else 0
+        title = f' title="{escape(cell.title)}"' if cell.title else ""
+        return f'<td{look}{title} style="background:{cell.colour}{round(2.55 * share):02x}">{escape(cell.text)}</td>'
+
+    def at(place: float) -> float:
+        return 200.0 * (place - low) / (high - low)
+
+    drawn = [
+        f'<rect x="{min(at(bar.begin), at(bar.end)):.1f}" y="{14 * bar.top:.1f}" '
+        f'width="{abs(at(bar.end) - at(bar.begin)):.1f}" height="{14 * bar.height:.1f}" fill="{bar.colour}"/>'
+        for bar in cell.bars
+        if math.isfinite(bar.begin + bar.end)
+    ]
+    drawn += [
+        f'<path d="M{at(place):.1f} 0v14" stroke="{colour}" stroke-width="2"/>'
+        for place, colour in cell.marks
+        if math.isfinite(place)
+    ]
+    return f'<td><svg viewBox="-1 0 202 14" width="202" height="14" aria-hidden="true">{"".join(drawn)}</svg></td>'
+
+
+def _text(cell: Cell) -> str:
+    return cell if isinstance(cell, str) else cell.text if isinstance(cell, Shade) else ""
 
 
 def _uplot() -> dict[str, str]:

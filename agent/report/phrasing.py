@@ -1,4 +1,4 @@
-"""People's words for a diagnosis: terminal, page and JSON say the same four things.
+"""The words for a diagnosis that terminal, page and JSON share.
 
 What an effect is and where to look is data of the effect's class. A result is plain data of schema diagnosis/1.
 """
@@ -271,3 +271,33 @@ def measures(result: Mapping[str, Any]) -> list[NextStep]:
         motion = experiment["motion"]
         steps.append(NextStep(f"{motion}." if "program" in experiment else f"run {motion}."))
     return steps
+
+
+def diagnosis_summary(result: Mapping[str, Any]) -> str:
+    """Headline, and the share of the gap that each cause closes."""
+    figures = [f"{place(cause)}: {found}." for cause in result["causes"] if (found := closes(cause, result))]
+    return " ".join([headline(result), *figures])
+
+
+def next_text(experiment: Mapping[str, Any]) -> str:
+    """`next_experiment` of a result as a sentence without its full stop: what to run, or why there is no motion."""
+    motion = str(experiment["motion"])
+    if "program" in experiment and experiment["program"] is None:
+        return capital(motion)
+    took = f" ({experiment['duration_s']:.0f} s, {experiment['program']})" if "program" in experiment else ""
+    return f"Run next: {motion}{took}"
+
+
+def said_by_rounds(result: Mapping[str, Any]) -> bool:
+    """Whether the next experiment says only why the rounds ended."""
+    experiment = result["next_experiment"]
+    return experiment is not None and experiment["motion"] == result.get("rounds_end")
+
+
+def chances_text(entry: Mapping[str, Any]) -> tuple[str, str, str, str]:
+    """Of a planned motion and one pair: the pair, both probabilities of the right answer, and the smallest size."""
+    smallest = entry["smallest_over_practical"]
+    size = "-" if smallest is None else f"{smallest:.2g}"
+    sides = [f"{side:.2f}" for side in entry["after_if"] if side is not None]
+    after = f"{entry['after']:.2f}" + (f" ({' or '.join(sides)})" if len(set(sides)) > 1 else "")
+    return " or ".join(entry["pair"]), f"{entry['before']:.2f}", after, size

@@ -5,17 +5,20 @@ from __future__ import annotations
 import base64
 import gzip
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from itertools import pairwise
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from agent.core import csv_text
 
-#: Seven colours that read on white and on near-black, and that the colour-blind tell apart (after Okabe and Ito).
+if TYPE_CHECKING:
+    from agent.robot import RobotDescription
+
+#: Seven colours that read on white and on near-black, and that the colour-blind distinguish (after Okabe and Ito).
 SERIES = ("#2a86c8", "#d55e00", "#009e73", "#c0649a", "#8f75d6", "#9a7d0a", "#3f9fb5")
 #: Rows of a plot, at most: more than a wide screen has pixels for.
 MOST_ROWS = 2400
@@ -57,8 +60,8 @@ class Panel:
 class Plot:
     """Panels under one caption. `x` (S,) ascending, in `x_unit`; `dates`: `x` is seconds since 1970, UTC.
 
-    Plots of one `link` zoom together, panels of one plot where it has none. `columns`: how many panels stand beside
-    each other where there is room.
+    Plots of one `link` zoom together, panels of one plot where it has none. `columns`: panels in a row where there is
+    room.
     """
 
     name: str
@@ -84,9 +87,15 @@ def joint_series(joints: Sequence[str], values: np.ndarray, order: Sequence[int]
     return [Series(joints[k], values[:, k], colour=SERIES[k % len(SERIES)], joint=joints[k]) for k in chosen]
 
 
+def worst_first(robot: RobotDescription, error: np.ndarray) -> list[int]:
+    """Joints by their error (n,) over nominal torque, the largest first; by the error itself where one has none."""
+    nominal = robot.nominal_torque
+    size = error / nominal if np.isfinite(nominal).all() else error
+    return [int(k) for k in np.argsort(-size, kind="stable")]
+
+
 def thinned(columns: np.ndarray, most: int = MOST_ROWS) -> np.ndarray:
-    """Indices of rows of (S, k) that show it as it is: even ones, and of every stretch those with the extremes of
-    every column.
+    """Indices of rows that show (S, k) columns: evenly spaced ones, and the extremes of every column in each stretch.
 
     All rows where they are no more than `most`; otherwise about as many, ascending, ends included.
     """
@@ -162,42 +171,35 @@ def packed(text: str) -> str:
 
 
 def spec(plot: Plot) -> str:
-    """What the page's script needs beside the data: JSON, safe inside a script element."""
-    column = iter(range(1_000_000))
-    shared = next(column) if plot.x is not None else None
-    panels = [_panel(panel, shared, column) for panel in plot.panels]
-    content = {
+    """What the page's script needs in addition to the data: JSON, safe inside a script element."""
+    panels = [
+        {
+            "title": panel.title,
+            "unit": panel.unit,
+            "joint": panel.joint,
+            "own": panel.x is not None,
+            "zero": panel.from_zero,
+            "marks": list(panel.marks.items()),
+            "series": [
+                {
+                    "label": one.label,
+                    "look": one.look if one.low is None else "band",
+                    "colour": one.colour,
+                    "joint": one.joint,
+                }
+                for one in panel.series
+            ],
+        }
+        for panel in plot.panels
+    ]
+    axis = {
+        "shared": plot.x is not None,
         "label": plot.x_label,
         "unit": plot.x_unit,
         "dates": plot.dates,
         "link": plot.link or plot.name,
-        "panels": panels,
     }
-    return json.dumps(content, ensure_ascii=False).replace("<", "\\u003c")
-
-
-def _panel(panel: Panel, shared: int | None, column: Iterator[int]) -> dict[str, Any]:
-    x = shared if panel.x is None else next(column)
-    series = [
-        {
-            "label": one.label,
-            "look": "band" if one.low is not None else one.look,
-            "colour": one.colour,
-            "joint": one.joint,
-            "columns": [next(column)] if one.low is None else [next(column), next(column)],
-        }
-        for one in panel.series
-    ]
-    marks = [[name, value] for name, value in panel.marks.items()]
-    return {
-        "title": panel.title,
-        "unit": panel.unit,
-        "joint": panel.joint,
-        "x": x,
-        "zero": panel.from_zero,
-        "marks": marks,
-        "series": series,
-    }
+    return json.dumps({**axis, "panels": panels}, ensure_ascii=False).replace("<", "\\u003c")
 
 
 def _abscissa_name(plot: Plot) -> str:

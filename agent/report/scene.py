@@ -1,18 +1,25 @@
-"""A 3-D view: the loop, the boxes around it and the arm that runs it, coloured by what the model leaves."""
+"""A 3-D view: the loop, the boxes around it and the arm that runs it; and a picture of the arm in one posture."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Collection
 from dataclasses import dataclass, field
-from typing import Any
+from html import escape
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from agent.core import csv_text
-from agent.report.plots import SERIES, packed
+from agent.report.plots import packed
 
-_TURN, _TILT = -0.9, 0.45  # rad, as in assets/scene.js
-_EDGES = ((0, 1), (2, 3), (4, 5), (6, 7), (0, 2), (1, 3), (4, 6), (5, 7), (0, 4), (1, 5), (2, 6), (3, 7))
+if TYPE_CHECKING:
+    from agent.robot import RobotDescription
+
+_MOST_POSTURES = 120
+#: Edge of the picture of one posture, and its margin [pt].
+_PICTURE, _MARGIN = 200.0, 14.0
+_THIN = 0.012  # radius of a link without a body, as a share of the arm's length
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,48 +53,74 @@ def scene_part(scene: Scene) -> dict[str, Any]:
     data: dict[str, Any] = {
         "lines": {name: np.round(line, 4).tolist() for name, line in scene.lines.items()},
         "points": {name: np.round(points, 4).tolist() for name, points in scene.points.items()},
-        "boxes": {
-            name: [np.asarray(low).tolist(), np.asarray(high).tolist()] for name, (low, high) in scene.boxes.items()
-        },
+        "boxes": {name: [np.asarray(edge).tolist() for edge in box] for name, box in scene.boxes.items()},
         "colouring": {name: [float(f"{v:.3g}") for v in values] for name, values in scene.colouring.items()},
         "by": scene.coloured_by,
     }
     if scene.arm is not None:
-        ends = np.round(scene.arm.ends, 3).reshape(len(scene.arm.time), -1)
-        data["arm"] = {"time": np.round(scene.arm.time, 3).tolist(), "ends": ends.tolist()}
-        data["arm"]["radius"] = np.round(scene.arm.radius, 3).tolist()
+        arm = {
+            "time": scene.arm.time,
+            "ends": scene.arm.ends.reshape(len(scene.arm.time), -1),
+            "radius": scene.arm.radius,
+        }
+        data["arm"] = {key: np.round(values, 3).tolist() for key, values in arm.items()}
     rows = [["what", "x [m]", "y [m]", "z [m]"]]
     for name, line in {**scene.lines, **scene.points}.items():
         rows += [[name, *(f"{value:.4f}" for value in point)] for point in line.reshape(-1, 3)]
     text = json.dumps(data).replace("<", "\\u003c")
-    return {"kind": "scene", "part": scene, "json": text, "still": _still(scene), "csv": packed(csv_text(rows))}
+    return {"kind": "scene", "part": scene, "json": text, "csv": packed(csv_text(rows))}
 
 
-def _still(scene: Scene) -> str:
-    """SVG text of the view as it opens."""
-    corners = {name: _corners(*box) for name, box in scene.boxes.items()}
-    strokes = {name: line.reshape(-1, *line.shape[-2:]) for name, line in scene.lines.items()}
-    everything = np.concatenate(
-        [*(line.reshape(-1, 3) for line in scene.lines.values()), *scene.points.values(), *corners.values()]
-    )
-    middle = (everything.min(axis=0) + everything.max(axis=0)) / 2
-    scale = 180 / max(float(np.linalg.norm(everything - middle, axis=1).max()), 1e-6)
-    cosine, sine = np.cos(_TURN), np.sin(_TURN)
+def arm_along(robot: RobotDescription, time: np.ndarray, q: np.ndarray, tool: np.ndarray | None = None) -> ArmPoses:
+    """The capsules of the description, or lines from joint to joint where it has none.
 
-    def flat(points: np.ndarray) -> str:
-        x, y, z = (np.asarray(points) - middle).T
-        right, up = cosine * x - sine * y, np.cos(_TILT) * z + np.sin(_TILT) * (sine * x + cosine * y)
-        return " ".join(f"{320 + scale * a:.1f},{200 - scale * b:.1f}" for a, b in zip(right, up, strict=True))
+    time (S,) and q (S, n) of a motion; `tool` (4, 4): the tool's frame at the flange.
+    """
+    from agent.robot import Dynamics, chain_of
 
-    drawn = [
-        f'<polyline points="{flat(found[list(edge)])}" fill="none" stroke="#8a949e"/>'
-        for found in corners.values()
-        for edge in _EDGES
+    chosen = np.linspace(0, len(q) - 1, min(len(q), _MOST_POSTURES)).round().astype(int)
+    joints = chain_of(robot, tool).origins(q[chosen])
+    joints = np.concatenate([np.zeros((len(chosen), 1, 3)), joints], axis=1)
+    bones = np.stack([joints[:, :-1], joints[:, 1:]], axis=2)
+    length = float(np.linalg.norm(bones[0, :, 1] - bones[0, :, 0], axis=1).sum())
+    if not robot.bodies:
+        return ArmPoses(time[chosen], bones, np.full(bones.shape[1], _THIN * length))
+    dynamics = Dynamics(robot)
+    ends, radii = [bones[:, -1]], [_THIN * length]
+    for link, capsules in robot.bodies.items():
+        poses = dynamics.link_poses(q[chosen], link)
+        for capsule in capsules:
+            points = np.array([[*capsule.start, 1.0], [*capsule.end, 1.0]])
+            ends.append(np.einsum("sij,pj->spi", poses, points)[..., :3])
+            radii.append(capsule.radius)
+    return ArmPoses(time[chosen], np.stack(ends, axis=1), np.array(radii))
+
+
+def arm_picture(robot: RobotDescription, q: np.ndarray, marked: Collection[str]) -> str:
+    """SVG text of the arm at (n,) joint positions, seen from the side that shows most of it, with joints `marked`."""
+    from agent.robot import chain_of
+
+    points = np.vstack([np.zeros(3), chain_of(robot, None).origins(q[None])[0]])
+    if not np.ptp(points, axis=0).max() > 0:
+        return ""
+    across = points[:, int(np.ptp(points[:, 1]) > np.ptp(points[:, 0]))]
+    flat = np.column_stack([across - across.min(), points[:, 2].max() - points[:, 2]])
+    flat = _MARGIN + flat * (_PICTURE - 2 * _MARGIN) / np.ptp(points, axis=0).max()
+    wide, high = flat.max(axis=0) + _MARGIN
+    shapes = [
+        f'<polyline points="{" ".join(f"{x:.1f},{y:.1f}" for x, y in flat)}" fill="none" stroke="currentColor" '
+        'stroke-width="6" stroke-opacity="0.45" stroke-linecap="round" stroke-linejoin="round"/>'
     ]
-    for colour, lines in zip(SERIES, strokes.values(), strict=False):
-        drawn += [f'<polyline points="{flat(one)}" fill="none" stroke="{colour}" stroke-width="1.5"/>' for one in lines]
-    return f'<svg viewBox="0 0 640 400">{"".join(drawn)}</svg>'
-
-
-def _corners(low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    return np.array([[(low, high)[k >> axis & 1][axis] for axis in range(3)] for k in range(8)], dtype=float)
+    for name, (x, y) in zip(robot.joint_names, flat[1:], strict=False):
+        fill = "var(--bad)" if name in marked else "var(--paper)"
+        shapes.append(
+            f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{9 if name in marked else 4}" fill="{fill}" stroke="currentColor">'
+            f"<title>{escape(name)}</title></circle>"
+        )
+        if name in marked:
+            shapes.append(f'<text x="{x + 13:.1f}" y="{y + 4:.1f}" fill="currentColor">{escape(name)}</text>')
+    label = f"the arm, with {' and '.join(marked)} marked" if marked else "the arm"
+    return (
+        f'<svg viewBox="0 0 {wide + 70:.0f} {high:.0f}" role="img" aria-label="{escape(label)}" font-size="13" '
+        f'font-family="sans-serif">{"".join(shapes)}</svg>'
+    )

@@ -1,99 +1,146 @@
-"""The still picture of a plot: for paper, and where no script runs."""
+"""The still picture of a plot as HTML with inline SVG: for paper, for notebooks, and where no script runs.
+
+A plotting library would take longer over the pictures of a page than everything else on it takes.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
 from html import escape
 
 import numpy as np
 
 from agent.report.plots import Panel, Plot, Series, thinned
-from agent.report.svg import LETTER, WIDTH, Scale, dates, extent, picture, text_at, ticks
 
 _MOST_POINTS = 300
-#: Margins of the picture [pt], and the gaps between panels in parts of a panel.
-_LEFT, _RIGHT, _EDGE = 57.6, 7.2, 30.2
-_BESIDE, _BELOW = 0.2, 0.6
-#: A panel of so many points has one more tick.
+#: Size of the picture of a panel that is alone in its row, and of one with a neighbour; margins of its axes [pt].
+_WIDE, _NARROW, _TALL, _LOW = 720.0, 350.0, 200.0, 140.0
+_LEFT, _RIGHT, _TOP, _BOTTOM = 57.6, 7.2, 6.0, 30.0
+_LETTER = 5.0  # mean width of a letter [pt]
+#: Distance of the ticks of an axis, at least [pt].
 _TICK_WIDE, _TICK_TALL = 75.0, 28.0
-_TEXT, _TITLE, _LEGEND = 9.0, 8.0, 7.0
-_HANDLE, _GAP = 14.0, 5.0
 _MARK = 'stroke="#8a949e" stroke-width="1" stroke-dasharray="1 1.7"'
+_DAY = 86400.0
+_DATE_STEPS = (
+    *(1.0, 2.0, 5.0, 10.0, 30.0, 60.0, 120.0, 300.0, 600.0, 1800.0, 3600.0, 7200.0, 10800.0, 21600.0, 43200.0),
+    *(_DAY * count for count in (1, 2, 7, 14, 30, 91, 182, 365, 730, 1826, 3652)),
+)
+#: Sign of a look in a legend.
+_SIGNS = {"line": "—", "dashed": "- -", "points": "●", "part": "■"}
+
+
+@dataclass(frozen=True)
+class Scale:
+    """From `low` to `high` of the data onto `begin` to `end` [pt] of the picture."""
+
+    low: float
+    high: float
+    begin: float
+    end: float
+
+    def __call__(self, values: np.ndarray) -> np.ndarray:
+        shown: np.ndarray = self.begin + (values - self.low) * ((self.end - self.begin) / (self.high - self.low))
+        return shown
 
 
 def still(plot: Plot) -> str:
-    """SVG text of all panels, their axes and legends."""
-    columns = min(plot.columns, len(plot.panels))
-    rows = -(-len(plot.panels) // columns)
-    height = 72.0 * ((1.9 if len(plot.panels) > 1 else 2.8) * rows + 0.5)
-    wide = (WIDTH - _LEFT - _RIGHT) / (columns + _BESIDE * (columns - 1))
-    tall = (height - 2.0 * _EDGE) / (rows + _BELOW * (rows - 1))
-    parts: list[str] = []
-    shown: tuple[str, ...] = ()
-    for number, panel in enumerate(plot.panels):
-        row, column = divmod(number, columns)
-        left, top = _LEFT + column * (1.0 + _BESIDE) * wide, _EDGE + row * (1.0 + _BELOW) * tall
-        labels = tuple(one.label for one in panel.series)
-        legend = labels != shown and (len(labels) > 1 or bool(panel.marks))
-        parts += _panel(plot, panel, number, (left, top, wide, tall), legend)
-        shown = labels
-        if number >= len(plot.panels) - columns:
-            label = f"{plot.x_label} [{plot.x_unit}]" if plot.x_unit else plot.x_label
-            text = text_at(left + wide / 2, top + tall + 25.0, label, _TEXT, "middle")
-            parts.append(f'<g fill="currentColor">{text}</g>')
-    return picture(height, "\n".join(parts))
+    """HTML of all panels with their legends and axes."""
+    shape = (_NARROW if plot.columns > 1 else _WIDE, _LOW if len(plot.panels) > 1 else _TALL)
+    panels = "\n".join(
+        f'<div class="panel"><p>{_legend(panel)}</p>{_picture(plot, panel, f"{plot.name}-clip-{number}", shape)}</div>'
+        for number, panel in enumerate(plot.panels)
+    )
+    return f'<div class="panels">{panels}</div>'
 
 
-def _panel(
-    plot: Plot, panel: Panel, number: int, frame: tuple[float, float, float, float], legend: bool
-) -> Iterator[str]:
-    left, top, wide, tall = frame
+def _legend(panel: Panel) -> str:
+    title = [f"<b>{escape(panel.title)}</b>"] if panel.title else []
+    signs = [(one.colour, "■" if one.low is not None else _SIGNS[one.look], one.label) for one in panel.series]
+    signs += [("#8a949e", "···", name) for name in panel.marks]
+    return " ".join(
+        [*title, *(f'<span style="color:{colour}">{sign}</span> {escape(label)}' for colour, sign, label in signs)]
+    )
+
+
+def _picture(plot: Plot, panel: Panel, clip: str, shape: tuple[float, float]) -> str:
+    wide, high = shape
     x = plot.abscissa(panel)
     chosen = thinned(np.column_stack([one.values for one in panel.series]), _MOST_POINTS)
     outlines = list(_outlines(panel, chosen))
-    across = Scale(*extent([x[chosen]]), left, left + wide)
-    edges = [edge for _, pair in outlines for edge in pair]
-    low, high = extent([*edges, np.array(list(panel.marks.values()))])
+    across = Scale(*_extent([x[chosen]]), _LEFT, wide - _RIGHT)
+    low, top = _extent([*(edge for _, pair in outlines for edge in pair), np.array(list(panel.marks.values()))])
     if panel.from_zero:
-        low, high = 0.0, high if high > 0.0 else 1.0
-    up = Scale(low, high, top + tall, top)
-    steps = dates if plot.dates else ticks
-    yield '<g fill="currentColor" stroke="none">'
+        low, top = 0.0, top if top > 0.0 else 1.0
+    up = Scale(low, top, high - _BOTTOM, _TOP)
+    label = f"{plot.x_label} [{plot.x_unit}]" if plot.x_unit else plot.x_label
+    texts = [_text((across.begin + across.end) / 2, high - 3.0, label, "middle")]
     grid = []
-    for value, text in steps(across.low, across.high, int(wide / _TICK_WIDE) + 1):
+    steps = dates if plot.dates else ticks
+    for value, text in steps(across.low, across.high, int((across.end - across.begin) / _TICK_WIDE) + 1):
         place = float(across(np.array(value)))
-        grid.append(f"M{place:.1f} {top:.1f}V{top + tall + 3.0:.1f}")
-        inside = min(place, WIDTH - 0.5 * _TEXT * LETTER * len(text))
-        yield text_at(inside, top + tall + 13.0, text, _TEXT, "middle")
-    for value, text in ticks(up.low, up.high, int(tall / _TICK_TALL) + 1):
+        grid.append(f"M{place:.1f} {up.end:.1f}V{up.begin + 3.0:.1f}")
+        texts.append(_text(min(place, wide - 0.5 * _LETTER * len(text)), up.begin + 13.0, text, "middle"))
+    for value, text in ticks(up.low, up.high, int((up.begin - up.end) / _TICK_TALL) + 1):
         place = float(up(np.array(value)))
-        grid.append(f"M{left - 3.0:.1f} {place:.1f}H{left + wide:.1f}")
-        yield text_at(left - 5.0, place + 3.0, text, _TEXT, "end")
+        grid.append(f"M{across.begin - 3.0:.1f} {place:.1f}H{across.end:.1f}")
+        texts.append(_text(across.begin - 5.0, place + 3.0, text, "end"))
     if panel.unit:
-        middle = f"{left - 45.0:.1f} {top + tall / 2:.1f}"
-        unit = text_at(0.0, 0.0, f"[{panel.unit}]", _TITLE, "middle")
-        yield f'<g transform="translate({middle}) rotate(-90)">{unit}</g>'
-    crowded = legend and LETTER * _TITLE * len(panel.title) + sum(_legend_sizes(panel)) > wide
-    pad = 13.0 if crowded or len(panel.series) > 2 else 3.0  # a long legend takes the line above the axis
-    yield text_at(left, top - pad, panel.title, _TITLE, "start")
-    if legend:
-        yield from _legend(panel, left, left + wide, top - 3.0)
-    yield "</g>"
-    yield f'<path d="{"".join(grid)}" stroke="currentColor" stroke-width="0.8" stroke-opacity="0.25"/>'
-    ink = 'stroke="currentColor" stroke-width="0.8"'
-    yield f'<path d="M{left:.1f} {top:.1f}V{top + tall:.1f}H{left + wide:.1f}" {ink}/>'
-    clip = f"{plot.name}-clip-{number}"
-    shape = f'<rect x="{left:.1f}" y="{top:.1f}" width="{wide:.1f}" height="{tall:.1f}"/>'
-    yield f'<clipPath id="{clip}">{shape}</clipPath><g clip-path="url(#{clip})">'
-    for level in panel.marks.values():
-        yield f'<path d="M{left:.1f} {float(up(np.array(level))):.1f}H{left + wide:.1f}" {_MARK}/>'
+        unit = _text(0.0, 0.0, f"[{panel.unit}]", "middle")
+        texts.append(f'<g transform="translate(12.6 {(up.begin + up.end) / 2:.1f}) rotate(-90)">{unit}</g>')
+    curves = [
+        f'<path d="M{across.begin:.1f} {float(up(np.array(m))):.1f}H{wide}" {_MARK}/>' for m in panel.marks.values()
+    ]
     places = across(x[chosen])
     for one, (lower, upper) in outlines:
-        if one.look == "part" or one.low is not None:
-            yield f'<path d="{_area(places, up(lower), up(upper))}" {_look(one)}/>'
-        else:
-            yield f'<path d="{_points(places, up(upper), one.look == "points")}" {_look(one)}/>'
-    yield "</g>"
+        filled = one.look == "part" or one.low is not None
+        way = _area(places, up(lower), up(upper)) if filled else _way(places, up(upper), one.look == "points")
+        curves.append(f'<path d="{way}" {_ink(one)}/>')
+    frame = f"M{across.begin:.1f} {up.end:.1f}V{up.begin:.1f}"
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {wide:g} {high:g}" font-family="sans-serif" '
+        f'font-size="9" fill="none" stroke-linejoin="round">\n<g fill="currentColor">{"".join(texts)}</g>\n'
+        f'<path d="{"".join(grid)}" stroke="currentColor" stroke-width="0.8" stroke-opacity="0.25"/>'
+        f'<path d="{frame}H{across.end:.1f}" stroke="currentColor" stroke-width="0.8"/>\n'
+        f'<clipPath id="{clip}"><path d="{frame}H{across.end:.1f}V{up.end:.1f}Z"/></clipPath>'
+        f'<g clip-path="url(#{clip})">{"".join(curves)}</g></svg>'
+    )
+
+
+def _extent(columns: Sequence[np.ndarray]) -> tuple[float, float]:
+    """The range that an axis shows of these, with 5 % of it free on either side."""
+    values = np.concatenate([np.asarray(column, dtype=float).ravel() for column in columns])
+    values = values[np.isfinite(values)]
+    if not len(values):
+        return 0.0, 1.0
+    low, high = float(values.min()), float(values.max())
+    free = 0.05 * (high - low) or 0.05 * abs(high) or 0.05
+    return low - free, high + free
+
+
+def ticks(low: float, high: float, most: int) -> list[tuple[float, str]]:
+    """At most `most` round numbers from `low` to `high`, and their texts."""
+    exponent = int(np.floor(np.log10((high - low) / most)))
+    sizes = [(part, power) for power in (exponent, exponent + 1) for part in (1.0, 2.0, 2.5, 5.0)]
+    part, power = next(size for size in [*sizes, (1.0, exponent + 2)] if size[0] * 10.0 ** size[1] * most >= high - low)
+    step = part * 10.0**power
+    digits = max(0, -power + (part == 2.5))
+    numbers = np.arange(np.ceil(low / step - 1e-9), np.floor(high / step + 1e-9) + 1.0) * step + 0.0
+    many = max(abs(low), abs(high)) >= 1e5 or digits > 4
+    return [(float(value), f"{value:.6g}" if many else f"{value:.{digits}f}") for value in numbers]
+
+
+def dates(low: float, high: float, most: int) -> list[tuple[float, str]]:
+    """The same of seconds since 1970."""
+    step = next((size for size in _DATE_STEPS if size * most >= high - low), _DATE_STEPS[-1])
+    text = "%H:%M:%S" if step < 60.0 else "%m-%d %H:%M" if step < _DAY else "%Y-%m-%d"
+    numbers = np.arange(np.ceil(low / step), np.floor(high / step) + 1.0) * step
+    return [(float(value), datetime.fromtimestamp(value, UTC).strftime(text)) for value in numbers]
+
+
+def _text(x: float, y: float, text: str, anchor: str) -> str:
+    return f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}">{escape(text)}</text>'
 
 
 def _outlines(panel: Panel, chosen: np.ndarray) -> Iterator[tuple[Series, tuple[np.ndarray, np.ndarray]]]:
@@ -109,7 +156,7 @@ def _outlines(panel: Panel, chosen: np.ndarray) -> Iterator[tuple[Series, tuple[
             yield one, (values if one.low is None else one.low[chosen], values)
 
 
-def _points(x: np.ndarray, y: np.ndarray, single: bool) -> str:
+def _way(x: np.ndarray, y: np.ndarray, single: bool = False) -> str:
     """A line that is broken where there is nothing, or a dot for each point."""
     known = np.isfinite(x) & np.isfinite(y)
     drawn, texts = False, []
@@ -121,18 +168,14 @@ def _points(x: np.ndarray, y: np.ndarray, single: bool) -> str:
 
 
 def _area(x: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> str:
-    """What lies between two lines, wherever both are known."""
+    """The area between two lines, wherever both are known."""
     known = np.isfinite(x) & np.isfinite(lower) & np.isfinite(upper)
     runs = np.split(np.arange(len(x)), np.flatnonzero(np.diff(known)) + 1)
-    texts = []
-    for run in runs:
-        if len(run) and known[run[0]]:
-            there, back = _points(x[run], upper[run], False), _points(x[run[::-1]], lower[run[::-1]], False)
-            texts.append(f"{there}L{back[1:]}Z")
-    return "".join(texts)
+    shown = [run for run in runs if len(run) and known[run[0]]]
+    return "".join(f"{_way(x[run], upper[run])}L{_way(x[run[::-1]], lower[run[::-1]])[1:]}Z" for run in shown)
 
 
-def _look(one: Series) -> str:
+def _ink(one: Series) -> str:
     colour = escape(one.colour)
     if one.look == "part" or one.low is not None:
         return f'fill="{colour}" fill-opacity="{0.55 if one.look == "part" else 0.25}"'
@@ -140,29 +183,3 @@ def _look(one: Series) -> str:
         return f'stroke="{colour}" stroke-width="3" stroke-linecap="round"'
     dashed = ' stroke-dasharray="3.7 1.6"' if one.look == "dashed" else ""
     return f'stroke="{colour}" stroke-width="1"{dashed}'
-
-
-def _legend(panel: Panel, left: float, right: float, bottom: float) -> Iterator[str]:
-    """One row that ends on the right, smaller where it would be too long."""
-    entries = [(one.label, _entry(one)) for one in panel.series]
-    entries += [(name, lambda x, y: f'<path d="M{x:.1f} {y:.1f}h{_HANDLE:g}" {_MARK}/>') for name in panel.marks]
-    sizes = _legend_sizes(panel)
-    part = min(1.0, (right - left) / sum(sizes))
-    place = right - part * sum(sizes)
-    for (label, handle), size in zip(entries, sizes, strict=True):
-        yield f'<g fill="none">{handle(place, bottom - 2.5)}</g>'
-        yield text_at(place + _HANDLE + _GAP, bottom, label, part * _LEGEND, "start")
-        place += part * size
-
-
-def _legend_sizes(panel: Panel) -> list[float]:
-    labels = [*(one.label for one in panel.series), *panel.marks]
-    return [_HANDLE + 3.0 * _GAP + LETTER * _LEGEND * len(label) for label in labels]
-
-
-def _entry(one: Series) -> Callable[[float, float], str]:
-    if one.look == "part" or one.low is not None:
-        return lambda x, y: f'<path d="M{x:.1f} {y - 2.5:.1f}h{_HANDLE:g}v5h-{_HANDLE:g}Z" {_look(one)}/>'
-    if one.look == "points":
-        return lambda x, y: f'<path d="M{x + _HANDLE / 2:.1f} {y:.1f}h0" {_look(one)}/>'
-    return lambda x, y: f'<path d="M{x:.1f} {y:.1f}h{_HANDLE:g}" {_look(one)}/>'

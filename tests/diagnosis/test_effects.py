@@ -16,7 +16,7 @@ from agent.diagnosis import check_effects, diagnose, extended_model
 from agent.estimation import estimate
 from agent.model import CATALOGUE, IdentifiedModel
 from agent.model.effects import GROUP
-from agent.report.diagnosis_page import diagnosis_report
+from agent.report.diagnosis.page import diagnosis_report
 from agent.validation import validate
 from fake_controller.plant import Plant
 from tests.small_arms import make_arm, record
@@ -52,7 +52,7 @@ def test_no_name_of_an_effect_is_left_in_the_procedure_and_its_pages():
     named = re.compile("|".join(rf"""["']{name}["']""" for name in CATALOGUE))
     found = {
         path.name: named.findall(path.read_text(encoding="utf-8"))
-        for path in [*folder.glob("*.py"), *pages.glob("*.py")]
+        for path in [*folder.glob("*.py"), *pages.rglob("*.py")]
     }
     assert {name: hits for name, hits in found.items() if hits} == {}
 

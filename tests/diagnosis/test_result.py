@@ -16,7 +16,7 @@ from agent.diagnosis import diagnose
 from agent.model import CATALOGUE
 from agent.pipeline import GapQuestion, diagnose_files
 from agent.pipeline.printed_diagnosis import diagnosis_text
-from agent.report.diagnosis_page import diagnosis_report
+from agent.report.diagnosis.page import diagnosis_report
 
 VOCABULARY = [
     "stribeck",

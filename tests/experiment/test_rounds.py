@@ -22,8 +22,9 @@ from agent.pipeline.other_tests import other_test
 from agent.pipeline.until_sure import until_sure
 from agent.recipe import load_recipe, template
 from agent.recording import PARTS, PLANNED_PARTS
+from agent.report.diagnosis.summary import planned_sections, rounds_sections
 from agent.report.page import Page, render
-from agent.report.rounds_section import next_text, planned_sections, rounds_sections
+from agent.report.phrasing import next_text
 from agent.robot import load_robot
 from agent.runs.folder import RunFolder
 from agent.safety.authorisation import Authorisation, AuthorisationDocument

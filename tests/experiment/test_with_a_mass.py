@@ -22,8 +22,8 @@ from agent.pipeline.next_experiment import NextMotion
 from agent.pipeline.other_tests import with_a_mass
 from agent.pipeline.planning import loop_problem
 from agent.recipe import load_recipe, template
+from agent.report.diagnosis.summary import planned_sections
 from agent.report.page import Page, render
-from agent.report.rounds_section import planned_sections
 from agent.robot import Tool, load_robot
 from fake_controller.plant import Plant
 from tests.small_arms import learn, make_arm, record

@@ -10,7 +10,6 @@ import sys
 import tempfile
 import threading
 import time
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from pathlib import Path
 
@@ -19,7 +18,7 @@ import pytest
 
 from agent.core import on_dask, swept_folder
 from agent.core.console import Console
-from agent.core.errors import InputError
+from agent.core.errors import AgentError, InputError
 from agent.core.on_dask import DaskEngine
 from agent.core.parallel import InProcess
 from agent.excitation import LoopProblem, search
@@ -110,17 +109,13 @@ def test_a_search_on_dask_finds_the_loop_of_this_process():
     assert there.to_dict() == here.to_dict()
 
 
-def test_a_scheduler_that_is_killed_and_comes_back(cluster: DaskProcesses):
-    with DaskEngine(cluster.address) as engine:
+def test_a_scheduler_that_is_killed_ends_the_run_and_says_how_to_go_on(cluster: DaskProcesses):
+    def disturb(done: int) -> None:
+        if done == 15:
+            cluster.kill("scheduler")
 
-        def disturb(done: int) -> None:
-            if done == 15:
-                cluster.kill("scheduler")
-                cluster.kill("worker 1")
-                cluster.kill("worker 2")
-                cluster.supervise()
-
-        assert _answers(engine, 40, disturb) == [(k, k * k) for k in range(40)]
+    with DaskEngine(cluster.address) as engine, pytest.raises(AgentError, match="the same command goes on"):
+        _answers(engine, 400, disturb)
 
 
 def test_a_run_that_is_ended_is_continued_by_the_same_command(plant: Path, estimated: Path, tmp_path: Path):
@@ -206,25 +201,3 @@ def test_twenty_kills_of_a_worker_change_no_row(plant: Path, estimated: Path, tm
         right += rows_of(out) == rows_of(estimated)
     measured("kill -9 of a worker at random moments: results equal row by row", right, "of 20", "20", right == 20)
     assert right == 20
-
-
-@pytest.mark.verify
-def test_five_kills_of_the_scheduler_change_no_row(cluster, plant: Path, estimated: Path, tmp_path: Path, measured):
-    draw, right = random.Random(time.time()), 0
-
-    def kill_after(delay: float) -> None:
-        threading.Event().wait(delay)
-        for name in ("scheduler", "worker 1", "worker 2"):
-            cluster.kill(name)
-        cluster.supervise()
-
-    with ThreadPoolExecutor(1) as supervisor:  # what a thread starts ends with it: this one stays
-        for moment in range(5):
-            out = tmp_path / str(moment)
-            killed = supervisor.submit(kill_after, draw.uniform(0.0, 4.0))
-            question = make_question("estimate", None, None)
-            run_fleet(str(plant), question, str(out), lambda _: DaskEngine(cluster.address), Console(-1))
-            killed.result()
-            right += rows_of(out) == rows_of(estimated)
-    measured("kill -9 of the scheduler at random moments: results equal row by row", right, "of 5", "5", right == 5)
-    assert right == 5

@@ -27,7 +27,7 @@ from agent.pipeline.diagnose import GapQuestion, diagnose_again, diagnose_files
 from agent.pipeline.printed_diagnosis import diagnosis_text
 from agent.recording import read_log
 from agent.recording.mcap.log_file import write_log
-from agent.report.diagnosis_page import diagnosis_report
+from agent.report.diagnosis.page import diagnosis_report
 from agent.simulators import load_simulator
 from tests.model.bench import (
     CHAIN,

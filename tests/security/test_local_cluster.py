@@ -41,7 +41,7 @@ def test_another_user_runs_no_code(engine, protocol: str, which: int):
 def test_a_scheduler_without_tls_is_warned_about(monkeypatch, place: str, warned: int):
     said = []
     engine = DaskEngine(place, warn=said.append)
-    monkeypatch.setattr(engine, "_connect", lambda _: None)
+    monkeypatch.setattr(engine, "_connect", lambda: None)
     with engine:
         assert len(said) == warned
         assert all("tls://" in text for text in said)

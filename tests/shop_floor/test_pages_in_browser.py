@@ -11,8 +11,7 @@ import pytest
 from PIL import Image
 
 from agent.pipeline.reports import write_index
-from agent.report.figures import cell_map
-from agent.report.page import About, NextStep, Page, Section, Table, render
+from agent.report.page import About, Bar, Bars, NextStep, Page, Section, Shade, Table, render, shaded_table
 from agent.report.plots import Panel, Plot, Series
 from agent.report.scene import ArmPoses, Scene
 from tests.browser import differs, picture
@@ -47,13 +46,15 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
     boxes = {"keep-out: table": (np.zeros(3), np.ones(3))}
     cells = np.array([[1.0, np.nan], [0.25, 0.5]])
     left = {"loop": np.abs(line[:, 0])}
+    bars = Table("bars", ("joint", "error"), [(f"joint_{k}", Bars([Bar(0.0, k, "#2a86c8")])) for k in (1, 2)])
+    squares = [("a", "", ""), ("b", Shade(-0.5, "-0.5", "b, a: -0.5"), "")]
+    dense = Table("dense", ("joint", "a", "b"), squares, dense=True)
+    shaded = shaded_table("cells", "Cells.", cells, ["slow", "fast"], ["joint_1", "joint_2"])
     scene = Scene("path", "The arm.", {"loop": line}, {"points": line[:3]}, boxes, arm, left, "left [%]")
     sections = (
         Section("Plots", ("Text.",), (Plot("waves", "Waves.", "time", panels, t, "s", columns=2),)),
         Section("Dates", (), (Plot("dates", "Dates.", "date", (dates,), 1.7e9 + 3600 * t[every], dates=True),)),
-        Section(
-            "Map", (), (cell_map("cells", "Cells.", cells, ["slow", "fast"], ["joint_1", "joint_2"], ["%", "N·m"]),)
-        ),
+        Section("Map", (), (shaded, bars, dense)),
         Section("Scene", (), (scene, Table("table", ("joint", "value"), [("joint_1", "1.0"), ("joint_2", "2.0")]))),
     )
     about = About(
@@ -121,7 +122,7 @@ def test_every_control_does_something(small: Path, browser):
 def test_plots_are_read_and_zoomed_by_keyboard_and_linked(small: Path, browser):
     with browser.page(small) as opened:
         opened.draw()
-        first, second = opened.tab.locator("figure[data-name=waves] .panel").all()
+        first, second = opened.tab.locator("figure[data-name=waves] .live .panel").all()
         first.locator(".canvas").focus()
         for key in ("ArrowRight", "+", "ArrowLeft"):
             opened.tab.keyboard.press(key)
@@ -133,27 +134,14 @@ def test_plots_are_read_and_zoomed_by_keyboard_and_linked(small: Path, browser):
         assert opened.console == []
 
 
-def test_a_map_says_its_values_to_a_pointer_and_to_keys(small: Path, browser):
-    with browser.page(small) as opened:
-        figure = opened.tab.locator("#map figure")
-        figure.locator(".answer").nth(1).hover()
-        assert figure.locator(".said").inner_text() == "joint_2, slow: 0.25 N·m"
-        figure.locator(".scroll").focus()
-        opened.tab.keyboard.press("ArrowRight")
-        assert figure.locator(".said").inner_text() == "joint_2, fast: 0.5 N·m"
-        opened.tab.keyboard.press("ArrowRight")
-        assert figure.locator(".said").inner_text() == "joint_1, slow: 1 %"
-        assert opened.console == []
-
-
 def test_without_script_and_on_paper_there_is_a_still_picture(small: Path, browser):
     with browser.page(small, script=False) as opened:
-        assert opened.tab.locator(".still svg:visible").count() == 2
+        assert opened.tab.locator(".still svg:visible").count() == 3, "a panel each"
     with browser.page(small) as opened:
         opened.draw()
         assert opened.tab.locator(".still svg:visible").count() == 0
         opened.tab.emulate_media(media="print")
-        assert opened.tab.locator(".still svg:visible").count() == 2
+        assert opened.tab.locator(".still svg:visible").count() == 3, "a panel each"
         assert opened.tab.locator(".live:visible, nav:visible, button:visible").count() == 0
 
 

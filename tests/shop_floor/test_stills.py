@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from agent.report.bars import Bar, lying_bars, standing_bars
-from agent.report.figures import cell_map, motion_box_plot
+from agent.report.calibration.prediction import error_table
+from agent.report.page import Bar, Bars, Table, shaded_table, table_html
 from agent.report.plots import Panel, Plot, Series
-from agent.report.stills import still
-from agent.report.svg import dates, ticks
+from agent.report.stills import dates, still, ticks
 
 T = np.linspace(0.0, 6.0, 1001)
 CURVE = Series("speed <v>", np.sin(T))
@@ -36,7 +35,7 @@ def places(way: str) -> np.ndarray:
 
 
 def texts(text: str) -> list[str]:
-    return [found.text or "" for found in ElementTree.fromstring(text).iter(f"{SVG}text")]
+    return [part.strip() for part in ElementTree.fromstring(text).itertext()]
 
 
 def test_a_curve_is_where_its_values_are():
@@ -52,17 +51,6 @@ def test_axes_units_and_labels_are_there_and_are_text():
     other = replace(CURVE, label="planned", look="dashed", colour="#d55e00")
     shown = texts(still(plot(CURVE, other, marks={"limit": 1.5})))
     assert {"tool", "[m/s]", "time [s]", "speed <v>", "planned", "limit", "-1.0", "0.0", "6"} <= set(shown)
-
-
-@pytest.mark.parametrize(
-    ("title", "above"), [("joint_2", False), ("joint_2, 20261122T183433Z_arm/validation_01", True)]
-)
-def test_a_title_too_long_to_stand_beside_the_legend_stands_above_it(title, above):
-    pair = (CURVE, replace(CURVE, label="with the effects"))
-    panels = tuple(Panel(title, "m/s", pair) for _ in range(2))
-    picture = ElementTree.fromstring(still(Plot("cycle", "Two.", "time", panels, T, "s", columns=2)))
-    heights = {text.text: float(text.get("y")) for text in reversed([*picture.iter(f"{SVG}text")])}
-    assert (heights[title] < heights["with the effects"] - 5.0) == above
 
 
 def test_nothing_is_drawn_where_nothing_is_known():
@@ -105,39 +93,34 @@ def test_dates_are_told_as_finely_as_they_lie_apart():
     ]
 
 
-def test_a_bar_is_as_long_as_its_value_and_says_it():
-    bars = [Bar(0, 0.0, 2.0, "#111111"), Bar(1, 2.0, 6.0, "#222222"), Bar(2, 0.0, np.nan, "#333333")]
-    picture = ElementTree.fromstring(lying_bars(["a", "b <c>", "d"], ["a: 2", "b: 4", "none"], bars, "error [%]"))
-    rectangles = {found.get("fill"): found for found in picture.iter(f"{SVG}rect")}
-    first, second = rectangles["#111111"], rectangles["#222222"]
-    assert float(second.get("width")) == pytest.approx(2 * float(first.get("width")), abs=0.2)
-    end = float(first.get("x")) + float(first.get("width"))
-    assert float(second.get("x")) == pytest.approx(end, abs=0.2)
-    assert "#333333" not in rectangles
-    assert [title.text for title in picture.iter(f"{SVG}title")] == ["a: 2", "b: 4", "none"]
+def rectangles(table: Table) -> list[dict[str, float]]:
+    found = ElementTree.fromstring(table_html(table)).iter("rect")
+    return [{key: float(one.get(key)) for key in ("x", "width")} for one in found]
 
 
-def test_standing_bars_go_both_ways():
-    values = np.array([3.0, -1.5])
-    picture = standing_bars(["up", "down"], ["u", "d"], values, ["#111111", "#222222"], "change", 5.0, (3.3,))
-    up, down = (
-        next(found for found in ElementTree.fromstring(picture).iter(f"{SVG}rect") if found.get("fill") == colour)
-        for colour in ("#111111", "#222222")
-    )
-    assert float(up.get("height")) == pytest.approx(2 * float(down.get("height")), abs=0.2)
-    assert float(up.get("y")) + float(up.get("height")) == pytest.approx(float(down.get("y")), abs=0.2)
+def test_bars_of_one_unit_share_a_scale():
+    spans = [(0.0, 2.0, "%"), (2.0, 6.0, "%"), (0.0, np.nan, "%"), (0.0, 60.0, "N·m"), (0.0, -30.0, "N·m")]
+    rows = [("a <b>", Bars([Bar(begin, end, "#111111")], unit=unit)) for begin, end, unit in spans]
+    first, second, torque, back = rectangles(Table("bars", ("what", "error"), rows))
+    assert second["width"] == pytest.approx(2 * first["width"], abs=0.2)
+    assert second["x"] == pytest.approx(first["x"] + first["width"], abs=0.2)
+    assert torque["width"] == pytest.approx(2 * back["width"], abs=0.2)
+    assert back["x"] + back["width"] == pytest.approx(torque["x"], abs=0.2), "bars go both ways from zero"
 
 
-def test_what_is_far_from_the_box_is_a_dot():
+def test_an_error_far_from_the_box_is_drawn_alone():
     rmse = np.append(np.linspace(0.9, 1.1, 20), 9.0)[:, None]
-    figure = motion_box_plot(rmse, np.array([np.nan]), ("joint_1",), 0.03, "")
-    assert figure.svg.count("stroke-linecap") == 1
-    assert "joint_1: median 1" in figure.svg
-    assert motion_box_plot(rmse[:-1], np.array([np.nan]), ("joint_1",), 0.03, "").svg.count("stroke-linecap") == 0
+    (row,) = error_table(rmse, np.array([np.nan]), ("joint_1",), 0.03, "").rows
+    assert (row[0], row[3], row[6]) == ("joint_1", "1.01", "N·m")
+    whiskers, box, far = row[7].bars
+    assert (whiskers.begin, whiskers.end, far.begin) == (0.9, 1.1, 9.0)
+    assert (box.begin, box.end) == pytest.approx((0.95, 1.05), abs=0.01)
+    (row,) = error_table(rmse[:-1], np.array([np.nan]), ("joint_1",), 0.03, "").rows
+    assert len(row[7].bars) == 2
 
 
-def test_a_map_shades_by_the_largest_of_the_same_unit():
+def test_cells_are_shaded_by_the_largest_of_the_same_unit():
     values = np.array([[1.0, np.nan], [0.25, 0.5]])
-    svg = cell_map("cells", "", values, ["slow", "fast"], ["joint_1", "joint_2"], ["%", "N·m"]).svg
-    shades = [float(found.get("fill-opacity")) for found in ElementTree.fromstring(svg).iter(f"{SVG}rect")]
-    assert shades == [0.9, pytest.approx(0.49), 0.9]
+    table = table_html(shaded_table("cells", "", values, ["slow", "fast"], ["joint_1", "joint_2"], ["%", "N·m"]))
+    shades = [int(found, 16) for found in re.findall("background:#d55e00([0-9a-f]{2})", table)]
+    assert shades == [140, 0, pytest.approx(76, abs=1), 140]

@@ -14,8 +14,8 @@ from agent.core import error_text
 from agent.pipeline.calibrate import CalibrationOutcome
 from agent.pipeline.drift_check import worse_joints
 from agent.pipeline.result import judge
-from agent.report.figures import motion_box_plot
-from agent.report.run_page import _colour, _headline
+from agent.report.calibration.pages import _colour, _headline
+from agent.report.calibration.prediction import error_table
 from agent.robot import RobotDescription, load_robot
 from agent.robot.torque_figures import figure_text, not_judged_text
 from agent.runs.history import History, history_json, history_table
@@ -106,10 +106,12 @@ def test_the_gate_says_before_anything_moves_whom_it_cannot_judge():
 @pytest.mark.parametrize("nominal", [(np.nan, np.nan), (10.0, np.nan), (10.0, 10.0)])
 def test_box_plot_keeps_the_torque_of_joints_without_one(nominal):
     rmse = np.array([[0.1, 0.2], [0.3, 0.4]])
-    figure = motion_box_plot(rmse, np.array(nominal), NAMES, 0.03, "")
+    rows = error_table(rmse, np.array(nominal), NAMES, 0.03, "").rows
     expected = np.where(np.isfinite(nominal), 100 * rmse / np.nan_to_num(nominal, nan=1.0), rmse)
-    np.testing.assert_allclose(figure.rows, expected)
-    assert ("gate" in figure.svg) == np.isfinite(nominal).any()
+    shown = [[float(row[1]), float(row[5])] for row in rows]
+    np.testing.assert_allclose(shown, np.column_stack([expected.min(axis=0), expected.max(axis=0)]), rtol=1e-3)
+    assert [row[6] for row in rows] == ["%" if np.isfinite(one) else "N·m" for one in nominal]
+    assert [3.0 in [place for place, _ in row[7].marks] for row in rows] == list(np.isfinite(nominal)), "the gate"
 
 
 def test_without_a_nominal_torque_the_models_own_error_is_the_scale():

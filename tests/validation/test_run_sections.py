@@ -10,9 +10,9 @@ import pytest
 from agent.estimation import EstimationSettings, estimate
 from agent.recording import Log
 from agent.report import RUN_SECTIONS, RunContent, further_sections
-from agent.report.correlation import correlation, correlation_section
+from agent.report.calibration.parameters import correlation, correlation_section
+from agent.report.calibration.sections import paper_section
 from agent.report.page import Page, Section, render
-from agent.report.paper_section import paper_section
 from agent.robot import load_robot
 from agent.validation import predict_log
 
@@ -86,7 +86,7 @@ def test_the_strongest_pairs_are_listed_with_their_sign():
     section = correlation_section(SimpleNamespace(covariance=covariance, names=("m_1", "f0_1", "f1_1")))
     assert section.parts[1].rows[:2] == [("m_1", "f0_1", "-0.980"), ("m_1", "f1_1", "+0.100")]
     assert section.text[0].startswith("1 of 3 pairs")
-    assert "f0_1, m_1: -0.98" in section.parts[0].svg
+    assert section.parts[0].rows[1][1].title == "f0_1, m_1: -0.98"
 
 
 def test_a_section_is_one_function_and_one_registration(monkeypatch, tmp_path):
@@ -96,7 +96,7 @@ def test_a_section_is_one_function_and_one_registration(monkeypatch, tmp_path):
     def nothing(content: RunContent) -> None:
         return None
 
-    monkeypatch.setattr("agent.report.run_sections.RUN_SECTIONS", [held_out, nothing])
+    monkeypatch.setattr("agent.report.calibration.sections.RUN_SECTIONS", [held_out, nothing])
     made = further_sections(RunContent(tmp_path, None, SimpleNamespace(worst="joint_3"), [], []))
     assert [section.title for section in made] == ["Held out"]
     assert "worst: joint_3" in render(Page("t", "h", "plain", made))
@@ -104,7 +104,7 @@ def test_a_section_is_one_function_and_one_registration(monkeypatch, tmp_path):
 
 
 def test_a_friction_curve_is_that_of_long_sliding(logs):
-    from agent.report.friction_curves import friction_curve
+    from agent.report.calibration.friction import friction_curve
 
     robot, (fitted, _) = logs
     model = estimate(robot, [fitted], EstimationSettings.create(method="paper", cutoff=20))

@@ -181,6 +181,11 @@
     const bar = make("div", { class: "bar" }), boxes = make("div", { class: "panels" });
     live.append(bar, boxes);
     figure.classList.add("drawn");
+    let next = spec.shared ? 1 : 0; // columns: the plot's abscissa, then panel by panel
+    for (const panel of spec.panels) {
+      panel.x = panel.own ? next++ : 0;
+      for (const one of panel.series) one.columns = one.look === "band" ? [next++, next++] : [next++];
+    }
     const charts = spec.panels.map(panel => {
       const box = make("div", { class: "panel" });
       boxes.append(box);

@@ -15,8 +15,8 @@ from agent.model import CATALOGUE, IdentifiedModel
 from agent.model.identified import ModelEffect
 from agent.pipeline.printed_diagnosis import diagnosis_text
 from agent.recording.log import Log
-from agent.report.diagnosis_page import diagnosis_report, headline
-from agent.report.gap_section import diagnosis_section, diagnosis_summary
+from agent.report import diagnosis_report, diagnosis_summary, headline
+from agent.report.diagnosis.summary import diagnosis_section
 from agent.validation import predict_log
 from fake_controller.plant import Plant
 from tests.small_arms import learn, make_arm, record

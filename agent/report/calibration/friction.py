@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from agent.model import steady_columns
 from agent.report.page import Section
-from agent.report.plots import SERIES, UNLINKED, Panel, Plot, Series
-from agent.report.torque_section import worst_first
+from agent.report.plots import SERIES, UNLINKED, Panel, Plot, Series, worst_first
 from agent.robot import axle_motion, torque_units
 
 if TYPE_CHECKING:
@@ -18,24 +17,19 @@ if TYPE_CHECKING:
     from agent.robot import RobotDescription
     from agent.validation import Prediction
 
-_GRID = 120
-_BINS = 60
-_FEWEST = 10  # samples of a bin
+_GRID = 121
+#: Ranges of speed, and the fewest samples of one that is shown.
+_BINS, _FEWEST = 60, 10
 
 
 def friction_section(predictions: Sequence[Prediction]) -> Section:
-    """Curves of all axles, the joint with the largest error first, over measured torque less that of the bodies."""
+    """Curves of all axles, the joint with the largest error first, over measured torque minus that of the links."""
+    from agent.validation import pooled_rmse
+
     text = (
         "Line: friction of the model, with the 95 % band of its parameters, without load-dependent terms. Dots: "
         "measured torque minus the torque of the links, averaged over narrow ranges of speed.",
     )
-    return Section("Friction", text, (friction_plot(predictions),))
-
-
-def friction_plot(predictions: Sequence[Prediction]) -> Plot:
-    """A panel an axle: curve and band over its speed, and the means of the data."""
-    from agent.validation import pooled_rmse
-
     model = predictions[0].model
     robot = model.robot
     speed = np.concatenate([axle_motion(robot, prediction.velocity) for prediction in predictions])
@@ -46,30 +40,36 @@ def friction_plot(predictions: Sequence[Prediction]) -> Plot:
         if top <= 0:
             continue
         middle, mean = _means(speed[:, axle], rest[:, axle], top)
-        x = np.unique(np.concatenate([top * np.linspace(-1, 1, _GRID), [0.0], middle]))
-        curve, half = friction_curve(model, axle, x)
+        x = np.unique(np.concatenate([top * np.linspace(-1, 1, _GRID), middle]))
         dots = np.full(len(x), np.nan)
         dots[np.searchsorted(x, middle)] = mean
-        series = (
-            Series("95 % band", curve + half, colour=SERIES[0], low=curve - half),
-            Series("model", curve, colour=SERIES[0]),
-            Series("data", dots, "points", SERIES[1]),
+        series = [*_curve("model", model, axle, x, SERIES[0]), Series("data", dots, "points", SERIES[1])]
+        panels.append(
+            Panel(robot.joint_names[axle], torque_units(robot)[axle], series, x, joint=robot.joint_names[axle])
         )
-        name = robot.joint_names[axle]
-        panels.append(Panel(name, torque_units(robot)[axle], series, x, joint=name))
     caption = "Friction over the speed of the axle: model and data."
-    return Plot("friction", caption, "speed", tuple(panels), x_unit=speed_unit(robot), link=UNLINKED, columns=2)
+    return Section("Friction", text, (_plot("friction", caption, panels, robot),))
 
 
-def speed_unit(robot: RobotDescription) -> str:
-    """Of the speeds of all joints on one axis."""
-    return "m/s" if all(joint.prismatic for joint in robot.joints) else "rad/s"
+def compared_friction(models: Mapping[str, IdentifiedModel]) -> Plot:
+    """The curves of several models of one robot, by name."""
+    robot = next(iter(models.values())).robot
+    panels = []
+    for axle, joint in enumerate(robot.joint_names):
+        x = robot.max_velocity[axle] * np.linspace(-1, 1, _GRID)
+        series = [
+            one
+            for k, (name, model) in enumerate(models.items())
+            for one in _curve(name, model, axle, x, SERIES[k % len(SERIES)], f"{name}, ")
+        ]
+        panels.append(Panel(joint, torque_units(robot)[axle], series, x, joint=joint))
+    return _plot("friction-curves", "Friction of each axle over its speed, as each run has it.", panels, robot)
 
 
 def friction_curve(model: IdentifiedModel, axle: int, speed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(S,) torque of an axle's friction at speeds (S,) held, and (S,) half of its 95 % band [N·m].
+    """(S,) torque of an axle's friction at constant speeds (S,), and (S,) half of its 95 % band [N·m].
 
-    Each point is that of long sliding one way: what a reversal does along a path has no place over speed.
+    Each point is that of long sliding in one direction: the path after a reversal cannot be shown over speed.
     """
     own = [k for k, term in enumerate(model.terms) if term.axle == axle and term.form != "load"]
     columns = steady_columns([model.terms[k] for k in own], speed)
@@ -77,6 +77,19 @@ def friction_curve(model: IdentifiedModel, axle: int, speed: np.ndarray) -> tupl
     covariance = model.covariance[np.ix_(places, places)]
     variance = np.einsum("sk,kl,sl->s", columns, covariance, columns)
     return columns @ model.values[places], 1.96 * np.sqrt(np.maximum(variance, 0))
+
+
+def _curve(
+    name: str, model: IdentifiedModel, axle: int, x: np.ndarray, colour: str, before: str = ""
+) -> tuple[Series, Series]:
+    curve, half = friction_curve(model, axle, x)
+    band = Series(f"{before}95 % band", curve + half, colour=colour, low=curve - half)
+    return band, Series(name, curve, colour=colour)
+
+
+def _plot(name: str, caption: str, panels: Sequence[Panel], robot: RobotDescription) -> Plot:
+    unit = "m/s" if all(joint.prismatic for joint in robot.joints) else "rad/s"
+    return Plot(name, caption, "speed", panels, x_unit=unit, link=UNLINKED, columns=2)
 
 
 def _means(speed: np.ndarray, torque: np.ndarray, top: float) -> tuple[np.ndarray, np.ndarray]:

@@ -1,4 +1,4 @@
-"""The loop and its search, as sections of a report."""
+"""The loop and its search, as sections of a report; the page of a plan."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agent.report.figures import limit_margins, search_history, speed_profile
 from agent.report.page import Page, Section, render
+from agent.report.plots import SERIES, Panel, Plot, Series, joint_series
 from agent.report.scene import ArmPoses, Scene
 
 
@@ -28,7 +28,7 @@ class MotionData:
 
     path (S, 3) of the TCP [m], via_points (K, 3), boxes {name: (min, max)} of sub-region and keep-out; of one cycle
     t (S',) [s], speed (S',) [m/s], limit_use {kind: (S', n)} as fractions, the arm along it. `left` (S,) in
-    `left_unit`: what a model leaves of the torque on the way, of the worst joint.
+    `left_unit`: the part of the torque on the way that a model leaves, of the worst joint.
     """
 
     robot: str
@@ -49,7 +49,6 @@ class MotionData:
 def motion_section(data: MotionData) -> Section:
     """Path, speed, use of the limits."""
     every = slice(None, None, max(1, len(data.path) // 400))
-    left = {} if data.left is None else {"loop": data.left[every]}
     scene = Scene(
         "path",
         "The arm on its loop with the via-points, base frame (the paper's Fig. 4b)"
@@ -58,13 +57,36 @@ def motion_section(data: MotionData) -> Section:
         points={"via-points": data.via_points},
         boxes=data.boxes,
         arm=data.arm,
-        colouring=left,
+        colouring={} if data.left is None else {"loop": data.left[every]},
         coloured_by=f"left by the model on the worst joint [{data.left_unit}]",
     )
     largest = ", ".join(f"{kind} {100 * values.max():.0f} %" for kind, values in data.limit_use.items())
     text = (*data.description, f"Largest use of a joint's limit: {largest}.")
-    speed = speed_profile(data.t, data.speed, data.programmed_speed)
-    return Section("Motion", text, (scene, speed, limit_margins(data.t, data.limit_use, data.joints)))
+    wanted = {"as programmed": data.programmed_speed}
+    speed = Panel("speed of the tool", "m/s", (Series("speed", data.speed),), marks=wanted, from_zero=True)
+    use = [
+        Panel(
+            f"use of the {kind} limit",
+            "%",
+            joint_series(data.joints, 100 * values),
+            marks={"limit": 100.0},
+            from_zero=True,
+        )
+        for kind, values in data.limit_use.items()
+    ]
+    plots = (
+        Plot("speed", "Speed of the tool along one cycle.", "time", (speed,), data.t, "s", link="cycle"),
+        Plot(
+            "margins",
+            "Use of the limits of the joints along one cycle, in % of each.",
+            "time",
+            use,
+            data.t,
+            "s",
+            link="cycle",
+        ),
+    )
+    return Section("Motion", text, (scene, *plots))
 
 
 def search_section(data: SearchData) -> Section:
@@ -74,7 +96,10 @@ def search_section(data: SearchData) -> Section:
         "Fitness is log10 det(HᵀH/M), with the observation matrix H of M samples. One more means ten times the "
         "information about all parameters together. Compare it only between loops of one robot.",
     )
-    return Section("Search", text, (search_history(data.best, data.mean),))
+    series = (Series("best", data.best), Series("mean of the feasible", data.mean, "dashed", SERIES[1]))
+    caption = "Fitness, log10 det(HᵀH / M), over the generations; higher is better (the paper's Fig. 4a)."
+    panel, generations = Panel("fitness", "", series), np.arange(1.0, len(data.best) + 1)
+    return Section("Search", text, (Plot("search-history", caption, "generation", (panel,), generations),))
 
 
 def plan_report(data: MotionData, search: SearchData, program: str) -> str:

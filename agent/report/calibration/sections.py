@@ -11,20 +11,21 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from agent.report.comparison_sections import comparison_section
-from agent.report.correlation import correlation_section
-from agent.report.friction_curves import friction_section
-from agent.report.log_sections import LogHealth, log_section
-from agent.report.observation import observation_section
-from agent.report.page import Section
-from agent.report.paper_section import paper_section
-from agent.report.residual_sections import residual_section
+from agent.core import InputError
+from agent.report.calibration.comparison import comparison_section
+from agent.report.calibration.friction import friction_section
+from agent.report.calibration.parameters import correlation_section, observation_section
+from agent.report.calibration.recordings import LogHealth, log_section
+from agent.report.calibration.residuals import residual_section
+from agent.report.page import Section, Table
+from agent.robot import torque_units
 from agent.runs import last_accepted
 
 if TYPE_CHECKING:
     from agent.model import IdentifiedModel
     from agent.recipe import Recipe
     from agent.recording import Log
+    from agent.robot import Tool
     from agent.validation import Prediction
 
 
@@ -57,6 +58,33 @@ def _comparison(content: RunContent) -> Section | None:
         return None
     before = IdentifiedModel.load(last / "model.json")
     return comparison_section(compare_models(before, content.model, content.excitation, last.name, content.run.name))
+
+
+def paper_section(
+    model: IdentifiedModel, log: Log, predictions: Sequence[Prediction], tool: Tool | None = None
+) -> Section | None:
+    """RMSE on moving samples by axis, of the model and of `method: paper` on its log; None where that is the model."""
+    from agent.estimation import EstimationSettings, estimate
+    from agent.validation import pooled_rmse
+
+    if model.method == "paper":
+        return None
+    settings = EstimationSettings.create(cutoff=model.cutoff, method="paper", order=model.order)
+    try:
+        paper = estimate(model.robot, [log], settings, tool)
+    except InputError as error:
+        return Section("The paper's own estimator", (f"It cannot be fitted to this log: {error}.",))
+    ours, theirs = pooled_rmse(predictions), pooled_rmse([prediction.by(paper) for prediction in predictions])
+    rows = [
+        (name, f"{a:.3g}", f"{b:.3g}", unit, f"{b / a:.2f}" if a > 0 else "-")
+        for name, a, b, unit in zip(model.robot.joint_names, ours, theirs, torque_units(model.robot), strict=True)
+    ]
+    header = ("axis", f"RMSE, {model.method}", "RMSE, paper", "unit", "paper over this")
+    text = (
+        "Coulomb, viscous and quadratic friction, weights of its eq. 4 and no prior, fitted to the same log with the "
+        "same filter; moving samples of the same unseen motions.",
+    )
+    return Section("The paper's own estimator", text, (Table("paper", header, rows),))
 
 
 #: In the order of the page; a function returns None where there is nothing to show.

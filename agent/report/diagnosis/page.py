@@ -1,49 +1,47 @@
-"""The page of a diagnosis: what a technician needs first, then the figures, then every step of the procedure."""
+"""The page of a diagnosis: the answer and the next step, then the figures, then every step of the procedure."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from agent.diagnosis import (
-    Diagnosis,
-    Simulated,
-    reported_parameters,
-    simulation_part,
-    torque_gap,
+from agent.core import package_version
+from agent.diagnosis import Diagnosis, Simulated, reported_parameters, simulation_part, torque_gap
+from agent.model import CATALOGUE, PAYLOAD
+from agent.recording import Log, machines_of
+from agent.report.diagnosis.figures import (
+    band_map,
+    gap_table,
+    regime_map,
+    simulated_torque,
+    timeline,
+    waterfall,
 )
-from agent.model import CATALOGUE
-from agent.report.diagnosis_figures import band_map, before_and_after, regime_map, simulated_torque, timeline
-from agent.report.first_screen import about_diagnosis
-from agent.report.page import NextStep, Page, Section, Table, render
+from agent.report.diagnosis.simulator import drift_section, simulator_sections
+from agent.report.diagnosis.summary import planned_sections, rounds_sections
+from agent.report.page import About, NextStep, Page, Section, Table, render
 from agent.report.phrasing import (
+    FOUR,
     NOT_TESTABLE,
     closes,
     headline,
     look_at,
+    measures,
+    next_text,
     parameter_text,
     place,
-    share_text,
+    said_by_rounds,
+    summary,
     what,
     where_sentences,
 )
-from agent.report.rounds_section import next_text, planned_sections, rounds_sections, said_by_rounds
-from agent.report.simulator_section import motion_first, simulator_sections, waterfall_parts
+from agent.report.scene import arm_picture
 from agent.robot import figure_text
 
-#: Title of the section on candidates that were not named.
-REJECTED = "What was rejected"
-_MOST_STEPS = 20
-#: What a table of pushes has of each, by the name of the parameter.
-_OF_PUSH = {
-    "on link": "link",
-    "from": "start",
-    "to": "end",
-    "force x": "force_x",
-    "force y": "force_y",
-    "force z": "force_z",
-}
-_MOST_REJECTED = 12
+#: Title of the section on candidates, and how many it lists.
+HYPOTHESES, _MOST_HYPOTHESES = "Hypotheses compared", 20
+#: Columns of the table of pushes, by the name of the parameter.
+_OF_PUSH = {"on link": "link", "from": "start", "to": "end"} | {f"force {axis}": f"force_{axis}" for axis in "xyz"}
 
 
 def diagnosis_report(
@@ -58,29 +56,66 @@ def diagnosis_report(
     simulator was run forward (`forward`) or further motions were planned or run (`next_experiment`, `rounds`).
     """
     result = diagnosis.result if result is None else result
-    verdict, forward = result["verdict"], result.get("forward")
+    forward = result.get("forward")
+    # the drift comes before anything of torque where that was not measured
+    first = bool(forward) and diagnosis.answer.torque_of == "servos"
     sections = [
-        *motion_first(diagnosis, forward),
+        *([drift_section(forward)] if forward and first else []),
         _cause_section(diagnosis, None if said_by_rounds(result) else result["next_experiment"]),
         *planned_sections(result["next_experiment"]),
         *rounds_sections(result.get("rounds"), result.get("rounds_end", "")),
         _where_section(diagnosis),
         _closure_section(diagnosis, simulated),
-        *simulator_sections(diagnosis, forward),
-        _rejected_section(diagnosis),
-        _steps_section(diagnosis),
+        *simulator_sections(diagnosis, None if first else forward),
+        _hypotheses_section(diagnosis),
         _testability_section(diagnosis),
     ]
-    colour = {"no_gap": "good", "explained": "bad"}.get(verdict, "plain")
+    colour = {"no_gap": "good", "explained": "bad"}.get(result["verdict"], "plain")
     title = f"Gap between model and {diagnosis.dataset.robot.name}"
     return render(Page(title, headline(result), colour, sections, about_diagnosis(diagnosis, next_steps, result)))
+
+
+def about_diagnosis(diagnosis: Diagnosis, next_steps: Sequence[NextStep], result: Mapping[str, Any]) -> About:
+    """The first screen below the verdict; `next_steps` are commands that whoever asked can run."""
+    dataset = diagnosis.dataset
+    logs, model = dataset.logs, f"{dataset.model.method}, {len(dataset.model.values)} parameters"
+    asked = (
+        "What does the robot have that the model lacks?"
+        if dataset.given
+        else "What do these motions show that links and friction cannot explain?"
+    )
+    said = summary(result)
+    facts = [(title, said[key]) for key, title in FOUR.items() if key != "next"]
+    marked = result["causes"][0]["joints"] if result["causes"] else []
+    posture = logs[0].position[len(logs[0].position) // 2]
+    picture = arm_picture(dataset.robot, posture, marked) if marked else ""
+    masses = [(log, load) for log in logs if (load := log.metadata.get(PAYLOAD))]
+    identity = [
+        ("robot", dataset.robot.name),
+        *((key, ", ".join(values) or "not reported") for key, values in machines_of(logs).items()),
+        *(("mass at the flange", f"{load} ({log.name})") for log, load in masses),
+        ("recorded", _recorded(logs)),
+        ("logs", str(len(logs))),
+        ("model", model if dataset.given else f"fitted to these logs: {model}"),
+        ("program", f"calibration-agent {package_version()}"),
+    ]
+    return About(asked, facts, [*measures(result), *next_steps], identity, picture)
+
+
+def _recorded(logs: Sequence[Log]) -> str:
+    """The dates of the logs, where the clock of every log shows one."""
+    dates = sorted(log.date for log in logs if log.date is not None)
+    if len(dates) < len(logs):
+        return "no date in the logs"
+    first, last = (date.strftime("%Y-%m-%d %H:%M UTC") for date in (dates[0], dates[-1]))
+    return first if first == last else f"{first} to {last}"
 
 
 def _cause_section(diagnosis: Diagnosis, next_experiment: Mapping[str, Any] | None) -> Section:
     result = diagnosis.result
     text = [sentence for cause in result["causes"] for sentence in _about_cause(cause, result)]
     if result["verdict"] == "unknown":
-        text.append(f"No effect that was tried explains it. How far the nearest fall short: {REJECTED}.")
+        text.append(f"No effect that was tried explains it. How far the nearest fall short: {HYPOTHESES}.")
     if next_experiment is not None:
         text.append(f"{next_text(next_experiment)}.")
     text += [f"Warning: {warning}." for warning in diagnosis.warnings]
@@ -129,27 +164,13 @@ def _about_cause(cause: Mapping[str, Any], result: Mapping[str, Any]) -> Iterato
 
 def _where_section(diagnosis: Diagnosis) -> Section:
     result = diagnosis.result
-    gap = result["gap"]
-    share = {entry["joint"]: entry for entry in result["where"]}
-    floor = gap["floor"] or [float("nan")] * len(gap["joints"])
-    shown = share_text if torque_gap(result) else lambda _: "-"
-    rows = [
-        (
-            joint,
-            *(figure_text(part[k], gap["units"][k]) for part in (gap["before"], gap["after"], floor)),
-            shown(share[joint]),
-        )
-        for k, joint in enumerate(gap["joints"])
-    ]
     text = list(where_sentences(result))
     if diagnosis.answer.torque_of == "servos":
         text.append("Torque was not measured: it is what the servos of the simulator would give at the set-points.")
     text.append(
         "Errors of torque are root mean squares on motion held out, in % of nominal joint torque where there is one."
     )
-    header = ("joint", "before", "after", "floor", "share of the gap")
-    rows.sort(key=lambda row: -share[row[0]]["share"])
-    parts = (Table("gap", header, rows), regime_map(diagnosis), band_map(diagnosis), timeline(diagnosis))
+    parts = (gap_table(result), regime_map(diagnosis), band_map(diagnosis), timeline(diagnosis))
     return Section("Where it is", text, parts)
 
 
@@ -160,18 +181,18 @@ def _closure_section(diagnosis: Diagnosis, simulated: Sequence[Simulated]) -> Se
         part = "All" if result["closure"] > 0.995 else f"{100 * result['closure']:.0f} %"
         text.append(f"{part} of the torque gap is closed, counted down to the floor.")
     text += [f"Held out: {fold['held_out']}, fitted on {', '.join(fold['fitted_on'])}." for fold in result["folds"]]
-    parts: list[Any] = [before_and_after(diagnosis)]
+    parts: list[Any] = []
     if result.get("waterfall") and diagnosis.calibrated is None:
-        words, *bars = waterfall_parts(result["waterfall"])
+        words, steps = waterfall(result["waterfall"])
         text.append(words)
-        parts += bars
+        parts.append(steps)
     motion = result["motion_gap"]
     if diagnosis.motion is not None and diagnosis.motion.notable:
         floor = motion["floor"] or [None] * robot.dof
-        parts_of = (motion["before"], motion["after"], floor)
+        errors = zip(motion["before"], motion["after"], floor, strict=True)
         rows = [
-            (joint, *("-" if part[k] is None else f"{1e3 * part[k]:.3f}" for part in parts_of))
-            for k, joint in enumerate(robot.joint_names)
+            (joint, *("-" if error is None else f"{1e3 * error:.3f}" for error in of_joint))
+            for joint, of_joint in zip(robot.joint_names, errors, strict=True)
         ]
         text.append("What was executed is not what was planned; torque is judged on the executed motion.")
         parts.append(Table("motion-gap", ("joint", "before [mrad, mm]", "after", "floor"), rows))
@@ -183,7 +204,21 @@ def _closure_section(diagnosis: Diagnosis, simulated: Sequence[Simulated]) -> Se
             else "No effect was found, so there is nothing to compare in forward simulation."
         )
     else:
-        parts += [_simulation_table(diagnosis, figures), simulated_torque(diagnosis, simulated)]
+        (before, after), (q_before, q_after) = (
+            (figures[kind]["before"], figures[kind]["after"]) for kind in ("torque", "position")
+        )
+        rows = [
+            (
+                joint,
+                figure_text(before[k], unit),
+                figure_text(after[k], unit),
+                f"{1e3 * q_before[k]:.3f}",
+                f"{1e3 * q_after[k]:.3f}",
+            )
+            for k, (joint, unit) in enumerate(zip(robot.joint_names, result["gap"]["units"], strict=True))
+        ]
+        header = ("joint", "torque, model", "with effects", "position, model [mrad, mm]", "with effects")
+        parts += [Table("simulation", header, rows), simulated_torque(diagnosis, simulated)]
         text.append(
             "Forward simulation: the arm of the model runs the same set-points behind a servo as late as the measured "
             "one, without the effects and with them, and is compared with what was measured. What is left of it on "
@@ -192,62 +227,25 @@ def _closure_section(diagnosis: Diagnosis, simulated: Sequence[Simulated]) -> Se
     return Section("How far it shrinks", text, parts)
 
 
-def _simulation_table(diagnosis: Diagnosis, figures: Mapping[str, Any]) -> Table:
-    torque, position, result = figures["torque"], figures["position"], diagnosis.result
-    rows = [
-        (
-            joint,
-            figure_text(torque["before"][k], result["gap"]["units"][k]),
-            figure_text(torque["after"][k], result["gap"]["units"][k]),
-            f"{1e3 * position['before'][k]:.3f}",
-            f"{1e3 * position['after'][k]:.3f}",
-        )
-        for k, joint in enumerate(diagnosis.dataset.robot.joint_names)
-    ]
-    header = ("joint", "torque, model", "with effects", "position, model [mrad, mm]", "with effects")
-    return Table("simulation", header, rows)
-
-
-def _rejected_section(diagnosis: Diagnosis) -> Section:
-    """The effects that were not named, by what each alone explains over the best."""
+def _hypotheses_section(diagnosis: Diagnosis) -> Section:
+    """The hypotheses that were compared, likeliest first."""
     finding, names = diagnosis.finding, diagnosis.dataset.robot.joint_names
     named = {candidate.place for candidate in finding.causes}
     rivals = {place for several in finding.rivals for place in several}
-    singles = sorted((h for h in finding.hypotheses if len(h.effects) == 1 and not h.free), key=lambda h: -h.gain)
-    rows: list[tuple[str, ...]] = []
-    for hypothesis in singles:
-        (candidate,) = hypothesis.effects
-        if candidate.place not in named and len(rows) < _MOST_REJECTED:
-            why = "as good: these logs do not distinguish it" if candidate.place in rivals else "explains less"
-            where = ", ".join(names[j] for j in candidate.joints) or "arm"
-            rows.append((what(candidate.effect.name, diagnosis.result), where, f"{hypothesis.gain:.1f}", why))
-    if not rows:
-        return Section(REJECTED, ("Nothing was tried: there is nothing to explain.",))
-    text = ["Log Bayes factor of each effect alone against none. Next to a named cause, most of it is gone."]
-    return Section(REJECTED, text, (Table("rejected", ("effect", "where", "log Bayes factor", "why"), rows),))
-
-
-def _steps_section(diagnosis: Diagnosis) -> Section:
-    """The hypotheses that were compared, likeliest first."""
-    names = diagnosis.dataset.robot.joint_names
     rows = []
-    for hypothesis in diagnosis.finding.hypotheses[:_MOST_STEPS]:
+    for hypothesis in finding.hypotheses[:_MOST_HYPOTHESES]:
         effects = [candidate.text(names) for candidate in hypothesis.effects]
         effects += [f"something else on {names[joint]}" for joint in hypothesis.free]
-        rows.append(
-            (
-                " + ".join(effects) or "no effect",
-                f"{hypothesis.gain:.1f}",
-                f"{hypothesis.probability:.3f}",
-                f"{100 * hypothesis.explained:.0f} %",
-            )
-        )
+        figures = (f"{hypothesis.gain:.1f}", f"{hypothesis.probability:.3f}", f"{100 * hypothesis.explained:.0f} %")
+        places = set(hypothesis.places)
+        equal = "as good: these logs do not distinguish it" if len(places) == 1 and places <= rivals else ""
+        rows.append((" + ".join(effects) or "no effect", *figures, "named" if named and places == named else equal))
     text = [
         "Every effect is compared with none and with the others by its log Bayes factor. The model may move within its "
         "stored uncertainty, and every arm has a little of everything: only what goes beyond that counts.",
     ]
-    header = ("hypothesis", "log Bayes factor", "probability", "explains of the gap")
-    return Section("Hypotheses compared", text, [Table("hypotheses", header, rows)])
+    header = ("hypothesis", "log Bayes factor", "probability", "explains of the gap", "")
+    return Section(HYPOTHESES, text, [Table("hypotheses", header, rows)])
 
 
 def _testability_section(diagnosis: Diagnosis) -> Section:

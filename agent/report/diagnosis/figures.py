@@ -1,26 +1,26 @@
-"""Figures of a diagnosis: joint by regime, bands of frequency, errors over time, before and after, simulated torque."""
+"""Tables and plots of a diagnosis: joint by regime and frequency, errors over time, before and after, simulation."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
-from agent.diagnosis import BANDS, Diagnosis, Simulated, band_shares, masks, motor_phase_share
+from agent.diagnosis import BANDS, Diagnosis, Simulated, band_shares, masks, motor_phase_share, torque_gap
 from agent.model import REGIMES
 from agent.recording import Log
-from agent.report.bars import Bar, lying_bars
-from agent.report.figures import Figure, cell_map
-from agent.report.plots import SERIES, Panel, Plot, Series
-from agent.report.torque_section import worst_first
-from agent.robot import SHARE, torque_units
+from agent.report.page import Bar, Bars, Table, shaded_table
+from agent.report.phrasing import share_text
+from agent.report.plots import SERIES, Panel, Plot, Series, worst_first
+from agent.robot import SHARE, figure_text, torque_units
 
 _MOST_JOINTS = 3
 _MOST_LOGS = 6
 
 
-def regime_map(diagnosis: Diagnosis) -> Figure:
-    """Joint × regime: error of the model in units of its own background."""
+def regime_map(diagnosis: Diagnosis) -> Table:
+    """Joint × regime: error of the model over its held-out error."""
     dataset = diagnosis.dataset
     values = np.full((dataset.robot.dof, len(REGIMES)), np.nan)
     for joint in range(dataset.robot.dof):
@@ -31,12 +31,11 @@ def regime_map(diagnosis: Diagnosis) -> Figure:
             if here.any():
                 values[joint, column] = np.sqrt(np.mean(relative[here]))
     caption = "Error by joint (rows) and regime (columns), in units of the model's held-out error. About 1 is normal."
-    labels = [regime.replace("_", "\n") for regime in REGIMES]
-    return cell_map("regimes", caption, values, labels, dataset.robot.joint_names)
+    return shaded_table("regimes", caption, values, REGIMES, dataset.robot.joint_names)
 
 
-def band_map(diagnosis: Diagnosis) -> Figure:
-    """Joint × frequency band, and what goes with the motor's angle: shares of the error's energy [%]."""
+def band_map(diagnosis: Diagnosis) -> Table:
+    """Joint × frequency band, and the part that follows the motor's angle: shares of the error's energy [%]."""
     dataset = diagnosis.dataset
     values = np.full((dataset.robot.dof, len(BANDS) + 1), np.nan)
     for joint in range(dataset.robot.dof):
@@ -50,7 +49,7 @@ def band_map(diagnosis: Diagnosis) -> Figure:
         "Share of each joint's squared error [%] by frequency and motor angle. -: motor too fast, or turned too little."
     )
     names = dataset.robot.joint_names
-    return cell_map("bands", caption, values, [*labels, "motor angle"], names, ["%"] * len(names))
+    return shaded_table("bands", caption, values, [*labels, "motor angle"], names, ["%"] * len(names))
 
 
 def timeline(diagnosis: Diagnosis) -> Plot:
@@ -78,39 +77,42 @@ def log_title(log: Log) -> str:
     return f"{log.path.parent.name}/{log.name}" if (log.path.parent / "state.json").is_file() else log.name
 
 
-def before_and_after(diagnosis: Diagnosis) -> Figure:
-    """Bars of the held-out torque error of every joint, with the floor as a mark."""
-    gap = diagnosis.result["gap"]
-    count = len(gap["joints"])
-    shares = np.array(gap["units"]) == SHARE
-    # a torque cannot be drawn on an axis of shares; the table has it
-    scale = np.where(shares, 100.0, np.nan) if shares.any() else np.ones(count)
-    before, after = (scale * np.array(gap[side]) for side in ("before", "after"))
-    floor = np.full(count, np.nan) if gap["floor"] is None else scale * np.array(gap["floor"])
-    rows = np.column_stack([before, after, floor])
-    unit = "% of nominal" if shares.any() else "N·m"
-    sides = (("model alone", SERIES[1], before), ("with the effects", SERIES[0], after))
-    svg = lying_bars(
-        gap["joints"],
-        [_sides(joint, row, unit) for joint, row in zip(gap["joints"], rows, strict=True)],
-        [
-            Bar(row, 0.0, float(size), colour, lane)
-            for lane, (_, colour, sizes) in enumerate(sides)
-            for row, size in enumerate(sizes)
-        ],
-        f"torque error held out [{unit}]",
-        lanes=2,
-        legend=(*((name, colour) for name, colour, _ in sides), ("repeatability", SERIES[3])),
-        marks=floor,
+def gap_table(result: Mapping[str, Any]) -> Table:
+    """Held-out torque error of every joint before and after, its repeatability, and the share of the gap."""
+    gap = result["gap"]
+    entries = {entry["joint"]: entry for entry in result["where"]}
+    floors = gap["floor"] or [float("nan")] * len(gap["joints"])
+    rows: list[tuple[str | Bars, ...]] = []
+    for joint, unit, *errors in zip(gap["joints"], gap["units"], gap["before"], gap["after"], floors, strict=True):
+        before, after, floor = (100 * error if unit == SHARE else error for error in errors)
+        bars = [Bar(0.0, before, SERIES[1], 0.05, 0.4), Bar(0.0, after, SERIES[0], 0.5, 0.4)]
+        share = share_text(entries[joint]) if torque_gap(result) else "-"
+        picture = Bars(bars, [(floor, SERIES[3])], unit)
+        rows.append((joint, *(figure_text(error, unit) for error in errors), share, picture))
+    rows.sort(key=lambda row: -entries[str(row[0])]["share"])
+    header = ("joint", "before", "after", "floor", "share of the gap", "before, after; stroke: floor")
+    caption = "Torque error before and after, and the floor: the difference between cycles."
+    return Table("gap", header, rows, caption=caption)
+
+
+def waterfall(steps: Sequence[Mapping[str, Any]]) -> tuple[str, Table]:
+    """The share of the gap that each step closes, in words, and as a table with bars."""
+    text = (
+        "Share of the gap that each step closes on held-out motion, in addition to the steps before it. The steps and "
+        "the rest sum to the whole gap. Alone: what a step closes by itself."
     )
-    caption = "Torque error before and after, and the repeatability: the difference between cycles."
-    return Figure("before-after", caption, svg, ("before", "after", "repeatability"), rows)
-
-
-def _sides(joint: str, row: np.ndarray, unit: str) -> str:
-    known = zip(("before", "after", "repeatability"), row, strict=True)
-    said = [f"{what} {value:.3g}" for what, value in known if np.isfinite(value)]
-    return f"{joint}: {', '.join(said)} {unit}" if said else f"{joint}: in the table"
+    rows: list[tuple[str | Bars, ...]] = []
+    left = 100.0
+    for entry in steps:
+        closes, (low, high) = 100 * entry["closes"], entry["interval"]
+        rest = entry is steps[-1]
+        bar = Bar(0.0, closes, SERIES[1]) if rest else Bar(left - closes, left, SERIES[0])
+        alone = "-" if entry["alone"] is None else f"{100 * entry['alone']:.1f} %"
+        rows.append((entry["step"], f"{closes:.1f} %", f"{100 * low:.1f} to {100 * high:.1f} %", alone, Bars([bar])))
+        left -= closes
+    caption = "Each step removes its bar from the gap; the last bar remains."
+    header = ("step", "closes", "90 % interval", "alone", "gap that remains")
+    return text, Table("waterfall", header, rows, caption=caption)
 
 
 def simulated_torque(diagnosis: Diagnosis, simulated: Sequence[Simulated]) -> Plot:

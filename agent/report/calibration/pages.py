@@ -1,0 +1,176 @@
+"""The pages of a calibration and of a recalibration."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from agent.core import counted
+from agent.report.calibration.motion import MotionData, SearchData, motion_section, search_section
+from agent.report.calibration.parameters import parameters_section
+from agent.report.calibration.prediction import error_table
+from agent.report.calibration.recordings import conditions_section, percent, provenance_section
+from agent.report.diagnosis.summary import diagnosis_sections
+from agent.report.page import About, Page, Section, Table, render
+from agent.report.plots import Plot
+from agent.report.scene import Scene
+
+
+@dataclass(frozen=True, eq=False)
+class RunData:
+    """What the report of a run shows.
+
+    result: the content of `result.json`; about: the first screen; parameter_rows: the table of the model, header first;
+    rmse (motions or cycles, n) [N·m] on moving samples; nominal (n,) torque of the joints, NaN where there is none;
+    `prediction`: torque of one motion; `further` sections, in order; `search`, where there was one; `validation_paths`
+    (motions, k, 3) [m] of the TCP on the unseen motions.
+    """
+
+    result: dict[str, Any]
+    about: About
+    motion: MotionData
+    parameter_rows: Sequence[Sequence[str]]
+    rmse: np.ndarray
+    nominal: np.ndarray
+    prediction: Plot
+    further: Sequence[Section] = ()
+    search: SearchData | None = None
+    validation_paths: np.ndarray | None = None
+
+
+def run_report(data: RunData) -> str:
+    """HTML text of the report of a calibration."""
+    result = data.result
+    headline = f"{_headline(result)} {_current(result)}"
+    if result["diagnosis"] is not None:
+        headline = f"{headline} {result['diagnosis']['summary']}"
+    assert data.search is not None
+    return _page(data, "Calibration", headline, _validation(data), search_section(data.search))
+
+
+def recalibration_report(data: RunData) -> str:
+    """HTML text of the report of a recalibration."""
+    result, loop = data.result, data.result["loop"]
+    word = "Accepted" if result["accepted"] else f"Rejected: {result['reason']}"
+    headline = f"{word}. {_current(result)} "
+    headline += result["diagnosis"]["summary"] if result["diagnosis"] else f"{result['comparison']}."
+    search = f"None this time: the stored loop of {loop['created']} was run again, fitness {loop['fitness']:.2f}."
+    return _page(data, "Recalibration", headline, _fresh_errors(data), Section("Search", (search,)))
+
+
+def _page(data: RunData, title: str, headline: str, prediction: Section, search: Section) -> str:
+    """HTML text of a run's page; a diagnosis that was needed comes first."""
+    result = data.result
+    found = diagnosis_sections(result["diagnosis"], result["reference"])
+    first = [*found, prediction] if result["diagnosis"] else [prediction, *found]
+    sections = [
+        *first,
+        motion_section(data.motion),
+        search,
+        *data.further,
+        conditions_section(result["conditions"], result["validation"]["joints"]),
+        parameters_section(data.parameter_rows, result.get("estimation", {}).get("notes", ())),
+        provenance_section(result),
+    ]
+    title = f"{title} of {result['robot']} {result['serial']}".rstrip()
+    return render(Page(title, headline, _colour(result), sections, data.about))
+
+
+def _current(result: dict[str, Any]) -> str:
+    """Whether the robot's current model is that of this run, or of which other one, when the page was made."""
+    current, run = result["current_model"], result["provenance"]["run"]
+    if current is None:
+        return "The robot has no current model."
+    return f"The robot's current model: {'this run' if current == run else f'unchanged (run {current})'}."
+
+
+def _colour(result: dict[str, Any]) -> str:
+    """Of the headline: a run that no gate judged is neither good nor bad, a machine that changed is bad."""
+    return "bad" if result["diagnosis"] else {True: "good", False: "bad", None: "plain"}[result["accepted"]]
+
+
+def _units(validation: dict[str, Any]) -> list[str]:
+    """Unit of each joint's torque; runs of earlier versions do not say it."""
+    return validation.get("units") or ["N·m"] * len(validation["joints"])
+
+
+def _headline(result: dict[str, Any]) -> str:
+    validation, gate = result["validation"], result["gate"]
+    shares = zip(validation["normalised_rmse"], validation["joints"], strict=True)
+    known = [(share, joint) for share, joint in shares if joint not in gate.get("not_judged", [])]
+    if not known:
+        errors = zip(validation["joints"], validation["rmse"], _units(validation), strict=True)
+        return (
+            "Not judged: the robot description has no nominal torques. Prediction error on unseen motions in the "
+            f"sub-region: {', '.join(f'{error:.3g} {unit} on {joint}' for joint, error, unit in errors)}."
+        )
+    worst, axis = max(known)
+    left_out = ", ".join(gate.get("not_judged", []))
+    return (
+        f"{'Accepted' if result['accepted'] else 'Rejected'}: the worst axis, {axis}, predicts unseen motions in the "
+        f"sub-region to {100 * worst:.2f} % of its nominal torque; the gate is {100 * gate['normalised_rmse']:g} %."
+        f"{f' Not judged, without nominal torque: {left_out}.' if left_out else ''}"
+    )
+
+
+def _validation(data: RunData) -> Section:
+    assert data.validation_paths is not None
+    validation, gate = data.result["validation"], data.result["gate"]["normalised_rmse"]
+    not_judged = data.result["gate"].get("not_judged", [])
+    columns = (validation[key] for key in ("joints", "rmse", "normalised_rmse", "normalised_rmse_all_samples"))
+    rows = []
+    for name, rmse, moving, everything, unit in zip(*columns, _units(validation), strict=True):
+        judged = "not judged" if name in not_judged else "" if moving <= gate else "above the gate"
+        rows.append((name, f"{rmse:.3g}", unit, percent(moving), percent(everything), judged))
+    header = ("axis", "RMSE", "unit", "of nominal, moving [%]", "of nominal, all samples [%]", "")
+    text = [
+        f"{validation['motions']} random motions at {validation['speed']:g} m/s that took no part in the fit.",
+        "Normalised: RMSE over the axis's nominal joint torque. Moving samples decide; all samples include standstill.",
+    ]
+    if data.result["accepted"] is False:
+        text.append(
+            "A rejected run does not change the current model. The residuals below show the regime with the largest "
+            "error. If all regimes are alike, try more cycles, a longer search or faster motion."
+        )
+    motions = counted(len(data.rmse), "unseen motion")
+    paths = Scene(
+        "validation-paths",
+        f"Paths of {motions} in the sub-region (the paper's Fig. 5a).",
+        lines={"validation paths": data.validation_paths},
+        boxes=data.motion.boxes,
+    )
+    errors = f"Prediction error on {motions} in the sub-region, per axis (the paper's Fig. 5b)."
+    typical = "Torque on one unseen motion, the one of median error (the paper's Fig. 6)."
+    parts = (
+        Table("validation", header, rows),
+        paths,
+        error_table(data.rmse, data.nominal, validation["joints"], gate, errors),
+        replace(data.prediction, caption=typical),
+    )
+    return Section("Prediction of unseen motions", text, parts)
+
+
+def _fresh_errors(data: RunData) -> Section:
+    validation, gate = data.result["validation"], data.result["gate"]["normalised_rmse"]
+    columns = (validation[key] for key in ("joints", "rmse", "normalised_rmse", "normalised_rmse_before"))
+    rows = []
+    for name, rmse, after, before, unit in zip(*columns, _units(validation), strict=True):
+        worse = "worse than it was" if name in validation["worse_before"] else ""
+        rows.append((name, f"{rmse:.3g}", unit, percent(after), percent(before), worse))
+    estimated = "friction alone was" if data.result["parameters"] == "friction" else "all parameters were"
+    text = (
+        f"The stored loop was run again and {estimated} estimated; the reference is {data.result['reference']}.",
+        "All errors are held out: stretches left out in turn for the new model, the whole motion for the one before. "
+        f"They count moving samples, over the axis's nominal joint torque. The gate is {100 * gate:g} %.",
+    )
+    header = ("axis", "new model, RMSE", "unit", "new model [%]", "model before [%]", "")
+    cycles = f"Error of the new model on each of {len(data.rmse)} cycles, per axis; it was fitted to them."
+    parts = (
+        Table("validation", header, rows),
+        error_table(data.rmse, data.nominal, validation["joints"], gate, cycles),
+        replace(data.prediction, caption="Torque along one cycle of the loop."),
+    )
+    return Section("Prediction", text, parts)

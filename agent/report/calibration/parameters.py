@@ -1,0 +1,122 @@
+"""The parameters: values and intervals, how well the motion shows them, and which ones the data cannot separate."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from agent.core import counted, plus_minus
+from agent.model import USUAL_CONDITION
+from agent.report.page import Section, Shade, Table
+from agent.report.plots import SERIES, Panel, Plot, Series
+
+if TYPE_CHECKING:
+    from agent.model import IdentifiedModel
+    from agent.recording import Log
+    from agent.validation import Observability
+
+_NORMAL_95 = 1.96
+_PRIOR = (
+    "Prior: what description and torque level say before the fit. From the data: how much they reduce its variance. "
+    "Near 100 % the data determine a parameter, near 0 % the prior does."
+)
+#: Correlations from which a pair is coloured, and counted; pairs that are listed.
+_SHOWN, _STRONG, _MOST_PAIRS = 0.1, 0.95, 12
+
+
+def parameters_section(table: Sequence[Sequence[str]], notes: Sequence[str] = ()) -> Section:
+    """Every parameter with its 95 % interval; `table` is that of `IdentifiedModel.rows`, header first."""
+    priors = any(row[6] != "-" for row in table[1:])
+    shown = []
+    for name, value, deviation, _, unit, meaning, mean, doubt, share in table[1:]:
+        before = (_interval(mean, doubt), share) if priors else ()
+        shown.append(
+            (name, _interval(value, deviation), unit, _known(float(value), float(deviation)), *before, meaning)
+        )
+    before = ("prior ± 95 %", "from the data [%]") if priors else ()
+    header = ("parameter", "value ± 95 %", "unit", "how well it is known", *before, "stands for")
+    return Section("Parameters", (*notes, _PRIOR) if priors else notes, (Table("parameters", header, shown),))
+
+
+def _interval(value: str, deviation: str) -> str:
+    return plus_minus(float(value), _NORMAL_95 * float(deviation))
+
+
+def _known(value: float, deviation: float) -> str:
+    """The standard deviation over the value, where that says something."""
+    if abs(value) <= _NORMAL_95 * deviation:
+        return "may be zero"
+    return f"to {100 * deviation / abs(value):.2g} %"
+
+
+def observation_section(model: IdentifiedModel, log: Log) -> Section:
+    """What a model's own motion shows of its parameters: condition number of the fit, singular values, the directions
+    seen least, and what is not identifiable."""
+    from agent.model import judged_condition
+    from agent.validation import observability
+
+    found: Observability = observability(model, log)
+    combined = counted(found.combined, "standard parameter")
+    hidden = f" No motion of this arm shows {', '.join(found.never_acting)}." if found.never_acting else ""
+    text = [
+        f"{found.parameters} parameters. Condition number {judged_condition(model.condition_number)}.",
+        "It is that of the weighted observation matrix that the model was estimated from, columns scaled to unit "
+        "length. Singular values and directions are those along one cycle, rows weighted by the residuals.",
+        f"In combinations alone: {combined} of the links, listed with the parameters.{hidden}",
+        "Not significantly different from zero on this motion (the 95 % interval contains it): "
+        f"{', '.join(found.within_noise)}."
+        if found.within_noise
+        else "Every parameter differs significantly from zero on this motion (95 %).",
+    ]
+    rows = []
+    for k, (value, parts) in enumerate(found.weakest):
+        direction = " ".join(f"{part:+.2f} {name}" for name, part in parts.items()).removeprefix("+")
+        rows.append((str(k + 1), f"{value:.2g}", direction))
+    directions = Table("directions", ("seen least", "singular value over the largest", "direction"), rows)
+    values = found.singular_values
+    decades = np.log10(np.maximum(values / values[0], 1e-9))
+    marks = {f"a condition number of {USUAL_CONDITION}": -np.log10(USUAL_CONDITION)}
+    panel = Panel("singular values", "log10 of value / largest", (Series("value / largest", decades),), marks=marks)
+    number, caption = np.arange(1.0, len(values) + 1), "Singular values of the observation matrix."
+    return Section(
+        "Observation matrix", text, (Plot("singular-values", caption, "number", (panel,), number), directions)
+    )
+
+
+def correlation_section(model: IdentifiedModel) -> Section:
+    """A map of the correlations of the parameters' estimates, and the strongest pairs."""
+    values, names = correlation(model.covariance), model.names
+    first, second = np.triu_indices(len(values), 1)
+    order = np.argsort(-np.abs(values[first, second]))[:_MOST_PAIRS]
+    rows = [(names[first[k]], names[second[k]], f"{values[first[k], second[k]]:+.3f}") for k in order]
+    strong = int((np.abs(values[first, second]) > _STRONG).sum())
+    text = (
+        f"{strong} of {len(first)} pairs of parameters are correlated beyond {_STRONG}. The data determine the sum "
+        "or difference of such a pair, not each value. Predictions are not affected.",
+    )
+    squares: list[list[str | Shade]] = []
+    for k, name in enumerate(names):
+        pairs = [(float(values[k, other]), names[other]) for other in range(k)]
+        row = [
+            _square(value, f"{name}, {other}: {value:+.2f}") if abs(value) >= _SHOWN else "" for value, other in pairs
+        ]
+        squares.append([name, *row, *[""] * (len(names) - k)])
+    caption = "Correlation of the parameters' estimates: blue with each other, orange against each other, full at 1."
+    parts = (
+        Table("correlation", ("parameter", *names), squares, caption=caption, dense=True),
+        Table("correlated-pairs", ("parameter", "with", "correlation"), rows),
+    )
+    return Section("Correlation of parameters", text, parts)
+
+
+def _square(value: float, title: str) -> Shade:
+    return Shade(value, f"{value:+.2f}", title, colour=SERIES[0] if value > 0 else SERIES[1])
+
+
+def correlation(covariance: np.ndarray) -> np.ndarray:
+    """(p, p) of a covariance; 0 next to a parameter without variance."""
+    deviation = np.sqrt(np.diag(covariance))
+    scale = np.where(deviation > 0, deviation, 1.0)
+    return np.clip(covariance / np.outer(scale, scale), -1.0, 1.0)

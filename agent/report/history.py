@@ -1,0 +1,189 @@
+"""The page over all runs of a folder: what drifts, every run with its report, and its figures over the months."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+from urllib.parse import quote
+
+import numpy as np
+
+from agent.core import counted
+from agent.report.page import About, NextStep, Page, Section, Table, render
+from agent.report.plots import SERIES, Panel, Plot, Series, joint_series
+
+if TYPE_CHECKING:
+    from agent.runs import PastRun, Trend, Watch
+
+_MOST_RUNS = 1000
+_MOST_PARAMETERS = 24
+#: A gate this much above all errors would flatten them.
+_GATE_SHOWN = 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class IndexData:
+    """All runs, oldest first; the trends per machine and program, and the course of its parameters.
+
+    `current` names the runs that the robots' current models are of.
+    """
+
+    runs: Sequence[PastRun]
+    watched: Sequence[Watch]
+    parameters: Sequence[Sequence[Trend]]
+    current: Collection[str] = ()
+
+
+def index_page(data: IndexData) -> str:
+    """HTML text; links lead to reports in the folders next to the page."""
+    alarms = [(one, line) for one in data.watched for line in one.lines()]
+    machines = sorted({(run.robot, run.serial) for run in data.runs})
+    names = ", ".join(f"{robot} {serial}".strip() for robot, serial in machines)
+    too_few = f"{counted(len(data.runs), 'run')}; trends need at least eight runs of one program."
+    if alarms:
+        headline, verdict = " · ".join(line for _, line in alarms[:4]), "bad"
+    elif data.watched:
+        headline, verdict = "No friction drifts, and no limit is near.", "good"
+    else:
+        headline, verdict = too_few, "plain"
+    sections = [
+        _machine(one, parameters, number, data)
+        for number, (one, parameters) in enumerate(zip(data.watched, data.parameters, strict=True))
+    ]
+    errors = [_errors(data, *machine, number) for number, machine in enumerate(machines)]
+    if plots := [plot for plot in errors if plot is not None]:
+        sections.append(Section("Prediction error", (), plots))
+    sections.append(_all_runs(data))
+    return render(Page(f"Calibrations of {names}", headline, verdict, sections, _about(data, alarms)))
+
+
+def _about(data: IndexData, alarms: Sequence[tuple[Watch, str]]) -> About:
+    steps = []
+    if alarms:
+        one = alarms[0][0]
+        serial = f" --serial {shlex.quote(one.serial)}" if one.serial else ""
+        command = f"agent history --robot {shlex.quote(one.robot)}{serial} --json"
+        steps.append(NextStep("all figures of that machine", command))
+    identity = [
+        ("runs", f"{len(data.runs)}, {sum(run.accepted for run in data.runs)} accepted"),
+        ("newest", f"{data.runs[-1].started[:16].replace('T', ' ')} UTC"),
+        ("current models", ", ".join(sorted(data.current)) or "none"),
+    ]
+    return About("How are the machines and their models doing?", (), steps, identity)
+
+
+def _all_runs(data: IndexData) -> Section:
+    rows, links = [], []
+    for run in reversed(data.runs):
+        cycles = str(run.data["conditions"].get("cycles", "-"))
+        outcome = run.outcome_with(data.current)
+        rows.append((run.run, outcome, run.worst_text, run.kind, run.serial or "-", cycles, run.reason))
+        links.append(f"{quote(run.run)}/report.html" if run.complete else "")
+    accepted = sum(run.accepted for run in data.runs)
+    text = (f"{counted(len(rows), 'run')}, {accepted} accepted; the newest first.",)
+    header = ("run", "result", "worst axis", "kind", "serial", "cycles", "cause or reason")
+    return Section("Runs", text, (Table("runs", header, rows, links),))
+
+
+def _machine(one: Watch, parameters: Sequence[Trend], number: int, data: IndexData) -> Section:
+    text = one.lines() or ["No drift or step is both significant and of practical size."]
+    rows = []
+    for trend in sorted(one.trends, key=lambda trend: (not trend.alarm, trend.probability)):
+        change = f"{100 * trend.change:+.2f}" if trend.kind != "none" else ""
+        figures = (change, trend.since, f"{trend.probability:.1g}", f"{100 * np.ptp(trend.common):.2f}")
+        rows.append((trend.name, trend.kind, *figures, "alarm" if trend.alarm else ""))
+    header = ("friction", "course", "change [%]", "after run", "by chance", "warm-up explains [%]", "")
+    explained = (
+        "All axles share the warm-up. The other axles, and the change of friction within a run, separate it from wear. "
+        "By chance: probability that scatter alone causes as much. Alarms use the friction at a speed, as single "
+        "parameters are correlated."
+    )
+    parts: list[Plot | Table] = [_course(one, parameters, number, data)]
+    parts.append(Table(f"friction-trends-{number}", header, rows))
+    if parameters:
+        parts.append(_parameter_table(parameters, number))
+    return Section(f"{one.robot} {one.serial}".strip() + ": history of one program", [*text, explained], parts)
+
+
+def _parameter_table(parameters: Sequence[Trend], number: int) -> Table:
+    rows = []
+    for trend in parameters:
+        change = f"{trend.expected[-1] - trend.expected[0]:+.3g}" if trend.kind != "none" else ""
+        latest = (f"{trend.values[-1]:.5g}", f"{trend.deviations[-1]:.2g}")
+        rows.append((trend.name, trend.unit, *latest, trend.kind, change, trend.since))
+    header = ("parameter", "unit", "latest", "std. dev.", "course", "change", "after run")
+    return Table(f"parameters-{number}", header, rows)
+
+
+def _course(one: Watch, parameters: Sequence[Trend], number: int, data: IndexData) -> Plot:
+    """Friction, temperature and parameters over the dates of the runs that the trends look at."""
+    runs = {run.run: run for run in data.runs}
+    chosen = [runs[name] for name in (one.trends[0].runs if one.trends else ())]
+    panels = [_friction(one.trends, data.current), *_temperatures(chosen)]
+    for trend in parameters[:_MOST_PARAMETERS]:
+        band = Series("two std. dev.", trend.values + 2 * trend.deviations, low=trend.values - 2 * trend.deviations)
+        panels.append(Panel(trend.name, trend.unit, (band, Series("value", trend.values, "points"))))
+    caption = (
+        "Change of each axle's friction at the higher of its two speeds, with the fit of an alarm. Below: "
+        "temperatures, if the controller reports them, and parameters. Dates in UTC."
+    )
+    x = np.array([run.time.timestamp() for run in chosen])
+    return Plot(f"history-{number}", caption, "date", panels, x, dates=True, columns=2)
+
+
+def _friction(trends: Sequence[Trend], current: Collection[str]) -> Panel:
+    fastest = {trend.joint: trend for trend in trends}  # the last one of a joint is at its higher speed
+    ordered = sorted(fastest.values(), key=lambda trend: (not trend.alarm, trend.probability))
+    series = []
+    for trend in ordered:
+        colour = SERIES[list(fastest).index(trend.joint) % len(SERIES)]
+        start = np.median(trend.values[:3])
+        values, course = (100 * (part / start - 1) for part in (trend.values, trend.expected))
+        series.append(Series(trend.joint, values, "points", colour, joint=trend.joint))
+        if trend.alarm:
+            series.append(Series(f"{trend.joint}: alarm", course, colour=colour, joint=trend.joint))
+    if ordered and (marked := [name in current for name in ordered[0].runs]) and any(marked):
+        series.append(Series("current model", np.where(marked, 0.0, np.nan), "points", "#808890"))
+    return Panel("change of friction", "%", series)
+
+
+def _temperatures(runs: Sequence[PastRun]) -> list[Panel]:
+    """Of the motors at the end of every run; none if no controller reports them."""
+    known = [((run.data["conditions"].get("temperatures_c") or {}).get("last")) for run in runs]
+    joints = runs[0].data["joints"] if runs else []
+    if not any(known) or not joints:
+        return []
+    lost = [None] * len(joints)
+    values = np.array([row if row and len(row) == len(joints) else lost for row in known], dtype=float)
+    return [Panel("motors at the end of the run", "°C", joint_series(joints, values))]
+
+
+def _errors(data: IndexData, robot: str, serial: str, number: int) -> Plot | None:
+    """Error of the worst axis of every run of one machine; None if fewer than two runs have one."""
+    runs = [run for run in data.runs if (run.robot, run.serial) == (robot, serial)]
+    shares = any(run.worst is not None for run in runs)
+    known = [run for run in runs if (run.worst if shares else run.worst_torque) is not None][-_MOST_RUNS:]
+    if len(known) < 2:
+        return None
+    worst = np.array([run.worst if shares else run.worst_torque for run in known], dtype=float) * (100 if shares else 1)
+    accepted = np.array([run.accepted for run in known], dtype=bool)
+    marked = np.array([run.run in data.current for run in known], dtype=bool)
+    caption = f"Prediction error of the worst axis of every run of {robot} {serial}".rstrip() + "; dates in UTC."
+    series = [
+        Series("accepted", np.where(accepted, worst, np.nan), "points", SERIES[2]),
+        Series("rejected", np.where(accepted, np.nan, worst), "points", SERIES[1]),
+    ]
+    if marked.any():
+        series.append(Series("current model", np.where(marked, worst, np.nan), "points", SERIES[0]))
+    if shares:
+        gates = np.array([np.nan if run.data["gate"] is None else 100 * run.data["gate"] for run in known])
+        lowest = np.nanmin(gates, initial=np.inf)
+        if lowest <= _GATE_SHOWN * worst.max():
+            series.append(Series("gate", gates, "dashed", SERIES[3]))
+        elif np.isfinite(lowest):
+            caption += f" The gate, {lowest:g} %, is above the plot."
+    panel = Panel(f"{robot} {serial}".strip(), "% of nominal" if shares else "N·m", series, from_zero=True)
+    x = np.array([run.time.timestamp() for run in known])
+    return Plot(f"errors-{number}", caption, "date", (panel,), x, dates=True)
