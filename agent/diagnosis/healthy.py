@@ -51,7 +51,11 @@ class _Learned:
         self._best: dict[Where, tuple[float, dict[str, float]]] = {}
 
     def add(self, fits: Iterable[Fit]) -> None:
-        """Take the root mean square over several fits, where it is larger than what was found before."""
+        """Take what n fits have, where it is larger than what was found before.
+
+        The mean square over n - 2: the variance of Student's predictive distribution with n degrees of freedom, as a few
+        logs say little about how large an effect can become on a healthy arm.
+        """
         power: dict[Where, list[float]] = {}
         count = 0
         for fit in fits:
@@ -61,7 +65,7 @@ class _Learned:
                 if gain > self._best.get(place, (0.0, {}))[0]:
                     self._best[place] = gain, form
         for place, squares in power.items():
-            self.size[place] = max(self.size.get(place, 0.0), float(np.sqrt(sum(squares) / count)))
+            self.size[place] = max(self.size.get(place, 0.0), float(np.sqrt(sum(squares) / max(count - 2, 1))))
 
     def effects(self, names: Sequence[str]) -> tuple[HealthyEffect, ...]:
         """As the model keeps them."""
