@@ -27,7 +27,8 @@ from agent.recording.mapping import (
 from agent.recording.mcap.log_file import CURRENTS, nanoseconds, write_log
 from agent.recording.repair.outliers import LIMITS, impossible
 from agent.recording.repair.stamps import put_in_order, spacing_of, stand_still
-from agent.recording.tables import ColumnTable, read_table
+from agent.recording.tables import read_table
+from agent.recording.text_tables import ColumnTable
 from agent.robot import RobotDescription
 
 _NANO = 1_000_000_000
@@ -98,7 +99,7 @@ def _assembled(source: _Source, output: Path) -> tuple[Log, np.ndarray | None]:
     values = {key: source.position(key, getattr(entries, key)) for key in ("position", *_SET_POINTS)}
     values["velocity"] = None if entries.velocity is None else source.velocity(entries.velocity)
     values["effort"], values["current"] = (None, None) if entries.effort is None else source.effort(entries.effort)
-    present = {key: values[key] for key in (*ARRAYS, "current") if values[key] is not None}
+    present = {key: array for key in (*ARRAYS, "current") if (array := values[key]) is not None}
     time = source.time()
     late = np.abs(time) > _LATEST
     if np.count_nonzero(late) > 0.01 * len(time):

@@ -81,9 +81,9 @@ def mend_jumps(stamp: np.ndarray, position: np.ndarray, robot: RobotDescription)
     position[1:] -= _TURN * np.cumsum(np.where(wrapped, turns, 0.0), axis=0)
     time = (stamp - stamp[0]) / _NANO
     repairs = []
-    for joint in np.flatnonzero(wrapped.any(axis=0)):
-        first, count = int(np.argmax(wrapped[:, joint])) + 1, int(wrapped[:, joint].sum())
-        kind = f"positions of {robot.joint_names[joint]} that wrap around, made continuous"
+    for k in np.flatnonzero(wrapped.any(axis=0)):
+        first, count = int(np.argmax(wrapped[:, k])) + 1, int(wrapped[:, k].sum())
+        kind = f"positions of {robot.joint_names[k]} that wrap around, made continuous"
         repairs.append(Repair(kind, float(time[first]), count))
     dropped: list[int] = []
     cuts: list[int] = []
