@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from fnmatch import fnmatch
 from pathlib import Path
@@ -70,9 +70,6 @@ def import_log(
     if entries.decimate is not None:
         if entries.decimate > len(log.t) // 10:
             mapping.fault("decimate", f"{len(log.t)} samples would leave fewer than ten")
-        if log.repairs:
-            what = f"the rows are uneven or incomplete ({log.repairs[0]})"
-            mapping.fault("decimate", f"{what}; leave decimate out: every fit filters such rows by itself")
         log = _decimated(log, entries.decimate, source.notes)
     if entries.cycle_period is not None:
         if entries.cycle_period * log.sample_rate < 10:
@@ -166,21 +163,38 @@ def _usable(
 
 
 def _decimated(log: Log, factor: int, notes: list[str]) -> Log:
-    """Every `factor`-th sample of an even log without gaps, after a zero-phase Butterworth filter of order 8 (forward
-    and backward) at 0.8 of the new Nyquist frequency; it never sees what lies outside the window."""
+    """Every `factor`-th sample, after a zero-phase Butterworth filter of order 8 (forward and backward) at 0.8 of the
+    new Nyquist frequency, the same on every column; it never sees what lies outside the window.
+
+    A log that had to be repaired is laid on an even grid first, segment by segment: by cubic splines (not-a-knot),
+    effort by a monotone cubic (Fritsch and Carlson, SIAM J. Numer. Anal. 17, 1980), which does not overshoot where
+    friction steps.
+    """
+    from scipy.interpolate import CubicSpline, PchipInterpolator
     from scipy.signal import butter, sosfiltfilt
 
-    rate = log.sample_rate / factor
-    sections = butter(8, 0.4 * rate, fs=log.sample_rate, output="sos")
-    padding = min(20 * factor, len(log.t) - 1)
-    notes.append(f"every {factor}th sample, after a zero-phase filter at {0.4 * rate:.4g} Hz")
-    t = log.t[::factor]
-    return log.with_arrays(
-        lambda values: sosfiltfilt(sections, values, axis=0, padlen=padding)[::factor],
-        t=t,
-        sample_rate=spacing_of(nanoseconds(t), rate).rate,
-        segments=((0, len(t)),),
-    )
+    cutoff = 0.4 * log.sample_rate / factor
+    sections = butter(8, cutoff, fs=log.sample_rate, output="sos")
+    segments = [slice(*segment) for segment in log.segments if segment[1] - segment[0] > 1]
+    grids = [log.t[part] for part in segments]
+    if log.repairs:
+        grids = [np.arange(t[0], t[-1] + 1e-9, 1 / log.sample_rate) for t in grids]
+        notes.append(f"interpolated to even {log.sample_rate:.6g} Hz before it was filtered")
+
+    def thinned(values: np.ndarray, curve: Callable[..., Any] = CubicSpline) -> np.ndarray:
+        parts = []
+        for part, grid in zip(segments, grids, strict=True):
+            t, even = log.t[part], values[part]
+            if log.repairs:
+                even = curve(t, even)(np.minimum(grid, t[-1]))
+            parts.append(sosfiltfilt(sections, even, axis=0, padlen=min(20 * factor, len(even) - 1))[::factor])
+        return np.concatenate(parts)
+
+    t = np.concatenate([grid[::factor] for grid in grids])
+    spacing = spacing_of(nanoseconds(t), log.sample_rate / factor)
+    notes.append(f"every {factor}th sample, after a zero-phase filter at {cutoff:.4g} Hz")
+    effort = None if log.effort is None else thinned(log.effort, PchipInterpolator)
+    return log.with_arrays(thinned, effort=effort, t=t, sample_rate=spacing.rate, segments=spacing.segments)
 
 
 class _Source:

@@ -30,6 +30,13 @@ _DATE = re.compile(r"\d{4}-?\d\d-?\d\d[T ]\d\d:?\d\d")
 _CLOCK = re.compile(r"(\d{1,2}):(\d\d):(\d\d(?:[.,]\d+)?)")
 #: What programs write for a number that is missing.
 _MISSING = {"", "nan", "na", "n/a", "#n/a", "null", "none", "-", "--", "inf", "-inf"}
+#: Types of UR's RTDE: code of NumPy, and how many of them.
+_PACKED = {
+    **{"BOOL": ("u1", 1), "UINT8": ("u1", 1), "UINT32": ("u4", 1), "UINT64": ("u8", 1), "INT32": ("i4", 1)},
+    **{"DOUBLE": ("f8", 1), "VECTOR3D": ("f8", 3), "VECTOR6D": ("f8", 6)},
+    **{"VECTOR6INT32": ("i4", 6), "VECTOR6UINT32": ("u4", 6)},
+}
+_BLOCK = 2**16
 #: A number, the numbers of a vector, NaN for a word, None for what is missing.
 Cell = float | list[float] | None
 
@@ -97,9 +104,12 @@ class Row:
 
     @cached_property
     def is_names(self) -> bool:
-        """Whether fields are words, none of which stands for a missing number."""
+        """Whether fields are words, none of which stands for a missing number, or count the columns as in `,0,1,2`."""
         known = [cell for cell in self.cells if cell is not None]
         words = all(not isinstance(cell, list) and cell != cell for cell in known)
+        counts = [list(range(first, first + len(self.fields)))[1:] for first in (-1, 0)]
+        if len(self.fields) > 2 and not self.fields[0] and known in counts:
+            return True
         return bool(known) and words and not any(text and text.lower() in _MISSING for text in self.fields)
 
 
@@ -107,6 +117,8 @@ def read_text(path: Path) -> ColumnTable:
     """Comma, semicolon, tab, | or blanks between the fields, which may stand in double quotes; decimal commas where the
     comma separates nothing."""
     content = path.read_bytes()
+    if (table := _packed_table(path, content)) is not None:
+        return table
     encoding = "utf-16" if content.startswith((BOM_UTF16_LE, BOM_UTF16_BE)) else "utf-8-sig"
     lines = [line for line in content.decode(encoding, errors="replace").splitlines() if line.strip()]
     return _plain_table(path, lines) or table_of_rows(path, _rows(lines))
@@ -147,6 +159,25 @@ def table_of_rows(path: Path, rows: Sequence[Row]) -> ColumnTable:
             column = [cell if isinstance(cell, list) and len(cell) == len(blank) else blank for cell in column]
         columns.append(np.array(column, float))
     return _named(path, _heads(rows, start, width), columns, words, notes)
+
+
+def _packed_table(path: Path, content: bytes) -> ColumnTable | None:
+    """Two lines with names and types, then rows of big-endian numbers: what `record.py --binary` of UR writes."""
+    names, _, rest = content[:_BLOCK].partition(b"\n")
+    types, found, _ = rest.partition(b"\n")
+    labels, kinds = (line.decode("ascii", errors="replace").replace(",", " ").split() for line in (names, types))
+    if not found or not kinds or len(kinds) != len(labels) or not all(kind in _PACKED for kind in kinds):
+        return None
+    parts = [(label, *_PACKED[kind]) for label, kind in zip(labels, kinds, strict=True)]
+    dtype = np.dtype([(label, f">{code}", (count,)) for label, code, count in parts])
+    start = len(names) + len(types) + 2
+    table = np.frombuffer(content, dtype, (len(content) - start) // dtype.itemsize, start)
+    columns = {
+        f"{label}_{k}" if count > 1 else label: table[label][:, k].astype(float)
+        for label, _, count in parts
+        for k in range(count)
+    }
+    return ColumnTable(path, columns)
 
 
 def _plain_table(path: Path, lines: list[str]) -> ColumnTable | None:

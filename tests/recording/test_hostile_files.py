@@ -145,3 +145,18 @@ def test_texts_of_a_parquet_file_are_not_read(tmp_path):
     parquet.write_table(pyarrow.table({"t": np.arange(4000) / 500, "note": text}), path, store_schema=False)
     table = read_table(path)
     assert list(table.columns) == ["t"]
+
+
+@pytest.mark.parametrize("kind", ["list", "fixed", "time", "bool"])
+def test_columns_of_numbers_of_every_kind_are_read(tmp_path, kind: str):
+    import pyarrow
+    from pyarrow import parquet
+
+    values = {
+        "list": pyarrow.array([[1.0, 2.0], [3.0, 4.0]]),
+        "fixed": pyarrow.FixedSizeListArray.from_arrays(pyarrow.array([1.0, 2.0, 3.0, 4.0]), 2),
+        "time": pyarrow.array(np.array([1, 2], "datetime64[ms]")),
+        "bool": pyarrow.array([True, False]),
+    }[kind]
+    parquet.write_table(pyarrow.table({"t": [0.0, 0.1], "q": values}), tmp_path / "log.parquet")
+    assert len(read_table(tmp_path / "log.parquet").columns) == (3 if kind in ("list", "fixed") else 2)

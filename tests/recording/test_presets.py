@@ -71,6 +71,21 @@ def test_the_rows_of_the_running_program_with_torques_by_the_constants(taken, tm
     assert "torque constants 10, 10.6956, 8.4566, 9.0029, 9.48, 10.1232" in notes
 
 
+@pytest.mark.parametrize("between", [b" ", b","])
+def test_a_binary_recording(taken, tmp_path, between):
+    parts = [("timestamp", ">f8", T), ("actual_q", "(6,)>f8", Q), ("actual_current", "(6,)>f8", CURRENT)]
+    parts += [("runtime_state", ">u4", RUNNING), ("safety_mode", ">i4", RUNNING)]
+    rows = np.empty(500, [(name, kind) for name, kind, _ in parts])
+    for name, _, values in parts:
+        rows[name] = values
+    kinds = [b"DOUBLE", b"VECTOR6D", b"VECTOR6D", b"UINT32", b"INT32"]
+    names = between.join(name.encode() for name, *_ in parts)
+    (tmp_path / "rec.csv").write_bytes(names + b"\n" + between.join(kinds) + b"\n" + rows.tobytes() + b"torn")
+    log, _, topics = taken(tmp_path / "rec.csv", preset="ur-record")
+    np.testing.assert_array_equal(log.position, Q[100:400])
+    assert topics["/motor_currents"] == 300
+
+
 def test_rows_that_repeat_a_time_are_dropped_and_the_column_says_when(taken, tmp_path):
     log, notes, _ = taken(_write(tmp_path / "rec.csv", ",", RUNNING, repeats=True))
     np.testing.assert_allclose(log.t, T[100:400] - T[100], atol=1e-6)

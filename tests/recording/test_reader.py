@@ -11,6 +11,7 @@ from mcap.writer import CompressionType, IndexType
 
 from agent.core.errors import InputError
 from agent.recording import read_log
+from agent.robot import load_robot
 from agent.robot.description import Joint, RobotDescription
 
 
@@ -231,6 +232,13 @@ def test_a_log_of_another_robot(tools, tmp_path):
         InputError, match=r"not of robot 'arm': wrist missing, its joints are joint_1, joint_2, joint_3"
     ):
         read_log(path, robot_with("joint_1", "wrist"))
+
+
+def test_a_log_of_a_built_in_robot_has_its_joints(tools, tmp_path):
+    robot = load_robot("comau_ns16")
+    zeros = np.zeros(6)
+    messages = [{"time": k / 500, "names": robot.joint_names, "position": zeros + k} for k in range(20)]
+    assert read_log(tools.write_foreign(tmp_path / "log.mcap", messages), robot).joint_names == robot.joint_names
 
 
 @settings(max_examples=60, deadline=None)

@@ -222,3 +222,7 @@ def test_a_log_that_somebody_takes_away_is_an_error(tools, tmp_path: Path, harm,
     harm(path)
     with pytest.raises(RecordingError, match="deleted, replaced or changed while it was recorded"):
         go_on()
+
+
+def test_a_log_that_nobody_touches_is_none(tools, record):
+    assert len(read_log(record(tools.motion(4000))).t) == 4000

@@ -112,6 +112,14 @@ def test_names_with_an_index_and_doubled_ones_that_nobody_uses(taken):
         _same(log)
 
 
+def test_columns_that_are_counted_instead_of_named(taken):
+    """As data frames without names are saved: an index, then 0, 1, 2, …."""
+    indexed = np.column_stack([np.arange(len(T)), ROWS])
+    text = ",0,1,2,3,4\n" + _lines(rows=indexed)
+    log, _ = taken(text, "time: {column: '0'}\nposition: {columns: ['1', '2']}\neffort: {columns: [5, 6]}\n")
+    _same(log)
+
+
 def test_a_doubled_name_matters_where_the_map_uses_it(taken):
     with pytest.raises(InputError, match=r"position\.columns: data\.csv: several columns are named a"):
         taken("t,a,a,x,y\n" + _lines(), "time: {column: t}\nposition: {columns: [a, b]}\n")
@@ -253,7 +261,7 @@ def test_hdf5_as_matlab_and_others_write_it(taken, tmp_path):
     _same(taken(tmp_path / "run.mat", mapping)[0])
 
 
-@pytest.mark.parametrize(("ending", "module"), [("xlsx", "openpyxl"), ("h5", "h5py"), ("parquet", "pyarrow")])
+@pytest.mark.parametrize(("ending", "module"), [("xlsx", "openpyxl"), ("h5", "h5py")])
 def test_a_missing_library_is_named_with_its_command(taken, tmp_path, monkeypatch, ending, module):
     import sys
 

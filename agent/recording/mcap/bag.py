@@ -1,4 +1,4 @@
-"""Bags of ROS 2: a folder with its `metadata.yaml`, sqlite3 files, and files that are compressed as a whole.
+"""Bags of ROS: a folder with its `metadata.yaml`, sqlite3 files, ROS 1 bags, and files that are compressed as a whole.
 
 A row of the table `messages` is a CDR message of a row of `topics`, as a message of an MCAP file is one of its channel
 (rosbag2_storage_default_plugins, sqlite_storage.cpp), and one reader decodes both.
@@ -19,7 +19,7 @@ from urllib.parse import quote
 import lz4.frame
 import zstandard
 
-from agent.core import InputError, read_yaml
+from agent.core import InputError, needed, read_yaml
 
 METADATA = "metadata.yaml"
 #: First bytes of a sqlite3 file, of a ROS 1 bag, and of whatever zstd has compressed.
@@ -109,11 +109,11 @@ class _BagTaker(Protocol):
     def message(self, channel: int, data: bytes) -> None: ...
 
 
-def read_database(path: Path, file: str, messages: _BagTaker, types: tuple[str, ...]) -> bool:
+def read_database(path: Path, file: str, messages: _BagTaker, types: tuple[str, ...]) -> int:
     """Take the topics of a sqlite3 bag and the messages of those types; `path` is named in errors.
 
     Returns:
-        Whether it is whole; False where it is cut off after messages that can be read.
+        Bytes that are missing at its end, where it is cut off after messages that can be read.
 
     Raises:
         InputError: no sqlite3 file, or none of a bag.
@@ -136,5 +136,43 @@ def read_database(path: Path, file: str, messages: _BagTaker, types: tuple[str, 
     except (sqlite3.Error, TypeError, UnicodeError) as error:
         if count == 0:
             raise InputError(f"{path}: no sqlite3 bag of ROS 2, or a damaged one: {error}") from None
-        return False
-    return True
+        return _missing(file)
+    return 0
+
+
+def read_ros1(path: Path, file: str, messages: _BagTaker, types: tuple[str, ...]) -> int:
+    """Take the topics of a ROS 1 bag and the messages of those types; `path` is named in errors.
+
+    Returns:
+        0: a bag that is cut off cannot be read.
+
+    Raises:
+        InputError: the library is not installed, or the bag was not closed or is damaged.
+    """
+    convert = f"rosbags-convert --src {path.name} --dst {path.stem}"
+    what = f"{path}: is a ROS 1 bag: convert it with {convert}; reading it here"
+    bags = needed("rosbags.rosbag1", what, "ros1")
+    try:
+        with bags.Reader(file) as reader:
+            for connection in reader.connections:
+                messages.channel(connection.id, connection.topic, connection.msgtype, "ros1")
+            wanted = [one for one in reader.connections if one.msgtype in types]
+            for connection, _, raw in reader.messages(wanted) if wanted else ():
+                messages.message(connection.id, bytes(raw))
+    except InputError:
+        raise
+    except Exception as error:  # rosbags raises whatever a damaged file leads it to
+        raise InputError(
+            f"{path}: a ROS 1 bag that was not closed by its recorder, or a damaged one ({error}): rosbag reindex "
+            f"{path.name}"
+        ) from None
+    return 0
+
+
+def _missing(file: str) -> int:
+    """Bytes by which a sqlite3 file is shorter than its header says."""
+    with open(file, "rb") as database:
+        head = database.read(32)
+        size = database.seek(0, 2)
+    page = int.from_bytes(head[16:18], "big")
+    return max(0, (65536 if page == 1 else page) * int.from_bytes(head[28:32], "big") - size)

@@ -6,7 +6,8 @@ parsed for its layout; all others of that layout are read and written as columns
 CDR (OMG DDSI-RTPS 2.3, 10) begins with 4 bytes of encapsulation (second byte 1: little endian). Each field is aligned
 to its own size, counted from the end of those bytes. A string is a uint32 length, its bytes and a NUL; a sequence is a
 uint32 length and its elements. JointState is a header (stamp int32 + uint32, frame_id), names, and three sequences of
-float64, each as long as the names or empty.
+float64, each as long as the names or empty. ROS 1 has a sequence number in the place of the encapsulation, packs the
+same fields without alignment, little endian, and ends no string with a NUL.
 """
 
 from __future__ import annotations
@@ -113,17 +114,17 @@ def layout_for(
     return parse_layout(bytes(data))
 
 
-def parse_layout(message: bytes) -> JointStateLayout:
-    """The layout of one message.
+def parse_layout(message: bytes, ros1: bool = False) -> JointStateLayout:
+    """The layout of one message, in CDR or in the serialisation of ROS 1.
 
     Raises:
-        ValueError: not a JointState in CDR.
+        ValueError: not a JointState in this serialisation.
     """
-    if len(message) < _STAMP.stop or message[0] != 0 or message[1] > 1:
+    if len(message) < _STAMP.stop or not (ros1 or (message[0] == 0 and message[1] <= 1)):
         raise ValueError("not plain CDR")
-    order = "<" if message[1] else ">"
+    order = "<" if ros1 or message[1] else ">"
     structure = np.zeros(len(message), np.uint8)
-    structure[:2] = 255
+    structure[:2] = 0 if ros1 else 255
     at = _STAMP.stop
 
     def take(size: int) -> slice:
@@ -136,7 +137,7 @@ def parse_layout(message: bytes) -> JointStateLayout:
 
     def align(size: int) -> None:
         nonlocal at
-        at += (4 - at) % size
+        at += 0 if ros1 else (4 - at) % size
 
     def length() -> int:
         align(4)

@@ -35,6 +35,7 @@ from agent.recording.mcap.bag import (
     ZSTD,
     bag_files,
     read_database,
+    read_ros1,
     too_much,
     unpacked,
 )
@@ -45,6 +46,7 @@ _MAGIC = b"\x89MCAP0\r\n"
 _LFS, _LFS_SIZE = b"version https://git-lfs", 32
 _RECORD = struct.Struct("<BQ")
 _MESSAGE, _MESSAGE_HEAD = int(Opcode.MESSAGE), 22
+_BLOCK = 2**20  # bytes
 #: Collected messages are decoded together once they take this much [bytes].
 _BATCH = 2**20
 #: Limit of layouts of messages in one file; beyond, messages are not joint states of one robot.
@@ -93,7 +95,7 @@ class Scan:
 
 
 def scan(path: Path) -> Scan:
-    """Read all joint states of a file, or of a bag of ROS 2: its folder or its `.db3` file.
+    """Read all joint states of a file, or of a bag of ROS: its folder, its `.db3` file, or a ROS 1 bag.
 
     Raises:
         InputError: no such file, neither an MCAP file nor a bag, or a compression that nobody here knows.
@@ -105,16 +107,16 @@ def scan(path: Path) -> Scan:
             with unpacked(part) as (content, name):
                 magic = content.read(len(SQLITE))
                 content.seek(0)
-                if magic.startswith(ROS1):
-                    convert = f"rosbags-convert --src {part.name} --dst {part.stem}"
-                    raise InputError(f"{part}: is a ROS 1 bag: pip install rosbags, and convert it with {convert}")
-                if magic == SQLITE:
-                    found.closed = read_database(part, name, messages, TYPES) and found.closed
+                if magic.startswith((SQLITE, ROS1)):
+                    read = read_database if magic == SQLITE else read_ros1
+                    missing = read(part, name, messages, TYPES)
+                    found.closed, found.dropped = found.closed and not missing, found.dropped + missing
                 else:
                     _read_mcap(path, content, messages)
             messages.end_file()
             with open(part, "rb") as file:
-                hashlib.file_digest(file, lambda: digest)
+                while block := file.read(_BLOCK):
+                    digest.update(block)
     except FileNotFoundError:
         raise InputError(f"{path}: no such file") from None
     except OSError as error:
@@ -225,7 +227,7 @@ class _Collector:
     def __init__(self, found: Scan):
         self.found = found
         self._schemas: dict[int, str] = {}
-        self._channels: dict[int, str] = {}
+        self._channels: dict[int, tuple[str, bool]] = {}
         self._layouts: dict[tuple[int, int], list[JointStateLayout]] = defaultdict(list)
         self._layout_count = 0
         self._waiting: dict[tuple[int, int], tuple[list[int], list[bytes]]] = defaultdict(lambda: ([], []))
@@ -251,8 +253,8 @@ class _Collector:
         """Messages of this number are of this topic."""
         self.found.types[topic] = f"{kind} ({encoding})"
         self._channels.pop(number, None)
-        if kind in TYPES and encoding == "cdr":
-            self._channels[number] = topic
+        if kind in TYPES and encoding in ("cdr", "ros1"):
+            self._channels[number] = topic, encoding == "ros1"
 
     def message(self, channel: int, data: bytes) -> None:
         """A message, which may be compressed by itself."""
@@ -283,12 +285,12 @@ class _Collector:
         self._size = 0
 
     def _decode_alike(self, channel: int, messages: np.ndarray, order: np.ndarray) -> None:
-        topic = self._channels[channel]
+        topic, ros1 = self._channels[channel]
         layouts = self._layouts[channel, messages.shape[1]]
         known = 0
         while len(messages):
             if known == len(layouts):
-                layout = self._next_layout(messages[0].tobytes())
+                layout = self._next_layout(messages[0].tobytes(), ros1)
                 if layout is None:
                     self.found.unreadable[topic] += 1
                     messages, order = messages[1:], order[1:]
@@ -304,11 +306,11 @@ class _Collector:
                 self.found.topics[topic].append(Messages(layout, order[alike], layout.stamps(rows), *kept))
                 messages, order = messages[~alike], order[~alike]
 
-    def _next_layout(self, message: bytes) -> JointStateLayout | None:
+    def _next_layout(self, message: bytes, ros1: bool) -> JointStateLayout | None:
         if self._layout_count == _MAX_LAYOUTS:
             return None
         try:
-            layout = parse_layout(message)
+            layout = parse_layout(message, ros1)
         except ValueError:
             return None
         self._layout_count += 1
@@ -342,4 +344,4 @@ def _stream(body: bytes) -> ReadDataStream:
 
 def _printable(text: str) -> str:
     """Without what would act on a terminal."""
-    return "".join(c if c.isprintable() else "?" for c in text)
+    return text if text.isprintable() else "".join(c if c.isprintable() else "?" for c in text)

@@ -26,12 +26,18 @@ CLOSE_LIMIT = 60.0
 class LogWriter:
     """Writes one log in a thread of its own. Every method but `close` returns at once, whatever the disk does.
 
-    Data reach the operating system within half a second, so a killed process loses at most that. A disk that falls
-    further behind than `backlog_limit` [bytes] or `stall_limit` [s] is an error of `write`: whoever records then stops
-    the arm. What waits is still written where the disk takes it again.
+    What was written reaches the operating system within half a second, of data and of waiting, so a killed process
+    loses at most that. A disk that falls further behind than `backlog_limit` or `stall_limit` is an error of `write`:
+    whoever records then stops the arm; what waits is still written where the disk takes it again.
 
-    Use it as a context manager: leaving it closes the log, also after an error, which keeps what was recorded. The
-    other arguments are those of `LogFile`.
+    Use it as a context manager: leaving it closes the log, also after an error, which keeps what was recorded.
+
+    Args:
+        path: file to write; it must not exist.
+        joint_names: as in the robot description.
+        backlog_limit: [bytes].
+        stall_limit: [s].
+        robot, motion, sample_rate, clock, facts: as in `LogFile`.
 
     Raises:
         InputError: the file exists.
@@ -69,6 +75,11 @@ class LogWriter:
     def lost(self) -> int:
         """Samples that are not in the log, by sequence number; complete once the log is closed."""
         return self._file.lost
+
+    @property
+    def repeated(self) -> int:
+        """Samples that came again and were left out; complete once the log is closed."""
+        return self._file.repeated
 
     @property
     def backlog(self) -> int:
@@ -111,6 +122,10 @@ class LogWriter:
     def missed(self, count: int) -> None:
         """Note how many samples the link lost in all, those before the first and after the last one seen too."""
         self._put(0, lambda: self._file.missed(count))
+
+    def event(self, text: str) -> None:
+        """Note what happened on the link or to the robot."""
+        self._put(len(text), lambda: self._file.event(text))
 
     def close(self) -> None:
         """Write all that waits, and the index. Safe to call twice."""
