@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from agent.data_quality.finding import MOVING, QualityFinding, Recordings
+from agent.data_quality.finding import MOVING, QualityFinding, Recordings, travel
 from agent.recording import Log
 from agent.robot import RobotDescription
 from agent.simulators import SERVO_STIFFNESS
@@ -77,8 +77,7 @@ def _second_motion(log: Log, robot: RobotDescription) -> np.ndarray | None:
 def dead_channels(of: Recordings) -> Iterator[QualityFinding]:
     """Torque that never changes while its joint moves."""
     weakest, strongest = (f([f(e, axis=0) for e in of.efforts], axis=0) for f in (np.min, np.max))
-    dead = of.named(of.moving & (strongest - weakest <= _NOTHING))
-    if dead:
+    if dead := of.named(of.moving & (strongest - weakest <= _NOTHING)):
         text = f"the torque of {', '.join(dead)} never changes while it moves: its channel is dead"
         yield QualityFinding(text, dead, advice="check the topic, the map or the driver's configuration")
 
@@ -94,36 +93,30 @@ def unsigned_channels(of: Recordings) -> Iterator[QualityFinding]:
 
 
 def unsigned_torque(logs: Sequence[Log]) -> np.ndarray:
-    """(n,) joints whose torque is an amount without a sign; all of the logs have torque."""
-    efforts = [log.effort for log in logs if log.effort is not None]
-    low, high = (f([f(log.position, axis=0) for log in logs], axis=0) for f in (np.min, np.max))
-    weakest, strongest = (f([f(e, axis=0) for e in efforts], axis=0) for f in (np.min, np.max))
-    live = (high - low > MOVING) & (strongest - weakest > _NOTHING)
-    unsigned = live & (weakest >= 0)
+    """(n,) joints whose torque is an amount without a sign; all of the logs have torque.
+
+    Carrying a load one way is no explanation for a joint that moves both ways and whose torque comes near zero.
+    """
+    effort = np.concatenate([log.effort for log in logs if log.effort is not None])
+    way = np.concatenate([np.diff(log.position, axis=0) for log in logs])
+    there, back = np.maximum(way, 0).sum(axis=0), np.maximum(-way, 0).sum(axis=0)
+    live = (travel(logs) > MOVING) & (np.ptp(effort, axis=0) > _NOTHING)
+    unsigned = live & (effort.min(axis=0) >= 0)
     # one joint of several that carries its load one way may come near zero; one that turns back at it does not
     least, near = (0.05, 0.1) if unsigned.sum() == live.sum() else (0.02, 0.02)
-    reaches_zero = [_reaches_zero(logs, efforts, k, least, near) for k in range(len(unsigned))]
-    return np.asarray(unsigned & reaches_zero, dtype=bool)
-
-
-def _reaches_zero(logs: Sequence[Log], efforts: Sequence[np.ndarray], joint: int, least: float, near: float) -> bool:
-    """Whether a joint that moves both ways has the quantile `least` of its torque below the part `near` of its largest:
-    then carrying a load one way is no explanation."""
-    way = np.concatenate([np.diff(log.position[:, joint]) for log in logs])
-    both = min(way[way > 0].sum(), -way[way < 0].sum()) > 0.2 * np.abs(way).sum()
-    values = np.concatenate([effort[:, joint] for effort in efforts])
-    return bool(both and np.quantile(values, least) < near * np.quantile(values, 0.99))
+    reaches_zero = np.quantile(effort, least, axis=0) < near * np.quantile(effort, 0.99, axis=0)
+    return np.asarray(unsigned & (np.minimum(there, back) > 0.2 * (there + back)) & reaches_zero)
 
 
 def stuck_joints(of: Recordings) -> Iterator[QualityFinding]:
     """Positions that never change while set-points or velocities say that the joint moves."""
-    for k, name in enumerate(of.robot.joint_names):
-        if any(np.ptp(log.position[:, k]) > 0 for log in of.logs):
-            continue
+    constant = np.max([np.ptp(log.position, axis=0) for log in of.logs], axis=0) == 0
+    for k in np.flatnonzero(constant).tolist():
+        name = of.robot.joint_names[k]
         asked = (log.reference_position for log in of.logs)
-        if any(values is not None and _travel(values[:, k]) > _MAX_LAG for values in asked):
+        if any(values is not None and _ptp(values[:, k]) > _MAX_LAG for values in asked):
             while_ = "its set-points move"
-        elif any(_moves(of.robot, log, k) and _travel(_path(log, k)) > _MAX_LAG for log in of.logs):
+        elif any(_moves(of.robot, log, k) and _ptp(_path(log, k)) > _MAX_LAG for log in of.logs):
             while_ = "its velocity says it moves"
         else:
             continue
@@ -150,7 +143,7 @@ def _path(log: Log, joint: int) -> np.ndarray:
     return np.concatenate(parts)
 
 
-def _travel(values: np.ndarray) -> float:
+def _ptp(values: np.ndarray) -> float:
     known = values[np.isfinite(values)]
     return float(np.ptp(known)) if len(known) else 0.0
 
@@ -192,7 +185,6 @@ def _velocity_reason(ratio: float, turning: bool, slides: bool) -> str:
 def _velocity_ratio(log: Log, joint: int) -> float | None:
     """Displacement by velocity over displacement by position, over tenths of a second; None where they disagree in
     shape or nothing moves."""
-    assert log.velocity is not None
     window = max(2, int(0.1 * log.sample_rate))
     path = _path(log, joint)
     steps = [(np.diff(log.position[a:b:window, joint]), np.diff(path[a:b:window])) for a, b in log.segments]
@@ -211,17 +203,16 @@ def spoiled_samples(of: Recordings) -> Iterator[QualityFinding]:
         assert log.effort is not None
         found: dict[tuple[str, str, str], list[int]] = {}
         for joint in range(of.robot.dof):
-            for share, least, text, advice in _spoiled(log.effort[:, joint], log.position[:, joint]):
-                if share > least:
-                    found.setdefault((f"{100 * share:.1f}", text, advice), []).append(joint)
+            for share, text, advice in _spoiled(log.effort[:, joint], log.position[:, joint]):
+                found.setdefault((f"{100 * share:.1f}", text, advice), []).append(joint)
         for (percent, text, advice), joints in found.items():
             whose = of.named(np.array(joints))
             said = f"{log.name}: the torque of {', '.join(whose)} {text.format(f'{percent} % of the samples')}"
             yield QualityFinding(said, whose, float(percent) / 100, advice, refuses=False)
 
 
-def _spoiled(torque: np.ndarray, position: np.ndarray) -> Iterator[tuple[float, float, str, str]]:
-    """Share of the samples, least share that is said, what it is and what to do, of a torque (S,) and position (S,)."""
+def _spoiled(torque: np.ndarray, position: np.ndarray) -> Iterator[tuple[float, str, str]]:
+    """Share of the samples, what it is and what to do, of a torque (S,) and position (S,)."""
     levels = np.unique(torque)
     if len(levels) < 3 or len(torque) < 2 * _RUN:
         return
@@ -237,25 +228,30 @@ def _spoiled(torque: np.ndarray, position: np.ndarray) -> Iterator[tuple[float, 
     size = float(np.sqrt(np.mean(torque**2)))
     sides = np.where(length >= _RUN, np.maximum(before, after), away)  # a friction step is no dropout
     dropped = fine & (value == 0) & (sides > max(_STEPS * resolution, _ZERO * size))
-    held = ~dropped & (length >= _RUN) & (away > _STEPS * resolution) & (position[starts] != position[ends])
-    yield (
-        float(length[dropped].sum()) / len(torque),
-        _SPOILED,
-        "is exactly zero for {} between values that are not: the recorder drops out, or another publisher writes zeros",
-        "leave those rows out, or record again",
-    )
     largest, rows = np.unique(np.abs(torque), return_counts=True)
     clipped = fine and rows[-1] > _OFTEN * rows[-4:-1].max(initial=0)
-    yield (
-        rows[-1] / len(torque) if clipped else 0.0,
-        _SPOILED,
-        "stays at its largest value for {}: it looks clipped, and what happens there is not seen",
-        "record slower motions, or raise the limit of the channel",
-    )
-    at_limit = np.abs(value) == largest[-1]
-    yield (
-        float(length[held & ~(clipped & at_limit)].sum()) / len(torque),
-        _HELD,
-        "holds its value for {} while the joint moves: it is updated more slowly than it is recorded",
-        "record at the rate at which the controller updates torque",
-    )
+    held = ~dropped & (length >= _RUN) & (away > _STEPS * resolution) & (position[starts] != position[ends])
+    held &= ~(clipped & (np.abs(value) == largest[-1]))
+    for samples, least, text, advice in (
+        (
+            length[dropped].sum(),
+            _SPOILED,
+            "is exactly zero for {} between values that are not: the recorder drops out, or another publisher writes "
+            "zeros",
+            "leave those rows out, or record again",
+        ),
+        (
+            rows[-1] * clipped,
+            _SPOILED,
+            "stays at its largest value for {}: it looks clipped, and what happens there is not seen",
+            "record slower motions, or raise the limit of the channel",
+        ),
+        (
+            length[held].sum(),
+            _HELD,
+            "holds its value for {} while the joint moves: it is updated more slowly than it is recorded",
+            "record at the rate at which the controller updates torque",
+        ),
+    ):
+        if samples > least * len(torque):
+            yield float(samples) / len(torque), text, advice

@@ -6,7 +6,7 @@ then fits of a rigid arm. What one stage refuses would mislead the next.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 from agent.data_quality.channels import (
     dead_channels,
@@ -17,22 +17,21 @@ from agent.data_quality.channels import (
     velocity_mismatch,
 )
 from agent.data_quality.described import described_weight
-from agent.data_quality.finding import Check, QualityFinding, Recordings
-from agent.data_quality.mechanics import implausible_mechanics
-from agent.data_quality.ranges import excessive_torque, excessive_weight, position_units, slide_ranges
+from agent.data_quality.finding import QualityFinding, Recordings
+from agent.data_quality.mechanics import implausible_mechanics, wrong_lengths
+from agent.data_quality.ranges import excessive_torque, excessive_weight, position_units
 from agent.recording import Log
 from agent.robot import RobotDescription
 
 #: Every check in stages. One that refuses, or finds another unit, ends the list.
-CHECKS: tuple[tuple[Check, ...], ...] = (
+CHECKS: tuple[tuple[Callable[[Recordings], Iterator[QualityFinding]], ...], ...] = (
     (discontinuous_positions,),
     (dead_channels, position_units, excessive_torque, unsigned_channels),
     (velocity_mismatch,),
     (stuck_joints,),
-    (slide_ranges,),
     (described_weight,),
     (implausible_mechanics,),
-    (excessive_weight,),
+    (wrong_lengths, excessive_weight),
 )
 
 

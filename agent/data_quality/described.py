@@ -39,24 +39,18 @@ WITH_GRAVITY = (
 )
 
 
-def gravity_axes(robot: RobotDescription) -> Iterator[RobotDescription]:
-    """The robot with gravity along each axis of its base, downwards first, but not as it is."""
+def gravity_axes(robot: RobotDescription) -> Iterator[tuple[float, float, float]]:
+    """Gravity [m/s²] along each axis of the base, downwards first, but not as it is described."""
     size = float(np.linalg.norm(robot.gravity)) or 9.80665
     for direction in (*-np.eye(3)[::-1], *np.eye(3)):
-        gravity = size * direction + 0.0
-        if not np.allclose(gravity, robot.gravity, atol=1e-3 * size):
-            yield with_gravity(robot, gravity)
+        x, y, z = (size * direction + 0.0).tolist()
+        if not np.allclose((x, y, z), robot.gravity, atol=1e-3 * size):
+            yield x, y, z
 
 
-def with_gravity(robot: RobotDescription, gravity: np.ndarray) -> RobotDescription:
-    """The robot with gravity (3,) [m/s²] in the base frame."""
-    x, y, z = map(float, gravity)
-    return replace(robot, gravity=(x, y, z))
-
-
-def gravity_text(robot: RobotDescription, found: RobotDescription) -> str:
+def gravity_text(robot: RobotDescription, found: tuple[float, float, float]) -> str:
     """Its direction as a user writes it, and how far it is from the described one."""
-    a, b = np.array(robot.gravity), np.array(found.gravity)
+    a, b = np.array(robot.gravity), np.array(found)
     angle = np.degrees(np.arccos(np.clip(a @ b / max(np.linalg.norm(a) * np.linalg.norm(b), 1e-12), -1, 1)))
     return f"gravity in the base frame looks like ({', '.join(f'{x:.4g}' for x in b)}), {angle:.0f}° from the described"
 
@@ -77,24 +71,23 @@ def described_gravity(
     if masses is None:
         return
 
-    def described(of: RobotDescription) -> np.ndarray:
-        gravity = (Bodies(of).dynamics.regressor(s.q, 0 * s.q, 0 * s.q) @ masses)[:, turning]
-        return gravity - gravity.mean(axis=0)
+    def varying(torque: np.ndarray) -> np.ndarray:
+        return (torque - torque.mean(axis=0))[:, turning]
 
-    fitted = (fitted - fitted.mean(axis=0))[:, turning]
-    length = float(np.linalg.norm(fitted))
-    torque = (s.torque - s.torque.mean(axis=0))[:, turning]
-    least = min(_SEEN, _TIMES_LEFT * unexplained) * float(np.linalg.norm(torque))
-    if length < least or np.linalg.norm(fitted - described(robot)) < _REFUTED * length:
+    def left(gravity: tuple[float, float, float]) -> float:
+        """What the described masses leave of the gravity torque."""
+        dynamics = Bodies(replace(robot, gravity=gravity)).dynamics
+        return float(np.linalg.norm(varying(fitted) - varying(dynamics.regressor(s.q, 0 * s.q, 0 * s.q) @ masses)))
+
+    length = float(np.linalg.norm(varying(fitted)))
+    least = min(_SEEN, _TIMES_LEFT * unexplained) * float(np.linalg.norm(varying(s.torque)))
+    if length < least or left(robot.gravity) < _REFUTED * length:
         return
-    left, other = min(
-        ((float(np.linalg.norm(fitted - described(other))), other) for other in gravity_axes(robot)),
-        key=lambda pair: pair[0],
-    )
-    if left < _FITS * length:
+    best = min(gravity_axes(robot), key=left)
+    if left(best) < _FITS * length:
         yield QualityFinding(
-            f"{gravity_text(robot, other)}, or the described centres of mass are wrong: of the gravity torque, the "
-            f"described masses explain {100 * (1 - left / length):.0f} % so, and none as given",
+            f"{gravity_text(robot, best)}, or the described centres of mass are wrong: of the gravity torque, the "
+            f"described masses explain {100 * (1 - left(best) / length):.0f} % so, and none as given",
             robot.joint_names,
             advice=MEND_GRAVITY,
         )
@@ -135,12 +128,12 @@ def _other_unit(of: Recordings, joints: np.ndarray, times: np.ndarray, judged: i
     """Torque of `joints` (k,) that is a multiple `times` (k,) of the described gravity torque; `judged` counts the
     joints with enough weight to be judged."""
     robot = of.robot
-    off = (times < _SCALES[0]) | (times > _SCALES[1])
     size = float(np.exp(np.mean(np.log(times))))
     if size > _THOUSAND:
         weighed = f"torques look like N·mm: gravity on the joints is {size:.3g} times what the described masses weigh"
         yield from [*excessive_weight(of), QualityFinding(weighed, robot.joint_names, scale=True)][:1]
         return
+    off = (times < _SCALES[0]) | (times > _SCALES[1])
     unit = "motor currents, or % or ‰ of a nominal torque"
     parts = np.log(times * drive_torque(robot)[joints])
     for name, whole in (("%", 100.0), ("‰", 1000.0)):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -20,8 +20,8 @@ class QualityFinding:
     """One thing that is wrong with logs.
 
     text: what, with its figures. joints: whose. share: part of the samples that it spoils. advice: what to do.
-    refuses: whether no model may be made of such logs. scale: the doubt is about the size of torques or links, which a
-    model that predicts those torques refutes.
+    refuses: whether no model may be made of such logs. scale: the doubt is about the size of torques, which a model
+    that predicts those torques refutes.
     """
 
     text: str
@@ -60,23 +60,21 @@ class Recordings:
         return [log.effort for log in self.logs if log.effort is not None]
 
     @cached_property
-    def lowest(self) -> np.ndarray:
-        """(n,) position [rad or m]."""
-        return np.min([log.position.min(axis=0) for log in self.logs], axis=0)
+    def furthest(self) -> np.ndarray:
+        """(n,) largest distance from zero [rad or m]."""
+        return np.max([np.abs(log.position).max(axis=0) for log in self.logs], axis=0)
 
     @cached_property
-    def highest(self) -> np.ndarray:
-        """(n,) position [rad or m]."""
-        return np.max([log.position.max(axis=0) for log in self.logs], axis=0)
-
-    @property
     def moving(self) -> np.ndarray:
         """(n,) joints that move."""
-        return np.asarray(self.highest - self.lowest > MOVING)
+        return travel(self.logs) > MOVING
 
     def named(self, which: np.ndarray) -> tuple[str, ...]:
         """Names of the joints of a mask (n,) or of numbers."""
         return tuple(np.array(self.robot.joint_names)[which].tolist())
 
 
-Check = Callable[[Recordings], Iterator[QualityFinding]]
+def travel(logs: Sequence[Log]) -> np.ndarray:
+    """(n,) distance between the lowest and the highest position in all logs [rad or m]."""
+    low, high = (f([f(log.position, axis=0) for log in logs], axis=0) for f in (np.min, np.max))
+    return np.asarray(high - low)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -17,45 +17,42 @@ _MUCH = 0.1  # of a joint's torque, root mean square: an error that is worth a l
 
 def fitted_doubts(model: IdentifiedModel, logs: Sequence[Log]) -> list[QualityFinding]:
     """Rotor inertias that none has, and errors far above the noise, with the likeliest reason."""
-    return [*_negative_rotors(model), *_large_errors(model, logs)]
-
-
-def _negative_rotors(model: IdentifiedModel) -> Iterator[QualityFinding]:
-    n = model.robot.dof
-    deviation = np.sqrt(np.diag(model.covariance))
-    first = len(model.standard_names) - n  # rotors come last
     found = []
-    for row, (of, parameter) in enumerate(zip(model.projection, model.independent, strict=True)):
-        alone = parameter >= first and np.count_nonzero(of) == 1
-        if alone and model.values[row] < -_CERTAIN * deviation[row]:
-            found.append((model.robot.joint_names[parameter - first], float(model.values[row])))
-    if found:
-        listed = ", ".join(f"{name} {value:.3g} kg·m²" for name, value in found)
-        yield QualityFinding(
-            f"the fit gives rotors a negative inertia ({listed}), which none has",
-            tuple(name for name, _ in found),
-            advice="check lengths and axes of the URDF, gear ratios, and that positions and torques share their stamps",
-            refuses=False,
-        )
+    if rotors := _negative_rotors(model):
+        listed = ", ".join(f"{name} {value:.3g} kg·m²" for name, value in rotors.items())
+        text = f"the fit gives rotors a negative inertia ({listed}), which none has"
+        advice = "check lengths and axes of the URDF, gear ratios, and that positions and torques share their stamps"
+        found.append(QualityFinding(text, tuple(rotors), advice=advice, refuses=False))
+    if errors := _large_errors(model, logs):
+        listed = ", ".join(f"{name} {100 * share:.0f} %" for name, share in errors.items())
+        text = f"the model leaves much more of the torque than its noise: {listed}"
+        advice = "likeliest: lengths or axes of the URDF, a unit, or an effect beyond bodies and friction; "
+        advice += "`agent diagnose` with this model says which"
+        found.append(QualityFinding(text, tuple(errors), advice=advice, refuses=False))
+    return found
 
 
-def _large_errors(model: IdentifiedModel, logs: Sequence[Log]) -> Iterator[QualityFinding]:
+def _negative_rotors(model: IdentifiedModel) -> dict[str, float]:
+    """Rotor inertia [kg·m²] by joint, where it is clearly negative and identified alone."""
+    deviation = np.sqrt(np.diag(model.covariance))
+    first = len(model.standard_names) - model.robot.dof  # rotors come last
+    return {
+        model.robot.joint_names[parameter - first]: float(model.values[row])
+        for row, (combined, parameter) in enumerate(zip(model.projection, model.independent, strict=True))
+        if parameter >= first and np.count_nonzero(combined) == 1 and model.values[row] < -_CERTAIN * deviation[row]
+    }
+
+
+def _large_errors(model: IdentifiedModel, logs: Sequence[Log]) -> dict[str, float]:
+    """Held-out error relative to the torque, by joint, where it is large and far above the noise."""
     efforts = [(log.effort, log.sample_rate) for log in logs if log.effort is not None]
     noise = np.sqrt(np.mean([_torque_noise(effort, rate, model.cutoff) ** 2 for effort, rate in efforts], axis=0))
-    torque = np.concatenate([effort for effort, _ in efforts])
-    size = np.sqrt(np.mean(torque**2, axis=0))
-    large = (model.held_out_rmse > _FAR * noise) & (model.held_out_rmse > _MUCH * size)
-    if large.any():
-        whose = tuple(np.array(model.robot.joint_names)[large].tolist())
-        share = 100 * (model.held_out_rmse / size)[large]
-        listed = ", ".join(f"{name} {percent:.0f} %" for name, percent in zip(whose, share, strict=True))
-        yield QualityFinding(
-            f"the model leaves much more of the torque than its noise: {listed}",
-            whose,
-            advice="likeliest: lengths or axes of the URDF, a unit, or an effect beyond bodies and friction; "
-            "`agent diagnose` with this model says which",
-            refuses=False,
-        )
+    size = np.sqrt(np.mean(np.concatenate([effort for effort, _ in efforts]) ** 2, axis=0))
+    return {
+        name: float(error / torque)
+        for name, error, torque, least in zip(model.robot.joint_names, model.held_out_rmse, size, noise, strict=True)
+        if error > _FAR * least and error > _MUCH * torque
+    }
 
 
 def _torque_noise(effort: np.ndarray, rate: float, cutoff: float) -> np.ndarray:

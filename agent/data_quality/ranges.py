@@ -12,29 +12,26 @@ from agent.robot import Dynamics, RobotDescription
 _TOO_FAR = {"degrees": 5.0, "mm": 100.0}  # times the joint's range: a tenth of what the unit makes of it, at most
 _TOO_FAST = {"degrees": 10.0, "mm": 100.0}  # times its highest speed
 _LEAST = {"degrees": np.pi, "mm": 0.0}  # rad or m that some joint comes to, at least
-_BEYOND = 0.2  # of its range, by which a joint must leave it to be taken for another one
-_WITHIN = 0.02  # likewise, where it is still taken to be inside
 _TOO_STRONG = 100.0  # times what the description says of the drive
 _HEAVIEST = 1000.0  # kg for each square metre of reach: of 13 arms, real and simulated, the heaviest has 510
 
 
 def position_units(of: Recordings) -> Iterator[QualityFinding]:
     """Degrees or mm: joints that go or run so far beyond the description that the unit must be another."""
-    furthest = np.maximum(np.abs(of.lowest), np.abs(of.highest))
     joints = of.robot.joints
     ends = [np.nan if j.lower is None or j.upper is None else max(abs(j.lower), abs(j.upper)) for j in joints]
     ranges = np.where(np.array(ends) > 0, ends, np.nan)
     speeds = np.array([_speed(log.t, log.position, log.sample_rate) for log in of.logs]).max(axis=0)
     for which, unit, looks in ((of.turning, "rad", "degrees"), (~of.turning, "m", "mm")):
         there = which & of.moving
-        if not there.any() or furthest[there].max() <= _LEAST[looks]:
+        if not there.any() or of.furthest[there].max() <= _LEAST[looks]:
             continue
-        far, fast = (furthest / ranges)[there], (speeds / of.robot.max_velocity)[there]
+        far, fast = (of.furthest / ranges)[there], (speeds / of.robot.max_velocity)[there]
         far = far[np.isfinite(far)]
         if (len(far) and np.median(far) > _TOO_FAR[looks]) or np.median(fast) > _TOO_FAST[looks]:
             k = int(np.flatnonzero(there)[np.argmax(fast)])
             yield QualityFinding(
-                f"positions look like {looks}: {joints[k].name} comes to {furthest[k]:.4g} {unit} and moves at "
+                f"positions look like {looks}: {joints[k].name} comes to {of.furthest[k]:.4g} {unit} and moves at "
                 f"{np.max(fast):.3g} times its highest speed",
                 of.named(there),
             )
@@ -46,39 +43,6 @@ def _speed(t: np.ndarray, position: np.ndarray, rate: float) -> np.ndarray:
     every = max(1, int(0.05 * rate))
     step, time = np.abs(np.diff(position[::every], axis=0)), np.diff(t[::every])
     return np.quantile(step / time[:, None], 0.98, axis=0) if len(time) else np.zeros(position.shape[1])
-
-
-def slide_ranges(of: Recordings) -> Iterator[QualityFinding]:
-    """A slide or a turning joint far out of its range, where swapped with the one other joint of the other kind that
-    brings both into theirs."""
-    robot, low, high = of.robot, of.lowest, of.highest
-    beyond = _beyond(robot, low, high)
-    for slide in np.flatnonzero(~of.turning).tolist():
-        others = [k for k in np.flatnonzero(of.turning).tolist() if swap_in_range(robot, low, high, slide, k)]
-        if len(others) != 1 or max(beyond[slide], beyond[others[0]]) < _BEYOND:
-            continue
-        pair = of.named(np.sort([slide, others[0]]))
-        far = slide if beyond[slide] >= beyond[others[0]] else others[0]
-        joint = robot.joints[far]
-        yield QualityFinding(
-            f"{' and '.join(pair)} look swapped: {joint.name} goes from {low[far]:.3g} to {high[far]:.3g}, and its "
-            f"range is {joint.lower:.3g} to {joint.upper:.3g}; each is within the other's",
-            pair,
-        )
-
-
-def swap_in_range(robot: RobotDescription, low: np.ndarray, high: np.ndarray, a: int, b: int) -> bool:
-    """Whether what joints a and b did, between `low` and `high` (n,), is within the other's range."""
-    order = np.arange(robot.dof)
-    order[[a, b]] = b, a
-    return bool(np.all(_beyond(robot, low[order], high[order])[[a, b]] <= _WITHIN))
-
-
-def _beyond(robot: RobotDescription, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """(n,) how far positions come out of a joint's range, as part of it; zero on a joint without limits."""
-    lower, upper = robot.position_limits
-    width = np.where(np.isfinite(upper - lower), upper - lower, np.inf)
-    return np.asarray(np.maximum(np.maximum(lower - low, high - upper), 0.0) / width)
 
 
 def drive_torque(robot: RobotDescription) -> np.ndarray:

@@ -16,7 +16,7 @@ import numpy as np
 from agent.core import InputError
 from agent.estimation import FilterSettings, motions, resolve_cutoff
 from agent.recording import Log
-from agent.robot import RobotDescription
+from agent.robot import Dynamics, RobotDescription, rotor_regressor
 
 _CUTOFF = 10.0  # Hz
 _SAMPLES = 600  # of all logs together
@@ -26,6 +26,7 @@ _PRIOR_WEIGHT = 10.0  # independent samples that the sizes of parameters count f
 _DOUBT = 2.5  # standard deviation of a parameter, relative to the largest that the torques could hold
 _LINK_RADIUS = 0.5  # of the reach: the size of such a link
 _OVERFITTED = 2.5  # times the error of a fit; of two real arms, as they are or mistaken, at most 1.5
+_SAMPLES_PER_PARAMETER = 4.0  # independent samples: a shorter log does not distinguish a mistake from chance
 _LEAST = 1e-10  # squared error of a joint, relative to its torque, below which round-off begins
 
 
@@ -72,8 +73,6 @@ class Bodies:
     """Rigid links and rotors of a robot, with Coulomb and viscous friction of its axles and offsets of its joints."""
 
     def __init__(self, robot: RobotDescription):
-        from agent.robot import Dynamics
-
         self.robot = robot
         self.dynamics = Dynamics(robot)
 
@@ -87,8 +86,6 @@ class Bodies:
 
     def regressor(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
         """(S, n, 11 n) of links and rotors."""
-        from agent.robot import rotor_regressor
-
         return np.concatenate([self.dynamics.regressor(q, qd, qdd), rotor_regressor(self.robot, qdd)], axis=2)
 
     def reach(self) -> float:
@@ -108,19 +105,19 @@ class Bodies:
         speed = np.maximum(np.abs(s.qd).max(axis=0), 1e-6 * self.robot.max_velocity)
         rotors = torque / acceleration / self.robot.gear_ratios**2
         rows_each = max(1.0, len(s.q) / max(s.independent, 1.0))
-        return (
-            _PRIOR_WEIGHT * rows_each / np.concatenate([np.tile(link, n), rotors, torque, torque / speed, torque]) ** 2
-        )
+        sizes = np.concatenate([np.tile(link, n), rotors, torque, torque / speed, torque])
+        return _PRIOR_WEIGHT * rows_each / sizes**2
 
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """A fit to a torque (S, n): parameters (p,), their covariance (p, p), and the part of each joint's torque (n,) that
-    is left."""
+    """A fit to a torque (S, n): parameters (p,), their covariance (p, p), and the part of the torque that is left, of
+    each joint (n,) and of all together."""
 
     parameters: np.ndarray
     covariance: np.ndarray
     left: np.ndarray
+    unexplained: float
 
 
 class RigidFit:
@@ -132,10 +129,19 @@ class RigidFit:
     def __init__(self, bodies: Bodies, s: FitSamples, precision: np.ndarray | None = None):
         self.bodies, self.samples = bodies, s
         self.columns = bodies.columns(s)
-        self._precision = bodies.precision(s) if precision is None else precision
+        self.precision = bodies.precision(s) if precision is None else precision
         self._folds = [np.flatnonzero(s.fold == fold) for fold in range(FOLDS)]
         parts = [self.columns[rows].swapaxes(0, 1) for rows in self._folds]
         self._own = np.array([part.swapaxes(1, 2) @ part for part in parts])
+
+    def says_something(self) -> bool:
+        """Whether there are enough samples, and what is held out is predicted well enough, to compare fits."""
+        s = self.samples
+        rows = self.columns.reshape(s.q.size, -1)
+        length = np.linalg.norm(rows, axis=0)
+        known = np.linalg.matrix_rank(rows / np.where(length > 0, length, 1.0), rtol=1e-7)
+        independent = s.q.shape[1] * min(len(s.q), s.independent)
+        return independent > _SAMPLES_PER_PARAMETER * known and not overfitted(self, s.torque)
 
     def solution(self, torque: np.ndarray) -> Solution:
         """The fit to all samples of a torque (S, n)."""
@@ -144,10 +150,11 @@ class RigidFit:
         parameters, weights = self._weighted(own, cross, square)
         left = np.maximum(_squared(parameters, own, cross, square), 0.0)
         each = max(1.0, len(torque) / max(self.samples.independent, 1.0))  # rows for each independent sample
-        matrix = _sum(weights, own) + np.diag(self._precision)
+        matrix = _sum(weights, own) + np.diag(self.precision)
         scale = 1 / np.sqrt(np.diagonal(matrix))
         covariance = each * scale * np.linalg.inv(matrix * np.outer(scale, scale)) * scale[:, None]
-        return Solution(parameters, covariance, np.sqrt(left / np.maximum(square, 1e-300)))
+        unexplained = float(np.sqrt(left.sum() / max(float(square.sum()), 1e-300)))
+        return Solution(parameters, covariance, np.sqrt(left / np.maximum(square, 1e-300)), unexplained)
 
     def errors(self, torque: np.ndarray) -> np.ndarray:
         """(FOLDS, n) squared error held out of a torque (S, n), at most that of a constant one."""
@@ -180,10 +187,17 @@ class RigidFit:
 
     def _solve(self, matrix: np.ndarray, side: np.ndarray) -> np.ndarray:
         """(…, p) solutions of normal equations (…, p, p) with sides (…, p), the prior added."""
-        matrix = matrix + np.diag(self._precision)
+        matrix = matrix + np.diag(self.precision)
         scale = 1 / np.sqrt(np.diagonal(matrix, axis1=-2, axis2=-1))
         scaled = matrix * (scale[..., :, None] * scale[..., None, :])
         return np.asarray(scale * np.linalg.solve(scaled, (scale * side)[..., None])[..., 0])
+
+
+def overfitted(fit: RigidFit, torque: np.ndarray) -> bool:
+    """Whether the joints' median torque (S, n) is predicted so much worse than it is fitted that few seconds say
+    nothing of mistakes."""
+    left = np.sqrt(fit.errors(torque).sum(axis=0) / np.maximum(np.sum(torque**2, axis=0), 1e-300))
+    return bool(np.median(left / np.maximum(fit.solution(torque).left, 0.01)) > _OVERFITTED)
 
 
 def _sum(weights: np.ndarray, own: np.ndarray) -> np.ndarray:
@@ -221,7 +235,6 @@ def fitted_gravity(bodies: Bodies, s: FitSamples) -> np.ndarray:
         solution = np.linalg.solve(_sum(weights, own_all) + prior, weights @ cross_all)
         return _squared(solution, own_all, cross_all, square)
 
-    axes = np.vstack([np.eye(3), -np.eye(3)])
     best, errors = np.zeros(3), square
     for _ in range(_ROUNDS):
         weights = len(s.q) / np.maximum(errors, 1e-12 * square + 1e-300)
@@ -229,18 +242,10 @@ def fitted_gravity(bodies: Bodies, s: FitSamples) -> np.ndarray:
         def misfit(gravity: np.ndarray, weights: np.ndarray = weights) -> float:
             return float(weights @ left(gravity, weights))
 
+        axes = np.vstack([np.eye(3), -np.eye(3)])
         best = best / np.linalg.norm(best) if best.any() else min(axes, key=misfit)
         around = best + 0.3 * np.vstack([np.zeros(3), np.eye(3)])
         options = {"initial_simplex": around, "xatol": 1e-3, "fatol": 1e-3}
         best = minimize(misfit, best, method="Nelder-Mead", options=options).x
         errors = left(best, weights)
     return np.asarray(size * best / np.linalg.norm(best))
-
-
-def overfitted(fit: RigidFit, torque: np.ndarray) -> bool:
-    """Whether a torque (S, n) is predicted so much worse than it is fitted that few seconds say nothing of mistakes.
-
-    The joints' median decides.
-    """
-    left = np.sqrt(fit.errors(torque).sum(axis=0) / np.maximum(np.sum(torque**2, axis=0), 1e-300))
-    return bool(np.median(left / np.maximum(fit.solution(torque).left, 0.01)) > _OVERFITTED)

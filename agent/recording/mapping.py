@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from agent.core import Dimension, InputError, Quantity, line_of, read_yaml, validate_document
-from agent.recording.column_table import ColumnTable
+from agent.recording.text_tables import ColumnTable
 
 Side = Literal["motor", "joint"]
 _TURN = 6.283185307179586
@@ -30,6 +30,9 @@ OF_NOMINAL = {"%": 1e-2, "percent": 1e-2, "‰": 1e-3, "per mille": 1e-3}
 PRESETS = {"ur-rtde": "ur_recording.yaml", "ur-record": "ur_recording.yaml"}
 #: Quantities that a recording may lack.
 _OPTIONAL = ("velocity", "effort", "reference_position")
+#: The limits of a factor; a larger one is a typing mistake.
+USABLE = "a finite number other than 0 is expected"
+_LARGEST = 1e100
 
 
 def _one_or_list(what: str, *types: type) -> BeforeValidator:
@@ -42,11 +45,6 @@ def _one_or_list(what: str, *types: type) -> BeforeValidator:
         return value
 
     return BeforeValidator(check)
-
-
-#: The limits of a factor; a larger one is a typing mistake.
-USABLE = "a finite number other than 0 is expected"
-_LARGEST = 1e100
 
 
 def _usable(value: Any) -> Any:

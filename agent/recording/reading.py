@@ -15,8 +15,7 @@ from agent.recording.log import Log, Repair
 from agent.recording.mcap.log_file import PLANNED, REFERENCES, RUN
 from agent.recording.mcap.scan import Messages, Scan, scan
 from agent.recording.mcap.topics import choose_topics, joint_names, namesake
-from agent.recording.repair.jumps import Mended, mend_jumps
-from agent.recording.repair.outliers import find_spikes, impossible
+from agent.recording.repair.outliers import Jumps, find_spikes, impossible, mend_jumps
 from agent.recording.repair.stamps import BRIDGED, Order, far_off, match, put_in_order, spacing_of
 from agent.recording.scratch import Scratch
 from agent.robot import RobotDescription
@@ -33,9 +32,12 @@ _JOINED = 2.5
 
 @dataclass(frozen=True, eq=False)
 class _Table:
-    """Samples of one topic in the order of the file: stamp (S,) [ns]; `arrays` (S, n): position and, where there are,
-    velocity and effort; `first`: earliest stamp [ns] of these joints, also of a sample that was left out;
-    `without_effort`: joints that hardly have any, so that of all is left out."""
+    """Whole, finite samples of the named joints.
+
+    `stamp` (S,) [ns]; `arrays` (S, n): position and, where there are, velocity and effort; `first`: earliest stamp [ns]
+    of these joints, also of a sample that was left out; `without_effort`: joints that hardly have any, so that the
+    effort of all is left out.
+    """
 
     first: int
     stamp: np.ndarray
@@ -43,18 +45,22 @@ class _Table:
     repairs: tuple[Repair, ...]
     without_effort: tuple[str, ...] = ()
 
-    def in_order(self, name: str) -> Order:
-        """Which samples to take, by their stamps; velocity does not tell one sample from another."""
-        measured = [values for field, values in self.arrays.items() if field != "velocity"]
-        return put_in_order(self.stamp, measured, name)
+    def order(self, name: str) -> Order:
+        """Which samples to take, by their stamps; velocity does not distinguish one sample from another."""
+        values = [self.arrays[key] for key in ("position", "effort") if key in self.arrays]
+        return put_in_order(self.stamp, values, name)
+
+    def taken(self, rows: np.ndarray, scratch: Scratch) -> _Table:
+        """The samples of some rows, in that order."""
+        arrays = {key: scratch.keep(values[rows]) for key, values in self.arrays.items()}
+        return replace(self, stamp=self.stamp[rows], arrays=arrays)
 
 
 def read_log(path: str | Path, robot: RobotDescription | None = None, topic: str | None = None) -> Log:
     """Read a log by docs/logs.md, whoever wrote it.
 
     Joints come in the order of `robot`, whatever the order and the further joints of the log; without a robot, in the
-    order of the log. `topic` is that of the joint states where there are several. What is repaired stands in
-    `Log.repairs`.
+    order of the log. `topic` is that of the joint states where there are several. `Log.repairs` lists all repairs.
 
     Raises:
         InputError: neither an MCAP file nor a bag, no joint states in it, several topics that may be meant, joints of
@@ -63,29 +69,25 @@ def read_log(path: str | Path, robot: RobotDescription | None = None, topic: str
     path = Path(path)
     found = scan(path)
     run = found.metadata.get(RUN, {})
-    chosen = choose_topics(path, found, robot, topic, run.get("robot"))
-    topic, names = chosen.topics[0], chosen.joints
-    table = _table([group for one in chosen.topics for group in found.topics.pop(one)], names, found.scratch)
+    topics, names, left_out = choose_topics(path, found, robot, topic, run.get("robot"))
+    topic = topics[0]
+    table = _table([group for one in topics for group in found.topics.pop(one)], names, found.scratch)
     if table is None:
         raise InputError(f"{path}: {topic}: no message holds a finite position of every joint ({', '.join(names)})")
-    order = table.in_order(str(path))
-    arrays, rows = table.arrays, order.rows
-    if len(rows) < len(table.stamp) or np.any(np.diff(rows) != 1):
-        arrays = _taken(found.scratch, arrays, rows)
-    stamp, arrays, cuts, mended = _mended(order.stamp, arrays, robot, found.scratch)
-    if "velocity" in arrays and _never_filled(arrays["velocity"], arrays["position"], found.scratch):
-        del arrays["velocity"]
-        kind = "samples with a velocity of zero though the arm moves, so all velocity left out"
-        mended.append(_repair(kind, stamp, int(stamp[0])))
+    order = table.order(str(path))
+    table = replace(table.taken(order.rows, found.scratch), stamp=order.stamp)
+    table, cuts, mended = _mended(table, robot, found.scratch)
+    stamp, arrays = table.stamp, table.arrays
     spacing = spacing_of(stamp, _nominal_rate(run))
     duration = (int(stamp[-1]) - int(stamp[0])) / _NANO
-    repairs = [*chosen.repairs, *_file_repairs(found, topic, duration), *_run_repairs(run, spacing.repairs)]
+    repairs = [*left_out, *_file_repairs(found, topic, duration), *_run_repairs(run, spacing.repairs)]
     repairs += [*table.repairs, *order.repairs, *mended, *spacing.repairs]
     t = (stamp - stamp[0]) / _NANO
     references, planned = (
         _set_points(found, namesake(found, wanted, topic), names, stamp, spacing.rate, repairs)
         for wanted in (REFERENCES, PLANNED)
     )
+    pieces = [[a, *(cut for cut in cuts if a < cut < b), b] for a, b in spacing.segments]
     return Log(
         path=path,
         joint_names=names,
@@ -98,7 +100,7 @@ def read_log(path: str | Path, robot: RobotDescription | None = None, topic: str
         sample_rate=spacing.rate,
         even=spacing.even,
         stamp=int(stamp[0]) / _NANO,
-        segments=_cut(spacing.segments, cuts),
+        segments=tuple(segment for piece in pieces for segment in pairwise(piece)),
         cycle_starts=_cycle_starts(run, (int(stamp[0]) - table.first) / _NANO, duration, repairs),
         metadata=run,
         repairs=tuple(repairs),
@@ -119,72 +121,52 @@ def logged_joints(path: Path, topic: str | None = None) -> tuple[str, ...]:
 
 
 def _mended(
-    stamp: np.ndarray, arrays: dict[str, np.ndarray], robot: RobotDescription | None, scratch: Scratch
-) -> tuple[np.ndarray, dict[str, np.ndarray], tuple[int, ...], list[Repair]]:
-    """Stamps (S,) and arrays without samples that cannot be, where to cut them, and what there is to say."""
-    jumps = Mended() if robot is None else mend_jumps(stamp, arrays["position"], robot, scratch)
-    spikes = find_spikes(arrays["effort"], scratch) if "effort" in arrays else np.array([], int)
+    table: _Table, robot: RobotDescription | None, scratch: Scratch
+) -> tuple[_Table, tuple[int, ...], list[Repair]]:
+    """The table without samples that cannot be, samples to cut it before, and what there is to say."""
+    jumps = Jumps() if robot is None else mend_jumps(table.stamp, table.arrays["position"], robot)
+    spikes = find_spikes(table.arrays["effort"]) if "effort" in table.arrays else np.array([], int)
     repairs = list(jumps.repairs)
     if len(spikes):
         kind = "samples whose torque stands out alone, dropped"
-        repairs.append(_repair(kind, stamp[spikes], int(stamp[0])))
+        repairs.append(_repair(kind, table.stamp[spikes], int(table.stamp[0])))
     dropped = np.union1d(jumps.dropped, spikes).astype(int)
     cuts = tuple(int(cut - np.searchsorted(dropped, cut)) for cut in jumps.cuts)
     if len(dropped):
-        keep = np.delete(np.arange(len(stamp)), dropped)
-        stamp, arrays = stamp[keep], _taken(scratch, arrays, keep)
-    return stamp, arrays, cuts, repairs
-
-
-def _never_filled(velocity: np.ndarray, position: np.ndarray, scratch: Scratch) -> bool:
-    """Whether a recorder has left the velocity (S, n) at zero from end to end while a joint moved."""
-    if any(velocity[part].any() for part in scratch.parts(len(velocity))):
-        return False
-    ends = [(position[part].min(axis=0), position[part].max(axis=0)) for part in scratch.parts(len(position))]
-    lowest, highest = zip(*ends, strict=True)
-    return bool(np.any(np.max(highest, axis=0) - np.min(lowest, axis=0) > _MOVED))
-
-
-def _taken(scratch: Scratch, arrays: dict[str, np.ndarray], rows: np.ndarray) -> dict[str, np.ndarray]:
-    return {field: scratch.take(values, rows) for field, values in arrays.items()}
-
-
-def _cut(segments: Sequence[tuple[int, int]], cuts: Sequence[int]) -> tuple[tuple[int, int], ...]:
-    """[start, stop) ranges, cut before some samples."""
-    pieces: list[tuple[int, int]] = []
-    for start, stop in segments:
-        pieces += pairwise([start, *(cut for cut in cuts if start < cut < stop), stop])
-    return tuple(pieces)
+        table = table.taken(np.delete(np.arange(len(table.stamp)), dropped), scratch)
+    velocity = table.arrays.get("velocity")
+    if velocity is not None and not velocity.any() and np.any(np.ptp(table.arrays["position"], axis=0) > _MOVED):
+        del table.arrays["velocity"]
+        kind = "samples with a velocity of zero though the arm moves, so all velocity left out"
+        repairs.append(_repair(kind, table.stamp, int(table.stamp[0])))
+    return table, cuts, repairs
 
 
 def _table(groups: list[Messages], names: tuple[str, ...], scratch: Scratch) -> _Table | None:
-    """Whole, finite samples of the named joints, and what was left out."""
-    others: list[Messages] = []
-    torn: list[Messages] = []
-    usable: list[Messages] = []
-    for group in groups:
-        ours = set(names) <= set(group.layout.names)
-        (usable if ours and group.layout.whole else torn if ours else others).append(group)
+    """Whole, finite samples of the named joints in the order of the file; None where there is none."""
+    ours = [group for group in groups if set(names) <= set(group.layout.names)]
+    usable = [group for group in ours if group.layout.whole]
     if not usable:
-        return None if torn else _joined(groups, names, scratch)
-    stamps = np.concatenate([group.stamp for group in (*usable, *torn)])
+        return None if ours else _joined(groups, names, scratch)
+    stamps = np.concatenate([group.stamp for group in ours])
     first = int(stamps[~far_off(stamps)].min())
     stamp = np.concatenate([group.stamp for group in usable])
-    order = np.concatenate([group.order for group in usable])
     keep = np.ones(len(stamp), bool)
     repairs: list[Repair] = []
     arrays: dict[str, np.ndarray] = {}
-    bare: dict[str, tuple[str, ...]] = {}
+    without_effort: tuple[str, ...] = ()
     for field in _FIELDS:
         values = _column(usable, field, names, scratch)
-        known = np.concatenate([np.isfinite(values[part]) for part in scratch.parts(len(values))])
+        known = np.isfinite(values)
         unknown = ~np.all(known, axis=1)
         if field != "position" and np.count_nonzero(unknown) > 0.5 * len(stamp):
-            bare[field] = tuple(name for name, share in zip(names, known.mean(axis=0), strict=True) if share < 0.5)
+            bare = tuple(name for name, share in zip(names, known.mean(axis=0), strict=True) if share < 0.5)
+            if field == "effort":
+                without_effort = bare
             if any(getattr(group, field) is not None for group in usable):
-                repairs.append(_repair(_without(field, bare[field], names), stamp[unknown], first))
+                repairs.append(_repair(_without(field, bare, names), stamp[unknown], first))
             continue
-        wild = impossible(values, field, scratch) & ~unknown
+        wild = impossible(values, field) & ~unknown
         for rows, kind in ((unknown, f"without a finite {field}"), (wild, f"with a {field} that no arm can have")):
             if (rows & keep).any():
                 repairs.append(_repair(f"samples {kind}, dropped", stamp[rows & keep], first))
@@ -192,17 +174,26 @@ def _table(groups: list[Messages], names: tuple[str, ...], scratch: Scratch) -> 
         arrays[field] = values
     if not keep.any():
         return None
-    if not keep.all() or np.any(np.diff(order) < 0):
-        rows = np.argsort(order, kind="stable")
-        rows = rows[keep[rows]]
-        stamp, arrays = stamp[rows], _taken(scratch, arrays, rows)
     for kind, left_out in (
-        ("messages of other joints, left out", others),
-        ("samples with arrays of wrong length, dropped", torn),
+        ("messages of other joints, left out", [group for group in groups if group not in ours]),
+        ("samples with arrays of wrong length, dropped", [group for group in ours if not group.layout.whole]),
     ):
         if left_out:
             repairs.append(_repair(kind, np.concatenate([group.stamp for group in left_out]), first))
-    return _Table(first, stamp, arrays, tuple(repairs), bare.get("effort", ()))
+    in_file = np.argsort(np.concatenate([group.order for group in usable]), kind="stable")
+    return _Table(first, stamp, arrays, tuple(repairs), without_effort).taken(in_file[keep[in_file]], scratch)
+
+
+def _column(groups: list[Messages], field: str, names: tuple[str, ...], scratch: Scratch) -> np.ndarray:
+    """(S, n) values of the named joints, NaN where a message has none."""
+    parts = []
+    for group in groups:
+        values = getattr(group, field)
+        if values is None:
+            parts.append(np.full((len(group.stamp), len(names)), np.nan))
+        else:
+            parts.append(np.take(values, [group.layout.names.index(name) for name in names], axis=1))
+    return scratch.keep(np.concatenate(parts))
 
 
 def _without(field: str, bare: Sequence[str], names: Sequence[str]) -> str:
@@ -216,9 +207,14 @@ def _joined(groups: list[Messages], names: tuple[str, ...], scratch: Scratch) ->
 
     Where stamps are the same the values stay as they are; else those of the others are interpolated.
     """
-    tables = {part: _table(messages, part, scratch) for part, messages in _parts(groups, names).items()}
-    ordered = {part: _by_stamp(table) for part, table in tables.items() if table is not None and len(table.stamp) > 1}
-    if len(ordered) < len(tables) or {name for part in ordered for name in part} != set(names):
+    ordered: dict[tuple[str, ...], _Table] = {}
+    for part, messages in _parts(groups, names).items():
+        table = _table(messages, part, scratch)
+        if table is None or len(table.stamp) < 2:
+            return None
+        stamp, rows = np.unique(table.stamp, return_index=True)
+        ordered[part] = replace(table.taken(rows, scratch), stamp=stamp)
+    if {name for part in ordered for name in part} != set(names):
         return None
     base = min(ordered.values(), key=lambda table: len(table.stamp))
     first = min(table.first for table in ordered.values())
@@ -235,15 +231,14 @@ def _joined(groups: list[Messages], names: tuple[str, ...], scratch: Scratch) ->
                 values[:, names.index(name)] = np.interp(t, times, table.arrays[field][:, k])
     if np.count_nonzero(near) < 2:
         return None
-    bare = {name for part, table in ordered.items() if "effort" not in table.arrays for name in part}
-    without = tuple(name for name in names if name in bare)
+    without = [name for part, table in ordered.items() if "effort" not in table.arrays for name in part]
+    bare = tuple(name for name in names if name in without)
     listed = " + ".join(str(len(part)) for part in ordered)
     repairs = [repair for table in ordered.values() for repair in table.repairs]
     repairs.append(Repair(f"joints in several messages ({listed}), joined by stamp; samples", 0.0, int(near.sum())))
-    if 0 < len(without) < len(names):
-        repairs.append(Repair(_without("effort", without, names), 0.0, len(base.stamp)))
-    kept = {field: values[near] for field, values in arrays.items()}
-    return _Table(first, base.stamp[near], kept, tuple(repairs), without)
+    if 0 < len(bare) < len(names):
+        repairs.append(Repair(_without("effort", bare, names), 0.0, len(base.stamp)))
+    return _Table(first, base.stamp, arrays, tuple(repairs), bare).taken(np.flatnonzero(near), scratch)
 
 
 def _parts(groups: list[Messages], names: tuple[str, ...]) -> dict[tuple[str, ...], list[Messages]]:
@@ -259,29 +254,6 @@ def _parts(groups: list[Messages], names: tuple[str, ...]) -> dict[tuple[str, ..
     return parts
 
 
-def _by_stamp(table: _Table) -> _Table:
-    """Sorted, each stamp once."""
-    stamp, rows = np.unique(table.stamp, return_index=True)
-    return replace(table, stamp=stamp, arrays={field: values[rows] for field, values in table.arrays.items()})
-
-
-def _column(groups: list[Messages], field: str, names: tuple[str, ...], scratch: Scratch) -> np.ndarray:
-    """(S, n) values of the named joints, NaN where a message has none."""
-    result = scratch.empty((sum(len(group.stamp) for group in groups), len(names)))
-    start = 0
-    for group in scratch.each(groups):
-        stop = start + len(group.stamp)
-        values = getattr(group, field)
-        if values is None:
-            result[start:stop] = np.nan
-        elif group.layout.names == names:
-            result[start:stop] = values
-        else:
-            result[start:stop] = values[:, [group.layout.names.index(name) for name in names]]
-        start = stop
-    return result
-
-
 def _set_points(
     found: Scan, topic: str | None, names: tuple[str, ...], stamp: np.ndarray, rate: float, repairs: list[Repair]
 ) -> np.ndarray | None:
@@ -289,24 +261,22 @@ def _set_points(
     if topic is None:
         return None
     groups = found.topics.pop(topic)
+    table, problem, when = _table(groups, names, found.scratch), "without a position of every joint", 0.0
+    if table is not None:
+        try:
+            order = table.order(topic)
+        except InputError:
+            problem = "with unusable stamps"
+        else:
+            nearest, same = match(stamp, order.stamp, _SAME_STAMP / rate)
+            if same.any():
+                values = table.arrays["position"][order.rows[nearest]]
+                values[~same] = np.nan
+                return found.scratch.keep(values)
+            problem, when = "without a sample at their stamps", (int(order.stamp[0]) - int(stamp[0])) / _NANO
     total = sum(len(group.stamp) for group in groups)
-    table = _table(groups, names, found.scratch)
-    if table is None:
-        repairs.append(Repair(f"{topic}: messages without a position of every joint, left out", 0.0, total))
-        return None
-    try:
-        order = table.in_order(topic)
-    except InputError:
-        repairs.append(Repair(f"{topic}: messages with unusable stamps, left out", 0.0, total))
-        return None
-    nearest, same = match(stamp, order.stamp, _SAME_STAMP / rate)
-    if not same.any():
-        where = (int(order.stamp[0]) - int(stamp[0])) / _NANO
-        repairs.append(Repair(f"{topic}: messages without a sample at their stamps, left out", where, total))
-        return None
-    values = found.scratch.take(table.arrays["position"], order.rows[nearest])
-    values[~same] = np.nan
-    return values
+    repairs.append(Repair(f"{topic}: messages {problem}, left out", when, total))
+    return None
 
 
 def _nominal_rate(run: dict[str, str]) -> float | None:

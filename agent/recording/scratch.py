@@ -1,8 +1,7 @@
 """Arrays of long logs on disk instead of in memory.
 
-They lie in temporary files without a name, mapped: the same arrays for whoever reads them. Whoever goes over them by
-`Scratch.each` or `Scratch.parts` holds one part of them in memory at a time. What is small stays in memory, so a log of
-some minutes never touches the disk.
+They are memory-mapped temporary files without a name. A loop over `Scratch.each` or `Scratch.parts` holds one part of
+them in memory at a time. Small arrays stay in memory, so a log of some minutes never touches the disk.
 """
 
 from __future__ import annotations
@@ -22,10 +21,7 @@ _Item = TypeVar("_Item")
 
 
 class Scratch:
-    """Owner of arrays and of their memory.
-
-    A full disk is an OSError when room is asked for, not a bus error when it is written to.
-    """
+    """Owner of arrays and of their memory. A full disk is an OSError of `empty` and `keep`, not a bus error later."""
 
     def __init__(self) -> None:
         self._left = _IN_MEMORY
@@ -54,13 +50,6 @@ class Scratch:
         moved[...] = values.T if turned else values
         self._release()
         return moved.T if turned else moved
-
-    def take(self, values: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        """(len(rows), n) of (S, n), in the order of `rows` (indices)."""
-        taken = self.empty((len(rows), *values.shape[1:]))
-        for part in self.parts(len(rows)):
-            taken[part] = values[rows[part]]
-        return taken
 
     def each(self, items: Iterable[_Item]) -> Iterator[_Item]:
         """The items one after the other; after each, the memory of what lies on disk is given back.

@@ -14,8 +14,7 @@ from typing import Any, Literal
 import numpy as np
 
 from agent.core import InputError, needed
-from agent.recording.column_table import ColumnTable
-from agent.recording.text_tables import Row, read_text, table_of_rows
+from agent.recording.text_tables import ColumnTable, Row, read_text, table_of_rows
 
 #: Columns that one matrix of a MAT file may hold; a wider one is no table of samples.
 _MAX_COLUMNS = 256
@@ -31,17 +30,25 @@ def read_table(path: Path) -> ColumnTable:
     Raises:
         InputError: no such file, another ending, or nothing in it that can be read.
     """
-    reader = _READERS.get(path.suffix.lower())
-    if reader is None:
+    ending = path.suffix.lower()
+    if ending not in _READERS:
         raise InputError(f"{path}: tables end in {', '.join(_READERS)}; {path.suffix or 'no ending'} is none of them")
     if not path.is_file():
         raise InputError(f"{path}: no such file")
+    kind, reader = _READERS[ending]
     try:
         table = reader(path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
+    except InputError:
+        raise
     except (MemoryError, RecursionError):
         raise InputError(f"{path}: takes more memory, or is nested deeper, than a table of samples") from None
+    except OSError as error:
+        if error.strerror:
+            raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+        raise InputError(f"{path}: not a readable {kind} file: {error}") from None
+    except Exception as error:  # libraries raise whatever a damaged file leads them to
+        advice = "; save plain arrays, not objects: np.savez(file, t=t, q=q)" if "pickle" in str(error) else ""
+        raise InputError(f"{path}: not a readable {kind} file: {error}{advice}") from None
     if not any(len(column) for column in table.columns.values()):
         raise InputError(f"{path}: no columns of numbers in it")
     return table
@@ -87,6 +94,32 @@ def _check_mat(path: Path) -> None:
             file.seek(end)
 
 
+class _Variables:
+    """Columns and constants of a file of named arrays."""
+
+    def __init__(self) -> None:
+        self.columns: dict[str, np.ndarray] = {}
+        self.constants: dict[str, float] = {}
+
+    def add(self, name: str, value: Any) -> None:
+        """Numbers of a variable: scalars, vectors, matrices (samples along the longer side), fields of structs."""
+        for part in getattr(value, "_fieldnames", ()):  # as SciPy reads a struct of MATLAB
+            self.add(f"{name}.{part}", getattr(value, part))
+        array = np.asarray(value)
+        for part in array.dtype.names or ():
+            self.add(f"{name}.{part}".strip("."), array[part])
+        if array.dtype.kind not in "biuf":
+            return
+        array = np.squeeze(array).astype(float)
+        if array.size == 1:
+            self.constants[name] = array.item()
+        elif array.ndim == 1:
+            self.columns[name] = array
+        elif array.ndim == 2 and min(array.shape) <= _MAX_COLUMNS:
+            samples = array if array.shape[0] >= array.shape[1] else array.T
+            self.columns |= {f"{name}[{k + 1}]": column for k, column in enumerate(samples.T)}
+
+
 def _read_mat(path: Path) -> ColumnTable:
     from scipy.io import loadmat
 
@@ -95,89 +128,53 @@ def _read_mat(path: Path) -> ColumnTable:
         content = loadmat(path, squeeze_me=True, struct_as_record=False)
     except NotImplementedError:  # MATLAB 7.3 is HDF5
         return _read_hdf5(path)
-    except Exception as error:  # scipy raises whatever a damaged file leads it to
-        raise InputError(f"{path}: not a readable MAT file: {error}") from None
-    columns: dict[str, np.ndarray] = {}
-    constants: dict[str, float] = {}
+    found = _Variables()
     for name, value in content.items():
         if not name.startswith("__"):
-            _flatten(name, value, columns, constants)
-    return ColumnTable(path, columns, constants)
-
-
-def _flatten(name: str, value: Any, columns: dict[str, np.ndarray], constants: dict[str, float]) -> None:
-    """Numbers of a MATLAB variable: scalars, vectors, matrices (samples along the longer side), fields of structs."""
-    for part in getattr(value, "_fieldnames", ()):
-        _flatten(f"{name}.{part}", getattr(value, part), columns, constants)
-    if np.asarray(value).dtype.kind not in "biuf":
-        return
-    array = np.asarray(value, float)
-    if array.size == 1:
-        constants[name] = array.item()
-    elif array.ndim == 1:
-        columns[name] = array
-    elif array.ndim == 2 and min(array.shape) <= _MAX_COLUMNS:
-        samples = array if array.shape[0] >= array.shape[1] else array.T
-        columns |= {f"{name}[{k + 1}]": column for k, column in enumerate(samples.T)}
+            found.add(name, value)
+    return ColumnTable(path, found.columns, found.constants)
 
 
 def _read_hdf5(path: Path) -> ColumnTable:
     """Datasets by their path, `log/q` as `log.q`, in files of MATLAB 7.3 too."""
     h5py = needed("h5py", f"{path}: reading HDF5 (MATLAB 7.3)", "tables")
-    columns: dict[str, np.ndarray] = {}
-    constants: dict[str, float] = {}
-    sizes: list[int] = []
+    found, sizes = _Variables(), list[int]()
 
     def take(name: str, item: Any) -> None:
         kind = item.attrs.get("MATLAB_class", b"double")
         if isinstance(item, h5py.Dataset) and item.shape and not name.startswith("#") and kind != b"char":
             sizes.append(item.size)
             _check_values(path, sum(sizes))
-            values = np.squeeze(item[()])
             # MATLAB stores its matrices column by column, so they come transposed
-            _flatten(name.replace("/", "."), values.T if "MATLAB_class" in item.attrs else values, columns, constants)
+            found.add(name.replace("/", "."), item[()].T if "MATLAB_class" in item.attrs else item[()])
 
-    try:
-        with h5py.File(path, "r") as file:
-            file.visititems(take)
-    except (OSError, RuntimeError, ValueError, KeyError) as error:
-        raise InputError(f"{path}: not a readable HDF5 file: {error}") from None
-    return ColumnTable(path, columns, constants)
+    with h5py.File(path, "r") as file:
+        file.visititems(take)
+    return ColumnTable(path, found.columns, found.constants)
 
 
 def _read_numpy(path: Path) -> ColumnTable:
     """Arrays by name; of a single array, the columns by number, or by the names of its fields."""
-    columns: dict[str, np.ndarray] = {}
-    constants: dict[str, float] = {}
     _check_unzipped(path)
-    try:
-        content = np.load(path, allow_pickle=False)
-        arrays = {"": content} if isinstance(content, np.ndarray) else {name: content[name] for name in content.files}
-    except (ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
-        advice = "; save plain arrays, not objects: np.savez(file, t=t, q=q)" if "pickle" in str(error) else ""
-        raise InputError(f"{path}: not a readable NumPy file: {error}{advice}") from None
-    for name, array in arrays.items():
-        for part in array.dtype.names or ():
-            _flatten(f"{name}.{part}".strip("."), array[part], columns, constants)
-        if array.dtype.names is None:
-            _flatten(name or "column", np.squeeze(array), columns, constants)
-    if "" in arrays:  # as in a text file without names
-        columns = {name.replace("column[", "column ").rstrip("]"): values for name, values in columns.items()}
-    return ColumnTable(path, columns, constants)
+    found, content = _Variables(), np.load(path, allow_pickle=False)
+    if isinstance(content, np.ndarray):
+        found.add("" if content.dtype.names else "column", content)
+        # as in a text file without names
+        columns = {name.replace("column[", "column ").rstrip("]"): values for name, values in found.columns.items()}
+        return ColumnTable(path, columns, found.constants)
+    for name in content.files:
+        found.add(name, content[name])
+    return ColumnTable(path, found.columns, found.constants)
 
 
 def _read_workbook(path: Path) -> ColumnTable:
     """The sheet with the most rows."""
     openpyxl = needed("openpyxl", f"{path}: reading Excel", "tables")
     _check_unzipped(path)
-    try:
-        book = openpyxl.load_workbook(path, read_only=True, data_only=True)
-        sheets = [[[_text(value) for value in row] for row in sheet.values] for sheet in book.worksheets]
-        book.close()
-    except Exception as error:  # openpyxl raises whatever a damaged file leads it to
-        raise InputError(f"{path}: not a readable .xlsx file: {error}") from None
-    rows = max(sheets, key=len, default=[])
-    return table_of_rows(path, [Row(row) for row in rows if any(row)])
+    book = openpyxl.load_workbook(path, read_only=True, data_only=True)
+    sheets = [[[_text(value) for value in row] for row in sheet.values] for sheet in book.worksheets]
+    book.close()
+    return table_of_rows(path, [Row(row) for row in max(sheets, key=len, default=[]) if any(row)])
 
 
 def _text(value: Any) -> str:
@@ -189,7 +186,7 @@ def _text(value: Any) -> str:
 
 def _read_parquet(path: Path) -> ColumnTable:
     needed("pyarrow", f"{path}: reading Parquet", "tables")
-    from pyarrow import ArrowException, parquet, types
+    from pyarrow import parquet, types
 
     def numbers(kind: Any) -> bool:
         """Whether numbers or times may be in it; texts are never read."""
@@ -197,35 +194,33 @@ def _read_parquet(path: Path) -> ColumnTable:
             kind = kind.value_type
         return any(numbers(part.type) for part in kind) if types.is_struct(kind) else types.is_primitive(kind)
 
-    try:
-        with parquet.ParquetFile(path) as file:
-            names = [column.name for column in file.schema_arrow if numbers(column.type)]
-            groups = [file.metadata.row_group(k) for k in range(file.metadata.num_row_groups)]
-            parts = [(group.column(k), group.num_rows) for group in groups for k in range(group.num_columns)]
-            sizes = [max(part.num_values, rows) for part, rows in parts if part.path_in_schema.split(".")[0] in names]
-            _check_values(path, sum(sizes))
-            content = file.read(names).flatten()  # fields of structs become columns
-    except ArrowException as error:
-        raise InputError(f"{path}: not a readable Parquet file: {error}") from None
+    with parquet.ParquetFile(path) as file:
+        names = [column.name for column in file.schema_arrow if numbers(column.type)]
+        groups = [file.metadata.row_group(k) for k in range(file.metadata.num_row_groups)]
+        parts = [(group.column(k), group.num_rows) for group in groups for k in range(group.num_columns)]
+        sizes = [max(part.num_values, rows) for part, rows in parts if part.path_in_schema.split(".")[0] in names]
+        _check_values(path, sum(sizes))
+        content = file.read(names).flatten()  # fields of structs become columns
     columns: dict[str, np.ndarray] = {}
     for name in content.column_names:
         values = content.column(name).to_numpy(zero_copy_only=False)
+        if values.dtype.kind == "O" and len({np.shape(value) for value in values}) == 1 and np.ndim(values[0]) == 1:
+            values = np.stack(values)
         if values.dtype.kind == "M":
-            columns[name] = values.astype("datetime64[ns]").astype(np.int64) / 1e9
+            values = values.astype("datetime64[ns]").astype(np.int64) / 1e9
+        if values.dtype.kind in "biuf" and values.ndim == 2:
+            columns |= {f"{name}[{k + 1}]": column.astype(float) for k, column in enumerate(values.T)}
         elif values.dtype.kind in "biuf":
             columns[name] = values.astype(float)
-        elif values.dtype.kind == "O" and len({np.shape(value) for value in values}) == 1 and np.ndim(values[0]) == 1:
-            stacked = np.stack(values)
-            if stacked.dtype.kind in "biuf":
-                columns |= {f"{name}[{k + 1}]": column.astype(float) for k, column in enumerate(stacked.T)}
-    return ColumnTable(path, columns, {})
+    return ColumnTable(path, columns)
 
 
-_READERS: dict[str, Callable[[Path], ColumnTable]] = {
-    **dict.fromkeys((".csv", ".tsv", ".txt", ".dat", ".log"), read_text),
-    ".mat": _read_mat,
-    **dict.fromkeys((".h5", ".hdf5"), _read_hdf5),
-    **dict.fromkeys((".npy", ".npz"), _read_numpy),
-    ".xlsx": _read_workbook,
-    ".parquet": _read_parquet,
+#: Kind of a file, and what reads it, by its ending.
+_READERS: dict[str, tuple[str, Callable[[Path], ColumnTable]]] = {
+    **dict.fromkeys((".csv", ".tsv", ".txt", ".dat", ".log"), ("text", read_text)),
+    ".mat": ("MAT", _read_mat),
+    **dict.fromkeys((".h5", ".hdf5"), ("HDF5", _read_hdf5)),
+    **dict.fromkeys((".npy", ".npz"), ("NumPy", _read_numpy)),
+    ".xlsx": (".xlsx", _read_workbook),
+    ".parquet": ("Parquet", _read_parquet),
 }

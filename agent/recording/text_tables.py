@@ -12,14 +12,14 @@ import re
 from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
 from agent.core import InputError, counted
-from agent.recording.column_table import ColumnTable
 
 _HIDDEN = re.compile(r'"[^"]*"|\[[^\]]*\]|\([^)]*\)')
 _VECTOR = re.compile(r"(?:[a-z_.]+\()?(?:'\w',)?\s*\[([^\[\]]*)\][^\[\]]*|[({]([^\[\]]*)[)}]")
@@ -30,7 +30,6 @@ _DATE = re.compile(r"\d{4}-?\d\d-?\d\d[T ]\d\d:?\d\d")
 _CLOCK = re.compile(r"(\d{1,2}):(\d\d):(\d\d(?:[.,]\d+)?)")
 #: What programs write for a number that is missing.
 _MISSING = {"", "nan", "na", "n/a", "#n/a", "null", "none", "-", "--", "inf", "-inf"}
-
 #: Types of UR's RTDE: code of NumPy, and how many of them.
 _PACKED = {
     **{"BOOL": ("u1", 1), "UINT8": ("u1", 1), "UINT32": ("u4", 1), "UINT64": ("u8", 1), "INT32": ("i4", 1)},
@@ -43,11 +42,75 @@ Cell = float | list[float] | None
 
 
 @dataclass(frozen=True, eq=False)
-class Row:
-    """Fields of a line. A comment may still hold the names of the columns."""
+class ColumnTable:
+    """Columns (S,) by name, in the order of the file, NaN where a field is no number; constants by name.
 
-    fields: list[str]
-    comment: bool = False
+    A matrix (S, k) named q is columns q[1] to q[k]. Columns of a MAT file may differ in length. `words` has the first
+    field of a column that is no number, where there is one; `other_names` the column of a name in another line of
+    names; `doubled` names that several columns have; `notes` what there is to say about the file.
+    """
+
+    path: Path
+    columns: dict[str, np.ndarray]
+    constants: dict[str, float] = field(default_factory=dict)
+    words: dict[str, str] = field(default_factory=dict)
+    other_names: dict[str, str] = field(default_factory=dict)
+    doubled: frozenset[str] = frozenset()
+    notes: tuple[str, ...] = ()
+
+    def name(self, key: str | int) -> str | None:
+        """Name of a column, found by name or by number from 1; None if there is no such column."""
+        if isinstance(key, int):
+            return list(self.columns)[key - 1] if 1 <= key <= len(self.columns) else None
+        for text in (key, key.lstrip("#% ")):  # a comment that holds the names
+            name = text if text in self.columns else self.other_names.get(text, f"{text}[1]")
+            if name in self.columns:
+                return name
+        return None
+
+    def column(self, key: str | int) -> np.ndarray | None:
+        """Column (S,), found by name or by number from 1; None if there is no such column."""
+        name = self.name(key)
+        return None if name is None else self.columns[name]
+
+    def matrix(self, name: str) -> list[str]:
+        """Names of the columns of a matrix, q[1], q[2], …; empty if there is none of that name."""
+        name = self.other_names.get(name, name)
+        return [column for column in self.columns if column.startswith(f"{name}[")]
+
+
+class Row:
+    """Fields of a line. A comment has no data, but it may hold the names of the columns."""
+
+    def __init__(self, fields: list[str], comment: bool = False):
+        self.fields = fields
+        self.comment = comment
+
+    @cached_property
+    def cells(self) -> list[Cell]:
+        """The values of the fields."""
+        return [_cell(field) for field in self.fields]
+
+    @property
+    def width(self) -> int:
+        """Number of data fields."""
+        return 0 if self.comment else len(self.fields)
+
+    @cached_property
+    def is_data(self) -> bool:
+        """Whether at least half of the fields that are not missing are numbers."""
+        known = [cell for cell in self.cells if cell is not None]
+        return not self.comment and 0 < len(known) <= 2 * sum(isinstance(cell, list) or cell == cell for cell in known)
+
+    @cached_property
+    def is_names(self) -> bool:
+        """Whether fields are words, none of which stands for a missing number, or count the columns as in `,0,1,2`."""
+        known = [cell for cell in self.cells if cell is not None]
+        words = all(not isinstance(cell, list) and cell != cell for cell in known)
+        counts = [list(range(first, first + len(self.fields)))[1:] for first in (-1, 0)]
+        if len(self.fields) > 2 and not self.fields[0] and known in counts:
+            return True
+        return bool(known) and words and not any(text and text.lower() in _MISSING for text in self.fields)
 
 
 def read_text(path: Path) -> ColumnTable:
@@ -67,62 +130,71 @@ def table_of_rows(path: Path, rows: Sequence[Row]) -> ColumnTable:
     Raises:
         InputError: no row of numbers.
     """
-    cells = [[] if row.comment else [_cell(field) for field in row.fields] for row in rows]
-    widths = Counter(len(row) for row in cells if _is_data(row))
+    widths = Counter(row.width for row in rows if row.is_data)
     if not widths:
         raise InputError(
             f"{path}: no line of numbers in it; export numbers like 1234.5 with commas, semicolons, tabs, | or blanks "
             "between them, as UTF-8, or as UTF-16 with a byte order mark"
         )
     width = widths.most_common(1)[0][0]
-    start, stop = max(_blocks(rows, cells, width), key=lambda block: sum(map(_is_data, cells[block[0] : block[1]])))
-    heads = _heads(rows, cells, start, width)
-    kept = [(row, values) for row, values in zip(rows[start:stop], cells[start:stop], strict=True) if not row.comment]
-    left_out = sum(map(_is_data, cells)) - sum(map(_is_data, cells[start:stop]))
-    notes = () if not left_out else (f"{counted(left_out, 'row')} of numbers outside the longest block, left out",)
-    return _columns(path, kept, heads, width, notes)
+
+    def size(block: tuple[int, int]) -> int:
+        return sum(row.is_data for row in rows[slice(*block)])
+
+    start, stop = block = max(_blocks(rows, width), key=size)
+    left_out = sum(row.is_data for row in rows) - size(block)
+    notes = (f"{counted(left_out, 'row')} of numbers outside the longest block, left out",) if left_out else ()
+    columns: list[np.ndarray] = []
+    words: dict[int, str] = {}
+    kept = [row for row in rows[start:stop] if not row.comment]
+    for place in range(width):
+        column: list[Cell] = [row.cells[place] if row.width == width else np.nan for row in kept]
+        for row, cell in zip(kept, column, strict=True):
+            if row.width == width and isinstance(cell, float) and cell != cell:
+                words[place] = row.fields[place]
+                break
+        lengths = Counter(len(cell) for cell in column if isinstance(cell, list))
+        if lengths:
+            blank = [np.nan] * lengths.most_common(1)[0][0]
+            column = [cell if isinstance(cell, list) and len(cell) == len(blank) else blank for cell in column]
+        columns.append(np.array(column, float))
+    return _named(path, _heads(rows, start, width), columns, words, notes)
 
 
 def _packed_table(path: Path, content: bytes) -> ColumnTable | None:
     """Two lines with names and types, then rows of big-endian numbers: what `record.py --binary` of UR writes."""
     names, _, rest = content[:_BLOCK].partition(b"\n")
     types, found, _ = rest.partition(b"\n")
-    kinds = types.decode("ascii", errors="replace").replace(",", " ").split()
-    labels = names.decode("ascii", errors="replace").replace(",", " ").split()
+    labels, kinds = (line.decode("ascii", errors="replace").replace(",", " ").split() for line in (names, types))
     if not found or not kinds or len(kinds) != len(labels) or not all(kind in _PACKED for kind in kinds):
         return None
     parts = [(label, *_PACKED[kind]) for label, kind in zip(labels, kinds, strict=True)]
     dtype = np.dtype([(label, f">{code}", (count,)) for label, code, count in parts])
-    rows = np.frombuffer(content[len(names) + len(types) + 2 :], np.uint8)
-    table = rows[: len(rows) // dtype.itemsize * dtype.itemsize].view(dtype)
+    start = len(names) + len(types) + 2
+    table = np.frombuffer(content, dtype, (len(content) - start) // dtype.itemsize, start)
     columns = {
         f"{label}_{k}" if count > 1 else label: table[label][:, k].astype(float)
         for label, _, count in parts
         for k in range(count)
     }
-    return ColumnTable(path, columns, {})
+    return ColumnTable(path, columns)
 
 
 def _plain_table(path: Path, lines: list[str]) -> ColumnTable | None:
     """The table where every line below the names is of plain numbers, as most are: read at once."""
-    start = next((k for k, line in enumerate(lines) if not _is_comment(line) and _is_data(_cells(line))), None)
-    if (
-        start is None
-        or '"' in lines[start]
-        or _is_names(_row(lines[start], _separator(lines[start])).fields, _cells(lines[start]))
-    ):
+    start = next((k for k, line in enumerate(lines) if _row(line, _separator(line)).is_data), None)
+    if start is None:
         return None
     separator = _separator(lines[start])
-    plain = [line for line in lines[start:] if not _is_comment(line)]
+    if '"' in lines[start] or _row(lines[start], separator).is_names:
+        return None
+    plain = [line for line in lines[start:] if not line.lstrip().startswith(("#", "%"))]
     try:
         numbers = plain if separator == "," else [line.replace(",", ".") for line in plain]
         values = np.loadtxt(numbers, delimiter=separator, ndmin=2, comments=None)
     except ValueError:
         return None
-    rows = [_row(line, separator) for line in lines[: start + 1]]
-    heads = _heads(
-        rows, [[] if row.comment else [_cell(field) for field in row.fields] for row in rows], start, values.shape[1]
-    )
+    heads = _heads([_row(line, separator) for line in lines[: start + 1]], start, values.shape[1])
     return _named(path, heads, list(values.T), {}, ())
 
 
@@ -166,14 +238,6 @@ def _separator(line: str) -> str | None:
     return next((mark for mark in (";", "\t", ",", "|") if mark in bare), None)
 
 
-def _is_comment(line: str) -> bool:
-    return line.lstrip().startswith(("#", "%"))
-
-
-def _cells(line: str) -> list[Cell]:
-    return [_cell(field) for field in _row(line, _separator(line)).fields]
-
-
 def _cell(text: str) -> Cell:
     """The value of a field; vectors look like `[0.1, 0.2]` or `0.1 0.2`."""
     if text.lower() in _MISSING:
@@ -189,14 +253,14 @@ def _cell(text: str) -> Cell:
 
 
 def _number(text: str) -> float:
+    """A number, a time of day or a date [s]; NaN for anything else."""
     try:
         return float(text)
     except ValueError:
         pass
     if _DECIMAL_COMMA.fullmatch(text):
         return float(text.replace(",", "."))
-    clock = _CLOCK.fullmatch(text)
-    if clock:
+    if clock := _CLOCK.fullmatch(text):
         return 3600.0 * int(clock[1]) + 60.0 * int(clock[2]) + float(clock[3].replace(",", "."))
     if _DATE.match(text):
         with contextlib.suppress(ValueError, OverflowError):
@@ -205,80 +269,42 @@ def _number(text: str) -> float:
     return np.nan
 
 
-def _is_data(cells: list[Cell]) -> bool:
-    """Whether at least half of the fields that are not missing are numbers."""
-    known = [cell for cell in cells if cell is not None]
-    return 0 < len(known) <= 2 * sum(isinstance(cell, list) or cell == cell for cell in known)
-
-
-def _is_names(fields: list[str], cells: list[Cell]) -> bool:
-    """Whether fields are words, none of which stands for a missing number, or count the columns as `,0,1,2` does."""
-    known = [cell for cell in cells if cell is not None]
-    words = all(not isinstance(cell, list) and cell != cell for cell in known)
-    counts = [range(first, first + len(cells)) for first in (-1, 0)]
-    numbered = len(cells) > 2 and any(known == list(count)[1:] for count in counts) and not fields[0]
-    return bool(known) and ((words and not any(field and field.lower() in _MISSING for field in fields)) or numbered)
-
-
-def _blocks(rows: Sequence[Row], cells: list[list[Cell]], width: int) -> list[tuple[int, int]]:
+def _blocks(rows: Sequence[Row], width: int) -> list[tuple[int, int]]:
     """[start, stop) of rows of numbers of that width, parted by other names or by lines of another kind."""
     blocks: list[tuple[int, int]] = []
     names: list[str] | None = None
-    for k, row in enumerate(cells):
-        if len(row) != width or not _is_data(row) or _is_names(rows[k].fields, row):
+    for k, row in enumerate(rows):
+        if row.width != width or not row.is_data or row.is_names:
             continue
-        between = range(blocks[-1][1], k) if blocks else range(k)
-        strange = [j for j in between if not rows[j].comment and len(cells[j]) != width]
-        heads = [rows[j].fields for j in between if len(cells[j]) == width and _is_names(rows[j].fields, cells[j])]
-        if blocks and len(strange) < 2 and all(head == names for head in heads) and not (strange and heads):
+        between = rows[blocks[-1][1] if blocks else 0 : k]
+        strange = sum(not other.comment and other.width != width for other in between)
+        heads = [other.fields for other in between if other.width == width and other.is_names]
+        if blocks and strange < 2 and all(head == names for head in heads) and not (strange and heads):
             blocks[-1] = (blocks[-1][0], k + 1)
         else:
             blocks.append((k, k + 1))
             names = heads[0] if heads else None
     # what was torn off when the writer stopped belongs to the last block
-    if sum(len(row) != width for row in cells[blocks[-1][1] :]) < 2:
-        blocks[-1] = (blocks[-1][0], len(cells))
+    if sum(row.width != width for row in rows[blocks[-1][1] :]) < 2:
+        blocks[-1] = (blocks[-1][0], len(rows))
     return blocks
 
 
-def _heads(rows: Sequence[Row], cells: list[list[Cell]], start: int, width: int) -> list[list[str]]:
+def _heads(rows: Sequence[Row], start: int, width: int) -> list[list[str]]:
     """Lines of names above a block, the first line first; fields that separators at the line's end leave are empty."""
     heads: list[list[str]] = []
-    for row, values in zip(reversed(rows[:start]), reversed(cells[:start]), strict=True):
-        if not row.comment and len(values) == width and _is_data(values) and not _is_names(row.fields, values):
+    for row in reversed(rows[:start]):
+        if row.width == width and row.is_data and not row.is_names:
             break
-        fields = row.fields
+        fields = list(row.fields)
         while len(fields) > width and not fields[-1]:
-            fields = fields[:-1]
-        numbers = [_cell(field) for field in fields] if row.comment else values
-        if len(fields) == width and _is_names(fields, numbers[:width]):
+            fields.pop()
+        if len(fields) == width and Row(fields).is_names:
             heads.insert(0, fields)
-    above = [row.fields for row in rows[max(0, start - 1) : start]]
-    if not heads and above and 1 < len(above[0]) < width and _is_names(above[0], [_cell(field) for field in above[0]]):
-        heads = [[*above[0], *[""] * (width - len(above[0]))]]
+    if not heads and start and 1 < len(rows[start - 1].fields) < width and rows[start - 1].is_names:
+        fields = rows[start - 1].fields
+        heads = [[*fields, *[""] * (width - len(fields))]]
     return heads
-
-
-def _columns(
-    path: Path, rows: Sequence[tuple[Row, list[Cell]]], heads: list[list[str]], width: int, notes: tuple[str, ...]
-) -> ColumnTable:
-    """Columns of rows; a column of vectors becomes a list of columns."""
-    columns: list[np.ndarray] = []
-    words: dict[int, str] = {}
-    for place in range(width):
-        column: list[Cell] = [values[place] if len(values) == width else np.nan for _, values in rows]
-        for (row, values), cell in zip(rows, column, strict=True):
-            if len(values) == width and isinstance(cell, float) and cell != cell:
-                words[place] = row.fields[place]
-                break
-        lengths = Counter(len(cell) for cell in column if isinstance(cell, list))
-        if not lengths:
-            columns.append(np.array(column, float))
-            continue
-        size = lengths.most_common(1)[0][0]
-        blank = [np.nan] * size
-        columns.append(np.array([cell if isinstance(cell, list) and len(cell) == size else blank for cell in column]))
-    return _named(path, heads, columns, words, notes)
 
 
 def _named(
@@ -286,17 +312,15 @@ def _named(
 ) -> ColumnTable:
     """Columns (S,), or (S, k) of a vector, by the names of the first head; the others are names too. A name that
     stands twice names none of them."""
-    width = len(columns)
     found: dict[str, np.ndarray] = {}
     other_names: dict[str, str] = {}
     texts: dict[str, str] = {}
-    names = [[field.strip("\"' ") for field in head] for head in heads]
+    names = [[text.strip("\"' ") for text in head] for head in heads]
     doubled = {name for head in names for name, count in Counter(head).items() if name and count > 1}
-    for place in range(width):
+    for place, column in enumerate(columns):
         own = [head[place] for head in names if head[place] and head[place] not in doubled]
         name = own[0] if own and own[0] not in found else f"column {place + 1}"
         other_names |= {other: name for other in own if other not in other_names}
-        column = columns[place]
         if place in words:
             texts[name] = words[place]
         if column.ndim == 2:

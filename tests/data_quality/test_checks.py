@@ -216,17 +216,6 @@ def test_a_wrong_length_in_the_description_is_said(robot, joint, times):
     assert float(re.search(r"about ([\d.]+) times", found.text)[1]) == pytest.approx(1 / times, rel=0.1)
 
 
-def test_what_is_not_modelled_in_another_log_hides_no_wrong_length(robot):
-    old = '<child link="link_3"/><origin xyz="0.05 0.02 0.3"/>'
-    wrong = replace(robot, urdf=robot.urdf.replace(old, '<child link="link_3"/><origin xyz="0.06 0.024 0.36"/>'))
-    clear, other = motion(robot, 16, noise=0.005), motion(robot, 17, noise=0.005, name="b.mcap")
-    unmodelled = 0.6 * np.std(other.effort, axis=0) * np.sin(25 * other.position[:, ::-1])
-    logs = [clear, replace(other, effort=other.effort + unmodelled)]
-    assert check_quality(robot, logs) == []
-    (found,) = check_quality(wrong, logs)
-    assert found.joints == ("joint_2", "joint_3")
-
-
 def test_joints_that_move_alike_are_not_said_to_be_swapped_or_flipped(robot):
     """As in a routine that moves them together: nothing tells one from the other."""
     log = motion(robot, 17)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 from agent.core import InputError
@@ -19,44 +18,47 @@ _OTHERS = (REFERENCES, PLANNED, CURRENTS, TEMPERATURES, FILTERED, PREDICTED, RES
 _USUAL = ("joint_states", "joint_state")
 #: As `scan` names the type of a log's measured states.
 _STATES_TYPE = "sensor_msgs/msg/JointState (cdr)"
-
-
-@dataclass(frozen=True)
-class ChosenTopics:
-    """The topics to read, one unless joints of one arm are spread over several; the joints; what was left out."""
-
-    topics: tuple[str, ...]
-    joints: tuple[str, ...]
-    repairs: tuple[Repair, ...] = ()
+_Topics = dict[str, list[Messages]]
 
 
 def choose_topics(
     path: Path, found: Scan, robot: RobotDescription | None, wanted: str | None, named: str | None
-) -> ChosenTopics:
-    """The topic `wanted`, or the only one that holds the joints of the robot.
+) -> tuple[tuple[str, ...], tuple[str, ...], list[Repair]]:
+    """The topics to read, the joints in their order, and what was left out.
 
-    `named` is the robot that the log says it is of.
+    One topic is read unless the joints of the arm are spread over several: `wanted`, or the only one that holds the
+    joints of the robot. `named` is the robot that the log says it is of.
 
     Raises:
         InputError: no topic of joint states, several that may be meant, or joints of the robot missing.
     """
     topics = _candidates(path, found, robot, wanted)
     if robot is None:
-        return _without_robot(path, topics)
-    chosen = _holding(topics, robot.joint_names)
+        topic = STATES if STATES in topics else next(iter(topics))
+        if len(topics) > 1 and topic != STATES:
+            raise InputError(f"{path}: several topics of joint states: {_listed(topics)}. Say which with --topic")
+        counts: Counter[tuple[str, ...]] = Counter()
+        for group in topics[topic]:
+            counts[group.layout.names] += len(group.stamp)
+        most = counts.most_common(1)[0][0]
+        if len(set(most)) != len(most) or not most:
+            raise InputError(f"{path}: joint names are empty or stand twice in a message: {list(most)}")
+        return (topic,), most, []
+    joints = set(robot.joint_names)
+    chosen = _holding(topics, joints)
     if not chosen:
         raise InputError(f"{path}: {_of_another_robot(topics, robot, named)}")
     names = [name for topic in chosen for name in _names(topics[topic])]
     if len(chosen) > 1 and len(set(names)) < len(names):
-        one_arm = all(set(robot.joint_names) <= set(_names(topics[topic])) for topic in chosen)
+        one_arm = all(joints <= set(_names(topics[topic])) for topic in chosen)
         what = "hold the joints of the robot" if one_arm else "hold joints of the same names"
         raise InputError(f"{path}: several topics {what}: {_listed(topics)}. Say which with --topic")
+    others = {topic: groups for topic, groups in topics.items() if topic not in chosen}
     repairs = []
-    for topic, groups in topics.items():
-        if topic not in chosen:
-            kind = f"messages of another topic, left out: {_listed({topic: groups})}"
-            repairs.append(Repair(kind, 0.0, sum(len(group.stamp) for group in groups)))
-    return ChosenTopics(tuple(chosen), robot.joint_names, tuple(repairs))
+    for topic, groups in others.items():
+        kind = f"messages of another topic, left out: {_listed({topic: groups})}"
+        repairs.append(Repair(kind, 0.0, sum(len(group.stamp) for group in groups)))
+    return tuple(chosen), robot.joint_names, repairs
 
 
 def joint_names(path: Path, found: Scan, wanted: str | None) -> tuple[str, ...]:
@@ -69,9 +71,17 @@ def joint_names(path: Path, found: Scan, wanted: str | None) -> tuple[str, ...]:
     return tuple(dict.fromkeys(name for groups in topics.values() for name in _names(groups)))
 
 
-def _candidates(
-    path: Path, found: Scan, robot: RobotDescription | None, wanted: str | None
-) -> dict[str, list[Messages]]:
+def namesake(found: Scan, wanted: str, states: str) -> str | None:
+    """The topic of that name in the namespace of the measured states, or the only one in any."""
+    namespace = states.removesuffix(STATES) if states.endswith(STATES) else ""
+    for topic in (namespace + wanted, wanted.lstrip("/")):
+        if found.topics.get(topic):
+            return topic
+    others = [topic for topic in found.topics if topic.endswith(wanted)]
+    return others[0] if len(others) == 1 and not namespace else None
+
+
+def _candidates(path: Path, found: Scan, robot: RobotDescription | None, wanted: str | None) -> _Topics:
     """Topics that may hold the measured states, or the one that is wanted."""
     groups = {topic: found.topics[topic] for topic in sorted(found.topics) if found.topics[topic]}
     if wanted is not None:
@@ -92,51 +102,25 @@ def _candidates(
     return topics
 
 
-def namesake(found: Scan, wanted: str, states: str) -> str | None:
-    """The topic of that name in the namespace of the measured states, or the only one in any."""
-    namespace = states.removesuffix(STATES) if states.endswith(STATES) else ""
-    for topic in (namespace + wanted, wanted.lstrip("/")):
-        if found.topics.get(topic):
-            return topic
-    others = [topic for topic in found.topics if topic.endswith(wanted)]
-    return others[0] if len(others) == 1 and not namespace else None
-
-
-def _without_robot(path: Path, topics: dict[str, list[Messages]]) -> ChosenTopics:
-    """The only topic, or the one that logs usually have."""
-    topic = STATES if STATES in topics else next(iter(topics))
-    if len(topics) > 1 and topic != STATES:
-        raise InputError(f"{path}: several topics of joint states: {_listed(topics)}. Say which with --topic")
-    counts: Counter[tuple[str, ...]] = Counter()
-    for group in topics[topic]:
-        counts[group.layout.names] += len(group.stamp)
-    most = counts.most_common(1)[0][0]
-    if len(set(most)) != len(most) or not most:
-        raise InputError(f"{path}: joint names are empty or stand twice in a message: {list(most)}")
-    return ChosenTopics((topic,), most)
-
-
-def _holding(topics: dict[str, list[Messages]], joints: Sequence[str]) -> list[str]:
+def _holding(topics: _Topics, joints: set[str]) -> list[str]:
     """Topics that hold all joints in one message, else in several, else those that hold them together; of several,
     the only one with torques."""
-    wanted = set(joints)
-    whole = [t for t, groups in topics.items() if any(wanted <= set(group.layout.names) for group in groups)]
-    whole = whole or [topic for topic, groups in topics.items() if wanted <= set(_names(groups))]
+    whole = [t for t, groups in topics.items() if any(joints <= set(group.layout.names) for group in groups)]
+    whole = whole or [topic for topic, groups in topics.items() if joints <= set(_names(groups))]
     if not whole:
-        parts = [topic for topic, groups in topics.items() if wanted & set(_names(groups))]
-        return parts if wanted <= {name for topic in parts for name in _names(topics[topic])} else []
+        parts = [topic for topic, groups in topics.items() if joints & set(_names(groups))]
+        return parts if joints <= {name for topic in parts for name in _names(topics[topic])} else []
     with_torque = [topic for topic in whole if any(group.effort is not None for group in topics[topic])]
     return with_torque if len(with_torque) == 1 else whole
 
 
-def _of_another_robot(topics: dict[str, list[Messages]], robot: RobotDescription, named: str | None) -> str:
+def _of_another_robot(topics: _Topics, robot: RobotDescription, named: str | None) -> str:
     known = {name for groups in topics.values() for name in _names(groups)}
     missing = ", ".join(name for name in robot.joint_names if name not in known)
     of = f"of robot {named!r}, " if named else ""
     joints = _listed(topics) if len(topics) > 1 else ", ".join(_names(next(iter(topics.values()))))
-    prefixes = _prefixes(known, robot.joint_names)
     advice = "Name the robot description that belongs to the log"
-    if prefixes:
+    if prefixes := _prefixes(known, robot.joint_names):
         advice = f"Its names begin with {' or '.join(prefixes)}: give the joints of one arm these names in robot.yaml"
     return (
         f"the log is {of}not of robot {robot.name!r}: {missing} missing, its joints are "
@@ -144,7 +128,7 @@ def _of_another_robot(topics: dict[str, list[Messages]], robot: RobotDescription
     )
 
 
-def _prefixes(known: set[str], joints: Sequence[str]) -> list[str]:
+def _prefixes(known: Collection[str], joints: Sequence[str]) -> list[str]:
     """What stands before all of the robot's joints in a log, such as `left_` and `right_`."""
     found = {name.removesuffix(joints[0]) for name in known if name.endswith(joints[0])}
     return sorted(prefix for prefix in found if all(prefix + joint in known for joint in joints))
@@ -155,11 +139,11 @@ def _names(groups: Sequence[Messages]) -> list[str]:
     return list(dict.fromkeys(name for group in groups for name in group.layout.names))
 
 
-def _listed(topics: dict[str, list[Messages]]) -> str:
+def _listed(topics: _Topics) -> str:
     return "; ".join(f"{topic} ({', '.join(_names(groups)) or 'no names'})" for topic, groups in topics.items())
 
 
-def _no_joint_states(found: Scan, groups: dict[str, list[Messages]]) -> str:
+def _no_joint_states(found: Scan, groups: _Topics) -> str:
     empty = found.types.get(STATES) == _STATES_TYPE and not found.unreadable
     if not found.types or (empty and not found.closed):
         return "no messages in it" + ("" if found.closed else "; its writer stopped before it had written any")

@@ -1,33 +1,31 @@
-"""The even grid behind stamps that jitter: which sample is which, and at what rate.
+"""The even grid behind stamps that jitter: at what rate samples were taken, and the number of each.
 
-A node that stamps on arrival is late by its own amount each time, while the samples were taken evenly. Stamps in order
-then tell the number of each sample on the grid, however large the jitter: counted up by one or more from row to row,
-and as near to the stamps as such a count can be.
+A node that stamps on arrival is late by another amount each time, although it samples evenly. Stamps in order then give
+each sample its number on the grid, however large the jitter: numbers rise by at least one from row to row, as near to
+the stamps as they can.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-_BEGIN = 200  # samples that tell the phase of the grid
-_LOOKED_AT = 20_000  # samples that tell its rate
+_BEGIN = 200  # samples that give the phase of the grid
+_LOOKED_AT = 20_000  # samples that give its rate
 _SEARCHED = 0.25  # of the rate, to either side
-_FINE = 16  # parts of a period that stamps are counted in
-_NOISE = 4.0  # times what samples of any phase would have: by chance one rate in a million has as much
-_ABOUT, _FEWEST = 50, 100  # part of the rate, and frequencies at least, to either side that tell what is usual there
-#: Rows by which the place of a missing sample may be wrong, rows that tell, and rounds over all of them.
-_DOUBT, _AROUND, _ROUNDS = 4, 9, 2
+_FINE = 16  # parts of a period in which stamps are counted
+_NOISE = 4.0  # times the amplitude of random phases: by chance one rate in a million has as much
+_ABOUT, _FEWEST = 50, 100  # neighbours that show the usual power: part of the rate, and frequencies at least
+_DOUBT, _AROUND, _ROUNDS = 4, 9, 2  # rows by which the place of a missing sample may be wrong, rows around it, rounds
 _DEGREE = 5
 _FAR = 8  # rows by which it may be wrong where the rows around stay rough
 _ROUGH = 10.0  # mean squared distance from the quintic, in noise: more is no noise
 
 
 def grid_rate(stamps: np.ndarray, rate: float) -> float | None:
-    """Rate [Hz], near `rate`, of the even grid that jittering stamps (S,) [s] were sampled on; None without one.
+    """Rate [Hz], near `rate`, of the even grid behind jittering stamps (S,) [s]; None where there is no grid.
 
-    It is the one with which the stamps are most in phase: |mean exp(2πj f t)| has its peak there (Rayleigh's test).
-    Intervals that vary freely add up and keep no phase. They too make a hump about their mean rate, so a grid has to
-    stand out of the frequencies next to it.
+    At that rate |mean exp(2πj f t)| has its peak (Rayleigh's test). Intervals that vary freely keep no phase, but they
+    also make a hump about their mean rate, so a grid has to stand out of the frequencies next to it.
     """
     stamps = stamps[:_LOOKED_AT] - stamps[0]
     size = 4 * int(_FINE * rate * stamps[-1] + 1)
@@ -45,9 +43,8 @@ def grid_rate(stamps: np.ndarray, rate: float) -> float | None:
 def sample_numbers(stamps: np.ndarray, rate: float) -> np.ndarray:
     """(S,) numbers, from 0 and rising, of sorted stamps (S,) [s] on a grid of about `rate` [Hz].
 
-    Any stamp may be late, the first one too, and a rate that is off by 1e-4 is half a period off after 5000 samples. So
-    the first 200 stamps tell the phase (their circular mean), then a line through them the rate, well enough for twice
-    as many, and so on.
+    Any stamp may be late, and a rate that is off by 1e-4 is half a period off after 5000 samples. So the circular mean
+    of the first 200 stamps gives the phase, a line through them the rate for twice as many stamps, and so on.
     """
     size = _BEGIN
     turns = np.exp(2j * np.pi * rate * (stamps[:size] - stamps[0]))
@@ -63,8 +60,7 @@ def sample_numbers(stamps: np.ndarray, rate: float) -> np.ndarray:
 def _rising(place: np.ndarray) -> np.ndarray:
     """(S,) whole numbers that rise by at least one, nearest to places (S,) in least squares.
 
-    Less the row's own number they must not fall, and of all that do not fall the nearest are those of the isotonic
-    regression, rounded.
+    Less the row's own number they must not fall; the nearest that do not fall are the isotonic regression, rounded.
     """
     number = np.round(place)
     if np.all(np.diff(number) > 0):
@@ -78,11 +74,9 @@ def _rising(place: np.ndarray) -> np.ndarray:
 def settled(number: np.ndarray, place: np.ndarray, position: np.ndarray) -> np.ndarray:
     """(S,) the numbers with each missing sample where positions (S, n) are smoothest and stamps least off.
 
-    `place` (S,) are the stamps in periods. Jitter leaves open by a few rows where a sample is missing; positions are
-    near a quintic of nine rows to either side (an arm that starts at 50 rad/s² is not near a cubic, and one with a
-    sample in a wrong place is nearer), by how far, follows from the rows that lie in one piece. Two missing
-    samples so near to each other hide each other's place: where moving one leaves the rows rough, both are moved, or
-    one of them further.
+    `place` (S,) are the stamps in periods. Jitter leaves open by a few rows where a sample is missing. Positions are
+    near a quintic through nine rows to either side; a cubic would not follow a start at 50 rad/s². Two missing samples
+    near to each other hide each other's place: where moving one leaves the rows rough, both are moved, or one further.
     """
     if len(number) < _AROUND:
         return number

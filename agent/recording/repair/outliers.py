@@ -1,54 +1,110 @@
-"""Numbers that no arm can have: bits of a torn row, a counter that was taken for an angle, a torque of one sample.
+"""Samples that no arm can have: torn rows, encoders that wrap around, single wrong positions and torques.
 
-They are dropped where a log is read, so that nothing behind the reader has to expect them. Friction and contact step,
-they do not come and go within a sample. Spread by a filter, a spike looks like any other error; before it, the median
-of five samples tells.
+The reader drops or mends them, so nothing behind it has to expect them. Friction and contact step; they do not come and
+go within one sample. Filtered, a spike looks like any other error, so the median of five samples finds it before.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
+
 import numpy as np
 
-from agent.recording.scratch import Scratch
+from agent.recording.log import Repair
+from agent.robot import RobotDescription
 
 #: What no joint reaches in any unit that people mistake for SI: 1600 turns [rad], N·mm of the largest arms.
 LIMITS = {"position": 1e4, "velocity": 1e6, "effort": 1e9}
-_ALONE = 1e3  # times what 99 % of the samples keep: no impact, no spike of a current sensor
-_SPIKE = 12.0  # times the usual step from sample to sample
-_SPIKE_SHARE = 1.5  # of the range that 98 % of the samples keep: no friction comes back that far
-_MOST = 0.01  # of the samples: beyond, it is what the channel is like
-_EVERY = 8  # samples, of those that tell what is usual
+_ALONE = 1e3  # times the 99 % quantile: no impact and no spike of a current sensor
+_SPIKE = 12.0  # times the median step between samples
+_SPIKE_SHARE = 1.5  # of the range of 98 % of the samples: no friction comes back that far
+_MOST = 0.01  # of the samples; with more outliers, the channel, the unit or the description is wrong
+_EVERY = 8  # samples; quantiles need no more
+_NANO = 1_000_000_000
+_TIMES, _LATE = 5.0, 0.010  # times the highest speed; s that stamps may be late
+_TURN = 2 * np.pi
+_MOST_TURNS = 100  # of an encoder that wraps around; in larger numbers every step is near some whole turn
+_TORN = 5  # samples in a row that may be wrong; after more, the joint is there
 
 
-def impossible(values: np.ndarray, field: str, scratch: Scratch) -> np.ndarray:
+def impossible(values: np.ndarray, quantity: str) -> np.ndarray:
     """(S,) samples of `position`, `velocity` or `effort` (S, n) with a number that no arm can have; NaN does not count.
 
-    A velocity or effort a thousand times what 99 % of the samples keep counts as well.
+    A velocity or effort a thousand times its 99 % quantile counts as well.
     """
-    some = np.abs(values[::_EVERY])
-    largest = np.quantile(np.where(np.isfinite(some), some, 0.0), 0.99, axis=0) if len(values) else 0.0
-    usual = np.where((field != "position") & (largest > 0), _ALONE * np.minimum(largest, LIMITS[field]), np.inf)
-    absurd, alone = np.zeros(len(values), bool), np.zeros(len(values), bool)
-    for part in scratch.parts(len(values)):
-        size = np.abs(values[part])
-        absurd[part] = np.any(size > LIMITS[field], axis=1)
-        alone[part] = np.any(size > usual, axis=1)
+    size, limit = np.abs(values), LIMITS[quantity]
+    absurd = np.any(size > limit, axis=1)
+    if quantity == "position" or not len(values):
+        return absurd
+    largest = np.quantile(np.nan_to_num(size[::_EVERY], posinf=0.0), 0.99, axis=0)
+    alone = np.any(size > np.where(largest > 0, _ALONE * np.minimum(largest, limit), np.inf), axis=1)
     return absurd | alone if np.count_nonzero(alone) <= _MOST * len(values) else absurd
 
 
-def find_spikes(effort: np.ndarray, scratch: Scratch) -> np.ndarray:
+def find_spikes(effort: np.ndarray) -> np.ndarray:
     """(K,) indices of samples of effort (S, n) that stand out from both of their neighbours."""
-    found: list[int] = []
-    for part in scratch.parts(len(effort)):
-        first = max(part.start - 2, 0)
-        values = effort[first : part.stop + 2]
-        step = np.abs(np.diff(values, axis=0))
-        low, high = np.quantile(values[::_EVERY], [0.01, 0.99], axis=0)
-        limit = np.maximum(_SPIKE * np.median(step[::_EVERY], axis=0), _SPIKE_SHARE * (high - low))
-        steps = np.flatnonzero(np.any(step > limit, axis=1))
-        for place in np.unique(np.concatenate([steps, steps + 1])):
-            window = values[max(place - 2, 0) : place + 3]
-            inside = part.start <= first + place < part.stop
-            if inside and len(window) == 5 and np.any(np.abs(values[place] - np.median(window, axis=0)) > limit):
-                found.append(first + int(place))
-    return np.array(found if len(found) <= _MOST * len(effort) else [], dtype=int)
+    step = np.abs(np.diff(effort, axis=0))
+    low, high = np.quantile(effort[::_EVERY], [0.01, 0.99], axis=0)
+    limit = np.maximum(_SPIKE * np.median(step[::_EVERY], axis=0), _SPIKE_SHARE * (high - low))
+    steps = np.flatnonzero(np.any(step > limit, axis=1))
+    places = np.unique(np.concatenate([steps, steps + 1]))
+    places = places[(places >= 2) & (places < len(effort) - 2)]
+    around = effort[places[:, None] + np.arange(-2, 3)]
+    found = places[np.any(np.abs(effort[places] - np.median(around, axis=1)) > limit, axis=1)]
+    return found if len(found) <= _MOST * len(effort) else found[:0]
+
+
+@dataclass(frozen=True)
+class Jumps:
+    """Samples to drop, samples before which the position of a joint was lost, and what to report."""
+
+    dropped: tuple[int, ...] = ()
+    cuts: tuple[int, ...] = ()
+    repairs: list[Repair] = field(default_factory=list)
+
+
+def mend_jumps(stamp: np.ndarray, position: np.ndarray, robot: RobotDescription) -> Jumps:
+    """Unwrap positions (S, n) in place, and find other jumps further than the joint can move.
+
+    Between two samples at sorted stamps (S,) [ns], a joint moves at most five times as far as its highest speed allows,
+    plus 10 ms of it for late stamps.
+    """
+    step = np.diff(position, axis=0)
+    limit = robot.max_velocity * (_TIMES * np.diff(stamp)[:, None] / _NANO + _LATE)
+    turns = np.round(step / _TURN)
+    turning = ~np.array([joint.prismatic for joint in robot.joints])
+    jump = np.abs(step) > limit
+    wrapped = jump & turning & (turns != 0) & (np.abs(turns) <= _MOST_TURNS) & (np.abs(step - turns * _TURN) <= limit)
+    jump &= ~wrapped
+    if np.count_nonzero(jump) > _MOST * len(stamp):
+        return Jumps()
+    position[1:] -= _TURN * np.cumsum(np.where(wrapped, turns, 0.0), axis=0)
+    time = (stamp - stamp[0]) / _NANO
+    repairs = []
+    for k in np.flatnonzero(wrapped.any(axis=0)):
+        first, count = int(np.argmax(wrapped[:, k])) + 1, int(wrapped[:, k].sum())
+        kind = f"positions of {robot.joint_names[k]} that wrap around, made continuous"
+        repairs.append(Repair(kind, float(time[first]), count))
+    dropped: list[int] = []
+    cuts: list[int] = []
+    known = 0  # first sample whose position is trusted again
+    for before, joint in np.argwhere(jump).tolist():
+        if before < known:
+            continue
+        known = _trusted_again(time, position, robot.max_velocity, before)
+        dropped += range(before + 1, known)
+        if known == before + 1:
+            cuts.append(known)
+            how_far = f"{robot.joint_names[joint]} jumps by {step[before, joint]:.3g}, further than it can move"
+            repairs.append(Repair(f"{how_far}; cut there", float(time[known]), 1))
+    if dropped:
+        repairs.append(Repair("samples with an impossible position, dropped", float(time[dropped[0]]), len(dropped)))
+    return Jumps(tuple(dropped), tuple(cuts), repairs)
+
+
+def _trusted_again(time: np.ndarray, position: np.ndarray, fastest: np.ndarray, before: int) -> int:
+    """First sample after a jump where the arm can have come to since sample `before`; the next one if it stays away."""
+    later = np.arange(before + 2, min(before + 2 + _TORN, len(time)))
+    limit = fastest * ((time[later] - time[before])[:, None] + 2 * _LATE)
+    there = later[np.all(np.abs(position[later] - position[before]) <= limit, axis=1)]
+    return int(there[0]) if len(there) else before + 1

@@ -52,61 +52,57 @@ class Spacing:
 def put_in_order(stamp: np.ndarray, values: Sequence[np.ndarray], name: str) -> Order:
     """Sort samples by their stamps; drop repetitions; spread samples that share a stamp too coarse for their rate.
 
-    Args:
-        stamp: (S,) [ns] in the order of the file.
-        values: arrays (S, n) that tell a repeated sample from another one with the same stamp.
-        name: of the file, for messages.
+    Parameters
+    ----------
+    stamp : (S,) [ns] in the order of the file
+    values : arrays (S, n) that distinguish a repeated sample from another one with the same stamp; positions first
+    name : of the file, for messages
 
-    Raises:
-        InputError: a single sample, or stamps that stand still, or that go back and cover the same time twice.
+    Raises
+    ------
+    InputError
+        A single sample, or stamps that stand still, or that go back and cover the same time twice.
     """
     if len(stamp) < 2:
         raise InputError(f"{name}: 1 sample at {stamp[0] / _NANO:.6f} s; a motion has more")
     far = far_off(stamp)
     rows = np.flatnonzero(~far)
     first = int(stamp[rows].min())
-    repairs = []
-    if far.any():
-        away = (int(stamp[far][0]) - first) / _NANO
-        repairs.append(Repair("samples with stamps far off, dropped", away, int(far.sum())))
-    back = np.flatnonzero(np.diff(stamp[rows]) < 0)
-    if len(back) and len(values) and (kept := _in_file_order(stamp[rows], values[0][rows])) is not None:
-        where = (int(stamp[rows[back[0] + 1]]) - first) / _NANO
-        repairs.append(Repair("stamps out of order where positions are in order, only stamps sorted", where, len(back)))
+    repairs = _summed("samples with stamps far off, dropped", (stamp - first) / _NANO, far)
+    back = np.append(False, np.diff(stamp[rows]) < 0)
+    where = (stamp[rows] - first) / _NANO
+    if back.any() and len(values) and (kept := _in_file_order(stamp[rows], values[0][rows])) is not None:
+        repairs += _summed("stamps out of order where positions are in order, only stamps sorted", where, back)
         if len(kept) < len(rows):
-            repairs.append(Repair("samples with stamps of another time, dropped", where, len(rows) - len(kept)))
+            when = float(where[back][0])
+            repairs.append(Repair("samples with stamps of another time, dropped", when, len(rows) - len(kept)))
         rows = rows[kept]
-        stamp = stamp.copy()
-        stamp[rows] = np.sort(stamp[rows])
-        back = back[:0]
-    if len(back):
-        where = (int(stamp[rows[back[0] + 1]]) - first) / _NANO
-        repairs.append(Repair("stamps out of order, sorted", where, len(back)))
+        ordered = np.sort(stamp[rows])
+        back[:] = False
+    else:
+        repairs += _summed("stamps out of order, sorted", where, back)
         rows = rows[np.argsort(stamp[rows], kind="stable")]
-    ordered = stamp[rows]
-    same_stamp = np.diff(ordered) == 0
+        ordered = stamp[rows]
     if stand_still(ordered):
         raise InputError(
             f"{name}: the stamps stand still at {ordered[0] / _NANO:.6f} s ({len(stamp)} samples): without "
             "header.stamp nothing can be differentiated; record again with controller time in it"
         )
+    same_stamp = np.append(False, np.diff(ordered) == 0)
     equal = same_stamp.copy()
     for array in values:
-        equal[equal] = np.all(array[rows[:-1][equal]] == array[rows[1:][equal]], axis=1)
+        again = np.flatnonzero(equal)
+        equal[again] = np.all(array[rows[again - 1]] == array[rows[again]], axis=1)
+    if back.any():
+        _refuse_two_recordings(stamp, np.sort(rows[~equal]), name)
     other = same_stamp & ~equal
-    coarse = other.sum() > max(0.05 * same_stamp.sum(), 0.01 * len(rows))
-    if len(back):
-        _refuse_two_recordings(stamp, np.sort(rows[~np.append(False, equal)]), name)
-    if not coarse:
-        times = (ordered[1:] - first) / _NANO
-        repairs += _summed("repeated samples, dropped", times, equal)
-        repairs += _summed("another sample with the same stamp, dropped", times, other)
-        keep = ~np.append(False, same_stamp)
-        rows, ordered = rows[keep], ordered[keep]
-    else:
-        repairs += _summed("samples share a stamp, spread evenly", (ordered[1:] - first) / _NANO, same_stamp)
-        ordered = _spread(ordered)
-    return Order(rows, ordered, tuple(repairs))
+    times = (ordered - first) / _NANO
+    if other.sum() > max(0.05 * same_stamp.sum(), 0.01 * len(rows)):  # stamps are too coarse
+        repairs += _summed("samples share a stamp, spread evenly", times, same_stamp)
+        return Order(rows, _spread(ordered), tuple(repairs))
+    repairs += _summed("repeated samples, dropped", times, equal)
+    repairs += _summed("another sample with the same stamp, dropped", times, other)
+    return Order(rows[~same_stamp], ordered[~same_stamp], tuple(repairs))
 
 
 def stand_still(stamp: np.ndarray) -> bool:
@@ -127,9 +123,16 @@ def spacing_of(stamp: np.ndarray, nominal_rate: float | None = None) -> Spacing:
     hole = interval > 1.6 * usual
     period = float(np.mean(interval[~hole]))
     missing = np.maximum(np.rint(interval / period) - 1, 1).astype(int)
-    jitter = ~hole & (np.abs(interval - period) > _JITTER * period)
+
+    def too_long() -> np.ndarray:
+        """Which intervals are too long to be interpolated."""
+        return interval > max(BRIDGED * (1 + 1e-9), 3.5 * period, 2.5 * usual)
+
+    def uneven() -> np.ndarray:
+        return ~hole & (np.abs(interval - period) > _JITTER * period)
+
     even = True
-    if np.count_nonzero(jitter) > _JITTERING * len(interval):
+    if np.count_nonzero(uneven()) > _JITTERING * len(interval):
         grid = grid_rate(time, 1 / period)
         even = grid is not None
         if grid is not None:
@@ -139,28 +142,19 @@ def spacing_of(stamp: np.ndarray, nominal_rate: float | None = None) -> Spacing:
             hole = missing > 0
         else:  # the intervals vary as they like, so none but a gap says that a sample is missing
             period = float(np.median(interval))
-            hole = _gaps(interval, period, usual)
-        jitter = ~hole & (np.abs(interval - period) > _JITTER * period)
+            hole = too_long()
     rate, repairs = 1.0 / period, []
-    if nominal_rate is not None:
-        if abs(rate / nominal_rate - 1.0) < 1e-3:
-            rate = nominal_rate
-        else:
-            repairs.append(
-                Repair(f"stamps say {rate:.6g} Hz, the log says {nominal_rate:.6g} Hz; samples", 0.0, len(stamp))
-            )
-    gap = hole & _gaps(interval, period, usual)
+    if nominal_rate is not None and abs(rate / nominal_rate - 1.0) < 1e-3:
+        rate = nominal_rate
+    elif nominal_rate is not None:
+        kind = f"stamps say {rate:.6g} Hz, the log says {nominal_rate:.6g} Hz; samples"
+        repairs.append(Repair(kind, 0.0, len(stamp)))
+    gap = hole & too_long()
     repairs += _listed("gap, missing samples", time[:-1][gap], missing[gap])
     repairs += _listed("missing samples, short enough to interpolate", time[:-1][hole & ~gap], missing[hole & ~gap])
-    repairs += _summed("uneven intervals, kept", time[:-1], jitter)
-    cuts = np.flatnonzero(gap) + 1
-    edges = [0, *cuts.tolist(), len(stamp)]
+    repairs += _summed("uneven intervals, kept", time[:-1], uneven())
+    edges = [0, *(np.flatnonzero(gap) + 1).tolist(), len(stamp)]
     return Spacing(rate, tuple(pairwise(edges)), tuple(repairs), even)
-
-
-def _gaps(interval: np.ndarray, period: float, usual: float) -> np.ndarray:
-    """Which intervals [s] are too long to be interpolated."""
-    return interval > max(BRIDGED * (1 + 1e-9), 3.5 * period, 2.5 * usual)
 
 
 def match(stamp: np.ndarray, others: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
@@ -180,16 +174,17 @@ def far_off(stamp: np.ndarray) -> np.ndarray:
 
 
 def _in_file_order(stamp: np.ndarray, position: np.ndarray) -> np.ndarray | None:
-    """Which rows (S,) to take as they stand in the file, if positions (S, n) are in order there and in that of the
-    stamps are not: stamps that jitter by more than a period, and a few that are of another time."""
+    """Rows to take as they stand in the file; None where they have to be sorted by their stamps (S,).
+
+    Positions (S, n) decide: in order in the file and not by the stamps, the stamps jitter by more than a period.
+    Rows whose stamps are of another time are left out.
+    """
     order = np.argsort(stamp, kind="stable")
-    away = np.empty(len(stamp), int)
-    away[order] = np.arange(len(stamp))
-    near = np.abs(away - np.arange(len(stamp))) <= _SWAPPED
-    moved = np.flatnonzero(order != np.arange(len(stamp)))
-    about = np.unique(np.clip(moved[:, None] + np.arange(-2, 3), 1, len(stamp) - 2))
+    in_place = np.arange(len(stamp))
+    near = np.abs(np.argsort(order) - in_place) <= _SWAPPED
     if np.count_nonzero(~near) > 0.01 * len(stamp) or len(stamp) < 3:
         return None
+    about = np.unique(np.clip(np.flatnonzero(order != in_place)[:, None] + np.arange(-2, 3), 1, len(stamp) - 2))
     in_file, by_stamp = (
         np.sum((rows[about + 1] - 2 * rows[about] + rows[about - 1]) ** 2, axis=0)
         for rows in (position, position[order])
