@@ -53,7 +53,7 @@ class LinkThread:
     """A thread that alone reads a link. It ends with an error, whatever the reason: `failure` from then on.
 
     `on_failure(error)` is its last call. A subclass starts the thread. While `guarded`, a silence of `watchdog` [s]
-    ends a link that is read with `_turns`.
+    ends a link that is read with `_each_turn`.
     """
 
     failure: DriverError | None = None
@@ -91,7 +91,7 @@ class LinkThread:
         self._end(failure)
         self._on_failure(failure)
 
-    def _turns(self, handles: Sequence[Any], longest: float | None = None) -> Iterator[list[Any]]:
+    def _each_turn(self, handles: Sequence[Any], longest: float | None = None) -> Iterator[list[Any]]:
         """Wait for handles to become readable, turn by turn until the link is closed; yields those that are.
 
         Whoever handles them sets `_heard`. A turn waits `longest` [s] at most, by default a quarter of the watchdog.

@@ -224,7 +224,7 @@ class FrameLink(LinkThread):
 
     def _work(self) -> None:
         beaten = time.monotonic()
-        for ready in self._turns([self._channel]):
+        for ready in self._each_turn([self._channel]):
             data = self._channel.recv(_RECEIVE) if ready else b""
             if ready and not data:
                 raise DriverError(f"the controller at {self.peer} closed the connection")

@@ -241,7 +241,7 @@ class Sockets(LinkThread):
         self._answers.put(None)
 
     def _work(self) -> None:
-        for ready in self._turns(list(self._sockets), _TURN):
+        for ready in self._each_turn(list(self._sockets), _TURN):
             feedbacks = [feedback for connection in ready for feedback in self._take(self._sockets[connection])]
             self._heard = bool(feedbacks)
             self._on_turn(feedbacks)

@@ -119,7 +119,8 @@ class RingMotion(MotionStream):
         slots = wire.unpack_slots(np.array(registers, np.uint16), self._joints, self.expected)
         taken = len(slots.sequence)
         if taken:
-            self.take(SampleBlock(slots.sequence, slots.time_ns * 1e-9, *slots.values, received=time.time()), 0)
+            times, (q, qd, torque, reference, reference_rate) = slots.time_ns * 1e-9, slots.values
+            self.take(SampleBlock(slots.sequence, times, q, qd, torque, reference, reference_rate, time.time()), 0)
             self.expected += taken
             self._damaged = 0
         if taken < count:  # the one after is damaged: again, but not for ever
