@@ -74,6 +74,10 @@ class LinkThread:
         if self.failure is not None:
             raise type(self.failure)(str(self.failure))
 
+    def close(self) -> None:
+        """End the link and its thread; never raises."""
+        raise NotImplementedError
+
     def _join(self, timeout: float) -> None:
         if threading.current_thread() is not self._thread:
             self._thread.join(timeout)
@@ -185,8 +189,10 @@ class LinkDriver(Generic[Link, Motion]):
             self._bring_to_rest(link, motion)
 
     def close(self) -> None:
-        """Close the link. Never raises."""
-        raise NotImplementedError
+        """Close the link; a controller that still moves comes to rest by itself. Never raises."""
+        link, self._link = self._link, None
+        if link is not None:
+            link.close()
 
     def _open(self) -> None:
         """Set `_link`, greet the controller, and learn who it is."""

@@ -138,12 +138,6 @@ class FrameDriver(LinkDriver[FrameLink, MotionStream]):
             if started is not None and started.motion_id != motion_id:
                 raise ProtocolError(f"the controller at {self.address} started another motion than it was asked to")
 
-    def close(self) -> None:
-        """Close the link; a controller that still moves comes to rest by itself. Never raises."""
-        link, self._link = self._link, None
-        if link is not None:
-            link.close()
-
     def _open(self) -> None:
         self._link = link = self._channel_link()
         hello = Hello(VERSION, round(self._watchdog * 1000), "calibration-agent")

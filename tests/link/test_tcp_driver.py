@@ -6,15 +6,10 @@ from contextlib import closing
 import pytest
 
 from drivers.errors import ConfigurationError, DriverError, ProtocolError, RefusedError
-from drivers.protocol import Driver
 from drivers.transports.tcp import TcpDriver
 from drivers.wire import tcp
 from drivers.wire.reasons import Refusal
 from tests.conftest import free_port
-
-
-def test_it_is_a_driver():
-    assert isinstance(TcpDriver("127.0.0.1:9100"), Driver)
 
 
 @pytest.mark.parametrize("address", ["", "localhost", "host:", ":9100", "host:0", "host:70000", "host:x", "host:-1"])

@@ -164,13 +164,12 @@ class CnrDriver(LinkDriver[Sockets, CnrMotion]):
 
     def close(self) -> None:
         """Close the link; where the arm may still move, a stop is sent first. Never raises."""
-        sockets, self._link = self._link, None
-        broker, self._broker = self._broker, None
-        if sockets is not None:
-            if self._motion is not None and not self._motion.over:
-                with contextlib.suppress(DriverError):
-                    sockets.post(self.STOP)
-            sockets.close()
+        sockets, motion, broker = self._link, self._motion, self._broker
+        self._broker = None
+        if sockets is not None and motion is not None and not motion.over:
+            with contextlib.suppress(DriverError):
+                sockets.post(self.STOP)
+        super().close()
         if broker is not None:
             broker.close()
 
