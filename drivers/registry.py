@@ -21,7 +21,7 @@ _BUILT_IN = {
     "tcp": "drivers.transports.tcp:TcpDriver",
     "modbus": "drivers.transports.modbus.driver:ModbusDriver",
     "serial": "drivers.transports.serial:create",
-    "cnr_comau": "drivers.transports.cnr:create",
+    "cnr_comau": "drivers.transports.cnr.points:create",
     "ur": "drivers.transports.ur.driver:UrDriver",
 }
 

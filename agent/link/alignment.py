@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import zlib
-from collections.abc import Callable, Iterator, Sequence
+from array import array
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,7 +20,7 @@ class Aligner:
     The controller waits for the arm to settle at each stop, so only the segments between stops are comparable in
     time. Where the numbers of segments differ there is nothing to compare, and nothing is written.
 
-    A motion may last for hours, so set-points are looked at as they come and only their stamps are kept, compressed.
+    A motion may last for hours, so set-points are looked at as they come and only their times are kept.
     """
 
     #: Shortest rest [s] of the set-points that counts as a stop.
@@ -29,49 +29,44 @@ class Aligner:
     def __init__(self, chains: Sequence[Trajectory], period: float):
         self._chains = chains
         self._segments = MovingSegments(round(self.REST / period))
-        self._stamps = Stamps()
+        self._stamps = array("d")  # of set-points [s]
         self._seen = True  # set-points, with every block
         self._first = self._last = 0.0  # time [s] of samples
         self.samples = 0
         self.cycle_starts: list[float] = []
 
     def take(self, time: np.ndarray, reference: np.ndarray | None) -> None:
+        """Take the next times (K,) [s] and set-points (K, n); samples that came before are ignored."""
         if self.samples and time[0] <= self._last:
-            return  # they came before
+            return
         self._first = float(time[0]) if self.samples == 0 else self._first
         self._last = float(time[-1])
         self.samples += len(time)
         if reference is None:
             self._seen = False
         else:
-            self._stamps.add(time)
+            self._stamps.frombytes(np.asarray(time, dtype=float).tobytes())
             self._segments.add(reference)
 
     @property
     def elapsed(self) -> float:
+        """Seconds from the first sample to the last."""
         return self._last - self._first
 
     def finish(self, write_planned: Callable[[np.ndarray, np.ndarray, np.ndarray], None]) -> list[float]:
         """Write the planned set-points; returns the controller times at which cycles start (all but the approach)."""
-        segments = self._segments.found
-        chains, approaches = self._chains, 1
+        segments, chains, approaches = self._segments.found, self._chains, 1
         if len(segments) == len(chains) - 1 and is_there(chains[0]):
             chains, approaches = chains[1:], 0  # the arm stood at the first point already
         if not self._seen or not segments or len(segments) != len(chains):
             return []
-        motion = list(zip(segments, chains, strict=True))
-        # A program with stops in its cycle repeats where it makes the same way again, not at every stop.
-        cycles = {start for (start, _), chain in motion[approaches:] if chain is motion[approaches:][0][1]}
-        starts, at = [], 0
-        for stamps in self._stamps.parts():
-            for (start, _), chain in motion:
-                first, last = max(start, at), min(start + len(chain.t), at + len(stamps))
-                if first < last:
-                    planned = slice(first - start, last - start)
-                    write_planned(stamps[first - at : last - at], chain.q[planned], chain.qd[planned])
-                if start in cycles and at <= start < at + len(stamps):
-                    starts.append(float(stamps[start - at]))
-            at += len(stamps)
+        stamps, starts = np.array(self._stamps), []
+        for k, ((start, _), chain) in enumerate(zip(segments, chains, strict=True)):
+            times = stamps[start : start + len(chain.t)]
+            write_planned(times, chain.q[: len(times)], chain.qd[: len(times)])
+            # A program with stops in its cycle repeats where it makes the same way again, not at every stop.
+            if k >= approaches and chain is chains[approaches]:
+                starts.append(float(times[0]))
         self.cycle_starts = [start - self._first for start in starts]
         return starts
 
@@ -110,31 +105,3 @@ def moving_segments(reference: np.ndarray, rest: int) -> list[tuple[int, int]]:
     if len(reference):
         segments.add(reference)
     return segments.found
-
-
-class Stamps:
-    """Times [s] in nearly no memory: to the nanosecond, by how they differ from an even step."""
-
-    _TOGETHER = 4096
-
-    def __init__(self) -> None:
-        self._packed: list[bytes] = []
-        self._open: list[np.ndarray] = []
-
-    def add(self, time: np.ndarray) -> None:
-        """The next times (K,) [s]."""
-        self._open.append(np.rint(1e9 * np.asarray(time)).astype(np.int64))
-        if sum(map(len, self._open)) >= self._TOGETHER:
-            self._pack()
-
-    def parts(self) -> Iterator[np.ndarray]:
-        """All times, in order, in arrays (K,) [s]."""
-        self._pack()
-        for part in self._packed:
-            yield 1e-9 * np.frombuffer(zlib.decompress(part), np.int64).cumsum().cumsum()
-
-    def _pack(self) -> None:
-        if self._open:
-            steps = np.diff(np.diff(np.concatenate(self._open), prepend=0), prepend=0)
-            self._packed.append(zlib.compress(steps.tobytes(), 1))
-            self._open = []

@@ -21,61 +21,31 @@ from drivers.protocol import Driver, ReportsTemperatures, SampleBlock, Status
 if TYPE_CHECKING:
     from agent.robot import RobotDescription
 
-#: The controller's state is looked at so often while the arm moves [s], of its time and of ours.
+#: Interval between two looks at the controller's state while the arm moves [s], of its time and of ours.
 WATCH_INTERVAL = 0.2
-#: A motion may end so long [s] before its plan, where it does not wait for the arm to arrive.
+#: Time before the end of its plan [s] at which a motion may end, where it does not wait for the arm to arrive.
 EARLY = 0.25
-#: Motors warm up slowly: their temperatures are asked for so often [s].
+#: Interval between two questions for temperatures [s]: motors warm up slowly.
 TEMPERATURE_INTERVAL = 5.0
-#: Age and stop are looked at so often [s], by a thread that nobody keeps waiting.
+#: Interval between two looks at age and stop [s], by a thread that nobody keeps waiting.
 TURN = 0.05
-#: The samples wait for an answer so long [s]; one that comes later counts when it comes.
+#: Time that the samples wait for an answer [s]; a later one counts when it comes.
 PROMPT = 0.05
-
-
-class BackgroundPoll:
-    """Asks in a thread of its own, one question at a time.
-
-    Args:
-        ask: with the controller's time [s]; says why the arm has to stop, if it has to.
-        blame: takes that reason; called in that thread.
-    """
-
-    def __init__(self, ask: Callable[[float], AgentError | None], blame: Callable[[AgentError], object]) -> None:
-        self._ask = ask
-        self._blame = blame
-        self._thread = ThreadPoolExecutor(1, "poll")
-        self._last: Future[None] = self._thread.submit(lambda: None)
-
-    def poll(self, now: float) -> None:
-        """Ask, unless an answer is still to come; raises what was raised by the last question."""
-        if self._last.done():
-            self._last.result()
-            self._last = self._thread.submit(self._run, now)
-            wait([self._last], PROMPT)
-
-    def result(self) -> None:
-        """Wait for the last answer; raises what was raised by that question."""
-        self._last.result()
-
-    def _run(self, now: float) -> None:
-        reason = self._ask(now)
-        if reason is not None:
-            self._blame(reason)
 
 
 class MotionWatch:
     """Hands out the samples of one motion, and stops the arm where something is not as it must be.
 
-    Args:
-        driver: the motion's.
-        robot: who moves.
-        address: for messages.
-        period: of samples [s].
-        adherence: whether the arm does what was planned.
-        longest: the motion may last so long [s], of controller time.
-        clock: seconds.
-        warn: tells what a person should know at once.
+    Parameters
+    ----------
+    driver : of the motion.
+    robot : that moves.
+    address : for messages.
+    period : of samples [s].
+    adherence : whether the arm does what was planned.
+    longest : time that the motion may last [s], by the controller's clock.
+    clock : our time [s].
+    warn : tells what a person should know at once.
     """
 
     def __init__(
@@ -101,6 +71,9 @@ class MotionWatch:
         self._began: float | None = None  # controller time of the first sample
         self._now, self._last = -np.inf, -1  # time and number of the last one
         self._looked, self._looked_at = -np.inf, clock()
+        self._asking = ThreadPoolExecutor(1, "state")
+        self._asked: Future[None] = Future()  # the last look at the state
+        self._asked.set_result(None)
         self._turned, self._excused = clock(), 0.0
         self._sampled = False  # the last sample has come
         #: The end was asked for, so it comes before that of the plan.
@@ -119,7 +92,6 @@ class MotionWatch:
             ControllerError: the link is too slow or silent, or sends what is no sample of this arm.
             DriverError: the link failed, or the controller ended the motion.
         """
-        polling = BackgroundPoll(self._poll_status, self._blame)
         dropped: DriverError | None = None
         self._freshness.begin()
         with self._watched():
@@ -130,12 +102,12 @@ class MotionWatch:
                     yield block
                     recently = self._now - self._looked < WATCH_INTERVAL
                     if not (recently and self._clock() - self._looked_at < WATCH_INTERVAL):
-                        polling.poll(self._now)
+                        self._look_at_state()
                         self._looked, self._looked_at = self._now, self._clock()
             except DriverError as error:
                 dropped = error
             self._sampled = True
-            polling.result()
+            self._asked.result()
             self._finish(dropped)
         self._raise_fault(dropped)
         with suppress(DriverError):  # the motion is over and recorded
@@ -284,14 +256,25 @@ class MotionWatch:
             if values is not None:
                 self.temperatures.append((now, values))
 
-    def _poll_status(self, now: float) -> AgentError | None:
+    def _look_at_state(self) -> None:
+        """Ask for the state in a thread of its own, one question at a time; raises what the last question raised."""
+        if self._asked.done():
+            self._asked.result()
+            self._asked = self._asking.submit(self._judge_state, self._now)
+            wait([self._asked], PROMPT)
+
+    def _judge_state(self, now: float) -> None:
         try:
             status: Status = self._driver.status()
             self._read_temperatures(now)
         except DriverError as error:
-            return ControllerError(
-                f"{self._address}: the controller's state cannot be read any more while the arm moves, so it was "
-                f"stopped: {error}; check the link, then run the command again"
+            self._blame(
+                ControllerError(
+                    f"{self._address}: the controller's state cannot be read any more while the arm moves, so it was "
+                    f"stopped: {error}; check the link, then run the command again"
+                )
             )
+            return
         reason = unsafe_in_motion(status)
-        return None if reason is None else SafetyError(f"{self._address}: the arm was stopped: {reason}")
+        if reason is not None:
+            self._blame(SafetyError(f"{self._address}: the arm was stopped: {reason}"))

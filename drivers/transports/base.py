@@ -1,12 +1,17 @@
-"""What drivers have in common, whatever their wire: the thread of a link, and one motion at a time."""
+"""What drivers share on every wire: the thread that reads a link, and one motion at a time."""
 
 from __future__ import annotations
 
+import selectors
 import threading
-from collections.abc import Callable, Iterator
-from typing import Generic, TypeVar
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any, Generic, TypeVar
 
-from drivers.errors import DriverError, ProtocolError
+import numpy as np
+
+from drivers.errors import ConfigurationError, DriverError, ProtocolError, RefusedError
 from drivers.protocol import Gap, SampleBlock
 from drivers.texts import place_of
 from drivers.transports.motion import MotionStream
@@ -18,17 +23,43 @@ _LAST_CALL = 1.0  # s, at most, from the failure of a link to the end of its mot
 
 
 def dropped(peer: str, error: OSError) -> DriverError:
-    """What an error of the operating system says of a link."""
+    """The error of a link that the operating system reports as broken."""
     return DriverError(f"the link to {peer} dropped: {error.strerror or error}")
 
 
-class LinkThread:
-    """A thread that alone reads a link and ends with an error, whatever the reason: `failure` from then on.
+def pose_of_frame(fields: Sequence[float]) -> np.ndarray:
+    """Convert the six fields of a POS to a pose (4, 4) [m].
 
-    `on_failure(error)` is its last call. A subclass starts it.
+    The fields are x, y, z [mm] and the Euler angles a, e, r [deg] about the moving axes z, y, z.
+    """
+    a, e, r = np.radians(fields[3:6])
+    pose = np.eye(4)
+    pose[:3, :3] = _about_z(a) @ _about_y(e) @ _about_z(r)
+    pose[:3, 3] = np.asarray(fields[:3]) / 1000.0
+    return pose
+
+
+def _about_z(angle: float) -> np.ndarray:
+    cosine, sine = np.cos(angle), np.sin(angle)
+    return np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+
+
+def _about_y(angle: float) -> np.ndarray:
+    cosine, sine = np.cos(angle), np.sin(angle)
+    return np.array([[cosine, 0.0, sine], [0.0, 1.0, 0.0], [-sine, 0.0, cosine]])
+
+
+class LinkThread:
+    """A thread that alone reads a link. It ends with an error, whatever the reason: `failure` from then on.
+
+    `on_failure(error)` is its last call. A subclass starts the thread. While `guarded`, a silence of `watchdog` [s]
+    ends a link that is read with `_each_turn`.
     """
 
     failure: DriverError | None = None
+    guarded = False
+    watchdog = WATCHDOG
+    _heard = False  # something in this turn, that shows that the peer lives
 
     def __init__(self, peer: str, on_failure: Callable[[DriverError], None]) -> None:
         self.peer = peer
@@ -42,6 +73,10 @@ class LinkThread:
         """
         if self.failure is not None:
             raise type(self.failure)(str(self.failure))
+
+    def close(self) -> None:
+        """End the link and its thread; never raises."""
+        raise NotImplementedError
 
     def _join(self, timeout: float) -> None:
         if threading.current_thread() is not self._thread:
@@ -60,8 +95,35 @@ class LinkThread:
         self._end(failure)
         self._on_failure(failure)
 
+    def _each_turn(self, handles: Sequence[Any], longest: float | None = None) -> Iterator[list[Any]]:
+        """Wait for handles to become readable, turn by turn until the link is closed; yields those that are.
+
+        Whoever handles them sets `_heard`. A turn waits `longest` [s] at most, by default a quarter of the watchdog.
+
+        Raises:
+            DriverError: nothing was heard for a watchdog while `guarded`.
+        """
+        silence = 0.0
+        with selectors.DefaultSelector() as selector:
+            for handle in handles:
+                selector.register(handle, selectors.EVENT_READ)
+            while not self._closing.is_set():
+                began, wait = time.monotonic(), self.watchdog / 4 if longest is None else longest
+                self._heard = False
+                ready = [key.fileobj for key, _ in selector.select(wait)]
+                # A stall of this process is not the peer's silence: no turn counts for more than it should last.
+                waited = min(time.monotonic() - began, wait)
+                yield ready
+                silence = 0.0 if self._heard else silence + waited
+                if self.guarded and silence >= self.watchdog:
+                    raise self._fell_silent()
+
     def _work(self) -> None:
         """Read until `_closing` is set."""
+        raise NotImplementedError
+
+    def _fell_silent(self) -> DriverError:
+        """The error of a peer that is silent while the arm may move."""
         raise NotImplementedError
 
     def _end(self, failure: DriverError) -> None:
@@ -76,12 +138,13 @@ Motion = TypeVar("Motion", bound=MotionStream)
 class LinkDriver(Generic[Link, Motion]):
     """The part of `drivers.protocol.Driver` that is the same on every wire.
 
-    Args:
-        address: the far end, for messages.
-        timeout: how long [s] to wait for an answer.
-        start_timeout: the same for `start`, where the controller plans first, and for the arm to rest after `stop`.
-        buffer_limit: bytes of samples kept for a consumer that is behind (the default: over an hour at 500 Hz and six
-            joints). Beyond it the motion is stopped; the link itself never waits for the consumer.
+    Parameters
+    ----------
+    address : of the far end, for messages.
+    timeout : how long [s] to wait for an answer.
+    start_timeout : the same for `start`, where the controller plans first, and for the arm to rest after `stop`.
+    buffer_limit : bytes of samples kept for a consumer that is behind (the default: over an hour at 500 Hz and six
+        joints). Beyond it the motion is stopped; the link itself never waits for the consumer.
     """
 
     def __init__(
@@ -103,11 +166,45 @@ class LinkDriver(Generic[Link, Motion]):
         """What is missing from the samples of the last motion, once the driver has tried to get it again."""
         return () if self._motion is None else self._motion.sequencer.gaps
 
+    def connect(self) -> None:
+        """Open the link and agree with the controller on what is needed."""
+        self.close()
+        self._motion = None
+        try:
+            self._open()
+        except BaseException:
+            self.close()
+            raise
+
     def samples(self) -> Iterator[SampleBlock]:
         """Samples of the motion, in order, each once; what arrived before an error is yielded before it is raised."""
         if self._motion is None:
             raise DriverError("there are no samples: nothing was started")
         return self._motion.blocks()
+
+    def stop(self) -> None:
+        """Ask for a stop on the path and wait until the arm rests; nothing to do where nobody is connected."""
+        link, motion = self._link, self._motion
+        if link is not None and not self._nothing_to_stop(link, motion):
+            self._bring_to_rest(link, motion)
+
+    def close(self) -> None:
+        """Close the link; a controller that still moves comes to rest by itself. Never raises."""
+        link, self._link = self._link, None
+        if link is not None:
+            link.close()
+
+    def _open(self) -> None:
+        """Set `_link`, greet the controller, and learn who it is."""
+        raise NotImplementedError
+
+    def _bring_to_rest(self, link: Link, motion: Motion | None) -> None:
+        """Send the stop, and wait until the arm rests.
+
+        Raises:
+            DriverError: the controller does not report that it does.
+        """
+        raise NotImplementedError
 
     def _connected(self) -> Link:
         if self._link is None:
@@ -118,6 +215,26 @@ class LinkDriver(Generic[Link, Motion]):
     def _check_over(self) -> None:
         if self._motion is not None and not self._motion.over:
             raise DriverError("the last motion is not over yet; read its samples to the end, or stop it")
+
+    @contextmanager
+    def _start_of(self, motion: Motion) -> Iterator[Motion]:
+        """Listen to a motion that is started in here. A refused start moved nothing; after any other failure the arm
+        may move, so the link is closed, which stops it."""
+        self._motion = motion
+        try:
+            yield motion
+        except RefusedError:
+            self._motion = None
+            self._not_started()
+            raise
+        except BaseException:
+            self.close()
+            raise
+
+    def _not_started(self) -> None:
+        """The start was refused."""
+        if self._link is not None:
+            self._link.guarded = False
 
     def _nothing_to_stop(self, link: Link | None, motion: Motion | None) -> bool:
         """Whether there is nobody to tell, or a dead link whose motion is over, as its thread soon says."""
@@ -134,3 +251,16 @@ class LinkDriver(Generic[Link, Motion]):
         """The link is down (in its thread)."""
         if self._motion is not None:
             self._motion.finish(error)
+
+
+def check_currents(torque_per_ampere: np.ndarray, joints: int) -> None:
+    """See that somebody has said what torque an ampere is, (n, n) [N·m/A].
+
+    Raises:
+        ConfigurationError: nobody has, or of another arm.
+    """
+    if torque_per_ampere.shape != (joints, joints):
+        raise ConfigurationError(
+            f"the link delivers motor currents of {joints} joints; torque_per_ampere has the shape "
+            f"{torque_per_ampere.shape}"
+        )

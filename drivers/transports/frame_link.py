@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import math
 import queue
-import selectors
 import threading
 import time
 from collections.abc import Callable
@@ -21,13 +21,13 @@ from drivers.wire.reasons import refusal_error
 from drivers.wire.tcp import Frame, FrameDecoder, Heartbeat, Refused, encode
 
 Reply = TypeVar("Reply")
-#: An answer that comes so long [s] after what it answers for has begun is taken for lost.
-_ACTING = 0.25
+#: A command whose effect is seen counts as answered after another so many seconds.
+ACTING = 0.25
 _RECEIVE = 256 * 1024
 
 
 class Channel(Protocol):
-    """Bytes both ways; a connected socket is one. Errors are `OSError`, a write that takes too long `TimeoutError`."""
+    """Bytes both ways, like a connected socket. Errors are `OSError`, a write that takes too long `TimeoutError`."""
 
     def fileno(self) -> int:
         """For a selector to wait on."""
@@ -46,12 +46,16 @@ class Channel(Protocol):
 
 
 class FrameLink(LinkThread):
-    """A channel and its reader thread.
+    """A channel and its reader thread. Heartbeats are sent all the time, four to a watchdog.
 
-    `decoder` and `decode` turn bytes into frames and frames into messages. `on_message(message, request)` gets, in the
-    reader thread, what nobody waits for; `on_failure(error)` comes once, as the last call, when the link ends for
-    whatever reason; `on_turn` is called a few times a watchdog. `watchdog` [s] may be set once it is agreed on; while
-    `guarded`, so long a silence of the peer ends the link. Heartbeats are sent all the time, four to a watchdog.
+    Parameters
+    ----------
+    channel, peer : what carries the frames, and the far end's address for messages.
+    decoder, decode : turn bytes into frames, and frames into messages.
+    on_message : `on_message(message, request)` gets, in the reader thread, what nobody waits for.
+    on_failure : comes once, as the last call, when the link ends for whatever reason.
+    on_turn : is called a few times a watchdog.
+    watchdog : [s]; may be set anew once another one is agreed on.
     """
 
     def __init__(
@@ -67,7 +71,6 @@ class FrameLink(LinkThread):
     ) -> None:
         super().__init__(peer, on_failure)
         self.watchdog = watchdog
-        self.guarded = False
         self._channel = channel
         self._decoder = decoder
         self._decode = decode
@@ -76,7 +79,7 @@ class FrameLink(LinkThread):
         self._waiting: dict[int, queue.SimpleQueue[Any]] = {}
         self._ids = itertools.count(1)
         self._lock = threading.Lock()
-        self._heard = False
+        self._speaks = False  # the protocol, as a first frame has shown
         self._thread.start()
 
     def post(self, message: Any) -> int:
@@ -89,18 +92,33 @@ class FrameLink(LinkThread):
         self._send(message, request)
         return request
 
-    def request(self, message: Any, reply: type[Reply], timeout: float, what: str, attempts: int = 1) -> Reply:
-        """Send a request and wait for its answer; only what changes nothing may have more than one attempt.
+    def request(self, message: Any, reply: type[Reply], timeout: float, what: str, again: float = math.inf) -> Reply:
+        """Send a request and wait for its answer; only what changes nothing may be sent `again` after so long [s].
 
         Raises:
             RefusedError: the controller refused; its reason is in the message.
             DriverError: no answer in time, or the link is down.
         """
-        for _ in range(attempts):
-            answer = self._ask(message, timeout / attempts)
-            if answer is not None:
-                break
-        return self._checked(answer, reply, timeout, what)
+        return self._checked(self._ask(message, timeout, again), reply, timeout, what)
+
+    def command(
+        self,
+        message: Any,
+        reply: type[Reply],
+        timeout: float,
+        what: str,
+        acts: Callable[[], bool],
+        again: float = math.inf,
+    ) -> Reply | None:
+        """Send a command and wait for its answer, but no longer than until it is seen that it `acts`.
+
+        Returns None where that was seen and no answer came. Only what does no harm twice may be sent `again`.
+
+        Raises:
+            RefusedError, DriverError: as in `request`.
+        """
+        answer = self._ask(message, timeout, again, acts)
+        return None if answer is None and acts() else self._checked(answer, reply, timeout, what)
 
     def burst(self, message: Any, count: int, timeout: float, what: str) -> tuple[int, float]:
         """Ask `count` times at once; bytes of the answers after the first, and the seconds that those took.
@@ -129,27 +147,6 @@ class FrameLink(LinkThread):
             for request in asked:
                 self._waiting.pop(request, None)
 
-    def command(
-        self,
-        message: Any,
-        reply: type[Reply],
-        timeout: float,
-        what: str,
-        acts: Callable[[], bool],
-        repeats: bool = False,
-    ) -> Reply | None:
-        """Send a command once and wait for its answer, but no longer than until it is seen that it `acts`.
-
-        None where that was seen and no answer came. Only what does no harm twice `repeats`, until it is answered.
-
-        Raises:
-            RefusedError, DriverError: as in `request`.
-        """
-        answer = self._ask(message, timeout, acts, repeats)
-        if answer is None and acts():
-            return None
-        return self._checked(answer, reply, timeout, what)
-
     def close(self) -> None:
         """End the link and its thread; never raises."""
         self._closing.set()
@@ -168,35 +165,35 @@ class FrameLink(LinkThread):
             raise ProtocolError(f"the controller at {self.peer} answered {what} with {type(answer).__name__}")
         return answer
 
-    def _ask(
-        self, message: Any, timeout: float, acts: Callable[[], bool] = lambda: False, repeats: bool = False
-    ) -> Any:
+    def _ask(self, message: Any, timeout: float, again: float, acts: Callable[[], bool] = lambda: False) -> Any:
         """The answer, or None: none in time, or it `acts` already and none came for a while."""
         request = next(self._ids)
         answers: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._waiting[request] = answers
         try:
             self._send(message, request)
-            until = time.monotonic() + timeout
+            sent = time.monotonic()
+            until = sent + timeout
             while (left := until - time.monotonic()) > 0:
                 seen = acts()
                 with contextlib.suppress(queue.Empty):
-                    return answers.get(timeout=min(left, _ACTING))
+                    return answers.get(timeout=min(left, ACTING))
                 if seen:
                     break
-                if repeats:
+                if time.monotonic() - sent >= again:
+                    sent = time.monotonic()
                     self._send(message, request)
             return None
         finally:
             self._waiting.pop(request, None)
 
     def _silent(self, what: str, timeout: float) -> DriverError:
-        if self._decoder.rejected and not self._heard:
+        if self._decoder.rejected and not self._speaks:
             return ProtocolError(
                 f"what comes from {self.peer} is not the calibration link ({self._decoder.rejected} bytes without a "
                 "frame): is it the right line, and the baud rate that of the controller?"
             )
-        spoke = "it sends, but" if self._heard else "it accepted the connection, but"
+        spoke = "it sends, but" if self._speaks else "it accepted the connection, but"
         return DriverError(
             f"the controller at {self.peer} is silent: {spoke} did not answer {what} within {timeout:g} s; "
             "is it the calibration server that listens there?"
@@ -217,6 +214,8 @@ class FrameLink(LinkThread):
             self.check()
             raise dropped(self.peer, error) from None
 
+    # From here on in the reader thread.
+
     def _end(self, failure: DriverError) -> None:
         self.failure = failure
         self._hang_up()
@@ -224,36 +223,28 @@ class FrameLink(LinkThread):
             answers.put(failure)
 
     def _work(self) -> None:
-        silence, beaten = 0.0, time.monotonic()
-        with selectors.DefaultSelector() as selector:
-            selector.register(self._channel, selectors.EVENT_READ)
-            while not self._closing.is_set():
-                interval = self.watchdog / 4
-                began = time.monotonic()
-                if began - beaten >= interval:
-                    with contextlib.suppress(DriverError):  # what the peer still sent is to be read all the same
-                        self._send(Heartbeat())
-                    beaten = began
-                data = b""
-                if selector.select(interval):
-                    data = self._channel.recv(_RECEIVE)
-                    if not data:
-                        raise DriverError(f"the controller at {self.peer} closed the connection")
-                # A stall of this process is not the peer's silence: no turn counts for more than it should last.
-                silence += min(time.monotonic() - began, interval)
-                try:
-                    for frame in self._decoder.feed(data):
-                        silence = 0.0
-                        self._heard = True
-                        self._deliver(self._decode(frame), frame.request)
-                except ProtocolError as error:
-                    raise ProtocolError(f"{self.peer}: {error}") from None
-                self._on_turn()
-                if self.guarded and silence >= self.watchdog:
-                    raise DriverError(
-                        f"the controller at {self.peer} fell silent: nothing for {self.watchdog * 1000:.0f} ms while "
-                        "the arm may move; go and look at it"
-                    )
+        beaten = time.monotonic()
+        for ready in self._each_turn([self._channel]):
+            data = self._channel.recv(_RECEIVE) if ready else b""
+            if ready and not data:
+                raise DriverError(f"the controller at {self.peer} closed the connection")
+            try:
+                for frame in self._decoder.feed(data):
+                    self._heard = self._speaks = True
+                    self._deliver(self._decode(frame), frame.request)
+            except ProtocolError as error:
+                raise ProtocolError(f"{self.peer}: {error}") from None
+            self._on_turn()
+            if time.monotonic() - beaten >= self.watchdog / 4:
+                beaten = time.monotonic()
+                with contextlib.suppress(DriverError):  # what the peer still sent is to be read all the same
+                    self._send(Heartbeat())
+
+    def _fell_silent(self) -> DriverError:
+        return DriverError(
+            f"the controller at {self.peer} fell silent: nothing for {self.watchdog * 1000:.0f} ms while the arm may "
+            "move; go and look at it"
+        )
 
     def _deliver(self, message: Any, request: int) -> None:
         if isinstance(message, Heartbeat):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import time
 import uuid
 from collections.abc import Callable
@@ -12,10 +13,9 @@ import numpy as np
 
 from drivers.errors import ProtocolError, RefusedError
 from drivers.protocol import Identity, SampleBlock, Status
-from drivers.transports.base import WATCHDOG, LinkDriver
-from drivers.transports.frame_link import Channel, FrameLink, Reply
+from drivers.transports.base import WATCHDOG, LinkDriver, pose_of_frame
+from drivers.transports.frame_link import ACTING, Channel, FrameLink, Reply
 from drivers.transports.motion import MotionStream
-from drivers.transports.poses import pose_of_frame
 from drivers.wire.tcp import (
     MAX_BATCH,
     UPLOAD_BLOCK,
@@ -48,12 +48,13 @@ from drivers.wire.tcp import (
 
 
 class FrameDriver(LinkDriver[FrameLink, MotionStream]):
-    """`drivers.protocol.Driver` over frames; a subclass says how the link is opened.
+    """`drivers.protocol.Driver` over frames; a subclass opens the channel that carries them.
 
-    Args:
-        address: in the notation of the subclass.
-        watchdog: silence [s] after which either end takes the other for gone; the controller may answer another one.
-        options: of `LinkDriver`.
+    Parameters
+    ----------
+    address : in the notation of the subclass.
+    watchdog : silence [s] after which either end takes the other for gone; the controller may answer another one.
+    options : of `LinkDriver`.
     """
 
     READ_ATTEMPTS = 1  # of requests that change nothing
@@ -66,35 +67,9 @@ class FrameDriver(LinkDriver[FrameLink, MotionStream]):
         self._measures_temperatures = True
 
     @property
-    def duplicates(self) -> int:
-        """Samples of the last motion that came more than once."""
-        return 0 if self._motion is None else self._motion.sequencer.duplicates
-
-    @property
     def watchdog(self) -> float:
         """The watchdog in force [s]: the one asked for, once connected the one agreed on."""
         return self._watchdog if self._link is None else self._link.watchdog
-
-    def connect(self) -> None:
-        """Open the link and agree on version and watchdog."""
-        self.close()
-        self._motion = None
-        link = self._open()
-        try:
-            hello = Hello(VERSION, round(self._watchdog * 1000), "calibration-agent")
-            welcome = link.request(hello, Welcome, self._timeout, "the greeting")
-            if welcome.version != VERSION:
-                raise ProtocolError(
-                    f"the controller at {self.address} speaks version {welcome.version} of the link, this driver "
-                    f"{VERSION}; update the older one"
-                )
-            if not 10 <= welcome.watchdog_ms <= 60_000:
-                raise ProtocolError(f"the controller at {self.address} wants a watchdog of {welcome.watchdog_ms} ms")
-        except BaseException:
-            link.close()
-            raise
-        link.watchdog = welcome.watchdog_ms / 1000
-        self._link = link
 
     def identify(self) -> Identity:
         """Ask the controller who it is."""
@@ -154,44 +129,37 @@ class FrameDriver(LinkDriver[FrameLink, MotionStream]):
         """Run the stored program once. Where the answer is lost the link is closed, so that the arm cannot go on."""
         link = self._connected()
         self._check_over()
-        motion = MotionStream(self._buffer_limit)
         motion_id = uuid.uuid4().bytes
-        self._motion = motion
-        link.guarded = True
-        try:
-            started = link.command(
-                Start(name, checksum, motion_id), Started, self._start_timeout, f"start of {name}", motion.has_begun
-            )  # samples say as well that the arm moves: then it is time to watch it, whatever became of the answer
+        with self._start_of(MotionStream(self._buffer_limit)) as motion:
+            link.guarded = True
+            # Samples say as well that the arm moves: then it is time to watch it, whatever became of the answer.
+            what, acts = f"start of {name}", motion.has_begun
+            started = link.command(Start(name, checksum, motion_id), Started, self._start_timeout, what, acts)
             if started is not None and started.motion_id != motion_id:
                 raise ProtocolError(f"the controller at {self.address} started another motion than it was asked to")
-        except RefusedError:
-            link.guarded = False
-            self._motion = None
-            raise
-        except BaseException:
-            self.close()
-            raise
 
-    def stop(self) -> None:
-        """Ask for a stop on the path and wait until the arm rests; nothing to do where nothing was started."""
-        link, motion = self._link, self._motion
-        if link is None or self._nothing_to_stop(link, motion):
-            return
+    def _open(self) -> None:
+        self._link = link = self._channel_link()
+        hello = Hello(VERSION, round(self._watchdog * 1000), "calibration-agent")
+        welcome = link.request(hello, Welcome, self._timeout, "the greeting")
+        if welcome.version != VERSION:
+            raise ProtocolError(
+                f"the controller at {self.address} speaks version {welcome.version} of the link, this driver "
+                f"{VERSION}; update the older one"
+            )
+        if not 10 <= welcome.watchdog_ms <= 60_000:
+            raise ProtocolError(f"the controller at {self.address} wants a watchdog of {welcome.watchdog_ms} ms")
+        link.watchdog = welcome.watchdog_ms / 1000
+
+    def _bring_to_rest(self, link: FrameLink, motion: MotionStream | None) -> None:
         if motion is not None:
             motion.stopping = True
-        link.command(
-            Stop(), Done, self._timeout, "stop", lambda: motion is not None and motion.over, self.READ_ATTEMPTS > 1
-        )
+        again = ACTING if self.READ_ATTEMPTS > 1 else math.inf
+        link.command(Stop(), Done, self._timeout, "stop", lambda: motion is not None and motion.over, again)
         if motion is not None and not self._rests(motion):
             raise self._still_moves()
 
-    def close(self) -> None:
-        """Close the link; a controller that still moves comes to rest by itself. Never raises."""
-        link, self._link = self._link, None
-        if link is not None:
-            link.close()
-
-    def _open(self) -> FrameLink:
+    def _channel_link(self) -> FrameLink:
         """A link by `_link_over`."""
         raise NotImplementedError
 
@@ -204,7 +172,8 @@ class FrameDriver(LinkDriver[FrameLink, MotionStream]):
         )
 
     def _read(self, question: Any, reply: type[Reply], what: str) -> Reply:
-        return self._connected().request(question, reply, self._timeout, what, self.READ_ATTEMPTS)
+        again = self._timeout / self.READ_ATTEMPTS if self.READ_ATTEMPTS > 1 else math.inf
+        return self._connected().request(question, reply, self._timeout, what, again)
 
     def _sample_bytes(self, joints: int) -> float:
         """Bytes that one of many samples takes on the wire."""
@@ -217,7 +186,7 @@ class FrameDriver(LinkDriver[FrameLink, MotionStream]):
     # From here on in the reader thread.
 
     def _on_turn(self) -> None:
-        pass
+        """Called a few times a watchdog."""
 
     def _on_message(self, message: Any, request: int) -> None:
         motion, link = self._motion, self._link

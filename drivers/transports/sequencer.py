@@ -14,13 +14,11 @@ _JITTER = 25  # steps between two neighbours are none: 50 ms at 500 Hz
 class Sequencer:
     """Takes blocks as they come and gives every sample once, in order, from sequence number 0.
 
-    A block beyond the next expected sample is held back until what is missing arrives or is given up. `duplicates`
-    counts samples that came more than once.
+    A block beyond the next expected sample is held back until what is missing arrives or is given up.
     """
 
     def __init__(self) -> None:
         self.expected = 0
-        self.duplicates = 0
         self._gaps: list[Gap] = []
         self._held: dict[int, SampleBlock] = {}
         self._latest = float("-inf")
@@ -59,10 +57,7 @@ class Sequencer:
             )
         earlier = self._held.get(first)
         if earlier is not None and len(earlier) >= len(block):
-            self.duplicates += len(block)
             return []
-        if earlier is not None:
-            self.duplicates += len(earlier)
         self._held[first] = block
         return self._release()
 
@@ -90,9 +85,8 @@ class Sequencer:
             if first > self.expected:
                 break
             block = self._held.pop(first)
-            known = self.expected - first
-            self.duplicates += min(known, len(block))
-            block = block.part(known) if known else block
+            if (known := self.expected - first) > 0:
+                block = block.part(known)
             if len(block):
                 self._check_step(block)
                 ready.append(block)

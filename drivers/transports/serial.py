@@ -75,7 +75,7 @@ class SerialDriver(FrameDriver):
         finally:
             self._starting = False
 
-    def _open(self) -> FrameLink:
+    def _channel_link(self) -> FrameLink:
         channel = SerialChannel(open_port(self._line, self._timeout))
         return self._link_over(channel, self._line.port, HuntingDecoder(), decode)
 

@@ -23,7 +23,7 @@ class TcpDriver(FrameDriver):
         parse_address(address)
         super().__init__(address, **options)
 
-    def _open(self) -> FrameLink:
+    def _channel_link(self) -> FrameLink:
         connection = open_socket(self.address, self._timeout)
         connection.settimeout(self._timeout)
         return self._link_over(connection, self.address, FrameDecoder(MAX_REPLY_PAYLOAD), decode)

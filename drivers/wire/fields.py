@@ -6,9 +6,9 @@ Messages are little-endian, registers big-endian; neither has padding between fi
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import Annotated, Any, Protocol, TypeVar, dataclass_transform, get_type_hints
+from typing import Annotated, Any, ClassVar, Protocol, dataclass_transform, get_type_hints
 
 from drivers.errors import ProtocolError
 
@@ -197,30 +197,25 @@ Bytes = Annotated[bytes, Blob()]
 Bytes16 = Annotated[bytes, Padded(16)]
 
 
-_Message = TypeVar("_Message")
 MESSAGES: dict[int, Any] = {}  # by type number
 
 
 @dataclass_transform(frozen_default=True)
-def message(number: int) -> Callable[[type[_Message]], type[_Message]]:
-    """Class decorator: a frozen dataclass whose annotated fields are the message's layout, under this type number."""
+class Message:
+    """A frozen dataclass whose annotated fields are a message's layout, under a type number.
 
-    def decorate(cls: type[_Message]) -> type[_Message]:
-        cls = dataclass(frozen=True)(cls)
+    A subclass is written `class Stop(Message, number=0x08)`; it is packed field by field.
+    """
+
+    TYPE: ClassVar[int]
+    LAYOUT: ClassVar[tuple[tuple[str, FieldKind], ...]]
+
+    def __init_subclass__(cls, number: int) -> None:
+        dataclass(frozen=True)(cls)
         hints = get_type_hints(cls, include_extras=True)
-        cls.TYPE = number  # type: ignore[attr-defined]
+        cls.TYPE = number
         cls.LAYOUT = tuple((item.name, hints[item.name].__metadata__[0]) for item in fields(cls))  # type: ignore
         MESSAGES[number] = cls
-        return cls
-
-    return decorate
-
-
-class MessageFields:
-    """Packs a message field by field."""
-
-    TYPE: int
-    LAYOUT: tuple[tuple[str, FieldKind], ...]
 
     def pack(self) -> bytes:
         return b"".join(kind.pack(getattr(self, name)) for name, kind in self.LAYOUT)

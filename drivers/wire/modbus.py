@@ -29,7 +29,6 @@ UPLOAD_BYTES = 216  # of a program in one write
 UNIT = 1
 RING = 4096  # first register
 RING_REGISTERS = 61_440
-NO_SAMPLE = 0xFFFFFFFF
 
 
 class Flag(IntFlag):

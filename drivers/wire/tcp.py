@@ -25,10 +25,9 @@ from drivers.wire.fields import (
     Bytes16,
     Flag,
     Floats,
-    MessageFields,
+    Message,
     Text,
     Texts,
-    message,
 )
 from drivers.wire.stream import StreamDecoder
 
@@ -45,8 +44,7 @@ MAX_JOINTS = 16
 MAX_SEQUENCE = 2**62
 
 
-@message(0x01)
-class Hello(MessageFields):
+class Hello(Message, number=0x01):
     """First message of a client: the newest version it speaks and the watchdog it would like."""
 
     version: U16
@@ -54,21 +52,18 @@ class Hello(MessageFields):
     client: Text
 
 
-@message(0x81)
-class Welcome(MessageFields):
+class Welcome(Message, number=0x81):
     """The version and the watchdog that are in force from now on, both ways."""
 
     version: U16
     watchdog_ms: U32
 
 
-@message(0x02)
-class Identify(MessageFields):
+class Identify(Message, number=0x02):
     """Who are you?"""
 
 
-@message(0x82)
-class IdentityReply(MessageFields):
+class IdentityReply(Message, number=0x82):
     """`period` [s] of interpolation and sampling."""
 
     robot: Text
@@ -79,13 +74,11 @@ class IdentityReply(MessageFields):
     period: F64
 
 
-@message(0x03)
-class AskStatus(MessageFields):
+class AskStatus(Message, number=0x03):
     """How are you?"""
 
 
-@message(0x83)
-class StatusReply(MessageFields):
+class StatusReply(Message, number=0x83):
     """`drivers.protocol.Status`, field by field."""
 
     drives_on: Flag
@@ -101,8 +94,7 @@ class StatusReply(MessageFields):
     emulator: Flag
 
 
-@message(0x04)
-class UploadBegin(MessageFields):
+class UploadBegin(Message, number=0x04):
     """A program of `size` bytes is coming; `checksum` is the SHA-256 (hex) of its bytes."""
 
     name: Text
@@ -110,29 +102,25 @@ class UploadBegin(MessageFields):
     checksum: Text
 
 
-@message(0x05)
-class UploadBlock(MessageFields):
+class UploadBlock(Message, number=0x05):
     """The bytes from `offset` on; blocks come in order."""
 
     offset: U32
     data: Bytes
 
 
-@message(0x06)
-class UploadEnd(MessageFields):
+class UploadEnd(Message, number=0x06):
     """Check, translate and store what came."""
 
 
-@message(0x86)
-class Stored(MessageFields):
+class Stored(Message, number=0x86):
     """The SHA-256 (hex) of the text as it is stored now."""
 
     name: Text
     checksum: Text
 
 
-@message(0x07)
-class Start(MessageFields):
+class Start(Message, number=0x07):
     """Run the program once. A `motion_id` is good for one start, ever."""
 
     name: Text
@@ -140,50 +128,42 @@ class Start(MessageFields):
     motion_id: Bytes16
 
 
-@message(0x87)
-class Started(MessageFields):
+class Started(Message, number=0x87):
     """The motion with this id has begun."""
 
     motion_id: Bytes16
 
 
-@message(0x08)
-class Stop(MessageFields):
+class Stop(Message, number=0x08):
     """Come to rest on the path. Answered by `Done` at once; `End` follows when the arm rests."""
 
 
-@message(0x09)
-class Fetch(MessageFields):
+class Fetch(Message, number=0x09):
     """Send samples again, out of the ring: at most `count`, the first at or after sequence number `first`."""
 
     first: U64
     count: U32
 
 
-@message(0x0A)
-class Heartbeat(MessageFields):
+class Heartbeat(Message, number=0x0A):
     """I am here. Either way, never answered."""
 
 
-@message(0x0B)
-class AskTemperatures(MessageFields):
+class AskTemperatures(Message, number=0x0B):
     """How warm are the motors? A controller from before there was this question refuses it."""
 
 
-@message(0x8B)
-class TemperaturesReply(MessageFields):
+class TemperaturesReply(Message, number=0x8B):
     """One a joint [°C]; none where the controller measures none."""
 
     celsius: Floats
 
 
-@message(0x0C)
-class AskFrames(MessageFields):
+class AskFrames(Message, number=0x0C):
     """Which frames are in force? A controller from before there was this question refuses it."""
 
 
-@message(0x8C)
-class FramesReply(MessageFields):
+class FramesReply(Message, number=0x8C):
     """Each as the six numbers of a POS: x, y, z [mm], Euler angles a, e, r [deg] about the moving axes z, y, z."""
 
     base: Floats
@@ -191,13 +171,11 @@ class FramesReply(MessageFields):
     uframe: Floats
 
 
-@message(0x80)
-class Done(MessageFields):
+class Done(Message, number=0x80):
     """The request was carried out and there is nothing more to say."""
 
 
-@message(0x91)
-class End(MessageFields):
+class End(Message, number=0x91):
     """The motion is over and the arm rests; `samples` is how many there were, `reason` an `EndReason`."""
 
     reason: U16
@@ -205,8 +183,7 @@ class End(MessageFields):
     message: Text
 
 
-@message(0xFF)
-class Refused(MessageFields):
+class Refused(Message, number=0xFF):
     """The request was refused: a `Refusal`, a sentence for people, and for program text the place (from 1; 0: none)."""
 
     code: U16

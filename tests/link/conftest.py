@@ -115,40 +115,50 @@ def peer() -> Iterator[Callable[[Callable[[Peer], None]], str]]:
     assert not failures, failures
 
 
+class Relay:
+    """Stands in the middle of TCP links to a target; `tamper(outward, data)` says what gets through."""
+
+    def __init__(self, target: tuple[str, int], tamper: Callable[[bool, bytes], bytes]) -> None:
+        self.tamper = tamper
+        self.sockets: list[socket.socket] = []  # client and server of each link
+        self._target = target
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.address = f"127.0.0.1:{self._listener.getsockname()[1]}"
+        threading.Thread(target=self._accept, daemon=True).start()
+
+    def opened(self) -> None:
+        """Another link was opened."""
+
+    def close(self) -> None:
+        for handle in (self._listener, *self.sockets):
+            with contextlib.suppress(OSError):
+                handle.shutdown(socket.SHUT_RDWR)
+            handle.close()
+
+    def _accept(self) -> None:
+        with contextlib.suppress(OSError):
+            while True:
+                client, _ = self._listener.accept()
+                server = socket.create_connection(self._target)
+                self.sockets += [client, server]
+                self.opened()
+                threading.Thread(target=self._carry, args=(client, server, True), daemon=True).start()
+                threading.Thread(target=self._carry, args=(server, client, False), daemon=True).start()
+
+    def _carry(self, source: socket.socket, target: socket.socket, outward: bool) -> None:
+        with contextlib.suppress(OSError):
+            while data := source.recv(65536):
+                target.sendall(self.tamper(outward, data))
+        for end in (source, target):
+            with contextlib.suppress(OSError):
+                end.shutdown(socket.SHUT_RDWR)
+
+
 @pytest.fixture
 def tampered() -> Iterator[Callable[[int, Callable[[bool, bytes], bytes]], str]]:
-    """`tampered(port, tamper)` is an address in front of a port; `tamper(outward, data)` says what gets through."""
-    handles: list[socket.socket] = []
-
-    def relay(port: int, tamper: Callable[[bool, bytes], bytes]) -> str:
-        listener = socket.create_server(("127.0.0.1", 0))
-        handles.append(listener)
-
-        def carry(source: socket.socket, target: socket.socket, outward: bool) -> None:
-            with contextlib.suppress(OSError):
-                while data := source.recv(65536):
-                    target.sendall(tamper(outward, data))
-            for end in (source, target):
-                with contextlib.suppress(OSError):
-                    end.shutdown(socket.SHUT_RDWR)
-
-        def accept() -> None:
-            with contextlib.suppress(OSError):
-                while True:
-                    client, _ = listener.accept()
-                    server = socket.create_connection(("127.0.0.1", port))
-                    handles.extend((client, server))
-                    threading.Thread(target=carry, args=(client, server, True), daemon=True).start()
-                    threading.Thread(target=carry, args=(server, client, False), daemon=True).start()
-
-        threading.Thread(target=accept, daemon=True).start()
-        return f"127.0.0.1:{listener.getsockname()[1]}"
-
-    yield relay
-    for handle in handles:
-        with contextlib.suppress(OSError):
-            handle.shutdown(socket.SHUT_RDWR)
-        handle.close()
+    """`tampered(port, tamper)` is the address of a relay in front of a port."""
+    with contextlib.ExitStack() as undo:
+        yield lambda port, tamper: undo.enter_context(contextlib.closing(Relay(("127.0.0.1", port), tamper))).address
 
 
 @pytest.fixture

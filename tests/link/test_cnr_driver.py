@@ -13,7 +13,6 @@ from drivers.errors import ConfigurationError, DriverError, ProtocolError, Refus
 from drivers.protocol import AcceptsViaPoints, Driver, MeasuresCurrents, ReportsDiagnostics, RequiresOperator, ViaPoint
 from drivers.registry import create
 from drivers.transports.cnr.address import CnrAddress, parse_address
-from drivers.transports.cnr.commands import command_start
 from drivers.transports.cnr.points import _Feeder, trajectories
 from drivers.transports.cnr.sockets import Sockets
 from drivers.wire import cnr
@@ -119,11 +118,13 @@ def test_a_start_that_is_seen_to_act_is_watched_without_its_answer(linked):
             return any(m.type == MessageType.START for m in script.heard)
 
     script, sockets = linked(lambda m: success(m) if m.type == MessageType.PING else None)
-    point = Point(sequence_number=5)
-    assert command_start(sockets, "the controller", "the start", point, 600.0, Moves()) is None
+    run = Moves()
+    create("cnr_comau", "c5g", start_timeout=600.0)._command_start(sockets, run, "the start", 5)
+    assert run.started
     assert [m.type for m in script.heard].count(MessageType.START) == 1
+    hasty = create("cnr_comau", "c5g", start_timeout=patience(0.3))
     with pytest.raises(DriverError, match="did not answer the start"):  # it moves already, which says nothing
-        command_start(sockets, "the controller", "the start", point, patience(0.3), Moves())
+        hasty._command_start(sockets, Moves(), "the start", 5)
 
 
 @pytest.mark.parametrize(("moves", "kind"), [(0, RefusedError), (1, DriverError)])
@@ -131,9 +132,9 @@ def test_a_start_that_is_refused_because_the_arm_moves_is_no_refusal(linked, mov
     """Programs that still have the permission of the trajectory before begin with the first points that come."""
     script, sockets = linked(lambda message: success(message, done=message.type != MessageType.START))
     script.feedback = feedback(10, moves=moves)
-    assert sockets.wait_feedback(lambda: sockets.feedback().is_moving == moves, 20)
+    assert sockets.wait(lambda: sockets.feedback().is_moving == moves, 20)
     with pytest.raises(DriverError) as refused:
-        create("cnr_comau", "127.0.0.1,mode=points")._command_start(sockets, "the start", Point())
+        create("cnr_comau", "127.0.0.1,mode=points")._command_start(sockets, motion(), "the start")
     assert type(refused.value) is kind
 
 
@@ -248,7 +249,7 @@ def test_a_full_queue_waits_until_it_has_room_and_no_taken_point_is_sent_again(l
     assert sent(script) == [(3001, 1), (3001, 2)]
     feeder.started()
     script.feedback = feedback(1000, moves=1)
-    assert sockets.wait_feedback(lambda: sockets.feedback().is_moving == 1, 10)
+    assert sockets.wait(lambda: sockets.feedback().is_moving == 1, 10)
     feeder.is_over(sockets.feedback())
     script.feedback = feedback(2000, moves=0, last=4)
     assert not feeder.go_on(run)

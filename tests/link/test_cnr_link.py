@@ -1,12 +1,8 @@
 """Driver and fake of a real controller's link together, with a broker between them that may end."""
 
 import json
-import os
-import subprocess
-import sys
 import time
 from contextlib import closing, contextmanager
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -24,10 +20,10 @@ from drivers.wire.reasons import EndReason
 from fake_controller.build import build_controller
 from fake_controller.servers.cnr.ftp import FtpFolder
 from fake_controller.servers.cnr.server import CnrServer
-from tests.conftest import end_with_tests, patience
+from tests.conftest import patience
 from tests.faults.conftest import RECIPE
+from tests.link.test_long_runs import emulator
 
-ROOT = Path(__file__).resolve().parents[2]
 TEN_MINUTES = 600.0  # s
 CPU = 0.60  # of a core
 PROGRAM = """PROGRAM p HOLD, PROG_ARM=1
@@ -136,29 +132,21 @@ def test_a_person_starts_the_program_and_has_to_stop_it(arm, broker):
 @pytest.mark.verify
 def test_ten_minutes_at_500_hz(tmp_path, broker, measured):
     """Real time, five topics: every sample joined; the CPU is that of driver and reader."""
-    ready = tmp_path / "ready"
-    command = [sys.executable, "-m", "fake_controller", "--driver", "cnr_comau", "--clock", "real", "--port", "0"]
-    command += ["--watchdog", "5", "--broker", "{}:{}".format(*broker.address), "--ready-file", str(ready)]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    with subprocess.Popen(
-        command, env=environment, stdout=subprocess.PIPE, text=True, preexec_fn=end_with_tests
-    ) as emulator:
-        try:
-            assert emulator.stdout.readline()
-            with connected(ready.read_text(encoding="utf-8").strip(), "comau_ns16") as driver:
-                driver.start("p", driver.upload("p", NS16))
-                began, cpu = time.monotonic(), time.process_time()
-                sequence, stopped = [], False
-                for block in driver.samples():
-                    sequence.append(block.sequence)
-                    if not stopped and time.monotonic() - began > TEN_MINUTES:
-                        share = (time.process_time() - cpu) / (time.monotonic() - began)
-                        driver.stop()
-                        stopped = True
-                gaps, facts = driver.gaps, driver.facts
-        finally:
-            emulator.terminate()
-            emulator.communicate(timeout=60)
+    options = ["--driver", "cnr_comau", "--clock", "real", "--watchdog", "5"]
+    with (
+        emulator(tmp_path, *options, "--broker", "{}:{}".format(*broker.address)) as (_, address),
+        connected(address, "comau_ns16") as driver,
+    ):
+        driver.start("p", driver.upload("p", NS16))
+        began, cpu = time.monotonic(), time.process_time()
+        sequence, stopped = [], False
+        for block in driver.samples():
+            sequence.append(block.sequence)
+            if not stopped and time.monotonic() - began > TEN_MINUTES:
+                share = (time.process_time() - cpu) / (time.monotonic() - began)
+                driver.stop()
+                stopped = True
+        gaps, facts = driver.gaps, driver.facts
     count = sum(map(len, sequence))
     missing = {name: value for name, value in facts.items() if name.startswith("missing_") and value != "0"}
     measured("cnr_comau: samples joined of ten minutes at 500 Hz, lost", f"{count}, {len(gaps)}", "", "all", not gaps)

@@ -17,7 +17,7 @@ from fake_controller.servers.modbus.server import ModbusRtuServer, ModbusServer
 from fake_controller.servers.serial import SerialServer
 from fake_controller.servers.tcp import TcpServer
 from tests.conftest import free_port, patience
-from tests.link.conftest import LONG, SHORT
+from tests.link.conftest import LONG, SHORT, Relay
 
 BAUD = 4_000_000
 
@@ -58,62 +58,39 @@ class FakeBench:
         self.wire.replay()
 
 
-class Relay:
-    """Stands in the middle of a TCP link."""
+class LinkRelay(Relay):
+    """Can be made silent, and say once more what the driver said since it opened the link."""
 
     def __init__(self, target):
         self.silent = self.swallowing = False
-        self._target = target
-        self._listener = socket.create_server(("127.0.0.1", 0))
-        self.address = f"127.0.0.1:{self._listener.getsockname()[1]}"
-        self._sockets = []
         self._said = []
         self._answered = threading.Event()
-        threading.Thread(target=self._accept, daemon=True).start()
+        super().__init__(target, self._pass)
 
-    def close(self):
-        for handle in (self._listener, *self._sockets):
-            with contextlib.suppress(OSError):
-                handle.shutdown(socket.SHUT_RDWR)
-            handle.close()
+    def opened(self):
+        self._said.clear()
 
     def replay(self):
         self.swallowing = True
         for data in list(self._said):
             self._answered.clear()
-            self._sockets[-1].sendall(data)
+            self.sockets[-1].sendall(data)
             self._answered.wait(0.05)
         self.swallowing = False
 
-    def _accept(self):
-        with contextlib.suppress(OSError):
-            while True:
-                client, _ = self._listener.accept()
-                server = socket.create_connection(self._target)
-                self._sockets += [client, server]
-                self._said.clear()
-                threading.Thread(target=self._pass, args=(client, server, True), daemon=True).start()
-                threading.Thread(target=self._pass, args=(server, client, False), daemon=True).start()
-
-    def _pass(self, source, target, outward):
-        with contextlib.suppress(OSError):
-            while data := source.recv(65536):
-                if outward:
-                    self._said.append(data)
-                else:
-                    self._answered.set()
-                if outward or not (self.silent or self.swallowing):
-                    target.sendall(data)
-        for handle in (source, target):
-            with contextlib.suppress(OSError):
-                handle.shutdown(socket.SHUT_RDWR)
+    def _pass(self, outward, data):
+        if outward:
+            self._said.append(data)
+            return data
+        self._answered.set()
+        return b"" if self.silent or self.swallowing else data
 
 
 class SocketBench(FakeBench):
     def connect_wire(self):
         server = self.serve()
         self.undo.callback(server.close)
-        relay = Relay(("127.0.0.1", server.port))
+        relay = LinkRelay(("127.0.0.1", server.port))
         self.undo.callback(relay.close)
         self.address = relay.address
         return relay
@@ -160,7 +137,7 @@ class Relays:
     """One in front of each port; the trajectory's is the first."""
 
     def __init__(self, targets):
-        self.all = [Relay(target) for target in targets]
+        self.all = [LinkRelay(target) for target in targets]
         self.ports = [relay.address.rpartition(":")[2] for relay in self.all]
 
     @property

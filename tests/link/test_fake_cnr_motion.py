@@ -164,15 +164,6 @@ def test_a_client_that_leaves_stops_the_arm(bench, which):
     assert bench.controller.ends == [EndReason.WATCHDOG]
 
 
-def test_one_client_at_a_time(bench):
-    first = bench.trajectory()
-    assert first.done(trajectory(1))
-    with pytest.raises((EOFError, ConnectionResetError, BrokenPipeError)):
-        bench.trajectory().ask(trajectory(1))
-    first.close()
-    bench.trajectory_when_free()
-
-
 @pytest.mark.parametrize(
     "garbage",
     [

@@ -160,17 +160,6 @@ def test_writes_that_are_refused(server):
         assert hand.answer()["refusal"] == Refusal.UNKNOWN_MESSAGE
 
 
-@given(st.lists(st.tuples(st.integers(0, 255), st.binary(max_size=60)), max_size=10), st.binary(max_size=400))
-@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_hostile_clients_do_not_harm_the_next(server, requests, noise):
-    with socket.create_connection(("127.0.0.1", server.port), 5) as client:
-        for function, data in requests:
-            client.sendall(struct.pack(">HHHBB", 1, 0, len(data) + 2, 1, function) + data)
-        client.sendall(noise)
-    with ByHand(server, 5) as hand:
-        assert hand.read(wire.IDENTITY)["magic"] == wire.MAGIC
-
-
 def test_too_many_connections_are_closed(server):
     with contextlib.ExitStack() as stack:
         clients = [stack.enter_context(socket.create_connection(("127.0.0.1", server.port), 5)) for _ in range(20)]

@@ -65,18 +65,15 @@ def test_a_port_that_is_taken():
             assert f"cannot listen at 127.0.0.1:{port}" in second.stderr.read()
 
 
-def test_an_unknown_robot():
-    with process("--robot", "no_such_robot") as running:
-        assert running.wait(60) == 2
-        assert "no_such_robot" in running.stderr.read()
-
-
 @pytest.mark.parametrize(
-    ("option", "said"),
-    [("--seed", "no seed; a whole number from 0 on is"), ("--ready-file", "nowhere/ready: cannot be written")],
+    ("option", "value", "said"),
+    [
+        ("--robot", "no_such_robot", "no_such_robot"),
+        ("--seed", "-1", "no seed; a whole number from 0 on is"),
+        ("--ready-file", "nowhere/ready", "nowhere/ready: cannot be written"),
+    ],
 )
-def test_an_option_that_cannot_be_used(tmp_path, option, said):
-    value = "-1" if option == "--seed" else str(tmp_path / "nowhere" / "ready")
+def test_an_option_that_cannot_be_used(option, value, said):
     with process("--port", "0", "--clock", "fast", option, value) as running:
         assert running.wait(60) == 2
         assert said in (errors := running.stderr.read())

@@ -3,9 +3,11 @@
 import contextlib
 import struct
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import serial
 from hypothesis import given, strategies as st
 from pymodbus.framer import FramerRTU
 from pymodbus.pdu import DecodePDU
@@ -214,11 +216,11 @@ def test_a_stop_is_sent_again_where_it_or_its_answer_is_lost(line, protocol, los
 def test_flipped_bits_cost_no_sample(line, every):
     """One byte in so many is damaged on its way to the driver, all the time while samples come."""
     cable, controller, driver = line()
-    passed = 0
+    passed, started = 0, []
 
     def damage(end, data):
         nonlocal passed
-        if end == "far" or not controller.motions_started:
+        if end == "far" or not started:
             return data
         before, passed = passed, passed + len(data)
         if passed // every == before // every:
@@ -228,12 +230,7 @@ def test_flipped_bits_cost_no_sample(line, every):
 
     text = program("  FOR k := 1 TO 5 DO\n    MOVE JOINT TO {20, -30}\n    MOVE JOINT TO {0, 0}\n  ENDFOR")
     checksum = driver.upload("p", text)
-    started = []
-
-    def damage_later(end, data):
-        return damage(end, data) if started else data
-
-    cable.tamper = damage_later
+    cable.tamper = damage
     driver.start("p", checksum)
     started.append(True)
     check_complete(driver, list(driver.samples()))
@@ -254,7 +251,7 @@ def test_a_lost_end_is_asked_for(line):
             if frame.type == tcp.End.TYPE and not lost:
                 lost.append(frame)
             else:
-                kept += tcp.encode(_Raw(frame), frame.request)
+                kept += tcp.encode(SimpleNamespace(TYPE=frame.type, pack=lambda: frame.payload), frame.request)  # noqa: B023
         return kept
 
     checksum = driver.upload("p", SHORT)
@@ -262,17 +259,6 @@ def test_a_lost_end_is_asked_for(line):
     driver.start("p", checksum)
     check_complete(driver, list(driver.samples()))
     assert len(lost) == 1
-
-
-class _Raw:
-    """A frame's payload, to be sent on as it is."""
-
-    def __init__(self, frame):
-        self.TYPE = frame.type
-        self._payload = frame.payload
-
-    def pack(self):
-        return self._payload
 
 
 def test_a_start_that_is_damaged_is_not_given_again(line):
@@ -316,10 +302,6 @@ def test_the_wrong_baud_rate_is_noise(line):
 
 def test_a_cable_is_as_slow_as_its_baud_rate():
     """By the bytes that are still under way: the other end has no more than its share of what was sent."""
-    import time
-
-    import serial
-
     with (
         contextlib.closing(Cable(38_400)) as cable,
         serial.Serial(cable.near, 38_400) as near,

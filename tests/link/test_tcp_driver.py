@@ -6,15 +6,10 @@ from contextlib import closing
 import pytest
 
 from drivers.errors import ConfigurationError, DriverError, ProtocolError, RefusedError
-from drivers.protocol import Driver
 from drivers.transports.tcp import TcpDriver
 from drivers.wire import tcp
 from drivers.wire.reasons import Refusal
 from tests.conftest import free_port
-
-
-def test_it_is_a_driver():
-    assert isinstance(TcpDriver("127.0.0.1:9100"), Driver)
 
 
 @pytest.mark.parametrize("address", ["", "localhost", "host:", ":9100", "host:0", "host:70000", "host:x", "host:-1"])
@@ -34,45 +29,42 @@ def test_unknown_host():
         TcpDriver("no-such-host.invalid:9100").connect()
 
 
-def test_a_silent_peer(peer):
-    driver = TcpDriver(peer(lambda p: p.until_left()), timeout=0.1)
-    with pytest.raises(DriverError, match=r"is silent.*did not answer the greeting within 0.1 s"):
-        driver.connect()
+def hangs_up(p):
+    p.expect(tcp.Hello)
 
 
-def test_a_peer_that_hangs_up(peer):
-    with pytest.raises(DriverError, match=r"closed the connection"):
-        TcpDriver(peer(lambda p: p.expect(tcp.Hello))).connect()
+def speaks_http(p):
+    p.expect(tcp.Hello)
+    p.socket.sendall(b"HTTP/1.1 400 Bad Request\r\n\r\n")
+    p.until_left()
 
 
-def test_another_protocol(peer):
-    def http(p):
-        p.expect(tcp.Hello)
-        p.socket.sendall(b"HTTP/1.1 400 Bad Request\r\n\r\n")
-        p.until_left()
-
-    with pytest.raises(ProtocolError, match="not the calibration link"):
-        TcpDriver(peer(http)).connect()
+def echoes(p):
+    p.send(*p.receive())
+    p.until_left()
 
 
-def test_an_echo_is_not_a_controller(peer):
-    def echo(p):
-        message, request = p.receive()
-        p.send(message, request)
-        p.until_left()
-
-    with pytest.raises(ProtocolError, match="answered the greeting with Hello"):
-        TcpDriver(peer(echo)).connect()
+def is_newer(p):
+    _, request = p.expect(tcp.Hello)
+    p.send(tcp.Welcome(2, 200), request)
+    p.until_left()
 
 
-def test_another_version_of_the_link(peer):
-    def newer(p):
-        _, request = p.expect(tcp.Hello)
-        p.send(tcp.Welcome(2, 200), request)
-        p.until_left()
-
-    with pytest.raises(ProtocolError, match="speaks version 2"):
-        TcpDriver(peer(newer)).connect()
+@pytest.mark.parametrize(
+    ("script", "error", "said"),
+    [
+        (lambda p: p.until_left(), DriverError, r"is silent.*did not answer the greeting within 0.1 s"),
+        (hangs_up, DriverError, "closed the connection"),
+        (speaks_http, ProtocolError, "not the calibration link"),
+        (echoes, ProtocolError, "answered the greeting with Hello"),
+        (is_newer, ProtocolError, "speaks version 2"),
+    ],
+    ids=["silent", "hangs_up", "speaks_http", "echoes", "is_newer"],
+)
+def test_whoever_is_no_such_controller_is_told(peer, script, error, said):
+    timeout = 0.1 if "silent" in said else 5.0
+    with pytest.raises(error, match=said):
+        TcpDriver(peer(script), timeout=timeout).connect()
 
 
 def test_nothing_works_before_connect_but_stop_and_close():

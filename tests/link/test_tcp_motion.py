@@ -2,26 +2,25 @@
 
 import socket
 import threading
-import zlib
-from contextlib import closing, suppress
+from collections.abc import Iterator
+from contextlib import closing, contextmanager, suppress
 
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 
 from drivers.errors import DriverError, MotionStopped, ProtocolError, RefusedError
-from drivers.protocol import Gap
 from drivers.transports.tcp import TcpDriver
 from drivers.wire import tcp
 from drivers.wire.reasons import EndReason, Refusal
 from tests.conftest import patience
 
 
-def samples(first: int, count: int, joints: int = 2, offset_ns: int = 0) -> tcp.Samples:
+def samples(first: int, count: int) -> tcp.Samples:
     """Samples whose every value tells its sequence number."""
     sequence = np.arange(first, first + count)
-    values = np.repeat(sequence[:, None].astype(float), joints, axis=1)
-    return tcp.Samples(first, offset_ns + sequence * 2_000_000, *(values + k / 10 for k in range(5)))
+    values = np.repeat(sequence[:, None].astype(float), 2, axis=1)
+    return tcp.Samples(first, sequence * 2_000_000, *(values + k / 10 for k in range(5)))
 
 
 def collect(driver: TcpDriver) -> np.ndarray:
@@ -35,28 +34,29 @@ def collect(driver: TcpDriver) -> np.ndarray:
     return np.concatenate(seen) if seen else np.array([], int)
 
 
-def run_motion(peer, script, **options) -> tuple[TcpDriver, np.ndarray]:
-    driver = TcpDriver(peer(script), **options)
-    driver.connect()
-    driver.start("p", "00")
-    try:
-        return driver, collect(driver)
-    finally:
-        driver.close()
+@contextmanager
+def moving(peer, script, **options) -> Iterator[TcpDriver]:
+    """A driver that has started program p on a peer with this script."""
+    with closing(TcpDriver(peer(script), **options)) as driver:
+        driver.connect()
+        driver.start("p", "00")
+        yield driver
 
 
-def test_samples_in_order(peer):
+def played(*messages, watchdog_ms: int = 2000):
+    """A script: a motion, these messages, and nothing more."""
+
     def play(p):
-        p.begin_motion()
-        for first in range(0, 1000, 100):
-            p.send(samples(first, 100))
-        p.send(tcp.End(EndReason.DONE, 1000, ""))
+        p.begin_motion(watchdog_ms)
+        for message in messages:
+            p.send(message)
         p.until_left()
 
-    driver, sequence = run_motion(peer, play)
-    np.testing.assert_array_equal(sequence, np.arange(1000))
-    assert driver.gaps == ()
-    assert driver.duplicates == 0
+    return play
+
+
+def done(count: int) -> tcp.End:
+    return tcp.End(EndReason.DONE, count, "")
 
 
 @given(data=st.data())
@@ -81,44 +81,13 @@ def test_whatever_the_wire_does_every_sample_comes_once_and_in_order(peer, data)
             else:
                 p.send(samples(first, min(fetch.count, 200 - first)), request)
 
-    driver, sequence = run_motion(peer, play)
+    with moving(peer, play) as driver:
+        sequence = collect(driver)
     assert np.all(np.diff(sequence) > 0)
     missing = {k for gap in driver.gaps for k in range(gap.first, gap.first + gap.count)}
     assert set(sequence.tolist()) | missing == set(range(200))
     assert not set(sequence.tolist()) & missing
     assert all(k < forgotten for k in missing)
-
-
-def test_what_cannot_be_fetched_again_is_a_gap(peer):
-    def play(p):
-        p.begin_motion()
-        p.send(samples(0, 10))
-        p.send(samples(15, 10))
-        _, request = p.expect(tcp.Fetch)
-        p.send(tcp.Refused(Refusal.NOT_AVAILABLE, 0, 0, "gone"), request)
-        p.send(tcp.End(EndReason.DONE, 25, ""))
-        p.until_left()
-
-    driver, sequence = run_motion(peer, play)
-    assert driver.gaps == (Gap(10, 5),)
-    np.testing.assert_array_equal(sequence, [*range(10), *range(15, 25)])
-
-
-def test_a_counter_that_starts_again_ends_the_link(peer):
-    def play(p):
-        p.begin_motion()
-        p.send(samples(0, 10))
-        p.send(samples(0, 10, offset_ns=20_000_000))
-        p.until_left()
-
-    driver = TcpDriver(peer(play))
-    driver.connect()
-    driver.start("p", "00")
-    received = driver.samples()
-    assert len(next(received)) == 10
-    with pytest.raises(ProtocolError, match="counter went back"):
-        next(received)
-    driver.close()
 
 
 @pytest.mark.parametrize("damage", ["mid-frame", "corrupt", "closed"])
@@ -133,9 +102,7 @@ def test_everything_received_comes_before_the_error(peer, damage):
         p.socket.shutdown(socket.SHUT_WR)
         p.until_left()
 
-    with closing(TcpDriver(peer(play))) as driver:
-        driver.connect()
-        driver.start("p", "00")
+    with moving(peer, play) as driver:
         received = driver.samples()
         assert len(next(received)) == 10
         with pytest.raises(DriverError, match=r"closed the connection|damaged"):
@@ -146,16 +113,11 @@ def test_everything_received_comes_before_the_error(peer, damage):
 
 
 def test_silence_in_motion_ends_the_link(peer):
-    def play(p):
-        p.begin_motion(watchdog_ms=50)
-        p.send(samples(0, 10))
-        p.until_left()
-
-    with closing(TcpDriver(peer(play))) as driver:
-        driver.connect()
-        driver.start("p", "00")
-        with pytest.raises(DriverError, match="fell silent: nothing for 50 ms"):
-            collect(driver)
+    with (
+        moving(peer, played(samples(0, 10), watchdog_ms=50)) as driver,
+        pytest.raises(DriverError, match="fell silent: nothing for 50 ms"),
+    ):
+        collect(driver)
 
 
 def test_heartbeats_are_enough_to_be_alive(peer):
@@ -165,11 +127,11 @@ def test_heartbeats_are_enough_to_be_alive(peer):
             p.heartbeat()
             p.send(tcp.Heartbeat())
         p.send(samples(0, 10))
-        p.send(tcp.End(EndReason.DONE, 10, ""))
+        p.send(done(10))
         p.until_left()
 
-    _, sequence = run_motion(peer, play)
-    assert len(sequence) == 10
+    with moving(peer, play) as driver:
+        assert len(collect(driver)) == 10
 
 
 def test_a_start_that_is_not_answered_is_not_sent_again_and_the_link_is_closed(peer):
@@ -229,15 +191,7 @@ def test_motion_ids_are_unique(peer):
     ],
 )
 def test_how_a_motion_ended(peer, reason, error, exit_code):
-    def play(p):
-        p.begin_motion()
-        p.send(samples(0, 10))
-        p.send(tcp.End(reason, 10, "because"))
-        p.until_left()
-
-    with closing(TcpDriver(peer(play))) as driver:
-        driver.connect()
-        driver.start("p", "00")
+    with moving(peer, played(samples(0, 10), tcp.End(reason, 10, "because"))) as driver:
         received = driver.samples()
         assert len(next(received)) == 10
         with pytest.raises(error, match="because") as caught:
@@ -258,9 +212,7 @@ def test_stop_waits_for_rest_and_the_samples_end_by_themselves(peer):
         p.send(tcp.Done(), request)
         p.until_left()
 
-    with closing(TcpDriver(peer(play))) as driver:
-        driver.connect()
-        driver.start("p", "00")
+    with moving(peer, play) as driver:
         received = driver.samples()
         assert len(next(received)) == 10
         driver.stop()
@@ -280,9 +232,7 @@ def test_a_consumer_that_never_reads_does_not_stall_the_link(peer):
         p.send(tcp.StatusReply(True, "auto", False, (), 1.0, True, False, "", "", (0.0,), True), request)
         p.until_left()
 
-    with closing(TcpDriver(peer(play))) as driver:
-        driver.connect()
-        driver.start("p", "00")
+    with moving(peer, play) as driver:
         assert driver.status().emulator
         assert len(collect(driver)) == 50_000
 
@@ -297,31 +247,9 @@ def test_too_many_unread_samples_stop_the_motion(peer):
         stopped.set()
         p.until_left()
 
-    with closing(TcpDriver(peer(play), buffer_limit=10_000)) as driver:
-        driver.connect()
-        driver.start("p", "00")
+    with moving(peer, play, buffer_limit=10_000) as driver:
         assert stopped.wait(20)
         received = driver.samples()
         assert len(next(received)) == 500
         with pytest.raises(DriverError, match="wait to be read"):
             next(received)
-
-
-@given(st.lists(st.tuples(st.sampled_from(sorted(tcp.MESSAGES)), st.binary(max_size=60)), max_size=10), st.binary())
-@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_hostile_frames_end_in_driver_errors_only(peer, frames, noise):
-    def play(p):
-        p.begin_motion()
-        for kind, payload in frames:
-            body = tcp.HEADER.pack(tcp.MAGIC, tcp.VERSION, kind, 0, len(payload), 0) + payload
-            p.socket.sendall(body + zlib.crc32(body).to_bytes(4, "little"))
-        p.socket.sendall(noise)
-        p.socket.shutdown(socket.SHUT_WR)
-        p.until_left()
-
-    with closing(TcpDriver(peer(play))) as driver:
-        driver.connect()
-        with suppress(DriverError):
-            driver.start("p", "00")
-            for _ in driver.samples():
-                pass

@@ -23,6 +23,16 @@ HOME = np.radians(
 ROBOT = load_robot("comau_ns16")
 
 
+class Clock:
+    """Our time [s], by hand."""
+
+    def __init__(self) -> None:
+        self.now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
 def at(plan: Trajectory, times: np.ndarray) -> np.ndarray:
     """(K, n) of a plan; it holds its last position."""
     return np.column_stack([np.interp(times, plan.t, column) for column in plan.q.T])

@@ -8,7 +8,7 @@ import tracemalloc
 import numpy as np
 from hypothesis import given, strategies as st
 
-from agent.link.alignment import Aligner, MovingSegments, Stamps, moving_segments
+from agent.link.alignment import Aligner, MovingSegments, moving_segments
 from agent.recording import LogWriter
 from agent.safety.freshness import Freshness
 from agent.safety.stopping import Braking
@@ -57,12 +57,3 @@ def test_segments_are_the_same_however_the_set_points_come(stays, rest, chunk):
     inside = [any(start <= move < stop - 1 for start, stop in segments.found) for move in moves]
     assert all(inside)
     assert all(after[0] - (before[1] - 2) > rest for before, after in itertools.pairwise(segments.found))
-
-
-@given(st.lists(st.integers(1, 10**10), min_size=1, max_size=50), st.integers(1, 7))
-def test_stamps_come_back_to_the_nanosecond(steps, chunk):
-    times = 1e-9 * np.cumsum(steps)
-    stamps = Stamps()
-    for first in range(0, len(times), chunk):
-        stamps.add(times[first : first + chunk])
-    np.testing.assert_array_equal(np.rint(1e9 * np.concatenate(list(stamps.parts()))), np.rint(1e9 * times))

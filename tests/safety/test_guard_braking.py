@@ -18,20 +18,10 @@ from drivers.errors import DriverError
 from drivers.protocol import SampleBlock, Status
 from drivers.transports.tcp import TcpDriver
 from tests.conftest import patience
-from tests.safety.following import HOME, at
+from tests.safety.following import HOME, Clock, at
 
 ROBOT = load_robot("comau_ns16")
 PERIOD = 0.002
-
-
-class Clock:
-    """Our time, by hand."""
-
-    def __init__(self) -> None:
-        self.now = 50.0
-
-    def __call__(self) -> float:
-        return self.now
 
 
 class Arm:
@@ -75,6 +65,12 @@ class Arm:
         assert self._asked.wait(10.0)
         self._stopped_at = self._time
 
+    def turns(self, count: int, seen: bool = False) -> None:
+        """So many turns of the watch, each of which waits for what the state says."""
+        for _ in range(count):
+            self.run(0.02, seen)
+            self.stopping._look.exception()
+
     def run(self, seconds: float, seen: bool = True) -> None:
         """Let time pass, with a block of samples each 20 ms where they are `seen`, and turns of the watch."""
         for _ in range(round(seconds / 0.02)):
@@ -97,10 +93,16 @@ class Arm:
             self.stopping.turn()
 
 
-def test_an_arm_that_brakes_is_stopped_once_and_its_link_stays_open():
-    arm = Arm(brakes=0.6)
+def stopped(brakes: float | None = None, **options) -> Arm:
+    """An arm that has moved for 0.3 s and is told to stop."""
+    arm = Arm(brakes, **options)
     arm.run(0.3)
     arm.request()
+    return arm
+
+
+def test_an_arm_that_brakes_is_stopped_once_and_its_link_stays_open():
+    arm = stopped(brakes=0.6)
     arm.run(1.5)
     arm.stopping.finish(failed=False)
     arm.clock.now += STANDS
@@ -135,9 +137,7 @@ def test_a_stop_that_is_being_carried_out_is_waited_for_and_nothing_is_left_of_i
 @pytest.mark.parametrize("reacts", [0.0, 0.1])
 def test_an_arm_that_is_slow_to_brake_and_seen_late_is_given_the_time(reacts):
     """Reaction, 1.2 s from full speed, and 0.2 s on the way here: the slowest that counts as obedient."""
-    arm = Arm(brakes=1.2, speed=1.0)
-    arm.run(0.3)
-    arm.request()
+    arm = stopped(brakes=1.2, speed=1.0)
     arm._stopped_at += 0.2 + reacts
     arm.run(2.0)
     assert (arm.stopping.seen, arm.warned) == ("", [])
@@ -145,9 +145,7 @@ def test_an_arm_that_is_slow_to_brake_and_seen_late_is_given_the_time(reacts):
 
 def test_a_stall_of_this_process_is_no_disobedience():
     """But no more of it than half a second."""
-    arm = Arm(brakes=None)
-    arm.run(0.3)
-    arm.request()
+    arm = stopped()
     arm.clock.now += 0.4
     arm.stopping.turn(stalled=0.4)
     arm.run(AGAIN - 0.06)
@@ -161,9 +159,7 @@ def test_a_stall_of_this_process_is_no_disobedience():
 
 @pytest.mark.parametrize("brakes", [None, 20.0])
 def test_an_arm_that_does_not_brake_is_told_again_and_let_go(brakes):
-    arm = Arm(brakes)
-    arm.run(0.3)
-    arm.request()
+    arm = stopped(brakes)
     arm.run(AGAIN - 0.06)
     assert arm.stops == 1
     arm.run(0.1)
@@ -181,10 +177,8 @@ def test_an_arm_that_does_not_brake_is_told_again_and_let_go(brakes):
 
 
 def test_an_arm_that_slows_down_for_a_corner_only_is_let_go():
-    arm = Arm(brakes=None)
+    arm = stopped()
     arm.corner = 1.2
-    arm.run(0.3)
-    arm.request()
     arm.run(0.72)
     assert (arm.stops, arm.closed.is_set()) == (1, False), "it slows down until then"
     arm.run(0.24)
@@ -193,9 +187,7 @@ def test_an_arm_that_slows_down_for_a_corner_only_is_let_go():
 
 
 def test_an_arm_that_brakes_for_ever_is_let_go():
-    arm = Arm(brakes=2 * STANDS)
-    arm.run(0.3)
-    arm.request()
+    arm = stopped(brakes=2 * STANDS)
     for _ in range(10):
         arm.run(STANDS / 10)
     assert arm.closed.wait(10.0)
@@ -203,9 +195,7 @@ def test_an_arm_that_brakes_for_ever_is_let_go():
 
 
 def test_an_arm_that_rests_and_whose_end_never_comes_is_let_go():
-    arm = Arm(brakes=0.3)
-    arm.run(0.3)
-    arm.request()
+    arm = stopped(brakes=0.3)
     arm.run(NO_END)
     assert not arm.closed.is_set()
     arm.run(0.5)
@@ -215,9 +205,7 @@ def test_an_arm_that_rests_and_whose_end_never_comes_is_let_go():
 
 
 def test_a_stop_that_is_refused_closes_the_link():
-    arm = Arm(brakes=None, answers=False)
-    arm.run(0.3)
-    arm.request()
+    arm = stopped(brakes=None, answers=False)
     assert arm.closed.wait(10.0)
     assert "not confirmed (no answer)" in arm.warned[0]
     assert not arm.stopping.disobeyed
@@ -230,18 +218,14 @@ def test_where_no_samples_come_the_state_tells(moves, said):
         arm.state = lambda: HOME + (2.0 * arm.clock.now if moves else 0.0)
     arm.run(0.3)
     arm.request()
-    for _ in range(60):
-        arm.run(0.02, seen=False)
-        arm.stopping._look.exception()
+    arm.turns(60)
     assert said in arm.stopping.seen
     assert arm.stopping.disobeyed is (moves is True)
     assert arm.closed.wait(10.0) if said else not arm.closed.is_set()
 
 
 def test_a_state_that_is_renewed_now_and_then_shows_braking_all_the_same():
-    arm = Arm(brakes=None)
-    arm.run(0.3)
-    arm.request()
+    arm = stopped()
     began = arm.clock.now
 
     def state():
@@ -249,9 +233,7 @@ def test_a_state_that_is_renewed_now_and_then_shows_braking_all_the_same():
         return HOME + 0.5 * (min(passed, 1.2) - min(passed, 1.2) ** 2 / 2.4) * np.eye(6)[1] * ROBOT.max_velocity[1]
 
     arm.state = state
-    for _ in range(75):
-        arm.run(0.02, seen=False)
-        arm.stopping._look.exception()
+    arm.turns(75)
     assert (arm.stopping.seen, arm.warned) == ("", [])
 
 
@@ -262,9 +244,7 @@ def test_late_samples_hide_nothing_of_what_the_state_tells():
     arm.clock.now += 0.8
     arm.state = lambda: HOME
     arm.request()
-    for _ in range(150):
-        arm.run(0.02)
-        arm.stopping._look.exception()
+    arm.turns(150, seen=True)
     assert (arm.stopping.seen, arm.warned, arm.stops) == ("", [], 1), "and they belong into the log"
     assert not arm.closed.is_set()
     for _ in range(50):
@@ -279,27 +259,20 @@ def test_a_state_that_is_read_no_more_shows_nothing():
     arm.request()
     until = arm.clock.now + LET_GO - RECENT - 0.04
     arm.state = lambda: HOME + 2.0 * arm.clock.now if arm.clock.now < until else None
-    for _ in range(60):
-        arm.run(0.02, seen=False)
-        arm.stopping._look.exception()
+    arm.turns(60)
     assert "nothing shows" in arm.stopping.seen
     assert not arm.stopping.disobeyed
 
 
 def test_a_clock_that_shows_no_time_gives_an_arm_none():
-    arm = Arm(brakes=None)
+    arm = stopped()
     arm.state = lambda: HOME + 2.0 * arm.clock.now
-    arm.run(0.3)
-    arm.request()
-    for _ in range(10):
-        arm.run(0.02, seen=False)
-        arm.stopping._look.exception()
+    arm.turns(10)
     arm.clock.now = np.nan
     arm.stopping.turn()
     arm.stopping.turn()
     assert arm.closed.wait(10.0)
-    for stop in arm.stopping._sent:
-        stop.join(10.0)
+    arm.stopping.wait(10.0)
     assert arm.stops == 2
     assert "nothing shows" in arm.stopping.seen
 
@@ -317,8 +290,7 @@ def test_a_stop_that_fails_because_the_link_was_let_go_is_told_once():
     arm.run(0.3)
     arm.request()
     arm.run(1.0)
-    for sent in arm.stopping._sent:
-        sent.join(10.0)
+    arm.stopping.wait(10.0)
     assert len(arm.warned) == 1
     assert "PRESS THE EMERGENCY STOP" in arm.warned[0]
 
@@ -359,15 +331,12 @@ def test_a_stop_that_fails_after_the_arm_was_seen_to_stand_is_not_told(monkeypat
     arm.run(0.4)
     arm.stopping.finish(failed=False)
     goes_on.set()
-    for sent in arm.stopping._sent:
-        sent.join(10.0)
+    arm.stopping.wait(10.0)
     assert (arm.warned, arm.closed.is_set()) == ([], False)
 
 
 def test_a_link_that_is_let_go_while_its_end_is_awaited_is_told_once():
-    arm = Arm(brakes=None)
-    arm.run(0.3)
-    arm.request()
+    arm = stopped()
     arm.clock.now += 1.0
 
     def state():
@@ -392,9 +361,7 @@ def test_a_link_that_failed_is_not_asked_where_the_arm_is():
 
 
 def test_samples_of_a_rest_before_a_silence_show_no_rest_at_the_end():
-    arm = Arm(brakes=None, speed=0.0)
-    arm.run(0.3)
-    arm.request()
+    arm = stopped(brakes=None, speed=0.0)
     arm.clock.now += 1.0
 
     def state():
@@ -408,21 +375,15 @@ def test_samples_of_a_rest_before_a_silence_show_no_rest_at_the_end():
 
 @pytest.mark.parametrize("state", [HOME[:5], np.full(6, np.nan)])
 def test_a_state_without_a_position_shows_nothing(state):
-    arm = Arm(brakes=None)
+    arm = stopped()
     arm.state = lambda: state
-    arm.run(0.3)
-    arm.request()
-    for _ in range(60):
-        arm.run(0.02, seen=False)
-        arm.stopping._look.exception()
+    arm.turns(60)
     assert "nothing shows" in arm.stopping.seen
 
 
 def test_samples_from_before_the_stop_show_nothing():
     """A link that lags shows what the arm did then."""
-    arm = Arm(brakes=None)
-    arm.run(0.3)
-    arm.request()
+    arm = stopped()
     arm.clock.now += 2.0
     arm.run(0.1)
     assert "nothing shows" in arm.stopping.seen
@@ -431,9 +392,7 @@ def test_samples_from_before_the_stop_show_nothing():
 
 @pytest.mark.parametrize("moves", [True, False])
 def test_an_end_is_no_rest_before_the_arm_is_seen_to_stand(moves):
-    arm = Arm(brakes=None)
-    arm.run(0.3)
-    arm.request()
+    arm = stopped()
     began = arm.clock.now
 
     looks = []

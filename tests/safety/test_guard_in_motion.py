@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from agent.core.errors import ControllerError, SafetyError
-from agent.safety.watch import BackgroundPoll
 from drivers.errors import DriverError, MotionStopped
 from drivers.transports.tcp import TcpDriver
 from drivers.wire.reasons import EndReason
@@ -169,31 +168,36 @@ def test_why_it_was_stopped_comes_before_how_the_samples_end(bench, program, fai
         bench.run(program())
 
 
-def test_one_look_at_a_time_and_what_it_raises_is_raised():
-    told, asked, answer, stops = [], threading.Event(), threading.Event(), []
+class Asked(TcpDriver):
+    """The real driver; looks at the state in motion are counted, and the first of them `raises` or is not answered."""
 
-    def ask(now):
-        told.append(now)
-        asked.set()
-        assert answer.wait(patience(5.0))
-        if now == 3.0:
-            raise ValueError("as told")
-        return ControllerError(f"at {now}") if now else None
+    raises = False
 
-    polling = BackgroundPoll(ask, stops.append)
-    polling.poll(0.0)
-    assert asked.wait(patience(5.0))
-    polling.poll(1.0)
-    polling.poll(2.0)
-    assert told == [0.0], "the others had to wait for its answer"
-    answer.set()
-    polling.result()
-    assert stops == []
-    polling.poll(4.0)
-    polling.result()
-    assert [str(reason) for reason in stops] == ["at 4.0"]
-    polling.poll(3.0)
+    def start(self, name, checksum):
+        super().start(name, checksum)
+        self.looks, self.released = 0, threading.Event()
+
+    def status(self):
+        if hasattr(self, "looks"):
+            self.looks += 1
+            if self.looks == 1 and self.raises:
+                raise ValueError("as told")
+            assert self.raises or self.released.wait(patience(5.0))
+        return super().status()
+
+    def samples(self):
+        yield from super().samples()
+        if not self.raises:
+            assert self.looks == 1, "the others had to wait for its answer"
+        self.released.set()
+
+
+@pytest.mark.parametrize("raises", [True, False])
+def test_one_look_at_a_time_and_what_it_raises_is_raised(bench, program, raises):
+    bench.driver, bench.controller.pushes = type("Told", (Asked,), {"raises": raises}), True
+    if not raises:
+        assert bench.run(program()) == 1000
+        return
     with pytest.raises(ValueError, match="as told"):
-        polling.result()
-    with pytest.raises(ValueError, match="as told"):
-        polling.poll(5.0)
+        bench.run(program())
+    assert bench.controller.stops >= 1

@@ -17,10 +17,9 @@ from agent.safety.freshness import DRIFT, HELD_UP, WAITS, Freshness
 from agent.safety.motion import SETTLING, pauses
 from agent.safety.preconditions import check_throughput
 from agent.safety.watch import TURN, MotionWatch
-from drivers.errors import DriverError
 from drivers.protocol import Identity
 from drivers.transports.tcp import TcpDriver
-from tests.safety.following import PERIOD
+from tests.safety.following import PERIOD, Clock
 
 WATCHDOG = 0.5
 
@@ -44,18 +43,8 @@ def test_pauses_and_stops_belong_to_the_time_that_a_motion_may_take(program):
     assert replace(chosen, chains=chosen.chains * 2).longest > chosen.longest + SETTLING + chosen.duration
 
 
-class Held:
-    """A clock that a test sets."""
-
-    def __init__(self) -> None:
-        self.now = 100.0
-
-    def __call__(self) -> float:
-        return self.now
-
-
-def fresh(watchdog: float = WATCHDOG) -> tuple[Freshness, Held]:
-    clock = Held()
+def fresh(watchdog: float = WATCHDOG) -> tuple[Freshness, Clock]:
+    clock = Clock()
     freshness = Freshness(PERIOD, watchdog, clock)
     freshness.begin()
     return freshness, clock
@@ -121,7 +110,7 @@ def test_silence_is_as_long_as_the_watchdog_allows(samples):
 @pytest.mark.parametrize(("stall", "stopped_after"), [(0.6, 0.25), (3.0, 0.0)])
 def test_after_a_stall_of_this_process_there_is_time_to_judge_what_came(stall, stopped_after):
     """But no more of it than half a second, or a computer that stalls all the time would watch nothing."""
-    clock, stopped = Held(), threading.Event()
+    clock, stopped = Clock(), threading.Event()
     driver = SimpleNamespace(watchdog=WATCHDOG, stop=stopped.set)
     watch = MotionWatch(driver, load_robot("comau_ns16"), "here", PERIOD, None, 100.0, clock, print)
 
@@ -180,7 +169,7 @@ def test_a_taker_who_is_slow_leaves_the_arm_unwatched(bench, program):
             stopped.set()
 
     bench.driver = Told
-    clock = Held()
+    clock = Clock()
     guard, chosen = bench.open(clock=clock), program()
     guard.send(chosen)
 
@@ -224,14 +213,3 @@ def test_a_link_that_is_fast_enough_or_cannot_tell_is_taken(bench):
     bench.open()
     identity = Identity("r", "s", "c", "v", ("a",), 0.002)
     check_throughput(object(), identity, "here")
-
-
-def test_a_link_that_fails_is_told_as_such(bench, program):
-    class Gone(TcpDriver):
-        def samples(self):
-            yield next(super().samples())
-            raise DriverError("gone")
-
-    bench.driver = Gone
-    with pytest.raises(DriverError, match="gone"):
-        bench.run(program())

@@ -16,19 +16,9 @@ from agent.safety.stopping import LET_GO
 from agent.safety.watch import TURN, MotionWatch
 from drivers.errors import DriverError, MotionStopped
 from drivers.protocol import SampleBlock, Status
-from tests.safety.following import HOME, PERIOD
+from tests.safety.following import HOME, PERIOD, Clock
 
 ROBOT = load_robot("comau_ns16")
-
-
-class Clock:
-    """Our time, by hand."""
-
-    def __init__(self) -> None:
-        self.now = 100.0
-
-    def __call__(self) -> float:
-        return self.now
 
 
 class Link:
@@ -240,13 +230,3 @@ def test_an_arm_that_moves_on_after_the_rest_of_the_samples_is_let_go():
     assert "does not obey" in link.warned[0]
     assert link.closed.wait(10.0)
     assert link.watch.stopping.disobeyed
-
-
-def test_a_link_that_is_closed_in_a_motion_stops_the_arm_first(bench, program):
-    bench.controller.blocks = 10**6
-    guard, chosen = bench.open(), program()
-    guard.send(chosen)
-    with guard.motion(chosen) as samples:
-        next(samples)
-        guard.close()
-        assert bench.controller.stops == 1

@@ -414,8 +414,9 @@ def test_a_packet_of_the_broker_of_256_mib_ends_the_link(kind: bytes, length: by
 
         thread = threading.Thread(target=serve, daemon=True)
         thread.start()
+        address = parse_address(f"127.0.0.1,mqtt=127.0.0.1:{listener.getsockname()[1]}")
         with pytest.raises(DriverError, match="is gone"):
-            BrokerLink(("127.0.0.1", listener.getsockname()[1]), "robot/arm1", 0.002, 60.0, lambda _: None)
+            BrokerLink(address, 0.002, 60.0, lambda _: None)
         thread.join(10)
         assert not thread.is_alive()
 

@@ -10,9 +10,12 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from paho.mqtt.client import Client
+from paho.mqtt.enums import CallbackAPIVersion
 
 from drivers.errors import DriverError, ProtocolError
 from drivers.secrets import read_secret
+from drivers.transports.cnr.address import CnrAddress
 from drivers.transports.cnr.samples import Joiner
 from drivers.transports.cnr.snapshots import SnapshotClock
 from drivers.wire import cnr as wire
@@ -22,20 +25,33 @@ _LOOK = 0.5  # s in which topics have to come that a motion can be recorded with
 _NEEDED = {wire.CHANNELS.index(name) for name in (wire.POSITIONS, wire.TARGET_POSITIONS, wire.CURRENTS)}
 _MEASURED = 0.6  # s in which the pace of the samples is measured
 _KEEP_ALIVE = 60  # s: a broker's sign of life waits behind its samples, and samples that stop are noticed earlier
+#: Of one packet [bytes]; a message of the node has a few hundred. MQTT allows 256 MiB, and the library takes them.
+_LONGEST_PACKET = 64 * 1024
 
 _log = logging.getLogger(__name__)
+
+
+class _BrokerClient(Client):
+    """Connects once; a packet that is too long ends the connection before its content is received."""
+
+    def __init__(self) -> None:
+        super().__init__(CallbackAPIVersion.VERSION2, reconnect_on_failure=False)
+
+    def _sock_recv(self, bufsize: int) -> bytes:
+        if bufsize > _LONGEST_PACKET:
+            raise ConnectionError(f"a packet of {bufsize} bytes")
+        return super()._sock_recv(bufsize)
 
 
 class BrokerLink:
     """A subscription to what the C5G Open node publishes.
 
-    Args:
-        broker: host and port.
-        topic: above the channels, like `robot/arm1`.
-        period: of the samples [s].
-        timeout: for the connection and for the first messages [s].
-        on_loss: called once, in a thread of its own, where the broker is lost.
-        user: of the broker, where it wants one; password_from: where that user's password is.
+    Parameters
+    ----------
+    address : that has a broker, its topic and its user.
+    period : of the samples [s].
+    timeout : for the connection and for the first messages [s].
+    on_loss : called once, in a thread of its own, where the broker is lost.
 
     Raises:
         DriverError: no broker, or it says nothing on one of the topics.
@@ -43,34 +59,28 @@ class BrokerLink:
     """
 
     def __init__(
-        self,
-        broker: tuple[str, int],
-        topic: str,
-        period: float,
-        timeout: float,
-        on_loss: Callable[[DriverError], None],
-        user: str = "",
-        password_from: str = "",
+        self, address: CnrAddress, period: float, timeout: float, on_loss: Callable[[DriverError], None]
     ) -> None:
-        from drivers.transports.cnr.broker_client import BrokerClient
-
-        self.peer = f"mqtt=…:{broker[1]}"  # nothing of an address's options is printed
+        assert address.broker is not None
+        host, port = address.broker
+        self.peer = f"mqtt=…:{port}"  # nothing of an address's options is printed
         self.joiner = Joiner(wire.CHANNELS, period * 1e6)
         self.clock = SnapshotClock(period * 1e6)
-        self._channels = {f"{topic}/{name}": channel for channel, name in enumerate(wire.CHANNELS)}
+        self._channels = {f"{address.topic}/{name}": channel for channel, name in enumerate(wire.CHANNELS)}
         self._heard: set[int] = set()
         self._on_loss = on_loss
         self._closing = False
         self._ready = threading.Event()
         self._fault: DriverError | None = None
-        self._client = BrokerClient()
-        if user or password_from:
-            self._client.username_pw_set(user or None, read_secret(password_from) if password_from else None)
+        self._client = _BrokerClient()
+        if address.broker_user or address.broker_password_from:
+            place = address.broker_password_from
+            self._client.username_pw_set(address.broker_user or None, read_secret(place) if place else None)
         self._client.on_connect = self._connected
         self._client.on_disconnect = self._disconnected
         self._client.on_message = self._message
         try:
-            self._client.connect(*broker, keepalive=_KEEP_ALIVE)
+            self._client.connect(host, port, keepalive=_KEEP_ALIVE)
         except (OSError, ValueError) as error:
             raise DriverError(
                 f"no broker answers at {self.peer}: {error}; is it running? Without C5G Open, say mqtt=none in the "

@@ -1,14 +1,14 @@
-"""Two clocks of one arm: the controller's milliseconds and the samples' microseconds, aligned by what both saw.
+"""The two clocks of one arm: the controller's milliseconds and the samples' microseconds, aligned by what both saw.
 
 Both report the same joint positions. Where the arm moves with velocity v, a feedback's position p(t) and the samples'
-q(t') agree at one offset only: with d = p(t) - q(t + o), the next o is o + <v, d> / <v, v> (Gauss-Newton for one
-unknown). Every feedback in motion gives one such offset; a straight line through them is offset and drift.
+q(t') agree at one offset o only: with d = p(t) - q(t + o), the next o is o + <v, d> / <v, v> (Gauss-Newton for one
+unknown). Every feedback in motion gives one such offset. The median of the newest is the offset of the clocks, so that
+their drift does not count.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -22,41 +22,9 @@ _REACH = 0.08
 _ASTRAY = np.radians(0.2)
 _KEPT = 10.0  # s of samples
 _BATCH = 10  # feedbacks
-_MOST_ESTIMATES = 20_000
-_FEWEST_ESTIMATES = 5
+_NEWEST, _FEWEST = 50, 5  # estimates
 #: The controller counts whole milliseconds [s]; its time lies anywhere in the one that has begun.
 _RESOLUTION = 0.001
-
-
-@dataclass(frozen=True)
-class Alignment:
-    """Sample time = controller time + `offset` at controller time `middle` [s], growing by `drift` seconds a second.
-
-    Deviations: `offset_deviation` [s] includes the controller's resolution; `count` feedbacks it is taken from.
-    """
-
-    middle: float
-    offset: float
-    offset_deviation: float
-    drift: float
-    drift_deviation: float
-    count: int
-
-    @property
-    def facts(self) -> dict[str, str]:
-        """For the log, by names that end in their unit."""
-        return {
-            "clock_offset_s": f"{self.offset:.9f}",
-            "clock_offset_uncertainty_s": f"{self.offset_deviation:.3g}",
-            "clock_offset_at_controller_time_s": f"{self.middle:.3f}",
-            "clock_drift_ppm": f"{1e6 * self.drift:.3g}",
-            "clock_drift_uncertainty_ppm": f"{1e6 * self.drift_deviation:.3g}",
-            "clock_feedbacks": str(self.count),
-        }
-
-    def sample_time(self, controller_time: float) -> float:
-        """[s] on the clock of the samples."""
-        return controller_time + self.offset + self.drift * (controller_time - self.middle)
 
 
 class ClockMatch:
@@ -68,7 +36,7 @@ class ClockMatch:
         self._pending: deque[tuple[float, np.ndarray]] = deque()
         self._times: deque[np.ndarray] = deque()
         self._positions: deque[np.ndarray] = deque()
-        self._estimates: list[tuple[float, float]] = []
+        self._estimates: deque[float] = deque(maxlen=_NEWEST)
 
     @property
     def controller_moved_at(self) -> float | None:
@@ -92,16 +60,10 @@ class ClockMatch:
             self._times.popleft()
             self._positions.popleft()
 
-    def alignment(self) -> Alignment | None:
-        """What is known now; None before the arm has moved."""
+    def offset(self) -> float | None:
+        """How far the samples' clock is ahead of the controller's now [s]; None before the arm has moved."""
         self._match()
-        coarse = self._coarse()
-        if coarse is None:
-            return None
-        if len(self._estimates) < _FEWEST_ESTIMATES:
-            assert self._feedback.time is not None
-            return Alignment(self._feedback.time, coarse, _REACH / 2, 0.0, float("nan"), len(self._estimates))
-        return _line(np.array(self._estimates))
+        return self._coarse() if len(self._estimates) < _FEWEST else float(np.median(self._estimates))
 
     def _coarse(self) -> float | None:
         if self._feedback.time is None or self._samples.time is None:
@@ -114,16 +76,16 @@ class ClockMatch:
             while len(self._pending) > 50 * _KEPT:
                 self._pending.popleft()
             return
-        offset = coarse if not self._estimates else float(np.median([o for _, o in self._estimates[-50:]]))
+        offset = float(np.median(self._estimates)) if self._estimates else coarse
         ready = []
         while self._pending and self._pending[0][0] + offset + 2 * _REACH < self._times[-1][-1]:
             ready.append(self._pending.popleft())
-        if not ready or len(self._estimates) >= _MOST_ESTIMATES:
+        if not ready:
             return
         times, positions = np.concatenate(self._times), np.concatenate(self._positions)
         when, where = np.array([t for t, _ in ready]), np.array([p for _, p in ready])
         first = max(0, int(np.searchsorted(times, when[0] + offset - 2 * _REACH)) - 1)
-        self._estimates += _offsets(times[first:], positions[first:], when, where, offset)
+        self._estimates.extend(_offsets(times[first:], positions[first:], when, where, offset))
 
 
 class _Beginning:
@@ -158,8 +120,8 @@ class _Beginning:
 
 def _offsets(
     times: np.ndarray, positions: np.ndarray, when: np.ndarray, where: np.ndarray, start: float
-) -> list[tuple[float, float]]:
-    """(controller time, offset) of the feedbacks (`when`, `where`) that tell one, near `start`."""
+) -> list[float]:
+    """The offsets near `start` of the feedbacks (`when`, `where`) that tell one."""
     if len(times) < 3:
         return []
     velocities = np.gradient(positions, times, axis=0)
@@ -173,35 +135,8 @@ def _offsets(
         offset = np.clip(offset + step, start - _REACH, start + _REACH)
     inside = (when + offset > times[0]) & (when + offset < times[-1]) & (np.abs(offset - start) < 0.99 * _REACH)
     left = np.abs(where - _interpolated(when + offset, times, positions)).max(axis=1)
-    usable = inside & (speed > _FAST**2) & (left < _ASTRAY)
-    return [(float(t), float(o)) for t, o in zip(when[usable], offset[usable], strict=True)]
+    return [float(one) for one in offset[inside & (speed > _FAST**2) & (left < _ASTRAY)]]
 
 
 def _interpolated(at: np.ndarray, times: np.ndarray, values: np.ndarray) -> np.ndarray:
     return np.column_stack([np.interp(at, times, column) for column in values.T])
-
-
-def _line(estimates: np.ndarray) -> Alignment:
-    """A straight line through (time, offset) pairs (K, 2), without the ones far off it."""
-    kept = np.ones(len(estimates), bool)
-    for _ in range(3):
-        time, offset = estimates[kept].T
-        middle = float(time.mean())
-        spread = float(np.sum((time - middle) ** 2))
-        level = float(offset.mean())
-        drift = float((time - middle) @ (offset - level) / spread) if spread > 0 else 0.0
-        left = estimates[:, 1] - level - drift * (estimates[:, 0] - middle)
-        scale = 1.4826 * float(np.median(np.abs(left[kept])))
-        kept = np.abs(left) <= max(4.0 * scale, _RESOLUTION)
-        if kept.sum() < _FEWEST_ESTIMATES:
-            kept = np.ones(len(estimates), bool)
-    count = int(kept.sum())
-    deviation = float(np.sqrt(np.sum(left[kept] ** 2) / max(1, count - 2)))
-    return Alignment(
-        middle=middle,
-        offset=level,
-        offset_deviation=float(np.hypot(deviation / np.sqrt(count), _RESOLUTION / np.sqrt(12.0))),
-        drift=drift,
-        drift_deviation=deviation / np.sqrt(spread) if spread > 0 else float("nan"),
-        count=count,
-    )

@@ -17,23 +17,23 @@ from typing import Any
 
 import numpy as np
 
-from drivers.errors import ConfigurationError, DriverError, RefusedError
+from drivers.errors import DriverError, RefusedError, SafetyRefused
 from drivers.protocol import Identity, Status
-from drivers.transports.base import WATCHDOG, LinkDriver
+from drivers.transports.base import WATCHDOG, LinkDriver, check_currents, pose_of_frame
 from drivers.transports.cnr.address import CnrAddress
 from drivers.transports.cnr.broker import BrokerLink
-from drivers.transports.cnr.commands import command_start, insist_on_stop, wait_for_a_person
 from drivers.transports.cnr.files import CnrIdentity, ProgramFolder
-from drivers.transports.cnr.motion import CnrArm, CnrMotion, stop_reason
-from drivers.transports.cnr.sockets import CommandReply, Sockets
-from drivers.transports.poses import pose_of_frame
-from drivers.wire.cnr import Feedback, MessageType, Mode, Point
+from drivers.transports.cnr.motion import HAND_REST, CnrArm, CnrMotion, stop_reason
+from drivers.transports.cnr.sockets import Sockets
+from drivers.wire.cnr import Feedback, MessageType, Mode, Point, StatusMessage
 from drivers.wire.reasons import EndReason
 
 #: The feedback program rests so long between two messages [s].
 FEEDBACK_PERIOD = 0.02
 _BURSTS = 0.5  # samples come in bursts: a pace from here on is the whole one
 _SAMPLE_PATIENCE = 1.0  # s without a sample, at least
+_STOP_AGAIN = 0.05  # s between two stop commands of which the first was not taken
+_HAND_TIMEOUT = 600.0  # s for somebody to press START
 
 _log = logging.getLogger(__name__)
 
@@ -44,9 +44,10 @@ class CnrDriver(LinkDriver[Sockets, CnrMotion]):
 
     `STOP` is the command that ends a motion on its path for good.
 
-    Args:
-        address: where everything is.
-        options: of `LinkDriver`; FTP is given `start_timeout` too.
+    Parameters
+    ----------
+    address : where everything is.
+    options : of `LinkDriver`; FTP is given `start_timeout` too.
     """
 
     STOP = MessageType.STOP
@@ -71,38 +72,13 @@ class CnrDriver(LinkDriver[Sockets, CnrMotion]):
         facts = {} if broker is None else broker.facts
         if motion.begun_at is not None:
             facts["motion_start_s"] = f"{motion.begun_at:.6f}"
-        alignment = motion.match.alignment()
-        return facts if alignment is None else facts | alignment.facts
+        offset = motion.match.offset()
+        return facts if offset is None else {**facts, "clock_offset_s": f"{offset:.6f}"}
 
     @property
     def watchdog(self) -> float:
         """By the identity file [s]."""
         return WATCHDOG if self._machine is None else self._machine.watchdog
-
-    def connect(self) -> None:
-        """Open the sockets, read who is there, and listen to the broker."""
-        self.close()
-        self._motion = None
-        self._stored = "", ""
-        address = self._where
-        self._link = Sockets(address, self._timeout, self._on_turn, self._on_failure, self.STOP)
-        try:
-            self._machine = self._folder.machine()
-            self._link.watchdog = self._machine.watchdog
-            if address.broker is not None:
-                period = self._machine.identity.period
-                self._broker = BrokerLink(
-                    address.broker,
-                    address.topic,
-                    period,
-                    self._timeout,
-                    self._on_loss,
-                    address.broker_user,
-                    address.broker_password_from,
-                )
-        except BaseException:
-            self.close()
-            raise
 
     def identify(self) -> Identity:
         """Who the identity file says that is there; without a broker, samples come as often as feedbacks."""
@@ -177,49 +153,55 @@ class CnrDriver(LinkDriver[Sockets, CnrMotion]):
             raise RefusedError(
                 f"the program that the controller has is not the {name!r} that was sent; nothing was started"
             )
-        number = secrets.randbelow(2**31 - 1) + 1
-        self._begin(None if self._where.by_hand else lambda feedback: feedback.last_point_processed == number)
-        try:
-            if self._where.by_hand:
-                self._wait_for_a_person(sockets, name)
+        by_hand, number = self._where.by_hand, secrets.randbelow(2**31 - 1) + 1
+        is_over = None if by_hand else lambda feedback: feedback.last_point_processed == number
+        with self._start_of(self._new_motion(is_over)) as motion:
+            sockets.guarded = True
+            if by_hand:
+                self._wait_for_a_person(sockets, motion, name)
             else:
-                self._command_start(sockets, f"the start of {name}", Point(sequence_number=number))
-        except RefusedError:
-            self._abandon()
-            raise
-        except BaseException:
-            self.close()
-            raise
+                self._command_start(sockets, motion, f"the start of {name}", number)
 
-    def stop(self) -> None:
-        """Ask for a stop on the path, and wait until the arm rests."""
-        sockets, motion = self._link, self._motion
-        if sockets is None or self._nothing_to_stop(sockets, motion):
-            return
+    def close(self) -> None:
+        """Close the link; where the arm may still move, a stop is sent first. Never raises."""
+        sockets, motion, broker = self._link, self._motion, self._broker
+        self._broker = None
+        if sockets is not None and motion is not None and not motion.over:
+            with contextlib.suppress(DriverError):
+                sockets.post(self.STOP)
+        super().close()
+        if broker is not None:
+            broker.close()
+
+    def _open(self) -> None:
+        """Open the sockets, read who is there, and listen to the broker."""
+        self._stored = "", ""
+        address = self._where
+        self._link = Sockets(address, self._timeout, self._on_turn, self._on_failure, self.STOP)
+        self._machine = self._folder.machine()
+        self._link.watchdog = self._machine.watchdog
+        if address.broker is not None:
+            self._broker = BrokerLink(address, self._machine.identity.period, self._timeout, self._on_loss)
+
+    def _bring_to_rest(self, sockets: Sockets, motion: CnrMotion | None) -> None:
         with self._starting:
             if motion is not None:
                 motion.stopping = True
             answer = sockets.command(self.STOP)
-        if motion is not None:
-            tell = self.tell if self._where.by_hand else None
-            answer = insist_on_stop(sockets, motion, self.STOP, answer, self._start_timeout, tell)
-        rests = sockets.wait_feedback(lambda: not sockets.feedback().is_moving, self._start_timeout)
+        until, told = time.monotonic() + self._start_timeout, False
+        # The controller takes no stop before its flag says that the arm moves: it is sent until the arm has rested.
+        while motion is not None and answer is not None and not answer.success and not motion.wait(_STOP_AGAIN):
+            if time.monotonic() > until:
+                break
+            if self._where.by_hand and not told:
+                told = True
+                self.tell("the controller does not take the stop command: press HOLD at the teach pendant, now")
+            answer = sockets.command(self.STOP)
+        rests = sockets.wait(lambda: not sockets.feedback().is_moving, self._start_timeout)
         if motion is not None:
             rests = rests and motion.wait(self._start_timeout)
         if answer is None or not rests:
             raise self._still_moves("took" if answer is not None else "did not answer")
-
-    def close(self) -> None:
-        """Close the link; where the arm may still move, a stop is sent first. Never raises."""
-        sockets, self._link = self._link, None
-        broker, self._broker = self._broker, None
-        if sockets is not None:
-            if self._motion is not None and not self._motion.over:
-                with contextlib.suppress(DriverError):
-                    sockets.post(self.STOP)
-            sockets.close()
-        if broker is not None:
-            broker.close()
 
     def _moves(self, feedback: Feedback) -> bool:
         motion = self._motion
@@ -233,46 +215,63 @@ class CnrDriver(LinkDriver[Sockets, CnrMotion]):
         if sockets.feedback().is_moving:
             raise RefusedError("the arm moves already, by another program; wait for it, or stop it at the controller")
 
-    def _begin(self, is_over: Callable[[Feedback], bool] | None) -> CnrMotion:
-        """Listen to the motion that is about to start; `is_over` as in `CnrMotion`."""
+    def _new_motion(self, is_over: Callable[[Feedback], bool] | None) -> CnrMotion:
+        """The motion that is about to start, once samples are known to come; `is_over` as in `CnrMotion`."""
         assert self._machine is not None
         joints = len(self._machine.identity.joint_names)
-        if self.torque_per_ampere.shape != (joints, joints):
-            raise ConfigurationError(
-                f"the link delivers motor currents of {joints} joints; torque_per_ampere has the shape "
-                f"{self.torque_per_ampere.shape}"
-            )
+        check_currents(self.torque_per_ampere, joints)
         broker = self._broker
         if broker is not None:
             broker.check(self._timeout)
             broker.begin()
         patience = max(_SAMPLE_PATIENCE, 2 * self._machine.watchdog)
         arm = CnrArm(joints, self.identify().period, self.torque_per_ampere)
-        silent = None if broker is None else broker.silent
-        motion = CnrMotion(arm, self._buffer_limit, is_over, patience, silent)
-        self._motion = motion
-        assert self._link is not None
-        self._link.guarded = True
-        return motion
+        return CnrMotion(arm, self._buffer_limit, is_over, patience, None if broker is None else broker.silent)
 
-    def _command_start(self, sockets: Sockets, what: str, point: Point) -> CommandReply | None:
-        """The answer to a start that was carried out; None and raises as `command_start`."""
-        answer = command_start(sockets, self.address, what, point, self._start_timeout, self._motion)
-        assert self._motion is not None
-        self._motion.started = True
-        return answer
+    def _command_start(self, sockets: Sockets, motion: CnrMotion, what: str, number: int = 0) -> None:
+        """Give a start, once, and see that it was carried out, by its answer or by an arm that moves.
 
-    def _wait_for_a_person(self, sockets: Sockets, name: str) -> None:
-        motion = self._motion
-        assert motion is not None
+        `number` is that of a stored program, 0 for queued points.
+
+        Raises:
+            RefusedError: it was not; nothing has moved.
+            DriverError: no answer.
+        """
+        rested = not motion.begun  # later on, that it moves says nothing of this start
+
+        def acts() -> bool:
+            return rested and motion.begun
+
+        answer = sockets.command(MessageType.START, Point(sequence_number=number), self._start_timeout, acts)
+        if answer is None and not acts():
+            raise DriverError(
+                f"the controller at {self.address} did not answer {what} within {self._start_timeout:g} s; the link "
+                "was closed, which stops the arm. Go and look at it"
+            )
+        if answer is not None and not answer.success:
+            state = sockets.fresh_status()
+            if sockets.feedback().is_moving:
+                raise DriverError(
+                    f"the controller refused {what}, because the arm moves already; it was told to stop. Do its "
+                    "programs take back the permission to move at the end of a trajectory, as docs/real-robot.md asks?"
+                )
+            raise _refused_start(what, state, number != 0)
         motion.started = True
-        wait_for_a_person(sockets, motion, name, self.tell)
 
-    def _abandon(self) -> None:
-        """Nothing was started after all."""
-        self._motion = None
-        if self._link is not None:
-            self._link.guarded = False
+    def _wait_for_a_person(self, sockets: Sockets, motion: CnrMotion, name: str) -> None:
+        """Ask for START at the pendant, and wait until the arm moves.
+
+        Raises:
+            DriverError: nobody came.
+        """
+        motion.started = True
+        self.tell(
+            f"at the controller: select program {name}, drives on, selector at auto, and press START within "
+            f"{_HAND_TIMEOUT / 60:.0f} minutes. The recording begins with the first motion and ends when the arm has "
+            f"rested for {HAND_REST:g} s"
+        )
+        if not sockets.wait(lambda: motion.begun, _HAND_TIMEOUT):
+            raise DriverError(f"nobody started {name} within {_HAND_TIMEOUT / 60:.0f} minutes; nothing was recorded")
 
     # From here on in the reader thread of the sockets, but for `_on_loss`.
 
@@ -324,3 +323,17 @@ class CnrDriver(LinkDriver[Sockets, CnrMotion]):
         motion, sockets = self._motion, self._link
         if motion is not None and sockets is not None and not motion.over:
             self._end_with(sockets, motion, error)
+
+
+def _refused_start(what: str, state: StatusMessage, stored: bool) -> RefusedError:
+    reason = stop_reason(state)
+    if reason is None:
+        advice = (
+            "is the program translated and free of errors, does the trajectory program know how to start a stored one? "
+            "(start=hand in the address does without)"
+            if stored
+            else "was another trajectory left in its queue?"
+        )
+        return RefusedError(f"the controller refused {what} and does not say why; {advice}")
+    kind = SafetyRefused if reason[0] is EndReason.EMERGENCY_STOP else RefusedError
+    return kind(f"the controller refused {what}: {reason[1]}")

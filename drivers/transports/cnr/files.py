@@ -60,7 +60,10 @@ class ProgramFolder:
     def stored(self) -> tuple[str, str]:
         """Name and SHA-256 (hex) of the program that a start would run; empty where there is none."""
         with self._session() as ftp:
-            return self._stored(ftp)
+            entry = _read(ftp, wire.PROGRAM_FILE)
+            name = "" if entry is None else entry.decode("ascii", "replace").strip()
+            text = _read(ftp, f"{name}.pdl") if _NAME.fullmatch(name) else None
+        return ("", "") if text is None else (name, hashlib.sha256(text).hexdigest())
 
     def store(self, name: str, text: str) -> str:
         """Store a program and name it as the one to start; returns the SHA-256 (hex) of what was read back.
@@ -82,14 +85,6 @@ class ProgramFolder:
                 raise RefusedError(f"the controller at {self._peer} refused the program {name}: {_first_fault(faults)}")
             self._write(ftp, wire.PROGRAM_FILE, f"{name}\n".encode("ascii"))
         return hashlib.sha256(stored).hexdigest()
-
-    def _stored(self, ftp: ftplib.FTP) -> tuple[str, str]:
-        entry = _read(ftp, wire.PROGRAM_FILE)
-        name = "" if entry is None else entry.decode("ascii", "replace").strip()
-        if not _NAME.fullmatch(name):
-            return "", ""
-        text = _read(ftp, f"{name}.pdl")
-        return ("", "") if text is None else (name, hashlib.sha256(text).hexdigest())
 
     def _write(self, ftp: ftplib.FTP, name: str, data: bytes) -> None:
         try:

@@ -37,8 +37,8 @@ _DRAIN = 1.0
 _LONGEST_DRAIN = 5.0  # s
 _TURN = 0.05  # s: no turn counts for more, so that a stall of this process is nobody's silence
 
-#: Positions, velocities, target positions, target velocities, currents: as `wire.CHANNELS` has them.
-_POSITION, _VELOCITY, _TARGET, _TARGET_VELOCITY, _CURRENT = range(5)
+#: Of `wire.CHANNELS`, in their order.
+_POSITION, _TARGET, _CURRENT = 0, 2, 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,14 +53,15 @@ class CnrArm:
 class CnrMotion(MotionStream):
     """What came of one motion, and what of that belongs to it.
 
-    Called from the reader thread of the sockets, but for what is said otherwise.
+    Called from the reader thread of the sockets, unless a method says otherwise.
 
-    Args:
-        arm: see there.
-        limit: bytes that may wait for the consumer.
-        is_over: whether a feedback says that the motion has run to its end; None where only rest can tell.
-        patience: s without a sample before the source is taken for dead.
-        silent: names what the broker lacks, for the message; None where samples come from the feedbacks.
+    Parameters
+    ----------
+    arm : its joints, period and torque per ampere.
+    limit : bytes that may wait for the consumer.
+    is_over : whether a feedback says that the motion has run to its end; None where only rest can tell.
+    patience : seconds without a sample before the source counts as dead.
+    silent : names what the broker lacks, for the message; None where samples come from the feedbacks.
     """
 
     def __init__(
@@ -133,8 +134,10 @@ class CnrMotion(MotionStream):
                 self.match.feedback(now, position)
             if self._verdict is not None:
                 continue
-            if self.match is None:
-                self._from_feedback(feedback, now, position)
+            if self.match is None:  # feedbacks are the samples
+                current = np.array([feedback.currents[: self._arm.joints]])
+                self._hand_on(np.array([self._sequence]), np.array([now]), position[None, :], current)
+                self._sequence += 1
             self._judge(feedback, status, now, position)
 
     def samples(self, times_us: np.ndarray, values: np.ndarray) -> None:
@@ -202,9 +205,9 @@ class CnrMotion(MotionStream):
 
     def _lacking(self, match: ClockMatch) -> float:
         """Seconds of samples up to the end that have not come."""
-        alignment = match.alignment()
-        if alignment is not None:
-            return max(0.0, alignment.sample_time(self._end_time) - self._seen)
+        offset = match.offset()
+        if offset is not None:
+            return max(0.0, self._end_time + offset - self._seen)
         moved = match.controller_moved_at
         if moved is not None and self.begun_at is None:
             return self._end_time - moved
@@ -285,42 +288,27 @@ class CnrMotion(MotionStream):
         self._sequence, self._latest = int(sequence[-1]) + 1, float(times[-1])
         cuts = [0, *np.flatnonzero(steps[1:] > 1) + 1, len(times)]
         for start, stop in itertools.pairwise(cuts):
-            part = values[start:stop]
-            self._take(
-                SampleBlock(
-                    sequence=sequence[start:stop],
-                    time=times[start:stop],
-                    position=part[:, _POSITION],
-                    velocity=part[:, _VELOCITY],
-                    torque=part[:, _CURRENT] @ self._arm.torque_per_ampere.T,
-                    reference_position=part[:, _TARGET],
-                    reference_velocity=part[:, _TARGET_VELOCITY],
-                    received=time.time(),
-                    current=part[:, _CURRENT],
-                )
-            )
+            position, velocity, target, target_velocity, current = np.moveaxis(values[start:stop], 1, 0)
+            part = sequence[start:stop], times[start:stop]
+            self._hand_on(*part, position, current, velocity, target, target_velocity)
 
-    def _from_feedback(self, feedback: Feedback, now: float, position: np.ndarray) -> None:
-        current = np.array([feedback.currents[: self._arm.joints]])
-        self._take(
-            SampleBlock(
-                sequence=np.array([self._sequence]),
-                time=np.array([now]),
-                position=position[None, :],
-                velocity=None,
-                torque=current @ self._arm.torque_per_ampere.T,
-                reference_position=None,
-                reference_velocity=None,
-                received=time.time(),
-                current=current,
-            )
+    def _hand_on(
+        self,
+        sequence: np.ndarray,
+        times: np.ndarray,
+        position: np.ndarray,
+        current: np.ndarray,
+        velocity: np.ndarray | None = None,
+        target: np.ndarray | None = None,
+        target_velocity: np.ndarray | None = None,
+    ) -> None:
+        """Give samples to the consumer; what is missing before them is lost."""
+        torque = current @ self._arm.torque_per_ampere.T
+        block = SampleBlock(
+            sequence, times, position, velocity, torque, target, target_velocity, received=time.time(), current=current
         )
-        self._sequence += 1
-
-    def _take(self, block: SampleBlock) -> None:
-        first = int(block.sequence[0])
-        if first > self.sequencer.expected:
-            self.lost(first)
+        if int(sequence[0]) > self.sequencer.expected:
+            self.lost(int(sequence[0]))
         self.take(block, 0)
 
 

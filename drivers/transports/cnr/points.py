@@ -10,11 +10,13 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from drivers.errors import DriverError, RefusedError
 from drivers.protocol import ViaPoint
+from drivers.transports.cnr.address import parse_address
 from drivers.transports.cnr.driver import CnrDriver
 from drivers.transports.cnr.motion import CnrMotion
 from drivers.transports.cnr.sockets import CommandReply, Sockets
@@ -23,6 +25,16 @@ from drivers.wire.cnr import Feedback, MessageType, Point, QueueStatus
 
 _ASK = 0.05  # s between two looks whether a full queue has room again
 _LINGER = 0.05  # s between two looks whether a trajectory is over
+
+
+def create(address: str, **options: Any) -> CnrDriver:
+    """The driver for an address of `drivers.transports.cnr.address`; a `PointDriver` where it says `mode=points`.
+
+    Raises:
+        ConfigurationError: not an address.
+    """
+    parsed = parse_address(address)
+    return (PointDriver if parsed.points else CnrDriver)(parsed, **options)
 
 
 class PointDriver(CnrDriver):
@@ -61,17 +73,11 @@ class PointDriver(CnrDriver):
         if self._stored != (name, checksum) or not self._trajectories:
             raise RefusedError(f"the points that were sent are not those of {name!r}; nothing was started")
         feeder = _Feeder(sockets, self._trajectories)
-        motion = self._begin(feeder.is_over)
-        try:
+        with self._start_of(self._new_motion(feeder.is_over)) as motion:
+            sockets.guarded = True
             feeder.fill(motion)
-            self._command_start(sockets, f"the start of {name}", Point())
+            self._command_start(sockets, motion, f"the start of {name}")
             feeder.started()
-        except RefusedError:
-            self._abandon()
-            raise
-        except BaseException:
-            self.close()
-            raise
         thread = threading.Thread(target=self._feed, args=(feeder, sockets, motion), name="points", daemon=True)
         thread.start()
 
@@ -85,7 +91,7 @@ class PointDriver(CnrDriver):
                 with self._starting:
                     if motion.stopping:
                         return
-                    self._command_start(sockets, "the start of the next trajectory", Point())
+                    self._command_start(sockets, motion, "the start of the next trajectory")
                 feeder.started()
                 motion.resume()
         except Exception as error:  # whatever it is, nobody else would send the rest
@@ -145,7 +151,7 @@ class _Feeder:
             if self._wait_for_room(motion):
                 self.fill(motion)
         while not (motion.over or motion.stopping):
-            if self._sockets.wait_feedback(lambda: self._is_done(self._sockets.feedback()), _LINGER):
+            if self._sockets.wait(lambda: self._is_done(self._sockets.feedback()), _LINGER):
                 break
         if motion.over or motion.stopping or self._at == len(self._trajectories) - 1:
             return False
@@ -167,7 +173,7 @@ class _Feeder:
         """The answer to a point, which is sent once."""
         answer = self._sockets.command(MessageType.POINT, point)
         if answer is None:
-            answer = self._sockets.ask_again(MessageType.POINT, point)
+            answer = self._sockets.ask_again(MessageType.POINT)
         if answer is None:
             raise DriverError(
                 f"the controller never said whether it took point {point.sequence_number}; it is not sent again. Look "

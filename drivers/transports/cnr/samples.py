@@ -6,7 +6,7 @@ import bisect
 import threading
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from operator import attrgetter
 
 import numpy as np
 
@@ -18,6 +18,7 @@ _SAME = 0.45  # of a period: how far the times of one sample's messages may lie 
 _STEPS = 64  # samples over which the step between them is averaged
 _MOST_WAITING = 20_000  # samples; beyond, the times make no sense
 _BACK_US = 1_000_000  # µs: no message is later than that
+_NEVER = -(2**62)  # µs
 
 
 @dataclass
@@ -38,6 +39,23 @@ class Counts:
         return {**missing, **{f"{name}_messages": str(count) for name, count in others.items()}}
 
 
+@dataclass(eq=False)
+class _Sample:
+    """A sample that is not whole yet: its time [µs], that of its last channel, and values by channel."""
+
+    time: int
+    values: list[tuple[float, ...] | None]
+    stamp: int | None = None
+
+    @property
+    def late(self) -> int:
+        """How much later [µs] the last channel was read."""
+        return 0 if self.stamp is None else self.stamp - self.time
+
+
+_time = attrgetter("time")
+
+
 class Joiner:
     """Messages of the channels in, whole samples out, in the order of their times. One thread adds, another takes.
 
@@ -46,9 +64,10 @@ class Joiner:
     sample with a hole, or one whose predecessor is not there, waits for `_PATIENCE` periods; then it is given up, or
     its predecessor is. A node whose loop is slower than the period is not waited for.
 
-    Args:
-        channels: their names; the first one's time is the sample's.
-        period: of the samples [µs].
+    Parameters
+    ----------
+    channels : their names; the first one's time is the sample's.
+    period : of the samples [µs].
     """
 
     def __init__(self, channels: Sequence[str], period: float) -> None:
@@ -59,54 +78,54 @@ class Joiner:
         self._lock = threading.Lock()
         self._came = threading.Condition(self._lock)
         self._count = 0  # whole samples
-        self._times: list[int] = []  # of what waits, sorted
-        self._waiting: dict[int, list[tuple[float, ...] | None]] = {}
+        self._waiting: list[_Sample] = []  # sorted by time
         self._blank: list[tuple[float, ...] | None] = [None] * len(self._channels)
-        self._stamps: dict[int, int] = {}  # of the last channel
         self._step = period  # between samples as they are [µs]
-        self._whole: list[tuple[int, int, list[Any]]] = []
-        self._given = -(2**62)  # time of the last sample given out or up; negative: none was
-        self._newest = -(2**62)
+        self._whole: list[_Sample] = []
+        self._given = self._newest = _NEVER  # time of the last sample given out or up, and of the newest whole one
 
     def add(self, channel: int, time_us: int, values: tuple[float, ...]) -> None:
-        """One message."""
+        """Take one message."""
         with self._lock:
             if time_us < self._given - _BACK_US:
-                self._begin_anew()
-            key = self._find(channel, time_us)
-            if key is None:
+                self.restarts += 1
+                self._waiting, self._given, self._newest = [], _NEVER, _NEVER
+            sample = self._find(channel, time_us)
+            if sample is None:
                 if time_us <= self._given + _SAME * self._period:
                     self.counts.late += 1
                     return
-                key = time_us
-                bisect.insort(self._times, key)
-                self._waiting[key] = self._blank.copy()
-            elif channel == 0 and key != time_us:
-                key = self._stamp(key, time_us)
-            row = self._waiting[key]
-            if row[channel] is not None:
+                sample = _Sample(time_us, self._blank.copy())
+                bisect.insort(self._waiting, sample, key=_time)
+            elif channel == 0 and sample.time != time_us:
+                self._waiting.remove(sample)
+                sample.time = time_us
+                bisect.insort(self._waiting, sample, key=_time)
+            if sample.values[channel] is not None:
                 self.counts.duplicate += 1
                 return
-            row[channel] = values
+            sample.values[channel] = values
             if channel == len(self._channels) - 1:
-                self._stamps[key] = time_us
-            if None not in row:
-                self._newest = max(self._newest, key)
+                sample.stamp = time_us
+            if None not in sample.values:
+                self._newest = max(self._newest, sample.time)
             self._release()
 
     def leave_out(self, channels: Iterable[int]) -> None:
         """Samples are whole without these; their values are zero."""
         with self._lock:
-            for row in (self._blank, *self._waiting.values()):
+            for values in (self._blank, *(sample.values for sample in self._waiting)):
                 for channel in channels:
-                    row[channel] = (0.0,) * wire.AXES
+                    values[channel] = (0.0,) * wire.AXES
 
     def take(self) -> Rows:
         """Whole samples since the last call."""
         with self._lock:
             whole, self._whole = self._whole, []
-        times, late = (np.array([row[k] for row in whole], np.int64) for k in (0, 1))
-        return Rows(times, late, np.array([row[2] for row in whole]).reshape(-1, len(self._channels), wire.AXES))
+        times = np.array([sample.time for sample in whole], np.int64)
+        late = np.array([sample.late for sample in whole], np.int64)
+        values = np.array([sample.values for sample in whole])
+        return Rows(times, late, values.reshape(-1, len(self._channels), wire.AXES))
 
     @property
     def newest(self) -> int:
@@ -127,54 +146,36 @@ class Joiner:
     def silent_channels(self) -> list[str]:
         """Names of the channels that the samples which wait are waiting for; all of them where nothing waits."""
         with self._lock:
-            rows = list(self._waiting.values())
-        absent = [name for k, name in enumerate(self._channels) if all(row[k] is None for row in rows)]
+            rows = [sample.values for sample in self._waiting]
+            absent = [name for k, name in enumerate(self._channels) if all(row[k] is None for row in rows)]
         return absent or list(self._channels)
 
-    def _begin_anew(self) -> None:
-        self.restarts += 1
-        self._times, self._waiting, self._stamps = [], {}, {}
-        self._given = self._newest = -(2**62)
-
-    def _find(self, channel: int, time_us: int) -> int | None:
+    def _find(self, channel: int, time_us: int) -> _Sample | None:
         """The sample that a message belongs to, by its time."""
-        if time_us in self._waiting:
-            return time_us
-        place = bisect.bisect_left(self._times, time_us)
-        near = [key for key in self._times[max(0, place - 1) : place + 1] if self._same(key, time_us)]
-        free = [key for key in near if self._waiting[key][channel] is None]
-        return min(free, key=lambda key: abs(key - time_us)) if free else None
-
-    def _same(self, one: int, other: int) -> bool:
-        return abs(one - other) <= _SAME * self._period
-
-    def _stamp(self, key: int, time_us: int) -> int:
-        """Give a sample the time of its first channel."""
-        self._times.remove(key)
-        bisect.insort(self._times, time_us)
-        self._waiting[time_us] = self._waiting.pop(key)
-        self._stamps[time_us] = self._stamps.pop(key, time_us)
-        return time_us
+        place = bisect.bisect_left(self._waiting, time_us, key=_time)
+        near = self._waiting[max(0, place - 1) : place + 1]
+        if near and near[-1].time == time_us:
+            return near[-1]
+        same = [one for one in near if abs(one.time - time_us) <= _SAME * self._period and one.values[channel] is None]
+        return min(same, key=lambda one: abs(one.time - time_us), default=None)
 
     def _release(self) -> None:
-        while self._times:
-            key = self._times[0]
-            row = self._waiting[key]
-            patient = self._newest - key <= _PATIENCE * self._period and len(self._times) <= _MOST_WAITING
-            step = key - self._given
+        while self._waiting:
+            sample = self._waiting[0]
+            patient = self._newest - sample.time <= _PATIENCE * self._period and len(self._waiting) <= _MOST_WAITING
+            step = sample.time - self._given
             follows = self._given < 0 or step < 1.5 * self._step
-            if patient and (None in row or not follows):
+            whole = None not in sample.values
+            if patient and not (whole and follows):
                 return
-            if None in row:
-                for name, values in zip(self._channels, row, strict=True):
-                    if values is None:
-                        self.counts.missing[name] = self.counts.missing.get(name, 0) + 1
-            else:
-                self._whole.append((key, self._stamps.get(key, key) - key, row))
+            if whole:
+                self._whole.append(sample)
                 self._count += 1
                 self._came.notify_all()
+            for name, values in zip(self._channels, sample.values, strict=True):
+                if values is None:
+                    self.counts.missing[name] = self.counts.missing.get(name, 0) + 1
             if self._given > 0:
                 self._step += (min(max(step, self._period), 2 * self._period) - self._step) / _STEPS
-            self._given = key
-            del self._times[0], self._waiting[key]
-            self._stamps.pop(key, None)
+            self._given = sample.time
+            del self._waiting[0]

@@ -17,12 +17,9 @@ from pymodbus.client import ModbusTcpClient
 
 from drivers.errors import DriverError, ProtocolError, RefusedError
 from drivers.protocol import Identity, Status
-from drivers.transports.base import WATCHDOG, LinkDriver
+from drivers.transports.base import WATCHDOG, LinkDriver, pose_of_frame
 from drivers.transports.modbus.link import Client, ModbusLink, SilentError
-from drivers.transports.modbus.replies import identity_of, status_of
-from drivers.transports.modbus.ring import RingReader
-from drivers.transports.motion import MotionStream
-from drivers.transports.poses import pose_of_frame
+from drivers.transports.modbus.ring import RingMotion
 from drivers.transports.tcp import open_socket, parse_address
 from drivers.wire import modbus as wire
 from drivers.wire.reasons import refusal_error
@@ -37,14 +34,15 @@ _GOODBYE = 1.0  # s for the answer to the last message
 MakeClient = Callable[[Callable[[bool, bytes], bytes]], Client]
 
 
-class ModbusDriver(LinkDriver[ModbusLink, MotionStream]):
+class ModbusDriver(LinkDriver[ModbusLink, RingMotion]):
     """`drivers.protocol.Driver` over Modbus/TCP; the address is `host:port`.
 
-    Args:
-        address: of the controller.
-        watchdog: silence [s] after which either end takes the other for gone; the controller may answer another one.
-        unit: Modbus unit, for a controller behind a gateway.
-        options: of `LinkDriver`.
+    Parameters
+    ----------
+    address : of the controller.
+    watchdog : silence [s] after which either end takes the other for gone; the controller may answer another one.
+    unit : Modbus unit, for a controller behind a gateway.
+    options : of `LinkDriver`.
 
     Raises:
         ConfigurationError: not an address.
@@ -63,64 +61,40 @@ class ModbusDriver(LinkDriver[ModbusLink, MotionStream]):
         """The watchdog in force [s]: the one asked for, once connected the one agreed on."""
         return self._watchdog if self._link is None else self._agreed
 
-    def connect(self) -> None:
-        """Open the link, see that the right map is there, take the controller, and agree on the watchdog."""
-        self.close()
-        self._motion = None
-        self._session = secrets.randbelow(2**32 - 1) + 1
-        self._requests = itertools.count(1)
-        self._beats = itertools.count(1)
-        self._open = self._guarded = False
-        self._agreed = self._watchdog
-        self._beaten = 0.0
-        self._closed.clear()
-        link = ModbusLink(
-            self._make_client(),
-            self.address,
-            self._unit,
-            self._turn,
-            self._beat_meanwhile,
-            self._on_failure,
-            self._timeout,
-        )
-        self._link = link
-        try:
-            identity = link.read(wire.IDENTITY)
-            if identity["magic"] != wire.MAGIC:
-                raise ProtocolError(f"{self.address} speaks Modbus, but is no calibration controller")
-            if identity["version"] != wire.VERSION:
-                raise ProtocolError(
-                    f"the controller at {self.address} has version {identity['version']} of the register map, this "
-                    f"driver {wire.VERSION}; update the older one"
-                )
-            joints, slots = identity["joints"], identity["slots"]
-            if not 1 <= joints <= wire.MAX_JOINTS or not 1 <= slots <= wire.slot_count(joints):
-                raise ProtocolError(f"the controller at {self.address} announces {joints} joints, {slots} slots")
-            self._joints, self._slots = joints, slots
-            answer = self._command(wire.Command.OPEN, self._timeout, "the session", watchdog=self._wanted_watchdog())
-            if not 10 <= answer["watchdog"] <= 60_000:
-                raise ProtocolError(f"the controller at {self.address} wants a watchdog of {answer['watchdog']} ms")
-        except BaseException:
-            self._link = None
-            link.close()
-            raise
-        self._agreed = answer["watchdog"] / 1000
-        self._open = True
-        link.call(lambda: None)  # wake the thread: its heart begins to beat
-
     def identify(self) -> Identity:
         """Ask the controller who it is."""
         link = self._connected()
-        identity = link.read(wire.IDENTITY)
+        who = link.read(wire.IDENTITY)
         names = itertools.chain.from_iterable(link.read(block)["names"] for block in wire.NAMES)
-        return identity_of(identity, itertools.islice(names, identity["joints"]))
+        return Identity(
+            robot=who["robot"],
+            serial=who["serial"],
+            controller=who["controller"],
+            version=who["software"],
+            joint_names=tuple(itertools.islice(names, who["joints"])),
+            period=who["period"] * 1e-9,
+        )
 
     def status(self) -> Status:
         """Ask for the state."""
         link = self._connected()
         values = link.read(wire.STATUS)
         alarms = link.read(wire.ALARMS)["text"].splitlines() if values["alarms"] else []
-        return status_of(values, alarms, self._joints)
+        flags = wire.Flag(values["flags"])
+        return Status(
+            drives_on=wire.Flag.DRIVES_ON in flags,
+            mode=next((name for name, code in wire.MODES.items() if code == values["mode"]), "unknown"),
+            emergency_stop=wire.Flag.EMERGENCY_STOP in flags,
+            # More alarms than fit are alarms all the same.
+            alarms=tuple(alarms) or (("unnamed",) if values["alarms"] else ()),
+            override=values["override"],
+            cell_closed=wire.Flag.CELL_CLOSED in flags,
+            moving=wire.Flag.MOVING in flags,
+            program=values["program"],
+            checksum=values["checksum"].hex() if values["program"] else "",
+            position=np.array(values["position"][: self._joints]),
+            emulator=wire.Flag.EMULATOR in flags,
+        )
 
     def throughput(self) -> float:
         """`MeasuresThroughput`: by the exchanges that the link makes in a second, less those for other things."""
@@ -164,25 +138,64 @@ class ModbusDriver(LinkDriver[ModbusLink, MotionStream]):
         link = self._connected()
         self._check_over()
         _fits(name)
-        motion = MotionStream(self._buffer_limit)
         motion_id = uuid.uuid4().bytes
-        link.call(lambda: self._begin(motion, motion_id))
-        try:
+        ring = self._session, self._joints, self._slots
+        with self._start_of(RingMotion(self._buffer_limit, link, *ring, motion_id, self._beat_if_due)) as motion:
+            link.call(lambda: self._guard(link))
             fields = {"name": name, "checksum": bytes.fromhex(checksum), "motion": motion_id}
             # Samples say as well that the arm moves: then it is time to watch it.
             self._command(wire.Command.START, self._start_timeout, f"start of {name}", motion.has_begun, **fields)
-        except RefusedError:
-            link.call(self._not_begun)
-            raise
-        except BaseException:
-            self.close()
-            raise
 
-    def stop(self) -> None:
-        """Ask for a stop on the path and wait until the arm rests; nothing to do where nothing was started."""
-        link, motion = self._link, self._motion
-        if link is None or self._nothing_to_stop(link, motion):
+    def close(self) -> None:
+        """Give the controller back and close the link; an arm that still moves comes to rest. Never raises."""
+        link, self._link = self._link, None
+        self._closed.set()
+        if link is None:
             return
+        if self._beating and link.failure is None:
+            link.timeout = min(link.timeout, _GOODBYE)
+            with contextlib.suppress(DriverError):
+                self._give(link, wire.Command.RELEASE)
+        link.close()
+
+    def _open(self) -> None:
+        """See that the right map is there, take the controller, and agree on the watchdog."""
+        self._session = secrets.randbelow(2**32 - 1) + 1
+        self._requests = itertools.count(1)
+        self._beats = itertools.count(1)
+        self._beating = False
+        self._agreed = self._watchdog
+        self._beaten = 0.0
+        self._closed.clear()
+        self._link = link = ModbusLink(
+            self._make_client(),
+            self.address,
+            self._unit,
+            self._turn,
+            self._beat_meanwhile,
+            self._on_failure,
+            self._timeout,
+        )
+        identity = link.read(wire.IDENTITY)
+        if identity["magic"] != wire.MAGIC:
+            raise ProtocolError(f"{self.address} speaks Modbus, but is no calibration controller")
+        if identity["version"] != wire.VERSION:
+            raise ProtocolError(
+                f"the controller at {self.address} has version {identity['version']} of the register map, this "
+                f"driver {wire.VERSION}; update the older one"
+            )
+        joints, slots = identity["joints"], identity["slots"]
+        if not 1 <= joints <= wire.MAX_JOINTS or not 1 <= slots <= wire.slot_count(joints):
+            raise ProtocolError(f"the controller at {self.address} announces {joints} joints, {slots} slots")
+        self._joints, self._slots = joints, slots
+        answer = self._command(wire.Command.OPEN, self._timeout, "the session", watchdog=self._wanted_watchdog())
+        if not 10 <= answer["watchdog"] <= 60_000:
+            raise ProtocolError(f"the controller at {self.address} wants a watchdog of {answer['watchdog']} ms")
+        self._agreed = answer["watchdog"] / 1000
+        self._beating = True
+        link.call(lambda: None)  # wake the thread: its heart begins to beat
+
+    def _bring_to_rest(self, link: ModbusLink, motion: RingMotion | None) -> None:
         if motion is not None:
             motion.stopping = True
         with self._stopping:  # a second one would take the answer of the first
@@ -192,19 +205,6 @@ class ModbusDriver(LinkDriver[ModbusLink, MotionStream]):
             if time.monotonic() > until:
                 raise self._still_moves()
             self._closed.wait(_ANSWER_POLL)
-
-    def close(self) -> None:
-        """Give the controller back and close the link; an arm that still moves comes to rest. Never raises."""
-        link, self._link = self._link, None
-        self._closed.set()
-        if link is None:
-            return
-        if self._open and link.failure is None:
-            release = {**self._blank(), "command": wire.Command.RELEASE, "request": next(self._requests)}
-            link.timeout = min(link.timeout, _GOODBYE)
-            with contextlib.suppress(DriverError):
-                link.write(wire.COMMAND, **release)
-        link.close()
 
     def _check_address(self, address: str) -> None:
         parse_address(address)
@@ -230,10 +230,11 @@ class ModbusDriver(LinkDriver[ModbusLink, MotionStream]):
                 return
         self._command(wire.Command.STOP, self._timeout, "stop", lambda: False)
 
-    def _blank(self) -> dict[str, Any]:
-        """A command that says nothing yet."""
-        blank: dict[str, Any] = {"watchdog": 0, "name": "", "size": 0, "checksum": b"", "motion": b""}
-        return {"session": self._session, **blank}
+    def _give(self, link: ModbusLink, command: wire.Command, request: int | None = None, **fields: Any) -> None:
+        """Write a command, once."""
+        blank = {"watchdog": 0, "name": "", "size": 0, "checksum": b"", "motion": b""}
+        number = next(self._requests) if request is None else request
+        link.write(wire.COMMAND, **{**blank, **fields}, session=self._session, request=number, command=command)
 
     def _command(
         self, command: wire.Command, timeout: float, what: str, acts: Callable[[], bool] | None = None, **fields: Any
@@ -246,7 +247,7 @@ class ModbusDriver(LinkDriver[ModbusLink, MotionStream]):
         request = next(self._requests)
         lost: DriverError | None = None
         try:
-            link.write(wire.COMMAND, **{**self._blank(), "command": command, "request": request, **fields})
+            self._give(link, command, request, **fields)
         except SilentError as error:
             if acts is None:
                 raise
@@ -270,47 +271,51 @@ class ModbusDriver(LinkDriver[ModbusLink, MotionStream]):
         place = answer["line"], answer["column"]
         raise refusal_error(self.address, what, answer["refusal"], *place, answer["message"])
 
+    def _not_started(self) -> None:
+        link = self._connected()
+        link.call(lambda: self._unguard(link))
+
     # From here on in the link's thread.
 
-    def _begin(self, motion: MotionStream, motion_id: bytes) -> None:
-        link = self._connected()
-        self._motion = motion
-        self._ring = RingReader(link, self._session, motion, motion_id, self._joints, self._slots, self._beat_if_due)
-        self._silence = 0.0
-        self._turned = time.monotonic()
-        self._guarded = True
+    def _guard(self, link: ModbusLink) -> None:
+        link.guarded = True
         link.timeout = min(self._timeout, self._agreed, WATCHDOG)  # an answer that is lost must not cost more
         self._beat()  # from now on the ring shows samples from 0 on
 
-    def _not_begun(self) -> None:
-        self._motion = None
-        self._unguard()
-
-    def _unguard(self) -> None:
-        self._guarded = False
-        self._connected().timeout = self._timeout
+    def _unguard(self, link: ModbusLink) -> None:
+        link.guarded = False
+        link.timeout = self._timeout
 
     def _turn(self) -> float:
         """A heartbeat if it is due, and a look at the motion if there is one; the time to the next turn [s]."""
-        if not self._open:
+        if not self._beating:
             return 60.0
-        interval = self._agreed / 4
-        ring = self._ring if self._guarded else None
+        interval, link, motion = self._agreed / 4, self._link, self._guarded_motion
         try:
-            if ring is not None and ring.wants_room:
+            if motion is not None and motion.wants_room:
                 self._beat()
             self._beat_if_due()
-            more = ring is not None and ring.poll()
+            more = motion is not None and motion.poll()
         except SilentError:
             more = False  # one answer may be lost; silence is counted below
-        if ring is None or self._motion is None:
+        if link is None or motion is None:
             return interval
-        if self._motion.over:
-            self._unguard()
+        if motion.over:
+            self._unguard(link)
             return interval
-        self._check_room(self._motion)
-        self._check_silence(ring)
+        if (full := motion.too_full()) is not None:
+            self._give(link, wire.Command.STOP)
+            motion.finish(full)
+        if motion.silence(self._agreed / 2) >= self._agreed:
+            raise DriverError(
+                f"the controller at {self.address} fell silent: no heartbeat for {self._agreed * 1000:.0f} ms while "
+                "the arm may move; go and look at it"
+            )
         return 0.0 if more else min(_POLL, interval / 2)
+
+    @property
+    def _guarded_motion(self) -> RingMotion | None:
+        return self._motion if self._link is not None and self._link.guarded else None
 
     def _beat_if_due(self) -> None:
         if time.monotonic() - self._beaten >= self._agreed / 4:
@@ -318,36 +323,17 @@ class ModbusDriver(LinkDriver[ModbusLink, MotionStream]):
 
     def _beat_meanwhile(self) -> None:
         """A controller that is late with an answer must not take this end for silent while it is waited for."""
-        if self._guarded:
+        if self._guarded_motion is not None:
             with contextlib.suppress(SilentError):  # silence is counted where the ring is looked at
                 self._beat_if_due()
 
     def _beat(self) -> None:
         self._beaten = time.monotonic()
-        ring = self._ring if self._guarded else None
-        taken = 0 if ring is None else ring.expected
+        motion = self._guarded_motion
+        taken = 0 if motion is None else motion.expected
         self._connected().write(wire.HEARTBEAT, session=self._session, count=next(self._beats) % 65536, taken=taken)
-        if ring is not None:
-            ring.shown_from = taken
-
-    def _check_room(self, motion: MotionStream) -> None:
-        if (full := motion.too_full()) is not None:
-            stop = {**self._blank(), "command": wire.Command.STOP, "request": next(self._requests)}
-            self._connected().write(wire.COMMAND, **stop)
-            motion.finish(full)
-
-    def _check_silence(self, ring: RingReader) -> None:
-        """The controller's heartbeat must go on. A stall of this process counts for no more than a turn should last."""
-        now = time.monotonic()
-        self._silence += min(now - self._turned, self._agreed / 2)
-        self._turned = now
-        if ring.heart_beat():
-            self._silence = 0.0
-        if self._silence >= self._agreed:
-            raise DriverError(
-                f"the controller at {self.address} fell silent: no heartbeat for {self._agreed * 1000:.0f} ms while "
-                "the arm may move; go and look at it"
-            )
+        if motion is not None:
+            motion.shown_from = taken
 
 
 def _fits(name: str) -> None:

@@ -1,4 +1,4 @@
-"""Takes the samples of one motion out of the register ring."""
+"""One motion whose samples are taken out of the register ring."""
 
 from __future__ import annotations
 
@@ -17,45 +17,59 @@ _CHUNK = 64  # samples taken in one turn
 _ATTEMPTS = 3  # at a sample that arrives damaged; then it is lost
 
 
-class RingReader:
-    """Follows one motion. `expected` is the next sequence number; `shown_from` the one the ring begins with.
+class RingMotion(MotionStream):
+    """What came of one motion. `expected` is the next sequence number; `shown_from` the one the ring begins with.
 
-    `beat_if_due` is called between two reads: on a slow line a few of them last as long as a watchdog.
+    Called from the thread of the link.
+
+    Parameters
+    ----------
+    limit : bytes that may wait for the consumer.
+    link, session : of the controller.
+    joints, slots : n, and the samples that the ring holds.
+    motion_id : of the start.
+    beat_if_due : is called between two reads: on a slow line a few of them last as long as a watchdog.
     """
 
     def __init__(
         self,
+        limit: int,
         link: ModbusLink,
         session: int,
-        motion: MotionStream,
-        motion_id: bytes,
         joints: int,
         slots: int,
+        motion_id: bytes,
         beat_if_due: Callable[[], None],
     ) -> None:
+        super().__init__(limit)
         self.expected = 0
         self.shown_from = 0
         self._link = link
         self._session = session
-        self._motion = motion
-        self._motion_id = motion_id
         self._joints = joints
         self._slots = slots
+        self._motion_id = motion_id
         self._beat_if_due = beat_if_due
         self._damaged = 0
         self._produced = 0
         self._heartbeat: int | None = None
-        self._beat = False
+        self._beat = False  # the controller's, since this was asked last
+        self._silence, self._turned = 0.0, time.monotonic()
 
     @property
     def wants_room(self) -> bool:
-        """The ring should be moved on before the next poll."""
+        """Whether the ring should be moved on before the next poll."""
         return self.expected - self.shown_from >= self._slots // 2
 
-    def heart_beat(self) -> bool:
-        """Whether the controller's heartbeat went on since this was asked last."""
-        beat, self._beat = self._beat, False
-        return beat
+    def silence(self, longest: float) -> float:
+        """Seconds without a heartbeat of the controller, at the end of a turn; a turn counts for `longest` [s] at most.
+
+        A stall of this process is not the controller's silence.
+        """
+        now = time.monotonic()
+        self._silence = 0.0 if self._beat else self._silence + min(now - self._turned, longest)
+        self._turned, self._beat = now, False
+        return self._silence
 
     def poll(self) -> bool:
         """Take what there is, at most a chunk; True if more is waiting already.
@@ -82,14 +96,14 @@ class RingReader:
         if progress["oldest"] > self.expected:
             self._lose(progress["oldest"])
         if self.expected < self._produced:
-            self._take()
+            self._take_chunk()
         more = self.expected < self._produced
         if not more and progress["state"] == wire.MotionState.ENDED:
             message = self._link.read(wire.END)["message"]
-            self._motion.ended(progress["reason"], self._produced, message)
+            self.ended(progress["reason"], self._produced, message)
         return more
 
-    def _take(self) -> None:
+    def _take_chunk(self) -> None:
         slot = self.expected % self._slots
         shown = self.shown_from + self._slots - self.expected
         count = min(self._produced - self.expected, self._slots - slot, shown, _CHUNK)
@@ -106,9 +120,7 @@ class RingReader:
         taken = len(slots.sequence)
         if taken:
             times, (q, qd, torque, reference, reference_rate) = slots.time_ns * 1e-9, slots.values
-            self._motion.take(
-                SampleBlock(slots.sequence, times, q, qd, torque, reference, reference_rate, time.time()), 0
-            )
+            self.take(SampleBlock(slots.sequence, times, q, qd, torque, reference, reference_rate, time.time()), 0)
             self.expected += taken
             self._damaged = 0
         if taken < count:  # the one after is damaged: again, but not for ever
@@ -117,6 +129,6 @@ class RingReader:
                 self._lose(self.expected + 1)
 
     def _lose(self, before: int) -> None:
-        self._motion.lost(before)
+        self.lost(before)
         self.expected = before
         self._damaged = 0
