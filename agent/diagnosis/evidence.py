@@ -283,7 +283,7 @@ class Evidence:
         scales = np.ones(self.joints) if scales is None else scales.copy()
         form, sizes = np.zeros(self.joints), [law.sizes[1]] * len(effects)
         touched = {j for k in effects for j in self.candidate(k).blocks} | set(free)
-        if refit and self._nothing:  # what a large effect leaves raises the scales, and the background then explains all
+        if refit and self._nothing:  # a large effect raises the scales, and the background would then explain all of it
             scales[list(touched)] = np.minimum(scales[list(touched)], 1.0)
         rounds = 3 if self._nothing else 4
         for last in [False] * rounds + [True]:

@@ -53,8 +53,8 @@ class _Learned:
     def add(self, fits: Iterable[Fit]) -> None:
         """Take what n fits have, where it is larger than what was found before.
 
-        The mean square over n - 2: the variance of Student's predictive distribution with n degrees of freedom, as a few
-        logs say little about how large an effect can become on a healthy arm.
+        The mean square over n - 2: the variance of Student's predictive distribution with n degrees of freedom, as
+        few logs say little about how large an effect can become on a healthy arm.
         """
         power: dict[Where, list[float]] = {}
         count = 0
