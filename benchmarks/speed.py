@@ -107,7 +107,7 @@ def work() -> None:
     from agent.excitation.criterion import one_blas_thread
     from agent.excitation.loop_search import Scorer
     from agent.motion import ViaRegions
-    from agent.pipeline.planning import loop_problem
+    from agent.pipeline.plan import loop_problem
     from agent.recipe import load_recipe
 
     recipe = load_recipe(RECIPE)

@@ -125,21 +125,13 @@ def history_json(history: History, runs: Sequence[PastRun], current: Collection[
         "schema": "history/1",
         "runs": [
             {
-                "run": run.run,
-                "robot": run.robot,
-                "serial": run.serial,
-                "kind": run.kind,
-                "started": run.started,
-                "status": run.status,
+                **{key: getattr(run, key) for key in ("run", "robot", "serial", "kind", "started", "status")},
                 "accepted": run.accepted if run.judged else None,
                 "current": run.run in current,
                 "reason": run.reason,
                 "reference": run.reference,
                 "program_sha256": run.program,
-                "joints": run.data["joints"],
-                "normalised_rmse": run.data["normalised_rmse"],
-                "gate": run.data["gate"],
-                "conditions": run.data["conditions"],
+                **{key: run.data[key] for key in ("joints", "normalised_rmse", "gate", "conditions")},
                 "parameters": [
                     {"name": p.name, "unit": p.unit, "value": p.value, "standard_deviation": p.deviation}
                     for p in parameters.get(run.run, [])

@@ -16,7 +16,7 @@ import numpy as np
 from agent.blind_check import ask_world
 from agent.core import Console, InputError
 from agent.model import CATALOGUE
-from agent.pipeline.planning import checked_chains
+from agent.pipeline.plan import checked_chains
 from agent.recipe import Recipe, load_recipe, template
 from agent.robot import Tool, kinematics_for, load_robot
 from fake_controller.withheld.cases import Case, Mix, draw_cases
@@ -192,7 +192,7 @@ def _region_text(robot: Path) -> str:
     """
     from agent.excitation import Candidates
     from agent.motion import pose_to_pos
-    from agent.pipeline.planning import loop_problem
+    from agent.pipeline.plan import loop_problem
 
     arm = load_robot(str(robot))
     kinematics = kinematics_for(arm, None)

@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from agent.core import AgentError, Console, finite, write_atomically
-from agent.pipeline.next_experiment import LONGEST, NextMotion, mass_beside, plan_next, run_otherwise
-from agent.pipeline.planning import Plan, make_plan, program_text
+from agent.experiment import Pick, pieces_otherwise
+from agent.pipeline.gap.next_experiment import LONGEST, NextMotion, Runs, mass_beside, motion_duration, plan_next
+from agent.pipeline.plan import Plan, loop_problem, make_plan, program_text
 from agent.recipe import Recipe
 from benchmarks.active.machines import ActiveWorld, Job, mounted, on_brakes
 from benchmarks.active.scoring import WAYS, class_of
@@ -20,7 +21,7 @@ from drivers.errors import DriverError
 
 if TYPE_CHECKING:
     from agent.diagnosis import Diagnosis
-    from agent.pipeline.other_tests import WithMass
+    from agent.pipeline.gap.next_experiment import WithMass
     from agent.recording import Log
     from agent.robot import Tool
     from fake_controller.withheld.cases import Case
@@ -332,3 +333,22 @@ def _said(found: Diagnosis) -> dict[str, Any]:
         sizes = smallest_sizes(found.dataset, found.finding.evidence).items()
         said["smallest"] = {" ".join((effect, *(names[j] for j in joints))): size for (effect, joints), size in sizes}
     return said
+
+
+def run_otherwise(
+    pick: Pick, kinds: Mapping[str, float], recipe: Recipe, seconds: float, name: str, seed: int
+) -> tuple[str, float] | None:
+    """Text and duration [s] of a motion chosen in another way than by what it separates; None where none can run.
+
+    Pieces of the `kinds` (how often each is drawn) are picked one after the other, while all of them with the moves
+    between them take no longer than `seconds`.
+
+    Raises:
+        InputError: the recipe's cell leaves no room.
+    """
+    runs = Runs(recipe, name, seconds)
+    if not pieces_otherwise(pick, loop_problem(recipe, recipe.motion.speed), seconds, seed, runs, kinds):
+        return None
+    assert runs.motion is not None
+    text, chains = runs.motion
+    return text, motion_duration(text, chains, recipe.robot, recipe.dialect)

@@ -14,7 +14,7 @@ import numpy as np
 
 from agent.excitation import Candidates, Criterion
 from agent.motion import Trajectory, ViaRegions
-from agent.pipeline.planning import loop_problem
+from agent.pipeline.plan import loop_problem
 from agent.recipe import Recipe
 from benchmarks.evidence import figures
 from benchmarks.evidence.emulation import plant, record, repeated

@@ -11,7 +11,7 @@ import numpy as np
 from agent.core import InputError
 from agent.estimation import EstimationSettings, estimate
 from agent.motion import Trajectory, ViaRegions
-from agent.pipeline.planning import loop_problem
+from agent.pipeline.plan import loop_problem
 from agent.recipe import Recipe
 from agent.recording import Log
 from agent.robot import KinematicsError

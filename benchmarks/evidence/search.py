@@ -11,7 +11,7 @@ import numpy as np
 from agent.excitation import LoopScore, ranking
 from agent.excitation.genetic import genetic
 from agent.excitation.loop_search import random_search
-from agent.pipeline.planning import loop_problem
+from agent.pipeline.plan import loop_problem
 from agent.recipe import Recipe
 from benchmarks.evidence import figures
 from benchmarks.evidence.criteria import SHORT, judged

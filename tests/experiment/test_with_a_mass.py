@@ -18,9 +18,8 @@ from agent.experiment import open_pairs, tells_apart_by_load
 from agent.experiment.motion import GridMotion
 from agent.experiment.questions import OpenPair, Side
 from agent.motion.pdl2.dialect import Pdl2
-from agent.pipeline.next_experiment import NextMotion
-from agent.pipeline.other_tests import with_a_mass
-from agent.pipeline.planning import loop_problem
+from agent.pipeline.gap.next_experiment import NextMotion, with_a_mass
+from agent.pipeline.plan import loop_problem
 from agent.recipe import load_recipe, template
 from agent.report.page import Page, render
 from agent.report.rounds_section import planned_sections
@@ -68,7 +67,7 @@ def ask(tmp_path: Path, monkeypatch):
         monkeypatch.setattr(agent.experiment, "plan_experiment", plan)
         monkeypatch.setattr(agent.experiment, "tells_apart_by_load", lambda *_: tells)
         motion = None if bare is None else planned(bare, pair)
-        return with_a_mass(FOUND, [pair], change(problem), 60.0, 1, QUIET, motion), tried  # type: ignore[arg-type,list-item]
+        return with_a_mass(FOUND, [pair], change(problem), 1, QUIET, motion), tried  # type: ignore[arg-type,list-item]
 
     return run
 

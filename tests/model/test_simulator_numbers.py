@@ -23,8 +23,8 @@ from agent.diagnosis.simulator import Explanation, _possible, numbers_instead, w
 from agent.diagnosis.testability import smallest_sizes
 from agent.model import CATALOGUE
 from agent.pipeline import GapQuestion
-from agent.pipeline.corrected_simulator import beyond_range
-from agent.pipeline.first_screen import after_diagnosis
+from agent.pipeline.gap.corrected_simulator import beyond_range
+from agent.pipeline.gap.next_steps import after_diagnosis
 from agent.pipeline.identify import check_plausible
 from agent.recording import read_log
 from agent.report import headline, verdict_text
