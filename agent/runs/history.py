@@ -29,7 +29,7 @@ class History:
         self.damaged: list[str] = []
         found = []
         for entry in os.scandir(folder):
-            if not entry.name.isprintable():  # none of ours
+            if not entry.name.isprintable():  # not a run folder of the agent
                 continue
             try:
                 os.stat(f"{entry.path}/state.json")
@@ -66,7 +66,8 @@ class History:
     def last_accepted(self, robot: str, loop: str, controller: str, now: datetime | None = None) -> PastRun | None:
         """The newest accepted run of a loop: of the robot at this controller if there is one, else of any.
 
-        One that is dated in the future counts only where there is no other: nobody knows when it was."""
+        A run dated in the future counts only if there is no other.
+        """
         accepted = [run for run in self.runs(robot) if run.accepted and run.loop == loop]
         here = [run for run in accepted if run.controller == controller] or accepted
         here = [run for run in here if not run.in_future(now)] or here

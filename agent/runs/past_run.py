@@ -12,7 +12,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any, TypeVar
 
-from agent.core import InputError, error_text, sha256_text
+from agent.core import InputError, error_text, read_json, sha256_text
 from drivers.texts import place_of
 
 #: Difference between two clocks that still counts as normal.
@@ -265,8 +265,6 @@ def read_object(path: Path) -> dict[str, Any]:
     Raises:
         ValueError: it cannot be read, or holds no object.
     """
-    from agent.core import read_json
-
     try:
         data = read_json(path)
     except InputError as error:

@@ -66,7 +66,7 @@ def test_a_joint_that_moved_beyond_its_range_in_the_file_is_named(tmp_path):
 
 
 def test_a_simulator_may_be_called_otherwise_than_the_robot_of_the_logs(tmp_path, robot, capsys, monkeypatch):
-    monkeypatch.setattr("agent.data_quality.check_quality", lambda *_: [])
+    monkeypatch.setattr("agent.pipeline.identify.check_quality", lambda *_: [])
     log = SimpleNamespace(metadata={"robot": "cell 7"}, name="a.mcap")
     check_plausible(robot, [log], False, Console(-1), described=False)
     assert "cell 7" not in capsys.readouterr().err
