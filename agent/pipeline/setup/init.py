@@ -68,7 +68,9 @@ def write_recipe(path: Path, given: dict[str, str | None]) -> Path:
         address=answers["controller"],
         driver=answers["driver"],
         cone=answers["cone"],
-        **{name: _parts(answers[name]) for name in ("centre", "size", "orientation")},
+        centre=_parts(answers["centre"]),
+        size=_parts(answers["size"]),
+        orientation=_parts(answers["orientation"]),
     )
     write_atomically(path, f"# yaml-language-server: $schema={SCHEMA}\n{text}")
     try:
