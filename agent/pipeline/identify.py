@@ -104,7 +104,7 @@ def check_plausible(
     advice: str = "Nothing is written. Fix it, or continue with --force",
     described: bool = True,
     model: IdentifiedModel | None = None,
-    beside: Sequence[Log] = (),
+    further: Sequence[Log] = (),
 ) -> None:
     """Refuse logs that no motion of this robot can have made; with `force` only warn.
 
@@ -113,13 +113,13 @@ def check_plausible(
     described : the robot's name is that of a description, not of a simulator's file.
     model : logs that it predicts are plausible, and torques of the size it predicts are in the right unit, whatever
         the description's masses.
-    beside : further motions, which have to confirm a doubt about few logs.
+    further : further motions, which have to confirm a doubt about few logs.
 
     Raises
     ------
     RejectedError : with the likeliest reason first.
     """
-    findings = check_quality(robot, logs, beside)
+    findings = check_quality(robot, logs, further)
     found = [str(finding) for finding in findings if finding.refuses]
     if findings and model is not None:
         if found and predicts(model, logs):
@@ -147,7 +147,7 @@ def check_run(
     logs: Sequence[Log],
     model: IdentifiedModel | None,
     console: Console,
-    beside: Sequence[Log] = (),
+    further: Sequence[Log] = (),
 ) -> None:
     """Check what a run recorded for its fit with `check_one_machine` and `check_plausible`.
 
@@ -159,7 +159,7 @@ def check_run(
         "No model is written. Fix the description or what the controller sends, then start a new run. "
         "`agent estimate --force` fits these logs all the same"
     )
-    check_plausible(robot, logs, False, console, advice, beside=beside)
+    check_plausible(robot, logs, False, console, advice, further=further)
 
 
 def say_spoiled(robot: RobotDescription, logs: Sequence[Log], console: Console) -> None:

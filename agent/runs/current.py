@@ -85,8 +85,8 @@ def apply_run(logs: Path, run: Path) -> Applied:
         return before
     with _writable(place):
         version = _fresh(place / "versions")
-        with written_whole(version / "model.json") as beside:
-            shutil.copyfile(model, beside)
+        with written_whole(version / "model.json") as fresh:
+            shutil.copyfile(model, fresh)
         about = {
             "schema": "current/1",
             "run": past.run,
@@ -193,7 +193,7 @@ def _writable(place: Path) -> Iterator[None]:
 
 
 def _point(place: Path, version: str) -> None:
-    beside = place / f".current.{os.getpid()}"
-    beside.unlink(missing_ok=True)
-    beside.symlink_to(Path("versions") / version)
-    os.replace(beside, place / "current")
+    fresh = place / f".current.{os.getpid()}"
+    fresh.unlink(missing_ok=True)
+    fresh.symlink_to(Path("versions") / version)
+    os.replace(fresh, place / "current")

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from agent.core import AgentError, Console, finite, write_atomically
 from agent.experiment import Pick, pieces_otherwise
-from agent.pipeline.gap.next_experiment import LONGEST, NextMotion, Runs, mass_beside, motion_duration, plan_next
+from agent.pipeline.gap.next_experiment import LONGEST, NextMotion, Runs, clearer_with_mass, motion_duration, plan_next
 from agent.pipeline.plan import Plan, loop_problem, make_plan, program_text
 from agent.recipe import Recipe
 from benchmarks.active.machines import ActiveWorld, Job, mounted, on_brakes
@@ -208,7 +208,7 @@ class ActiveRun:
             motion = plan_next(found, self._recipe, _QUIET, seconds, name, load)
             if not isinstance(motion, NextMotion):
                 return WayMotion("", 0.0, mass=_text_of(motion.mass))
-            beside = mass_beside(found, self._recipe, motion, _QUIET) if mass else None
+            beside = clearer_with_mass(found, self._recipe, motion, _QUIET) if mass else None
             return WayMotion(motion.text, motion.duration, motion.to_dict(name)["probability"], _text_of(beside))
         if way == "loop_again":
             cycle = self._plan.excitation.loop.trajectory.duration

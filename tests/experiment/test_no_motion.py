@@ -192,7 +192,7 @@ def test_where_the_question_of_a_mass_is_stopped_the_motion_of_the_bare_arm_is_t
     text = "PROGRAM x\nBEGIN\n  DELAY 4000\nEND x\n"
     planned = next_experiment.NextMotion(experiment, text, (), load_robot("comau_ns16"), Pdl2())  # type: ignore[arg-type]
     monkeypatch.setattr(diagnose, "plan_next", lambda *_, **__: planned)
-    monkeypatch.setattr(diagnose, "mass_beside", fails(why))
+    monkeypatch.setattr(diagnose, "clearer_with_mass", fails(why))
     question, shown = asked(why)
     assert shown["next_experiment"]["motion"] == "a loop of the bare arm"
     assert any("the motion with a known mass was not planned" in text for text in shown["warnings"])

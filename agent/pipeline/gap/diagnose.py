@@ -24,7 +24,7 @@ from agent.experiment import Deadline
 from agent.model import CATALOGUE, IdentifiedModel, payload_of
 from agent.pipeline.ending import ending_text, step
 from agent.pipeline.gap.corrected_simulator import run_forward, write_simulator
-from agent.pipeline.gap.next_experiment import NoMotion, check_arm, check_tool, mass_beside, plan_next, write_next
+from agent.pipeline.gap.next_experiment import NoMotion, check_arm, check_tool, clearer_with_mass, plan_next, write_next
 from agent.pipeline.gap.next_steps import after_diagnosis
 from agent.pipeline.gap.question import GapQuestion, options_of
 from agent.pipeline.gap.until_sure import Found, Rounds, until_sure
@@ -245,7 +245,7 @@ def _next(found: Diagnosis, question: GapQuestion, console: Console) -> Iterator
         yield motion.to_dict()
         return
     yield (planned := write_next(motion, question.out))
-    if (mass := mass_beside(found, recipe, motion, console, deadline)) is not None:
+    if (mass := clearer_with_mass(found, recipe, motion, console, deadline)) is not None:
         yield {**planned, "with_a_mass": mass.to_dict()}
 
 

@@ -217,7 +217,7 @@ def plan_next(
     return NoMotion(f"{moving}. {other_test(found, pairs)}{loads}", names, mass)
 
 
-def mass_beside(
+def clearer_with_mass(
     found: Diagnosis, recipe: Recipe, motion: NextMotion, console: Console, deadline: Deadline | None = None
 ) -> WithMass | None:
     """A known mass with which a motion separates clearly what this one of the bare arm separates with doubt.
