@@ -65,8 +65,7 @@ def check(recipe: opt.RecipePath, as_json: opt.AsJson = False, messages: opt.Mes
     """Check recipe, reach, limits and cell, and ping the controller. Moves nothing."""
     from agent.pipeline import check_recipe
 
-    findings = check_recipe(recipe, opt.console_for(messages))
-    opt.print_found(as_json, findings)
+    opt.print_found(as_json, findings := check_recipe(recipe, opt.console_for(messages)))
     raise typer.Exit(findings.exit_code)
 
 

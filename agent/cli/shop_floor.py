@@ -34,13 +34,11 @@ def recalibrate(
     outcome = run_recalibration(load_recipe(recipe), opt.console_for(messages), logs, yes, allowed)
     if as_json:
         print_json(outcome.result or {"schema": "recalibration/1", "skipped": outcome.skipped})
+    elif outcome.run is None:
+        print(outcome.summary())
     else:
-        if outcome.run is not None:
-            print(outcome.summary(), file=sys.stderr)
-        if outcome.run is None:
-            print(outcome.summary())
-        else:
-            print_path(outcome.run)
+        print(outcome.summary(), file=sys.stderr)
+        print_path(outcome.run)
     raise typer.Exit(0 if outcome.accepted else 3)
 
 
@@ -197,8 +195,7 @@ def learn_interpolator(
     """Learn the controller's interpolation from recorded set-points, for `search.interpolator` of a recipe."""
     from agent.pipeline import learn_files
 
-    learned = learn_files(robot, logs, out, opt.console_for(messages))
-    opt.print_found(as_json, learned)
+    opt.print_found(as_json, learn_files(robot, logs, out, opt.console_for(messages)))
 
 
 @app.command(rich_help_panel=opt.CALIBRATE, epilog="Example: agent apply 20260101T020000Z_comau_ns16")
@@ -229,6 +226,5 @@ def doctor(logs: opt.RunsFolder = Path("logs"), as_json: opt.AsJson = False) -> 
     """Versions, extras, compiled functions, serial ports, clock, disk and limits; what to do where one is wrong."""
     from agent.pipeline import examine_installation
 
-    findings = examine_installation(logs)
-    opt.print_found(as_json, findings)
+    opt.print_found(as_json, findings := examine_installation(logs))
     raise typer.Exit(findings.exit_code)
