@@ -25,7 +25,7 @@ from mujoco import sysid
 from agent.core.console import Console
 from agent.diagnosis.rollout import MujocoEngine, at_motors
 from agent.model import ModelEffect
-from agent.pipeline.diagnose import GapQuestion, diagnose_files
+from agent.pipeline.gap.diagnose import GapQuestion, diagnose_files
 from agent.recording import read_log
 from agent.recording.mcap.log_file import STATES, LogFile
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer import Argument, Option
 
 from agent.cli import fleet, options as opt, shop_floor
 from agent.core import InputError
@@ -34,7 +35,7 @@ def _print_version(wanted: bool) -> None:
 @app.callback()
 def agent(
     version: Annotated[
-        bool, typer.Option("--version", help="print the version and exit", callback=_print_version, is_eager=True)
+        bool, Option("--version", help="print the version and exit", callback=_print_version, is_eager=True)
     ] = False,
 ) -> None:
     """Measure your robot's real masses and friction, and find out why model and robot disagree."""
@@ -42,14 +43,14 @@ def agent(
 
 @app.command(rich_help_panel=opt.CALIBRATE, epilog="Example: agent init cell.yaml --controller 192.0.2.10:9100")
 def init(
-    recipe: Annotated[Path, typer.Argument(metavar="RECIPE", help="file to write")] = Path("recipe.yaml"),
+    recipe: Annotated[Path, Argument(metavar="RECIPE", help="file to write")] = Path("recipe.yaml"),
     robot: opt.AnyDescribedRobot = None,
-    driver: Annotated[str | None, typer.Option("--driver", metavar="NAME", help="driver of the controller")] = None,
-    controller: Annotated[str | None, typer.Option("--controller", metavar="ADDRESS", help="address and port")] = None,
-    centre: Annotated[str | None, typer.Option("--centre", metavar="X,Y,Z", help="centre of the sub-region")] = None,
-    size: Annotated[str | None, typer.Option("--size", metavar="X,Y,Z", help="size of the sub-region")] = None,
-    orientation: Annotated[str | None, typer.Option("--orientation", metavar="A,E,R", help="tool angles")] = None,
-    cone: Annotated[str | None, typer.Option("--cone", metavar="ANGLE", help="how far the tool may tilt")] = None,
+    driver: Annotated[str | None, Option(metavar="NAME", help="driver of the controller")] = None,
+    controller: Annotated[str | None, Option(metavar="ADDRESS", help="address and port")] = None,
+    centre: Annotated[str | None, Option(metavar="X,Y,Z", help="centre of the sub-region")] = None,
+    size: Annotated[str | None, Option(metavar="X,Y,Z", help="size of the sub-region")] = None,
+    orientation: Annotated[str | None, Option(metavar="A,E,R", help="tool angles")] = None,
+    cone: Annotated[str | None, Option(metavar="ANGLE", help="how far the tool may tilt")] = None,
 ) -> None:
     """Write a commented recipe. On a terminal, the command asks for values without an option."""
     from agent.pipeline import write_recipe
@@ -64,15 +65,14 @@ def check(recipe: opt.RecipePath, as_json: opt.AsJson = False, messages: opt.Mes
     """Check recipe, reach, limits and cell, and ping the controller. Moves nothing."""
     from agent.pipeline import check_recipe
 
-    findings = check_recipe(recipe, opt.console_for(messages))
-    opt.print_found(as_json, findings)
+    opt.print_found(as_json, findings := check_recipe(recipe, opt.console_for(messages)))
     raise typer.Exit(findings.exit_code)
 
 
 @app.command(rich_help_panel=opt.CALIBRATE, epilog="Example: agent plan cell.yaml -o plan")
 def plan(
     recipe: opt.RecipePath,
-    out: Annotated[Path | None, typer.Option("-o", "--out", metavar="DIR", help="folder for the plan")] = None,
+    out: Annotated[Path | None, Option("-o", "--out", metavar="DIR", help="folder for the plan")] = None,
     scheduler: opt.Scheduler = None,
     workers: opt.Workers = None,
     as_json: opt.AsJson = False,
@@ -93,9 +93,7 @@ def plan(
 @app.command(rich_help_panel=opt.CALIBRATE, epilog="Example: agent calibrate cell.yaml")
 def calibrate(
     recipe: opt.RecipePath,
-    resume: Annotated[
-        str | None, typer.Option("--resume", metavar="RUN", help="continue a stopped run (folder or name)")
-    ] = None,
+    resume: Annotated[str | None, Option(metavar="RUN", help="continue a stopped run (folder or name)")] = None,
     logs: opt.RunsFolder = Path("logs"),
     yes: opt.Yes = False,
     as_json: opt.AsJson = False,
@@ -120,18 +118,15 @@ def calibrate(
 
 @app.command(cls=opt.Diagnose, rich_help_panel=opt.DIAGNOSE, epilog="Example: agent diagnose --model arm.xml loop.mcap")
 def diagnose(
-    logs: Annotated[list[Path] | None, typer.Argument(metavar="LOG...", help="MCAP logs")] = None,
+    logs: Annotated[list[Path] | None, Argument(metavar="LOG...", help="MCAP logs")] = None,
     robot: opt.AnyRobot = None,
     model: Annotated[
-        Path | None,
-        typer.Option("--model", metavar="MODEL", help="model to compare with: model file, MJCF or URDF"),
+        Path | None, Option(metavar="MODEL", help="model to compare with: model file, MJCF or URDF")
     ] = None,
     joint_map: Annotated[
-        Path | None, typer.Option("--map", metavar="MAP.yaml", help="names of the simulator's joints in the logs")
+        Path | None, Option("--map", metavar="MAP.yaml", help="names of the simulator's joints in the logs")
     ] = None,
-    record: Annotated[
-        Path | None, typer.Option("--record", metavar="RECIPE", help="record the recipe's motions, then diagnose")
-    ] = None,
+    record: Annotated[Path | None, Option(metavar="RECIPE", help="record the recipe's motions, then diagnose")] = None,
     cutoff: opt.Cutoff = None,
     without: opt.Without = None,
     topic: opt.Topic = None,
@@ -141,12 +136,7 @@ def diagnose(
     report: opt.Page = None,
     out: Annotated[
         Path | None,
-        typer.Option(
-            "-o",
-            "--out",
-            metavar="OUT",
-            help="corrected model, MJCF or URDF to write; with --next, the folder",
-        ),
+        Option("-o", "--out", metavar="OUT", help="corrected model, MJCF or URDF to write; with --next, the folder"),
     ] = None,
     next_recipe: opt.NextRecipe = None,
     load: opt.KnownLoad = None,
@@ -203,8 +193,8 @@ def diagnose(
 @app.command(rich_help_panel=opt.DATA, epilog="Example: agent record cell.yaml --program loop.pdl -o loop.mcap")
 def record(
     recipe: opt.RecipePath,
-    program: Annotated[Path, typer.Option("--program", metavar="P", help="program to run")],
-    out: Annotated[Path | None, typer.Option("-o", "--out", metavar="LOG", help="log to write")] = None,
+    program: Annotated[Path, Option(metavar="P", help="program to run")],
+    out: Annotated[Path | None, Option("-o", "--out", metavar="LOG", help="log to write")] = None,
     load: opt.KnownLoad = None,
     yes: opt.Yes = False,
     messages: opt.Messages = None,
@@ -222,12 +212,12 @@ def record(
 def estimate(
     logs: opt.Logs,
     robot: opt.RobotOption,
-    out: Annotated[Path, typer.Option("-o", "--out", metavar="MODEL", help="model file to write")],
+    out: Annotated[Path, Option("-o", "--out", metavar="MODEL", help="model file to write")],
     cutoff: opt.Cutoff = None,
     method: opt.Method = None,
     export: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="also write URDF, MuJoCo model and friction file (physically consistent)"),
+        Option(metavar="DIR", help="also write URDF, MuJoCo model and friction file (physically consistent)"),
     ] = None,
     structure: opt.Structure = "rigid",
     topic: opt.Topic = None,
@@ -265,24 +255,21 @@ def validate(
 @app.command(rich_help_panel=opt.TOOLS, epilog="Example: agent blind-check --cases 20 --seed 1 -o blind")
 def blind_check(
     answers: Annotated[
-        list[Path] | None, typer.Argument(metavar="ANSWERS.jsonl", help="with --score: answers of a tool")
+        list[Path] | None, Argument(metavar="ANSWERS.jsonl", help="with --score: answers of a tool")
     ] = None,
-    cases: Annotated[int, typer.Option("--cases", metavar="N", help="number of simulated runs")] = 400,
+    cases: Annotated[int, Option(metavar="N", help="number of simulated runs")] = 400,
     seed: Annotated[
-        int | None,
-        typer.Option("--seed", metavar="S", min=0, help="draw development cases; without it, the cases for scoring"),
+        int | None, Option(metavar="S", min=0, help="draw development cases; without it, the cases for scoring")
     ] = None,
-    world: Annotated[str, typer.Option("--world", metavar="WORLD", help="emulator or mujoco")] = "emulator",
+    world: Annotated[str, Option(metavar="WORLD", help="emulator or mujoco")] = "emulator",
     out: Annotated[
-        Path | None, typer.Option("-o", "--out", metavar="DIR", help="folder of the results; default blind_check")
+        Path | None, Option("-o", "--out", metavar="DIR", help="folder of the results; default blind_check")
     ] = None,
     export: Annotated[
-        Path | None, typer.Option("--export", metavar="DIR", help="only write the runs, for another tool; needs --key")
+        Path | None, Option(metavar="DIR", help="only write the runs, for another tool; needs --key")
     ] = None,
-    key: Annotated[Path | None, typer.Option("--key", metavar="KEY.json", help="answer key, outside DIR")] = None,
-    score: Annotated[
-        Path | None, typer.Option("--score", metavar="KEY.json", help="only score answers against this key")
-    ] = None,
+    key: Annotated[Path | None, Option(metavar="KEY.json", help="answer key, outside DIR")] = None,
+    score: Annotated[Path | None, Option(metavar="KEY.json", help="only score answers against this key")] = None,
     scheduler: opt.Scheduler = None,
     workers: opt.Workers = None,
     as_json: opt.AsJson = False,
@@ -331,11 +318,11 @@ def trajectories(as_json: opt.AsJson = False) -> None:
 
 @app.command("import", rich_help_panel=opt.DATA, epilog="Example: agent import --robot ur5e --map m.yaml a.csv b.mcap")
 def import_(
-    files: Annotated[list[Path], typer.Argument(metavar="IN... OUT.mcap", help="tables, then the log to write")],
+    files: Annotated[list[Path], Argument(metavar="IN... OUT.mcap", help="tables, then the log to write")],
     robot: opt.RobotOption,
-    mapping: Annotated[Path | None, typer.Option("--map", metavar="MAP.yaml", help="meaning of each column")] = None,
+    mapping: Annotated[Path | None, Option("--map", metavar="MAP.yaml", help="meaning of each column")] = None,
     preset: Annotated[
-        str | None, typer.Option("--preset", metavar="NAME", help="columns of a known recorder: ur-rtde or ur-record")
+        str | None, Option(metavar="NAME", help="columns of a known recorder: ur-rtde or ur-record")
     ] = None,
     messages: opt.Messages = None,
 ) -> None:

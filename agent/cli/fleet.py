@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer import Argument, Option
 
 from agent.cli import options as opt
 from agent.core import InputError
@@ -17,19 +18,18 @@ if TYPE_CHECKING:
 
 app = typer.Typer(no_args_is_help=True, help="Work on many robots, on local cores or a Dask cluster.")
 
-Source = Annotated[str, typer.Argument(metavar="SOURCE", help="folder or URL (s3://…) of folders with logs")]
-Out = Annotated[str, typer.Option("-o", "--out", metavar="RESULT", help="folder or URL of the result")]
+Source = Annotated[str, Argument(metavar="SOURCE", help="folder or URL (s3://…) of folders with logs")]
+Out = Annotated[str, Option("-o", "--out", metavar="RESULT", help="folder or URL of the result")]
 Robot = Annotated[
-    str | None,
-    typer.Option("--robot", metavar="R", help="one robot for all; default: robot.yaml in or above each run"),
+    str | None, Option("--robot", metavar="R", help="one robot for all; default: robot.yaml in or above each run")
 ]
-Memory = Annotated[str | None, typer.Option("--memory", metavar="SIZE", help="memory of a local process, such as 2GiB")]
+Memory = Annotated[str | None, Option("--memory", metavar="SIZE", help="memory of a local process, such as 2GiB")]
 ModelName = Annotated[
-    str | None, typer.Option("--model", metavar="MODEL", help="model file for all, or its name in or above each run")
+    str | None, Option("--model", metavar="MODEL", help="model file for all, or its name in or above each run")
 ]
 Columns = Annotated[
     list[Path] | None,
-    typer.Option("--columns", metavar="TABLE", help="CSV or Parquet with column robot and more: cell, batch"),
+    Option("--columns", metavar="TABLE", help="CSV or Parquet with column robot and more: cell, batch"),
 ]
 
 
@@ -115,12 +115,12 @@ def _up_to_date(
 
 @app.command(epilog="Example: agent fleet simulate -n 20 --weeks 10 -o logs")
 def simulate(
-    machines: Annotated[int, typer.Option("-n", "--machines", metavar="N", min=1, help="number of robots")],
-    out: Annotated[str, typer.Option("-o", "--out", metavar="FOLDER", help="new folder or URL")],
-    weeks: Annotated[int, typer.Option("--weeks", metavar="W", min=1, help="runs of each robot, one per week")] = 1,
+    machines: Annotated[int, Option("-n", "--machines", metavar="N", min=1, help="number of robots")],
+    out: Annotated[str, Option("-o", "--out", metavar="FOLDER", help="new folder or URL")],
+    weeks: Annotated[int, Option(metavar="W", min=1, help="runs of each robot, one per week")] = 1,
     seed: opt.Seed = 1,
-    robot: Annotated[str, typer.Option("--robot", metavar="R", help="built-in robot or robot.yaml")] = "comau_ns16",
-    rows: Annotated[bool, typer.Option("--rows", help="write no logs, only the result of `fleet estimate`")] = False,
+    robot: Annotated[str, Option(metavar="R", help="built-in robot or robot.yaml")] = "comau_ns16",
+    rows: Annotated[bool, Option("--rows", help="write no logs, only the result of `fleet estimate`")] = False,
 ) -> None:
     """Simulate a fleet with known wear, steps and causes (truth.csv). Prints what it wrote."""
     from agent.fleet import simulate_fleet
@@ -131,12 +131,9 @@ def simulate(
 
 @app.command(epilog="Example: agent fleet trends estimates")
 def trends(
-    source: Annotated[
-        str, typer.Argument(metavar="SOURCE", help="result of a fleet, or folder or URL of folders with logs")
-    ],
+    source: Annotated[str, Argument(metavar="SOURCE", help="result of a fleet, or folder or URL of folders with logs")],
     out: Annotated[
-        str | None,
-        typer.Option("-o", "--out", metavar="RESULT", help="folder or URL for the trends as Parquet"),
+        str | None, Option("-o", "--out", metavar="RESULT", help="folder or URL for the trends as Parquet")
     ] = None,
     columns: Columns = None,
     robot: Robot = None,
@@ -163,10 +160,10 @@ def trends(
 
 @app.command(epilog="Example: agent fleet report estimates")
 def report(
-    result: Annotated[str, typer.Argument(metavar="RESULT", help="result of a fleet")],
+    result: Annotated[str, Argument(metavar="RESULT", help="result of a fleet")],
     columns: Columns = None,
     out: Annotated[
-        str | None, typer.Option("-o", "--out", metavar="OUT.html", help="page to write; RESULT/_report.html if absent")
+        str | None, Option("-o", "--out", metavar="OUT.html", help="page to write; RESULT/_report.html if absent")
     ] = None,
 ) -> None:
     """Write an HTML page of the fleet: which machines need attention, and why. Prints its path."""

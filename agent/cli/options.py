@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from typer import Argument, Option
 from typer.core import TyperCommand, TyperOption
 
 #: Groups of commands in the help, in this order.
@@ -34,61 +35,56 @@ def _print_all_help(context: typer.Context, wanted: bool) -> None:
         raise typer.Exit
 
 
-HelpAll = Annotated[bool, typer.Option("--help-all", help="show all options", callback=_print_all_help, is_eager=True)]
-RecipePath = Annotated[Path, typer.Argument(metavar="RECIPE", help="recipe file (YAML)")]
+HelpAll = Annotated[bool, Option("--help-all", help="show all options", callback=_print_all_help, is_eager=True)]
+RecipePath = Annotated[Path, Argument(metavar="RECIPE", help="recipe file (YAML)")]
 Messages = Annotated[
     bool | None,
-    typer.Option("-v/-q", "--verbose/--quiet", help="more messages / only warnings and the result", show_default=False),
+    Option("-v/-q", "--verbose/--quiet", help="more messages / only warnings and the result", show_default=False),
 ]
-Yes = Annotated[bool, typer.Option("--yes", help="the cell is clear: move without asking")]
-AsJson = Annotated[bool, typer.Option("--json", help="one JSON object on stdout")]
-RobotOption = Annotated[str, typer.Option("--robot", metavar="R", help="built-in robot, robot.yaml, URDF or MJCF")]
-Cutoff = Annotated[float | None, typer.Option("--cutoff", metavar="HZ", help="cut-off frequency of the torque filter")]
+Yes = Annotated[bool, Option("--yes", help="the cell is clear: move without asking")]
+AsJson = Annotated[bool, Option("--json", help="one JSON object on stdout")]
+RobotOption = Annotated[str, Option("--robot", metavar="R", help="built-in robot, robot.yaml, URDF or MJCF")]
+Cutoff = Annotated[float | None, Option("--cutoff", metavar="HZ", help="cut-off frequency of the torque filter")]
 Topic = Annotated[
-    str | None, typer.Option("--topic", metavar="T", help="topic of the arm's joint states, if a log has several")
+    str | None, Option("--topic", metavar="T", help="topic of the arm's joint states, if a log has several")
 ]
-RunsFolder = Annotated[Path, typer.Option("--logs", metavar="DIR", help="folder of the runs")]
-AnyRobot = Annotated[str | None, typer.Option("--robot", metavar="R", help="built-in robot, robot.yaml, URDF or MJCF")]
+RunsFolder = Annotated[Path, Option("--logs", metavar="DIR", help="folder of the runs")]
+AnyRobot = Annotated[str | None, Option("--robot", metavar="R", help="built-in robot, robot.yaml, URDF or MJCF")]
 _DRIVES = "built-in robot, or robot.yaml"
-DescribedRobot = Annotated[str, typer.Option("--robot", metavar="R", help=_DRIVES)]
-AnyDescribedRobot = Annotated[str | None, typer.Option("--robot", metavar="R", help=_DRIVES)]
-Serial = Annotated[str | None, typer.Option("--serial", metavar="S", help="serial number of the machine")]
+DescribedRobot = Annotated[str, Option("--robot", metavar="R", help=_DRIVES)]
+AnyDescribedRobot = Annotated[str | None, Option("--robot", metavar="R", help=_DRIVES)]
+Serial = Annotated[str | None, Option("--serial", metavar="S", help="serial number of the machine")]
 Authorised = Annotated[
-    Path | None, typer.Option("--authorisation", metavar="FILE", help="file that permits unattended motion")
+    Path | None, Option("--authorisation", metavar="FILE", help="file that permits unattended motion")
 ]
-AllowMixed = Annotated[bool, typer.Option("--allow-mixed", help="accept logs of several machines or tools")]
-Force = Annotated[bool, typer.Option("--force", help="continue although a log is implausible")]
-Method = Annotated[str | None, typer.Option("--method", help="estimator; by default the best on held-out data")]
-Structure = Annotated[str, typer.Option(help="rigid, or auto: add springs, hoses and other effects that the logs show")]
-Without = Annotated[list[str] | None, typer.Option("--without", metavar="EFFECT", help="ignore this effect")]
-Seed = Annotated[int, typer.Option("--seed", metavar="S", min=0, help="seed of all random draws")]
-Page = Annotated[Path | None, typer.Option("--report", metavar="OUT.html", help="HTML page to write")]
-RunName = Annotated[str | None, typer.Argument(metavar="RUN", help="run folder, or its name")]
-ModelFile = Annotated[Path, typer.Option("--model", metavar="MODEL", help="model file")]
-Logs = Annotated[list[Path], typer.Argument(metavar="LOG...", help="MCAP logs")]
+AllowMixed = Annotated[bool, Option("--allow-mixed", help="accept logs of several machines or tools")]
+Force = Annotated[bool, Option("--force", help="continue although a log is implausible")]
+Method = Annotated[str | None, Option("--method", help="estimator; by default the best on held-out data")]
+Structure = Annotated[str, Option(help="rigid, or auto: add springs, hoses and other effects that the logs show")]
+Without = Annotated[list[str] | None, Option("--without", metavar="EFFECT", help="ignore this effect")]
+Seed = Annotated[int, Option("--seed", metavar="S", min=0, help="seed of all random draws")]
+Page = Annotated[Path | None, Option("--report", metavar="OUT.html", help="HTML page to write")]
+RunName = Annotated[str | None, Argument(metavar="RUN", help="run folder, or its name")]
+ModelFile = Annotated[Path, Option("--model", metavar="MODEL", help="model file")]
+Logs = Annotated[list[Path], Argument(metavar="LOG...", help="MCAP logs")]
 NextRecipe = Annotated[
-    Path | None,
-    typer.Option("--next", metavar="RECIPE", help="plan the motion that settles what is open"),
+    Path | None, Option("--next", metavar="RECIPE", help="plan the motion that settles what is open")
 ]
 KnownLoad = Annotated[
-    str | None,
-    typer.Option("--payload", metavar="LOAD", help="known mass at the flange: 'MASS, X, Y, Z' with its centre"),
+    str | None, Option("--payload", metavar="LOAD", help="known mass at the flange: 'MASS, X, Y, Z' with its centre")
 ]
 DrivesOff = Annotated[
-    Path | None,
-    typer.Option("--drives-off", metavar="LOG", help="stationary arm on its brakes: shows a torque offset"),
+    Path | None, Option("--drives-off", metavar="LOG", help="stationary arm on its brakes: shows a torque offset")
 ]
-UntilSure = Annotated[bool, typer.Option("--until-sure", help="with --record: more motions until the cause is clear")]
+UntilSure = Annotated[bool, Option("--until-sure", help="with --record: more motions until the cause is clear")]
 Budget = Annotated[
-    str | None, typer.Option("--budget", metavar="TIME", help="longest motion time of --until-sure; default 10 min")
+    str | None, Option("--budget", metavar="TIME", help="longest motion time of --until-sure; default 10 min")
 ]
-PlanningBudget = Annotated[
-    str, typer.Option("--planning-budget", metavar="TIME", help="time for planning the next motion")
-]
+PlanningBudget = Annotated[str, Option("--planning-budget", metavar="TIME", help="time for planning the next motion")]
 Scheduler = Annotated[
-    str | None, typer.Option("--scheduler", metavar="ADDRESS", help="Dask scheduler, tcp://…; default: local")
+    str | None, Option("--scheduler", metavar="ADDRESS", help="Dask scheduler, tcp://…; default: local")
 ]
-Workers = Annotated[int | None, typer.Option("--workers", metavar="N", min=1, help="local processes; one per core")]
+Workers = Annotated[int | None, Option("--workers", metavar="N", min=1, help="local processes; one per core")]
 
 
 def engine_for(scheduler: str | None, workers: int | None, console: Any) -> Any:

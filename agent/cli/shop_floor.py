@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer import Argument, Option
 
 from agent.cli import options as opt
 from agent.core import InputError
@@ -33,13 +34,11 @@ def recalibrate(
     outcome = run_recalibration(load_recipe(recipe), opt.console_for(messages), logs, yes, allowed)
     if as_json:
         print_json(outcome.result or {"schema": "recalibration/1", "skipped": outcome.skipped})
+    elif outcome.run is None:
+        print(outcome.summary())
     else:
-        if outcome.run is not None:
-            print(outcome.summary(), file=sys.stderr)
-        if outcome.run is None:
-            print(outcome.summary())
-        else:
-            print_path(outcome.run)
+        print(outcome.summary(), file=sys.stderr)
+        print_path(outcome.run)
     raise typer.Exit(0 if outcome.accepted else 3)
 
 
@@ -47,9 +46,9 @@ def recalibrate(
 def schedule(
     recipe: opt.RecipePath,
     logs: opt.RunsFolder = Path("logs"),
-    at: Annotated[str, typer.Option("--at", metavar="HH:MM", help="time of day")] = "02:00",
+    at: Annotated[str, Option(metavar="HH:MM", help="time of day")] = "02:00",
     authorisation: opt.Authorised = None,
-    install: Annotated[bool, typer.Option("--install", help="write the systemd units of this user")] = False,
+    install: Annotated[bool, Option("--install", help="write the systemd units of this user")] = False,
 ) -> None:
     """Print or install a timer (systemd or cron) that recalibrates."""
     from agent.pipeline import install as write_units, make_schedule, next_steps
@@ -72,7 +71,7 @@ def schedule(
 @app.command(rich_help_panel=opt.DIAGNOSE, epilog="Example: agent history --robot comau_ns16")
 def history(
     logs: opt.RunsFolder = Path("logs"),
-    robot: Annotated[str | None, typer.Option("--robot", metavar="R", help="only runs of this robot")] = None,
+    robot: Annotated[str | None, Option(metavar="R", help="only runs of this robot")] = None,
     serial: opt.Serial = None,
     as_json: opt.AsJson = False,
 ) -> None:
@@ -101,7 +100,7 @@ def history(
 
 @app.command(rich_help_panel=opt.DIAGNOSE, epilog="Example: agent compare logs/*_comau_ns16 --report page.html")
 def compare(
-    runs: Annotated[list[str], typer.Argument(metavar="RUN RUN", help="run folders, or their names")],
+    runs: Annotated[list[str], Argument(metavar="RUN RUN", help="run folders, or their names")],
     logs: opt.RunsFolder = Path("logs"),
     report: opt.Page = None,
     as_json: opt.AsJson = False,
@@ -125,11 +124,11 @@ def compare(
 @app.command(rich_help_panel=opt.DIAGNOSE, epilog="Example: agent report --index --open")
 def report(
     run: opt.RunName = None,
-    index: Annotated[bool, typer.Option("--index", help="the page of all runs, with trends")] = False,
+    index: Annotated[bool, Option("--index", help="the page of all runs, with trends")] = False,
     logs: opt.RunsFolder = Path("logs"),
-    robot: Annotated[str | None, typer.Option("--robot", metavar="R", help="with --index: only this robot")] = None,
+    robot: Annotated[str | None, Option(metavar="R", help="with --index: only this robot")] = None,
     serial: opt.Serial = None,
-    show: Annotated[bool, typer.Option("--open", help="open the page in the browser")] = False,
+    show: Annotated[bool, Option("--open", help="open the page in the browser")] = False,
     messages: opt.Messages = None,
 ) -> None:
     """Write the HTML page of a run, or of all runs. Prints its path."""
@@ -152,12 +151,11 @@ def report(
 
 @app.command(rich_help_panel=opt.DATA, epilog="Example: agent export model.json -o exported")
 def export(
-    model: Annotated[Path, typer.Argument(metavar="MODEL", help="model file")],
-    out: Annotated[Path | None, typer.Option("-o", "--out", metavar="DIR", help="folder to write to")] = None,
-    table: Annotated[bool, typer.Option("--csv", help="only the table of parameters")] = False,
+    model: Annotated[Path, Argument(metavar="MODEL", help="model file")],
+    out: Annotated[Path | None, Option("-o", "--out", metavar="DIR", help="folder to write to")] = None,
+    table: Annotated[bool, Option("--csv", help="only the table of parameters")] = False,
     load: Annotated[
-        str | None,
-        typer.Option("--load", metavar="VENDOR", help="print the identified load for ur, abb, kuka, franka or comau"),
+        str | None, Option(metavar="VENDOR", help="print the identified load for ur, abb, kuka, franka or comau")
     ] = None,
 ) -> None:
     """Write a model as URDF, MuJoCo model, SDF, CSV and Foxglove layout, or print the load for a robot vendor."""
@@ -190,23 +188,22 @@ def export(
 def learn_interpolator(
     logs: opt.Logs,
     robot: opt.DescribedRobot,
-    out: Annotated[Path, typer.Option("-o", "--out", metavar="FILE", help="YAML file to write")],
+    out: Annotated[Path, Option("-o", "--out", metavar="FILE", help="YAML file to write")],
     as_json: opt.AsJson = False,
     messages: opt.Messages = None,
 ) -> None:
     """Learn the controller's interpolation from recorded set-points, for `search.interpolator` of a recipe."""
     from agent.pipeline import learn_files
 
-    learned = learn_files(robot, logs, out, opt.console_for(messages))
-    opt.print_found(as_json, learned)
+    opt.print_found(as_json, learn_files(robot, logs, out, opt.console_for(messages)))
 
 
 @app.command(rich_help_panel=opt.CALIBRATE, epilog="Example: agent apply 20260101T020000Z_comau_ns16")
 def apply(
     run: opt.RunName = None,
-    previous: Annotated[bool, typer.Option("--previous", help="go back to the model before")] = False,
+    previous: Annotated[bool, Option("--previous", help="go back to the model before")] = False,
     logs: opt.RunsFolder = Path("logs"),
-    robot: Annotated[str | None, typer.Option("--robot", metavar="R", help="with --previous: only this robot")] = None,
+    robot: Annotated[str | None, Option(metavar="R", help="with --previous: only this robot")] = None,
     serial: opt.Serial = None,
     as_json: opt.AsJson = False,
 ) -> None:
@@ -229,6 +226,5 @@ def doctor(logs: opt.RunsFolder = Path("logs"), as_json: opt.AsJson = False) -> 
     """Versions, extras, compiled functions, serial ports, clock, disk and limits; what to do where one is wrong."""
     from agent.pipeline import examine_installation
 
-    findings = examine_installation(logs)
-    opt.print_found(as_json, findings)
+    opt.print_found(as_json, findings := examine_installation(logs))
     raise typer.Exit(findings.exit_code)

@@ -145,7 +145,7 @@ def report(result: GapDiagnosis | TorqueValidation | Calibration | str | Path, o
         InputError: `out` is missing or cannot be written, or the run folder is not complete.
     """
     from agent.core import write_atomically
-    from agent.pipeline import check_output
+    from agent.runs import check_output
 
     if isinstance(result, (Calibration, str, Path)):
         from agent.pipeline import rebuild_report

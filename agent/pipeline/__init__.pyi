@@ -1,13 +1,14 @@
 from .calibrate import CalibrationOutcome as CalibrationOutcome, run_calibration as run_calibration
-from .check import check_recipe as check_recipe
-from .compare import compare_runs as compare_runs
-from .conditions import friction_levels as friction_levels, top_speed as top_speed, warm_up as warm_up
-from .diagnose import diagnose_files as diagnose_files, diagnose_recording as diagnose_recording
-from .doctor import examine_installation as examine_installation
-from .gap_question import GapQuestion as GapQuestion
+from .gap.diagnose import diagnose_files as diagnose_files, diagnose_recording as diagnose_recording
+from .gap.printed_diagnosis import diagnosis_text as diagnosis_text, planned_text as planned_text
+from .gap.question import (
+    BUDGET as BUDGET,
+    GapQuestion as GapQuestion,
+    budget_of as budget_of,
+    planning_time as planning_time,
+)
 from .identify import (
     check_one_machine as check_one_machine,
-    check_output as check_output,
     check_plausible as check_plausible,
     check_structure as check_structure,
     estimate_files as estimate_files,
@@ -18,12 +19,13 @@ from .identify import (
     validate_files as validate_files,
     validation_text as validation_text,
 )
-from .init import write_recipe as write_recipe
 from .learn import learn_files as learn_files
 from .plan import PlanFiles as PlanFiles, plan_recipe as plan_recipe
-from .printed_diagnosis import diagnosis_text as diagnosis_text, planned_text as planned_text
 from .rebuilt_report import rebuild_report as rebuild_report
 from .recalibrate import run_recalibration as run_recalibration
-from .reports import write_index as write_index
-from .schedule import install as install, make_schedule as make_schedule, next_steps as next_steps
-from .until_sure import BUDGET as BUDGET, budget_of as budget_of, planning_time as planning_time
+from .reports import compare_runs as compare_runs, write_index as write_index
+from .result import friction_levels as friction_levels, top_speed as top_speed, warm_up as warm_up
+from .setup.check import check_recipe as check_recipe
+from .setup.doctor import examine_installation as examine_installation
+from .setup.init import write_recipe as write_recipe
+from .setup.schedule import install as install, make_schedule as make_schedule, next_steps as next_steps

@@ -2,26 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
-from agent.core import AgentError, Console, counted, error_text, sha256_file
+from agent.core import Console, counted, error_text, sha256_file
+from agent.diagnosis import with_healthy_effects
+from agent.estimation import EstimationSettings, estimate
 from agent.link import Recording, answering
-from agent.pipeline import planning
-from agent.pipeline.ending import current_run, ending_text, going_on
+from agent.model import IdentifiedModel, judged_condition
+from agent.pipeline.ending import current_run, ending_text, step
+from agent.pipeline.identify import check_one_machine, check_run, read_logs
+from agent.pipeline.plan import Plan, plan_once
 from agent.pipeline.record_plan import EXCITATION, record_plan, validation_logs
-from agent.pipeline.reports import refresh_index
-from agent.pipeline.result import CalibrationResult, build_result, provenance, run_data, typical_motion
+from agent.pipeline.reports import against_last, refresh_index, write_analysis
+from agent.pipeline.result import (
+    CalibrationResult,
+    build_result,
+    calibration_page,
+    conditions,
+    provenance,
+    typical_motion,
+)
 from agent.recipe import Recipe
+from agent.recording import read_log
+from agent.report import LogHealth
 from agent.robot import not_judged_text, outcome_text
 from agent.runs import RunFolder, approve, check_approved, register_run, robot_lock, run_key
 from agent.safety import check_period
+from agent.validation import Prediction, predict_log
 
-#: Validation motions that a doubt about the excitation alone has to stand up to.
-_BESIDE = 2
+#: Validation motions on which a doubt about the excitation has to be confirmed.
+_CONFIRMING = 2
 
 
 @dataclass(frozen=True)
@@ -34,24 +45,14 @@ class CalibrationOutcome:
 
     @property
     def accepted(self) -> bool:
-        """Whether no gate rejected the model: one that can judge no joint rejects none."""
+        """Whether no gate rejected the model; a gate that can judge no joint rejects none."""
         return self.result.accepted is not False
 
     def summary(self) -> str:
         """One screen."""
-        from agent.model import judged_condition
-
         result, validation = self.result, self.result.validation
-        axes = "  ".join(
-            f"{name} {error_text(share, torque, unit)}"
-            for name, share, torque, unit in zip(
-                validation.joints,
-                validation.normalised_rmse,
-                validation.rmse,
-                validation.units,
-                strict=True,
-            )
-        )
+        errors = zip(validation.joints, validation.normalised_rmse, validation.rmse, validation.units, strict=True)
+        axes = "  ".join(f"{name} {error_text(share, torque, unit)}" for name, share, torque, unit in errors)
         not_judged = result.gate.not_judged
         of = "RMSE" if len(not_judged) == len(validation.joints) else "of nominal torque"
         return "\n".join(
@@ -91,18 +92,22 @@ def run_calibration(recipe: Recipe, console: Console, logs: Path, resume: Path |
         with step(run, "plan", console):
             if run.finished("plan") is None:
                 _greet(recipe, console)
-            plan = planning.plan_once(recipe, run, console)
+            plan = plan_once(recipe, run, console)
         with step(run, "record", console):
             recordings = record_plan(recipe, plan, run, console, logs, yes)
         with step(run, "estimate", console):
             model = _estimate(recipe, run, console)
         with step(run, "validate", console):
-            validation, health = _validate(recipe, run, model, console)
+            console.step("validating on unseen motions")
+            unseen = read_logs(validation_logs(run.path), recipe.robot, console)
+            check_one_machine(unseen, model, allow_mixed=False)
+            predictions, health = [predict_log(model, log) for log in unseen], [LogHealth.of(log) for log in unseen]
+            del unseen
         with step(run, "report", console):
-            outcome = _report(recipe, plan, run, recordings, model, validation, health, console)
+            result = _report(recipe, plan, run, recordings, model, predictions, health, console)
         register_run(run, console)
         refresh_index(run.path.parent, console)
-        return replace(outcome, ending=ending_text(run, recipe))
+        return CalibrationOutcome(run.path, result, ending_text(run, recipe))
 
 
 def _greet(recipe: Recipe, console: Console) -> None:
@@ -113,63 +118,34 @@ def _greet(recipe: Recipe, console: Console) -> None:
     console.say(f"{identity.robot}, serial {identity.serial}, answers at {recipe.controller.place}")
 
 
-def _estimate(recipe: Recipe, run: RunFolder, console: Console) -> Any:
-    from agent.diagnosis import with_healthy_effects
-    from agent.estimation import EstimationSettings, estimate
-    from agent.model import IdentifiedModel
-    from agent.pipeline.identify import check_run, read_logs
-    from agent.recording import read_log
-
+def _estimate(recipe: Recipe, run: RunFolder, console: Console) -> IdentifiedModel:
     if run.finished("estimate"):
         run.check_file("model.json", run.state.get("model_sha256"))
         return IdentifiedModel.load(run.file("model.json"))
     console.step("estimating")
     logs = read_logs([run.file(EXCITATION)], recipe.robot, console)
-    beside = [read_log(path, recipe.robot) for path in validation_logs(run)[:_BESIDE]]
-    check_run(recipe.robot, logs, None, console, beside)
-    model = estimate(
-        recipe.robot,
-        logs,
-        EstimationSettings.create(
-            cutoff=recipe.estimate.filter.cutoff, method=recipe.estimate.method, order=recipe.estimate.filter.order
-        ),
-        tool=recipe.tool,
+    confirming = [read_log(path, recipe.robot) for path in validation_logs(run.path)[:_CONFIRMING]]
+    check_run(recipe.robot, logs, None, console, confirming)
+    settings = EstimationSettings.create(
+        cutoff=recipe.estimate.filter.cutoff, method=recipe.estimate.method, order=recipe.estimate.filter.order
     )
-    model = with_healthy_effects(model, (), beside)
+    model = with_healthy_effects(estimate(recipe.robot, logs, settings, tool=recipe.tool), (), confirming)
     model.save(run.file("model.json"))
     run.note(model_sha256=sha256_file(run.file("model.json")))
     return model
 
 
-def _validate(recipe: Recipe, run: RunFolder, model: Any, console: Console) -> tuple[list[Any], list[Any]]:
-    from agent.pipeline.identify import check_one_machine, read_logs
-    from agent.report import LogHealth
-    from agent.validation import predict_log
-
-    console.step("validating on unseen motions")
-    logs = read_logs(validation_logs(run), recipe.robot, console)
-    check_one_machine(logs, model, allow_mixed=False)
-    return [predict_log(model, log) for log in logs], [LogHealth.of(log) for log in logs]
-
-
 def _report(
     recipe: Recipe,
-    plan: planning.Plan,
+    plan: Plan,
     run: RunFolder,
     recordings: list[Recording],
-    model: Any,
-    predictions: list[Any],
-    health: list[Any],
+    model: IdentifiedModel,
+    predictions: list[Prediction],
+    health: list[LogHealth],
     console: Console,
-) -> CalibrationOutcome:
-    from agent.pipeline.analysis_log import write_analysis
-    from agent.pipeline.conditions import conditions
-    from agent.pipeline.reports import against_last
-    from agent.recording import read_log
-    from agent.report import RunContent, further_sections, run_report
-    from agent.validation import predict_log
-
-    sources = provenance(run.path, run.state, [run.file(EXCITATION), *validation_logs(run)])
+) -> CalibrationResult:
+    sources = provenance(run.path, run.state, [run.file(EXCITATION), *validation_logs(run.path)])
     log = read_log(run.file(EXCITATION), recipe.robot)
     result = build_result(
         recipe,
@@ -187,27 +163,7 @@ def _report(
     run.write_json("result.json", result.to_dict())
     typical = typical_motion(predictions)
     write_analysis(run.file("analysis.mcap"), read_log(run.file(typical.log), recipe.robot), typical)
-    further = further_sections(RunContent(run.path, recipe, model, predictions, health))
-    shown = run_data(recipe, plan, result.to_dict(), model, predictions, further, run.path)
-    run.write_text("report.html", run_report(shown))
+    page = calibration_page(recipe, plan, result.to_dict(), model, predictions, health, run.path)
+    run.write_text("report.html", page)
     run.complete(not result.rejected)
-    return CalibrationOutcome(run.path, result)
-
-
-@contextmanager
-def step(run: RunFolder, name: str, console: Console) -> Iterator[None]:
-    """Whatever ends the run inside is noted in the run folder, and reported with how to go on.
-
-    A step that an earlier start finished stays as it is.
-    """
-    try:
-        yield
-    except BaseException as error:
-        try:
-            run.stopped(name, str(error) or type(error).__name__)
-        except AgentError as unsaved:  # a full disk: what ended the run is still what is said last
-            console.warn(f"that it was stopped could not be noted: {unsaved}")
-        console.warn(going_on(run, name, error))
-        raise
-    if run.finished(name) is None:
-        run.finish(name)
+    return result

@@ -5,16 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from tempfile import TemporaryFile
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from agent.core import Console, InputError, RejectedError
+from agent.data_quality import check_quality, fitted_doubts, spoiled
+from agent.diagnosis import with_healthy_effects, with_structure
+from agent.estimation import EstimationSettings, FilterSettings, beyond_fit, estimate, used_text
+from agent.model import PAYLOAD, IdentifiedModel
+from agent.recording import Log, import_log, logged_joints, mapped_joints, read_log
 from agent.robot import RobotDescription, load_robot
-
-if TYPE_CHECKING:
-    from agent.model import IdentifiedModel
-    from agent.recording import Log
-    from agent.validation import Validation
+from agent.runs import check_output
+from agent.simulators import export_model, is_simulator, load_arm as load
+from agent.validation import Validation, flipped_joints, predict_log, predicts, same_scale, summary, torque_scales
 
 
 def import_files(robot: str, mapping: Path | str, tables: list[Path], out: Path) -> list[str]:
@@ -23,11 +25,8 @@ def import_files(robot: str, mapping: Path | str, tables: list[Path], out: Path)
     Raises:
         InputError: a table, the mapping or the output is not usable.
     """
-    from agent.recording import import_log, mapped_joints
-
     if out.exists():
         raise InputError(f"{out}: exists already; name another log, or move it away")
-    from agent.simulators import is_simulator, load_arm as load
 
     # what the table has no column for, such as a finger of a gripper, is no joint of the arm
     alone = is_simulator(Path(robot))
@@ -41,19 +40,14 @@ def load_arm(robot: str, logs: Sequence[Path] = (), topic: str | None = None) ->
     Raises:
         InputError: no such robot, or a file that is wrong.
     """
-    from agent.simulators import is_simulator, load_arm as load
-
     if not is_simulator(Path(robot)):
         return load_robot(robot)
-    from agent.recording import logged_joints
 
     return load(Path(robot), logged_joints(logs[0], topic) if logs else ())
 
 
-def read_logs(paths: list[Path], robot: Any, console: Console, topic: str | None = None) -> list[Any]:
-    """Read logs, of which `topic` holds the joint states where there are several, saying what had to be repaired."""
-    from agent.recording import read_log
-
+def read_logs(paths: Sequence[Path], robot: RobotDescription, console: Console, topic: str | None = None) -> list[Log]:
+    """Read logs and warn of what was repaired; `topic` holds the joint states if a log has several."""
     logs = []
     for path in paths:
         log = read_log(path, robot, topic)
@@ -72,18 +66,16 @@ def check_structure(structure: str) -> None:
         raise InputError(f"--structure {structure!r} is not known; choose rigid or auto")
 
 
-def check_one_machine(logs: Sequence[Any], model: Any, allow_mixed: bool, payload_counts: bool = False) -> None:
-    """Refuse logs of several machines or tools, or of another than the model's (None: no model).
+def check_one_machine(
+    logs: Sequence[Log], model: IdentifiedModel | None, allow_mixed: bool, payload_counts: bool = False
+) -> None:
+    """Refuse logs of several machines or tools, or of others than the model's.
 
-    Args:
-        payload_counts: a mass that was mounted on purpose is taken into account, as by a diagnosis.
+    With `payload_counts`, a mass that was mounted on purpose is taken into account, as by a diagnosis.
 
     Raises:
-        InputError: where two serials or two tools are known to differ; both are named. Or a payload that would not
-            be taken into account.
+        InputError: two serials or two tools differ (both are named), or a payload would not be taken into account.
     """
-    from agent.model import PAYLOAD
-
     loaded = [log for log in logs if log.metadata.get(PAYLOAD)]
     if loaded and not payload_counts:
         raise InputError(
@@ -105,37 +97,42 @@ def check_one_machine(logs: Sequence[Any], model: Any, allow_mixed: bool, payloa
 
 
 def check_plausible(
-    robot: Any,
-    logs: Sequence[Any],
+    robot: RobotDescription,
+    logs: Sequence[Log],
     force: bool,
     console: Console,
     advice: str = "Nothing is written. Fix it, or continue with --force",
     described: bool = True,
     model: IdentifiedModel | None = None,
-    beside: Sequence[Any] = (),
+    further: Sequence[Log] = (),
 ) -> None:
-    """Refuse logs that no motion of this robot can have made, with what to do; with `force` only say so.
+    """Refuse logs that no motion of this robot can have made; with `force` only warn.
 
-    `described`: the robot's name is that of a description, and not what somebody called a simulator. What a `model`
-    predicts needs no other reason: on a few seconds, or while somebody pushes, a refit with a mistake in it may do
-    better. Torques of the size that it predicts are in no other unit, whatever the description's masses.
+    Parameters
+    ----------
+    described : the robot's name is that of a description, not of a simulator's file.
+    model : logs that it predicts are plausible, and torques of the size it predicts are in the right unit, whatever
+        the description's masses.
+    further : further motions, which have to confirm a doubt about few logs.
 
-    Raises:
-        RejectedError: with the likeliest reason first.
+    Raises
+    ------
+    RejectedError : with the likeliest reason first.
     """
-    from agent.data_quality import check_quality
-
-    findings = check_quality(robot, logs, beside)
+    findings = check_quality(robot, logs, further)
     found = [str(finding) for finding in findings if finding.refuses]
     if findings and model is not None:
-        from agent.validation import predicts, same_scale
-
         if found and predicts(model, logs):
             found = []
         elif same_scale(model, logs):
             findings = [finding for finding in findings if not finding.scale]
             found = [str(finding) for finding in findings if finding.refuses]
-        found = found or list(_flipped(model, logs))
+        flipped = {log.name: ", ".join(flipped_joints(model, log)) for log in logs} if not found else {}
+        found = found or [
+            f"{name}: the torque of {joints} has the opposite sign of the prediction"
+            for name, joints in flipped.items()
+            if joints
+        ]
     others = sorted({log.metadata.get("robot", "") for log in logs} - {"", robot.name}) if described else []
     named = [f"the logs say that they are of robot {' and '.join(others)}, not of {robot.name}"] if others else []
     if found and not force:
@@ -145,43 +142,34 @@ def check_plausible(
         console.warn(warning)
 
 
-def _flipped(model: IdentifiedModel, logs: Sequence[Any]) -> Iterator[str]:
-    """A log with the other sign beside good ones: all of them together are predicted well enough."""
-    from agent.validation import flipped_joints
-
-    for log in logs:
-        if joints := flipped_joints(model, log):
-            yield f"{log.name}: the torque of {', '.join(joints)} has the opposite sign of the prediction"
-
-
-def check_run(robot: Any, logs: Sequence[Any], model: Any, console: Console, beside: Sequence[Any] = ()) -> None:
-    """The same two for what a run recorded to fit it: of one machine (of the model's, if any), and plausible.
-
-    `beside`: other motions of the run, which a doubt about so little has to stand up to.
+def check_run(
+    robot: RobotDescription,
+    logs: Sequence[Log],
+    model: IdentifiedModel | None,
+    console: Console,
+    further: Sequence[Log] = (),
+) -> None:
+    """Check what a run recorded for its fit with `check_one_machine` and `check_plausible`.
 
     Raises:
-        InputError, RejectedError: as `check_one_machine` and `check_plausible` do.
+        InputError, RejectedError: as said there.
     """
     check_one_machine(logs, model, allow_mixed=False)
     advice = (
         "No model is written. Fix the description or what the controller sends, then start a new run. "
         "`agent estimate --force` fits these logs all the same"
     )
-    check_plausible(robot, logs, False, console, advice, beside=beside)
+    check_plausible(robot, logs, False, console, advice, further=further)
 
 
 def say_spoiled(robot: RobotDescription, logs: Sequence[Log], console: Console) -> None:
     """Warn of samples whose torque cannot be used."""
-    from agent.data_quality import spoiled
-
     for finding in spoiled(robot, logs):
         console.warn(str(finding))
 
 
-def say_used(logs: Sequence[Any], cutoff: float, order: int, console: Console) -> None:
-    """Say how many samples of each log a filter left to work with; a warning where segments are too short for it."""
-    from agent.estimation import FilterSettings, used_text
-
+def say_used(logs: Sequence[Log], cutoff: float, order: int, console: Console) -> None:
+    """Say how many samples of each log remain after the filter; warn of segments that are too short for it."""
     for log in logs:
         text = used_text(log, FilterSettings(cutoff, order))
         (console.warn if "left out" in text else console.say)(text)
@@ -214,8 +202,6 @@ def estimate_files(
     model.save(out)
     written = [out]
     if export is not None:
-        from agent.simulators import export_model
-
         written += export_model(model, export)
     return model.to_dict(), "\n".join([model.text(), *(str(path) for path in written)])
 
@@ -231,13 +217,7 @@ def fit_files(
     structure: str,
     topic: str | None = None,
 ) -> tuple[IdentifiedModel, list[Log]]:
-    """The model that `estimate_files` writes, and the logs it was fitted to, without their velocities."""
-    from agent.data_quality import fitted_doubts
-    from agent.diagnosis import with_healthy_effects, with_structure
-    from agent.estimation import EstimationSettings, estimate
-    from agent.model import PAYLOAD
-    from agent.validation import torque_scales
-
+    """The model that `estimate_files` writes, and its logs without velocities."""
     check_structure(structure)
     description = load_arm(robot, paths, topic) if isinstance(robot, str) else robot
     logs = read_logs(paths, description, console, topic)
@@ -246,7 +226,7 @@ def fit_files(
     logs, loaded = bare or logs, [log for log in logs if log.metadata.get(PAYLOAD)]
     check_plausible(description, logs, force, console)
     say_spoiled(description, logs, console)
-    # no fit looks at these, and twenty minutes of them are many
+    # the fit needs neither, and they take much memory
     logs = [replace(log, velocity=None, planned_position=None) for log in logs]
     model = estimate(description, logs, EstimationSettings.create(cutoff=cutoff, method=method))
     if structure == "auto":
@@ -262,27 +242,6 @@ def fit_files(
     return model, logs
 
 
-def check_output(out: Path, paths: Sequence[Path]) -> None:
-    """Refuse a file that cannot be written, before the work: a fit takes time, and a log that is overwritten is lost.
-
-    Raises:
-        InputError: a folder, a missing one or one that cannot be written to, or one of the inputs (`paths`).
-    """
-    folder = out.absolute().parent
-    if out.is_dir():
-        raise InputError(f"{out}: is a folder; name the file to write")
-    if not folder.is_dir():
-        raise InputError(f"{out}: there is no folder {out.parent} to write it in")
-    if out.is_file() or not out.exists():  # a device or a pipe is written to as it is
-        try:
-            with TemporaryFile(dir=folder):
-                pass
-        except OSError as error:
-            raise InputError(f"{out}: cannot be written there: {error.strerror}; name another file") from None
-    if out.exists() and any(path.exists() and path.samefile(out) for path in paths):
-        raise InputError(f"{out}: is one of the logs or models that are read; name another file to write")
-
-
 def validate_files(
     model_path: Path,
     paths: list[Path],
@@ -292,10 +251,6 @@ def validate_files(
     topic: str | None = None,
 ) -> Validation:
     """Prediction of logs by a model."""
-    from agent.estimation import beyond_fit
-    from agent.model import IdentifiedModel
-    from agent.validation import predict_log, summary
-
     model = IdentifiedModel.load(model_path)
     logs = read_logs(paths, model.robot, console, topic)
     check_one_machine(logs, model, allow_mixed)
@@ -310,15 +265,13 @@ def validate_files(
 
 
 def _comments(model: IdentifiedModel, logs: Sequence[Log], result: Validation) -> Iterator[str]:
-    """What a person should know before believing the figures of a validation."""
+    """Doubts about the figures of a validation."""
     fitted = {entry.get("sha256") for entry in model.provenance.get("logs", ())} - {None, ""}
     known = [log.name for log in logs if log.sha256 in fitted]
     if known:
         yield f"the model was fitted to {', '.join(known)}: its error there says little about other motions"
     error = result.overall.relative_error_all_joints
     if error is not None and error > 1:
-        from agent.data_quality import check_quality
-
         reasons = [finding.text for finding in check_quality(model.robot, logs)] or [
             "the model is of another robot, tool or unit than the logs"
         ]

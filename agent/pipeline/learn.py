@@ -1,27 +1,43 @@
-"""From recorded logs and the programs beside them to the controller's interpolation law."""
+"""Learn the controller's interpolation law from recorded logs and their programs."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from agent.core import Console, InputError
-from agent.pipeline.identify import check_one_machine, check_output, read_logs
+from agent.core import Console, InputError, write_atomically
+from agent.link import Aligner, moving_segments
+from agent.motion import (
+    Delay,
+    FlyInterpolator,
+    FlyParameters,
+    LearnedLaw,
+    Learner,
+    MotionError,
+    Move,
+    Pdl2Settings,
+    RecordedMove,
+    Statement,
+    create_dialect,
+    robot_digest,
+    way_key,
+)
+from agent.pipeline.identify import check_one_machine, read_logs
+from agent.pipeline.plan import program_text, replan
+from agent.pipeline.rebuilt_report import recipe_of
+from agent.recording import Log
+from agent.robot import RobotDescription, load_robot
+from agent.runs import check_output
 
-if TYPE_CHECKING:
-    from agent.motion import LearnedLaw, Move, RecordedMove, Statement
-    from agent.recording import Log
-    from agent.robot import RobotDescription
-
-#: A way between two stops is so many times as long as planned, at least and at most: it is another one otherwise.
+#: Range of the ratio of recorded to planned distance between two stops.
 _SHORTER, _LONGER = 0.5, 2.0
-#: [rad, m] A stretch ends where a move does; a way shorter than this is none.
+#: Tolerance [rad, m] of a stop's position, and the smallest motion.
 _THERE = 2e-3
-#: Stretches that are learned from at most, the longest first: more tell little that is new.
+#: Number of stretches to learn from, the longest first: more add little.
 _MAX_MOVES = 6
 
 
@@ -72,10 +88,6 @@ def learn_files(robot: str, paths: Sequence[Path], out: Path, console: Console) 
         InputError: logs without set-points, of another robot or of several, at rest, without their program, or that do
             not follow it.
     """
-    from agent.core import write_atomically
-    from agent.motion import FlyParameters, LearnedLaw, Learner, MotionError, robot_digest
-    from agent.robot import load_robot
-
     check_output(out, paths)
     if out.suffix.lower() not in (".yaml", ".yml"):
         raise InputError(f"{out}: name a .yaml file: a recipe's search.interpolator tells it by that from a name")
@@ -129,33 +141,26 @@ def _check_log(log: Log, robot: RobotDescription) -> None:
 
 
 def _statements(log: Log, robot: RobotDescription) -> list[Statement]:
-    """Of the program that was recorded: a file beside the log with its name, or that of its run."""
-    from agent.motion import create_dialect
-
-    pdl2 = create_dialect("pdl2")  # of the controllers whose law is learned
-    beside = log.path.with_suffix(pdl2.suffix)
+    """Statements of the recorded program: a file with the log's name next to it, or the program of its run."""
+    pdl2 = create_dialect("pdl2")  # the language of the controllers whose law is learned
+    named = log.path.with_suffix(pdl2.suffix)
     of_run = log.path.with_name(f"program{pdl2.suffix}")
-    chosen = beside if beside.is_file() else of_run if log.path.stem == "excitation" and of_run.is_file() else None
-    if chosen is not None:
-        try:
-            text = chosen.read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            raise InputError(f"{chosen}: cannot be read: {error}") from None
-    else:
-        text = _of_the_plan(log)
-    return list(pdl2.read(text, str(chosen or log.path), robot).run())
+    chosen = named if named.is_file() else of_run if log.path.stem == "excitation" and of_run.is_file() else None
+    if chosen is None:
+        return list(pdl2.read(_of_the_plan(log), str(log.path), robot).run())
+    try:
+        text = chosen.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{chosen}: cannot be read: {error}") from None
+    return list(pdl2.read(text, str(chosen), robot).run())
 
 
 def _of_the_plan(log: Log) -> str:
-    """Text of a validation motion, from the plan of the run that the log lies in."""
-    from agent.pipeline.planning import program_text, replan
-    from agent.pipeline.rebuilt_report import recipe_of
-
+    """Program of a validation motion, from the plan of its run."""
     folder = log.path.parent
     if (folder / "plan.json").is_file() and (folder / "state.json").is_file():
         recipe = recipe_of(folder)
-        plan = replan(recipe, folder / "plan.json")
-        for number, motion in enumerate(plan.validation, 1):
+        for number, motion in enumerate(replan(recipe, folder / "plan.json").validation, 1):
             if log.path.stem == f"validation_{number:02d}":
                 return program_text(recipe, motion)
     raise InputError(
@@ -167,10 +172,7 @@ def _of_the_plan(log: Log) -> str:
 def _stretches(
     log: Log, statements: Sequence[Statement], robot: RobotDescription, rests: dict[str, list[float]]
 ) -> list[tuple[Any, RecordedMove]]:
-    """What was moved between stops, by what tells one motion from another; `rests` [s] grows by what stops took."""
-    from agent.link import Aligner, moving_segments
-    from agent.motion import FlyInterpolator, Move, Pdl2Settings, RecordedMove, way_key
-
+    """Motions between stops by their key; adds the duration of each stop to `rests` [s]."""
     tool = log.metadata.get("tool", "none")
     if tool != "none" and any(isinstance(one, Move) and one.settings.tool is None for one in statements):
         raise InputError(
@@ -215,8 +217,6 @@ def _stretches(
 
 def _chains(statements: Sequence[Statement]) -> list[tuple[list[Move], float]]:
     """Moves from stop to stop, each with the DELAY [s] before it."""
-    from agent.motion import Delay, Move
-
     chains: list[tuple[list[Move], float]] = []
     pending: list[Move] = []
     waited = 0.0

@@ -1,30 +1,306 @@
-"""`agent plan`: the loop, its margins and its program, written before anything moves."""
+"""What will move, settled before anything moves: the loop, the validation motions, their programs and margins."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from agent.core import Console, InputError, TaskEngine, write_atomically
-from agent.link import check_cell
-from agent.pipeline.planning import PlannedMotion, program_text, search_loop
+from agent.core import Console, InputError, TaskEngine, read_json, sha256_file, sha256_text, write_atomically
+from agent.excitation import Candidates, Loop, LoopProblem, LoopScore, check_sub_region, search, via_joints
+from agent.link import check_cell, check_load, plan_statements
+from agent.model import IdentifiedModel
+from agent.motion import CartesianTarget, JointTarget, Target, Trajectory, ViaRegions, dialect_of, pose_of, with_frames
 from agent.recipe import Recipe
-from agent.runs import make_folder, write_json
+from agent.recording import Log, read_log
+from agent.report import MotionData, SearchData, arm_along, plan_report
+from agent.robot import Dynamics, TorqueLimits, kinematics_for
+from agent.runs import RunFolder, keep_loop, make_folder, write_json
+from agent.safety import position_ranges
+from agent.validation import Prediction, predict_log
 
-if TYPE_CHECKING:
-    from agent.model import IdentifiedModel
-    from agent.motion import Trajectory
-    from agent.recording import Log
-    from agent.report import MotionData, SearchData
-    from agent.validation import Prediction
+#: Share of the joint speeds at which the arm goes to the first point.
+APPROACH_SPEED = 0.1
+#: Largest number of random motions that are drawn for the validation.
+_MAX_DRAWS = 2000
+
+
+@dataclass(frozen=True, eq=False)
+class PlannedMotion:
+    """A loop that will be run `cycles` times at `speed` [m/s]. `kind` is `excitation` or `validation`."""
+
+    name: str
+    kind: str
+    loop: Loop
+    speed: float
+    cycles: int
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """The excitation loop, how it was found (`fitness`, `evaluated`, `history`), and the validation motions."""
+
+    excitation: PlannedMotion
+    search: dict[str, Any]
+    validation: tuple[PlannedMotion, ...]
+
+
+def plan_once(recipe: Recipe, run: RunFolder, console: Console) -> Plan:
+    """Search, or take the plan of an earlier start of this run. Writes `plan.json` and the program.
+
+    Raises:
+        InputError: the sub-region cannot be reached, or no loop in it keeps all limits.
+    """
+    file = f"program{recipe.dialect.suffix}"
+    if run.finished("plan"):
+        for name, key in {"plan.json": "plan", file: "program"}.items():
+            run.check_file(name, run.state.get(key))
+        plan = replan(recipe, run.file("plan.json"))
+        if sha256_text(program_text(recipe, plan.excitation)) != run.state["program"]:
+            raise InputError(
+                f"{run.path}: plan.json does not lead to the program that was planned; was the agent updated since? "
+                "Start a new run"
+            )
+        return plan
+    plan = make_plan(recipe, console)
+    genomes = [motion.loop.genome.tolist() for motion in plan.validation]
+    planned = run.write_json("plan.json", {"schema": "plan/1", "search": plan.search, "validation": genomes})
+    program = run.write_text(file, program_text(recipe, plan.excitation))
+    run.note(
+        plan=sha256_file(planned),
+        program=sha256_file(program),
+        inputs_sha256={**run.state["inputs_sha256"], file: sha256_file(program)},
+    )
+    return plan
+
+
+def make_plan(recipe: Recipe, console: Console) -> Plan:
+    """Search for the excitation loop and draw the validation motions.
+
+    Raises:
+        InputError: as in `plan_once`.
+    """
+    excitation, found = search_loop(recipe, console)
+    console.step(f"drawing {recipe.validate.motions} validation motions at {recipe.validate.speed:g} m/s")
+    return Plan(excitation, found, tuple(_validation(recipe, _draw_validation(recipe, console))))
+
+
+def search_loop(
+    recipe: Recipe, console: Console, engine: TaskEngine | None = None
+) -> tuple[PlannedMotion, dict[str, Any]]:
+    """Search for the excitation loop and store it; returns it with how it was found.
+
+    Raises:
+        InputError: as in `plan_once`.
+    """
+    like = recipe.motion.via_points.like
+    skipped = {} if like is None or Path(like).suffix.lower() == ".mcap" else _job(recipe, Path(like))[1]
+    if skipped:
+        words = ", ".join(f"{word} {count}" for word, count in sorted(skipped.items(), key=lambda item: -item[1])[:8])
+        console.step(f"{like}: {sum(skipped.values())} lines without motion are skipped ({words})")
+
+    problem = loop_problem(recipe, recipe.motion.speed)
+    for missed in check_sub_region(problem):
+        console.detail(f"out of reach, so the search avoids it: {missed}")
+    settings = recipe.search
+    console.step(f"search: {settings.method}, {settings.population} candidates x {settings.generations} generations")
+    result = search(
+        problem,
+        method=settings.method,
+        population=settings.population,
+        generations=settings.generations,
+        seed=settings.seed,
+        engine=engine,
+        progress=lambda g: console.progress(
+            f"generation {g.number + 1} of {settings.generations}: fitness {g.best:.2f}, "
+            f"{g.feasible} of {settings.population} keep all limits",
+            (g.number + 1) / settings.generations,
+        ),
+    )
+    loop = result.loop
+    duration = loop.trajectory.duration
+    console.say(f"  fitness {result.fitness:.2f} from {result.evaluated} candidates; a cycle takes {duration:.1f} s")
+    motion = _excitation(recipe, loop)
+    text = program_text(recipe, motion)
+    keep_loop(recipe, loop.genome, loop.poses, loop.start, result.fitness, motion.name, text)
+    return motion, result.to_dict()
+
+
+def loop_problem(recipe: Recipe, speed: float) -> LoopProblem:
+    """The constraints of a search or a draw at this speed [m/s]."""
+    return LoopProblem(
+        robot=recipe.robot,
+        regions=via_regions(recipe),
+        settings=recipe.motion.settings_at(speed),
+        tool=recipe.tool,
+        keep_out=recipe.cell.keep_out,
+        joint_ranges=recipe.cell.joint_ranges,
+        interpolator=recipe.interpolator,
+        period=1.0 / recipe.record.rate,
+    )
+
+
+def program_text(recipe: Recipe, motion: PlannedMotion) -> str:
+    """Program of a planned motion. It sets every frame, so earlier programs do not change its meaning."""
+    settings = with_frames(recipe.motion.settings_at(motion.speed), recipe.tool)
+    approach = settings.changed(speed_override=APPROACH_SPEED)
+    points = _targets(recipe, motion.loop)
+    start = JointTarget(np.asarray(motion.loop.start, dtype=float))
+    return recipe.dialect.write_loop(motion.name, points, settings, motion.cycles, approach, recipe.robot, start)
+
+
+def programs(
+    recipe: Recipe, motions: Sequence[PlannedMotion], start: np.ndarray
+) -> list[tuple[str, list[Trajectory], float]]:
+    """Text, set-points from stop to stop, and duration [s] of motions that run one after the other from `start` (n,).
+
+    Every approach and every loop is checked against the cell before the first of them moves.
+
+    Raises:
+        InputError: an approach or a loop breaks a limit.
+    """
+    ready = []
+    for motion in motions:
+        text = program_text(recipe, motion)
+        _, chains = checked_chains(recipe, text, f"{motion.name}{recipe.dialect.suffix}", start)
+        start = chains[-1].q[-1]
+        ready.append((text, chains, float(sum(chain.duration for chain in chains))))
+    return ready
+
+
+def checked_chains(
+    recipe: Recipe, text: str, path: str, start: np.ndarray, limits: TorqueLimits | None = None
+) -> tuple[str, list[Trajectory]]:
+    """Name of a program, and its set-points from stop to stop from `start` (n,), checked against the cell.
+
+    With a known mass at the flange, the torque is checked against the `limits` of the drives.
+
+    Raises:
+        InputError: one of them breaks a limit.
+    """
+    name, chains = plan_statements(recipe, text, path, start)
+    for chain in {id(chain): chain for chain in chains}.values():
+        check_cell(recipe, chain)
+        check_load(limits, chain)
+    return name, chains
+
+
+def via_regions(recipe: Recipe) -> Any:
+    """The recipe's sub-region as the search needs it."""
+    via = recipe.motion.via_points
+    count = via.count or 0  # the section requires one of the four, and a count for all but points
+    if via.box is not None:
+        return ViaRegions.from_box(count, via.box.centre, via.box.size, via.box.orientation, via.box.cone)
+    if via.points is not None:
+        return ViaRegions.from_points([point.pose for point in via.points], [point.range for point in via.points])
+    if via.tube is not None:
+        return ViaRegions.from_tube(count, [pose_of(pose) for pose in via.tube.path], via.tube.radius, via.tube.cone)
+    return ViaRegions.from_envelope(count, _task_poses(recipe, Path(via.like or "")), via.around or 0.0)
+
+
+def _task_poses(recipe: Recipe, path: Path) -> np.ndarray:
+    """(S, 4, 4) poses of the job that the recipe's `like` names: a program or a log."""
+    if path.suffix.lower() == ".mcap":
+        q = read_log(path, recipe.robot).position
+        return Dynamics(recipe.robot, recipe.tool).tcp_pose(q[:: max(1, len(q) // 2000)])
+
+    kinematics = kinematics_for(recipe.robot, recipe.tool)
+    _, chains = plan_statements(recipe, _job(recipe, path)[0], str(path), kinematics.middle, dialect_of(path))
+    if not chains:
+        raise InputError(f"{path}: nothing in this program moves the arm; name the program that does")
+    job = chains[1:] or chains  # the first leads from an arbitrary start to the job
+    return np.concatenate([kinematics.forward(chain.q[::25]) for chain in job])
+
+
+def _job(recipe: Recipe, path: Path) -> tuple[str, dict[str, int]]:
+    """The moving part of a job's program, and how often each word without motion was skipped."""
+    dialect = dialect_of(path) or recipe.dialect
+    try:
+        text = path.read_text(encoding="utf-8")
+        listing = dialect.companion(path)
+        variables = "" if listing is None else listing.read_text(encoding="utf-8", errors="replace")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read: {error}") from None
+    return dialect.job(text, str(path), recipe.robot, variables)
+
+
+def replan(recipe: Recipe, path: Path) -> Plan:
+    """The plan that a run's `plan.json` holds.
+
+    Raises:
+        InputError: it is damaged, or no plan for this recipe.
+    """
+    stored = read_json(path)
+    if isinstance(stored, dict) and stored.get("schema") == "planned-loop/1":
+        raise InputError(f"{path}: is what `agent plan` wrote of a loop, not the plan of a run; start a new run")
+    try:
+        fast, slow = (Candidates(loop_problem(recipe, speed)) for speed in (recipe.motion.speed, recipe.validate.speed))
+        loop = fast.loop(np.array(stored["search"]["genome"]))
+        validation = [slow.loop(np.array(genome)) for genome in stored["validation"]]
+        return Plan(_excitation(recipe, loop), stored["search"], tuple(_validation(recipe, validation)))
+    except (InputError, LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:
+        what = str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
+        raise InputError(f"{path}: no plan for this recipe ({what}); start a new run") from None
+
+
+def _excitation(recipe: Recipe, loop: Loop) -> PlannedMotion:
+    return PlannedMotion("excite", "excitation", loop, recipe.motion.speed, recipe.record.cycles)
+
+
+def _validation(recipe: Recipe, loops: Sequence[Loop]) -> Iterator[PlannedMotion]:
+    for number, loop in enumerate(loops, 1):
+        yield PlannedMotion(f"valid{number:02d}", "validation", loop, recipe.validate.speed, 1)
+
+
+def _draw_validation(recipe: Recipe, console: Console) -> list[Loop]:
+    """Random loops that keep all limits, as many as the recipe validates on."""
+    candidates, wanted = Candidates(loop_problem(recipe, recipe.validate.speed)), recipe.validate.motions
+    rng = np.random.default_rng(recipe.validate.seed)
+    found: list[Loop] = []
+    reason = ""
+    for draw in range(_MAX_DRAWS):
+        loop = candidates.checked_loop(rng.uniform(size=candidates.problem.genes))
+        if isinstance(loop, LoopScore):
+            reason = loop.reason
+            continue
+        try:
+            check_cell(recipe, loop.trajectory)
+        except InputError as error:
+            reason = str(error)
+            continue
+        found.append(loop)
+        broken = draw + 1 - len(found)
+        console.progress(f"{len(found)} of {wanted} drawn, {broken} broke a limit", len(found) / wanted)
+        if len(found) == wanted:
+            return found
+    raise InputError(
+        f"only {len(found)} of {_MAX_DRAWS} random motions in the sub-region keep all limits at "
+        f"{recipe.validate.speed:g} m/s; the last one: {reason}. Move or shrink motion.via_points"
+    )
+
+
+def _targets(recipe: Recipe, loop: Loop) -> list[Target]:
+    """Via-points for a controller: poses with configuration flags if the arm has them, else joint positions."""
+    if isinstance(loop.moves[0].target, JointTarget):
+        *flown, closing = (move.target for move in loop.moves)
+        return [closing, *flown]
+    kinematics = kinematics_for(recipe.robot, recipe.tool)
+    passed = via_joints(kinematics, loop)
+    if not hasattr(kinematics, "solve_configuration"):
+        return [JointTarget(position) for position in passed]
+
+    return [
+        CartesianTarget(pose, kinematics.configuration_text(position))
+        for pose, position in zip(loop.poses, passed, strict=True)
+    ]
 
 
 @dataclass(frozen=True, eq=False)
 class PlanFiles:
-    """What `agent plan` wrote: the folder, the name of the program's file, and what it says of the loop."""
+    """What `agent plan` wrote: its folder, the name of the program, the loop and its margins."""
 
     folder: Path
     program: str
@@ -59,14 +335,12 @@ class PlanFiles:
 def plan_recipe(recipe: Recipe, folder: Path, console: Console, engine: TaskEngine | None = None) -> PlanFiles:
     """Search, check the cell, and write program, page and data into a new folder. Opens no port.
 
-    Candidates are scored by the `engine`; without one by a process a core.
+    The `engine` scores candidates; default: one process per core.
 
     Raises:
         InputError: as in `plan_once`, or the folder holds a plan already.
         AgentError: the folder cannot be made.
     """
-    from agent.report import plan_report
-
     if (folder / "plan.json").exists():
         raise InputError(f"{folder}: holds a plan already; name another folder with -o, or move it away")
     made = not folder.exists()
@@ -95,14 +369,12 @@ def plan_recipe(recipe: Recipe, folder: Path, console: Console, engine: TaskEngi
 
 
 def planned_motion_data(recipe: Recipe, motion: PlannedMotion) -> MotionData:
-    """What a report shows of a loop that was planned from the recipe."""
+    """Report data of a loop that was planned from the recipe."""
     return motion_data(recipe, motion.loop.trajectory, motion.loop.poses[:, :3, 3], motion.cycles)
 
 
 def motion_data(recipe: Recipe, cycle: Trajectory, via_points: np.ndarray, cycles: int) -> MotionData:
-    """What a report shows of one planned cycle of a loop through via-points (K, 3) [m]."""
-    from agent.report import MotionData, arm_along
-
+    """Report data of one planned cycle of a loop through via-points (K, 3) [m]."""
     return MotionData(
         robot=recipe.robot.name,
         joints=recipe.robot.joint_names,
@@ -119,16 +391,13 @@ def motion_data(recipe: Recipe, cycle: Trajectory, via_points: np.ndarray, cycle
 
 
 def with_residual(motion: MotionData, model: IdentifiedModel, log: Path) -> MotionData:
-    """The loop coloured by what a model leaves of the torque measured along one cycle of its log."""
-    from agent.recording import read_log
-    from agent.validation import predict_log
-
+    """Colour the loop by a model's torque error along one cycle of its log."""
     recorded = read_log(log, model.robot)
     return left_over(motion, recorded, predict_log(model, recorded.middle_part()))
 
 
 def left_over(motion: MotionData, log: Log, prediction: Prediction) -> MotionData:
-    """The same from a prediction at hand: of the worst joint at each time, over nominal torque where all have one."""
+    """Colour the loop by the error of the worst joint at each time, in % of nominal torque if all joints have one."""
     start, stop = log.middle_cycle()
     nominal = prediction.model.robot.nominal_torque
     shares = bool(np.isfinite(nominal).all())
@@ -140,15 +409,13 @@ def left_over(motion: MotionData, log: Log, prediction: Prediction) -> MotionDat
 
 
 def search_data(found: dict[str, Any]) -> SearchData:
-    """What a report shows of a search, from what it left."""
-    from agent.report import SearchData
-
+    """Report data of a search."""
     best, mean = (np.array(found["history"][key], dtype=float) for key in ("best", "mean"))
     return SearchData(found["fitness"], found["evaluated"], best, mean)
 
 
 def _boxes(recipe: Recipe) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Opposite corners of what surrounds the loop: where via-points may lie, and where the arm must not be."""
+    """Opposite corners of the regions for via-points and of the keep-out boxes."""
     via = recipe.motion.via_points
     boxes = {f"keep-out: {box.name}": (np.array(box.minimum), np.array(box.maximum)) for box in recipe.cell.keep_out}
     if via.box is not None:
@@ -161,9 +428,7 @@ def _boxes(recipe: Recipe) -> dict[str, tuple[np.ndarray, np.ndarray]]:
 
 
 def limit_use(recipe: Recipe, trajectory: Trajectory) -> dict[str, np.ndarray]:
-    """{kind: (S, n)} how much of each joint limit a trajectory uses; 1 is all of it."""
-    from agent.safety import position_ranges
-
+    """{kind: (S, n)} share of each joint limit that a trajectory uses."""
     robot = recipe.robot
     lower, upper = position_ranges(robot, recipe.cell.joint_ranges)
     bounded = np.isfinite(lower) & np.isfinite(upper)

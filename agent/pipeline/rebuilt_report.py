@@ -1,21 +1,34 @@
-"""The page of a run made again from what lies in its folder."""
+"""The page of a run, made again from its folder."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from agent.core import Console, InputError, sha256_file, write_atomically
+from agent.model import IdentifiedModel
+from agent.pipeline.ending import current_run
+from agent.pipeline.gap.diagnose import diagnose_again
+from agent.pipeline.identify import read_logs
+from agent.pipeline.plan import replan
+from agent.pipeline.record_plan import validation_logs
 from agent.pipeline.reports import recalibration_page
+from agent.pipeline.result import calibration_page
 from agent.recipe import Recipe, load_recipe
+from agent.recording import read_log
+from agent.report import LogHealth
 from agent.runs import PastRun, read_object, read_run, readable
+from agent.validation import Comparison, predict_log
 
-if TYPE_CHECKING:
-    from agent.model import IdentifiedModel
+_AGAIN = {
+    "calibrate": "`agent calibrate RECIPE --resume {}` goes on with it",
+    "recalibrate": "`agent recalibrate RECIPE` starts a new one",
+    "diagnose": "`agent diagnose --record RECIPE` starts a new one",
+}
 
 
 def rebuild_report(run: Path, console: Console) -> Path:
-    """Make the page of a complete run from its files; returns its path. A diagnosis is made again for it.
+    """Make the page of a complete run from its files; returns its path. A diagnosis is computed again.
 
     Raises:
         InputError: the run is not complete, something the page needs is missing, or another version wrote the run.
@@ -24,77 +37,42 @@ def rebuild_report(run: Path, console: Console) -> Path:
     if not past.complete:
         raise InputError(f"{run}: {_unfinished(run, past)}; there is nothing to report yet")
     with readable(run):
-        make = {"calibrate": _calibration, "recalibrate": _recalibration, "diagnose": _diagnosis}[past.kind]
-        page = make(run, recipe_of(run), console)
+        recipe = recipe_of(run)
+        if past.kind == "diagnose":
+            page = diagnose_again(run, recipe.robot, recipe.robot_source, console)
+        else:
+            model, result = IdentifiedModel.load(run / "model.json"), read_object(run / "result.json")
+            result["current_model"] = current_run(run.parent, result["robot"], result["serial"])
+            make = {"calibrate": _calibration, "recalibrate": _recalibration}[past.kind]
+            page = make(run, recipe, model, result, console)
     return write_atomically(run / "report.html", page)
 
 
 def _unfinished(run: Path, past: PastRun) -> str:
-    again = {
-        "calibrate": f"`agent calibrate RECIPE --resume {run}` goes on with it",
-        "recalibrate": "`agent recalibrate RECIPE` starts a new one",
-        "diagnose": "`agent diagnose --record RECIPE` starts a new one",
-    }
-    how = again.get(past.kind, "start a new one")
+    how = _AGAIN.get(past.kind, "start a new one").format(run)
     if past.status == "stopped":
         return f"this run stopped before its end ({past.reason}); {how}"
     return f"this run has not ended; if nothing runs any more it was killed, and {how}"
 
 
-def _calibration(run: Path, recipe: Recipe, console: Console) -> str:
-    from agent.pipeline.planning import replan
-    from agent.pipeline.result import run_data
-    from agent.recording import read_log
-    from agent.report import LogHealth, RunContent, further_sections, run_report
-    from agent.validation import predict_log
-
-    model = _model(run)
-    logs = sorted(run.glob("validation_[0-9][0-9].mcap"))
+def _calibration(run: Path, recipe: Recipe, model: IdentifiedModel, result: dict[str, Any], _: Console) -> str:
+    logs = [read_log(path, recipe.robot) for path in validation_logs(run)]
     if not logs:
         raise InputError(f"{run}: its validation logs are gone, so its page cannot be made again")
-    predictions, health = [], []
-    for path in logs:
-        log = read_log(path, recipe.robot)
-        predictions.append(predict_log(model, log))
-        health.append(LogHealth.of(log))
+    predictions = [predict_log(model, log) for log in logs]
     plan = replan(recipe, run / "plan.json")
-    further = further_sections(RunContent(run, recipe, model, predictions, health))
-    return run_report(run_data(recipe, plan, _result(run), model, predictions, further, run))
+    return calibration_page(recipe, plan, result, model, predictions, [LogHealth.of(log) for log in logs], run)
 
 
-def _recalibration(run: Path, recipe: Recipe, console: Console) -> str:
-    from agent.pipeline.identify import read_logs
-    from agent.validation import Comparison, predict_log
-
+def _recalibration(run: Path, recipe: Recipe, model: IdentifiedModel, result: dict[str, Any], console: Console) -> str:
     (log,) = read_logs([run / "excitation.mcap"], recipe.robot, console)
     comparison = Comparison.from_dict(read_object(run / "comparison.json"))
     program = (run / f"program{recipe.dialect.suffix}").read_text(encoding="utf-8")
-    prediction = predict_log(_model(run), log)
-    return recalibration_page(recipe, program, _result(run), comparison, log, prediction, run)
-
-
-def _diagnosis(run: Path, recipe: Recipe, console: Console) -> str:
-    from agent.pipeline.diagnose import diagnose_again
-
-    return diagnose_again(run, recipe.robot, recipe.robot_source, console)
-
-
-def _model(run: Path) -> IdentifiedModel:
-    from agent.model import IdentifiedModel
-
-    return IdentifiedModel.load(run / "model.json")
-
-
-def _result(run: Path) -> dict[str, Any]:
-    """The run's result, with the model that is current now."""
-    from agent.pipeline.ending import current_run
-
-    result = read_object(run / "result.json")
-    return {**result, "current_model": current_run(run.parent, result["robot"], result["serial"])}
+    return recalibration_page(recipe, program, result, comparison, log, predict_log(model, log), run)
 
 
 def recipe_of(run: Path) -> Recipe:
-    """The run's own recipe; where it names files beside it, the original must still be what it was."""
+    """The run's own recipe: the original while it is unchanged, as it may name files next to it; else the copy."""
     state = read_object(run / "state.json")
     original, copy = Path(state["recipe"]), run / "recipe.yaml"
     unchanged = original.is_file() and sha256_file(original) == state["inputs_sha256"]["recipe.yaml"]

@@ -1,43 +1,64 @@
-"""Calibrating again by the clock: the stored loop, the parameters that wear, a gate against the last accepted model."""
+"""Recalibration: the stored loop again, the parameters that wear, and a gate against the last accepted model."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
+from itertools import chain, islice, repeat
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from agent.core import Console, ControllerError, error_text, sha256_file
-from agent.link import Recording, RobotLink, open_link
-from agent.pipeline.calibrate import step
-from agent.pipeline.drift_check import diagnose_if_worse, worse_joints
-from agent.pipeline.ending import current_run, ending_text
+from agent.core import Console, ControllerError, InputError, error_text, read_json, sha256_file
+from agent.diagnosis import diagnose
+from agent.estimation import Refit, refit
+from agent.excitation import Candidates
+from agent.link import Recording, open_link
+from agent.model import IdentifiedModel
+from agent.motion import Move, Target
+from agent.pipeline.ending import current_run, ending_text, step
+from agent.pipeline.gap.until_sure import Found, Rounds, until_sure
+from agent.pipeline.identify import check_run, read_logs
+from agent.pipeline.plan import PlannedMotion, loop_problem, program_text
 from agent.pipeline.record_plan import EXCITATION, record_program
-from agent.pipeline.reference import Reference, find_reference, last_accepted
-from agent.pipeline.reports import refresh_index, watch_lines
-from agent.pipeline.result import RecordingFigures, provenance
+from agent.pipeline.reports import diagnose_if_worse, recalibration_page, refresh_index, worse_joints, write_analysis
+from agent.pipeline.result import RecordingFigures, conditions, provenance
 from agent.recipe import Recipe
+from agent.recording import Log, read_log
 from agent.robot import not_judged_text, outcome_text, torque_units, without_nominal
-from agent.runs import RunFolder, apply_run, approve, register_run, robot_lock, run_key, too_early, wrong_clock
+from agent.runs import (
+    FOLDER,
+    History,
+    PastRun,
+    RunFolder,
+    StoredLoop,
+    apply_run,
+    approve,
+    approved_parts,
+    current_model,
+    differences,
+    find_loop,
+    problem,
+    register_run,
+    robot_lock,
+    run_key,
+    too_early,
+    watch,
+    wrong_clock,
+)
 from agent.safety import Authorisation
-
-if TYPE_CHECKING:
-    from agent.estimation import Refit
-    from agent.model import IdentifiedModel
-    from agent.pipeline.until_sure import Found, Rounds
-    from agent.recording import Log
-    from agent.runs import StoredLoop
-    from agent.validation import Comparison, Prediction
+from agent.validation import Comparison, compare_models, predict_log
 
 _SIGNIFICANT = 3.0
+#: Tolerance of poses [m] and joints [rad] that are written with nine decimals.
+_SAME = 1e-6
 
 
 @dataclass(frozen=True)
 class RecalibrationOutcome:
-    """What came of it: `skipped` says why nothing was done; else run folder, `result.json` and what comes next."""
+    """Why nothing was done (`skipped`); else run folder, `result.json` and what comes next."""
 
     skipped: str = ""
     run: Path | None = None
@@ -46,14 +67,14 @@ class RecalibrationOutcome:
 
     @property
     def accepted(self) -> bool:
-        """Whether the gate let it through, or there was nothing to do."""
+        """Whether the gate accepted the model, or there was nothing to do."""
         return self.result is None or bool(self.result["accepted"])
 
     def summary(self) -> str:
         """A few lines."""
         if self.result is None:
             return f"skipped: {self.skipped}"
-        validation = self.result["validation"]
+        result, validation = self.result, self.result["validation"]
         axes = [
             f"{name} {error_text(share, torque, unit)} (was {error_text(share_before, torque_before, unit)})"
             for name, share, torque, share_before, torque_before, unit in zip(
@@ -63,15 +84,22 @@ class RecalibrationOutcome:
             )
         ]
         rows = ["  ".join(axes[k : k + 3]) for k in range(0, len(axes), 3)]
-        lines = ["prediction error    " + f"\n{'':20}".join(rows), f"change              {self.result['comparison']}"]
-        if self.result["diagnosis"]:
-            lines.append(f"diagnosis           {self.result['diagnosis']['summary']}")
-        lines.append(f"compared with       {self.result['reference']}")
-        word = outcome_text(
-            self.accepted, self.result["reason"], self.result["gate"]["not_judged"], validation["joints"]
-        )
-        lines += [f"result              {word}", f"report              {self.run}/report.html", self.ending]
-        return "\n".join(lines)
+        word = outcome_text(self.accepted, result["reason"], result["gate"]["not_judged"], validation["joints"])
+        lines = ["prediction error    " + f"\n{'':20}".join(rows), f"change              {result['comparison']}"]
+        if result["diagnosis"]:
+            lines.append(f"diagnosis           {result['diagnosis']['summary']}")
+        lines += [f"compared with       {result['reference']}", f"result              {word}"]
+        return "\n".join([*lines, f"report              {self.run}/report.html", self.ending])
+
+
+@dataclass(frozen=True, eq=False)
+class Reference:
+    """The last accepted run of the same loop, the model to compare with and the run it is of, and the loop."""
+
+    past: PastRun
+    run: str
+    model: IdentifiedModel
+    loop: StoredLoop
 
 
 def run_recalibration(
@@ -111,38 +139,141 @@ def run_recalibration(
         with step(run, "estimate", console):
             log, found, comparison = _estimate(recipe, reference, run, console)
         with step(run, "validate", console):
-            from agent.pipeline.conditions import conditions
-            from agent.validation import predict_log
-
             prediction = predict_log(found.model, log)
             met = conditions(log, prediction, recording)
             result = _judge(recipe, reference, run, recording, found, comparison, met)
-            worse = result["validation"]["worse_before"]
-            asked: list[Rounds] = []
+            rounds: list[Rounds] = []
 
-            def ask(find: Callable[[Sequence[Path]], Found]) -> Rounds:
-                asked.append(_further(find, recipe, run, console, logs, authorisation))
-                return asked[-1]
+            def with_further_motions() -> dict[str, Any]:
+                rounds.append(_further(reference.model, log, recipe, run, console, logs, authorisation))
+                return {**rounds[0].last[0].result, **rounds[0].to_dict()}
 
             released = authorisation is not None and authorisation.document.new_motions is not None
-            result["diagnosis"] = diagnose_if_worse(
-                reference.model, worse, log, run, console, ask if released else None
-            )
+            ask = with_further_motions if released else None
+            worse = result["validation"]["worse_before"]
+            result["diagnosis"] = diagnose_if_worse(reference.model, worse, [log], run, console, ask)
             current = current_run(logs, recipe.robot.name, run.state["serial"])
             result["current_model"] = run.path.name if result["accepted"] else current
         with step(run, "report", console):
-            _report(recipe, reference.loop, run, result, comparison, log, prediction)
+            write_analysis(run.file("analysis.mcap"), log, prediction)
+            run.write_json("result.json", result)
+            run.write_json("comparison.json", comparison.to_dict())
+            program = reference.loop.program
+            page = recalibration_page(recipe, program, result, comparison, log, prediction, run.path)
+            run.write_text("report.html", page)
+            run.complete(result["accepted"])
         register_run(run, console)
         if result["accepted"]:
             apply_run(logs, run.path)
-        watched = watch_lines(logs, recipe.robot.name, run.state["serial"])
+        runs = History(logs).runs(recipe.robot.name, run.state["serial"])
+        watched = [line for one in watch(runs) for line in one.lines()]
         run.note(watch=watched)
         refresh_index(logs, console)
     for line in watched:
         console.warn(line)
-    if asked and asked[0].cut_short is not None:
-        raise asked[0].cut_short
+    if rounds and rounds[0].cut_short is not None:
+        raise rounds[0].cut_short
     return RecalibrationOutcome(run=run.path, result=result, ending=ending_text(run, recipe))
+
+
+def last_accepted(recipe: Recipe, logs: Path, now: datetime) -> PastRun:
+    """The newest accepted run with the recipe's robot, tool, cell, sub-region and motion settings, up to now.
+
+    Raises:
+        InputError: there is none; what differs from the newest of this robot is named.
+    """
+    against = ""
+    if logs.is_dir():
+        history, key = History(logs), run_key(recipe)
+        past = history.last_accepted(recipe.robot.name, key["loop"], key["controller"], now)
+        if past is not None:
+            return past
+        others = [run for run in history.runs(recipe.robot.name) if run.accepted]
+        against = _against(recipe, logs / others[-1].run) if others else ""
+    raise InputError(
+        f"{recipe.path}: no accepted calibration with this robot, tool, sub-region and motion settings in {logs}"
+        f"{against}: run `agent calibrate {recipe.path}` first, with somebody watching"
+    )
+
+
+def _against(recipe: Recipe, run: Path) -> str:
+    """What differs from an accepted run of a robot of this name, if that can be read."""
+    try:
+        then = approved_parts(run, read_json(run / "state.json"))
+    except InputError:
+        return ""
+    return f"; against {run.name}: {differences(then, problem(recipe))}"
+
+
+def find_reference(recipe: Recipe, logs: Path, past: PastRun) -> Reference:
+    """The model and the loop that belong to an accepted run.
+
+    Raises:
+        InputError: the loop is not kept here, was changed, or does not lie in the recipe's sub-region; or no model.
+    """
+    loop = find_loop(recipe, program=past.program)
+    if loop is None:
+        raise InputError(
+            f"{recipe.path}: {Path.cwd() / FOLDER} has no stored loop for this robot, tool, sub-region and motion "
+            f"settings with the program that was accepted in {past.run} ({past.program[:12]}); call from the folder "
+            "where it was calibrated, or calibrate again"
+        )
+    check_loop(recipe, loop)
+    current = current_model(logs, past.robot, past.serial)
+    if current is not None and current.run != past.run:
+        loops = {one.run: one.loop for one in History(logs).runs()}
+        if loops.get(current.run, "") == past.loop:
+            return Reference(past, current.run, IdentifiedModel.load(current.model), loop)
+    return Reference(past, past.run, IdentifiedModel.load(logs / past.run / "model.json"), loop)
+
+
+def check_loop(recipe: Recipe, loop: StoredLoop) -> None:
+    """Check move by move that a stored program is the one its genome gives in the recipe's sub-region.
+
+    The number of cycles is the program's. Limits and the cell are checked later, from the arm's position.
+
+    Raises:
+        InputError: it was changed since it was stored, or is no loop for this recipe.
+    """
+
+    def moves(text: str) -> list[Move]:
+        program = recipe.dialect.read(text, f"{loop.program_name}{recipe.dialect.suffix}", recipe.robot)
+        return [statement for statement in program.run() if isinstance(statement, Move)]
+
+    refused = f"the stored loop {loop.checksum[:12]} is not one that this recipe allows"
+    advice = f"move it away from {FOLDER}, then calibrate again"
+    try:
+        own = Candidates(loop_problem(recipe, recipe.motion.speed)).loop(np.array(loop.genome))
+    except InputError as error:
+        raise InputError(f"{recipe.path}: {refused}: {error}; {advice}") from None
+    motion = PlannedMotion(loop.program_name, "excitation", own, recipe.motion.speed, 1)
+    approach, *cycle = moves(program_text(recipe, motion))
+    found = moves(loop.program)
+    expected = chain([approach], chain.from_iterable(repeat(cycle)))
+    for number, (move, wanted) in enumerate(zip(found, islice(expected, len(found)), strict=True)):
+        if (what := _unlike(move, wanted)) is not None:
+            raise InputError(
+                f"{recipe.path}: {refused}: {what} of its move {number + 1} (line {move.line} of its program) is not "
+                f"the one that was searched for in motion.via_points; {advice}"
+            )
+    if len(found) < 1 + len(cycle) or (len(found) - 1) % len(cycle):
+        raise InputError(f"{recipe.path}: {refused}: its program does not end where a cycle ends; {advice}")
+
+
+def _unlike(move: Move, wanted: Move) -> str | None:
+    """What differs between two moves."""
+    if (move.type, move.fly, move.via) != (wanted.type, wanted.fly, None):
+        return "the kind"
+    if move.settings != wanted.settings:
+        return "a speed, frame or FLY setting"
+    return None if _same_target(move.target, wanted.target) else "the target"
+
+
+def _same_target(one: Target, other: Target) -> bool:
+    if type(one) is not type(other) or getattr(one, "configuration", "") != getattr(other, "configuration", ""):
+        return False
+    there, here = (np.asarray(getattr(t, "pose", getattr(t, "position", None)), dtype=float) for t in (one, other))
+    return there.shape == here.shape and bool(np.all(np.abs(there - here) <= _SAME))
 
 
 def _record(
@@ -154,10 +285,15 @@ def _record(
     logs: Path,
     allowed: Authorisation | None,
 ) -> Recording:
-    loop = reference.loop
+    loop, known = reference.loop, reference.past.serial
     with open_link(recipe, console, yes, logs, allowed) as link:
-        _check_machine(reference, link)
-        run.note(serial=link.identity.serial)
+        here = link.identity.serial
+        if known and known != here:
+            raise ControllerError(
+                f"{link.address}: this machine has serial {here}; the last accepted model is of {known}, another one "
+                "of the same type. Calibrate this one first: `agent calibrate`"
+            )
+        run.note(serial=here)
         if allowed is not None and (soon := allowed.ends_soon()):
             console.warn(soon)
         suffix = recipe.dialect.suffix
@@ -167,35 +303,25 @@ def _record(
 
 
 def _further(
-    find: Callable[[Sequence[Path]], Found],
+    model: IdentifiedModel,
+    log: Log,
     recipe: Recipe,
     run: RunFolder,
     console: Console,
     logs: Path,
     allowed: Authorisation | None,
 ) -> Rounds:
-    """Motions that are planned for what the diagnosis leaves open, as far as they are released."""
-    from agent.pipeline.until_sure import until_sure
+    """Diagnose with further motions, as far as the authorisation releases them."""
+
+    def find(further: Sequence[Path]) -> Found:
+        return diagnose(model.robot, [log, *(read_log(path, model.robot) for path in further)], model), [], None
 
     assert allowed is not None
     assert allowed.document.new_motions is not None
     return until_sure(find, [], recipe, run, console, logs, False, allowed.document.new_motions.duration, allowed)
 
 
-def _check_machine(reference: Reference, link: RobotLink) -> None:
-    known, here = reference.past.serial, link.identity.serial
-    if known and known != here:
-        raise ControllerError(
-            f"{link.address}: this machine has serial {here}; the last accepted model is of {known}, another one of "
-            "the same type. Calibrate this one first: `agent calibrate`"
-        )
-
-
 def _estimate(recipe: Recipe, reference: Reference, run: RunFolder, console: Console) -> tuple[Log, Refit, Comparison]:
-    from agent.estimation import refit
-    from agent.pipeline.identify import check_run, read_logs
-    from agent.validation import compare_models
-
     what = recipe.recalibrate.parameters
     console.step("estimating friction again" if what == "friction" else "estimating all parameters again")
     (log,) = read_logs([run.file(EXCITATION)], recipe.robot, console)
@@ -215,10 +341,10 @@ def _judge(
     comparison: Comparison,
     met: dict[str, Any],
 ) -> dict[str, Any]:
-    """The content of `result.json`, with the gate's word and the reason if it is no."""
+    """The content of `result.json`, with the gate's decision and the reason for a rejection."""
     faults = gate_faults(recipe.gate.normalised_rmse, reference.model, found, met, comparison)
     nominal = found.model.robot.nominal_torque
-    moved = [change for change in comparison.parameters if change.moved]
+    moved = [change.name for change in comparison.parameters if change.moved]
     return {
         "schema": "recalibration/1",
         "robot": recipe.robot.name,
@@ -242,7 +368,7 @@ def _judge(
         },
         "comparison": (
             f"{len(moved)} of {len(comparison.parameters)} parameters moved by more than their uncertainty"
-            + (f": {', '.join(change.name for change in moved)}" if moved else "")
+            + (f": {', '.join(moved)}" if moved else "")
         ),
         "loop": {
             "created": reference.loop.created,
@@ -258,20 +384,20 @@ def _judge(
 def gate_faults(
     gate: float, last: IdentifiedModel, found: Refit, met: dict[str, Any], comparison: Comparison
 ) -> list[str]:
-    """What speaks against making a refitted model the current one; nothing if it is accepted.
+    """Reasons to reject a refitted model; none if it is accepted.
 
-    Args:
-        gate: largest normalised RMSE of any axis.
-        last: the last accepted model; `comparison` is of it with the new one.
-        met: the run's conditions, with the friction found.
+    Parameters
+    ----------
+    gate : largest normalised RMSE of any axis.
+    last : the last accepted model; `comparison` is of it with the new one.
+    met : the run's conditions, with the friction found.
     """
     robot = found.model.robot
-    faults = []
     figures = found.held_out / robot.nominal_torque
-    for k in np.flatnonzero(figures > gate).tolist():
-        faults.append(
-            f"{robot.joint_names[k]}: prediction error {100 * figures[k]:.2f} %, the gate is {100 * gate:.2f} %"
-        )
+    faults = [
+        f"{robot.joint_names[k]}: prediction error {100 * figures[k]:.2f} %, the gate is {100 * gate:.2f} %"
+        for k in np.flatnonzero(figures > gate)
+    ]
     for name in worse_joints(last, found.held_out):
         k = robot.joint_names.index(name)
         faults.append(
@@ -282,34 +408,13 @@ def gate_faults(
         if level["value"] + _SIGNIFICANT * level["standard_deviation"] < 0:
             faults.append(f"{level['joint']}: its friction at {level['speed']:.3g} rad/s comes out negative")
     inertial = set(last.names[: len(last.independent)])
-    rigid = [c for c in comparison.parameters if c.moved and c.name in inertial]
-    far = (comparison.torque.rmse > gate * robot.nominal_torque) & (
-        comparison.torque.rmse > _SIGNIFICANT * comparison.torque.standard_deviation
-    )
+    rigid = [change.name for change in comparison.parameters if change.moved and change.name in inertial]
+    torque = comparison.torque
+    far = (torque.rmse > gate * robot.nominal_torque) & (torque.rmse > _SIGNIFICANT * torque.standard_deviation)
     if rigid and np.any(far):
         names = ", ".join(np.array(robot.joint_names)[far])
         faults.append(
-            f"{names}: links or payload ({', '.join(c.name for c in rigid[:4])}) differ from the last accepted model "
+            f"{names}: links or payload ({', '.join(rigid[:4])}) differ from the last accepted model "
             "by more than the gate; links do not wear, look for another tool or load, then calibrate"
         )
     return faults
-
-
-def _report(
-    recipe: Recipe,
-    loop: StoredLoop,
-    run: RunFolder,
-    result: dict[str, Any],
-    comparison: Comparison,
-    log: Log,
-    prediction: Prediction,
-) -> None:
-    from agent.pipeline.analysis_log import write_analysis
-    from agent.pipeline.reports import recalibration_page
-
-    write_analysis(run.file("analysis.mcap"), log, prediction)
-    run.write_json("result.json", result)
-    run.write_json("comparison.json", comparison.to_dict())
-    page = recalibration_page(recipe, loop.program, result, comparison, log, prediction, run.path)
-    run.write_text("report.html", page)
-    run.complete(result["accepted"])

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from agent.core import Console, ControllerError, InputError, counted, sha256_file
 from agent.link import MotionOfMany, Recording, RobotLink, open_link, report_losses
-from agent.pipeline.planning import Plan, checked_chains, programs
+from agent.pipeline.plan import Plan, checked_chains, programs
 from agent.recipe import Recipe
 from agent.runs import RunFolder
 
@@ -14,7 +14,7 @@ EXCITATION = "excitation.mcap"
 
 
 def record_plan(recipe: Recipe, plan: Plan, run: RunFolder, console: Console, logs: Path, yes: bool) -> list[Recording]:
-    """One log a motion; a finished log is kept, one that was cut is moved aside and run again.
+    """Record one log per motion. Keeps finished logs; renames one that was cut short and records the motion again.
 
     Raises:
         InputError, ControllerError, SafetyError, DriverError: not ready to move, not allowed, or stopped while moving.
@@ -55,7 +55,7 @@ def record_program(
 ) -> Recording:
     """Run the program `text` of the file `path` once from where the arm stands, and keep its log in the run folder.
 
-    `motion` is what the log calls it, `what` what a person reads.
+    `motion` is its kind in the log, `what` its name for people.
 
     Raises:
         InputError: an approach or a loop breaks a limit.
@@ -72,9 +72,9 @@ def _keep(run: RunFolder, console: Console, name: str, recording: Recording) -> 
     return recording
 
 
-def validation_logs(run: RunFolder) -> list[Path]:
-    """Logs of the validation motions of a run."""
-    return sorted(run.path.glob("validation_[0-9][0-9].mcap"))
+def validation_logs(run: Path) -> list[Path]:
+    """Logs of the validation motions in a run folder."""
+    return sorted(run.glob("validation_[0-9][0-9].mcap"))
 
 
 def _check_machine(run: RunFolder, link: RobotLink) -> None:
@@ -100,7 +100,7 @@ def _recorded(run: RunFolder, name: str) -> Recording | None:
 
 
 def _set_aside(log: Path) -> None:
-    """A log that a stopped run left is kept under another name: its data may be all there is of an incident."""
+    """Rename a log that a stopped run left: it may be the only record of an incident."""
     number = 1
     while log.exists():
         aside = log.with_suffix(f".stopped{number}.mcap")

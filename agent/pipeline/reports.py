@@ -1,35 +1,119 @@
-"""Reports from what lies in run folders: further sections of a new one, the page over all runs."""
+"""Pages and comparisons made from run folders, and the diagnosis of a model that predicts worse than it did."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from agent.core import AgentError, Console, InputError, write_atomically
-from agent.pipeline.drift_check import diagnose_if_worse, joint_moves, moving_rmse, worse_joints
+from agent.diagnosis import diagnose
+from agent.link import plan_statements
+from agent.model import IdentifiedModel, standstill_speed
+from agent.pipeline.ending import next_steps, whose
+from agent.pipeline.identify import read_logs
+from agent.pipeline.plan import left_over, motion_data
 from agent.recipe import Recipe
-from agent.runs import History, RunFolder, current_runs, last_accepted
+from agent.recording import FILTERED, PREDICTED, RESIDUAL, Log, write_log
+from agent.report import (
+    About,
+    IndexData,
+    LogHealth,
+    NextStep,
+    RunData,
+    comparison_page,
+    comparison_section,
+    diagnosis_summary,
+    friction_section,
+    index_page,
+    log_section,
+    observation_section,
+    recalibration_report,
+    residual_section,
+    torque_plot,
+)
+from agent.runs import History, RunFolder, current_runs, last_accepted, parameter_trends, watch
+from agent.validation import Comparison, Prediction, compare_models, predict_log
 
-if TYPE_CHECKING:
-    from agent.recording import Log
-    from agent.report import Plot
-    from agent.validation import Comparison, Prediction
+#: A joint is worse if its error exceeds this multiple of that at the model's own calibration, plus this share of
+#: nominal torque.
+_WORSE, _TOLERANCE = 1.25, 1e-3
+#: The multiple without a nominal torque: the model's own error scatters from run to run.
+_WORSE_UNSCALED = 1.5
+_ASKED = {
+    "calibrate": "How well does a model from the arm's own motion predict its torque in the sub-region?",
+    "recalibrate": "Is the model still true? If not, what changed?",
+}
+
+
+def worse_joints(model: IdentifiedModel, rmse: np.ndarray) -> list[str]:
+    """Joints whose error (n,) [N·m] is above that of the model on its own data."""
+    nominal, own = model.robot.nominal_torque, model.held_out_rmse
+    limit = np.where(np.isnan(nominal), _WORSE_UNSCALED * own, _WORSE * own + _TOLERANCE * nominal)
+    return [name for name, above in zip(model.robot.joint_names, rmse > limit, strict=True) if above]
 
 
 def against_last(run: RunFolder, log: Log, console: Console) -> dict[str, Any]:
-    """The last accepted run of the same loop, and why its model predicts a fresh log worse than it did, if it does."""
-    from agent.model import IdentifiedModel
-    from agent.validation import predict_log
-
+    """`reference` and `diagnosis` of a result: the last accepted run of the same loop, and why its model is worse."""
     last = last_accepted(run.path)
     if last is None:
         return {"reference": "", "diagnosis": None}
     before = IdentifiedModel.load(last / "model.json")
-    worse = worse_joints(before, moving_rmse(predict_log(before, log)))
-    return {"reference": last.name, "diagnosis": diagnose_if_worse(before, worse, log, run, console)}
+    prediction = predict_log(before, log)
+    worse = worse_joints(before, _rmse(prediction, slice(None)))
+    return {"reference": last.name, "diagnosis": diagnose_if_worse(before, worse, [log], run, console)}
+
+
+def diagnose_if_worse(
+    model: IdentifiedModel,
+    worse: Sequence[str],
+    logs: Sequence[Log],
+    run: RunFolder,
+    console: Console,
+    ask: Callable[[], dict[str, Any]] | None = None,
+) -> dict[str, Any] | None:
+    """Why the last accepted model predicts the joints `worse` worse than it did; None where there are none.
+
+    Parameters
+    ----------
+    ask : the result of a diagnosis with further motions; None: that of the `logs`.
+
+    Returns
+    -------
+    `summary`, a sentence or two; `result`, as in docs/diagnosis.md (None where it could not be diagnosed), which
+    the run folder gets as `diagnosis.json`.
+    """
+    if not worse:
+        return None
+    opening = f"The last model predicts {', '.join(worse)} worse than it did."
+    console.step(f"{opening} Diagnosing")
+    try:
+        found = diagnose(model.robot, logs, model).result if ask is None else ask()
+    except AgentError as error:
+        return {"summary": f"{opening} It could not be diagnosed: {error}", "result": None}
+    run.write_json("diagnosis.json", found)
+    return {"summary": f"{opening} {diagnosis_summary(found)}", "result": found}
+
+
+def about_run(kind: str, recipe: Recipe, result: dict[str, Any], run: Path) -> About:
+    """First screen of the page of a calibration or recalibration, from the content of its `result.json`."""
+    accepted, current, provenance = result["accepted"] is not False, result["current_model"], result["provenance"]
+    steps = next_steps(kind, accepted, run, recipe, recipe.path.resolve(), current)
+    identity = [
+        ("robot", result["robot"]),
+        ("serial", result["serial"] or "not reported"),
+        ("tool", "none" if recipe.tool is None else recipe.tool.text()),
+        ("controller", f"{recipe.controller.driver} {recipe.controller.place}"),
+        ("date", provenance["started"].replace("T", " ").removesuffix("+00:00")[:16] + " UTC"),
+        ("run", run.name),
+        ("current model", whose(current, run.name)),
+        ("program", f"calibration-agent {provenance.get('version of calibration-agent', '')}".strip()),
+    ]
+    return About(asked=_ASKED[kind], next=[NextStep(what, command) for command, what in steps], identity=identity)
 
 
 def recalibration_page(
@@ -42,33 +126,22 @@ def recalibration_page(
     run: Path,
 ) -> str:
     """HTML of a recalibration's report; `program` is the text of the loop, `prediction` is of its `log` in `run`."""
-    from agent.link import plan_statements
-    from agent.pipeline.first_screen import about_run
-    from agent.pipeline.plan import left_over, motion_data
-    from agent.report import (
-        LogHealth,
-        RunData,
-        comparison_section,
-        friction_section,
-        log_section,
-        observation_section,
-        recalibration_report,
-        residual_section,
-    )
-
     model = prediction.model
     *_, cycle = plan_statements(recipe, program, "program", log.position[0])[1]
-    via_points = np.array(result["loop"]["via_points"])
-    motion = motion_data(recipe, cycle, via_points, len(log.cycle_starts))
+    motion = motion_data(recipe, cycle, np.array(result["loop"]["via_points"]), len(log.cycle_starts))
+    ends = [*log.cycle_starts, float(log.t[-1])] if log.cycle_starts else [0.0, float(log.t[-1])]
+    cycles = [slice(*np.searchsorted(prediction.time, pair)) for pair in pairwise(ends)]
+    # confidence bounds need a regressor for every sample, so they are computed for the cycle that is shown
+    shown = predict_log(model, log.middle_part())
     return recalibration_report(
         RunData(
             result=result,
             about=about_run("recalibrate", recipe, result, run),
             motion=left_over(motion, log, prediction),
             parameter_rows=model.rows(),
-            rmse=_cycle_errors(log, prediction),
+            rmse=np.array([_rmse(prediction, part) for part in cycles if _moves(prediction)[part].any()]),
             nominal=model.robot.nominal_torque,
-            prediction=_shown_cycle(log, prediction),
+            prediction=torque_plot(shown, prediction.rmse(moving=True), *log.middle_cycle()),
             further=(
                 comparison_section(comparison),
                 residual_section([prediction]),
@@ -80,22 +153,77 @@ def recalibration_page(
     )
 
 
+def write_analysis(path: Path, log: Log, prediction: Prediction) -> None:
+    """Write a log with its prediction as further topics; an existing file is replaced.
+
+    /joint_states is as measured. /filtered_joint_states, /predicted_joint_states and /residual_joint_states have the
+    torque that the model is judged by: filtered alike, edges dropped, on the stamps of the measurement.
+
+    Raises:
+        RecordingError: the file cannot be written.
+    """
+    position = np.stack([np.interp(prediction.time, log.t, q) for q in log.position.T], axis=1)
+    torques = {FILTERED: prediction.measured, PREDICTED: prediction.predicted, RESIDUAL: prediction.error}
+    states = {topic: (prediction.time, position, prediction.velocity, torque) for topic, torque in torques.items()}
+    write_log(path, replace(log, reference_position=None, planned_position=None), states)
+
+
+def compare_runs(runs: Sequence[Path], console: Console, report: Path | None = None) -> list[Comparison]:
+    """Compare the models of later run folders with the first, along the excitation that the last one recorded.
+
+    Writes a page to `report` where that is given.
+
+    Raises:
+        InputError: a run without a model or a log, or of different robots.
+    """
+    models = _models(runs)
+    log = next((run / "excitation.mcap" for run in reversed(runs) if (run / "excitation.mcap").exists()), None)
+    if log is None:
+        which = f"neither {runs[0]} nor {runs[1]} has its" if len(runs) == 2 else "none of these runs has its"
+        raise InputError(f"{which} excitation.mcap any more: no motion to compare along")
+    (motion,) = read_logs([log], models[-1].robot, console)
+    found = [
+        compare_models(models[0], model, motion, runs[0].name, run.name)
+        for run, model in zip(runs[1:], models[1:], strict=True)
+    ]
+    if report is not None:
+        by_name = {run.name: model for run, model in zip(runs, models, strict=True)}
+        write_atomically(report, comparison_page(by_name, found, [predict_log(model, motion) for model in models]))
+    return found
+
+
+def _models(runs: Sequence[Path]) -> list[IdentifiedModel]:
+    if len({run.name for run in runs}) < len(runs):
+        raise InputError("compare: a run is named twice; name two runs or more, each once")
+    for run in runs:
+        if not (run / "model.json").is_file():
+            raise InputError(
+                f"{run}: this run has no model (a diagnosis, or stopped before its end); only calibrations and "
+                "recalibrations can be compared"
+            )
+    models = [IdentifiedModel.load(run / "model.json") for run in runs]
+    first = models[0].robot
+    for run, model in zip(runs, models, strict=True):
+        if model.robot.joint_names != first.joint_names or model.robot.name != first.name:
+            raise InputError(
+                f"{runs[0].name} is of {first.name}, {run.name} of {model.robot.name}: there is nothing to compare "
+                "between different robots"
+            )
+    return models
+
+
 def write_index(logs: Path, robot: str | None = None, serial: str | None = None) -> Path:
     """Write `index.html` over all runs of a folder, or of one robot in it; returns its path.
 
     Raises:
         InputError: there is no such folder, or nothing in it.
     """
-    from agent.report import IndexData, index_page
-    from agent.runs import parameter_trends, watch
-
     history = History(logs)
     runs = history.runs(robot, serial)
     if not runs:
         raise InputError(f"{logs}: {history.why_none(robot, serial)}")
     watched = watch(runs)
-    latest = {run for one in watched for trend in one.trends[:1] for run in trend.runs}
-    parameters = history.parameters(latest)
+    parameters = history.parameters({run for one in watched for trend in one.trends[:1] for run in trend.runs})
     by_name = {run.run: run for run in runs}
     courses = [
         parameter_trends([by_name[name] for name in one.trends[0].runs], parameters) if one.trends else []
@@ -105,38 +233,20 @@ def write_index(logs: Path, robot: str | None = None, serial: str | None = None)
 
 
 def refresh_index(logs: Path, console: Console) -> None:
-    """The page over all runs, as a run that has just ended leaves it; a failure is a warning, and no more."""
+    """Write the page over all runs after a run; a failure is a warning only."""
     try:
         write_index(logs)
     except AgentError as error:  # the run itself is complete, and `agent report --index` makes the page again
         console.warn(str(error))
 
 
-def watch_lines(logs: Path, robot: str, serial: str) -> list[str]:
-    """Alarms and warnings of one machine's history, a sentence each."""
-    from agent.runs import watch
-
-    return [line for one in watch(History(logs).runs(robot, serial)) for line in one.lines()]
-
-
-def _cycle_errors(log: Log, prediction: Prediction) -> np.ndarray:
-    """(cycles, n) RMSE [N·m] of a cycle, while the joint moves; of the whole log where none repeats."""
-    moving = joint_moves(prediction)
-    ends = [*log.cycle_starts, float(log.t[-1])] if log.cycle_starts else [0.0, float(log.t[-1])]
-    rows = []
-    for start, stop in pairwise(ends):
-        inside = slice(*np.searchsorted(prediction.time, (start, stop)))
-        energy = np.sum(prediction.error[inside] ** 2 * moving[inside], axis=0)
-        if moving[inside].any():
-            rows.append(np.sqrt(energy / np.maximum(1, moving[inside].sum(axis=0))))
-    return np.array(rows)
+def _moves(prediction: Prediction) -> np.ndarray:
+    """(S, n) whether each joint itself moves."""
+    slowest = standstill_speed([prediction.velocity], prediction.model.robot.max_velocity)
+    return np.abs(prediction.velocity) > slowest
 
 
-def _shown_cycle(log: Log, prediction: Prediction) -> Plot:
-    """What one cycle shows, few enough samples to be drawn."""
-    from agent.report import torque_plot
-    from agent.validation import predict_log
-
-    # bounds cost a regressor for every sample, so they are made for these alone
-    part = predict_log(prediction.model, log.middle_part())
-    return torque_plot(part, prediction.rmse(moving=True), *log.middle_cycle())
+def _rmse(prediction: Prediction, part: slice) -> np.ndarray:
+    """(n,) RMSE [N·m] over the samples of a part in which each joint moves."""
+    moving = _moves(prediction)[part]
+    return np.sqrt(np.sum(prediction.error[part] ** 2 * moving, axis=0) / np.maximum(1, moving.sum(axis=0)))

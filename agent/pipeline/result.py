@@ -1,26 +1,29 @@
-"""What a calibration found: the content of `result.json`, and what its report shows."""
+"""What a run found: the content of `result.json`, the conditions of the run, and the page of a calibration."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from agent.core import sha256_file
+from agent.estimation import conditional_covariance
 from agent.link import Recording
-from agent.pipeline.first_screen import about_run
-from agent.pipeline.plan import planned_motion_data, search_data, with_residual
-from agent.pipeline.planning import Plan
+from agent.model import ODD, IdentifiedModel, steady_columns
+from agent.pipeline.plan import Plan, planned_motion_data, search_data, with_residual
+from agent.pipeline.reports import about_run
 from agent.recipe import Recipe
-from agent.report import RunData, torque_plot
-from agent.robot import torque_units, without_nominal
+from agent.recording import Log
+from agent.report import LogHealth, RunContent, RunData, further_sections, run_report, torque_plot
+from agent.robot import axle_motion, torque_units, without_nominal
+from agent.validation import Prediction, pooled_rmse, summary
 
-if TYPE_CHECKING:
-    from agent.model import IdentifiedModel
-    from agent.report import Section
-    from agent.validation import Prediction
+#: Friction is compared at these shares of the highest speed of the axle in the loop.
+SHARES = (0.15, 0.6)
+_FEWEST_CYCLES = 3
 
 
 @dataclass(frozen=True)
@@ -90,9 +93,13 @@ class RecordingFigures:
 class CalibrationResult:
     """The content of `result.json`.
 
-    `accepted` is the gate's word, None where it could judge no joint; `reason` why not. `conditions` are those of the
-    excitation; `reference` is the last accepted run of the same loop and `diagnosis` why its model predicts worse now,
-    if it does; `current_model` the run whose model is the robot's.
+    Attributes
+    ----------
+    accepted, reason : the gate's decision (None: it could judge no joint), and why not.
+    conditions : those of the excitation.
+    reference : the last accepted run of the same loop.
+    diagnosis : why its model predicts worse now, if it does.
+    current_model : the run whose model is the robot's current one.
     """
 
     robot: str
@@ -112,7 +119,7 @@ class CalibrationResult:
 
     @property
     def rejected(self) -> bool:
-        """Whether the gate said no."""
+        """Whether the gate rejected the model."""
         return self.accepted is False
 
     def to_dict(self) -> dict[str, Any]:
@@ -126,17 +133,9 @@ def build_result(
     recordings: Sequence[Recording],
     model: IdentifiedModel,
     predictions: Sequence[Prediction],
-    *,
-    provenance: dict[str, str],
-    serial: str,
-    conditions: dict[str, Any],
-    reference: str,
-    diagnosis: dict[str, Any] | None,
+    **further: Any,
 ) -> CalibrationResult:
-    """What was found, and the gate's word on it: every axis that has a nominal torque, moving samples of all motions
-    pooled."""
-    from agent.validation import pooled_rmse, summary
-
+    """The result with the gate's decision on moving samples of all motions; `further` fields are known elsewhere."""
     overall = summary(predictions).overall
     moving = pooled_rmse(predictions)
     figures = moving / model.robot.nominal_torque
@@ -174,18 +173,14 @@ def build_result(
             relative_error_all_joints=overall.relative_error_all_joints,
         ),
         recordings=[RecordingFigures.of(recording) for recording in recordings],
-        provenance=provenance,
-        serial=serial,
-        conditions=conditions,
-        reference=reference,
-        diagnosis=diagnosis,
+        **further,
     )
 
 
 def judge(
     gate: float, joints: Sequence[str], figures: Sequence[float] | np.ndarray, not_judged: Sequence[str]
 ) -> tuple[bool | None, str]:
-    """The gate's word on the shares of nominal torque of the joints, and why not; None where it can judge no joint."""
+    """The gate's decision on the errors over nominal torque, and why not; None where it can judge no joint."""
     broken = [
         f"{name}: prediction error {100 * figure:.2f} %, the gate is {100 * gate:.2f} %"
         for name, figure in zip(joints, figures, strict=True)
@@ -194,39 +189,40 @@ def judge(
     return (None if len(not_judged) == len(joints) else not broken), "; ".join(broken)
 
 
-def run_data(
+def calibration_page(
     recipe: Recipe,
     plan: Plan,
     result: dict[str, Any],
     model: IdentifiedModel,
     predictions: Sequence[Prediction],
-    further: Sequence[Section],
+    health: Sequence[LogHealth],
     run: Path,
-) -> RunData:
-    """What the report shows of a run in its folder; `further` sections go between parameters and provenance."""
-    from agent.validation import pooled_rmse
-
-    return RunData(
-        result=result,
-        about=about_run("calibrate", recipe, result, run),
-        motion=with_residual(planned_motion_data(recipe, plan.excitation), model, run / "excitation.mcap"),
-        search=search_data(plan.search),
-        parameter_rows=model.rows(),
-        rmse=np.array([p.rmse(moving=True) for p in predictions]),
-        nominal=model.robot.nominal_torque,
-        prediction=torque_plot(typical_motion(predictions), pooled_rmse(predictions)),
-        further=further,
-        validation_paths=np.array([_path(motion.loop.trajectory.tcp) for motion in plan.validation]),
+) -> str:
+    """HTML of the report of a calibration in its folder; `health` is that of the validation logs."""
+    paths = [motion.loop.trajectory.tcp for motion in plan.validation]
+    return run_report(
+        RunData(
+            result=result,
+            about=about_run("calibrate", recipe, result, run),
+            motion=with_residual(planned_motion_data(recipe, plan.excitation), model, run / "excitation.mcap"),
+            search=search_data(plan.search),
+            parameter_rows=model.rows(),
+            rmse=np.array([p.rmse(moving=True) for p in predictions]),
+            nominal=model.robot.nominal_torque,
+            prediction=torque_plot(typical_motion(predictions), pooled_rmse(predictions)),
+            further=further_sections(RunContent(run, recipe, model, predictions, health)),
+            validation_paths=np.array([_thinned(path) for path in paths]),
+        )
     )
 
 
-def _path(poses: np.ndarray, points: int = 120) -> np.ndarray:
+def _thinned(poses: np.ndarray, points: int = 120) -> np.ndarray:
     """(points, 3) positions of poses (S, 4, 4), evenly chosen."""
     return poses[np.linspace(0, len(poses) - 1, points).round().astype(int), :3, 3]
 
 
 def typical_motion(predictions: Sequence[Prediction]) -> Prediction:
-    """The motion in the middle of the field, so that the plot flatters nobody."""
+    """The motion of median error, for the plot."""
     rmse = np.array([p.rmse(moving=True) for p in predictions])
     nominal = predictions[0].model.robot.nominal_torque
     usual = np.maximum(np.nanmedian(rmse, axis=0), 1e-300)
@@ -236,9 +232,99 @@ def typical_motion(predictions: Sequence[Prediction]) -> Prediction:
 
 def provenance(run_path: Path, state: dict[str, Any], logs: Sequence[Path]) -> dict[str, str]:
     """Versions and SHA-256 of everything that went into a run, as names and text."""
-    from agent.core import sha256_file
-
     entries = {f"version of {name}": version for name, version in state["versions"].items()}
     entries |= {f"SHA-256 of {name}": value for name, value in state["inputs_sha256"].items()}
     entries |= {f"SHA-256 of {path.name}": sha256_file(path) for path in logs}
     return {"run": run_path.name, "started": state["started"], **entries}
+
+
+@dataclass(frozen=True)
+class Level:
+    """Friction torque [N·m] of an axle turning forward at a steady `speed` [rad/s], with its standard deviations.
+
+    `from_run_to_run` leaves out the error of base parameters kept from an earlier model, as all such runs share it.
+    """
+
+    joint: str
+    speed: float
+    value: float
+    standard_deviation: float
+    from_run_to_run: float
+
+
+@dataclass(frozen=True, eq=False)
+class WarmUp:
+    """Relative change of friction per second of motion (n,) and its deviation (n,); NaN where cycles are too few."""
+
+    rate: np.ndarray
+    deviation: np.ndarray
+
+
+def friction_levels(model: IdentifiedModel, top_speed: np.ndarray) -> list[Level]:
+    """Friction of every axle at the `SHARES` of its `top_speed` (n,) [rad/s].
+
+    Single friction parameters are correlated; friction at a speed that the axle reached is well determined.
+    """
+    base = len(model.independent)
+    between = conditional_covariance(model)
+    levels = []
+    for axle, joint in enumerate(model.robot.joint_names):
+        # an offset and an asymmetry are no friction level; load-dependent friction counts at no load
+        own = np.array([term.axle == axle and term.form in ODD for term in model.terms], dtype=bool)
+        speeds = np.array(SHARES) * float(top_speed[axle])
+        turning = np.maximum(speeds, np.finfo(float).tiny)
+        for speed, row in zip(speeds, steady_columns(model.terms, turning, sharp=True) * own, strict=True):
+            deviation = np.sqrt(max(row @ model.covariance[base:, base:] @ row, 0.0))
+            between_runs = np.sqrt(max(row @ between @ row, 0.0))
+            level = float(row @ model.friction_values)
+            levels.append(Level(joint, float(speed), level, float(deviation), float(between_runs)))
+    return levels
+
+
+def top_speed(log: Log, model: IdentifiedModel) -> np.ndarray:
+    """(n,) speed [rad/s] of each axle in a log: the 99 % quantile."""
+    speed = np.gradient(log.position, log.t, axis=0) if log.velocity is None else log.velocity
+    return np.quantile(np.abs(axle_motion(model.robot, speed)), 0.99, axis=0)
+
+
+def warm_up(log: Log, prediction: Prediction) -> WarmUp:
+    """Rate of change of friction while the arm moved, relative to the model.
+
+    The scale of a cycle is <F, F + e> / <F, F> with the model's friction torque F and the residual e; the rate is the
+    slope of a straight line through the cycles.
+    """
+    n = prediction.model.robot.dof
+    nothing = np.full(n, np.nan)
+    starts = np.asarray(log.cycle_starts, dtype=float)
+    if len(starts) < _FEWEST_CYCLES:
+        return WarmUp(nothing, nothing)
+    length = float(np.median(np.diff(starts)))
+    numerator, denominator = np.zeros((len(starts), n)), np.zeros((len(starts), n))
+    for cycle, start in enumerate(starts):
+        inside = slice(*np.searchsorted(prediction.time, (start, start + length)))
+        force = prediction.friction[inside]
+        error = prediction.measured[inside] - prediction.predicted[inside]
+        numerator[cycle], denominator[cycle] = np.sum(force * error, axis=0), np.sum(force**2, axis=0)
+    whole = np.all(denominator > 0, axis=1)
+    if whole.sum() < _FEWEST_CYCLES:
+        return WarmUp(nothing, nothing)
+    scale = numerator[whole] / denominator[whole]
+    time = starts[whole] - starts[whole].mean()
+    rate = time @ scale / (time @ time)
+    left = scale - scale.mean(axis=0) - np.outer(time, rate)
+    deviation = np.sqrt(np.sum(left**2, axis=0) / max(1, len(time) - 2) / (time @ time))
+    return WarmUp(rate, deviation)
+
+
+def conditions(log: Log, prediction: Prediction, recording: Recording) -> dict[str, Any]:
+    """`conditions` of `result.json`: of the excitation `log`, with its prediction and how it was recorded."""
+    model = prediction.model
+    found = warm_up(log, prediction)
+    return {
+        "cycles": len(log.cycle_starts),
+        "motion_s": float(log.t[-1] - log.t[0]),
+        "temperatures_c": dict(zip(("first", "last"), recording.temperatures, strict=False)) or None,
+        "warm_up": {"rate_per_s": found.rate.tolist(), "standard_deviation": found.deviation.tolist()},
+        "nominal_torque": [float(v) if np.isfinite(v) else None for v in model.robot.nominal_torque],
+        "friction": [level.__dict__ for level in friction_levels(model, top_speed(log, model))],
+    }

@@ -7,7 +7,7 @@ import xml.etree.ElementTree as ElementTree
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -21,7 +21,16 @@ from agent.core import (
     sha256_text,
     without_faults,
 )
-from agent.motion import MotionSettings, pose_of
+from agent.motion import (
+    Dialect,
+    MotionSettings,
+    create_dialect,
+    dialects,
+    interpolator_names,
+    is_file_name,
+    load_law,
+    pose_of,
+)
 from agent.recipe.quantities import BARE_ANGLE, BARE_PLACE
 from agent.recipe.schema import (
     ControllerSection,
@@ -35,16 +44,14 @@ from agent.recipe.schema import (
     ValidateSection,
     ViaPointsSection,
 )
-from agent.robot import Box, RobotDescription, builtin_robots, load_robot
+from agent.robot import Box, RobotDescription, Tool, builtin_robots, load_robot
+from drivers import registry
+from drivers.errors import ConfigurationError
 from drivers.texts import place_of
 
-if TYPE_CHECKING:
-    from agent.motion import Dialect
-    from agent.robot import Tool
-
 Location = tuple[str, ...]
-#: No joint with stops goes farther from its zero [rad]. The widest wrists turn seven times and a half to either side,
-#: and a description in degrees has a joint that goes to 63 or more.
+#: Largest range of a joint with stops [rad]. The widest wrists turn 7.5 times to either side; a description in degrees
+#: has a joint that goes to 63 or more.
 _FARTHEST = 20 * np.pi
 
 
@@ -144,7 +151,7 @@ def examine_recipe(path: Path | str) -> tuple[Recipe | None, list[str]]:
             robot = load_robot(name if name in builtin_robots() else path.parent / name)
         except InputError as error:
             lines.append(f"{path}:{line_of(data, ('robot',))}: robot: {error}")
-        except (OSError, ValueError) as error:  # a name that is no path: too long, or with a null byte
+        except (OSError, ValueError) as error:  # no path: too long, or with a null byte
             lines.append(f"{path}:{line_of(data, ('robot',))}: robot: no such file can be: {error}"[:300])
     if document is None or robot is None:
         return None, lines
@@ -156,18 +163,15 @@ def examine_recipe(path: Path | str) -> tuple[Recipe | None, list[str]]:
 
 
 def _dialect(controller: ControllerSection) -> Dialect:
-    from agent.motion import create_dialect
-    from drivers import registry
-
     return create_dialect(registry.dialect(controller.driver))
 
 
 def _document(path: Path, data: Any, faults: dict[tuple[Any, ...], str]) -> RecipeDocument | None:
-    """The document without its faulty keys, or without the sections that hold them; None if that is no recipe."""
+    """The document without its faulty keys or the sections that hold them; None if that is no recipe."""
     while faults:
         data = without_faults(data, faults)
         before, faults = faults, find_faults(path, data, RecipeDocument)
-        if faults.keys() == before.keys():  # not by comparing documents: one that holds .nan never equals itself
+        if faults.keys() == before.keys():  # documents cannot be compared: .nan differs from itself
             return None
     return RecipeDocument.model_validate(data)
 
@@ -183,8 +187,6 @@ def recipe_schema() -> dict[str, Any]:
 
 def _contradictions(path: Path, document: RecipeDocument, robot: RobotDescription) -> Iterator[tuple[Location, str]]:
     """Contradictions between values that are each valid."""
-    from agent.motion import dialects
-
     for fault in _range_faults(robot, document.cell.joint_ranges):
         yield ("robot",), f"{document.robot}: {fault}"
     limits = robot.cartesian_limits
@@ -217,13 +219,11 @@ def _motion_contradictions(
     path: Path, document: RecipeDocument, robot: RobotDescription
 ) -> Iterator[tuple[tuple[str, ...], str]]:
     """FLY settings and interpolators that the controller's program language does not have."""
-    from agent.motion import interpolator_names, is_file_name, load_law
-
     dialect, chosen = _dialect(document.controller), document.search.interpolator
     for key in sorted(document.motion.fly.model_fields_set - dialect.fly_keys):
         allowed = ", ".join(sorted(dialect.fly_keys))
         yield ("motion", "fly", key), f"not for driver {document.controller.driver}; allowed are {allowed}"
-    learns = "fly" in dialect.interpolators  # what a learned law is a form of
+    learns = "fly" in dialect.interpolators  # a learned law is a form of it
     if chosen is not None and is_file_name(chosen) and learns:
         try:
             load_law(path.parent / chosen, robot)
@@ -238,24 +238,20 @@ def _motion_contradictions(
 
 
 def _controller_faults(controller: ControllerSection) -> Iterator[tuple[Location, str]]:
-    from drivers.errors import ConfigurationError
-    from drivers.registry import available, create
-
-    if controller.driver not in available():
-        message = f"there is no driver {place_of(controller.driver)!r}; allowed are {', '.join(available())}"
+    if controller.driver not in registry.available():
+        message = f"there is no driver {place_of(controller.driver)!r}; allowed are {', '.join(registry.available())}"
         yield ("controller", "driver"), message
         return
     try:
-        create(controller.driver, controller.address)  # opens nothing
+        registry.create(controller.driver, controller.address)  # opens nothing
     except ConfigurationError as error:
         yield ("controller", "address"), str(error)
 
 
 def _range_faults(robot: RobotDescription, narrowed: Collection[str]) -> Iterator[str]:
-    """What keeps a motion from being judged by the joints' ranges: those that are missing, or look like degrees.
+    """Joint ranges that are missing or look like degrees: no motion can be checked against them.
 
-    A recipe is what arms are moved by; a log needs no limits to be read. `narrowed`: names of joints whose range is
-    given elsewhere.
+    Logs can be read without limits. `narrowed`: names of joints whose range is given elsewhere.
     """
     asked = [joint for joint in robot.joints if joint.name not in narrowed]
     elements = {e.get("name"): e for e in ElementTree.fromstring(robot.urdf).findall("joint")}
@@ -279,8 +275,6 @@ def _range_faults(robot: RobotDescription, narrowed: Collection[str]) -> Iterato
 
 
 def _recipe(path: Path, document: RecipeDocument, robot: RobotDescription) -> Recipe:
-    from agent.motion import is_file_name
-
     text = path.read_text(encoding="utf-8")
     settings = _dialect(document.controller).settings(document.motion.fly.model_dump(), document.motion.speed, robot)
     via_points, search = document.motion.via_points, document.search
@@ -323,8 +317,6 @@ def _joint_range(name: str, document: RecipeDocument, robot: RobotDescription) -
 
 
 def _tool(section: ToolSection) -> Tool:
-    from agent.robot import Tool
-
     frame = pose_of(section.frame)
     # The recipe's centre of mass is in the flange's frame, as on a controller's panel; `Tool` has it in the TCP's.
     flange = np.zeros(3) if section.centre_of_mass is None else np.array(section.centre_of_mass)

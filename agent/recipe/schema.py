@@ -53,7 +53,7 @@ class RecipeSection(BaseModel):
 
 
 class ToolSection(RecipeSection):
-    """What is mounted on the flange; all in the flange's frame."""
+    """The tool on the flange, in the flange's frame."""
 
     frame: ToolPose = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     mass: Annotated[Mass, Field(ge=0, le=10_000)] = 0.0
@@ -61,14 +61,14 @@ class ToolSection(RecipeSection):
 
 
 class ControllerSection(RecipeSection):
-    """Where the controller is, and by which link."""
+    """Address of the controller, and its driver."""
 
     driver: Name = "tcp"
     address: Name
 
     @property
     def place(self) -> str:
-        """Where it is, for people: the address without its options."""
+        """The address without its options, for people."""
         return place_of(self.address)
 
 
@@ -94,7 +94,7 @@ class KeepOutEntry(RecipeSection):
 
 
 class CellSection(RecipeSection):
-    """What stands around the robot."""
+    """Obstacles around the robot, and narrower joint ranges."""
 
     keep_out: Annotated[list[KeepOutEntry], Field(max_length=200)] = []
     joint_ranges: dict[Name, JointRange] = {}
@@ -143,7 +143,7 @@ class BoxSection(RecipeSection):
 
 
 class PointEntry(RecipeSection):
-    """One via-point's own region: pose plus or minus range."""
+    """The region of one via-point: pose plus or minus range."""
 
     pose: Pose
     range: Range
@@ -177,7 +177,7 @@ class ViaPointsSection(RecipeSection):
     @model_validator(mode="wrap")
     @classmethod
     def _alternatives(cls, data: Any, handler: Any) -> ViaPointsSection:
-        # Wrapped, not after: a wrong value elsewhere in the section must not hide that the alternatives clash.
+        # mode "wrap": a wrong value elsewhere in the section must not hide that the alternatives clash
         faults = _clashes(data) if isinstance(data, dict) else []
         try:
             section = handler(data)
@@ -192,7 +192,7 @@ class ViaPointsSection(RecipeSection):
 
 
 class MotionSection(RecipeSection):
-    """How the arm moves, and where."""
+    """Speed, FLY settings and sub-region of the motion."""
 
     speed: Annotated[Speed, Field(ge=0.001, le=100)] = 1.0
     fly: FlySection = FlySection()
@@ -210,7 +210,7 @@ class SearchSection(RecipeSection):
 
 
 class RecordSection(RecipeSection):
-    """What is recorded."""
+    """Rate of the recording, and number of cycles."""
 
     rate: Annotated[Frequency, Field(ge=1, le=100_000)] = 500.0
     cycles: Annotated[Count, Field(ge=1, le=100_000)] = 100
@@ -224,14 +224,14 @@ class FilterSection(RecipeSection):
 
 
 class EstimateSection(RecipeSection):
-    """How parameters are estimated."""
+    """Filter and estimator."""
 
     filter: FilterSection = FilterSection()
     method: Literal[ESTIMATION_METHODS] = "auto"  # type: ignore[valid-type]
 
 
 class ValidateSection(RecipeSection):
-    """The random motions that judge the model."""
+    """The random motions that validate the model."""
 
     motions: Annotated[Count, Field(ge=1, le=10_000)] = 30
     speed: Annotated[Speed, Field(ge=0.001, le=100)] = 0.1
@@ -239,13 +239,13 @@ class ValidateSection(RecipeSection):
 
 
 class GateSection(RecipeSection):
-    """What is accepted."""
+    """The largest error that is accepted."""
 
     normalised_rmse: Annotated[GateRatio, Field(ge=1e-6, le=1)] = 0.03
 
 
 class RecalibrateSection(RecipeSection):
-    """How often, and what, is estimated again."""
+    """Interval and parameters of a recalibration."""
 
     every: Annotated[Interval, Field(ge=1, le=3652 * 86_400.0)] = 604_800.0
     parameters: Literal["friction", "all"] = "friction"

@@ -12,11 +12,10 @@ from .current import (
     current_model as current_model,
     current_runs as current_runs,
     register_run as register_run,
-    run_key as run_key,
 )
-from .due import too_early as too_early, wrong_clock as wrong_clock
 from .folder import (
     RunFolder as RunFolder,
+    check_output as check_output,
     make_folder as make_folder,
     write_json as write_json,
 )
@@ -33,9 +32,17 @@ from .loop_store import (
     StoredLoop as StoredLoop,
     find_loop as find_loop,
     keep_loop as keep_loop,
+    run_key as run_key,
     stored_loops as stored_loops,
 )
-from .past_run import PastRun as PastRun, read_object as read_object, read_run as read_run, readable as readable
+from .past_run import (
+    PastRun as PastRun,
+    read_object as read_object,
+    read_run as read_run,
+    readable as readable,
+    too_early as too_early,
+    wrong_clock as wrong_clock,
+)
 from .trends import (
     PRACTICAL as PRACTICAL,
     Trend as Trend,

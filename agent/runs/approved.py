@@ -1,8 +1,8 @@
 """The inputs a motion was approved with: everything that decides where the arm goes, by part and as one digest.
 
-A plan, a stored loop, a run and an authorisation carry the digest. Before the arm moves, it is compared with what the
-recipe and its files say now, and every difference is named. This protects against mistakes and changed files, not
-against somebody who may write all of them (docs/security.md).
+A plan, a stored loop, a run and an authorisation carry the digest. Before the arm moves, it is compared with the recipe
+and its files, and every difference is named. This protects against mistakes and changed files, not against somebody who
+may write all of them (docs/security.md).
 """
 
 from __future__ import annotations
@@ -18,12 +18,13 @@ import numpy as np
 from pydantic_core import to_jsonable_python
 
 from agent.core import InputError, read_json, sha256_file, sha256_text
+from agent.motion import ARM, CONTROLLER, ENTRY_POINTS, LIBRARY, dialect_of, is_file_name
 from agent.recipe import Recipe, ViaPointsSection
 from agent.runs.folder import RunFolder
 
 FILE = "approved.json"
 _SCHEMA = "approved/1"
-#: What the parts of a problem are called where a person reads them.
+#: Names of the parts of a problem for people.
 _NAMES = {
     "robot": "robot.yaml",
     "tool": "the recipe's tool",
@@ -62,7 +63,6 @@ def _sub_region(via: ViaPointsSection) -> dict[str, Any]:
     if via.like is None:
         kind = "tube" if via.box is None else "box"
         return {kind: {"count": via.count, **getattr(via, kind).model_dump()}}
-    from agent.motion import dialect_of
 
     like = Path(via.like)
     found = {"count": via.count, "path": _file_digest(like), "around": via.around or 0.0}
@@ -90,7 +90,7 @@ def approve(run: RunFolder, recipe: Recipe) -> None:
 
 
 def check_approved(run: RunFolder, recipe: Recipe) -> None:
-    """Check that a recipe still means what the run was planned with.
+    """Check that a recipe still means the same as when the run was planned.
 
     Raises:
         InputError: it does not (every part that differs is named), or the record is missing or was changed.
@@ -167,7 +167,7 @@ def _differing(then: Any, now: Any, place: tuple[str, ...] = ()) -> Iterator[tup
 
 
 def _by_name(value: Any) -> dict[str, Any] | None:
-    """Items of a mapping or a list by what a person calls them; None where it is neither."""
+    """Items of a mapping or a list by their names or numbers; None where it is neither."""
     if isinstance(value, dict):
         return value
     if not isinstance(value, list) or not value:
@@ -179,8 +179,6 @@ def _by_name(value: Any) -> dict[str, Any] | None:
 
 def _interpolator(name: str) -> Any:
     """Its name, with the files or the package version that identify it."""
-    from agent.motion import ARM, CONTROLLER, ENTRY_POINTS, LIBRARY, is_file_name
-
     if is_file_name(name):
         return {"name": "learned", "file": _file_digest(Path(name))}
     if name == "orl":

@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import stdtr
 
 _SIGNIFICANT = 4.0  # standard deviations by which the covariate's power must exceed its noise
 _SEGMENT = 3  # fewest runs on either side of a step
@@ -100,8 +101,6 @@ def sizes_of_change(
     Where the background is nearly collinear with the shape, mostly noise is left to estimate its coefficient, which
     would be biased towards zero. So the noise is subtracted from its power, and the prior decides.
     """
-    from scipy.special import stdtr
-
     y = y - y.mean()
     shapes = shapes - shapes.mean(axis=1, keepdims=True)
     power, degrees_of_freedom = np.sum(shapes**2, axis=1), len(y) - 2 - background.varies

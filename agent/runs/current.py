@@ -1,8 +1,8 @@
-"""The robot's current model: one link names it, one rename moves it, and every earlier one is kept.
+"""The robot's current model: a link to one of its versions.
 
-`logs/models/<robot>_<serial>/versions/<number>/` holds `model.json` and `about.json` and is never changed again;
-`current` is a link to one of them, replaced in one rename. So `logs/models/<robot>_<serial>/current/model.json` is
-always a whole model. Nothing here writes to a controller.
+`logs/models/<robot>_<serial>/versions/<number>/` holds `model.json` and `about.json` and never changes. `current` is a
+link to one of them and is replaced by a rename, so `logs/models/<robot>_<serial>/current/model.json` is always
+complete. Nothing here writes to a controller.
 """
 
 from __future__ import annotations
@@ -16,15 +16,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from agent.core import AgentError, Console, InputError, read_json, sha256_file, sha256_text, written_whole
 from agent.runs.folder import RunFolder, from_plain, write_json
 from agent.runs.history import which_machine
-from agent.runs.past_run import controller_key, read_parameters, read_run
-
-if TYPE_CHECKING:
-    from agent.recipe import Recipe
+from agent.runs.past_run import read_parameters, read_run
 
 _FOLDER = "models"
 #: Characters of a folder's name before its digest.
@@ -66,7 +63,7 @@ def apply_run(logs: Path, run: Path) -> Applied:
         AgentError: it cannot be written; the current model is what it was.
     """
     past = read_run(run)
-    read_parameters(run)  # a damaged model is not applied
+    read_parameters(run)  # refuses a damaged model
     if past.kind == "diagnose":
         raise InputError(f"{run}: this run is a diagnosis and made no model; apply a calibration or a recalibration")
     if not past.accepted:
@@ -82,14 +79,14 @@ def apply_run(logs: Path, run: Path) -> Applied:
     place = _place(logs, past.robot, past.serial)
     try:
         before = current_model(logs, past.robot, past.serial)
-    except InputError:  # damaged: to apply a run is what mends it
+    except InputError:  # damaged: applying a run repairs it
         before = None
     if before is not None and before.sha256 == sha256 and before.run == past.run:
         return before
     with _writable(place):
         version = _fresh(place / "versions")
-        with written_whole(version / "model.json") as beside:
-            shutil.copyfile(model, beside)
+        with written_whole(version / "model.json") as fresh:
+            shutil.copyfile(model, fresh)
         about = {
             "schema": "current/1",
             "run": past.run,
@@ -143,26 +140,16 @@ def apply_previous(logs: Path, robot: str | None = None, serial: str | None = No
     place, about = places[0]
     if about.previous is None:
         raise InputError(f"{place}: {about.run} was the first model applied; there is none before it")
-    _about(place / "versions" / about.previous)  # a damaged one is not gone back to
+    _about(place / "versions" / about.previous)  # refuses a damaged one
     with _writable(place):
         _point(place, about.previous)
     return _about(place / "current")
 
 
-def run_key(recipe: Recipe) -> dict[str, str]:
-    """The loop's key and the controller, by which later runs find this one."""
-    from agent.runs.loop_store import loop_key
-
-    return {
-        "loop": loop_key(recipe),
-        "controller": controller_key(f"{recipe.controller.driver} {recipe.controller.address}"),
-    }
-
-
 def register_run(run: RunFolder, console: Console) -> None:
     """The first accepted model of a robot becomes its current one.
 
-    Later ones are made current by `agent apply`, or by a recalibration, which was told to.
+    `agent apply` and recalibrations replace it.
     """
     logs = run.path.parent
     try:
@@ -183,27 +170,10 @@ def _about(version: Path) -> Applied:
 
 
 def _place(logs: Path, robot: str, serial: str) -> Path:
-    """The folder of one machine: a name that another machine could have too ends in a digest.
-
-    A folder that an earlier version named without the digest stays with the machine named inside it.
-    """
+    """The folder of one machine; a name that another machine could have too ends in a digest."""
     name = re.sub(r"[^A-Za-z0-9._-]", "_", f"{robot}_{serial}" if serial else robot)[:_LONGEST_NAME]
-    plain = logs / _FOLDER / name
-    digest = plain.with_name(f"{name}~{sha256_text(json.dumps([robot, serial]))[:16]}")
-    if digest.exists():
-        return digest
-    if (plain / "current").is_symlink():
-        return plain if _owner(plain) in (None, (robot, serial)) else digest
-    return plain if serial and name == f"{robot}_{serial}" and "_" not in serial else digest
-
-
-def _owner(place: Path) -> tuple[str, str] | None:
-    """Robot and serial that a folder says it is of; None where it is damaged."""
-    try:
-        about = read_json(place / "current" / "about.json")
-        return about["robot"], about["serial"]
-    except (InputError, KeyError, TypeError):
-        return None
+    unique = serial and name == f"{robot}_{serial}" and "_" not in serial
+    return logs / _FOLDER / (name if unique else f"{name}~{sha256_text(json.dumps([robot, serial]))[:16]}")
 
 
 def _fresh(versions: Path) -> Path:
@@ -223,7 +193,7 @@ def _writable(place: Path) -> Iterator[None]:
 
 
 def _point(place: Path, version: str) -> None:
-    beside = place / f".current.{os.getpid()}"
-    beside.unlink(missing_ok=True)
-    beside.symlink_to(Path("versions") / version)
-    os.replace(beside, place / "current")
+    fresh = place / f".current.{os.getpid()}"
+    fresh.unlink(missing_ok=True)
+    fresh.symlink_to(Path("versions") / version)
+    os.replace(fresh, place / "current")

@@ -5,10 +5,11 @@ from __future__ import annotations
 import contextlib
 import json
 import platform
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import Any, Literal, TypeVar
 
 from agent.core import (
@@ -181,6 +182,27 @@ def make_folder(folder: Path, what: str) -> None:
     """
     with _made(folder, what):
         folder.mkdir(parents=True, exist_ok=True)
+
+
+def check_output(out: Path, paths: Sequence[Path]) -> None:
+    """Refuse a file that cannot be written before the work starts, or that is one of the inputs (`paths`).
+
+    Raises:
+        InputError: a folder, a file in no folder or in a read-only one, or an input.
+    """
+    folder = out.absolute().parent
+    if out.is_dir():
+        raise InputError(f"{out}: is a folder; name the file to write")
+    if not folder.is_dir():
+        raise InputError(f"{out}: there is no folder {out.parent} to write it in")
+    if out.is_file() or not out.exists():  # not a device or a pipe
+        try:
+            with TemporaryFile(dir=folder):
+                pass
+        except OSError as error:
+            raise InputError(f"{out}: cannot be written there: {error.strerror}; name another file") from None
+    if out.exists() and any(path.exists() and path.samefile(out) for path in paths):
+        raise InputError(f"{out}: is one of the logs or models that are read; name another file to write")
 
 
 def write_json(path: Path, data: Any) -> Path:

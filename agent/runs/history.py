@@ -29,7 +29,7 @@ class History:
         self.damaged: list[str] = []
         found = []
         for entry in os.scandir(folder):
-            if not entry.name.isprintable():  # none of ours
+            if not entry.name.isprintable():  # not a run folder of the agent
                 continue
             try:
                 os.stat(f"{entry.path}/state.json")
@@ -66,7 +66,8 @@ class History:
     def last_accepted(self, robot: str, loop: str, controller: str, now: datetime | None = None) -> PastRun | None:
         """The newest accepted run of a loop: of the robot at this controller if there is one, else of any.
 
-        One that is dated in the future counts only where there is no other: nobody knows when it was."""
+        A run dated in the future counts only if there is no other.
+        """
         accepted = [run for run in self.runs(robot) if run.accepted and run.loop == loop]
         here = [run for run in accepted if run.controller == controller] or accepted
         here = [run for run in here if not run.in_future(now)] or here
@@ -125,21 +126,13 @@ def history_json(history: History, runs: Sequence[PastRun], current: Collection[
         "schema": "history/1",
         "runs": [
             {
-                "run": run.run,
-                "robot": run.robot,
-                "serial": run.serial,
-                "kind": run.kind,
-                "started": run.started,
-                "status": run.status,
+                **{key: getattr(run, key) for key in ("run", "robot", "serial", "kind", "started", "status")},
                 "accepted": run.accepted if run.judged else None,
                 "current": run.run in current,
                 "reason": run.reason,
                 "reference": run.reference,
                 "program_sha256": run.program,
-                "joints": run.data["joints"],
-                "normalised_rmse": run.data["normalised_rmse"],
-                "gate": run.data["gate"],
-                "conditions": run.data["conditions"],
+                **{key: run.data[key] for key in ("joints", "normalised_rmse", "gate", "conditions")},
                 "parameters": [
                     {"name": p.name, "unit": p.unit, "value": p.value, "standard_deviation": p.deviation}
                     for p in parameters.get(run.run, [])

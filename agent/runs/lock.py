@@ -1,9 +1,8 @@
 """One run at a time per robot: a lock for all users and folders of this machine.
 
-Every run makes a file that only its user can write to, and holds the system's exclusive lock on it (`fcntl`), which the
-system releases when the process ends, however it ends. A robot is busy while somebody else holds one of its files.
-Shared locks, for which read access is enough, are ignored, so no user can block another; neither can a file that
-somebody else put there.
+Every run makes a file that only its user can write to, and holds an exclusive lock on it (`fcntl`). The system
+releases the lock when the process ends, however it ends. A robot is busy while another process holds one of its files.
+Shared locks, which need read access only, are ignored, so no user can block another with them or with foreign files.
 """
 
 from __future__ import annotations
@@ -24,14 +23,13 @@ from agent.core import AgentError, BusyError
 from drivers.endpoints import endpoints
 from drivers.texts import place_of
 
-#: Where every user may leave a file; the first that is there. Not the temporary folder: each user may have its own.
+#: Folders that every user may write to; the first that exists. The temporary folder may differ by user.
 FOLDERS = (Path("/run/lock"), Path("/tmp"))
 _NAME = "calibration-agent-{}-{}-{}.lock"  # robot, process, any
 _READ = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK
-_LEFT = 3600.0  # s old at least are files that count as left behind
-_PATIENCE = 0.1  # s, for two runs that begin at once
+_PATIENCE = 0.1  # s, for two runs that start together
 
-#: How often this process holds a lock, by process and robot; a forked one holds none.
+#: Number of times this process holds a lock, by process and robot; a forked process holds none.
 _held: Counter[tuple[int, str]] = Counter()
 #: Files of this process: closing one releases its lock.
 _own: set[tuple[int, Path]] = set()
@@ -39,7 +37,7 @@ _own: set[tuple[int, Path]] = set()
 
 @contextlib.contextmanager
 def robot_lock(driver: str, address: str) -> Iterator[None]:
-    """Hold the lock of one controller, however its address is spelt. A process may take its own lock again.
+    """Hold the lock of one controller, however its address is spelled. A process may take its own lock again.
 
     Raises:
         BusyError: another run holds it.
@@ -67,12 +65,6 @@ def _locked(endpoint: str, robot: str) -> Iterator[None]:
         _held[key] -= 1
         if taken is not None:
             _let_go(*taken)
-            _take_leftovers_away()
-
-
-def lock_files(driver: str, address: str) -> list[Path]:
-    """Lock files of a controller, held or left behind."""
-    return [path for one in endpoints(driver, address) for path in _folder().glob(_NAME.format(_digest(one), "*", "*"))]
 
 
 def _digest(endpoint: str) -> str:
@@ -95,7 +87,7 @@ def _for_all(folder: Path) -> bool:
 def _take(name: str, robot: str) -> tuple[Path, int]:
     """A file of this process, and a descriptor that holds it.
 
-    Each process holds its file before it looks for others, so of two that begin at once at least one sees the other.
+    Each process holds its file before it looks for others, so one of two that start together sees the other.
     """
     until = time.monotonic() + _PATIENCE
     while True:
@@ -110,13 +102,13 @@ def _take(name: str, robot: str) -> tuple[Path, int]:
 
 
 def _made(name: str) -> tuple[Path, int]:
-    """A new file, held; nobody else can open it before it is."""
+    """A new file, locked before anybody else can open it."""
     path = _folder() / _NAME.format(name, os.getpid(), secrets.token_hex(4))
     _own.add((os.getpid(), path))
     descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600)
     try:
         fcntl.lockf(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        os.fchmod(descriptor, 0o644)  # whatever the mask of this user says
+        os.fchmod(descriptor, 0o644)  # regardless of the user's umask
     except BaseException:
         _let_go(path, descriptor)
         raise
@@ -124,7 +116,7 @@ def _made(name: str) -> tuple[Path, int]:
 
 
 def _let_go(path: Path, descriptor: int) -> None:
-    with contextlib.suppress(OSError):  # somebody else has taken it away
+    with contextlib.suppress(OSError):  # already removed
         path.unlink()
     os.close(descriptor)
     _own.discard((os.getpid(), path))
@@ -136,22 +128,14 @@ def _holder(path: Path) -> str | None:
         return None
     try:
         descriptor = os.open(path, _READ)
-    except OSError:  # gone by now, or its owner has not held it yet and will look for ours
+    except OSError:  # gone, or not locked yet: its owner then looks for ours
         return None
     try:
         about = os.fstat(descriptor)
         if stat.S_ISREG(about.st_mode):
-            fcntl.lockf(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)  # not refused by others that only read
+            fcntl.lockf(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)  # other readers do not refuse it
         return None
     except OSError:
         return f"process {path.name.split('-')[-2]} of user {about.st_uid}"
     finally:
         os.close(descriptor)
-
-
-def _take_leftovers_away() -> None:
-    for path in (path for folder in FOLDERS for path in folder.glob(_NAME.format("*", "*", "*"))):
-        with contextlib.suppress(OSError):  # another user's, or gone by now
-            old = time.time() - path.lstat().st_mtime > _LEFT
-            if old and _holder(path) is None and (os.getpid(), path) not in _own:
-                path.unlink()

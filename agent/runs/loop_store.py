@@ -13,6 +13,7 @@ from agent.core import InputError, read_json, sha256_text
 from agent.recipe import Recipe
 from agent.runs.approved import digest, problem
 from agent.runs.folder import from_plain, make_folder, write_json
+from agent.runs.past_run import controller_key
 
 #: Where loops are kept by default: among the runs.
 FOLDER = Path("logs") / "trajectories"
@@ -23,9 +24,8 @@ _SCHEMA = "loop/1"
 class StoredLoop:
     """A loop with the program that runs it.
 
-    `key` is the SHA-256 of everything the loop depends on (robot, tool, sub-region, motion settings, period,
-    interpolator); `checksum` that of the program's text, as a controller reports it. `tool` and `sub_region` are plain
-    data; poses (K) (4, 4), start (n,) [rad]; `fitness` over all samples; `created` in UTC, ISO 8601.
+    `key` is that of `loop_key`, `checksum` the SHA-256 of the program's text, as a controller reports it. `tool` and
+    `sub_region` are plain data; poses (K) (4, 4), start (n,) [rad]; `created` in UTC, ISO 8601.
     """
 
     key: str
@@ -146,6 +146,12 @@ def find_loop(recipe: Recipe, folder: Path = FOLDER, program: str | None = None)
 def loop_key(recipe: Recipe) -> str:
     """SHA-256 (hex) of what a loop depends on: robot, tool, cell, sub-region, motion settings, period, interpolator."""
     return digest(problem(recipe))
+
+
+def run_key(recipe: Recipe) -> dict[str, str]:
+    """The loop's key and the controller, by which later runs find this one."""
+    controller = controller_key(f"{recipe.controller.driver} {recipe.controller.address}")
+    return {"loop": loop_key(recipe), "controller": controller}
 
 
 def _read(path: Path) -> StoredLoop:

@@ -1,4 +1,4 @@
-"""A past run, read from its folder. Whoever wrote the folder, every value is checked before it is used."""
+"""A past run, read from its folder, and whether the next one is due. Every value is checked before it is used."""
 
 from __future__ import annotations
 
@@ -12,11 +12,16 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any, TypeVar
 
-from agent.core import InputError, error_text, sha256_text
+from agent.core import InputError, error_text, read_json, sha256_text
 from drivers.texts import place_of
 
 #: Difference between two clocks that still counts as normal.
 AHEAD = timedelta(minutes=5)
+#: A run counts as due this share of its interval early: no timer is exact to the second.
+_EARLY = 0.01
+#: A timer goes by local time: once a year a day lasts 23 hours, and the timer may be some minutes late.
+_SHORT_DAY = timedelta(hours=1, minutes=15)
+_DAY = timedelta(days=1)
 Value = TypeVar("Value")
 _KEYED = re.compile(r"\S+ \S*,… [0-9a-f]{12}")
 
@@ -34,11 +39,16 @@ def controller_key(text: str) -> str:
 class PastRun:
     """One run folder.
 
-    `kind` is `calibrate`, `recalibrate` or `diagnose`. `status` is that of the run folder; where there is a gate,
-    `finished` means accepted and `rejected` not. `loop` is the key of its stored loop, `program` the SHA-256 of its
-    program, `reference` the run whose model it was compared with, `reason` why it was rejected or stopped, `worst` the
-    largest normalised RMSE of any axis. `data` holds joints, normalised_rmse, gate, the conditions of the run, the
-    `verdict` of a diagnosis, and `watch`, the messages of the trends after the run.
+    Attributes
+    ----------
+    kind : `calibrate`, `recalibrate` or `diagnose`.
+    status : that of the run folder; with a gate, `finished` means accepted and `rejected` not.
+    loop, program : key of its stored loop, SHA-256 of its program.
+    reference : run whose model it was compared with.
+    reason : why it was rejected or stopped.
+    worst : largest normalised RMSE of any axis.
+    data : joints, normalised_rmse, gate, conditions of the run, `verdict` of a diagnosis, and `watch`, the messages of
+        the trends after the run.
     """
 
     run: str
@@ -103,6 +113,39 @@ class PastRun:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "controller", controller_key(self.controller))
+
+
+def too_early(past: PastRun, every: float, now: datetime) -> str:
+    """Why a run is not due yet, `every` seconds after the last accepted one; empty where it is."""
+    if past.in_future(now):
+        return ""
+    interval, age = timedelta(seconds=every), max(timedelta(), now - past.time)
+    early = _EARLY * interval + (_SHORT_DAY if interval >= _DAY else timedelta())
+    if age >= interval - early:
+        return ""
+    return (
+        f"the last accepted run, {past.run}, is {_span(age)} old; recalibrate.every is {_span(interval)}, so the next "
+        f"is due in {_span(interval - age)}"
+    )
+
+
+def wrong_clock(past: PastRun, now: datetime) -> str:
+    """Message about a run that is dated in the future; empty where it is not."""
+    if not past.in_future(now):
+        return ""
+    return (
+        f"{past.run} is dated {past.time:%Y-%m-%d %H:%M} UTC, and by this computer's clock it is "
+        f"{now.astimezone(UTC):%Y-%m-%d %H:%M} UTC: the clock was wrong then, or is now, so a run is taken to be due; "
+        "set the clock (timedatectl)"
+    )
+
+
+def _span(span: timedelta) -> str:
+    seconds = span.total_seconds()
+    for size, name in ((86_400, "d"), (3_600, "h"), (60, "min")):
+        if seconds >= size:
+            return f"{seconds / size:.1f} {name}"
+    return f"{seconds:.0f} s"
 
 
 @dataclass(frozen=True)
@@ -222,8 +265,6 @@ def read_object(path: Path) -> dict[str, Any]:
     Raises:
         ValueError: it cannot be read, or holds no object.
     """
-    from agent.core import read_json
-
     try:
         data = read_json(path)
     except InputError as error:

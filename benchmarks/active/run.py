@@ -23,11 +23,11 @@ import numpy as np
 from agent.core import AgentError, Console, finite, write_atomically
 from agent.diagnosis import Diagnosis, diagnose
 from agent.estimation import estimate
-from agent.experiment import KINDS, Outlook, as_drawn, d_optimal
+from agent.experiment import KINDS, Outlook, Pick, as_drawn, d_optimal, pieces_otherwise
 from agent.link import planned_load
 from agent.model import CATALOGUE, PAYLOAD, IdentifiedModel, payload_of, payload_text
-from agent.pipeline.next_experiment import LONGEST, NextMotion, mass_beside, plan_next, run_otherwise
-from agent.pipeline.planning import Plan, make_plan, program_text
+from agent.pipeline.gap.next_experiment import LONGEST, NextMotion, Runs, clearer_with_mass, motion_duration, plan_next
+from agent.pipeline.plan import Plan, loop_problem, make_plan, program_text
 from agent.recipe import Recipe, load_recipe, template
 from agent.recording import PARTS, PLANNED_PARTS, Log, read_log
 from agent.robot import Tool
@@ -155,7 +155,7 @@ class ActiveRun:
             motion = plan_next(found, self._recipe, _QUIET, seconds, "further", load)
             if not isinstance(motion, NextMotion):
                 return WayMotion("", 0.0, mass=motion.mass and payload_text(motion.mass.load))
-            mass = mass_beside(found, self._recipe, motion, _QUIET) if ask_mass else None
+            mass = clearer_with_mass(found, self._recipe, motion, _QUIET) if ask_mass else None
             expected = motion.to_dict("further")["probability"]
             return WayMotion(motion.text, motion.duration, expected, mass and payload_text(mass.load))
         if way == "loop_again":
@@ -269,3 +269,22 @@ def _programs(recipe: Recipe, plan: Plan) -> dict[str, str]:
 
 def _said(found: Diagnosis) -> dict[str, Any]:
     return {key: found.result[key] for key in ("verdict", "causes", "closure")}
+
+
+def run_otherwise(
+    pick: Pick, kinds: Mapping[str, float], recipe: Recipe, seconds: float, name: str, seed: int
+) -> tuple[str, float] | None:
+    """Text and duration [s] of a motion chosen in another way than by what it separates; None where none can run.
+
+    Pieces of the `kinds` (how often each is drawn) are picked one after the other, while all of them with the moves
+    between them take no longer than `seconds`.
+
+    Raises:
+        InputError: the recipe's cell leaves no room.
+    """
+    runs = Runs(recipe, name, seconds)
+    if not pieces_otherwise(pick, loop_problem(recipe, recipe.motion.speed), seconds, seed, runs, kinds):
+        return None
+    assert runs.motion is not None
+    text, chains = runs.motion
+    return text, motion_duration(text, chains, recipe.robot, recipe.dialect)

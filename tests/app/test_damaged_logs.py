@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, assume, example, given, settings, strategies
 from agent.core.console import Console
 from agent.core.errors import AgentError
 from agent.model import IdentifiedModel
-from agent.pipeline.diagnose import GapQuestion, diagnose_files
+from agent.pipeline.gap.diagnose import GapQuestion, diagnose_files
 from agent.pipeline.identify import estimate_files, import_files, validate_files
 from agent.recording import read_log
 from agent.recording.mcap.log_file import STATES, LogFile

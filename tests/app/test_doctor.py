@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from agent.pipeline import doctor
+from agent.pipeline.setup import doctor
 
 
 def _messages(runs: Path) -> dict[str, tuple[bool, str]]:

@@ -7,7 +7,7 @@ import pytest
 
 from agent.core.console import Console
 from agent.core.errors import InputError
-from agent.pipeline.planning import search_loop, via_regions
+from agent.pipeline.plan import search_loop, via_regions
 from agent.recipe import load_recipe
 from agent.runs.approved import problem
 

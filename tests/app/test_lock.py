@@ -9,11 +9,20 @@ import random
 import signal
 import socket
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
 from agent.core.errors import AgentError, BusyError
-from agent.runs.lock import lock_files, robot_lock
+from agent.runs import lock
+from agent.runs.lock import robot_lock
+from drivers.endpoints import endpoints
+
+
+def lock_files(driver: str, address: str) -> list[Path]:
+    """Lock files of a controller, held or left behind."""
+    names = [lock._NAME.format(lock._digest(one), "*", "*") for one in endpoints(driver, address)]
+    return [path for name in names for path in lock._folder().glob(name)]
 
 
 @pytest.fixture
@@ -65,8 +74,6 @@ def test_the_lock_of_another_robot_lets_go_of_none(robot):
     """Whoever closes a file lets go of every lock that its process has on it."""
     other = robot[0], f"{robot[1]}-other"
     with robot_lock(*robot):
-        for path in lock_files(*robot):
-            os.utime(path, (0, 0))
         with robot_lock(*other):
             pass
         assert _in_a_fork(lambda: _attempt(robot)) == "busy"
@@ -101,20 +108,6 @@ def test_it_works_for_a_second_user(robot, first):
     assert _in_a_fork(lambda: _attempt(robot), second) == "held"
     with robot_lock(*robot):
         assert _in_a_fork(lambda: _attempt(robot), second) == "busy"
-
-
-def test_what_killed_processes_have_left_is_taken_away(robot):
-    """But nothing that is held, or young: its owner may be about to lock it."""
-    robots = [(robot[0], f"{robot[1]}-{k}") for k in range(3)]
-    for one in robots[:2]:
-        _in_a_fork(lambda: _leave(one))  # noqa: B023  called at once
-    with robot_lock(*robots[2]):
-        left, young, held = (lock_files(*one)[0] for one in robots)
-        for path in (left, held):
-            os.utime(path, (0, 0))
-        _in_a_fork(lambda: _attempt(robot))
-        assert [path.exists() for path in (left, young, held)] == [False, True, True]
-    young.unlink()
 
 
 @as_root

@@ -350,7 +350,7 @@ def test_what_a_model_predicts_is_not_refused(healthy, monkeypatch):
     robot, log = healthy
     model = estimate(robot, [record(Plant(robot, seed=3), name, seed) for name, seed in (("one", 11), ("two", 12))])
     swapped = QualityFinding("joint_1 and joint_5 look swapped", ("joint_1", "joint_5"))
-    monkeypatch.setattr("agent.data_quality.check_quality", lambda *_: [swapped])
+    monkeypatch.setattr("agent.pipeline.identify.check_quality", lambda *_: [swapped])
     quiet = Console(-1)
     with pytest.raises(RejectedError, match="look swapped"):
         check_plausible(robot, [log], False, quiet)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from agent.core.console import Console
-from agent.pipeline.diagnose import GapQuestion, diagnose_files
+from agent.pipeline.gap.diagnose import GapQuestion, diagnose_files
 from agent.recording import read_log
 from agent.recording.mcap.log_file import write_log
 

@@ -15,7 +15,7 @@ from agent.core.errors import InputError
 from agent.diagnosis import diagnose
 from agent.model import CATALOGUE
 from agent.pipeline import GapQuestion, diagnose_files
-from agent.pipeline.printed_diagnosis import diagnosis_text
+from agent.pipeline.gap.printed_diagnosis import diagnosis_text
 from agent.report.diagnosis.page import diagnosis_report
 
 VOCABULARY = [

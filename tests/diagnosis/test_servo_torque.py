@@ -13,8 +13,8 @@ from agent.core import InputError
 from agent.core.console import Console
 from agent.diagnosis import forward_windows, with_servo_torque
 from agent.model import ModelEffect
-from agent.pipeline.diagnose import GapQuestion, diagnose_files
-from agent.pipeline.printed_diagnosis import diagnosis_text
+from agent.pipeline.gap.diagnose import GapQuestion, diagnose_files
+from agent.pipeline.gap.printed_diagnosis import diagnosis_text
 from agent.recording import Log, read_log
 from agent.recording.mcap.log_file import write_log
 from agent.simulators import load_simulator, write_corrected

@@ -17,7 +17,7 @@ PAGES = [ROOT / "README.md", *GUIDES, *sorted((ROOT / "docs").rglob("*.md"))]
 #: Generated from code, whose tests check its words.
 PENDING = {"docs/reference.md"}
 #: Modules whose texts people read on terminal and pages; the last is being rewritten together with the diagnosis.
-MODULES = {path for package in ("cli", "pipeline", "report") for path in (ROOT / "agent" / package).glob("*.py")}
+MODULES = {path for package in ("cli", "pipeline", "report") for path in (ROOT / "agent" / package).rglob("*.py")}
 MODULES -= {ROOT / "agent" / "report" / "diagnosis_page.py"}
 BUDGET = 25_000  # words of all pages, blocks of code apart
 LONGEST, MEAN, LONGEST_SHOWN = 35, 18, 25  # words of a sentence: of a page; of a text of the program

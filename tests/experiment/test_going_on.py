@@ -13,9 +13,9 @@ from agent.cli.app import app
 from agent.core import ControllerError, InputError, MismatchError
 from agent.pipeline import GapQuestion
 from agent.pipeline.ending import going_on
-from agent.pipeline.first_screen import after_diagnosis
-from agent.pipeline.other_tests import BRAKES
-from agent.pipeline.until_sure import options_of
+from agent.pipeline.gap.next_experiment import BRAKES
+from agent.pipeline.gap.next_steps import after_diagnosis
+from agent.pipeline.gap.question import options_of
 from agent.runs.folder import RunFolder
 
 STOPPED = KeyboardInterrupt()

@@ -9,19 +9,18 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-import agent.diagnosis
-import agent.experiment
 from agent.core import Console, InputError, RejectedError, write_atomically
 from agent.experiment import KINDS, Experiment, as_drawn
 from agent.experiment.pieces import Pieces
 from agent.motion.pdl2.dialect import Pdl2
-from agent.pipeline import GapQuestion, check_plausible, diagnose_files, next_checks, next_experiment
-from agent.pipeline.next_checks import check_arm, check_tool
-from agent.pipeline.next_experiment import LONGEST, NoMotion, plan_next
-from agent.pipeline.planning import loop_problem
+from agent.pipeline import GapQuestion, check_plausible, diagnose_files
+from agent.pipeline.gap import diagnose, next_experiment
+from agent.pipeline.gap.next_experiment import LONGEST, NoMotion, check_arm, check_tool, plan_next
+from agent.pipeline.plan import loop_problem
 from agent.recipe import load_recipe, template
 from agent.recording import write_log
 from agent.robot import load_robot
+from benchmarks.active import run as active
 from fake_controller.plant import Plant
 from tests.small_arms import learn, make_arm, record
 
@@ -56,8 +55,8 @@ def ask(tmp_path: Path, monkeypatch):
             ),
         )
         answers = iter(experiments)
-        monkeypatch.setattr(agent.experiment, "open_pairs", lambda found: [pair(side("stribeck"), second)])
-        monkeypatch.setattr(agent.experiment, "plan_experiment", lambda *_: next(answers))
+        monkeypatch.setattr(next_experiment, "open_pairs", lambda found: [pair(side("stribeck"), second)])
+        monkeypatch.setattr(next_experiment, "plan_experiment", lambda *_: next(answers))
         return plan_next(found, recipe, Console(-1), seconds)  # type: ignore[arg-type]
 
     return run
@@ -80,7 +79,7 @@ def test_a_cause_in_doubt_without_a_rival_to_plan_against_is_not_called_settled(
     cause = SimpleNamespace(place=("torque_ripple", (5,)), effect=SimpleNamespace(name="torque_ripple"))
     dataset = SimpleNamespace(robot=recipe.robot)
     found = SimpleNamespace(finding=SimpleNamespace(verdict="ambiguous", causes=(cause,)), dataset=dataset)
-    monkeypatch.setattr(agent.experiment, "open_pairs", lambda found: [])
+    monkeypatch.setattr(next_experiment, "open_pairs", lambda found: [])
     said = plan_next(found, recipe, Console(-1))  # type: ignore[arg-type]
     assert said.text.startswith("torque_ripple on joint_6 closes too little of the gap to be sure. ")
     assert said.to_dict()["separates"] == ["torque_ripple"]
@@ -98,19 +97,9 @@ def test_where_no_piece_keeps_all_limits_it_names_the_limit_and_not_what_else_wo
     assert "Try" not in said.text
 
 
-def test_where_the_time_that_is_left_is_too_short_it_says_how_long_one_would_take(ask, monkeypatch):
-    longer = next_experiment.NextMotion(SimpleNamespace(), "", (), None, Pdl2())  # type: ignore[arg-type]
-    monkeypatch.setattr(next_experiment.NextMotion, "duration", 34.2)
-    asked: list[float] = []
-
-    def plan(found, recipe, console, seconds, *_):
-        asked.append(seconds)
-        return longer
-
-    monkeypatch.setattr(next_experiment, "plan_next", plan)  # the question that the first one asks
+def test_where_the_time_that_is_left_is_too_short_it_asks_for_more(ask):
     said = ask([replace(NOTHING, weighed=200)], seconds=12.0)
-    assert said.text == "no motion of the remaining 12 s settles it; 34 s may: allow more motion"
-    assert asked == [LONGEST]
+    assert said.text == "no motion of the remaining 12 s settles it: allow more motion"
 
 
 def test_no_motion_is_planned_for_a_torque_that_stands_still(ask):
@@ -153,9 +142,9 @@ def asked(arm, logs, tmp_path: Path, monkeypatch):
     for path, log in zip(paths, logs, strict=True):
         write_log(path, log)
     monkeypatch.setattr(GapQuestion, "check", lambda *_: None)
-    monkeypatch.setattr("agent.recipe.load_recipe", lambda path: None)
-    monkeypatch.setattr(next_checks, "check_arm", lambda *_: None)
-    monkeypatch.setattr(next_checks, "check_tool", lambda *_: None)
+    monkeypatch.setattr(diagnose, "load_recipe", lambda path: path)
+    monkeypatch.setattr(diagnose, "check_arm", lambda *_: None)
+    monkeypatch.setattr(diagnose, "check_tool", lambda *_: None)
     question = GapQuestion(
         tmp_path / "model.json", report=tmp_path / "page.html", out=tmp_path / "next", next_recipe=tmp_path / "job.yaml"
     )
@@ -176,7 +165,7 @@ def test_a_forward_simulation_that_fails_costs_no_verdict(arm, logs, tmp_path: P
     for log in logs:
         write_log(tmp_path / log.name, log)
     question = GapQuestion(tmp_path / "model.json", report=tmp_path / "page.html")
-    monkeypatch.setattr(agent.diagnosis, "simulate", fails(InputError("the effect gives no finite torque")))
+    monkeypatch.setattr(diagnose, "simulate", fails(InputError("the effect gives no finite torque")))
     result = diagnose_files(arm, [tmp_path / log.name for log in logs], question, Console(-1))
     assert (result["verdict"], result["simulation"]) == ("no_gap", None)
     assert any("the forward simulation failed" in text and "finite torque" in text for text in result["warnings"])
@@ -188,7 +177,7 @@ STOPS = [KeyboardInterrupt(), InputError("a box that nothing keeps clear of")]
 
 @pytest.mark.parametrize("why", STOPS)
 def test_where_the_planning_is_stopped_the_diagnosis_and_its_page_are_there(asked, monkeypatch, why):
-    monkeypatch.setattr(next_experiment, "plan_next", fails(why))
+    monkeypatch.setattr(diagnose, "plan_next", fails(why))
     question, shown = asked(why)
     assert shown["verdict"] == "no_gap"
     assert any("the next motion was not planned" in text for text in shown["warnings"])
@@ -202,8 +191,8 @@ def test_where_the_question_of_a_mass_is_stopped_the_motion_of_the_bare_arm_is_t
     experiment = SimpleNamespace(expected=(), pieces=[piece])
     text = "PROGRAM x\nBEGIN\n  DELAY 4000\nEND x\n"
     planned = next_experiment.NextMotion(experiment, text, (), load_robot("comau_ns16"), Pdl2())  # type: ignore[arg-type]
-    monkeypatch.setattr(next_experiment, "plan_next", lambda *_, **__: planned)
-    monkeypatch.setattr(next_experiment, "mass_beside", fails(why))
+    monkeypatch.setattr(diagnose, "plan_next", lambda *_, **__: planned)
+    monkeypatch.setattr(diagnose, "clearer_with_mass", fails(why))
     question, shown = asked(why)
     assert shown["next_experiment"]["motion"] == "a loop of the bare arm"
     assert any("the motion with a known mass was not planned" in text for text in shown["warnings"])
@@ -262,11 +251,11 @@ def test_the_ways_between_pieces_count_in_the_time_that_is_allowed(tmp_path: Pat
         asked.append((1, runnable(drawn[:1])))
         return tuple(drawn[:1])
 
-    monkeypatch.setattr(agent.experiment, "pieces_otherwise", both)
+    monkeypatch.setattr(active, "pieces_otherwise", both)
     pieces = Pieces(loop_problem(recipe, recipe.motion.speed), [0], 30.0, np.random.default_rng(3))
     first, second = [piece for piece in (pieces.draw() for _ in range(12)) if piece is not None][:2]
     allowed = first.duration + second.duration
-    text, took = next_experiment.run_otherwise(as_drawn, KINDS, recipe, allowed, "other", 3)
+    text, took = active.run_otherwise(as_drawn, KINDS, recipe, allowed, "other", 3)
     assert asked == [(2, False), (1, True)]
     assert took <= allowed
     assert text.startswith("PROGRAM other")

@@ -14,12 +14,10 @@ from agent.core.console import Console
 from agent.model import CATALOGUE
 from agent.motion import Delay, write_program
 from agent.motion.pdl2.dialect import Pdl2
-from agent.pipeline import until_sure as module
-from agent.pipeline.calibrate import step
-from agent.pipeline.next_checks import check_next
-from agent.pipeline.next_experiment import NextMotion, NoMotion
-from agent.pipeline.other_tests import other_test
-from agent.pipeline.until_sure import until_sure
+from agent.pipeline.ending import step
+from agent.pipeline.gap import until_sure as module
+from agent.pipeline.gap.next_experiment import NextMotion, NoMotion, check_next, other_test
+from agent.pipeline.gap.until_sure import until_sure
 from agent.recipe import load_recipe, template
 from agent.recording import PARTS, PLANNED_PARTS
 from agent.report.diagnosis.summary import planned_sections, rounds_sections

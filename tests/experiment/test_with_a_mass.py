@@ -10,7 +10,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-import agent.experiment
 from agent.core import Console, write_atomically
 from agent.diagnosis import diagnose
 from agent.diagnosis.search import Search
@@ -18,9 +17,9 @@ from agent.experiment import open_pairs, tells_apart_by_load
 from agent.experiment.motion import GridMotion
 from agent.experiment.questions import OpenPair, Side
 from agent.motion.pdl2.dialect import Pdl2
-from agent.pipeline.next_experiment import NextMotion
-from agent.pipeline.other_tests import with_a_mass
-from agent.pipeline.planning import loop_problem
+from agent.pipeline.gap import next_experiment
+from agent.pipeline.gap.next_experiment import NextMotion, with_a_mass
+from agent.pipeline.plan import loop_problem
 from agent.recipe import load_recipe, template
 from agent.report.diagnosis.summary import planned_sections
 from agent.report.page import Page, render
@@ -65,10 +64,10 @@ def ask(tmp_path: Path, monkeypatch):
             tried.append(problem.load.mass)
             return planned(loaded, pair)
 
-        monkeypatch.setattr(agent.experiment, "plan_experiment", plan)
-        monkeypatch.setattr(agent.experiment, "tells_apart_by_load", lambda *_: tells)
+        monkeypatch.setattr(next_experiment, "plan_experiment", plan)
+        monkeypatch.setattr(next_experiment, "tells_apart_by_load", lambda *_: tells)
         motion = None if bare is None else planned(bare, pair)
-        return with_a_mass(FOUND, [pair], change(problem), 60.0, 1, QUIET, motion), tried  # type: ignore[arg-type,list-item]
+        return with_a_mass(FOUND, [pair], change(problem), 1, QUIET, motion), tried  # type: ignore[arg-type,list-item]
 
     return run
 

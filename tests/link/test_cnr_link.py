@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from agent.core.console import Console
-from agent.pipeline.check import check_recipe
+from agent.pipeline.setup.check import check_recipe
 from agent.robot import load_robot
 from agent.robot.drivetrain import torque_per_ampere
 from drivers.conformance import _connect_when_free as connect_when_free

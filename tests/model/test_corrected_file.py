@@ -154,7 +154,7 @@ def test_xml_keeps_every_byte_but_those_of_changes(text):
 
 
 def test_a_format_that_the_simulator_does_not_have_is_refused(tmp_path):
-    from agent.pipeline.corrected_simulator import check_simulator_out
+    from agent.pipeline.gap.corrected_simulator import check_simulator_out
 
     simulator(tmp_path, "urdf")
     with pytest.raises(InputError, match="here it is a URDF"):

@@ -23,8 +23,8 @@ from agent.diagnosis.simulator import Explanation, _possible, numbers_instead, w
 from agent.diagnosis.testability import smallest_sizes
 from agent.model import CATALOGUE
 from agent.pipeline import GapQuestion
-from agent.pipeline.corrected_simulator import beyond_range
-from agent.pipeline.first_screen import after_diagnosis
+from agent.pipeline.gap.corrected_simulator import beyond_range
+from agent.pipeline.gap.next_steps import after_diagnosis
 from agent.pipeline.identify import check_plausible
 from agent.recording import read_log
 from agent.report import headline, verdict_text
@@ -66,7 +66,7 @@ def test_a_joint_that_moved_beyond_its_range_in_the_file_is_named(tmp_path):
 
 
 def test_a_simulator_may_be_called_otherwise_than_the_robot_of_the_logs(tmp_path, robot, capsys, monkeypatch):
-    monkeypatch.setattr("agent.data_quality.check_quality", lambda *_: [])
+    monkeypatch.setattr("agent.pipeline.identify.check_quality", lambda *_: [])
     log = SimpleNamespace(metadata={"robot": "cell 7"}, name="a.mcap")
     check_plausible(robot, [log], False, Console(-1), described=False)
     assert "cell 7" not in capsys.readouterr().err

@@ -12,7 +12,7 @@ from agent.core.console import Console
 from agent.core.errors import InputError, RejectedError
 from agent.diagnosis.rollout import MujocoEngine
 from agent.model.identified import IdentifiedModel
-from agent.pipeline.diagnose import GapQuestion, diagnose_files
+from agent.pipeline.gap.diagnose import GapQuestion, diagnose_files
 from agent.recording import read_log
 from agent.recording.mcap.log_file import STATES, LogFile
 from agent.simulators import load_joint_map, load_simulator

@@ -46,6 +46,12 @@ def agent(folder: Path, *arguments: str | Path, **environment: str) -> subproces
     return warm.run("agent", *arguments, cwd=folder, env={**os.environ, "PYTHONPATH": str(ROOT), **environment})
 
 
+def edit(file: Path, **changes: object) -> None:
+    """Change keys of a JSON file; None takes a key away."""
+    data = json.loads(file.read_text(encoding="utf-8")) | changes
+    file.write_text(json.dumps({key: value for key, value in data.items() if value is not None}), encoding="utf-8")
+
+
 @pytest.fixture(scope="session")
 def controller(start_lasting_controller: Callable[..., Any]) -> Any:
     """One machine for the whole session, serial FAKE-0007."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from pathlib import Path
 
@@ -11,14 +10,14 @@ from hypothesis import given, strategies as st
 
 from agent.core.errors import InputError
 from agent.runs.current import apply_previous, apply_run, current_model
+from tests.shop_floor.conftest import edit
 
 
 def _three(write_runs) -> tuple[Path, list[Path]]:
     logs = write_runs(3)
     runs = sorted(path for path in logs.iterdir() if path.is_dir())
     for number, run in enumerate(runs):  # models that differ
-        model = json.loads((run / "model.json").read_text(encoding="utf-8"))
-        (run / "model.json").write_text(json.dumps(model | {"number": number}), encoding="utf-8")
+        edit(run / "model.json", number=number)
     return logs, runs
 
 
@@ -62,8 +61,7 @@ def test_a_damaged_current_model_is_mended_by_applying_a_run(write_runs, name: s
 
 def test_a_diagnosis_has_no_model_to_apply(write_runs):
     logs, (run, *_) = _three(write_runs)
-    state = json.loads((run / "state.json").read_text(encoding="utf-8"))
-    (run / "state.json").write_text(json.dumps(state | {"kind": "diagnose"}), encoding="utf-8")
+    edit(run / "state.json", kind="diagnose")
     with pytest.raises(InputError, match="a diagnosis and made no model"):
         apply_run(logs, run)
 
@@ -86,16 +84,14 @@ def test_a_disk_that_fills_up_leaves_the_current_model(write_runs, monkeypatch: 
 @pytest.mark.parametrize("status", ["rejected", "stopped", "running"])
 def test_only_an_accepted_run_is_applied(write_runs, status: str):
     logs, runs = _three(write_runs)
-    state = json.loads((runs[0] / "state.json").read_text(encoding="utf-8"))
-    (runs[0] / "state.json").write_text(json.dumps(state | {"status": status}), encoding="utf-8")
+    edit(runs[0] / "state.json", status=status)
     with pytest.raises(InputError, match=f"this run is {status}"):
         apply_run(logs, runs[0])
 
 
 def test_a_model_that_was_changed_since_is_refused(write_runs):
     logs, runs = _three(write_runs)
-    state = json.loads((runs[0] / "state.json").read_text(encoding="utf-8"))
-    (runs[0] / "state.json").write_text(json.dumps(state | {"model_sha256": "0" * 64}), encoding="utf-8")
+    edit(runs[0] / "state.json", model_sha256="0" * 64)
     with pytest.raises(InputError, match="SHA-256 differs"):
         apply_run(logs, runs[0])
 
@@ -103,8 +99,7 @@ def test_a_model_that_was_changed_since_is_refused(write_runs):
 def test_two_robots_have_to_be_told_apart(write_runs):
     logs, runs = _three(write_runs)
     apply_run(logs, runs[0])
-    state = json.loads((runs[1] / "state.json").read_text(encoding="utf-8"))
-    (runs[1] / "state.json").write_text(json.dumps(state | {"serial": "NS16-2"}), encoding="utf-8")
+    edit(runs[1] / "state.json", serial="NS16-2")
     apply_run(logs, runs[1])
     with pytest.raises(InputError, match="--serial"):
         apply_previous(logs)
@@ -132,8 +127,7 @@ NAMES = st.text(st.sampled_from("aA1_/.-~ \x00é"), max_size=6)
 
 
 def _apply_as(run: Path, robot: str, serial: str) -> Path:
-    state = json.loads((run / "state.json").read_text(encoding="utf-8"))
-    (run / "state.json").write_text(json.dumps(state | {"robot": robot, "serial": serial}), encoding="utf-8")
+    edit(run / "state.json", robot=robot, serial=serial)
     return apply_run(run.parent, run).model.parent.parent
 
 
@@ -159,16 +153,3 @@ def test_no_two_machines_share_a_folder(tmp_path_factory, machines):
 
     logs = tmp_path_factory.mktemp("logs")
     assert len({_place(logs, *machine) for machine in machines}) == len(machines)
-
-
-def test_the_folder_of_an_earlier_version_stays_that_of_its_machine(write_runs):
-    """It was named by replacing what does not belong in a name."""
-    logs, runs = _three(write_runs)
-    place = _apply_as(runs[0], "r", "A/1")
-    legacy = place.with_name("r_A_1")
-    place.rename(legacy)
-    assert current_model(logs, "r", "A/1").model.is_relative_to(legacy)
-    assert current_model(logs, "r", "A_1") is None, "another machine"
-    assert _apply_as(runs[1], "r", "A_1") != legacy
-    assert _apply_as(runs[2], "r", "A/1") == legacy
-    assert apply_previous(logs, serial="A/1").run == runs[0].name

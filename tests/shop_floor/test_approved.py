@@ -20,8 +20,8 @@ import agent.robot
 from agent.core import sha256_file, sha256_text
 from agent.core.console import Console
 from agent.core.errors import InputError
-from agent.pipeline.planning import plan_once, replan
-from agent.pipeline.reference import check_loop
+from agent.pipeline.plan import plan_once, replan
+from agent.pipeline.recalibrate import check_loop
 from agent.recipe import Recipe, load_recipe, template
 from agent.runs.approved import approve, check_approved, differences, digest, problem
 from agent.runs.folder import RunFolder

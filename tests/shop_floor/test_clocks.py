@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from datetime import UTC, datetime, timedelta, timezone
 from pathlib import Path
@@ -10,11 +9,11 @@ from pathlib import Path
 import pytest
 from hypothesis import given, strategies as st
 
-from agent.runs.due import too_early, wrong_clock
 from agent.runs.folder import RunFolder
 from agent.runs.history import History
-from agent.runs.past_run import PastRun
+from agent.runs.past_run import PastRun, too_early, wrong_clock
 from agent.runs.trends import watch
+from tests.shop_floor.conftest import edit
 
 NOW = datetime(2026, 6, 1, 2, 0, tzinfo=UTC)
 DAY = 86_400.0
@@ -26,8 +25,7 @@ def _past(started: datetime) -> PastRun:
 
 
 def _redate(run: Path, stamp: str) -> None:
-    state = json.loads((run / "state.json").read_text(encoding="utf-8"))
-    (run / "state.json").write_text(json.dumps(state | {"started": stamp}), encoding="utf-8")
+    edit(run / "state.json", started=stamp)
 
 
 def _runs(logs: Path) -> list[Path]:
@@ -112,8 +110,7 @@ def test_a_clock_that_is_set_back_in_a_run_loses_nothing_of_it(write_runs, tmp_p
     history = History(logs)
     assert history.runs()[-1].accepted
     written = last.stat().st_mtime
-    state = json.loads(last.read_text(encoding="utf-8"))
-    last.write_text(json.dumps(state | {"status": "stopped"}), encoding="utf-8")
+    edit(last, status="stopped")
     os.utime(last, (written - DAY, written - DAY))
     history = History(logs)
     assert history.runs()[-1].status == "stopped"

@@ -16,6 +16,7 @@ from agent.core.errors import InputError
 from agent.pipeline.reports import write_index
 from agent.runs.current import apply_run
 from agent.runs.history import History, find_run, history_json, history_table
+from tests.shop_floor.conftest import ROOT, agent, edit
 
 
 def test_runs_with_their_parameters_in_order(write_runs):
@@ -37,8 +38,7 @@ def test_folders_that_come_and_go_are_followed(write_runs):
     history = History(logs)
     names = [run.run for run in history.runs()]
     shutil.rmtree(logs / names[0])
-    state = json.loads((logs / names[1] / "state.json").read_text(encoding="utf-8"))
-    (logs / names[1] / "state.json").write_text(json.dumps(state | {"status": "rejected"}), encoding="utf-8")
+    edit(logs / names[1] / "state.json", status="rejected")
     (logs / "no_run").mkdir()
     history = History(logs)
     assert [(run.run, run.status) for run in history.runs()] == [(names[1], "rejected"), (names[2], "finished")]
@@ -62,8 +62,7 @@ def test_the_table_ends_with_what_the_trends_said_last(write_runs):
     logs = write_runs(3)
     runs = sorted(path for path in logs.iterdir() if path.is_dir())
     for run, said in zip(runs, (["joint_1 stepped"], [], ["joint_3 drifts", "joint_3 reaches the gate"]), strict=True):
-        state = json.loads((run / "state.json").read_text(encoding="utf-8"))
-        (run / "state.json").write_text(json.dumps(state | {"watch": said}), encoding="utf-8")
+        edit(run / "state.json", watch=said)
     history = History(logs)
     table = history_table(history.runs())
     assert table.splitlines()[-3:] == [
@@ -91,9 +90,7 @@ def test_the_current_model_is_marked_in_the_table_and_on_the_index(write_runs):
 
 
 def _agent(*arguments: str) -> subprocess.CompletedProcess[str]:
-    root = Path(__file__).resolve().parents[2]
-    command = [sys.executable, "-m", "agent", *arguments]
-    return subprocess.run(command, cwd=root, capture_output=True, text=True, check=False)
+    return agent(ROOT, *arguments)
 
 
 @pytest.mark.parametrize(
@@ -138,8 +135,7 @@ def test_listing_loads_nothing_heavy(write_runs):
         "heavy = {'numpy', 'scipy', 'pinocchio', 'matplotlib', 'mcap', 'rich.console'} & set(sys.modules)\n"
         "assert not heavy, heavy\n"
     )
-    root = Path(__file__).resolve().parents[2]
-    run = subprocess.run([sys.executable, "-c", script, logs], cwd=root, capture_output=True, text=True, check=False)
+    run = subprocess.run([sys.executable, "-c", script, logs], cwd=ROOT, capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr
     assert len(re.findall("accepted", run.stdout)) == 2
 
@@ -150,12 +146,11 @@ def test_a_thousand_runs(write_runs, measured):
     import resource
 
     logs = write_runs(1000)
-    root = Path(__file__).resolve().parents[2]
 
     def cpu(*arguments: str) -> float:
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
         command = [sys.executable, "-m", "agent", *arguments, "--logs", str(logs)]
-        subprocess.run(command, cwd=root, check=True, capture_output=True)
+        subprocess.run(command, cwd=ROOT, check=True, capture_output=True)
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
         return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 

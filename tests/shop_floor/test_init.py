@@ -12,22 +12,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.pipeline.init import schema_text
+from agent.pipeline.setup.init import schema_text
 from agent.recipe import load_recipe
+from tests.shop_floor.conftest import agent
 
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def _agent(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    command = [sys.executable, "-m", "agent", *arguments]
-    options = {"cwd": folder, "env": environment, "stdin": subprocess.DEVNULL, "capture_output": True, "text": True}
-    return subprocess.run(command, check=False, **options)
-
-
 def test_flags_say_everything(tmp_path: Path):
     flags = ["--controller", "10.0.0.5:9100", "--centre", "900 mm, 0.1 m, 0.7", "--size", "0.3 m, 0.3 m, 0.2 m"]
-    run = _agent(tmp_path, "init", "cell.yaml", *flags, "--orientation", "0 deg, 170 deg, 0 deg", "--cone", "10 deg")
+    run = agent(tmp_path, "init", "cell.yaml", *flags, "--orientation", "0 deg, 170 deg, 0 deg", "--cone", "10 deg")
     assert run.returncode == 0, run.stderr
     recipe = load_recipe(tmp_path / "cell.yaml")
     assert recipe.controller.address == "10.0.0.5:9100"
@@ -52,7 +46,7 @@ def test_flags_say_everything(tmp_path: Path):
     ],
 )
 def test_what_cannot_be_is_refused_and_nothing_is_written(tmp_path: Path, flag: str, value: str, why: str):
-    run = _agent(tmp_path, "init", "cell.yaml", flag, value)
+    run = agent(tmp_path, "init", "cell.yaml", flag, value)
     assert run.returncode == 2
     assert why in run.stderr
     assert "Traceback" not in run.stderr
@@ -85,7 +79,7 @@ def test_on_a_terminal_it_asks_and_asks_again(tmp_path: Path):
 
 
 def test_the_schema_is_beside_the_recipe_and_named_in_it(tmp_path: Path):
-    assert _agent(tmp_path, "init", "cell.yaml").returncode == 0
+    assert agent(tmp_path, "init", "cell.yaml").returncode == 0
     first = (tmp_path / "cell.yaml").read_text(encoding="utf-8").splitlines()[0]
     assert first == "# yaml-language-server: $schema=recipe.schema.json"
     schema = json.loads((tmp_path / "recipe.schema.json").read_text(encoding="utf-8"))
@@ -99,7 +93,7 @@ def test_the_schema_in_the_documentation_is_this_one():
 
 def test_an_arm_of_few_joints_is_told_what_it_can_do_without_a_box(tmp_path: Path):
     robot = ROOT / "recipes/examples/emps/robot.yaml"
-    run = _agent(tmp_path, "init", "slide.yaml", "--robot", str(robot))
+    run = agent(tmp_path, "init", "slide.yaml", "--robot", str(robot))
     assert run.returncode == 0
     assert "1 joint cannot turn the tool every way" in run.stderr
     assert "`agent estimate` needs no recipe" in run.stderr

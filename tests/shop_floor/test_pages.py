@@ -225,7 +225,7 @@ def test_a_diagnosis_opens_the_report_when_the_last_model_predicts_worse(worn: P
 
 def test_runs_side_by_side(shop: Path, browse):
     from agent.core.console import Console
-    from agent.pipeline.compare import compare_runs
+    from agent.pipeline.reports import compare_runs
 
     (first,) = (path.parent for path in shop.glob("logs/*/model.json"))
     second = first.with_name("20300101T000000Z_comau_ns16")
@@ -251,7 +251,7 @@ def test_runs_side_by_side(shop: Path, browse):
 
 def test_runs_of_two_machines_side_by_side_are_no_change_of_one(shop: Path):
     from agent.core.console import Console
-    from agent.pipeline.compare import compare_runs
+    from agent.pipeline.reports import compare_runs
 
     first = min(path.parent for path in shop.glob("logs/*/model.json"))
     other = first.with_name("20300103T000000Z_comau_ns16")

@@ -17,9 +17,16 @@ import pytest
 from agent.model import IdentifiedModel
 from agent.runs.loop_store import stored_loops
 
+ADDRESS = r'address: "[^"]*"'
+
 
 def _runs(shop: Path) -> list[Path]:
     return sorted(path for path in (shop / "logs").iterdir() if (path / "state.json").exists())
+
+
+def _change_recipe(shop: Path, old: str, new: str) -> None:
+    recipe = shop / "recipe.yaml"
+    recipe.write_text(re.sub(old, new, recipe.read_text(encoding="utf-8")), encoding="utf-8")
 
 
 def _current(shop: Path) -> Path:
@@ -77,9 +84,8 @@ def test_the_stored_loop_is_run_again_judged_recorded_and_made_current(shop, run
 
 
 def test_a_recent_one_is_skipped_with_a_reason_and_opens_no_port(shop, run_agent):
-    recipe = shop / "recipe.yaml"
-    text = re.sub(r'address: "[^"]*"', 'address: "127.0.0.1:1"', recipe.read_text(encoding="utf-8"))
-    recipe.write_text(text.replace("every: 1 s", "every: 7 d"), encoding="utf-8")
+    _change_recipe(shop, ADDRESS, 'address: "127.0.0.1:1"')
+    _change_recipe(shop, "every: 1 s", "every: 7 d")
     run = run_agent("recalibrate", "recipe.yaml")
     assert run.returncode == 0, run.stderr
     assert run.stdout.startswith("skipped: the last accepted run")
@@ -94,16 +100,14 @@ def test_without_a_calibration_it_says_what_to_do(tmp_path, shop, run_agent):
 
 
 def test_another_sub_region_is_another_calibration(shop, run_agent):
-    recipe = shop / "recipe.yaml"
-    recipe.write_text(recipe.read_text(encoding="utf-8").replace("500 mm, 600 mm", "450 mm, 600 mm"), encoding="utf-8")
+    _change_recipe(shop, "500 mm, 600 mm", "450 mm, 600 mm")
     run = run_agent("recalibrate", "recipe.yaml")
     assert run.returncode == 2
     assert "no accepted calibration" in run.stderr
 
 
 def test_a_gate_that_is_missed_leaves_the_current_model(shop, run_agent):
-    recipe = shop / "recipe.yaml"
-    recipe.write_text(recipe.read_text(encoding="utf-8").replace("3 %", "0.01 %"), encoding="utf-8")
+    _change_recipe(shop, "3 %", "0.01 %")
     before = _current(shop).read_bytes()
     run = run_agent("recalibrate", "recipe.yaml", "--json")
     assert run.returncode == 3
@@ -121,9 +125,7 @@ def test_torque_that_no_arm_can_have_makes_no_model(shop, run_agent, tmp_path, s
         json.dumps([{"effect": "torque_constant", "joints": joints, "parameters": {"scale": 1000}}]), encoding="utf-8"
     )
     other = start_controller("--effects", str(effects))
-    recipe = shop / "recipe.yaml"
-    text = re.sub(r'address: "[^"]*"', f'address: "{other.address}"', recipe.read_text(encoding="utf-8"))
-    recipe.write_text(text, encoding="utf-8")
+    _change_recipe(shop, ADDRESS, f'address: "{other.address}"')
     before = _current(shop).read_bytes()
     run = run_agent("recalibrate", "recipe.yaml", "--yes")
     assert run.returncode == 3, run.stderr
@@ -134,9 +136,7 @@ def test_torque_that_no_arm_can_have_makes_no_model(shop, run_agent, tmp_path, s
 
 def test_another_machine_of_the_type_is_refused(shop, run_agent, start_controller):
     other = start_controller("--seed", "8")
-    recipe = shop / "recipe.yaml"
-    text = re.sub(r'address: "[^"]*"', f'address: "{other.address}"', recipe.read_text(encoding="utf-8"))
-    recipe.write_text(text, encoding="utf-8")
+    _change_recipe(shop, ADDRESS, f'address: "{other.address}"')
     run = run_agent("recalibrate", "recipe.yaml")
     assert run.returncode == 4
     assert "FAKE-0008" in run.stderr
@@ -144,9 +144,7 @@ def test_another_machine_of_the_type_is_refused(shop, run_agent, start_controlle
 
 
 def test_nobody_there_is_exit_4_and_stands_in_the_history(shop, run_agent):
-    recipe = shop / "recipe.yaml"
-    text = re.sub(r'address: "[^"]*"', 'address: "127.0.0.1:1"', recipe.read_text(encoding="utf-8"))
-    recipe.write_text(text, encoding="utf-8")
+    _change_recipe(shop, ADDRESS, 'address: "127.0.0.1:1"')
     run = run_agent("recalibrate", "recipe.yaml")
     assert run.returncode == 4
     assert "Traceback" not in run.stderr
@@ -176,9 +174,7 @@ def test_a_busy_robot_is_exit_75(shop, run_agent, controller):
 
 
 def test_all_parameters_again(shop, run_agent):
-    recipe = shop / "recipe.yaml"
-    text = recipe.read_text(encoding="utf-8").replace("parameters: friction", "parameters: all")
-    recipe.write_text(text, encoding="utf-8")
+    _change_recipe(shop, "parameters: friction", "parameters: all")
     run = run_agent("recalibrate", "recipe.yaml", "-q")
     assert run.returncode == 0, run.stderr
     before, after = (IdentifiedModel.load(path / "model.json") for path in _runs(shop))
@@ -235,9 +231,7 @@ def test_what_is_left_open_is_asked_of_new_motions_where_they_are_released(shop,
         json.dumps([{"effect": "gravity_spring", "joints": ["joint_6"], "parameters": spring}]), encoding="utf-8"
     )
     changed = start_controller("--clock", "fast", "--effects", str(effects))
-    recipe = shop / "recipe.yaml"
-    text = re.sub(r'address: "[^"]*"', f'address: "{changed.address}"', recipe.read_text(encoding="utf-8"))
-    recipe.write_text(text, encoding="utf-8")
+    _change_recipe(shop, ADDRESS, f'address: "{changed.address}"')
     run = run_agent("recalibrate", "recipe.yaml", "--authorisation", _authorisation(shop), "--json")
     assert "rounds" not in json.loads(run.stdout)["diagnosis"]["result"], "not released"
     released = _authorisation(shop, new_motions={"duration": "2 min"})

@@ -103,7 +103,7 @@ def test_an_authorisation_that_cannot_be_read_is_found_when_scheduling(shop, run
 @pytest.mark.parametrize("what", ["folder", "logs", "authorisation", "recipe"])
 def test_a_name_is_no_directive_of_a_unit(shop, tmp_path: Path, name: str, what: str):
     from agent.core import InputError
-    from agent.pipeline.schedule import make_schedule
+    from agent.pipeline.setup.schedule import make_schedule
     from agent.recipe import load_recipe
 
     _weekly(shop)
@@ -119,7 +119,7 @@ def test_a_name_is_no_directive_of_a_unit(shop, tmp_path: Path, name: str, what:
 
 def test_a_robots_name_is_no_directive_of_a_unit(shop, tmp_path: Path):
     from agent.core import InputError
-    from agent.pipeline.schedule import make_schedule
+    from agent.pipeline.setup.schedule import make_schedule
     from agent.recipe import load_recipe
 
     _weekly(shop)

@@ -15,21 +15,15 @@ from hypothesis import given, settings, strategies as st
 
 from agent.core.console import Console
 from agent.core.errors import AgentError, InputError
-from agent.pipeline.compare import compare_runs
 from agent.pipeline.rebuilt_report import rebuild_report
-from agent.pipeline.reports import write_index
+from agent.pipeline.reports import compare_runs, write_index
 from agent.runs.current import apply_previous, apply_run
 from agent.runs.folder import RunFolder
 from agent.runs.history import History, find_run, history_json, history_table
 from agent.runs.trends import watch
-from tests.shop_floor.conftest import friction_runs, write_run
+from tests.shop_floor.conftest import edit, friction_runs, write_run
 
 QUIET = Console(verbosity=-1)
-
-
-def _edit(file: Path, **changes: object) -> None:
-    data = json.loads(file.read_text(encoding="utf-8")) | changes
-    file.write_text(json.dumps({key: value for key, value in data.items() if value is not None}), encoding="utf-8")
 
 
 def _runs(logs: Path) -> list[Path]:
@@ -63,8 +57,8 @@ def test_a_result_of_another_version_is_said_plainly(shop: Path, run_agent, miss
     (page,) = (shop / "logs").glob("*/report.html")
     before = page.read_bytes()
     state = "recalibrate" if missing == "loop" else "calibrate"
-    _edit(page.parent / "state.json", kind=state)
-    _edit(page.parent / "result.json", **{missing: None})
+    edit(page.parent / "state.json", kind=state)
+    edit(page.parent / "result.json", **{missing: None})
     run = run_agent("report", page.parent.name)
     assert (run.returncode, run.stdout) == (2, "")
     (line,) = run.stderr.splitlines()
@@ -101,7 +95,7 @@ def test_the_command_tells_what_it_leaves_out(shop: Path, run_agent):
 @pytest.mark.parametrize("status", ["running", "stopped"])
 def test_an_unfinished_run_has_nothing_to_report(write_runs, kind: str, status: str):
     (run,) = _runs(write_runs(1))
-    _edit(run / "state.json", kind=kind, status=status, stopped={"reason": "the emergency stop is pressed"})
+    edit(run / "state.json", kind=kind, status=status, stopped={"reason": "the emergency stop is pressed"})
     (run / "result.json").unlink()
     with pytest.raises(InputError, match="nothing to report yet") as caught:
         rebuild_report(run, QUIET)
@@ -112,7 +106,7 @@ def test_an_unfinished_run_has_nothing_to_report(write_runs, kind: str, status: 
 @pytest.mark.parametrize("kind", ["recalibrate", "diagnose"])
 def test_only_a_calibration_is_gone_on_with(write_runs, kind: str):
     (run,) = _runs(write_runs(1))
-    _edit(run / "state.json", kind=kind, status="stopped", inputs_sha256={"recipe.yaml": "s"})
+    edit(run / "state.json", kind=kind, status="stopped", inputs_sha256={"recipe.yaml": "s"})
     before = (run / "state.json").read_bytes()
     with pytest.raises(InputError, match=f"start this one again: `agent {kind}`"):
         RunFolder.open(run, "s")
@@ -132,7 +126,7 @@ def test_a_diagnosis_is_in_the_table_with_its_verdict_and_passes_no_gate(write_r
     run = _runs(logs)[0]
     (run / "model.json").unlink()
     (run / "result.json").write_text(json.dumps({"verdict": "no_gap"}), encoding="utf-8")
-    _edit(run / "state.json", kind="diagnose")
+    edit(run / "state.json", kind="diagnose")
     history = History(logs)
     assert [past.accepted for past in history.runs()] == [False, True]
     assert "diagnose     no gap" in history_table(history.runs())

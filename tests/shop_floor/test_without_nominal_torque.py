@@ -12,7 +12,7 @@ import pytest
 
 from agent.core import error_text
 from agent.pipeline.calibrate import CalibrationOutcome
-from agent.pipeline.drift_check import worse_joints
+from agent.pipeline.reports import worse_joints
 from agent.pipeline.result import judge
 from agent.report.calibration.pages import _colour, _headline
 from agent.report.calibration.prediction import error_table

@@ -14,7 +14,7 @@ from agent.diagnosis.dataset import assemble
 from agent.diagnosis.sizes import intervals
 from agent.model.effects import CATALOGUE
 from agent.pipeline import GapQuestion
-from agent.pipeline.first_screen import after_diagnosis
+from agent.pipeline.gap.next_steps import after_diagnosis
 from agent.report import diagnosis_report
 from agent.robot.dynamics import Dynamics
 from fake_controller.plant import Plant

@@ -14,7 +14,7 @@ from agent.diagnosis.dataset import assemble
 from agent.diagnosis.evidence import Evidence
 from agent.model import CATALOGUE, IdentifiedModel
 from agent.model.friction_terms import dahl
-from agent.pipeline.printed_diagnosis import diagnosis_text
+from agent.pipeline.gap.printed_diagnosis import diagnosis_text
 from agent.recording.log import Log
 from fake_controller.plant import Plant
 from tests.small_arms import learn, make_arm, record

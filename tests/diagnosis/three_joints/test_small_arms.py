@@ -13,7 +13,7 @@ from agent.diagnosis import Diagnosis, diagnose, extended_model, simulate, simul
 from agent.diagnosis.dataset import Dataset, assemble
 from agent.model import CATALOGUE, IdentifiedModel
 from agent.model.identified import ModelEffect
-from agent.pipeline.printed_diagnosis import diagnosis_text
+from agent.pipeline.gap.printed_diagnosis import diagnosis_text
 from agent.recording.log import Log
 from agent.report import diagnosis_report, diagnosis_summary, headline
 from agent.report.diagnosis.summary import diagnosis_section

@@ -1,4 +1,4 @@
-"""What a command that looks at many things found."""
+"""Findings of a command that checks many things."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 @dataclass(frozen=True)
 class CheckedItem:
-    """One thing that was looked at: `subject`, what was found, and the exit code it asks for (0: fine)."""
+    """One thing that was checked: `subject`, what was found, and the exit code it asks for (0: fine)."""
 
     subject: str
     message: str
@@ -16,13 +16,13 @@ class CheckedItem:
 
     @property
     def ok(self) -> bool:
-        """Whether this would stop nothing."""
+        """Whether it stops nothing."""
         return self.exit_code == 0
 
 
 @dataclass(frozen=True)
 class Findings:
-    """All that was looked at."""
+    """All that was checked."""
 
     findings: tuple[CheckedItem, ...]
     schema: str = "check/1"

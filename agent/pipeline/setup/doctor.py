@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import os
 import platform
+import resource
 import shutil
 import sys
 import time
@@ -16,7 +17,7 @@ from pathlib import Path
 from packaging.requirements import Requirement
 
 from agent.core import available_cores, counted
-from agent.pipeline.findings import CheckedItem, Findings
+from agent.pipeline.setup.findings import CheckedItem, Findings
 
 PACKAGE = "calibration-agent"
 #: Free space [MB] below which the next run may not fit: twice what the quickstart writes.
@@ -50,14 +51,14 @@ def _packages() -> Iterator[CheckedItem]:
     except PackageNotFoundError:
         yield CheckedItem("agent", "is not installed; in its folder, run: pip install .", _WRONG)
         return
-    yield CheckedItem("agent", f"{installed.version} in {Path(__file__).parents[1]}, recipes in {_recipes(installed)}")
+    yield CheckedItem("agent", f"{installed.version} in {Path(__file__).parents[2]}, recipes in {_recipes(installed)}")
     requirements = [Requirement(line) for line in installed.requires or ()]
     wrong = _unmet(requirements, "")
-    text = ", ".join(f"{name} {version(name)}" for name in ("numpy", "numba", "pin") if name not in "".join(wrong))
     if wrong:
         yield CheckedItem("packages", f"{'; '.join(wrong)}; run: pip install --upgrade {PACKAGE}", _WRONG)
     else:
-        yield CheckedItem("packages", f"all that are needed; {text}")
+        versions = ", ".join(f"{name} {version(name)}" for name in ("numpy", "numba", "pin"))
+        yield CheckedItem("packages", f"all that are needed; {versions}")
     for extra in sorted(set(installed.metadata.get_all("Provides-Extra") or ()) - {"dev"}):
         missing = _unmet(requirements, extra)
         text = f"{'; '.join(missing)}; to use it: pip install '{PACKAGE}[{extra}]'" if missing else "installed"
@@ -65,7 +66,7 @@ def _packages() -> Iterator[CheckedItem]:
 
 
 def _unmet(requirements: list[Requirement], extra: str) -> list[str]:
-    """What an extra needs and this environment lacks; of the package itself where `extra` is empty."""
+    """What an extra, or the package itself (""), needs and this environment lacks."""
     unmet = []
     for one in requirements:
         needing = [name for name in ("", extra) if one.marker is None or one.marker.evaluate({"extra": name})]
@@ -75,18 +76,18 @@ def _unmet(requirements: list[Requirement], extra: str) -> list[str]:
             found = version(one.name)
         except PackageNotFoundError:
             unmet.append(f"{one.name} is not installed")
-            continue
-        if not one.specifier.contains(found, prereleases=True):
-            unmet.append(f"{one.name} {found} is installed, {one.specifier} is needed")
+        else:
+            if not one.specifier.contains(found, prereleases=True):
+                unmet.append(f"{one.name} {found} is installed, {one.specifier} is needed")
     return unmet
 
 
 def _recipes(installed: Distribution) -> Path:
-    """Where the recipes lie: beside an installed package, or in the checkout."""
-    for file in installed.files or ():
-        if file.name == "ns16_quickstart.yaml":
-            return Path(str(installed.locate_file(file))).resolve().parent
-    return Path(__file__).parents[2] / "recipes"
+    """The folder of the recipes: in an installed package, or in the checkout."""
+    shipped = (file for file in installed.files or () if file.name == "ns16_quickstart.yaml")
+    for file in shipped:
+        return Path(str(installed.locate_file(file))).resolve().parent
+    return Path(__file__).parents[3] / "recipes"
 
 
 def _compiled() -> CheckedItem:
@@ -98,7 +99,7 @@ def _compiled() -> CheckedItem:
     except ImportError as error:
         return CheckedItem("compiled cache", f"cannot be loaded: {error}", _WRONG)
     took = f"{counted(len(stats), 'function')} in {time.monotonic() - started:.1f} s"
-    folder = next(iter({one.cache_path for one in stats}))
+    folder = stats[0].cache_path
     if folder is None:
         here = Path(loops.__file__).parent
         text = f"{took}, and again in every command: make {here} writable, or set NUMBA_CACHE_DIR to a folder that is"
@@ -132,10 +133,8 @@ def _clock() -> CheckedItem:
     if now < installed:
         text += f" is before the agent was installed ({installed:%Y-%m-%d}); set the clock (timedatectl)"
         return CheckedItem("clock", text, _WRONG)
-    if (
-        sys.platform == "linux"
-        and ctypes.CDLL(None).adjtimex(ctypes.create_string_buffer(_TIMEX_BYTES)) == _UNSYNCHRONISED
-    ):
+    linux = sys.platform == "linux"
+    if linux and ctypes.CDLL(None).adjtimex(ctypes.create_string_buffer(_TIMEX_BYTES)) == _UNSYNCHRONISED:
         text += ", not set by a time server; to change that: timedatectl set-ntp true"
     return CheckedItem("clock", text)
 
@@ -152,19 +151,11 @@ def _disk(runs: Path) -> CheckedItem:
 
 
 def _limits() -> CheckedItem:
-    import resource
-
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e9
     files = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+    nice = getattr(resource, "RLIMIT_NICE", None)
+    priority = "priority cannot be raised while an arm moves; to allow it, set nice in /etc/security/limits.conf"
+    if os.geteuid() == 0 or (nice is not None and resource.getrlimit(nice)[0] > 20):
+        priority = "priority can be raised while an arm moves"
     cores = counted(available_cores(), "core")
-    return CheckedItem("limits", f"{cores}, {memory:.1f} GB of memory, {files} open files, {_priority()}")
-
-
-def _priority() -> str:
-    """Whether the agent may put itself ahead of other programs while an arm moves."""
-    import resource
-
-    allowed = getattr(resource, "RLIMIT_NICE", None)
-    if os.geteuid() == 0 or (allowed is not None and resource.getrlimit(allowed)[0] > 20):
-        return "priority can be raised while an arm moves"
-    return "priority cannot be raised while an arm moves; to allow it, set nice in /etc/security/limits.conf"
+    return CheckedItem("limits", f"{cores}, {memory:.1f} GB of memory, {files} open files, {priority}")

@@ -1,4 +1,4 @@
-"""`agent check`: everything that could stop a calibration, found without moving anything, reported all at once."""
+"""`agent check`: everything that could stop a calibration, found without motion and reported all at once."""
 
 from __future__ import annotations
 
@@ -7,21 +7,27 @@ from pathlib import Path
 
 import numpy as np
 
-from agent.core import AgentError, Console, ControllerError, counted
-from agent.pipeline.findings import CheckedItem, Findings
+from agent.core import AgentError, Console, ControllerError, InputError, counted
+from agent.excitation import Candidates, LoopScore, check_sub_region
+from agent.link import answering
+from agent.motion import tool_frame
+from agent.pipeline.plan import loop_problem
+from agent.pipeline.setup.findings import CheckedItem, Findings
 from agent.recipe import Recipe, examine_recipe
 from agent.robot import not_judged_text
+from agent.safety import PlannedProgram, check_frames, check_period, check_throughput, frames_text
+from drivers.protocol import AcceptsViaPoints, ReportsFrames
 
 #: Random loops that are run through the interpolator and the cell.
 LOOPS = 50
-#: Fewer feasible ones than this part of them, and a search will have a hard time.
+#: A smaller share of feasible loops makes a search hard.
 FEW = 0.2
 
 
 def check_recipe(path: Path, console: Console) -> Findings:
     """Recipe, reach, limits, cell and controller.
 
-    Where keys of the recipe are wrong that have a default, the rest is looked at with their defaults.
+    A wrong key that has a default does not stop the check: the rest is checked with the default.
 
     Raises:
         InputError: no such file, or not YAML.
@@ -31,21 +37,21 @@ def check_recipe(path: Path, console: Console) -> Findings:
     findings = [CheckedItem("recipe", fault, 2) for fault in faults]
     if recipe is None:
         return Findings(tuple(findings))
-    looks: tuple[tuple[str, Callable[[Recipe, Console], str]], ...] = (
-        ("sub-region", _reach),
-        ("loops", lambda recipe, console: _feasible(recipe, recipe.motion.speed, recipe.search.seed, console)),
-        ("validation", lambda recipe, console: _feasible(recipe, recipe.validate.speed, recipe.validate.seed, console)),
-        ("controller", _controller),
-    )
     if not faults:
         complete = f"{path} is complete; robot {recipe.robot.name}, {counted(recipe.robot.dof, 'joint')}"
         findings.append(CheckedItem("recipe", complete))
     if not_judged := not_judged_text(recipe.robot, recipe.gate.normalised_rmse):
         findings.append(CheckedItem("gate", not_judged))
-    for subject, look in looks:
+    looks: dict[str, Callable[[], str]] = {
+        "sub-region": lambda: _reach(recipe),
+        "loops": lambda: _feasible(recipe, recipe.motion.speed, recipe.search.seed, console),
+        "validation": lambda: _feasible(recipe, recipe.validate.speed, recipe.validate.seed, console),
+        "controller": lambda: _controller(recipe),
+    }
+    for subject, look in looks.items():
         console.step(f"checking {subject}")
         try:
-            findings.append(CheckedItem(subject, look(recipe, console)))
+            findings.append(CheckedItem(subject, look()))
         except Exception as error:
             code = getattr(error, "exit_code", None)
             if code is None and not isinstance(error, AgentError):
@@ -54,10 +60,7 @@ def check_recipe(path: Path, console: Console) -> Findings:
     return Findings(tuple(findings))
 
 
-def _reach(recipe: Recipe, _: Console) -> str:
-    from agent.excitation import check_sub_region
-    from agent.pipeline.planning import loop_problem
-
+def _reach(recipe: Recipe) -> str:
     missed = check_sub_region(loop_problem(recipe, recipe.motion.speed))
     if not missed:
         return "all corners and orientations asked can be reached"
@@ -65,10 +68,6 @@ def _reach(recipe: Recipe, _: Console) -> str:
 
 
 def _feasible(recipe: Recipe, speed: float, seed: int, console: Console) -> str:
-    from agent.core import InputError
-    from agent.excitation import Candidates, LoopScore
-    from agent.pipeline.planning import loop_problem
-
     candidates = Candidates(loop_problem(recipe, speed))
     rng = np.random.default_rng(seed)
     broken = []
@@ -87,12 +86,7 @@ def _feasible(recipe: Recipe, speed: float, seed: int, console: Console) -> str:
     return text
 
 
-def _controller(recipe: Recipe, _: Console) -> str:
-    from agent.link import answering
-    from agent.motion import tool_frame
-    from agent.safety import PlannedProgram, check_frames, check_period, check_throughput, frames_text
-    from drivers.protocol import AcceptsViaPoints, ReportsFrames
-
+def _controller(recipe: Recipe) -> str:
     address = recipe.controller.place
     with answering(recipe) as (driver, identity):
         if not identity.watch_only:
@@ -101,10 +95,8 @@ def _controller(recipe: Recipe, _: Console) -> str:
         status = driver.status()
         frames = driver.frames() if isinstance(driver, ReportsFrames) else {}
         if isinstance(driver, AcceptsViaPoints):
-            points = PlannedProgram(
-                "of via-points", "", (), frames={recipe.dialect.frame_names["tool"]: tool_frame(recipe.tool)}
-            )
-            check_frames(points, driver, address)
+            tool = {recipe.dialect.frame_names["tool"]: tool_frame(recipe.tool)}
+            check_frames(PlannedProgram("of via-points", "", (), frames=tool), driver, address)
     state = [
         f"mode {status.mode}",
         f"drives {'on' if status.drives_on else 'off'}",

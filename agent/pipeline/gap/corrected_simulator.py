@@ -1,32 +1,29 @@
-"""The simulator that a diagnosis was asked about, written back corrected."""
+"""The simulator that a diagnosis compared with the robot: run forward, and written back corrected."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from agent.core import Console, InputError
-from agent.pipeline.identify import check_output
+from agent.core import Console, InputError, write_atomically
+from agent.diagnosis import Diagnosis, corrected, forward_or_reason, forward_warning, ranges, ranges_text
+from agent.model import CATALOGUE
+from agent.runs import check_output
+from agent.simulators import Simulator, write_corrected, written_files
 
-if TYPE_CHECKING:
-    from agent.diagnosis import Diagnosis
-    from agent.simulators import Simulator
-
-_OVER_RANGE = 0.01  # rad or m, by which a joint is where its file does not let it be
+_OVER_RANGE = 0.01  # rad or m, tolerated beyond the range of a joint
 _FORMATS = {".xml": "an MJCF", ".mjcf": "an MJCF", ".urdf": "a URDF"}
 
 
 def check_simulator_out(model: Path | None, out: Path, inputs: Sequence[Path]) -> None:
-    """Refuse a format that the simulator's file does not have, and files beside it that are inputs.
+    """Refuse another format than the simulator's own, and files next to it that are inputs.
 
     Raises:
         InputError: as said.
     """
-    from agent.simulators import written_files
-
     wanted = _FORMATS.get(out.suffix.lower())
     if wanted is None:
         return
@@ -42,24 +39,18 @@ def check_simulator_out(model: Path | None, out: Path, inputs: Sequence[Path]) -
 
 
 def run_forward(found: Diagnosis, simulator: Simulator, console: Console) -> dict[str, Any]:
-    """`forward` of a result: the simulator run as given and corrected; nothing where it cannot be."""
-    from agent.diagnosis import forward_or_reason, forward_warning
-
+    """`forward` and `warnings` of a result: the simulator as given and corrected; empty where it cannot be run."""
     console.step("running the simulator forward, as given and corrected")
     figures, reason = forward_or_reason(found, simulator)
-    if reason:
-        console.warn(reason)
-    said = list(beyond_range(found, simulator))
-    warning = forward_warning(figures) if figures else ""
-    said += [warning] if warning else []
-    for text in said:
+    warnings = [*beyond_range(found, simulator), *filter(None, [forward_warning(figures) if figures else ""])]
+    for text in (*filter(None, [reason]), *warnings):
         console.warn(text)
     result: dict[str, Any] = {"forward": figures} if figures else {}
-    return {**result, "warnings": [*found.result["warnings"], *said]} if said else result
+    return {**result, "warnings": [*found.result["warnings"], *warnings]} if warnings else result
 
 
 def beyond_range(found: Diagnosis, simulator: Simulator) -> Iterator[str]:
-    """Joints that moved where the file does not let them: a simulator that holds its ranges is stopped there."""
+    """Warn of joints that moved beyond their range in the file: a simulator that enforces it stops there."""
     arm = simulator.arm
     low, high = (end([end(log.position, axis=0) for log in found.dataset.logs], axis=0) for end in (np.min, np.max))
     lower, upper = arm.robot.position_limits
@@ -74,16 +65,11 @@ def beyond_range(found: Diagnosis, simulator: Simulator) -> Iterator[str]:
 
 
 def write_simulator(found: Diagnosis, simulator: Simulator, out: Path, console: Console) -> None:
-    """Write the corrected simulator: in its own format with what stands beside it, or as a model file.
+    """Write the corrected simulator: in its own format with its companion files, or as a model file.
 
     Raises:
         InputError, RejectedError: the file cannot be changed in place, or did not read back as meant.
     """
-    from agent.core import write_atomically
-    from agent.diagnosis import corrected, ranges, ranges_text
-    from agent.model import CATALOGUE
-    from agent.simulators import write_corrected
-
     correction = corrected(found, simulator)
     for note in correction.notes:
         console.warn(f"{out}: {note}")
@@ -96,10 +82,10 @@ def write_simulator(found: Diagnosis, simulator: Simulator, out: Path, console: 
     if out.suffix.lower() not in _FORMATS:
         correction.model.save(out)
         return
-    for path in write_corrected(simulator, correction, out):
+    written = [*write_corrected(simulator, correction, out)]
+    written.append(write_atomically(_ranges_file(out), ranges_text(ranges(found))))
+    for path in written:
         console.say(f"wrote {path}")
-    write_atomically(_ranges_file(out), ranges_text(ranges(found)))
-    console.say(f"wrote {_ranges_file(out)}")
 
 
 def _ranges_file(out: Path) -> Path:

@@ -1,9 +1,9 @@
-"""What calls `agent recalibrate` by the clock: a systemd service with its timer, or a line for cron.
+"""A timer for `agent recalibrate`: a systemd service with its timer, or a line for cron.
 
-A robot must never start to move because a computer was switched on. So the timer counts by the calendar alone
-(`OnCalendar`, no `OnBootSec`), and `Persistent=false`: a time that passed while the computer was off is passed, the
-next one counts. cron has the same rule; anacron has not, and must not be used. Whether a run is due is decided by
-`agent recalibrate` itself, so the clock may call more often than the recipe's interval.
+A robot must never start to move because a computer was switched on. So the timer goes by the calendar alone
+(`OnCalendar`, no `OnBootSec`) and skips runs missed while the computer was off (`Persistent=false`). cron does the
+same; do not use anacron, which does not. `agent recalibrate` itself decides whether a run is due, so the timer may
+call more often than the recipe's interval.
 """
 
 from __future__ import annotations
@@ -44,13 +44,16 @@ class Schedule:
 def make_schedule(recipe: Recipe, logs: Path, folder: Path, at: str, authorisation: Path | None) -> Schedule:
     """Units and crontab line for a recipe.
 
-    Args:
-        logs: folder of the runs; folder: where the agent works, in whose `logs` the loops lie.
-        at: time of day, HH:MM, local.
-        authorisation: file that allows the motion while nobody is there.
+    Parameters
+    ----------
+    logs : folder of the runs.
+    folder : working folder of the agent, whose `logs` hold the loops.
+    at : local time of day, HH:MM.
+    authorisation : file that permits unattended motion.
 
-    Raises:
-        InputError: not a time of day, an interval below an hour, or a name that no unit and no crontab can hold.
+    Raises
+    ------
+    InputError : not a time of day, an interval below an hour, or a name that no unit and no crontab can hold.
     """
     match = re.fullmatch(r"([01]?\d|2[0-3]):([0-5]\d)", at)
     if match is None:
@@ -68,7 +71,7 @@ def make_schedule(recipe: Recipe, logs: Path, folder: Path, at: str, authorisati
     folder = folder.resolve()
     for word in (*words, str(folder), recipe.robot.name):
         _check_word(word)
-    service = _lines(
+    service = [
         "[Unit]",
         f"Description=Recalibration of {_escaped(recipe.robot.name)} ({_escaped(recipe.path.name)})",
         "",
@@ -80,8 +83,8 @@ def make_schedule(recipe: Recipe, logs: Path, folder: Path, at: str, authorisati
         "KillSignal=SIGTERM",
         "TimeoutStopSec=60",
         "Restart=no",
-    )
-    timer = _lines(
+    ]
+    timer = [
         "[Unit]",
         f"Description=Clock of {name}.service",
         "",
@@ -93,10 +96,10 @@ def make_schedule(recipe: Recipe, logs: Path, folder: Path, at: str, authorisati
         "",
         "[Install]",
         "WantedBy=timers.target",
-    )
+    ]
     when = f"{minute} * * * *" if hourly else f"{minute} {hour} * * *"
     command = f"cd {shlex.quote(str(folder))} && {shlex.join(words)}".replace("%", r"\%")
-    return Schedule(name, service, timer, f"{when} {command}")
+    return Schedule(name, "\n".join([*service, ""]), "\n".join([*timer, ""]), f"{when} {command}")
 
 
 def install(schedule: Schedule, folder: Path | None = None) -> list[Path]:
@@ -116,19 +119,15 @@ def install(schedule: Schedule, folder: Path | None = None) -> list[Path]:
 
 
 def next_steps(schedule: Schedule) -> str:
-    """What a person does after `install`."""
+    """Commands to run after `install`."""
     return (
         f"systemctl --user daemon-reload && systemctl --user enable --now {schedule.name}.timer\n"
         "loginctl enable-linger    # so that it also runs while nobody is logged in"
     )
 
 
-def _lines(*lines: str) -> str:
-    return "\n".join(lines) + "\n"
-
-
 def _recipe_of(service: str) -> str:
-    """The recipe as a unit calls it; the whole text where it is none of ours."""
+    """The recipe as a unit names it; the whole text of a unit that is not ours."""
     found = re.search(r"^ExecStart=.* recalibrate (.+) --logs ", service, re.M)
     return found[1] if found else service
 

@@ -1,4 +1,4 @@
-"""A diagnosis for people, as lines."""
+"""A diagnosis as text for a terminal."""
 
 from __future__ import annotations
 
@@ -6,14 +6,13 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from agent.core import counted
+from agent.diagnosis import forward_lines, reported_parameters, size_text, torque_gap
+from agent.report import FOUR, chances_text, next_text, place, said_by_rounds, summary
+from agent.robot import SHARE, figure_text
 
 
 def diagnosis_text(result: dict[str, Any]) -> str:
     """A diagnosis for people: the four things of the page's first screen, then the figures."""
-    from agent.diagnosis import reported_parameters, size_text, torque_gap
-    from agent.report import FOUR, place, summary
-    from agent.robot import SHARE, figure_text
-
     said = result.get("summary") or summary(result)
     lines = [f"{'Verdict':10}{result['verdict'].replace('_', ' ')}"]
     lines += [f"{title:10}{said[key]}" for key, title in FOUR.items() if key != "next"]
@@ -82,8 +81,6 @@ def _next_lines(said: dict[str, Any]) -> Iterator[str]:
 
 def _planned_lines(result: dict[str, Any]) -> Iterator[str]:
     """What to run next or why there is nothing to run, and its expected result."""
-    from agent.report import chances_text, next_text, said_by_rounds
-
     experiment = result["next_experiment"]
     if experiment is None or said_by_rounds(result):
         return
@@ -100,8 +97,6 @@ def _planned_lines(result: dict[str, Any]) -> Iterator[str]:
 
 def _forward_lines(result: dict[str, Any]) -> list[str]:
     """How far the simulator drifts, where it was run."""
-    from agent.diagnosis import forward_lines
-
     return list(forward_lines(result["forward"])) if result.get("forward") else []
 
 

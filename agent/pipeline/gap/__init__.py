@@ -1,0 +1,1 @@
+"""The gap between model and robot: diagnosis, further motions, and the corrected simulator."""

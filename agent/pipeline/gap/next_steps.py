@@ -1,0 +1,66 @@
+"""Commands that may follow a diagnosis."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from agent.model import CATALOGUE, PAYLOAD
+from agent.pipeline.gap.next_experiment import BRAKES, DRIVES_OFF
+from agent.pipeline.gap.question import PLANNING_BUDGET, GapQuestion
+from agent.report import NextStep
+from agent.simulators import is_simulator
+
+#: Names of logs that are still to be recorded, in commands that people copy.
+_NEW_LOG, _BRAKES_LOG = "new.mcap", "brakes.mcap"
+
+
+def after_diagnosis(
+    result: Mapping[str, Any],
+    robot: str | None,
+    logs: Sequence[Path],
+    question: GapQuestion,
+    recipe: Path | None = None,
+) -> list[NextStep]:
+    """Steps that take further what a diagnosis of these logs found; further motions lie in the `recipe`, if any."""
+    asked = replace(
+        question, report=None, out=None, next_recipe=None, next_payload=None, planning_budget=PLANNING_BUDGET
+    )
+    named = ["--robot", robot] if robot else []
+    words, paths = ["agent", "diagnose", *named, *asked.options()], list(map(str, logs))
+    again = shlex.join([*words, *paths])
+    if result["verdict"] == "no_gap":
+        return [NextStep("nothing to do: keep the model.")]
+    experiment = result["next_experiment"] or {}
+    loaded = []
+    if "with_a_mass" in experiment and recipe is not None:
+        mass = experiment["with_a_mass"][PAYLOAD]
+        folder = f"{question.out or 'next'}_with_a_mass"
+        what = f"or, for a clearer answer, mount {mass} (or the mass you have) at the flange and plan for it:"
+        planned = [*words, "--next", str(recipe), "--payload", mass, "-o", folder, *paths]
+        loaded = [NextStep(what, shlex.join(planned))]
+    if question.next_recipe is not None and experiment.get("program"):
+        program, mass = Path(experiment["program"]), experiment.get(PAYLOAD)
+        record = ["agent", "record", str(question.next_recipe), "--program", str(program)]
+        record += [] if mass is None else ["--payload", mass]
+        first = "" if mass is None else f"mount {mass} at the flange, then "
+        on_brakes = " and --drives-off LOG" if BRAKES in experiment["motion"] else ""
+        with_it = f"{again} {shlex.quote(str(program.with_suffix('.mcap')))}"
+        return [
+            NextStep(f"{first}run the planned motion:", shlex.join(record)),
+            NextStep(f"diagnose again with its log{on_brakes}:", with_it),
+            *loaded,
+        ]
+    if not result["causes"] or result["verdict"] == "ambiguous":
+        if DRIVES_OFF in experiment.get("motion", "") and question.drives_off is None:
+            again = shlex.join([*words, DRIVES_OFF, _BRAKES_LOG, *paths])
+            return [NextStep(f"record 1 s with the drives off as {_BRAKES_LOG}, then diagnose again:", again), *loaded]
+        return [NextStep(f"record the next motion as {_NEW_LOG}, then diagnose again:", f"{again} {_NEW_LOG}"), *loaded]
+    if all(CATALOGUE[cause["effect"]].once for cause in result["causes"]):
+        return [NextStep("record again with nothing touching the arm: a single event is not added to a model.")]
+    if question.model is not None and is_simulator(question.model):
+        return [NextStep("correct the simulator:", f"{again} -o fixed{question.model.suffix}")]
+    return [NextStep("add the effect to the model:", f"{again} -o model_with_effects.json")]

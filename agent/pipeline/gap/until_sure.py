@@ -1,0 +1,143 @@
+"""Record, diagnose, plan, record: until the cause is settled, or nothing within the budget would settle it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from agent.core import Console, sha256_text, words_of
+from agent.diagnosis import Diagnosis, Simulated
+from agent.experiment import Deadline
+from agent.link import Recording, open_link
+from agent.pipeline.gap.next_experiment import LONGEST, NoMotion, plan_next
+from agent.pipeline.gap.question import SHORTEST
+from agent.pipeline.record_plan import record_program
+from agent.recipe import Recipe
+from agent.recording import PARTS, PLANNED_PARTS
+from agent.report import in_short
+from agent.runs import RunFolder, run_key
+from agent.safety import FIRST_SPEED, Authorisation
+from agent.simulators import Simulator
+
+#: A diagnosis, its simulations, and the simulator's file that was read.
+Found = tuple[Diagnosis, list[Simulated], Simulator | None]
+
+
+@dataclass
+class Rounds:
+    """Further motions and what they found.
+
+    Attributes
+    ----------
+    logs : logs of the motions that count.
+    asked : `rounds` of a result, one entry per motion.
+    last : diagnosis of all logs that count.
+    recipe : where the motions lie.
+    end : why no further motion followed.
+    other : what else may settle the cause.
+    cut_short : the error that ended the last round.
+    uncounted : log of a round that was cut short after it was recorded.
+    """
+
+    logs: list[Path]
+    asked: list[dict[str, Any]]
+    last: Found
+    recipe: Path
+    end: str = ""
+    other: NoMotion | None = None
+    cut_short: BaseException | None = None
+    uncounted: Path | None = None
+
+    @property
+    def said(self) -> str:
+        """Verdict and causes of all logs that count, in a line."""
+        return in_short(self.last[0].result)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Keys of a result: `rounds`, `rounds_end`, and `next_experiment` where something else may settle it."""
+        other = {} if self.other is None else {"next_experiment": self.other.to_dict()}
+        return {"rounds": self.asked, "rounds_end": self.end, **other}
+
+
+def until_sure(
+    find: Callable[[Sequence[Path]], Found],
+    logs: Sequence[Path],
+    recipe: Recipe,
+    run: RunFolder,
+    console: Console,
+    runs: Path,
+    yes: bool,
+    budget: float,
+    allowed: Authorisation | None = None,
+    planning: float = float("inf"),
+) -> Rounds:
+    """Record further motions into the run folder as `experiment_01.mcap`, … until the cause is settled.
+
+    Whatever cuts a round short, such as a lost link, Ctrl-C or an implausible log, is part of what is returned, after
+    a controlled stop: the earlier results are not lost.
+
+    Parameters
+    ----------
+    find : diagnosis of logs; all earlier ones count in every round.
+    budget : longest further motion [s].
+    allowed : permits motion while nobody is there; motions are then as slow as a first run.
+    planning : longest time for planning each motion [s].
+
+    Raises
+    ------
+    AgentError : first logs that cannot be diagnosed, or a recipe that leaves no room.
+    """
+    rounds, moved, slow = Rounds([], [], find(logs), recipe.path), 0.0, recipe
+    if allowed is not None:
+        fastest = 0.98 * min(recipe.motion.speed, FIRST_SPEED, allowed.document.limits.speed)
+        slow = replace(recipe, motion=replace(recipe.motion, settings=recipe.motion.settings_at(fastest)))
+    while not (end := _end(rounds, budget - moved, console)):
+        name = f"experiment_{len(rounds.asked) + 1:02d}"
+        recording: Recording | None = None
+        try:
+            deadline = Deadline(console.progress, planning)
+            seconds = min(LONGEST, budget - moved)
+            motion = plan_next(rounds.last[0], slow, console, seconds, name, deadline=deadline)
+            if isinstance(motion, NoMotion):
+                end, rounds.other = motion.text, motion
+                break
+            program = run.write_text(f"{name}{recipe.dialect.suffix}", motion.text).name
+            ran = replace(motion, brakes=False).to_dict(program)  # nobody was asked for seconds on the brakes
+            verdict = rounds.last[0].result["verdict"]
+            rounds.asked.append({"after": verdict, **ran, "verdict": None, "causes": []})
+            word = allowed and allowed.for_new_motion(run_key(recipe)["loop"], sha256_text(motion.text), moved)
+            with open_link(recipe, console, yes, runs, word, facts={PARTS: PLANNED_PARTS}) as link:
+                log = f"{name}.mcap"
+                recording = record_program(link, run, recipe, console, motion.text, program, "experiment", log, name)
+            moved += recording.duration
+            rounds.last = find([*logs, *rounds.logs, recording.path])
+            rounds.logs.append(recording.path)
+        except BaseException as error:
+            rounds.end, rounds.cut_short = f"cut short: {words_of(error)}", error
+            rounds.uncounted = None if recording is None else recording.path
+            return rounds
+    rounds.end = end
+    console.say(end)
+    return rounds
+
+
+def _end(rounds: Rounds, left: float, console: Console) -> str:
+    """Note what the last round found; returns why no further one follows, if so, with `left` [s] of the budget."""
+    result = rounds.last[0].result
+    verdict = result["verdict"]
+    if rounds.asked:
+        causes = [{key: cause[key] for key in ("effect", "joints", "probability")} for cause in result["causes"]]
+        rounds.asked[-1] |= {"verdict": verdict, "causes": causes}
+        console.say(f"round {len(rounds.asked)}: {verdict}")
+    if verdict in ("explained", "no_gap"):
+        absorbed = verdict == "no_gap" and not rounds.last[0].dataset.given
+        beyond = ". A model fitted to these logs can hide a gap: name an earlier model with --model"
+        return f"settled: {verdict}{beyond if absorbed else ''}"
+    if left < SHORTEST:
+        return (
+            f"the motion budget is used up: {max(left, 0.0):.0f} s are left, and a motion takes "
+            f"{SHORTEST:g} to {LONGEST:g} s"
+        )
+    return ""

@@ -1,0 +1,1 @@
+"""What a person sets up: recipe, checks, installation, timer."""

@@ -1,0 +1,155 @@
+"""A recipe to start from: asked on a terminal or given as options, with the schema that editors check it with."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+from agent.core import Bare, Dimension, InputError, counted, parse_quantity, write_atomically
+from agent.excitation import working_box
+from agent.recipe import BARE_ANGLE, BARE_LEAN, BARE_PLACE, BARE_REACH, load_recipe, recipe_schema, template
+from agent.robot import builtin_robots, load_robot
+from agent.runs import check_output
+from drivers.registry import available
+
+#: Next to the recipe; editors with a YAML language server read it.
+SCHEMA = "recipe.schema.json"
+#: The robot that the default sub-region is for.
+_USUAL = "comau_ns16"
+#: By option: the question on a terminal, and the default.
+_QUESTIONS = {
+    "robot": ("robot: built-in name, or path of a robot.yaml", _USUAL),
+    "driver": ("driver of the controller link", "tcp"),
+    "controller": ("address of the controller", "127.0.0.1:9100"),
+    "centre": ("centre of the sub-region, base frame: x, y, z", "1.0 m, 0 m, 0.8 m"),
+    "size": ("size of the sub-region: x, y, z", "500 mm, 600 mm, 400 mm"),
+    "orientation": ("tool orientation: Euler ZYZ a, e, r", "0 deg, 180 deg, 0 deg"),
+    "cone": ("how far the tool may lean from it", "30 deg"),
+}
+#: By option: how many quantities, their dimension, and how a number without a unit is taken.
+_QUANTITIES = {
+    "centre": (3, Dimension.LENGTH, BARE_PLACE),
+    "size": (3, Dimension.LENGTH, BARE_REACH),
+    "orientation": (3, Dimension.ANGLE, BARE_ANGLE),
+    "cone": (1, Dimension.ANGLE, BARE_LEAN),
+}
+
+
+def write_recipe(path: Path, given: dict[str, str | None]) -> Path:
+    """Write a commented recipe and the schema next to it; asks on a terminal for what is not `given`.
+
+    Raises:
+        InputError: the file exists, its folder does not, or a given value is wrong.
+    """
+    if path.exists():
+        raise InputError(f"{path}: exists already; name another file, or move it away")
+    check_output(path, ())
+    on_terminal = sys.stdin.isatty() and sys.stderr.isatty()
+    answers: dict[str, str] = {}
+    box: dict[str, str] | None = None
+    for name, (words, default) in _QUESTIONS.items():
+        value = given.get(name)
+        if value is not None:
+            try:
+                _check(name, value)
+            except InputError as error:
+                raise InputError(f"--{name} {value}: {error}") from None
+        if name in _QUANTITIES:
+            box = _box_of(answers["robot"]) if box is None else box
+            default = box.get(name, default)
+        answers[name] = value or (_ask(name, words, default) if on_terminal else default)
+    robot = answers["robot"]
+    text = template(
+        robot=robot if robot in builtin_robots() else os.path.relpath(robot, path.parent),
+        address=answers["controller"],
+        driver=answers["driver"],
+        cone=answers["cone"],
+        centre=_parts(answers["centre"]),
+        size=_parts(answers["size"]),
+        orientation=_parts(answers["orientation"]),
+    )
+    write_atomically(path, f"# yaml-language-server: $schema={SCHEMA}\n{text}")
+    try:
+        load_recipe(path)
+    except InputError:
+        path.unlink()
+        raise
+    write_atomically(path.parent / SCHEMA, schema_text())
+    return path
+
+
+def schema_text() -> str:
+    """JSON schema of a recipe, as a file."""
+    return json.dumps(recipe_schema(), indent=2) + "\n"
+
+
+def _check(name: str, text: str) -> None:
+    """
+    Raises:
+        InputError: the value cannot be used for this option.
+    """
+    if name == "robot":
+        load_robot(text)
+    elif name == "driver" and text not in available():
+        raise InputError(f"there is no driver {text!r}; there are {', '.join(available())}")
+    elif name == "controller" and not text.strip():
+        raise InputError("an address is expected, host:port for tcp")
+    elif name in _QUANTITIES:
+        count, dimension, bare = _QUANTITIES[name]
+        parts = _parts(text) if count == 3 else (text,)
+        if len(parts) != count:
+            raise InputError(f"three quantities with commas between are expected, not {len(parts)}")
+        for part in parts:
+            _check_quantity(part, dimension, bare)
+
+
+def _check_quantity(text: str, dimension: Dimension, bare: Bare) -> None:
+    number: Any = text
+    with contextlib.suppress(ValueError):
+        number = float(text)
+    parse_quantity(number, dimension, bare)
+
+
+def _box_of(robot: str) -> dict[str, str]:
+    """A sub-region that the arm reaches, by option; empty for the usual robot, and where none is found."""
+    if robot == _USUAL:
+        return {}
+    arm = load_robot(robot)
+    box = working_box(arm)
+    if box is None:
+        what = "change motion.via_points to where your arm works"
+        if arm.dof < 6:
+            what = (
+                f"{counted(arm.dof, 'joint')} cannot turn the tool every way. Give motion.via_points.points with "
+                "ranges that it reaches, or record a motion of your own: `agent estimate` needs no recipe"
+            )
+        print(f"found no box that {robot} reaches completely: {what}", file=sys.stderr)
+        return {}
+    values = {"centre": box.centre, "size": box.size, "orientation": box.orientation, "cone": (box.cone,)}
+    units = {Dimension.LENGTH: "m", Dimension.ANGLE: "deg"}
+    return {
+        name: ", ".join(f"{value:g} {units[_QUANTITIES[name][1]]}" for value in row) for name, row in values.items()
+    }
+
+
+def _ask(name: str, words: str, default: str) -> str:
+    while True:
+        print(f"{words} [{default}] ", end="", file=sys.stderr, flush=True)
+        line = sys.stdin.readline()
+        if not line:
+            raise InputError("init: the questions were not answered to the end, so nothing was written")
+        answer = line.strip() or default
+        try:
+            _check(name, answer)
+        except InputError as error:
+            print(f"  {error}", file=sys.stderr)
+            continue
+        return answer
+
+
+def _parts(text: str) -> tuple[str, ...]:
+    return tuple(part.strip() for part in text.split(","))
