@@ -2,8 +2,8 @@
 
 - The posterior of a hypothesis is its evidence times a prior: none or some, which effect on which joint, how many.
 - Hypotheses that differ by effects too small to matter are one answer; the likeliest answer is taken.
-- The class of a cause is what replaces it in other hypotheses with a tenth of its probability or more, and what equals
-  it by definition and explains about as much.
+- The class of a cause is what replaces it in other hypotheses with a twentieth of its probability or more, and what
+  equals it by definition and explains about as much.
 - A class is named where a wrong name costs less than an abstention, and where the causes together explain what the
   background does not; else the verdict is `unknown`.
 """
@@ -19,6 +19,7 @@ from agent.diagnosis.evidence import Evaluated, Evidence
 from agent.diagnosis.finding import Finding, Hypothesis, near
 from agent.diagnosis.fit import Fit
 from agent.diagnosis.law import EvidenceLaw
+from agent.diagnosis.limits import LIMITS
 from agent.model import CATALOGUE
 
 _LISTED = 100  # hypotheses that a finding keeps
@@ -64,7 +65,7 @@ def decide(fit: Fit, evidence: Evidence, found: Sequence[Evaluated], observed: O
         for place in ordered
     ]
     kept = [one for one in classes if one[2] >= law.sure]
-    if not kept or leader.explained < law.adequate:
+    if not kept or leader.explained < LIMITS.explained:
         return finding("unknown")
     return finding("ambiguous" if kept[0][1] else "explained", kept)
 
@@ -104,13 +105,13 @@ def _log_prior(evidence: Evidence, hypothesis: Evaluated) -> float:
     if count == 0:
         return float(np.log(law.nothing))
     places = [np.log(joints) if evidence.candidate(k).joints else 0.0 for k in hypothesis.effects]
-    each = float(np.log((1 - law.other) / len(CATALOGUE)))
+    each = float(np.log((1 - law.rare) / len(CATALOGUE)))
     return float(
         np.log(1 - law.nothing)
-        + (count - 1) * np.log(law.further)
+        + (count - 1) * np.log(law.rare)
         + len(places) * each
         - sum(places)
-        + len(hypothesis.free) * np.log(law.other / joints)
+        + len(hypothesis.free) * np.log(law.rare / joints)
     )
 
 
@@ -155,7 +156,7 @@ def _class_of(
     for (places, _), share in answers.items():
         for other in places - names if place not in places else ():
             instead[other] = instead.get(other, 0.0) + share
-    alike = [other for other, share in instead.items() if share >= law.rival * own and near(place, other)]
+    alike = [other for other, share in instead.items() if share >= (1 - law.certain) * own and near(place, other)]
     alike = sorted(alike, key=lambda other: -instead[other])
     alike = list(dict.fromkeys([*alike, *equal]))[:_RIVALS]
     return tuple(alike), law.certain * min(1.0, own + sum(instead.get(other, 0.0) for other in alike))

@@ -474,8 +474,8 @@ class Evidence:
         """Log Bayes factor from which on a name stands alone: over a rival, or over nothing."""
         law = self.law
         if not against_nothing:
-            return float(-np.log(law.rival))
-        prior = (1 - law.nothing) * (1 - law.other) / len(CATALOGUE) / self.joints
+            return float(-np.log(1 - law.certain))
+        prior = (1 - law.nothing) * (1 - law.rare) / len(CATALOGUE) / self.joints
         sure = law.sure / law.certain
         return float(np.log(law.nothing / prior) + np.log(sure / (1 - sure)))
 

@@ -26,22 +26,22 @@ class EvidenceLaw:
     )
     nu: float = known(6.0, "degrees of freedom", "with which the model's held-out error is known", "chosen")
     nothing: float = known(0.5, "probability", "of no effect, before the data", "chosen")
-    other: float = known(0.1, "probability", "of an effect outside the catalogue, before the data", "chosen")
-    further: float = known(0.1, "probability", "of every further effect, before the data", "chosen")
+    rare: float = known(
+        0.1, "probability", "of an effect outside the catalogue, and of every further effect, before the data", "chosen"
+    )
     practical: float = known(
         0.003, "nominal torque", "smallest effect worth a name, in the log with most of it", "chosen"
     )
     exceeded: float = known(
         6.0, "squared background", "error of a joint from which on something is there, whatever it is", "chosen"
     )
-    adequate: float = known(
-        0.75, "gap beyond the background", "that causes explain, or the verdict is unknown", "derived: the contract"
-    )
     sure: float = known(0.6, "probability", "of a class that is named: a wrong name costs 1.5 abstentions", "chosen")
-    rival: float = known(0.1, "of the leader's probability", "from which on another belongs to its class", "chosen")
     most: int = known(3, "effects", "in one hypothesis", "chosen")
     certain: float = known(
-        0.95, "probability", "of something, below which an arm is healthy, and the highest of any class", "derived: 5 %"
+        0.95,
+        "probability",
+        "of something, below which an arm is healthy; the highest of any class; what its members leave to others",
+        "derived: 5 %",
     )
 
 

@@ -16,9 +16,8 @@ GUIDES = [ROOT / f"{name}.md" for name in ("CODE_OF_CONDUCT", "CONTRIBUTING", "S
 PAGES = [ROOT / "README.md", *GUIDES, *sorted((ROOT / "docs").rglob("*.md"))]
 #: Generated from code, whose tests check its words.
 PENDING = {"docs/reference.md"}
-#: Modules whose texts people read on terminal and pages; the last is being rewritten together with the diagnosis.
+#: Modules whose texts people read on terminal and pages.
 MODULES = {path for package in ("cli", "pipeline", "report") for path in (ROOT / "agent" / package).rglob("*.py")}
-MODULES -= {ROOT / "agent" / "report" / "diagnosis_page.py"}
 BUDGET = 25_000  # words of all pages, blocks of code apart
 LONGEST, MEAN, LONGEST_SHOWN = 35, 18, 25  # words of a sentence: of a page; of a text of the program
 #: Term, and what the field says.

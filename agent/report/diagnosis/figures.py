@@ -90,8 +90,8 @@ def gap_table(result: Mapping[str, Any]) -> Table:
         picture = Bars(bars, [(floor, SERIES[3])], unit)
         rows.append((joint, *(figure_text(error, unit) for error in errors), share, picture))
     rows.sort(key=lambda row: -entries[str(row[0])]["share"])
-    header = ("joint", "before", "after", "floor", "share of the gap", "before, after; stroke: floor")
-    caption = "Torque error before and after, and the floor: the difference between cycles."
+    header = ("joint", "before", "after", "repeatability", "share of the gap", "before, after; stroke: repeatability")
+    caption = "Torque error before and after, and repeatability: the difference between cycles."
     return Table("gap", header, rows, caption=caption)
 
 

@@ -179,7 +179,7 @@ def _closure_section(diagnosis: Diagnosis, simulated: Sequence[Simulated]) -> Se
     text = []
     if result["closure"] is not None and torque_gap(result):
         part = "All" if result["closure"] > 0.995 else f"{100 * result['closure']:.0f} %"
-        text.append(f"{part} of the torque gap is closed, counted down to the floor.")
+        text.append(f"{part} of the torque gap is closed, counted down to the repeatability.")
     text += [f"Held out: {fold['held_out']}, fitted on {', '.join(fold['fitted_on'])}." for fold in result["folds"]]
     parts: list[Any] = []
     if result.get("waterfall") and diagnosis.calibrated is None:
@@ -195,7 +195,7 @@ def _closure_section(diagnosis: Diagnosis, simulated: Sequence[Simulated]) -> Se
             for joint, of_joint in zip(robot.joint_names, errors, strict=True)
         ]
         text.append("What was executed is not what was planned; torque is judged on the executed motion.")
-        parts.append(Table("motion-gap", ("joint", "before [mrad, mm]", "after", "floor"), rows))
+        parts.append(Table("motion-gap", ("joint", "before [mrad, mm]", "after", "repeatability"), rows))
     figures = simulation_part(diagnosis, simulated)
     if figures is None:
         text.append(
