@@ -201,10 +201,10 @@ MESSAGES: dict[int, Any] = {}  # by type number
 
 
 @dataclass_transform(frozen_default=True)
-class Message:
+class FrameMessage:
     """A frozen dataclass whose annotated fields are a message's layout, under a type number.
 
-    A subclass is written `class Stop(Message, number=0x08)`; it is packed field by field.
+    A subclass is written `class Stop(FrameMessage, number=0x08)`; it is packed field by field.
     """
 
     TYPE: ClassVar[int]

@@ -25,7 +25,7 @@ from drivers.wire.fields import (
     Bytes16,
     Flag,
     Floats,
-    Message,
+    FrameMessage,
     Text,
     Texts,
 )
@@ -44,7 +44,7 @@ MAX_JOINTS = 16
 MAX_SEQUENCE = 2**62
 
 
-class Hello(Message, number=0x01):
+class Hello(FrameMessage, number=0x01):
     """First message of a client: the newest version it speaks and the watchdog it would like."""
 
     version: U16
@@ -52,18 +52,18 @@ class Hello(Message, number=0x01):
     client: Text
 
 
-class Welcome(Message, number=0x81):
+class Welcome(FrameMessage, number=0x81):
     """The version and the watchdog that are in force from now on, both ways."""
 
     version: U16
     watchdog_ms: U32
 
 
-class Identify(Message, number=0x02):
+class Identify(FrameMessage, number=0x02):
     """Who are you?"""
 
 
-class IdentityReply(Message, number=0x82):
+class IdentityReply(FrameMessage, number=0x82):
     """`period` [s] of interpolation and sampling."""
 
     robot: Text
@@ -74,11 +74,11 @@ class IdentityReply(Message, number=0x82):
     period: F64
 
 
-class AskStatus(Message, number=0x03):
+class AskStatus(FrameMessage, number=0x03):
     """How are you?"""
 
 
-class StatusReply(Message, number=0x83):
+class StatusReply(FrameMessage, number=0x83):
     """`drivers.protocol.Status`, field by field."""
 
     drives_on: Flag
@@ -94,7 +94,7 @@ class StatusReply(Message, number=0x83):
     emulator: Flag
 
 
-class UploadBegin(Message, number=0x04):
+class UploadBegin(FrameMessage, number=0x04):
     """A program of `size` bytes is coming; `checksum` is the SHA-256 (hex) of its bytes."""
 
     name: Text
@@ -102,25 +102,25 @@ class UploadBegin(Message, number=0x04):
     checksum: Text
 
 
-class UploadBlock(Message, number=0x05):
+class UploadBlock(FrameMessage, number=0x05):
     """The bytes from `offset` on; blocks come in order."""
 
     offset: U32
     data: Bytes
 
 
-class UploadEnd(Message, number=0x06):
+class UploadEnd(FrameMessage, number=0x06):
     """Check, translate and store what came."""
 
 
-class Stored(Message, number=0x86):
+class Stored(FrameMessage, number=0x86):
     """The SHA-256 (hex) of the text as it is stored now."""
 
     name: Text
     checksum: Text
 
 
-class Start(Message, number=0x07):
+class Start(FrameMessage, number=0x07):
     """Run the program once. A `motion_id` is good for one start, ever."""
 
     name: Text
@@ -128,42 +128,42 @@ class Start(Message, number=0x07):
     motion_id: Bytes16
 
 
-class Started(Message, number=0x87):
+class Started(FrameMessage, number=0x87):
     """The motion with this id has begun."""
 
     motion_id: Bytes16
 
 
-class Stop(Message, number=0x08):
+class Stop(FrameMessage, number=0x08):
     """Come to rest on the path. Answered by `Done` at once; `End` follows when the arm rests."""
 
 
-class Fetch(Message, number=0x09):
+class Fetch(FrameMessage, number=0x09):
     """Send samples again, out of the ring: at most `count`, the first at or after sequence number `first`."""
 
     first: U64
     count: U32
 
 
-class Heartbeat(Message, number=0x0A):
+class Heartbeat(FrameMessage, number=0x0A):
     """I am here. Either way, never answered."""
 
 
-class AskTemperatures(Message, number=0x0B):
+class AskTemperatures(FrameMessage, number=0x0B):
     """How warm are the motors? A controller from before there was this question refuses it."""
 
 
-class TemperaturesReply(Message, number=0x8B):
+class TemperaturesReply(FrameMessage, number=0x8B):
     """One a joint [°C]; none where the controller measures none."""
 
     celsius: Floats
 
 
-class AskFrames(Message, number=0x0C):
+class AskFrames(FrameMessage, number=0x0C):
     """Which frames are in force? A controller from before there was this question refuses it."""
 
 
-class FramesReply(Message, number=0x8C):
+class FramesReply(FrameMessage, number=0x8C):
     """Each as the six numbers of a POS: x, y, z [mm], Euler angles a, e, r [deg] about the moving axes z, y, z."""
 
     base: Floats
@@ -171,11 +171,11 @@ class FramesReply(Message, number=0x8C):
     uframe: Floats
 
 
-class Done(Message, number=0x80):
+class Done(FrameMessage, number=0x80):
     """The request was carried out and there is nothing more to say."""
 
 
-class End(Message, number=0x91):
+class End(FrameMessage, number=0x91):
     """The motion is over and the arm rests; `samples` is how many there were, `reason` an `EndReason`."""
 
     reason: U16
@@ -183,7 +183,7 @@ class End(Message, number=0x91):
     message: Text
 
 
-class Refused(Message, number=0xFF):
+class Refused(FrameMessage, number=0xFF):
     """The request was refused: a `Refusal`, a sentence for people, and for program text the place (from 1; 0: none)."""
 
     code: U16
