@@ -220,9 +220,9 @@ def _closure_section(diagnosis: Diagnosis, simulated: Sequence[Simulated]) -> Se
         header = ("joint", "torque, model", "with effects", "position, model [mrad, mm]", "with effects")
         parts += [Table("simulation", header, rows), simulated_torque(diagnosis, simulated)]
         text.append(
-            "Forward simulation: the model's arm runs the same set-points behind a servo with the measured delay. It is "
-            "compared with the measurement without and with the effects. What remains on every joint is the error of "
-            "that servo."
+            "Forward simulation: the model's arm runs the same set-points behind a servo with the measured delay. It "
+            "is compared with the measurement without and with the effects. What remains on every joint is the error "
+            "of that servo."
         )
     return Section("How far it shrinks", text, parts)
 
