@@ -16,7 +16,7 @@ import numpy as np
 from drivers.errors import ConfigurationError, DriverError, MotionStopped, RefusedError
 from drivers.protocol import Identity, Status
 from drivers.texts import place_of
-from drivers.transports.base import WATCHDOG, LinkDriver
+from drivers.transports.base import WATCHDOG, LinkDriver, check_currents
 from drivers.transports.tcp import parse_address
 from drivers.transports.ur import motion as states, rtde
 from drivers.transports.ur.dashboard import Dashboard, UrModel
@@ -76,27 +76,22 @@ class UrDriver(LinkDriver[UrLink, UrMotion]):
         motion = self._motion
         return {} if motion is None or not motion.markers else {"cycle_markers_s": json.dumps(motion.markers)}
 
-    def connect(self) -> None:
+    def _open(self) -> None:
         """Ask the dashboard who is there, then open RTDE and the primary interface."""
-        self.close()
-        self._motion, self._stored = None, None
-        try:
-            self._dashboard = Dashboard(self._places["dashboard"], self._timeout)
-            self._model = self._dashboard.model()
-            self._link = UrLink(
-                self._places["primary"],
-                self._places["rtde"],
-                self._model.period,
-                self._timeout,
-                self._on_samples,
-                self._on_message,
-                self._on_failure,
-            )
-            if self._link.simulated():
-                self._link.watchdog = _SIMULATED
-        except BaseException:
-            self.close()
-            raise
+        self._stored = None
+        self._dashboard = Dashboard(self._places["dashboard"], self._timeout)
+        self._model = self._dashboard.model()
+        self._link = UrLink(
+            self._places["primary"],
+            self._places["rtde"],
+            self._model.period,
+            self._timeout,
+            self._on_samples,
+            self._on_message,
+            self._on_failure,
+        )
+        if self._link.simulated():
+            self._link.watchdog = _SIMULATED
 
     def identify(self) -> Identity:
         """As the dashboard has it."""
@@ -170,8 +165,7 @@ class UrDriver(LinkDriver[UrLink, UrMotion]):
         self._check_ready(link, program)
         assert self._model is not None
         motion = UrMotion(program.name, self._model.period, self.torque_per_ampere, self._buffer_limit)
-        self._motion = motion
-        try:
+        with self._start_of(motion):
             link.beating = True
             link.allow(0)
             link.send_program(program.text)
@@ -183,18 +177,13 @@ class UrDriver(LinkDriver[UrLink, UrMotion]):
                 link.check()
                 raise DriverError(f"{self.address}: the program was let go and does not move; it is being stopped")
             link.allow(0)  # a program that arrives once more is not allowed to move
-        except RefusedError:
-            self._motion, link.beating = None, False
-            raise
-        except BaseException:
-            self.close()
-            raise
 
-    def stop(self) -> None:
+    def _not_started(self) -> None:
+        if self._link is not None:
+            self._link.beating = False
+
+    def _bring_to_rest(self, link: UrLink, motion: UrMotion | None) -> None:
         """End the program, and wait until the arm rests; where it goes on, the heartbeat is withheld."""
-        link, motion = self._link, self._motion
-        if link is None or self._nothing_to_stop(link, motion):
-            return
         if motion is not None:
             motion.stopping = True
         elif link.failure is None and not _plays(link.fresh()):
@@ -255,12 +244,7 @@ class UrDriver(LinkDriver[UrLink, UrMotion]):
             RefusedError: it is not; both values are named.
             ConfigurationError: nobody has said what torque an ampere is.
         """
-        joints = len(JOINTS)
-        if self.torque_per_ampere.shape != (joints, joints):
-            raise ConfigurationError(
-                f"the link delivers motor currents of {joints} joints; torque_per_ampere has the shape "
-                f"{self.torque_per_ampere.shape}"
-            )
+        check_currents(self.torque_per_ampere, len(JOINTS))
         sample = link.fresh()
         if _plays(sample):
             raise RefusedError(f"{self.address}: another program runs on the controller; stop it there first")
