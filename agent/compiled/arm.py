@@ -32,8 +32,11 @@ def _place(
     screws: np.ndarray,
     bodies: np.ndarray,
 ) -> None:
-    """Of the arm at q (n,) the joints' `screws` (n, 6), angular velocity and that of a point at the base's origin, and
-    the links' `bodies` (n, 10) about that origin. `room` is (3, 3, 3)."""
+    """Write the joints' `screws` (n, 6) and the links' `bodies` (n, 10) of the arm at q (n,).
+
+    A screw is the angular velocity and the velocity of a point at the base's origin; bodies are about that origin.
+    `room` is scratch memory (3, 3, 3).
+    """
     turn, fixed, half = room[0], room[1], room[2]
     for row in range(3):
         for k in range(3):
@@ -167,7 +170,7 @@ def _balance(
 
 @compiled("void(f8[:,::1], f8[::1])")
 def _solve(matrix: np.ndarray, x: np.ndarray) -> None:
-    """The solution in place of x (n,), for the lower triangle of a symmetric matrix, which is lost: L D Lᵀ."""
+    """Overwrite x (n,) with the solution for the lower triangle of a symmetric matrix, overwritten by L D Lᵀ."""
     n = len(x)
     for k in range(n):
         for i in range(k + 1, n):
@@ -209,7 +212,7 @@ def _damping(friction: np.ndarray, speed: float) -> float:
 
 @compiled("f8(f8[:], f8, f8[::1], f8)")
 def _held(friction: np.ndarray, speed: float, bristle: np.ndarray, dt: float) -> float:
-    """[N·m] of bristles, advanced by a step, and of what is viscous beside them."""
+    """Bristle torque [N·m] after one step, plus the viscous torque."""
     coulomb, rise, per_speed, viscous, per_knee, stiffness = friction[4:]
     ratio = speed * per_speed
     ratio *= ratio

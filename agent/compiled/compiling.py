@@ -17,7 +17,7 @@ Function = TypeVar("Function", bound=Callable[..., object])
 def compiled(signature: str) -> Callable[[Function], Function]:
     """Compile for one signature, strictly as written: no fused or reordered arithmetic, so digits are NumPy's.
 
-    The result is kept beside the module, or where that cannot be written in the user's cache, or else in a temporary
+    The result is kept next to the module. If that fails, it goes to the user's cache, or else to a temporary
     folder of the user's own. Numba looks at the module's own text to see whether it is stale, so a compiled function
     may call those of its own module only.
     """
@@ -27,7 +27,7 @@ def compiled(signature: str) -> Callable[[Function], Function]:
     def compile_it(function: Function) -> Function:
         try:
             return kept(function)
-        except (RuntimeError, OSError):  # no such place, or none that has room
+        except (RuntimeError, OSError):  # no such folder, or the disk is full
             pass
         try:
             numba.config.CACHE_DIR = _own_folder()  # type: ignore[attr-defined]

@@ -93,7 +93,7 @@ def fastest(  # noqa: C901
 
 @compiled("f8[::1](f8[::1], f8[::1], f8)")
 def held(s: np.ndarray, ceiling: np.ndarray, window: float) -> np.ndarray:
-    """(K,) the ceiling of ṡ² at places s (K,), with every dip held as far as half a window's way around it."""
+    """Ceiling of ṡ² (K,) at parameters s (K,); each dip is extended by half a window's distance to either side."""
     wide = ceiling.copy()
     for k in range(1, len(s) - 1):
         if ceiling[k] <= ceiling[k - 1] and ceiling[k] < ceiling[k + 1]:
@@ -140,7 +140,7 @@ def lowered(
             needed = speed[k] / (1.002 * max(stretch[k], 1.0))
             for other in range(max(k - half, 0), min(k + half + 1, len(s))):
                 lowest[other] = min(lowest[other], needed * needed)
-    # A sample that breaks a limit as the arm sets off says nothing about the speed; the floor keeps the arm moving.
+    # A sample that breaks a limit as the arm sets off says nothing about the speed; the minimum keeps the arm moving.
     floor = 1e-6 * np.max(ceiling)
     found = ceiling.copy()
     for k in range(len(knots)):

@@ -38,7 +38,7 @@ def regressor_columns(
             at, rate, change = q[k, link], qd[k, link], qdd[k, link]
             slides = prismatic[link]
             if slides:
-                # The sliding frame's origin lies so much farther along the axis.
+                # The sliding frame's origin moves along the axis by the joint position.
                 x0, x1, x2 = at * s0, at * s1, at * s2
                 p0 += rotations[link, 0, 0] * x0 + rotations[link, 0, 1] * x1 + rotations[link, 0, 2] * x2
                 p1 += rotations[link, 1, 0] * x0 + rotations[link, 1, 1] * x1 + rotations[link, 1, 2] * x2

@@ -23,7 +23,7 @@ def averaged(
 ) -> np.ndarray:
     """(3, S) s, ṡ and s̈ at growing times t (S,): those of a law of constant accelerations, averaged over a window.
 
-    The law: at times (K,) s, ṡ and the integral of s (K,), s̈ of the cells between (K - 1,); at rest outside of them.
+    The law: at times (K,) s, ṡ and the integral of s (K,), s̈ of the cells between (K - 1,); stationary outside them.
     """
     found = np.empty((3, len(t)))
     last, end = len(times) - 1, times[-1]

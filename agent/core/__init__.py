@@ -1,4 +1,4 @@
-"""What every room uses: errors, units, documents, the console, memory, and tasks on many cores."""
+"""Shared by all packages: errors, units, documents, the console, memory, and tasks on many cores."""
 
 import lazy_loader
 

@@ -195,7 +195,7 @@ def without_faults(data: Any, faults: Iterable[tuple[Any, ...]]) -> Any:
     """A copy of a document in which the faulty keys are missing; where one is missing already, what should hold it."""
     there = {location[: _depth(data, location)] for location in faults}
     kept = copy.deepcopy(data)
-    # from the end, so that the places in a list still are what they were
+    # from the end, so that earlier list indices stay valid
     for *above, last in sorted((place for place in there if place), key=_in_order, reverse=True):
         holder = kept
         with contextlib.suppress(KeyError, IndexError, TypeError):  # gone with what held it

@@ -41,7 +41,7 @@ def written_whole(path: Path) -> Iterator[Path]:
 def write_atomically(path: Path, text: str) -> Path:
     """Write a text, whole or not at all. A password that this process has read is left out.
 
-    A device or a pipe is written to as it is: a rename would put a file in its place.
+    A device or a pipe is written to directly: a rename would replace it with a file.
 
     Raises:
         AgentError: disk full, read-only or no rights; the old file is untouched.

@@ -21,7 +21,7 @@ def symmetric_eigen(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def cubic_spline(knots: np.ndarray, values: np.ndarray, places: np.ndarray, natural: bool = False) -> np.ndarray:
-    """(P, m) at places (P,) of the cubic splines through values (K, m) at ascending knots (K,), four or more.
+    """(P, m) at points (P,) of the cubic splines through values (K, m) at ascending knots (K,), four or more.
 
     Not-a-knot at the ends (one cubic over the first two intervals, and one over the last two): the outer cubics go on
     beyond them. `natural`: no bending at the ends, and straight on beyond them.
@@ -30,7 +30,7 @@ def cubic_spline(knots: np.ndarray, values: np.ndarray, places: np.ndarray, natu
 
 
 class CubicSplines:
-    """The splines of `cubic_spline` through values (K, m), to be asked at places more than once."""
+    """The splines of `cubic_spline` through values (K, m), for repeated evaluation."""
 
     def __init__(self, knots: np.ndarray, values: np.ndarray, natural: bool = False):
         from scipy.interpolate import CubicSpline  # heavy to import, needed only once there is something to fit
@@ -39,7 +39,7 @@ class CubicSplines:
         self._spline = CubicSpline(knots, values, bc_type="natural" if natural else "not-a-knot")
 
     def __call__(self, places: np.ndarray) -> np.ndarray:
-        """(P, m) at places (P,)."""
+        """(P, m) at points (P,)."""
         if not self._natural:
             return np.asarray(self._spline(places))
         inside = np.clip(places, *self._ends)

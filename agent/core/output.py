@@ -110,7 +110,7 @@ class PatientStream(io.TextIOBase):
                 thread = threading.Thread(target=self._work, name="messages", daemon=True)
                 thread.start()
                 self._thread = thread
-            except (RuntimeError, MemoryError):  # no room for a thread; the next message tries again
+            except (RuntimeError, MemoryError):  # no thread is available; the next message tries again
                 self._starting.release()
 
     # The methods below run in the thread.

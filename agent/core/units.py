@@ -55,7 +55,7 @@ class Dimension(Enum):
 
 @dataclass(frozen=True)
 class Bare:
-    """Sizes that a number without a unit may have in one place [SI], and the unit that was probably meant beyond them.
+    """Plausible range [SI] of a number without a unit, and the unit that was probably meant beyond it.
 
     A whole number of that unit is what people forget to write a unit behind: `30` for 30 deg, `7` for 7 d.
     """

@@ -194,8 +194,10 @@ class RigidFit:
 
 
 def overfitted(fit: RigidFit, torque: np.ndarray) -> bool:
-    """Whether the joints' median torque (S, n) is predicted so much worse than it is fitted that few seconds say
-    nothing of mistakes."""
+    """Whether the joints' median torque (S, n) is predicted far worse than it is fitted.
+
+    A log that short says nothing about mistakes.
+    """
     left = np.sqrt(fit.errors(torque).sum(axis=0) / np.maximum(np.sum(torque**2, axis=0), 1e-300))
     return bool(np.median(left / np.maximum(fit.solution(torque).left, 0.01)) > _OVERFITTED)
 

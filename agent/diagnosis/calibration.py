@@ -89,7 +89,7 @@ class ReleasedSimulator:
 def calibration(dataset: Dataset, links: bool = True, beside: Sequence[Candidate] = ()) -> ReleasedSimulator:
     """Release group after group while that gains; without `links`, friction and rotors only.
 
-    What gains is chosen with the effects `beside`; the numbers are moved without them, for a search to start from.
+    The choice of numbers includes the effects `beside`. The numbers are then moved without them, as the search's start.
     """
     pool = [group for group in _groups(dataset) if links or group.kind != "link inertia"]
     chosen: list[Group] = []

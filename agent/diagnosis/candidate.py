@@ -64,7 +64,7 @@ class Fold:
 
 
 def make_candidates(context: FitContext, wanted: Sequence[Wanted]) -> list[Candidate]:
-    """Candidates with their columns, filtered as the torque is and over the background of `context`."""
+    """Candidates with their columns, filtered like the torque and divided by the noise level of `context`."""
     for kind in {effect for effect, *_ in wanted}:
         kind.prepare(context.signals, [(joints, settings) for effect, joints, settings in wanted if effect is kind])
     starts = range(0, len(wanted), _TOGETHER)

@@ -62,7 +62,7 @@ def assemble(
 ) -> Dataset:
     """Residuals of a model, given or fitted, on logs.
 
-    `friction` says how far stiction goes at rest where the model's own levels do not.
+    `friction` gives the stiction level at standstill if the model's own levels do not.
 
     Raises:
         InputError: a log or model of another robot, a log too short for the filter or without torque, or one with a
@@ -195,10 +195,10 @@ def background_of(
     limits: DecisionLimits,
     beside: Sequence[MotionSignals] = (),
 ) -> np.ndarray:
-    """(S', n) [N·m] what the model itself gets wrong: its held-out error (n,), more within 0.1 s of standing still.
+    """Model error (S', n) [N·m]: the held-out error (n,), and more within 0.1 s of a standstill.
 
-    There stiction leaves the torque anywhere below the Coulomb level.
-    `beside`: as for `standing`.
+    At a standstill, stiction allows any torque below the Coulomb level.
+    `beside`: see `standing`.
     """
     still = np.maximum(limits.stiction * stiction(reference), 2 * moving)
     found = standing(signals, limits, beside)
@@ -213,7 +213,7 @@ def background_of(
 
 
 def stiction(reference: NominalModel) -> np.ndarray:
-    """(n,) [N·m] Coulomb level: as far as that goes the torque of a standing joint to either side."""
+    """Coulomb level (n,) [N·m]: bound of the torque of a stationary joint in either direction."""
     model, level = reference.model, np.zeros(reference.robot.dof)
     for k, term in enumerate(model.terms):
         if term.form == "coulomb":

@@ -4,8 +4,8 @@
 - Hypotheses that differ by effects too small to matter are one answer; the likeliest answer is taken.
 - The class of a cause is what replaces it in other hypotheses with a twentieth of its probability or more, and what
   equals it by definition and explains about as much.
-- A class is named where a wrong name costs less than an abstention, and where the causes together explain what the
-  background does not; else the verdict is `unknown`.
+- A class is named if a wrong name costs less than an abstention and the causes together explain what the noise model
+  does not. Otherwise the verdict is `unknown`.
 """
 
 from __future__ import annotations

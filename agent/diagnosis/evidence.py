@@ -1,16 +1,21 @@
 """Log evidence of hypotheses: which effects, on which joints, explain the torque that a model leaves.
 
-All rows of joint j, over its background σ_j, follow one linear Gaussian model:
+All rows of joint j, divided by its noise level σ_j, follow one linear Gaussian model:
 
     r_j = X_j δ + Z_jh β_h + U_j γ_j + e_j,    e_j ~ N(0, s_j²),    δ ~ N(δ₀, Λ⁻¹),    β_h ~ N(0, size² / rms²),
     γ_j ~ N(0, s_j² g² + drift² + form² τ_jh² + free_j²),           s_j² ~ inverse gamma (ν / 2, ν / 2)
 
-X_j are the model's columns, whose parameters move within the covariance stored with them; Z_jh those of the hypothesis'
-effects; U_j the background (`background`). The background's variance has four parts: the model's own systematic error
-(g), what an arm changes by itself (drift), what is wrong with the form of any effect (a share of its own torque τ), and
-"something else on this joint" (free_j). δ, β and γ are integrated out in closed form, the scales s_j and the effects'
-sizes are fitted (Laplace, empirical Bayes), so parameters that the data do not need cost evidence (Kass and Raftery,
-J. Am. Statist. Assoc. 90, 1995). Each nonlinear parameter that was chosen on the data costs ½ log N.
+X_j are the model's columns, whose parameters move within the covariance stored with them. Z_jh are the columns of the
+hypothesis' effects, and U_j those of the noise model (`background`). The variance of the noise model has four parts:
+
+- the model's own systematic error (g);
+- changes of the arm over time (drift);
+- errors in the parameterisation of any effect (form, a share of its own torque τ);
+- "something else on this joint" (free_j).
+
+δ, β and γ are integrated out in closed form. The scales s_j and the effects' sizes are fitted (Laplace, empirical
+Bayes). Parameters that the data do not need therefore cost evidence (Kass and Raftery, J. Am. Statist. Assoc. 90,
+1995). Each nonlinear parameter that was chosen on the data costs ½ log N.
 
 Only second moments of the rows enter, so a hypothesis costs a few small factorisations.
 """
@@ -32,8 +37,8 @@ from agent.model import CATALOGUE
 from agent.simulators import SIMULATOR
 
 _ROWS = 0.016  # s between the rows that are kept: their rate is twice the usual cut-off of 30 Hz
-_LEAST_SCALE = 0.2  # of σ²: no background is known to be smaller
-_FORM = 100.0  # of σ² per background column, at most, for what is wrong with a form: moments are of float32 columns
+_LEAST_SCALE = 0.2  # of σ²: no smaller noise level is known
+_FORM = 100.0  # of σ² per noise column, at most, for a wrong parameterisation: moments are of float32 columns
 _AT_ONCE = 64  # candidates whose own moments are worked out together
 _POWER = 0.84  # standard deviations that 80 % of draws exceed
 
@@ -42,9 +47,9 @@ _POWER = 0.84  # standard deviations that 80 % of draws exceed
 class JointMoments:
     """One joint under a hypothesis, over [X, Z, r].
 
-    `reduced`: moments with the background integrated out; `lower`: Cholesky factor of the background's precision;
-    `half`: its solution with the cross moments; `moments`: B of [X, Z, r], V of U with these, Q of U; `at`: places of X
-    and Z among all parameters; `effects`: which effects act here.
+    `reduced`: moments with the noise model integrated out; `lower`: Cholesky factor of the noise model's precision;
+    `half`: its solution with the cross moments; `moments`: B of [X, Z, r], V of U with these, Q of U; `at`: indices of
+    X and Z among all parameters; `effects`: which effects act here.
     """
 
     reduced: np.ndarray
@@ -58,12 +63,12 @@ class JointMoments:
 
 @dataclass(frozen=True, eq=False)
 class Evaluated:
-    """A hypothesis, integrated.
+    """A hypothesis with its log evidence `log`.
 
-    `effects` are numbers of the pool, `free` the joints with "something else" and its size. `log` is the log evidence,
-    `values[k]` the posterior mean of effect k, `torque[k]` its torque per joint over nominal, root mean square while it
-    lasts in the log with most, fitted without the background, `left` (n,) the squared torque over nominal that remains
-    beyond the background.
+    `effects` are numbers of the pool. `free` maps joints with "something else" to its size. `values[k]` is the
+    posterior mean of effect k. `torque[k]` is its torque per joint over nominal, fitted without the noise model: the
+    root mean square while it lasts, in the log with most. `left` (n,) is the squared torque over nominal that neither the effects
+    nor the noise model explain.
     """
 
     effects: tuple[int, ...]
@@ -148,8 +153,8 @@ class Evidence:
     candidates : sequence of Candidate
         The pool to begin with.
     healthy : sequence of (Candidate, float), optional
-        Effects that the healthy arm has, and their torque over nominal: part of the background. If None, nothing is
-        known of this arm, and the background takes from the pool what every arm has a little of.
+        Effects that the healthy arm has, and their torque over nominal: part of the noise model. If None, nothing is
+        known about this arm, and the noise model includes small amounts of the pool's effects that every arm has.
     law : EvidenceLaw, optional
         The numbers of the decision.
     """
@@ -251,9 +256,9 @@ class Evidence:
         return effect.plausible(settings, named) and effect.possible(self.reference, candidate.joints, settings, named)
 
     def as_expected(self, base: Evaluated) -> Evaluated:
-        """The same hypothesis with no joint's error above the background.
+        """The same hypothesis with no joint's error scale above that of the noise model.
 
-        What a large effect leaves raises the scales, and at these the background explains anything smooth.
+        The remainder of a large effect raises the scales, and then the noise model explains anything smooth.
         """
         if base.scales.max() <= 1:
             return base
@@ -283,7 +288,7 @@ class Evidence:
         scales = np.ones(self.joints) if scales is None else scales.copy()
         form, sizes = np.zeros(self.joints), [law.sizes[1]] * len(effects)
         touched = {j for k in effects for j in self.candidate(k).blocks} | set(free)
-        if refit and self._nothing:  # a large effect raises the scales, and the background would then explain all of it
+        if refit and self._nothing:  # a large effect raises the scales, and the noise model would then explain it
             scales[list(touched)] = np.minimum(scales[list(touched)], 1.0)
         rounds = 3 if self._nothing else 4
         for last in [False] * rounds + [True]:
@@ -333,7 +338,7 @@ class Evidence:
         sizes: Sequence[float],
         ends: np.ndarray,
     ) -> list[np.ndarray]:
-        """Per effect its parameters (k,) in a fit without the background, which would take a part of any effect."""
+        """Parameters (k,) of each effect, fitted without the noise model, which would absorb part of any effect."""
         base = len(self._prior)
         matrix, side = np.zeros((int(ends[-1]),) * 2), np.zeros(int(ends[-1]))
         matrix[:base, :base], side[:base] = self._prior, self._pull
@@ -420,9 +425,10 @@ class Evidence:
         return found
 
     def information(self, forms: Sequence[Candidate]) -> tuple[np.ndarray, np.ndarray]:
-        """Return the information (m, m) of the logs on the parameters of the model and of forms, beyond the background.
+        """Return the information (m, m) of the logs on the parameters of the model and of forms, given the noise model.
 
-        Also where the parameters of each form begin and end. The scales are those of the likeliest hypothesis so far.
+        Also return where the parameters of each form begin and end. The scales are those of the likeliest hypothesis
+        so far.
         """
         numbers = self._numbers(forms)
         ends = len(self._prior) + np.cumsum([0, *(len(form.names) for form in forms)])
@@ -460,9 +466,9 @@ class Evidence:
         return np.asarray(1 / (np.maximum(rms, 1e-9) * np.sqrt(len(rms))))
 
     def reduced(self, joint: int, rows: np.ndarray, free: np.ndarray, step: float) -> np.ndarray:
-        """(k, k) information that further rows (S, k) of a joint have beyond the background.
+        """Information (k, k) of further rows (S, k) of a joint, given the noise model.
 
-        Rows are over σ and `step` [s] apart; `free` (S, m) are the background's columns on them, over σ.
+        Rows are divided by σ and `step` [s] apart; `free` (S, m) are the noise model's columns on them, divided by σ.
         """
         scale, weight = min(float(self.nothing.scales[joint]), 1.0), step / self.law.independent
         square = free.T @ free * weight
@@ -539,7 +545,7 @@ class Evidence:
         return own, cross, gram[of_free, of_free]
 
     def _variance(self, joint: int, scale: float, form: float, free: Mapping[int, float]) -> float:
-        """Of the background's coefficients, over σ²."""
+        """Prior variance of the noise model's coefficients, over σ²."""
         law, unit = self.law, float(self.unit[joint])
         return (
             scale * law.systematic**2
@@ -618,7 +624,7 @@ class Evidence:
         return 0.5 * float(np.log(self.count)) * chosen
 
     def _left(self, j: int, joint: JointMoments, mean: np.ndarray) -> float:
-        """Squared torque over nominal that remains beyond the background's usual energy."""
+        """Squared torque over nominal that remains beyond the noise model's usual energy."""
         rest, square = np.append(mean, -1.0), joint.moments[2]
         usual = 1 + float(np.trace(square)) / self.count * self._variance(j, 1.0, 0.0, {})
         return max(float(rest @ joint.moments[0] @ rest) / self.count - usual, 0.0) / float(self.unit[j]) ** 2
@@ -658,7 +664,7 @@ def _solved(matrix: np.ndarray, side: np.ndarray) -> tuple[np.ndarray, float]:
 
 
 def _energy(joint: JointMoments, scale: float, mean: np.ndarray) -> float:
-    """Energy that model, effects and background leave on a joint at parameters (k,)."""
+    """Energy that model, effects and noise model leave on a joint at parameters (k,)."""
     own, cross, square = joint.moments
     rest = np.append(mean, -1.0)
     pull = cross @ rest

@@ -1,4 +1,4 @@
-"""What a search for causes comes to, and how sure it is."""
+"""The result of a search for causes, and its probability."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from agent.diagnosis.fit import Fit
 
 
 def near(place: Where, other: Where) -> bool:
-    """Whether two places are on the same joints, or one of them on the whole arm."""
+    """Whether two hypotheses are on the same joints, or one of them is on the whole arm."""
     return place[1] == other[1] or not place[1] or not other[1]
 
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """Effects that may be there together, and joints with something else that no effect of the catalogue is.
+    """Effects that may act together, and joints with something else that is not in the catalogue.
 
-    `gain` is the log Bayes factor against no effect, `probability` the posterior, `torque[k]` the largest torque of
-    effect k over nominal, `explained` the share of the torque beyond the background that is gone, and `scale` the
-    largest squared error that is left on a joint, over its background.
+    `gain` is the log Bayes factor against no effect, and `probability` the posterior. `torque[k]` is the largest torque
+    of effect k over nominal. `explained` is the share explained of the torque beyond the noise model. `scale` is the
+    largest squared error left on a joint, divided by its noise variance.
     """
 
     effects: tuple[Candidate, ...]
@@ -40,11 +40,11 @@ class Hypothesis:
 
 @dataclass(frozen=True, eq=False)
 class Finding:
-    """The verdict of a search, and what it rests on.
+    """The verdict of a search, and the evidence for it.
 
-    `fit` has the causes as part of the model. `rivals[k]` are places that these motions cannot distinguish from cause
-    k, and `probability[k]` is that of cause k or one of them. `hypotheses` are sorted by probability, and `healthy` is
-    that of no effect that matters. `zero_known`: there was a log with the drives off.
+    `fit` has the causes as part of the model. `rivals[k]` are hypotheses that these motions cannot distinguish from
+    cause k, and `probability[k]` is that of cause k or one of them. `hypotheses` are sorted by probability; `healthy`
+    is the probability of no effect that matters. `zero_known`: there was a log with the drives off.
     """
 
     verdict: str
@@ -59,7 +59,7 @@ class Finding:
 
     @property
     def exceeded(self) -> bool:
-        """Whether a joint is so far beyond the background that something is there, whatever it is."""
+        """Whether a joint's error exceeds the noise model enough that some cause, known or not, must exist."""
         return next(h for h in self.hypotheses if not h.effects and not h.free).scale >= self.evidence.law.exceeded
 
     def only(self, kept: Sequence[int], fit: Fit) -> Finding:
@@ -78,12 +78,12 @@ class Finding:
         return replace(self, verdict=verdict, fit=fit, causes=(), rivals=(), probability=())
 
     def with_rival(self, number: int, place: Where) -> Finding:
-        """The same with one more place that equals a cause, by number."""
+        """The same finding with one more hypothesis that equals a cause, by number."""
         rivals = tuple((place, *r) if k == number and place not in r else r for k, r in enumerate(self.rivals))
         return replace(self, verdict="ambiguous" if rivals[0] else self.verdict, rivals=rivals)
 
     def with_runner_up(self) -> Finding:
-        """The same with the likeliest place that stands for the first cause in another hypothesis as its equal."""
+        """The same finding with the likeliest replacement of the first cause in another hypothesis as its equal."""
         place = self.causes[0].place
         others = (other for h in self.hypotheses if place not in h.places for other in h.places)
         likely = next((other for other in others if near(place, other)), None)

@@ -4,10 +4,10 @@ Residuals r of the model are explained by a change δ of its parameters and by c
 
     minimise Σ_j |r_j − X_j δ − Z_j β|² / (T σ_j²) + (δ − δ₀)ᵀ Λ (δ − δ₀)
 
-with σ_j the model's own held-out error of joint j (the background; more at standstill, where stiction leaves the torque
-open, and whose rows are whitened: `Rests`), Λ the inverse of the covariance stored in the model, and T rows to one that
-is independent. Moments are kept per cell of rows, so every fold is arithmetic
-on small matrices. With H = Λ + XᵀX and the Schur complement S = ZᵀZ − ZᵀX H⁻¹ XᵀZ: β = S⁻¹ (Zᵀr − ZᵀX H⁻¹ Xᵀr).
+with σ_j the noise level, Λ the inverse of the covariance stored in the model, and T rows to one independent row. The
+noise level is the model's own held-out error of joint j. It is larger at standstill, where stiction leaves the torque
+open; these rows are whitened (`Rests`). Moments are kept per cell of rows, so every fold is arithmetic on small
+matrices. With H = Λ + XᵀX and the Schur complement S = ZᵀZ − ZᵀX H⁻¹ XᵀZ: β = S⁻¹ (Zᵀr − ZᵀX H⁻¹ Xᵀr).
 """
 
 from __future__ import annotations
@@ -125,7 +125,7 @@ class Fit:
 
     @property
     def sigmas(self) -> list[np.ndarray]:
-        """Per motion (S', n) [N·m]: the background."""
+        """Noise level per motion (S', n) [N·m]."""
         return np.split(self.sigma, self.cuts)
 
     @property

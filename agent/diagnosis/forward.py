@@ -24,7 +24,7 @@ from agent.simulators import SERVO_STIFFNESS, ForwardSimulation, RigidActuation,
 if TYPE_CHECKING:
     from agent.diagnosis.result import Diagnosis
 
-#: Of each log so much is simulated at most [s]; a simulation costs about a tenth of the motion's time.
+#: Simulated duration per log, at most [s]; a simulation costs about a tenth of the motion's time.
 LONGEST = 10.0
 _ROUNDS = 2
 _POSITION_GAIN = 30.0  # 1/s

@@ -1,12 +1,12 @@
 """The gap in motion: the given and the corrected simulator run from measured states, and how far they drift.
 
-Windows of up to two seconds start at measured positions and velocities. Where logs have no torque, the servos of the
-simulator's file follow the recorded set-points, each until the next. Where these stand beside torque, and a servo like
+Windows of up to two seconds start at measured positions and velocities. If logs have no torque, the servos of the
+simulator's file follow the recorded set-points, each until the next. If logs have both, a servo is fitted:
 
     τ = kp e + kd ė + ki ∫ e + a ṙ + b r̈ + c,  e = r − q
 
-describes the torque on motion that it was not fitted to, both simulators follow the set-points through it; else both
-are given the recorded torque. A window's corrected simulator is the one fitted without the motion that it lies in.
+If it describes the torque on motion that it was not fitted to, both simulators follow the set-points through it.
+Otherwise both apply the recorded torque. A window's corrected simulator is fitted without the motion of the window.
 """
 
 from __future__ import annotations

@@ -15,13 +15,13 @@ from agent.diagnosis.limits import LIMITS, DecisionLimits
 
 @dataclass(frozen=True, eq=False)
 class HeldOutGap:
-    """Errors held out, `raw` without and `left` with the causes (S', n) [N·m], NaN on guards; their size on each joint.
+    """Held-out errors without (`raw`) and with the causes (`left`), (S', n) [N·m], NaN on guards; their size per joint.
 
-    At rest both are what is beyond stiction, of which `open` (S', n) [N·m] is left: there friction is anything within
-    the Coulomb level to either side, and no model knows it, though it comes back with every cycle.
+    At standstill, friction is anything within the Coulomb level in either direction. No model knows it, although it
+    repeats with every cycle. So both errors are reduced by the open part of stiction there, `open` (S', n) [N·m].
 
-    `before`, `after`, `floor` (n,) are their RMSE over `unit` (n,), nominal torque or 1 N·m if not said; `floor` is
-    what does not repeat from cycle to cycle, None without repeats.
+    `before`, `after` and `floor` (n,) are RMSE values over `unit` (n,): nominal torque, or 1 N·m if unknown. `floor` is
+    the repeatability from cycle to cycle, None without repeats.
     """
 
     raw: np.ndarray
@@ -50,17 +50,17 @@ class HeldOutGap:
         return 1 - float(np.mean(self.after**2)) / whole if whole > 0 else 0.0
 
     def closure_without(self, left: np.ndarray) -> float | None:
-        """What is lost of the closure where (S', n) [N·m] is left instead."""
+        """Loss of explained gap if (S', n) [N·m] is left instead."""
         return closure(self.before, rms(self.beyond(left)) / self.unit, self.after, self.floor, self.limits)
 
     def closure_on(self, joints: Sequence[int], left: np.ndarray) -> float | None:
-        """The part of what joints have left, where (S', n) [N·m] is left instead, that is closed."""
+        """Part of the remaining error of joints that is closed if (S', n) [N·m] is left instead."""
         at, floor = list(joints), None if self.floor is None else self.floor[list(joints)]
         without = (rms(self.beyond(left)) / self.unit)[at]
         return closure(without, without, self.after[at], floor, self.limits)
 
     def beyond(self, rows: np.ndarray) -> np.ndarray:
-        """(S', n) [N·m] what of an error is beyond stiction."""
+        """Part of an error (S', n) [N·m] that stiction does not allow."""
         return _beyond(rows, self.open)
 
 
@@ -92,7 +92,7 @@ def held_out_gap(dataset: Dataset, fit: Fit, unit: np.ndarray | None = None) -> 
 
 
 def _beyond(rows: np.ndarray, stuck: np.ndarray) -> np.ndarray:
-    """Energy that stiction leaves open is taken off, row by row."""
+    """Subtract the energy that stiction leaves open, row by row."""
     return np.sign(rows) * np.sqrt(np.maximum(rows**2 - stuck**2, 0.0))
 
 
@@ -126,6 +126,6 @@ def _floor(dataset: Dataset, left: np.ndarray, unit: np.ndarray, before: np.ndar
     floor = np.sqrt(0.5 * np.mean(np.concatenate(parts) ** 2, axis=0)) / unit
     if not dataset.given:
         return floor
-    # what does not repeat, a contact or a torque that wanders, is no floor: a model's error on other motions bounds it
+    # a contact or a drifting torque does not repeat either: the model's error on other motions bounds the repeatability
     usual = dataset.model.held_out_rmse / unit
     return np.where(before > dataset.limits.usual_error * usual, np.minimum(floor, usual), floor)

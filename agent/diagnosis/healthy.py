@@ -44,7 +44,7 @@ def with_healthy_effects(
 
 
 class _Learned:
-    """Per place the torque over nominal that was explained, and the nonlinear parameters that gained most."""
+    """Per hypothesis: the explained torque over nominal, and the nonlinear parameters with the largest gain."""
 
     def __init__(self) -> None:
         self.size: dict[Where, float] = {}
@@ -89,7 +89,7 @@ def _left_out(model: IdentifiedModel, baseline: Sequence[Log]) -> Iterator[Fit]:
 
 
 def _explained(fit: Fit) -> list[tuple[Where, float, dict[str, float], float]]:
-    """Per place whose evidence grows by an effect: the gain, its nonlinear parameters, and its torque over nominal."""
+    """Hypotheses with a positive gain: log-likelihood gain, nonlinear parameters and torque over nominal of each."""
     forms = Search(fit).forms()
     evidence = Evidence(fit, forms, healthy=())
     gains, values = evidence.gains(evidence.nothing)

@@ -31,8 +31,11 @@ _HIGHEST = 4.0  # times its deviation, of noise in ten thousand samples
 
 @dataclass(frozen=True)
 class HeldTorque:
-    """How often a joint's torque stood still while it should have changed, for how long [s] at most, at which size
-    [N·m] if always the same, and the part of the arm's whole gap (energy over the background) that lies there."""
+    """Stretches in which a joint's torque was constant although it should have changed.
+
+    Their count, the longest duration [s], the torque [N·m] if always the same, and their share of the arm's whole gap
+    (energy over the noise model).
+    """
 
     joint: str
     times: int
@@ -115,8 +118,11 @@ def _held(joint: str, stretches: Sequence[_Stretch], share: float) -> HeldTorque
 
 
 def _of_joint(dataset: Dataset, joint: int, predicted: Sequence[np.ndarray], excess: np.ndarray) -> list[_Stretch]:
-    """All stretches in which a joint's torque stands still; of every motion its torque by the model, (S',) [N·m], and
-    `excess` (S'total,) is its energy over the background."""
+    """All stretches in which a joint's torque is constant.
+
+    The joint's torque by the model is given per motion, (S',) [N·m]. `excess` (S'total,) is its energy over the noise
+    model.
+    """
     background = float(dataset.fit.sigma[:, joint].min())
     found, row = [], 0
     for signals, by_model in zip(dataset.fit.signals, predicted, strict=True):

@@ -27,8 +27,10 @@ _SHORTEST = 10  # samples of a way that can be run at another rate
 
 @dataclass(frozen=True, eq=False)
 class MotionGap:
-    """before, after, floor (n,) [rad]; rate a, shift b [s] and blend [s] of the fit; 1, 0, 0 where it helps nothing, or
-    by no practical size."""
+    """RMSE before and after the fit, and repeatability (n,) [rad]; rate a, shift b [s] and blend [s] of the fit.
+
+    Rate, shift and blend are 1, 0 and 0 if the fit does not improve the gap by a practical size.
+    """
 
     before: np.ndarray
     after: np.ndarray

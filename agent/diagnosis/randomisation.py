@@ -1,8 +1,9 @@
-"""Ranges for whoever trains policies: how far a corrected simulator's numbers may still be off, one by one.
+"""Ranges for domain randomisation: the remaining uncertainty of each number of a corrected simulator.
 
-Of what was moved, x = x₀ + D c with c ~ N(0, 1) before the logs, the logs leave cov(c) = (1 + Dᵀ H D)⁻¹, for effects
-and all numbers at once; H is their information, as in `fit`. Where the motion held out is worse described than its
-background says, deviations grow alike. What was not moved has no range: the logs gave no reason to move it.
+Numbers that were moved are x = x₀ + D c with the prior c ~ N(0, 1). The logs reduce its covariance to
+cov(c) = (1 + Dᵀ H D)⁻¹, for effects and all numbers at once; H is their information, as in `fit`. If the error of the
+held-out motion exceeds the noise model, all deviations are scaled up by the same factor. Numbers that were not moved
+have no range: the logs gave no reason to move them.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ _WIDTH = 1.645  # standard deviations, 90 %
 
 @dataclass(frozen=True)
 class Range:
-    """A number of the simulator, or of an effect beside it: value, 90 % interval, SI unit, and where it belongs."""
+    """A number of the simulator or of an additional effect: value, 90 % interval, SI unit, and where it belongs."""
 
     of: str
     parameter: str
@@ -32,7 +33,7 @@ class Range:
 
 
 def ranges(diagnosis: Diagnosis) -> tuple[Range, ...]:
-    """All numbers that the diagnosis moved or found; empty without a simulator's file."""
+    """All numbers that the diagnosis moved or found; empty without a simulator file."""
     if diagnosis.calibrated is None:
         return ()
     fit, found = diagnosis.finding.fit, diagnosis.calibrated

@@ -21,7 +21,7 @@ _PHASES = 12
 
 
 def regimes(dataset: Dataset, error: np.ndarray, joint: int, floor: float = 0.0) -> tuple[RegimeShare, ...]:
-    """Shares of Σ (e² − f²) of one joint's (S,) held-out error above its `floor` f; regimes overlap.
+    """Shares of Σ (e² − f²) of one joint's (S,) held-out error above its repeatability f (`floor`); regimes overlap.
 
     `interval` is 90 % of a bootstrap over blocks of a second, as errors last (Künsch, Annals of Statistics 17, 1989);
     `of_samples` is the share of time spent there.
@@ -140,7 +140,7 @@ def _share(excess: np.ndarray, mask: np.ndarray, blocks: np.ndarray) -> tuple[fl
 
 @cache
 def _resampled(count: int) -> np.ndarray:
-    """(draws, count) how often each of so many blocks is drawn."""
+    """How often each of `count` blocks is drawn, (draws, count)."""
     return np.random.default_rng(0).multinomial(count, np.full(count, 1 / count), _RESAMPLED).astype(float)
 
 

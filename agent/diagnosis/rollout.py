@@ -34,7 +34,7 @@ class RolloutEngine(Protocol):
 
 
 class MujocoEngine:
-    """An MJCF in MuJoCo, with the effects of a file beside it; with `servos` it is those of the file that drive."""
+    """An MJCF in MuJoCo with the effects of a second file; with `servos`, the servos of the MJCF drive the arm."""
 
     def __init__(
         self,

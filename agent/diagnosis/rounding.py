@@ -1,4 +1,4 @@
-"""What rounded positions add to a prediction: torque of an acceleration that never was."""
+"""Prediction error from rounded positions: the torque of accelerations that did not happen."""
 
 from __future__ import annotations
 
@@ -40,8 +40,8 @@ def rounding_noise(reference: NominalModel, logs: Sequence[Log], cutoff: float) 
 def quiet_cutoff(reference: NominalModel, logs: Sequence[Log], highest: float, share: float) -> float:
     """[Hz], `highest` at most, up to where rounding makes a share of the torque at most, on the joint in the middle.
 
-    Torque of a servo that is worked out from positions has their rounding in it just as the prediction has, so that no
-    agreement of the two tells it from torque: it has to stay below what is judged.
+    If servo torque is computed from positions, it contains the same rounding error as the prediction. Comparing the two
+    cannot reveal this error, so it has to stay below the judged band.
     """
     torque = np.std(np.concatenate([log.effort for log in logs if log.effort is not None]), axis=0)
     for cutoff in np.geomspace(highest, min(_LOWEST, highest), _TRIED):
@@ -51,7 +51,7 @@ def quiet_cutoff(reference: NominalModel, logs: Sequence[Log], highest: float, s
 
 
 def rounding_step(position: np.ndarray) -> float:
-    """Step that all positions (S,) are multiples of, but for an offset; nought where there is none."""
+    """Step that all positions (S,) are multiples of, apart from an offset; 0 if there is none."""
     values = np.unique(position)
     steps = np.diff(values)
     steps = steps[steps > 1e-9 * max(float(np.abs(values).max()), 1e-9)]

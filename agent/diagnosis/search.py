@@ -16,9 +16,9 @@ from agent.diagnosis.law import LAW, EvidenceLaw
 from agent.diagnosis.needs import Excursions
 from agent.model import CATALOGUE
 
-_LEADERS = 8  # places whose nonlinear parameters are refined
-_FIRST, _THEN = 12, 6  # places that are evaluated after nothing, and after a hypothesis
-_FORMS = 3  # of a place
+_LEADERS = 8  # hypotheses whose nonlinear parameters are refined
+_FIRST, _THEN = 12, 6  # hypotheses that are evaluated after nothing, and after another hypothesis
+_FORMS = 3  # parameterisations per hypothesis
 _EXTENDED = (3, 2)  # hypotheses that one more effect is tried with, by how many they have
 _FACTORS = (1.25, 1.1, 1.04, 1.015)  # of nonlinear parameters, up and down
 
@@ -37,7 +37,7 @@ class Search:
     progress : callable, optional
         Told how far the search has come.
     only : collection of (effect, joints), optional
-        Places that are tried; all if None.
+        Hypotheses that are tried; all if None.
     observed : callable, optional
         Log likelihood of something else that was observed, given a hypothesis.
     healthy : sequence of (Candidate, float), optional
@@ -95,7 +95,7 @@ class Search:
         return finding.without_causes("unknown", self.fit) if open_again.verdict == "explained" else open_again
 
     def forms(self) -> list[Candidate]:
-        """Return every effect at every place, with the nonlinear parameters that it is tried with."""
+        """Return every effect on all its possible joints, with the grid of its nonlinear parameters."""
         wanted = [(effect, joints, s) for effect, joints in self._places for s in effect.settings(self.fit, joints)]
         self._progress(f"{len(wanted)} forms of effects are made")
         return self.fit.candidates(wanted)
@@ -116,7 +116,7 @@ class Search:
         return sorted(level, key=lambda one: -one.log)
 
     def _extend(self, base: Evaluated, count: int) -> None:
-        """Evaluate the most promising places added to a hypothesis, and something else on each joint."""
+        """Extend a hypothesis by the most promising effects, and by something else on each joint, and evaluate each."""
         evidence = self.evidence
         gains, values = self._refined(evidence.as_expected(base))
         for forms in self._promising(base, gains, values, count).values():
@@ -165,7 +165,7 @@ class Search:
     def _promising(
         self, base: Evaluated, gains: np.ndarray, values: Sequence[np.ndarray], count: int
     ) -> dict[Where, list[int]]:
-        """Of the places that gain most, the best forms that can be true."""
+        """The best admissible parameterisations of the effects with the largest gain."""
         evidence = self.evidence
         chosen = [evidence.candidate(k) for k in base.effects]
         places: dict[Where, list[int]] = {}

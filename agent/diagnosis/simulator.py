@@ -1,13 +1,18 @@
-"""A simulator read from a file, diagnosed: the error it should have, what of its numbers moves, and what remains.
+"""Diagnosis of a simulator file: its expected error, which of its numbers move, and the remaining gap.
 
-Its file stores no held-out error. What a model of such logs usually leaves stands in for it, the same share of torque
-as where no model is given (`DecisionLimits.unknown_error`), or less, where its numbers moved leave less on most joints:
-what one joint leaves over the others is then a gap that numbers do not close.
+The file stores no held-out error. The error that a model usually leaves on such logs replaces it: the same share of
+torque as without a model (`DecisionLimits.unknown_error`). The error is smaller if the moved numbers leave less on most
+joints; a joint that then stands out has a gap that numbers do not close.
 
-Three answers are compared, the plainest first: the numbers are right and one effect explains the gap; friction and
-rotors moved, with effects; links moved too. A later one is taken only where it closes more by a part that counts; one
-whose effects may stand in for links only where links moved close no more. Which numbers move is then chosen anew
-beside the effects found, and these looked for again at them, until both stay.
+Three answers are compared, the simplest first:
+
+1. The numbers are right and one effect explains the gap.
+2. Friction and rotors are moved, with effects.
+3. Links are moved too.
+
+A later answer is taken only if it closes clearly more of the gap. An answer whose effects may replace link changes is
+taken only if moving the links closes no more. The moved numbers are then chosen again together with the effects found,
+and the effects are searched again with these numbers, until neither changes.
 """
 
 from __future__ import annotations
@@ -35,7 +40,7 @@ from agent.robot import RobotDescription
 from agent.simulators import servo_stiffness
 
 _OF_THE_MIDDLE = 1.5  # times the relative error of the joint in the middle is expected of every joint
-_BELOW_ZERO = 0.1  # of a friction level without an effect, that chance may take it below zero beside one
+_BELOW_ZERO = 0.1  # of a friction level without an effect: by chance, an added effect takes it this far below zero
 #: Effects that are the file's numbers under another name.
 _NUMBERS = tuple(name for name, effect in CATALOGUE.items() if effect.numbers in ("friction", "links"))
 #: The effect that is links which weigh otherwise.
@@ -63,9 +68,10 @@ class Explanation:
         return any(candidate.effect.numbers == "load" for candidate in self.finding.causes)
 
     def stands(self, best: float, enough: float) -> bool:
-        """Whether its causes stand beside an answer that moves more numbers and leaves `best`.
+        """Whether its causes hold against an answer that moves more numbers and leaves `best`.
 
-        They may leave `enough` more; a load only what chance leaves more, and what else may be links nothing more.
+        Its causes may leave `enough` times as much. A load may leave only what chance explains, and other effects that
+        may be links nothing more.
         """
         if self.like_links:
             return self.left <= best
@@ -158,7 +164,7 @@ def _answer(
     progress: Callable[[str], None],
     unit: np.ndarray,
 ) -> Explanation:
-    """Search at the numbers as moved. Where some were, no effect is numbers again: it would take the place of one."""
+    """Search with the moved numbers. If any moved, effects that equal numbers are left out: they would compete."""
     moved = calibrated.moved
     search = Search(moved.fit, (*without, *(_NUMBERS if calibrated.groups else ())), progress)
     finding, gap = judge(moved, search.run(), moved.fit, unit)
@@ -175,9 +181,9 @@ def _left(dataset: Dataset, fit: Fit, unit: np.ndarray) -> float:
 
 
 def numbers_instead(entry: Explanation, number: int, unit: np.ndarray) -> ReleasedSimulator | None:
-    """Numbers chosen beside the other causes that leave as much without this one (by number); None where none do.
+    """Numbers that, with the other causes, leave as little without this cause (by number); None if there are none.
 
-    Only a cause that may be links is asked for: links that weigh otherwise, all of them or some, are the likelier.
+    Only causes that may be links are checked: a wrong weight of some or all links is more likely.
     """
     causes = entry.finding.causes
     if not (causes[number].effect.numbers == "load" or _like_links([causes[number]])):
@@ -188,14 +194,14 @@ def numbers_instead(entry: Explanation, number: int, unit: np.ndarray) -> Releas
 
 
 def _beside(chosen: ReleasedSimulator, causes: Sequence[Candidate], unit: np.ndarray) -> float:
-    """Mean square over joints that numbers leave beside effects, which are made at these numbers."""
+    """Mean square over joints that numbers and effects leave; the effects are computed at these numbers."""
     fit = chosen.moved.fit
     forms = fit.candidates([(cause.effect, cause.joints, cause.settings) for cause in causes])
     return _left(chosen.moved, fit.with_chosen(forms), unit)
 
 
 def _possible(given: IdentifiedModel, fit: Fit, number: int) -> bool:
-    """Whether an effect can be beside the numbers fitted with it: of such a size, and with no friction below zero."""
+    """Whether an effect is admissible with the numbers fitted with it: its size, and no friction below zero."""
     candidate, (change, effects) = fit.chosen[number], fit.fitted()
     values = dict(zip(candidate.names, map(float, effects[number]), strict=True))
     base = len(given.independent)

@@ -1,4 +1,4 @@
-"""Where joints stand still: stiction holds them there, and the torque is anything below the Coulomb level."""
+"""Stretches where joints are stationary: stiction holds them, and the torque is anything below the Coulomb level."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from agent.model import MotionSignals, standstill_speed
 def standing(
     signals: Sequence[MotionSignals], limits: DecisionLimits = LIMITS, beside: Sequence[MotionSignals] = ()
 ) -> list[np.ndarray]:
-    """Per motion (S, n) bool: whether a joint stands. One that travels nowhere always does, whatever its noise.
+    """Per motion (S, n) bool: whether a joint is stationary. A joint that never travels always is, whatever its noise.
 
-    `beside` are other motions of the same arm: how slow is standing depends on how fast the joint goes in any.
+    `beside` are other motions of the same arm: the speed threshold depends on the joint's highest speed in all motions.
     """
     known = [*beside, *signals]
     slowest = standstill_speed([motion.qd for motion in known], known[0].reference.robot.max_velocity)
@@ -51,8 +51,8 @@ class Rests:
 
     With an error of covariance σ² (I + 1 1ᵀ) over the N independent rows of a stretch, as large a constant as what
     differs from row to row, rows are whitened by taking off 1 − 1 / √(1 + N) of their mean (a random intercept: Laird
-    and Ware, Biometrics 38, 1982). So a rest tells as much of a constant torque as one row does, however long it is,
-    and all of what changes during it.
+    and Ware, Biometrics 38, 1982). So a rest of any length says as much about a constant torque as one row,
+    and everything about changes during it.
 
     `stretches`: per joint its (first row, row after the last, N).
     """
@@ -73,7 +73,7 @@ class Rests:
         return cls(tuple(found_per_joint))
 
     def whitened(self, joint: int, block: np.ndarray) -> np.ndarray:
-        """Rows (S', k) of a joint, over the background."""
+        """Whitened rows (S', k) of a joint, which are divided by the noise level."""
         if not self.stretches[joint]:
             return block
         rows, starts, lengths, share = self._at[joint]
@@ -106,7 +106,7 @@ class Rests:
 
 
 def _count(rows: np.ndarray, before: int, after: int) -> np.ndarray:
-    """(S, n) how many of the rows (S, n) bool from so many `before` each to so many `after` it are set."""
+    """Count (S, n) of set rows (S, n) bool, from `before` rows before each row to `after` rows after it."""
     total = np.concatenate([np.zeros((1, rows.shape[1]), dtype=int), np.cumsum(rows, axis=0)])
     place = np.arange(len(rows))
     ends = np.minimum(place + after + 1, len(rows))

@@ -1,8 +1,8 @@
 """Structure that an arm has beyond bodies and friction, as part of an estimated model.
 
-Counterbalances, springs, hoses and the like are effects of the catalogue. One is added where the diagnosis of the very
-logs, without a given model, calls it `explained`, or `ambiguous` with nothing but another law of the same joint's
-position, and where motion held out is predicted clearly better with it than by the model without.
+Counterbalances, springs and hoses are effects of the catalogue. An effect is added under two conditions. The diagnosis
+of the same logs, without an external reference, calls it `explained`, or `ambiguous` only with another law of the same
+joint's position. And it clearly improves the prediction of held-out motion.
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ from agent.model import CATALOGUE, Effect
 
 
 def smallest_sizes(dataset: Dataset, evidence: Evidence) -> dict[Where, float]:
-    """Return for every effect and place of torque the smallest detectable size, over its practical one.
+    """Return the smallest detectable size of every effect on every joint, over its practical size.
 
     Four of five draws of that size would be named. It is infinite where the motions lack what the effect needs; what
     happens once has none.

@@ -1,4 +1,4 @@
-"""The promises of a verdict, checked on figures of motion held out: no result leaves that breaks one."""
+"""Checks of a verdict on held-out figures: a verdict that fails one is withdrawn."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from agent.diagnosis.limits import LIMITS, DecisionLimits
 
 
 def judge(dataset: Dataset, finding: Finding, plain: Fit, unit: np.ndarray | None = None) -> tuple[Finding, HeldOutGap]:
-    """Return a finding as far as its held-out figures bear it out, and these figures.
+    """Return the part of a finding that its held-out figures support, and these figures.
 
-    `plain` is the fit without effects, `unit` that of `held_out_gap`. Causes that close less than `explained` asks for
-    leave room for another: the likeliest one is named with the first.
+    `plain` is the fit without effects, `unit` that of `held_out_gap`. If the causes close less than `explained` needs,
+    another cause may exist: the likeliest one is named with the first.
     """
     while True:
         gap = held_out_gap(dataset, finding.fit, unit)
@@ -68,7 +68,7 @@ def _floats(pairs: Iterable[tuple[str, float]]) -> dict[str, float]:
 def with_path(
     verdict: str, closure: float | None, closure_of_path: float | None, named: bool
 ) -> tuple[str, float | None]:
-    """Return verdict and closure where the executed path is not the planned one: the gap may be the path's.
+    """Return verdict and gap explained if the executed path is not the planned one: the path may cause the gap.
 
     `named`: whether the effect of the path may be.
     """
@@ -92,9 +92,9 @@ def settle(
     """Return the verdict that the figures allow, and the causes that may be named with it.
 
     - `explained` closes three quarters of the gap;
-    - something equals the first cause of an `ambiguous` one;
-    - `unknown` and `no_gap` have no causes; where there is nothing to close (None) there is no gap;
-    - a cause without a size is none.
+    - an `ambiguous` verdict has a rival of the first cause;
+    - `unknown` and `no_gap` have no causes; without anything to close (None) there is no gap;
+    - a cause without a size is dropped.
     """
     if verdict in ("no_gap", "unknown"):
         return verdict, ()

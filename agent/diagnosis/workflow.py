@@ -1,4 +1,4 @@
-"""The front: logs and a model in, diagnosis out."""
+"""Entry point of a diagnosis: takes logs and a model."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ def diagnose(
     limits: DecisionLimits = LIMITS,
     drives_off: Log | None = None,
 ) -> Diagnosis:
-    """Diagnose logs against a model, or against one fitted to them; `progress` is called with how far it has come.
+    """Diagnose logs against a model, or against a model fitted to them; `progress` receives progress messages.
 
-    `drives_off` is a log of the arm at rest on its brakes: the zero of its torque channels.
+    `drives_off` is a log of the stationary arm on its brakes: it gives the zero of the torque channels.
 
     Raises:
-        InputError: no logs, an unknown effect in `without`, logs that cannot be used (see `assemble`), or a log with
-            the drives off that has no zero (see `channel_zero`) or is beside the file of a simulator.
+        InputError: no logs, an unknown effect in `without`, logs that cannot be used (see `assemble`), a log with the
+            drives off that has no zero (see `channel_zero`), or such a log together with a simulator file.
     """
     keep_freed_memory()
     if not logs:
@@ -95,7 +95,7 @@ def _path_warnings(motion: MotionGap | None) -> Iterator[str]:
 
 
 def _distinct(logs: Sequence[Log]) -> tuple[list[Log], list[str]]:
-    """Logs without those that repeat another sample by sample, and a warning for each: they would test nothing."""
+    """Drop logs that repeat another sample by sample, with a warning for each: they would test nothing."""
     kept: list[Log] = []
     warnings = []
     for log in logs:
@@ -112,7 +112,7 @@ def _samples(log: Log) -> tuple[bytes, bytes]:
 
 
 def _of_model(dataset: Dataset) -> Iterator[str]:
-    """How wrong the model is by itself, where that is much: what is smaller does not show beside it."""
+    """Warning about a large error of the model itself: smaller effects are not visible."""
     torque = np.concatenate([log.effort for log in dataset.logs if log.effort is not None])
     error = dataset.model.held_out_rmse
     share = float(np.linalg.norm(error) / np.sqrt(np.mean(torque**2, axis=0).sum()))
@@ -124,7 +124,7 @@ def _of_model(dataset: Dataset) -> Iterator[str]:
 
 
 def _warnings(robot: RobotDescription, logs: Sequence[Log], given: bool, limits: DecisionLimits) -> Iterator[str]:
-    """What limits the conclusions."""
+    """Warnings that limit the conclusions."""
     if len(logs) == 1:
         yield "one motion only: parts of it are held out from each other, which another motion would test harder"
     if not given:

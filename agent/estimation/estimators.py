@@ -147,7 +147,8 @@ def consistent(problem: Problem) -> Estimate:
 
     * every link's pseudo-inertia [[½ tr(I) 1 - I, m c], [m cᵀ, m]] is positive definite, as that of any density over
       space (Traversaro et al., IROS 2016; Wensing, Kim and Slotine, IEEE RA-L 3, 2018);
-    * rotor inertias, Coulomb and viscous friction are not negative, nor Coulomb and Stribeck friction together at rest.
+    * rotor inertias, Coulomb and viscous friction are not negative, nor the sum of Coulomb and Stribeck
+      friction at standstill.
 
     In directions without data the prior decides, so links stay near their URDF. Held-out error decides whether the
     prior gets more weight than against noise alone, because model errors make rows worth less. Clarabel solves the

@@ -93,7 +93,7 @@ def white_noise(position: np.ndarray) -> np.ndarray:
 
 
 DEFAULT_CUTOFF = 30.0
-#: Gaps of at most so many periods of the cut-off are bridged: little of what passes the filter turns within one.
+#: Longest gap that is bridged, in periods of the cut-off: signals in the passband change little within one.
 _Responses = Callable[[np.ndarray], list[np.ndarray]]  # over frequency [Hz]
 _BRIDGED = 1.0
 _FAR = 1e9  # of the cut-off: beyond it nothing passes, and a power of it would overflow

@@ -123,7 +123,7 @@ def standstill(observation: Observation) -> list[np.ndarray]:
 
 
 def observed_standstill_speed(observation: Observation) -> np.ndarray:
-    """(n,) [rad/s] up to which a joint counts as standing still: what friction is fitted to surely slides."""
+    """Speed (n,) [rad/s] up to which a joint counts as stationary: friction is fitted only to sliding joints."""
     speeds = [segment.speed for segment in observation.segments]
     return standstill_speed(speeds, observation.robot.max_velocity, _SURELY_SLIDES)
 

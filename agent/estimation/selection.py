@@ -21,9 +21,9 @@ _NOT_PHYSICAL = 3.0  # times the error of the first estimator, from which on a c
 def choose(found: dict[str, Estimate]) -> tuple[str, Estimate]:
     """Name and estimate of the best of several estimators by name, with the reason in its note.
 
-    The first is the yardstick: another takes its place only if its weighted squared error on the folds held out is
-    lower by 2 % and by two standard errors of that gain. How much worse `consistent`, one of them, is tells data that
-    no arm can have.
+    The first is the reference. Another estimator replaces it only if its weighted squared error on the held-out folds
+    is lower by 2 % and by two standard errors of that gain. A much larger error of `consistent`, one of them, reveals
+    data that no arm can produce.
     """
     first = next(iter(found))
     weights = found[first].weights
@@ -124,9 +124,9 @@ def select_friction_terms(observation: Observation, partition: Partition) -> Pro
     one at a time, where leaving folds out shows that it is better without: by at least 2 % of the joint's squared
     error, and by more than the scatter of that gain between folds. Further terms come one at a time per axle where
     the same shows that they predict better; instead of the scatter, which five folds of one motion have by chance,
-    very strong evidence does (a Bayes factor of e⁵: Kass and Raftery, J. Am. Stat. Assoc. 90, 1995). Offsets are
-    not asked to, as in a small motion they look like gravity: held-out parts of it cannot show that there is one,
-    and gravity in its place would predict other postures wrong.
+    very strong evidence does (a Bayes factor of e⁵: Kass and Raftery, J. Am. Stat. Assoc. 90, 1995). Offsets do
+    not have to, because in a small motion they look like gravity: held-out parts of it cannot show that there is one,
+    and gravity instead of an offset would predict other postures wrong.
 
     Trying a column is cheap: with A the normal matrix of the terms taken, the candidate c changes the estimate
     along d = [-A⁻¹ a_c, 1] only, and the held-out error is a parabola in that step.

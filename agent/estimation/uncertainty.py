@@ -6,7 +6,7 @@ M = Xᵀ W E[e eᵀ] W X: the second term is what the prior may be wrong by, M w
 * Residuals are autocorrelated. With their power spectrum S(f), M = Σ_f S(f) X(f)ᴴ X(f): what counts for a parameter is
   the noise at the frequencies its column has. A fit has eaten part of the noise in its own residuals and adds as much
   on rows held out, so S is scaled by the geometric mean of both over the former.
-* What the model gets wrong repeats with the place in the motion rather than with time. The delete-one jackknife over
+* The model's error depends on the position in the motion rather than on time. The delete-one jackknife over
   clusters (segments of the motion, all cycles together) sees it: (C - 1) / C Σ (θ₍c₎ - θ̄)², whatever the form of the
   residuals (Efron and Stein, Annals of Statistics 9, 1981). Deviations are widened to it where it is larger by more
   than its own scatter.

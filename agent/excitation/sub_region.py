@@ -23,7 +23,7 @@ _DOWN = ((0.0, 180.0, 0.0), (0.0, 90.0, 0.0))
 
 @dataclass(frozen=True)
 class OutOfReach:
-    """A place of a via-point's region that the arm does not reach, and the message that says by how much."""
+    """A point of a via-point's region that the arm does not reach, and the message that says by how much."""
 
     point: int
     place: str
@@ -46,7 +46,7 @@ def check_sub_region(problem: LoopProblem) -> list[OutOfReach]:
     known: dict[bytes, str | None] = {}
     for place, genes in _PLACES.items():
         for point, pose in enumerate(regions.poses(np.tile(genes, regions.count))):
-            key = np.round(pose, 9).tobytes()  # the points of a box share their places
+            key = np.round(pose, 9).tobytes()  # the points of a box share their coordinates
             if key not in known:
                 known[key] = _complaint(kinematics, pose)
             complaint = known[key]

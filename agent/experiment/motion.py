@@ -1,4 +1,4 @@
-"""A motion on an even grid, as it is weighed."""
+"""A motion on an even grid, for the choice of motions."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ class GridMotion:
 def background_on(
     dataset: Dataset, reference: NominalModel, motion: MotionSignals, beside: Sequence[MotionSignals] = ()
 ) -> np.ndarray:
-    """(S, n) [N·m] the verdict's background on a motion that is not in the logs; `beside` other motions than those.
+    """The verdict's noise level (S, n) [N·m] on a motion that is not in the logs; `beside`: further motions.
 
-    How slow is standing depends on all motions that are diagnosed together. On a grid as coarse as a motion's, a joint
-    that turns back stands between two samples: neither does its friction follow its direction there.
+    The speed threshold of a stationary joint depends on all motions that are diagnosed together. On the motion's coarse
+    grid, a joint that reverses is stationary between two samples, and its friction does not follow its direction there.
     """
     fit, limits = dataset.fit, dataset.limits
     moving = fit.sigma.min(axis=0)

@@ -1,17 +1,17 @@
-"""What a motion would tell: the expected log Bayes factor between two that are open, after it.
+"""Information from a planned motion: the expected log Bayes factor between two open hypotheses after it.
 
 Let a be true with parameters β. On all rows of the logs and of the motion, b together with a change δ of the model
 leaves
 
     E = ½ (βᵀ S_aa β − βᵀ S_aF (S_FF + R)⁻¹ S_Fa β),    F = δ, shared effects and b,
 
-where S is the information on all columns beyond the background of the verdict (`agent.diagnosis.evidence`) and R the
+where S is the information on all columns, given the noise model of the verdict (`agent.diagnosis.evidence`), and R the
 prior. E is the expected log Bayes factor of a against b (the T-optimality criterion of Atkinson and Fedorov, Biometrika
-62, 1975); the factor itself is about normal with mean E and variance 2 E. The right answer comes out where it exceeds
-what a class is cut at. A form is wrong by a share of its own torque, which b may follow, so that share counts as lost.
+62, 1975); the factor itself is about normal with mean E and variance 2 E. The answer is right if the factor exceeds
+the threshold of a class. A form is wrong by a share of its own torque. b may follow that share, so it does not count.
 
-The matrix of all E is the isolability of what is open on these motions. Information of motions adds up, so pieces are
-weighed one by one. Rows at a standstill of their joint count nothing: there the torque is what stiction makes of it.
+The matrix of all E is the isolability of the open hypotheses on these motions. The information of motions adds up, so
+each piece is weighed alone. Rows with a stationary joint do not count: stiction decides the torque there.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The pieces that an experiment is put together from: loops, stops with rests, and slow reversals of single joints.
 
-Every piece starts and ends at rest in a posture of its own, keeps every limit and the recipe's speed of the tool, stays
+Every piece starts and ends at standstill in its own posture, keeps every limit and the recipe's tool speed, stays
 clear of the cell, and lies in the recipe's sub-region. Positions are given as joint positions, so nothing is left to a
 choice of posture.
 """
@@ -39,13 +39,13 @@ _RESTS = (0.3, 1.0, 2.0)
 _TURNS = (0.05, 0.2, 0.6, 2.0)
 #: Less than this [rad, m] is no reversal.
 _LEAST_TURN = 0.02
-#: Reversals grow to the largest turn in so many steps.
+#: Number of steps in which reversals grow to the largest turn.
 _STEPS = 3
 #: [s] of the pieces' set-points, while they are weighed; the program is checked at the controller's own.
 PERIOD = 0.01
-#: The tool is faster than it was told by so much at most, in set-points that are this coarse.
+#: Largest ratio of the tool's speed to the commanded speed, in set-points with this period.
 _SPEED_ROUND_OFF = 1.01
-#: A gene moves by so much where a piece is varied.
+#: Change of a gene when a piece is varied.
 _VARY = 0.15
 
 
@@ -63,7 +63,7 @@ class Draw:
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """A piece of motion: from `start` (n,) at rest through `statements` back to it."""
+    """A piece of motion: from `start` (n,), stationary, through `statements` back to it."""
 
     draw: Draw
     start: np.ndarray

@@ -16,7 +16,7 @@ from agent.experiment.outlook import Outlook, Told
 from agent.experiment.pieces import Piece, Pieces
 from agent.experiment.questions import OpenPair
 
-#: Pieces that are drawn, of which the best are put together; then so many neighbours of each are tried.
+#: Number of drawn pieces, of which the best are combined, and number of neighbours tried for each of these.
 _POOL, _NEIGHBOURS = 240, 12
 #: Most pieces chosen for what they separate, and the probability of the right answer from which on they are enough.
 _MOST_PIECES, _SURE = 5, 0.97
@@ -27,7 +27,7 @@ _WAYS, _ASKED = 0.15, 0.5
 _WITHIN_REACH = 0.3
 #: Part of the time for planning by which pieces are drawn.
 _DRAWN_BY = 0.6
-#: A further piece raises what is expected by at least so much.
+#: Smallest rise of the expected value for a further piece.
 _LEAST_IMPROVEMENT = 0.01
 
 

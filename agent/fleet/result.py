@@ -228,7 +228,7 @@ class Result:
 
 
 def _order(files: Sequence[Any]) -> list[tuple[str, str, int, int, int]]:
-    """Robot, run, file, row group and place in it of the newest row of every run, sorted."""
+    """Robot, run, file, row group and index in it of the newest row of every run, sorted."""
     newest: dict[str, tuple[str, str, int, int, int]] = {}
     for number, file in enumerate(files):
         for group in range(file.num_row_groups):

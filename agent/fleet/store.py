@@ -97,7 +97,7 @@ class Store:
         return StoredFile(path, int(entry["size"] or 0), _stamp(entry))
 
     def fetch(self, file: StoredFile, folder: Path) -> Path:
-        """Path of a local copy at the same place below `folder`, or of the file itself where it is local.
+        """Path of a local copy at the same relative path below `folder`, or of the file itself if it is local.
 
         Raises:
             StoreError: the store does not give the whole file.

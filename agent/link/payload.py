@@ -1,4 +1,4 @@
-"""A mass that a motion was planned with: a person mounts it and says so. It is never assumed."""
+"""A mass that a motion was planned with: a person mounts it and confirms it. It is never assumed."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _COMMENT = "planned with this at the flange: "
 
 
 def with_payload(text: str, load: Tool, comment: str) -> str:
-    """A program whose second line, a `comment`, says what it was planned with, wherever it is copied to."""
+    """A program whose second line, a `comment`, names its payload, so that copies keep it."""
     from agent.model import payload_text
 
     first, rest = text.split("\n", 1)
@@ -28,13 +28,13 @@ def with_payload(text: str, load: Tool, comment: str) -> str:
 
 
 def planned_load(text: str) -> str | None:
-    """What a program says it was planned with; None where it says nothing."""
+    """The payload that a program says it was planned with; None if it names none."""
     found = re.search(rf"^  \S+ {_COMMENT}(.+)$", text, re.MULTILINE)
     return found[1].strip() if found else None
 
 
 def check_payload(robot: RobotDescription, tool: Tool | None, load: Tool) -> None:
-    """The arm may carry a mass at its flange, beside its tool.
+    """Check that the arm may carry a mass at its flange in addition to its tool.
 
     Raises:
         InputError: both together are more than the arm is rated for.
@@ -50,11 +50,12 @@ def check_payload(robot: RobotDescription, tool: Tool | None, load: Tool) -> Non
 
 
 def known_of(program: Path, text: str, payload: str | None, ask: Callable[[str], bool]) -> dict[str, str]:
-    """What the log says of a program: in how many parts a planned motion is held out, and of a payload that which a
-    person names, or confirms because the program was planned with it.
+    """Facts about a program for the log: the number of held-out parts of a planned motion, and the payload.
+
+    A person names the payload, or confirms the one that the program was planned with.
 
     Args:
-        program: beside it, `experiment.json` says what it was planned with; its `text` says the payload as well.
+        program: `experiment.json` next to it names the payload it was planned with; so does its `text`.
         payload: as a person says it (None: nothing was said); ask: a question to a person.
 
     Raises:

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from agent.motion import Dialect, Trajectory
     from agent.robot import Tool, TorqueLimits
 
-#: Torques are looked at in every so many set-points, as a search does.
+#: Torques are checked at every tenth set-point, as in a search.
 _EVERY = 10
 #: Rad or m by which an arm that comes round again may start elsewhere on the same way: joints written in a program, and
 #: those that inverse kinematics gives for a pose, differ in their last digits.

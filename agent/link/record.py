@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Recording:
-    """What came of one motion. Durations in seconds of controller time.
+    """Result of one motion. Durations in seconds of controller time.
 
     `temperatures`: of the motors [°C] when it began and when it ended, where the controller measures them.
     """
@@ -52,7 +52,7 @@ class Recording:
 
 @dataclass(frozen=True)
 class MotionOfMany:
-    """Of a motion among others: `text` to put before its progress, and how much motion comes after it [s]."""
+    """Progress of one motion among others: the `text` before its progress, and the motion time after it [s]."""
 
     text: str = ""
     after: float = 0.0
@@ -103,8 +103,8 @@ class RobotLink:
         A program that is new to a machine runs slowly first, into a log of its own.
 
         Args:
-            chains: what we planned from stop to stop, in order: written to the log beside the set-points.
-            place: of this motion among those of the run, for the progress line.
+            chains: the plan from stop to stop, in order: written to the log together with the set-points.
+            `place`: index of this motion in the run, for the progress line.
 
         Raises:
             ControllerError, SafetyError, InputError: not ready to move, not allowed, or stopped while moving.
@@ -271,9 +271,9 @@ def record_program_file(
     runs: Path = Path("logs"),
     payload: str | None = None,
 ) -> Recording:
-    """Run a program that somebody wrote, and record it (None: beside it, as .mcap); `runs` as in `open_link`.
+    """Run a program that a person wrote, and record it (None: next to it, as .mcap); `runs` as in `open_link`.
 
-    `payload` is a mass that is mounted at the flange on purpose, which the log says then.
+    `payload` is a mass that is mounted at the flange on purpose; the log contains it.
 
     Raises:
         InputError: the program cannot be parsed or planned, or the log exists; a payload that is none, or a motion
@@ -311,7 +311,7 @@ def record_program_file(
 
 
 def _free(path: Path) -> Path:
-    """The path, or the same with a number where a file is there already."""
+    """The path, with a number appended if the file exists already."""
     number = 1
     free = path
     while free.exists():
@@ -321,7 +321,7 @@ def _free(path: Path) -> Path:
 
 
 def report_losses(recording: Recording, console: Console) -> None:
-    """Say what the link lost; silence means nothing was."""
+    """Say what the link lost; nothing if there was no loss."""
     if recording.lost:
         console.warn(
             f"{recording.path.name}: {recording.lost} of {recording.samples + recording.lost} samples were lost"

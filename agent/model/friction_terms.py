@@ -154,7 +154,7 @@ def axle_columns(terms: tuple[FrictionTerm, ...], motion: AxleMotion) -> np.ndar
 
 
 def steady_columns(terms: Sequence[FrictionTerm], speed: np.ndarray, sharp: bool = False) -> np.ndarray:
-    """(S, T): the same at held speeds (S,) of the axles, long after a reversal and without load; at rest 0.
+    """The same (S, T) at constant speeds (S,) of the axles, long after a reversal and without load; 0 at speed 0.
 
     A direction that follows the speed does so here; `sharp`: it is that of full sliding at the slowest speed already.
     """

@@ -29,7 +29,7 @@ _HIGH_QUANTILE = 0.75  # quantile of load and acceleration, from which on they a
 
 
 def standstill_speed(speeds: Sequence[np.ndarray], max_velocity: np.ndarray, share: float = _STANDSTILL) -> np.ndarray:
-    """(n,) [rad/s] up to which a joint counts as standing still, so that its friction is anything within stiction.
+    """Speed (n,) [rad/s] up to which a joint counts as stationary, so that its friction is anything within stiction.
 
     speeds: (S, n) of each motion; max_velocity (n,) of the joints; share: of the highest speed.
     """

@@ -230,8 +230,10 @@ class MotionSignals:
         return self.reference.links.regressor(self.q, self.qd, self.qdd)
 
     def pushed(self, link: int, rows: np.ndarray, place: Sequence[float] | np.ndarray = (0.0, 0.0, 0.0)) -> np.ndarray:
-        """(K, 3, n) Jacobian in the base frame, at the rows (S,) bool, K of them, of a `place` (3,) [m] on a link (from
-        0), counted from its far end in its frame."""
+        """Jacobian (K, 3, n) in the base frame of a point on a link (from 0), at the K set rows (S,) bool.
+
+        `place` (3,) [m] is the point relative to the link's far end, in the link's frame.
+        """
         screws, ends, known = self._screws
         if np.any(new := rows & ~known):
             screws[new], ends[new] = self.reference.links.joint_screws(self.q[new])

@@ -30,7 +30,7 @@ class Interpolator(Protocol):
     """Turns a program into the set-points that the controller would send to its servos."""
 
     def plan(self, statements: Sequence[Statement], start: np.ndarray) -> Trajectory:
-        """Set-points of the program, at rest at `start` (n,) [rad] first and at rest at the end.
+        """Set-points of the program, from a standstill at `start` (n,) [rad] to a standstill at the end.
 
         Raises:
             MotionError: the program cannot be run; names the move, the limit and by how much.

@@ -1,8 +1,8 @@
 """A controller's interpolation law from its set-points: its blends, its ramps, and their parameters.
 
-First the path, whatever its speed: the blend whose path lies nearest to the recorded one. Then the ramps that pass the
-same places at the same times. Polynomial blends go with ramps averaged over a window, as in `FlyParameters()`;
-parabolas and circles with one speed for each move and corner, as in most numerical controls.
+The path comes first, regardless of speed: the blend whose path lies nearest to the recorded path. Then come the ramps
+that pass the same points at the same times. Polynomial blends go with ramps averaged over a window, as in
+`FlyParameters()`. Parabolas and circles go with one speed for each move and corner, as in most numerical controls.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from agent.robot import RobotDescription, kinematics_for
 
 #: Parts of the travel at which motions are compared. Both ends are left out: set-points hardly move there.
 _PARTS = np.linspace(0.002, 0.998, 250)
-#: Part of the path before and after a place that is searched for its counterpart, and the grid of that search.
+#: Part of the path before and after a point that is searched for its counterpart, and the grid of that search.
 _AROUND, _FINE = 0.03, np.linspace(0.0, 1.0, 1001)
 #: A family replaces a simpler one if its error is below this part of the simpler one's.
 _BETTER = 0.9
@@ -45,8 +45,11 @@ class RecordedMove:
 
 @dataclass(frozen=True)
 class Errors:
-    """Of a law on stretches. `path` [mm]: the farthest that the tool is from the planned path. `time` [%]: the largest
-    difference of the times at which the same place is passed, of the stretch's duration."""
+    """Errors of a law on stretches.
+
+    `path` [mm] is the tool's largest distance from the planned path. `time` [%] is the largest difference of the times
+    at which the same point is passed, relative to the stretch's duration.
+    """
 
     path: float
     time: float
@@ -63,7 +66,7 @@ class Learner:
         self._taught = [one for one in self._all if any(move.fly for move in one[0].moves)] or self._all
 
     def errors(self, parameters: FlyParameters) -> Errors:
-        """Of a law.
+        """Errors of a law.
 
         Raises:
             MotionError: it cannot run one of the stretches.
@@ -82,7 +85,7 @@ class Learner:
         return float(np.sqrt(np.mean(np.square(away))))
 
     def _off_time(self, parameters: FlyParameters) -> float:
-        """Root mean square difference [s] of the times at which the same place is passed."""
+        """Root mean square difference [s] of the times at which the same point is passed."""
         late = [_late(*pair) for pair in self._pairs(parameters, self._taught)]
         return float(np.sqrt(np.mean(np.square(late))))
 
@@ -95,11 +98,11 @@ class Learner:
             yield recorded, _Way.of(planned.t, planned.q)
 
     def _away(self, recorded: _Way, planned: _Way, place: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
-        """(K,) distance of recorded places from the planned path."""
+        """Distance (K,) of recorded points from the planned path."""
         there = recorded.joints(_PARTS)
         # Samples are dense at a corner where the arm stops, and include its tip.
         parts = np.union1d(_FINE, planned.part)
-        # The counterpart of a place is searched near the same part of the travel.
+        # The counterpart of a point is searched near the same part of the travel.
         return _nearest(place(planned.joints(parts)), place(there), np.abs(parts[None] - _PARTS[:, None]) <= _AROUND)
 
     def learn(self, progress: Callable[[str], None] = lambda text: None) -> FlyParameters:
@@ -217,7 +220,7 @@ class _Way:
 
 
 def _late(recorded: _Way, planned: _Way) -> np.ndarray:
-    """(K,) delay [s] of the planned motion at the same places, counted from the first of them."""
+    """Delay (K,) [s] of the planned motion at the same points, counted from the first of them."""
     late = planned.times(_PARTS) - recorded.times(_PARTS)
     return late - late[0]
 

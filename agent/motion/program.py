@@ -97,7 +97,7 @@ Target = CartesianTarget | JointTarget
 class Move:
     """One move; it stops at its target, or blends into the next one (`fly`).
 
-    `via` belongs to CIRCULAR; `name` is the target's variable, `line` its place in the text.
+    `via` belongs to CIRCULAR; `name` is the target's variable, `line` its line in the text.
     """
 
     type: MoveType
@@ -145,7 +145,7 @@ def way_key(moves: Sequence[Move]) -> tuple[object, ...]:
 
 
 def loop_moves(poses: np.ndarray, settings: MotionSettings, joints: np.ndarray | None = None) -> tuple[Move, ...]:
-    """One cycle over via-points (K, 4, 4): it starts at rest at the first, flies to the others and ends where it began.
+    """One cycle over via-points (K, 4, 4): from a standstill at the first, flying to the others, back to the first.
 
     Every cycle ends with an exact stop, so that cycles repeat exactly. `settings` hold for all moves. A redundant arm
     needs the `joints` (K, n) at the via-points too: a pose would let it come back to its first point with other joints.

@@ -85,8 +85,8 @@ def learn_files(robot: str, paths: Sequence[Path], out: Path, console: Console) 
     """Learn the law from logs with set-points, and write it.
 
     Raises:
-        InputError: logs without set-points, of another robot or of several, at rest, without their program, or that do
-            not follow it.
+        InputError: logs without set-points, without motion or without their program, logs of another robot or of
+            several, or logs that do not follow the program.
     """
     check_output(out, paths)
     if out.suffix.lower() not in (".yaml", ".yml"):

@@ -53,7 +53,7 @@ class Bars:
 
     @property
     def places(self) -> list[float]:
-        """All finite places along the scale."""
+        """All finite coordinates along the scale."""
         places = [place for bar in self.bars for place in (bar.begin, bar.end)] + [place for place, _ in self.marks]
         return [place for place in places if math.isfinite(place)]
 

@@ -105,7 +105,7 @@ def _opening(cause: Mapping[str, Any]) -> str:
 
 
 def _one_of(cause: Mapping[str, Any], result: Mapping[str, Any]) -> str:
-    """A cause and what these logs cannot distinguish from it, with their places where these differ."""
+    """A cause and the rivals that these logs cannot distinguish from it, with their joints if these differ."""
     others = [
         what(other["effect"], result) + ("" if other["joints"] == cause["joints"] else f" on {place(other)}")
         for other in cause["equivalent_to"]

@@ -60,8 +60,8 @@ class Panel:
 class Plot:
     """Panels under one caption. `x` (S,) ascending, in `x_unit`; `dates`: `x` is seconds since 1970, UTC.
 
-    Plots of one `link` zoom together, panels of one plot where it has none. `columns`: panels in a row where there is
-    room.
+    Plots of one `link` zoom together, or panels of one plot if it has none. `columns`: panels in a row if the page is
+    wide enough.
     """
 
     name: str

@@ -34,7 +34,7 @@ class Body:
 
 @dataclass(frozen=True, eq=False)
 class BodyPair:
-    """Two bodies, or a body and a box, by name. `reach` (n,): so much nearer can they come per joint rate [m/rad].
+    """Two bodies, or a body and a box, by name. `reach` (n,): largest approach speed per joint rate [m/rad].
 
     Joint i changes no distance between the two faster than `reach[i]` times its own speed, whatever the posture.
     """

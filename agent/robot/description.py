@@ -1,4 +1,4 @@
-"""The robot description: `robot.yaml` beside a URDF."""
+"""The robot description: `robot.yaml` next to a URDF."""
 
 from __future__ import annotations
 
@@ -128,7 +128,7 @@ class CartesianLimits:
 
 @dataclass(frozen=True)
 class Box:
-    """A box at rest that no part of the arm may enter: opposite corners (3,) in the base frame [m]."""
+    """A stationary box that no part of the arm may enter: opposite corners (3,) in the base frame [m]."""
 
     name: str
     minimum: tuple[float, float, float]

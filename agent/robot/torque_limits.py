@@ -10,7 +10,7 @@ from agent.robot.dynamics import Dynamics, Tool
 
 
 class TorqueLimits:
-    """`max_torque` of a robot's joints, with a tool and a known `load` at the flange beside it."""
+    """`max_torque` of a robot's joints, with a tool and in addition a known `load` at the flange."""
 
     def __init__(self, robot: RobotDescription, tool: Tool | None = None, load: Tool | None = None):
         self._robot = robot

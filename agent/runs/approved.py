@@ -130,7 +130,7 @@ def differences(then: dict[str, Any], now: dict[str, Any]) -> str:
 
 
 def _where(place: tuple[str, ...]) -> tuple[str, str]:
-    """The file or part, and the place in it."""
+    """The file or part, and the key in it."""
     if place[:2] == ("robot", "urdf"):
         return "the URDF", ""
     if place[:2] == ("robot", "joints"):
@@ -155,7 +155,7 @@ def _short(value: Any) -> str:
 
 
 def _differing(then: Any, now: Any, place: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any, Any]]:
-    """(place, before, after) of every leaf that differs."""
+    """(key, before, after) of every leaf that differs."""
     if then == now:
         return
     before, after = _by_name(then), _by_name(now)

@@ -38,9 +38,9 @@ class Background:
 class SeriesChange:
     """The likeliest change of a series.
 
-    `kind` is drift or step, a step after run `place`; `size` over the whole window with its `deviation`; `shape` (R,)
-    is 1 from end to end; `probability` that chance does as much. `drift` and `drift_deviation` are of what is linear in
-    time, whatever the likeliest is.
+    `kind` is drift or step; a step comes after run number `place`. `size` is the change over the whole window, with its
+    `deviation`; `shape` (R,) changes by 1 from end to end. `probability` is that of an equal change by chance. `drift`
+    and `drift_deviation` are the linear change with time, also if another kind is the likeliest.
     """
 
     kind: str
@@ -59,7 +59,7 @@ def line(values: np.ndarray) -> np.ndarray:
 
 
 def find_change(y: np.ndarray, times: np.ndarray, background: Background) -> SeriesChange:
-    """The likeliest change of y (R,), its background taken out."""
+    """The likeliest change of y (R,) after removing the covariate."""
     number = np.arange(len(y))
     places = np.arange(_SEGMENT, len(y) - _SEGMENT + 1)
     # age wears, and so does use
@@ -73,9 +73,9 @@ def find_change(y: np.ndarray, times: np.ndarray, background: Background) -> Ser
 
 
 def fit_course(y: np.ndarray, background: Background, shape: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-    """Parameters (p,) and design (R, p): a mean, the background where it varies, the shape where there is one.
+    """Parameters (p,) and design (R, p): a mean, the covariate if it varies, the shape if there is one.
 
-    The prior of the background's coefficient is one more row, weighted by the noise of a fit without it.
+    The prior of the covariate's coefficient is one more row, weighted by the noise of a fit without it.
     """
     columns = [np.ones(len(y))]
     if background.varies:
@@ -98,8 +98,8 @@ def sizes_of_change(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Sizes, their deviations and their probabilities by chance, (K,) each, of `shapes` (K, R) in y (R,).
 
-    Where the background is nearly collinear with the shape, mostly noise is left to estimate its coefficient, which
-    would be biased towards zero. So the noise is subtracted from its power, and the prior decides.
+    If the covariate is nearly collinear with the shape, mostly noise remains to estimate its coefficient, which would
+    be biased towards zero. So the noise is subtracted from its power, and the prior decides.
     """
     y = y - y.mean()
     shapes = shapes - shapes.mean(axis=1, keepdims=True)
@@ -123,7 +123,7 @@ def sizes_of_change(
 
 
 def _coefficients(y: np.ndarray, common: np.ndarray, background: Background) -> tuple[np.ndarray, np.ndarray]:
-    """Coefficients (K,) of the background in y (K, R), with the shapes projected out of both, and their deviations."""
+    """Coefficients (K,) of the covariate in y (K, R), with the shapes projected out of both, and their deviations."""
     runs = y.shape[1]
     noise = runs * background.noise
     seen = np.sum(common**2, axis=1) - noise

@@ -108,7 +108,7 @@ def current_runs(logs: Path) -> tuple[set[str], list[str]]:
 
 
 def _all_current(logs: Path) -> tuple[dict[Path, Applied], list[str]]:
-    """Current models by their place, and what is damaged."""
+    """Current models by their key, and the damaged ones."""
     found, damaged = {}, []
     for place in sorted((logs / _FOLDER).glob("*")):
         try:

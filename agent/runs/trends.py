@@ -7,8 +7,8 @@ One series is the friction of an axle at one speed, as runs of the same program 
 c is what the other axles' friction did at the same time (their median): warm-up is common to all, wear is not. How
 strongly this axle warms, b, is known from within the runs: a cold arm warms up while it moves, the colder the faster,
 so b is the slope of its relative rate of change over the others' from run to run, with a prior of 1 ± 1. Without that,
-warm-up that goes along with time could not be distinguished from wear. Arms with fewer axles use the rate itself in
-place of c (`agent.runs.warm_up`).
+warm-up that goes along with time could not be distinguished from wear. Arms with fewer axles use the rate itself
+instead of c (`agent.runs.warm_up`).
 
 The rest is tested for a drift, linear in time or in the number of runs, and for a step after run k. Each is a t-test
 against no change (`agent.runs.changes`), corrected for the number of alternatives. Here all series of a machine share

@@ -18,7 +18,7 @@ _SPEEDS_DIFFER = 0.15  # share by which the response at one speed may differ fro
 def warm_up_backgrounds(
     axles: Sequence[int], values: np.ndarray, deviations: np.ndarray, rates: np.ndarray, rate_stds: np.ndarray
 ) -> Iterator[tuple[int, Background]]:
-    """The warm-up that all axles share, as the background of every friction level that is positive in all runs.
+    """The warm-up that all axles share, as the covariate of every friction level that is positive in all runs.
 
     Parameters
     ----------

@@ -1,15 +1,17 @@
-"""The plan is what moves: set-points and measured positions of a motion against what was planned and checked.
+"""Compares the set-points and measured positions of a motion with the plan that was checked.
 
-The controller's interpolator is not ours, so samples are not compared one by one. Some place of the planned path has to
-be near enough to each of them, at no more than the speed that was planned around there, and these places have to go
-along the path: those of a sample are reached from those of the one before, never back (as the Fréchet distance of two
-paths asks for). Where several places fit, as on a path that comes back on itself, nothing has to be decided. How long
-the way took is compared apart from that, without the rests at stops.
+The controller's interpolator is not known exactly, so samples are not compared one by one. Three conditions hold:
 
-The tool may be as far from its path as the cell was checked with (the FLY distance of the recipe), a joint as far as
-that takes it there, by the row of the damped inverse Jacobian, and as the plan itself takes it around there, where a
-blend of another family turns the tool earlier or later. What is measured may lag behind the set-points in time, which
-is no distance from the path, and be off by an error of the servos beside that.
+- Each sample is close to some point of the planned path, at no more than the planned speed around that point.
+- These points advance along the path: the points of a sample are reached from those of the sample before, never
+  backwards (as in the Fréchet distance of two paths). If several points fit, as on a path that returns on itself, all
+  are kept.
+- The time along the path matches the plan, without the pauses at stops.
+
+The tool may leave its path by the distance that the cell was checked with (the FLY distance of the recipe). A joint may
+move by the amount that this distance causes, by the row of the damped inverse Jacobian. A blend of another family turns
+the tool earlier or later, so a joint may also differ by its planned motion nearby. Measured positions may lag behind
+the set-points in time, and may differ by an error of the servos in addition.
 """
 
 from __future__ import annotations
@@ -29,15 +31,15 @@ if TYPE_CHECKING:
     from agent.robot import RobotDescription, Tool
     from drivers.protocol import SampleBlock
 
-#: So much of the plan may pass in a second: where ours slows down for a corner, theirs need not.
+#: Seconds of the plan that may pass in one second: the controller need not slow down for a corner as the plan does.
 AHEAD = 4.0
-#: What is measured may be so long [s] behind the set-points, or before them.
+#: Longest time [s] that measured values may be behind the set-points, or ahead of them.
 LAG, LEAD = 0.15, 0.05
-#: So much of the time and so many seconds may the arm be ahead or behind on a way that was planned to take `WAY` [s].
+#: The arm may be ahead or behind by a share of the time plus an allowance [s], on a path that takes `WAY` [s] by plan.
 #: A corner that one law flies through and another almost stops at costs v/a, 0.7 s at 1.2 m/s and 1.7 m/s²; over a few
 #: moves, ramps, corners and jerk of two laws differ by 20 % (tests/safety/test_off_plan.py: laws drawn at random).
 SHARE, ALLOWANCE, WAY = 0.2, 0.7, 4.0
-#: Samples that are so long [s] apart say nothing of the time between them.
+#: Samples this far apart [s] say nothing about the time between them.
 GAP = 0.1
 #: No joint is farther than this [rad, m] or faster, and no torque is larger [N·m, N].
 FARTHEST = 1e6
@@ -49,7 +51,7 @@ _COLUMNS = {
     "reference_position": "set-points",
     "reference_velocity": "speeds of set-points",
 }
-#: Samples are judged together until so long [s] has passed: a link may hand them out one by one.
+#: Samples of this duration [s] are judged together: a link may deliver them one by one.
 TOGETHER = 0.016
 _BLOCKS, _ROWS = 16, 64  # at once
 
@@ -58,9 +60,9 @@ _BLOCKS, _ROWS = 16, 64  # at once
 class Tolerance:
     """What may differ from the plan.
 
-    `tool` [m] and `joint` [rad, m]: from the path, beyond the margin that the cell was checked with. Speed may be more
-    by a share `faster` of what was planned and a part `floor` of the joint's limit, taken over `span` [s]; below a part
-    `resting` of its limit no joint counts as moving.
+    `tool` [m] and `joint` [rad, m] are distances from the path beyond the margin that the cell was checked with. The
+    speed over `span` [s] may exceed the plan by a share `faster` of it and a share `floor` of the joint's limit. Below
+    a share `resting` of its limit, a joint counts as stationary.
     """
 
     tool: float
@@ -74,7 +76,7 @@ class Tolerance:
 #: No margin is smaller than this [m]: blends and rounding of the controller.
 SMALLEST_MARGIN = 0.005
 SET_POINTS = Tolerance(tool=5e-5, joint=0.03, faster=0.3, floor=0.03, span=0.03, resting=1e-5)
-#: As of set-points, and an error of the servos and noise beside it.
+#: As for set-points, plus an error of the servos and noise.
 MEASURED = Tolerance(tool=0.015, joint=0.07, faster=0.3, floor=0.05, span=0.06, resting=0.003)
 
 
@@ -82,10 +84,10 @@ class Adherence:
     """Follows a motion along its plan, block by block.
 
     Args:
-        chains: what was planned from stop to stop, in order; at least one.
-        robot, tool: who moves.
-        margin: how far from its path the tool may be where the cell was checked [m].
-        period: of the samples [s]; says with their numbers how long the arm had moved before the first that came.
+        chains: the plan from stop to stop, in order; at least one.
+        robot, tool: the arm that moves.
+        margin: distance from its path that the cell check allowed the tool [m].
+        period: of the samples [s]; with their numbers it gives the motion time before the first sample.
     """
 
     def __init__(
@@ -102,7 +104,7 @@ class Adherence:
         self._period = period
         self._began = np.nan
         self._last = 0.0
-        #: The places that fit the last sample: from which one on, and which.
+        #: The path points that fit the last sample: index of the first point, and a mask from there on.
         self._first, self._fits = 0, np.ones(1, dtype=bool)
         self._moved, self._mark = 0.0, (0.0, 0.0)
         self._recent: dict[str, tuple[np.ndarray, np.ndarray]] = {}
@@ -110,16 +112,16 @@ class Adherence:
 
     @property
     def left(self) -> float:
-        """Seconds of the plan that the arm has not gone."""
+        """Seconds of the plan that the arm has not executed."""
         return float(self._path.when[-1] - self._path.when[self._first + len(self._fits) - 1])
 
     def ends_at(self, position: np.ndarray) -> bool:
-        """Whether an arm that stands at `position` (n,) has arrived."""
+        """Whether an arm that is stationary at `position` (n,) has arrived."""
         end = np.array([len(self._path.when) - 1])
         return position.shape == self._path.q.shape[1:] and bool(self._near(position[None], MEASURED, end).all())
 
     def take(self, block: SampleBlock) -> str | None:
-        """The next samples; returns why the arm has to stop, if it has to."""
+        """Take the next samples; return the reason if the arm has to stop."""
         self._waiting.append(block)
         few = len(self._waiting) < _BLOCKS  # of a clock that stands still, too
         if few and float(block.time[-1]) - float(self._waiting[0].time[0]) < TOGETHER:
@@ -127,7 +129,7 @@ class Adherence:
         return self.judge()
 
     def judge(self) -> str | None:
-        """What `take` says of the samples that it still holds back."""
+        """The result of `take` for the samples that it still holds back."""
         if not self._waiting:
             return None
         blocks, self._waiting = self._waiting, []
@@ -151,7 +153,7 @@ class Adherence:
         return None
 
     def _judge(self, time: np.ndarray, measured: np.ndarray, given: np.ndarray | None) -> str | None:
-        """As `take`, for samples that are numbers."""
+        """As `take`, for samples without NaN."""
         path, first, last = self._path, self._first, self._first + len(self._fits) - 1
         what, leading, allowed = ("position", measured, MEASURED) if given is None else ("set-point", given, SET_POINTS)
         passed = np.maximum(np.diff(time, prepend=self._last), 0.0)
@@ -172,7 +174,7 @@ class Adherence:
         return self._pace(time, passed, np.any(speed > allowed.resting * self._robot.max_velocity, axis=1))
 
     def _follow(self, measured: np.ndarray, time: np.ndarray, firsts: np.ndarray, lasts: np.ndarray) -> str | None:
-        """Whether what is measured is where the set-points are, or were."""
+        """Whether the measured positions match the set-points, or earlier ones."""
         path = self._path
         begin = path.place_at(path.when[firsts] - LAG)
         end = path.place_at(path.when[lasts] + LEAD)
@@ -192,7 +194,7 @@ class Adherence:
         time: np.ndarray,
         ways: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """(K, W) which of the places `ways` (W,) fit positions (K, n), and (K, n) the speed that those come with."""
+        """Mask (K, W) of the path points `ways` (W,) that fit positions (K, n), and the speed (K, n) at the positions."""
         speed, over = self._speed(what, allowed.span, time, positions)
         near, lost = self._near(positions, allowed, ways), (over > GAP)[:, None]
         for of_joint, fastest in zip(speed.T, self._fastest(allowed, ways).T, strict=True):
@@ -201,7 +203,7 @@ class Adherence:
         return near, speed
 
     def _near(self, positions: np.ndarray, allowed: Tolerance, ways: np.ndarray) -> np.ndarray:
-        """(K, W) whether places are near enough to positions (K, n)."""
+        """Mask (K, W) of path points that are close enough to positions (K, n)."""
         rows = self._path.rows[ways]
         tool = self._dynamics.tcp_pose(positions)[:, :3, 3]
         near = self._path.distance(tool, rows) <= self._margin + allowed.tool
@@ -213,7 +215,7 @@ class Adherence:
         return near
 
     def _fastest(self, allowed: Tolerance, ways: np.ndarray) -> np.ndarray:
-        """(W, n) the highest speed at places."""
+        """Highest speed (W, n) at path points."""
         path, limit = self._path, self._robot.max_velocity
         rows = path.rows[ways]
         return np.maximum((1 + allowed.faster) * path.speed[rows] + allowed.floor * limit, path.turning[rows])
@@ -221,7 +223,7 @@ class Adherence:
     def _wrong(
         self, what: str, position: np.ndarray, speed: np.ndarray, allowed: Tolerance, when: float, ways: np.ndarray
     ) -> str:
-        """Why none of the places `ways` fits a position (n,) that comes with a speed (n,)."""
+        """Why none of the path points `ways` fits a position (n,) with a speed (n,)."""
         near = self._near(position[None], allowed, ways)[0]
         at = f"{when - self._began:.2f} s into the motion"
         if not near.any():
@@ -237,7 +239,7 @@ class Adherence:
         )
 
     def _place_of(self, what: str, position: np.ndarray, row: int, allowed: Tolerance) -> str:
-        """Which joint is how far off, where."""
+        """Text that names the joint, its distance and where it is."""
         q = self._path.q[row]
         tool = float(np.linalg.norm(self._dynamics.tcp_pose(position[None])[0, :3, 3] - self._path.tool[row]))
         joint = int(np.argmax(np.abs(position - q) * self._path.levers))
@@ -268,7 +270,7 @@ class Adherence:
         return np.abs(was[now] - was[since]) / over[:, None], over
 
     def _pace(self, time: np.ndarray, passed: np.ndarray, moving: np.ndarray) -> str | None:
-        """Whether the way took the time that was planned for it, and where the arm is now."""
+        """Whether the motion took the planned time, and where the arm is now."""
         self._moved += float(np.sum(passed[moving]))
         self._last = float(time[-1])
         when = self._path.when[[self._first, self._first + len(self._fits) - 1]]

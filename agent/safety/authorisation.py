@@ -27,7 +27,7 @@ from agent.recipe import Name, Speed, Time
 
 #: Nobody knows what a cell looks like in two years: a file that allows more is refused.
 LONGEST = timedelta(days=366)
-#: From so long before its end on, a run says that an authorisation ends.
+#: Time before the end of an authorisation from which a run warns.
 _SOON = timedelta(days=14)
 
 
@@ -43,7 +43,7 @@ class Limits(_AuthorisedPart):
 
 
 class NewMotions(_AuthorisedPart):
-    """Motions that a run plans in the problem's sub-region by itself, all of them together so long at most [s].
+    """Motions that a run plans by itself in the problem's sub-region, with a limit on their total duration [s].
 
     Each of them keeps the limits too, and the speed of a first run, as nobody has seen it.
     """

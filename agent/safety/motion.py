@@ -14,7 +14,7 @@ from drivers.protocol import ViaPoint
 if TYPE_CHECKING:
     from agent.motion import Statement, Trajectory
 
-#: A motion may take so many times as long as planned, so long at each stop, and as long before and after it all [s].
+#: Limits of a motion's duration: ratio to the plan, time at each stop [s], and time before and after the motion [s].
 SLOWER, SETTLING, WAITING = 1.25, 3.0, 10.0
 #: An approach shorter than this [rad, m] is where the arm rests off its set-point; the controller makes none.
 THERE = 1e-3

@@ -1,4 +1,4 @@
-"""What was planned, end to end, in a form that samples can be laid onto."""
+"""The whole plan as one path, in a form for matching samples to it."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ if TYPE_CHECKING:
     from agent.motion import Trajectory
     from agent.robot import Dynamics
 
-#: Speed may be had from so long [s] before or after a place: ramps and blends of the controller are not ours.
+#: The planned speed within this time [s] of a point counts: the controller has other ramps and blends.
 AROUND = 0.1
-#: Or from a place so many margins before or after it: where a blend of another family begins that passes its point as
+#: So does the speed within this many margins of it: there a blend of another family begins that passes its point as
 #: near. On a circle it begins cot(turn/4) FLY distances before the point, on a parabola 2/sin(turn/2): 4 at 60 degrees.
 BLEND = 4.0
 #: Damping of the inverse Jacobian [m]: no joint goes farther than the margin over twice this.
@@ -28,13 +28,16 @@ _STEPS = 8  # of a span along the way
 
 @dataclass(frozen=True, eq=False)
 class PlannedPath:
-    """P places in order; each is a row of one of the different stretches, so that a cycle is held once.
+    """P points of the path in order. Each is a row of one of the different stretches, so that a cycle is stored once.
 
-    rows (P,) leads from places to rows; when (P,) [s] of motion up to a place, without rests. By row: q (S, n);
-    tool (S, 3) [m]; reach (S, n), how far each joint goes where the tool goes by the margin, and on the path where a
-    blend may turn the tool earlier or later; speed (S, n), the highest around; turning (S, n), at which each joint
-    alone would move something as fast as the tool goes around there. levers (n,) [m/rad, or 1]: how far a joint moves
-    the tool at most. step [s]: between places at most.
+    rows (P,): row of each point.
+    when (P,): motion time up to each point, without pauses [s].
+    q (S, n) and tool (S, 3) [m]: joint positions and tool position per row.
+    reach (S, n): joint motion if the tool leaves the path by the margin, or a blend turns the tool earlier or later.
+    speed (S, n): highest speed around the row.
+    turning (S, n): speed at which each joint alone would move something as fast as the tool moves around the row.
+    levers (n,): largest tool motion per joint motion [m/rad, or 1].
+    step: largest time between points [s].
     """
 
     rows: np.ndarray
@@ -49,7 +52,7 @@ class PlannedPath:
 
     @classmethod
     def of(cls, chains: Sequence[Trajectory], dynamics: Dynamics, margin: float) -> PlannedPath:
-        """The path of `chains`, from stop to stop, for a tool that may be `margin` [m] from it."""
+        """The path of `chains`, from stop to stop, for a tool that may be `margin` [m] away from it."""
         different = {id(chain): chain for chain in chains}
         first_row = dict(zip(different, np.cumsum([0, *(len(chain.t) for chain in different.values())]), strict=False))
         rows, when, passed = [], [], 0.0
@@ -67,7 +70,7 @@ class PlannedPath:
         return cls(np.concatenate(rows), times, q, tool, reach, speed, pace / levers, levers, step)
 
     def place_at(self, when: Any) -> Any:
-        """The last place [places, of the shape of `when`] that is no later than a moment [s] of the plan."""
+        """Index, in the shape of `when`, of the last point that is no later than a time [s] of the plan."""
         return np.clip(np.searchsorted(self.when, when, side="right") - 1, 0, len(self.when) - 1)
 
     def lay(
@@ -80,11 +83,11 @@ class PlannedPath:
         gap: float,
         within: float,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Lay samples, one after the other, onto those of W places from `first` on that each of them `fits` (K, W).
+        """Match samples, one after the other, to the W points from `first` on that each of them `fits` (K, W).
 
-        Each goes `onward` by its `ahead` [s] from those that the one before `reached` (W,); after more than `gap` [s]
-        had `passed`, only `runs_near` its pace count. Returns the first and last place of each sample, up to one that
-        fits nowhere, and the places (W,) that the last one reached, or where the one that fits nowhere could have been.
+        Each sample goes `onward` by its `ahead` [s] from the points that the one before `reached` (W,). If more than
+        `gap` [s] has `passed`, only `runs_near` its pace count. Returns the first and last point of each sample, up to
+        one that fits nowhere, and the points (W,) that the last sample reached, or that the misfit could have reached.
         """
         firsts, lasts = np.zeros((2, len(fits)), dtype=int)
         when: list[float] = self.when[first : first + len(reached)].tolist()
@@ -113,15 +116,15 @@ class PlannedPath:
         return firsts, lasts, _run(low, high, len(reached)) if whole else reached
 
     def onward(self, reached: np.ndarray, first: int, ahead: float) -> np.ndarray:
-        """(W,) the places, of those from `first` on, up to a step and `ahead` [s] after one that was `reached` (W,)."""
+        """Mask (W,), from point `first` on, of points up to a step and `ahead` [s] after a `reached` (W,) point."""
         when = self.when[first : first + len(reached)]
         latest = np.maximum.accumulate(np.where(reached, when, -np.inf))
         return when <= latest + ahead + self.step
 
     def runs_near(self, reached: np.ndarray, first: int, expected: float, within: float) -> np.ndarray:
-        """(W,) of the places, from `first` on, that were `reached` (W,), the run that is nearest to `expected` [s].
+        """Mask (W,), from point `first` on, of the run of `reached` (W,) points that is nearest to `expected` [s].
 
-        Others, too, that are no more than `within` [s] farther from it.
+        Runs that are at most `within` [s] farther away are included.
         """
         found = np.flatnonzero(reached)
         runs = np.split(found, np.flatnonzero(np.diff(found) > 1) + 1)
@@ -132,14 +135,14 @@ class PlannedPath:
         return chosen
 
     def distance(self, tool: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        """(K, W) [m] from places of the tool (K, 3) to those of rows (W,)."""
+        """Distances (K, W) [m] from tool positions (K, 3) to those of rows (W,)."""
         away = np.zeros((len(tool), len(rows)))
         for axis in range(3):
             away += np.square(tool[:, None, axis] - self.tool[rows, axis])
         return np.sqrt(away)
 
     def apart(self, position: np.ndarray, places: np.ndarray) -> np.ndarray:
-        """(W,) [m] from a position (n,) to each of the places, all joints together."""
+        """Distances (W,) [m] from a joint position (n,) to each of the points, all joints together."""
         return np.linalg.norm((self.q[self.rows[places]] - position) * self.levers, axis=1)
 
 

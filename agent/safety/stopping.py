@@ -36,7 +36,7 @@ RECENT = 0.3
 ANSWERED = 1.0
 #: Time after a stop [s] by which the arm has to stand, or the link is closed.
 STANDS = 4.0
-#: Duration of standing [s] from which a motion is over though the controller never reports its end.
+#: Duration of standstill [s] after which a motion is over even if the controller never reports its end.
 NO_END = 2.0
 _LOOKS = 20  # at the state, once the samples have ended
 

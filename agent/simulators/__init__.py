@@ -1,7 +1,7 @@
 """Simulators as files: MuJoCo's MJCF and URDF read as an identified model, corrected, exported and run forward.
 
-Nothing in such a file was identified, so its parameters come without uncertainty: the model holds them as exact, and
-the error it should have is for the caller to say (`docs/decisions/simulator-background.md`).
+Nothing in such a file was identified, so its parameters have no uncertainty. The model treats them as exact, and the
+caller sets the model's error (`docs/decisions/simulator-background.md`).
 """
 
 import lazy_loader

@@ -45,7 +45,7 @@ class SimulatedArm:
     """One arm of a file: `robot` is its chain, with gear ratios of 1 and joints called as in the description or logs.
 
     Per joint (n,), on the joint side: armature [kg·m²], damping [N·m·s/rad], frictionloss [N·m], stiffness [N·m/rad]
-    and the position [rad] where the spring is at rest; `file_joints` are the joints' names in the file. `carrying`
+    and the rest position [rad] of the spring; `file_joints` are the joints' names in the file. `carrying`
     (n,): which body takes a change of each link. `servos`: those of the file's joints, or why it has none.
     """
 
@@ -162,7 +162,7 @@ def _between_axes(robot: RobotDescription) -> tuple[np.ndarray, np.ndarray, floa
     distances = np.where(sines > 1e-3, np.abs(np.sum(normals * ways, axis=1)) / np.maximum(sines, 1e-3), beside)
     reach = float(np.sum(np.linalg.norm(np.diff([*points, tip[:3, 3]], axis=0), axis=1)))
     prismatic = np.array([joint.prismatic for joint in robot.joints])
-    known = ~(prismatic[:-1] | prismatic[1:])  # where a joint slides its axis has no place
+    known = ~(prismatic[:-1] | prismatic[1:])  # the axis of a prismatic joint has no position
     return np.arcsin(np.minimum(sines, 1.0)), np.where(known, distances, 0.0), reach
 
 

@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict
 
 from agent.core import InputError, counted, load_document
 
-#: From so much on, names are so alike that they may mean one joint.
+#: Similarity from which two names may mean one joint.
 _ALIKE = 0.6
 
 

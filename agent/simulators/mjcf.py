@@ -68,7 +68,7 @@ def compiled(path: Path) -> Any:
 
 
 def _compile_apart(path: Path, place: Path) -> str:
-    """Compile in a process of its own, which leaves the model at `place`; returns what MuJoCo said.
+    """Compile in a separate process, which writes the model to the path `place`; return MuJoCo's messages.
 
     A few lines may ask for a hundred million bodies, and nothing ends MuJoCo on the way: the process has a limit of
     processor time and memory, and is ended with this one.

@@ -1,7 +1,7 @@
 """Position servos of a simulator's file: the torque that they give at set-points and states.
 
 A MuJoCo `position` actuator, or a `general` one with affine bias, has the force f = g u + b₀ + b₁ l + b₂ l̇ on
-l = gear · q. The set-point r of a joint is where it gives no force at rest, so f = −b₁ gear (r − q) + b₂ gear q̇,
+l = gear · q. The set-point r of a joint is where it gives no force at standstill, so f = −b₁ gear (r − q) + b₂ gear q̇,
 whatever the unit of its control, clamped to `forcerange`; the joint has gear · f, clamped to `actuatorfrcrange`.
 """
 
@@ -25,7 +25,7 @@ class PositionServos:
 
     stiffness k [N·m/rad], damping d [N·m·s/rad]; low, high [N·m] the least and largest torque; least, most [rad] of the
     set-points; `control` (n, 2): the control of the file's actuator is control₀ + control₁ r, `gear` (n,) its gear;
-    `actuators` and `inputs` (n,) are the places of actuators and of their controls in the compiled model.
+    `actuators` and `inputs` (n,) are the indices of actuators and of their controls in the compiled model.
     """
 
     stiffness: np.ndarray

@@ -1,7 +1,7 @@
 """External force on the arm during short windows of time.
 
 The search runs in three steps: windows in which a constant force on a link leaves the least error (`Windows`), the
-windows that stand out from all others (`strongest`), and the place on the link where each force acts (`place_of`).
+windows that stand out from all others (`strongest`), and the point on the link where each force acts (`place_of`).
 """
 
 from __future__ import annotations
@@ -32,15 +32,15 @@ _FEW, _RARE = 6, 0.15  # pushes of any duration; share of the time that more pus
 _EDGE_STEPS, _EDGE_PARTS = 8, 40  # steps by which each end moves in the fit; steps per duration
 _PARTS, _PART = np.linspace(0.13, 0.7, 10), 1 / 6  # starts and length of the parts checked for a pause, per duration
 _PAUSE, _SHOWS = 0.5, 0.1  # share of the force missing in a pause; least share of the usual gain to see it
-_ROUNDS = 30  # alternating fits of force and place
-_WEAK = 1e-6  # regularisation over the mean information: a place along the force turns no joint
+_ROUNDS = 30  # alternating fits of force and point
+_WEAK = 1e-6  # regularisation over the mean information: moving the point along the force changes no torque
 _LARGE = 1 / 3  # size of a link in any direction over the arm's reach, if it is not longer
 
 
 class Contact(Effect):
-    """τ = −J_lᵀ F during one or several windows; F is constant except at the edges, at one place of link l each.
+    """τ = −J_lᵀ F during one or several windows; F is constant except at the edges, at one point of link l each.
 
-    The place is the far end of the link, unless another one leaves less error.
+    The point is the far end of the link, unless another one leaves less error.
     """
 
     name = "contact"
@@ -98,8 +98,10 @@ class Contact(Effect):
         return np.eye(len(self.names(settings))) / usual**2
 
     def reported(self, reference: NominalModel, settings: Numbers, values: Numbers) -> dict[str, float]:
-        """Of each push the link (from 1), force [N, base frame], log (from 0), start and end [s]; and its place [m] in
-        the link's frame from the far end, if it is not there."""
+        """Per push: link (from 1), force [N, base frame], log (from 0), start and end [s].
+
+        If it does not act at the far end of the link, also its point [m] from there, in the link's frame.
+        """
         found: dict[str, float] = {}
         for number in _numbers(settings):
             start = settings[f"start_{number}"]
@@ -191,7 +193,7 @@ class _Sums:
 @dataclass(frozen=True, eq=False)
 class Windows:
     """All windows of a length in one motion: starts (K,) [s], gain (K,) of a force on a link, from its `sums`; `again`
-    (K,) is the largest gain at the same place of another cycle; `whole` (K,): no pause in the middle of it."""
+    (K,) is the largest gain at the same phase of another cycle; `whole` (K,): no pause in the middle of it."""
 
     link: int
     log: int
@@ -324,7 +326,7 @@ def strongest(windows: Sequence[Windows]) -> list[PushedWindow]:
 
 
 def _beside(push: PushedWindow, taken: Sequence[PushedWindow], windows: Sequence[Windows]) -> tuple[float, float]:
-    """Gain that is usual or near a push, and the one that comes back at its place of another cycle."""
+    """Gain that is usual or near a push, and the gain that repeats at its phase of another cycle."""
     of_link = [w for w in windows if w.link == push.link]
     here = [w for w in of_link if w.log == push.log]
     as_long = min((w.duration for w in here), key=lambda duration: abs(duration - push.duration))
@@ -352,11 +354,11 @@ def _usual(push: PushedWindow, taken: Sequence[PushedWindow], windows: Sequence[
 def place_of(push: PushedWindow, motions: Sequence[tuple[MotionSignals, np.ndarray, np.ndarray]]) -> np.ndarray | None:
     """(3,) [m] from the far end of a push's link, in the link's frame; None where that would be off the link.
 
-    The torque J(p)ᵀ F of a force F at a place p of the link is linear in F for a place, and in p for a force; so each
-    is fitted in turns (alternating least squares), which never leaves more. It starts at the far end.
+    The torque J(p)ᵀ F of a force F at a point p of the link is linear in F for fixed p, and in p for fixed F. So both
+    are fitted in turns (alternating least squares), which never increases the error. The fit starts at the far end.
 
     Args:
-        motions: of every motion its signals, and the error and background (S', n) of the rows that are kept.
+        motions: per motion its signals, and the error and noise level (S', n) of the rows that are kept.
     """
     moments, side, farthest = np.zeros((12, 12)), np.zeros(12), 0.0
     for signals, residual, sigma in motions:

@@ -48,5 +48,5 @@ class GravitySpring(Effect):
         return {joints[0]: np.column_stack(harmonics(q, settings))}
 
     def possible(self, reference: NominalModel, joints: Joints, settings: Numbers, values: Numbers) -> bool:
-        swing = [value for name, value in values.items() if name != "constant"]  # about where it is at rest
+        swing = [value for name, value in values.items() if name != "constant"]  # about its rest position
         return float(np.linalg.norm(swing)) < _STRONGEST * float(reference.scale[joints[0]])

@@ -28,8 +28,8 @@ class WristCoupling(Effect):
     model's friction sits elsewhere, viscous and Coulomb part and that load have factors of their own (`free`).
 
     A seal or bearing of the coupled shaft rubs at that speed too, c sign(w + r q̇_i) + d (w + r q̇_i) on axle j, and r
-    times that on joint i: though the motors turn as described (`besides`), or where they do not (`turning`, too). What
-    turns at that speed beside the motors may have an inertia of its own (`shaft`), e (ẇ + r q̈_i) likewise.
+    times that on joint i: though the motors turn as described (`besides`), or where they do not (`turning`, too). Other
+    parts that turn at that speed may add an inertia (`shaft`), e (ẇ + r q̈_i).
     """
 
     name = "wrist_coupling"

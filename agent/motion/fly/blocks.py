@@ -44,7 +44,7 @@ class BlockLaw:
         return self.raw_duration * self.stretch
 
     def sample(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """s, ṡ, s̈ (S,) at times t (S,) [s] since the start of the run; at rest outside of it."""
+        """s, ṡ, s̈ (S,) at times t (S,) [s] since the start of the run; stationary outside it."""
         t = np.clip(t / self.stretch, 0.0, self.raw_duration)
         k = np.clip(np.searchsorted(self.t, t, side="right") - 1, 0, len(self.t) - 1)
         dt, a, jerk = t - self.t[k], self.acceleration[k], self.jerk[k]

@@ -80,7 +80,7 @@ class FlyInterpolator:
 
 
 class _Plan:
-    """A trajectory under construction: the joints at rest, the moves not yet planned, and the samples."""
+    """A trajectory under construction: the joints at the last stop, the moves not yet planned, and the samples."""
 
     def __init__(self, interpolator: FlyInterpolator, q: np.ndarray):
         self.q = q

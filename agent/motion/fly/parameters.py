@@ -1,4 +1,4 @@
-"""What public sources leave open about the controller's interpolator, as numbers that can be changed."""
+"""Parameters for the properties of the controller's interpolator that public sources leave open."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class FlyParameters:
     blend_turn: the orientation in a blend follows the `path`, or goes by `slerp` from one move's to the next one's.
     turn_lever: [m/rad] converts a rotation into travel of the tool where a move does little but rotate: blends take
     equal parts of the path measured so.
-    ramps: `window`, speeds as high as limits allow at each place, averaged over a time; or `blocks`, one speed and one
+    ramps: `window`, speeds as high as limits allow at each point, averaged over a time; or `blocks`, one speed and one
     acceleration for a move, one speed for a corner.
     acceleration: part of the arm's acceleration limits that is planned for.
     rise: [s] of `blocks`, in which the acceleration of a ramp rises to its full; 0 is a trapezoidal speed.

@@ -70,7 +70,7 @@ class TimeLaw:
         return float((self.t[-1] + self.window) * self.stretch)
 
     def sample(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """s, ṡ, s̈ (S,) at times t (S,) [s] since the start of the run, in growing order; at rest outside of it."""
+        """s, ṡ, s̈ (S,) at times t (S,) [s] since the start of the run, in ascending order; stationary outside it."""
         s, speed, acceleration = averaged(
             t, self.t, self.s, self.speed, self.acceleration, self.integral, self.window, self.stretch
         )
@@ -85,7 +85,7 @@ def _time_law(path: Path, z: np.ndarray, window: float) -> TimeLaw:
 
 @dataclass(frozen=True, eq=False)
 class SetPoints:
-    """Samples of one run, the first at rest at its start: the path parameter s and its speed (S,), of n `joints`.
+    """Samples of one run from a standstill: the path parameter s and its speed (S,), of n `joints`.
 
     rows (3, n + 7, S): values, derivatives and second derivatives by time of the joints and of the TCP's pose, which is
     position [m] and orientation (unit quaternion). Samples are the last axis: every operation runs along them.

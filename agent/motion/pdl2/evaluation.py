@@ -156,7 +156,7 @@ def setting_value(target: syntax.System, value: syntax.Expression, memory: Memor
 
 
 def check_variable(target: syntax.Name | syntax.Element, memory: Memory) -> None:
-    """Raises Pdl2Error where a constant stands in place of a variable."""
+    """Raise Pdl2Error if a constant is used where a variable is required."""
     if target.name in memory.constants or target.name in PREDEFINED:
         raise Pdl2Error("is a constant and cannot be assigned", target.place)
 

@@ -170,7 +170,7 @@ class _Sieve:
             at = self._statement(at, self.out) + 1
 
     def passes_over(self, place: TextPosition) -> bool:
-        """Blank the setting or the line with the error at a place, where that changes no move's target.
+        """Blank the setting or the line at an error's position, if that changes no move's target.
 
         Controllers take values that the motion subset refuses, such as a `$FLY_DIST` below zero for none; and names of
         other programs hold nothing known here.

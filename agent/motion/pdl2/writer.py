@@ -73,7 +73,7 @@ def write_loop_program(
     The approach is MOVE JOINT with `approach` (default: 10 % speed override) and FINE to `start`, which are joint
     positions of the first point, or to the first point itself: joint positions leave no turn or posture open. Each
     cycle flies LINEAR through points 2 to K and closes with MOVE LINEAR to the first point and FINE, so every cycle
-    starts and ends at rest.
+    starts and ends at standstill.
 
     Raises:
         InputError: fewer than two points, no cycle, or what `write_program` refuses.

@@ -27,7 +27,7 @@ from agent.motion.trajectory import Trajectory
 from agent.motion.urscript.settings import UrSettings
 from agent.robot import CartesianLimits, RobotDescription, Tool
 
-#: Blends keep so far [m] from each other: by so much points of an arm's own kinematics differ from the nominal ones.
+#: Smallest distance [m] between blends: points by an arm's calibrated kinematics differ this far from nominal ones.
 BLEND_MARGIN = 0.002
 #: Acceleration [m/s²] that a program's is expressed as a part of.
 _WHOLE = 100.0

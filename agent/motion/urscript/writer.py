@@ -44,7 +44,7 @@ _HEAD = """def {name}():
 {body}end
 """
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*", re.ASCII)
-#: A program's name has at most so many characters; eight of them and a `_` are of the checksum.
+#: Longest name of a program in characters; eight of them and a `_` belong to the checksum.
 _LONGEST, _DIGEST = 31, 8
 #: A controller goes on from a stop in the next period; at this rest it shows where cycles begin.
 _REST = "sleep(0.1)"
@@ -74,7 +74,7 @@ def write_loop_program(
 ) -> str:
     """A program of the loop: `movej` to the start, then `cycles` times `movel` through points 2 to K and to the first.
 
-    All but the last `movel` of a cycle blend, so every cycle starts and ends at rest, for 0.1 s.
+    All but the last `movel` of a cycle blend, so every cycle starts and ends with a standstill of 0.1 s.
 
     Raises:
         InputError: fewer than two points, no cycle, or what `write_program` refuses.

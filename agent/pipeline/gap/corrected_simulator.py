@@ -68,7 +68,7 @@ def write_simulator(found: Diagnosis, simulator: Simulator, out: Path, console: 
     """Write the corrected simulator: in its own format with its companion files, or as a model file.
 
     Raises:
-        InputError, RejectedError: the file cannot be changed in place, or did not read back as meant.
+        InputError, RejectedError: the file cannot be edited, or did not read back as meant.
     """
     correction = corrected(found, simulator)
     for note in correction.notes:

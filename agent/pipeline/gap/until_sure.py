@@ -87,7 +87,7 @@ def until_sure(
 
     Raises
     ------
-    AgentError : first logs that cannot be diagnosed, or a recipe that leaves no room.
+    AgentError : the first logs cannot be diagnosed, or the recipe allows no motion.
     """
     rounds, moved, slow = Rounds([], [], find(logs), recipe.path), 0.0, recipe
     if allowed is not None:

@@ -6,7 +6,7 @@ parsed for its layout; all others of that layout are read and written as columns
 CDR (OMG DDSI-RTPS 2.3, 10) begins with 4 bytes of encapsulation (second byte 1: little endian). Each field is aligned
 to its own size, counted from the end of those bytes. A string is a uint32 length, its bytes and a NUL; a sequence is a
 uint32 length and its elements. JointState is a header (stamp int32 + uint32, frame_id), names, and three sequences of
-float64, each as long as the names or empty. ROS 1 has a sequence number in the place of the encapsulation, packs the
+float64, each as long as the names or empty. ROS 1 has a sequence number instead of the encapsulation, packs the
 same fields without alignment, little endian, and ends no string with a NUL.
 """
 

@@ -61,7 +61,7 @@ _DAMAGED = (struct.error, UnicodeDecodeError, EndOfFile, zstandard.ZstdError, Ru
 
 @dataclass(frozen=True, eq=False)
 class Messages:
-    """K messages of one topic and layout: place in the file (K,), header stamps (K,) [ns], position, velocity and
+    """K messages of one topic and layout: offset in the file (K,), header stamps (K,) [ns], position, velocity and
     effort (K, n) or None."""
 
     layout: JointStateLayout

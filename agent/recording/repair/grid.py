@@ -15,7 +15,7 @@ _SEARCHED = 0.25  # of the rate, to either side
 _FINE = 16  # parts of a period in which stamps are counted
 _NOISE = 4.0  # times the amplitude of random phases: by chance one rate in a million has as much
 _ABOUT, _FEWEST = 50, 100  # neighbours that show the usual power: part of the rate, and frequencies at least
-_DOUBT, _AROUND, _ROUNDS = 4, 9, 2  # rows by which the place of a missing sample may be wrong, rows around it, rounds
+_DOUBT, _AROUND, _ROUNDS = 4, 9, 2  # rows by which the index of a missing sample may be wrong, rows around it, rounds
 _DEGREE = 5
 _FAR = 8  # rows by which it may be wrong where the rows around stay rough
 _ROUGH = 10.0  # mean squared distance from the quintic, in noise: more is no noise
@@ -58,9 +58,9 @@ def sample_numbers(stamps: np.ndarray, rate: float) -> np.ndarray:
 
 
 def _rising(place: np.ndarray) -> np.ndarray:
-    """(S,) whole numbers that rise by at least one, nearest to places (S,) in least squares.
+    """Integers (S,) that rise by at least one, nearest to positions on the grid (S,) in least squares.
 
-    Less the row's own number they must not fall; the nearest that do not fall are the isotonic regression, rounded.
+    Minus the row's own number, they must not fall: the nearest such sequence is the rounded isotonic regression.
     """
     number = np.round(place)
     if np.all(np.diff(number) > 0):
@@ -74,9 +74,9 @@ def _rising(place: np.ndarray) -> np.ndarray:
 def settled(number: np.ndarray, place: np.ndarray, position: np.ndarray) -> np.ndarray:
     """(S,) the numbers with each missing sample where positions (S, n) are smoothest and stamps least off.
 
-    `place` (S,) are the stamps in periods. Jitter leaves open by a few rows where a sample is missing. Positions are
-    near a quintic through nine rows to either side; a cubic would not follow a start at 50 rad/s². Two missing samples
-    near to each other hide each other's place: where moving one leaves the rows rough, both are moved, or one further.
+    `place` (S,) are the stamps in periods. Jitter hides the index of a missing sample by a few rows. Positions are near
+    a quintic through nine rows to either side; a cubic would not follow a start at 50 rad/s². Two adjacent missing
+    samples hide each other's index: if moving one leaves the rows rough, both are moved, or one is moved further.
     """
     if len(number) < _AROUND:
         return number

@@ -64,7 +64,7 @@ class Jumps:
 
 
 def mend_jumps(stamp: np.ndarray, position: np.ndarray, robot: RobotDescription) -> Jumps:
-    """Unwrap positions (S, n) in place, and find other jumps further than the joint can move.
+    """Unwrap positions (S, n) in place, and find other jumps beyond the joint's range.
 
     Between two samples at sorted stamps (S,) [ns], a joint moves at most five times as far as its highest speed allows,
     plus 10 ms of it for late stamps.

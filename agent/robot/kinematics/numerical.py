@@ -112,7 +112,7 @@ class NumericalKinematics(Kinematics):
         return q, found
 
     def roomiest(self, poses: np.ndarray) -> np.ndarray | None:
-        """(n,) joints of a redundant arm at the first of poses (S, 4, 4) that leave most room to the limits at all.
+        """Joints (n,) of a redundant arm at the first of poses (S, 4, 4), with the largest margin to the limits at all.
 
         Room is the distance to the nearest limit of any joint over all poses, each reached by the joints nearest to
         those at the first; poses that are not reached within the limits count most. None where the first is not.

@@ -1,1 +1,1 @@
-"""Corrects a simulator: changes numbers of its file in place, and writes other effects to a file next to it."""
+"""Corrects a simulator: edits numbers of its file, and writes other effects to a file next to it."""

@@ -43,8 +43,8 @@ def write_corrected(simulator: Simulator, correction: Correction, out: Path) -> 
     """Write the corrected file and the files next to it; returns all paths, the corrected file first.
 
     Raises:
-        InputError: the file cannot be changed in place (a body without a name, say).
-        RejectedError: what was written does not read back as what was meant.
+        InputError: the file cannot be edited (for example, a body has no name).
+        RejectedError: the written file does not read back as meant.
         AgentError: the disk is full or not writable.
     """
     source, arm = simulator.arm.path, simulator.arm

@@ -1,4 +1,4 @@
-"""Changes numbers of an MJCF or URDF in place; everything else stays as people wrote it.
+"""Edits numbers of an MJCF or URDF; everything else stays as written.
 
 Joints count from 0 in the order of the arm, all numbers are SI, and inertias (10,) of bodies are in their own frames.
 """
@@ -27,7 +27,7 @@ def opened(path: Path) -> XmlDocument:
     """Read a file that is to be changed.
 
     Raises:
-        InputError: it cannot be read, or not changed in place.
+        InputError: it cannot be read or edited.
     """
     try:
         return XmlDocument(path.read_bytes())
@@ -71,7 +71,7 @@ class UrdfEdits:
         set_inertial(self._links[body], block)
 
     def set_gravity(self, gravity: tuple[float, float, float]) -> None:
-        """Set gravity in MuJoCo's extension: a URDF itself has no place for it."""
+        """Set gravity in MuJoCo's extension: URDF itself has no element for it."""
         child_of(child_of(self._document.root, "mujoco"), "option").set("gravity", digits(*gravity))
 
     def move_zero(self, k: int, offset: float) -> tuple[list[float], list[float]]:
@@ -113,7 +113,7 @@ class MjcfEdits:
             yield from (element for element in document.root.iter() if element.tag in names)
 
     def _point_back(self) -> None:
-        """Let a file in another folder find meshes and textures in the original place."""
+        """Let a file in another folder find meshes and textures in the original folder."""
         compilers = list(self._all("compiler"))
         for key in ("meshdir", "texturedir", "assetdir"):
             for compiler in compilers:

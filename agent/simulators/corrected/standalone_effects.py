@@ -31,7 +31,7 @@ Array = np.ndarray[Any, np.dtype[np.float64]]
 
 
 class Effects:
-    """The effects of arms of leading `shape`, stepped every `dt` [s]; `reset` starts anew, at time 0 and at rest."""
+    """The effects of arms of leading `shape`, stepped every `dt` [s]; `reset` starts again at time 0, stationary."""
 
     def __init__(self, shape: tuple[int, ...] = (), dt: float = 0.002):
         self.shape, self.dt = shape, dt
