@@ -43,7 +43,7 @@ def gravity_spring(level, q, qd, load):
 
 
 def motion(rng, low, high, count):
-    """q, qd, qdd (S, n): sums of sines in the middle of the range, at rest where it starts."""
+    """q, qd, qdd (S, n): sums of sines in the middle of the range, from a standstill."""
     t = np.arange(int(SECONDS * RATE)) / RATE
     low, high = (np.where(high > low, end, side) for end, side in ((low, -np.pi), (high, np.pi)))  # 0 0: unlimited
     middle, span = 0.5 * (low + high), np.minimum(high - low, 2 * np.pi)

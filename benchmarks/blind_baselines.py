@@ -33,7 +33,7 @@ from agent.validation import predict_log
 
 #: A joint errs by more than the model does anyway from this ratio on.
 NOTICED = 1.5
-#: A closure from which on a refit explains a gap, by the definition of `explained`.
+#: Share of the gap from which a refit explains it, by the definition of `explained`.
 EXPLAINED = 0.75
 
 
@@ -55,8 +55,10 @@ def main() -> None:
 
 @dataclass(frozen=True)
 class Gap:
-    """Torque errors of a run, each (n,) root mean square over nominal torque: `before` of the judged logs under the
-    baseline's model, `floor` of baseline logs held out."""
+    """Torque errors of a run, each (n,) root mean square over nominal torque.
+
+    `before` is that of the judged logs under the baseline's model, `floor` that of held-out baseline logs.
+    """
 
     robot: RobotDescription
     logs: Sequence[Log]
@@ -87,13 +89,13 @@ class Gap:
 
     @property
     def where(self) -> list[dict[str, Any]]:
-        """Joints by their share of the squared error beyond the floor."""
+        """Joints by their share of the squared error above that of held-out baseline logs."""
         excess = np.maximum(self.before**2 - self.floor**2, 0.0) + 1e-12
         share = excess / excess.sum()
         return [{"joint": self.robot.joint_names[k], "share": float(share[k])} for k in np.argsort(-share)]
 
     def closure(self, after: np.ndarray) -> float:
-        """Share of the squared error beyond the floor that is gone after a change."""
+        """Share of the squared error above that of held-out baseline logs that a change removes."""
         before, left, floor = (float(np.sum(value**2)) for value in (self.before, after, self.floor))
         return (before - left) / max(before - floor, 1e-12)
 

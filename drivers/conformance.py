@@ -176,7 +176,7 @@ class DriverConformance:
                 assert driver.throughput() > 0
             assert _run(driver, bench.short), "measuring the link is no harm"
 
-    def test_a_stop_at_rest_is_no_harm(self, bench: Bench) -> None:
+    def test_a_stop_of_a_stationary_arm_is_harmless(self, bench: Bench) -> None:
         with _connected(bench) as driver:
             driver.stop()
             assert _run(driver, bench.short)

@@ -1,6 +1,6 @@
-"""Passwords: where they come from, and the one place that takes them out of every text that is shown or kept.
+"""Reads passwords from where they are stored, and registers them so that no shown or stored text contains them.
 
-An address names the place of a password, never the password: `env:NAME`, `file:PATH` or `keyring:SERVICE/USER`.
+An address names where a password is stored, never the password: `env:NAME`, `file:PATH` or `keyring:SERVICE/USER`.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from drivers.texts import hidden_forms
 
 #: Bytes of a file with a password.
 _LONGEST = 4096
-#: A shorter password could not be told from ordinary text, so none is taken.
+#: A shorter password is refused: it could not be distinguished from ordinary text.
 _SHORTEST = 4
 _OPTION = re.compile(r"(?i)(?<![a-z])(pass(?:word|wd|phrase)?|pwd|pw|secret|token|api_?key)\s*=")
 _USER = re.compile(r":[^@]*@")
@@ -29,10 +29,10 @@ ADVICE = (
 
 
 def refuse_in_address(address: str) -> None:
-    """No address of a driver, whoever wrote it, holds a password.
+    """Check that the address of a driver holds no password.
 
     Raises:
-        ConfigurationError: it does; says where it should go, and does not repeat it.
+        ConfigurationError: it holds one. The message says where to store it, and does not repeat it.
     """
     rest = _PLACE.sub("", address)
     if _OPTION.search(rest) or _USER.search(rest):
@@ -40,10 +40,10 @@ def refuse_in_address(address: str) -> None:
 
 
 def check_source(source: str) -> str:
-    """The place of a password as it is written in an address.
+    """Where a password is stored, as written in an address.
 
     Raises:
-        ValueError: none of the three kinds; what was written is not repeated, it may be a password.
+        ValueError: it is none of the three kinds. The text is not repeated because it may be a password.
     """
     kind, colon, name = source.partition(":")
     if kind not in _KINDS or not colon or not name:
@@ -52,10 +52,10 @@ def check_source(source: str) -> str:
 
 
 def read_secret(source: str) -> str:
-    """The password that a place holds; from now on `drivers.texts.hide` takes it out of every text.
+    """Read the password; from now on `drivers.texts.hide` removes it from every text.
 
     Raises:
-        ConfigurationError: there is none, others can read it, or it is too short to be kept out of texts.
+        ConfigurationError: there is none, others can read it, or it is too short to be removed from texts.
     """
     kind, _, name = check_source(source).partition(":")
     secret = _KINDS[kind](name)

@@ -51,13 +51,13 @@ def hide_all(text: str) -> str:
 
 
 def printable(text: object, longest: int = MESSAGE, lines: bool = False) -> str:
-    """A text without control characters and terminal commands, cut where it is longer than so many characters.
+    """A text without control characters and terminal commands, cut to at most `longest` characters.
 
     Args:
         lines: whether line feeds may stay; they become blanks otherwise.
     """
     whole = str(text)
-    cut = whole[: 4 * longest]  # commands are taken out of so much at most
+    cut = whole[: 4 * longest]  # limits the search for commands
     cut = _CONTROL.sub("", _ESCAPE.sub("", cut.replace("\r\n", "\n").replace("\r", "\n")))
     if not lines:
         cut = cut.replace("\n", " ").replace("\t", " ")

@@ -31,7 +31,7 @@ def build_controller(
     model: Path | None = None,
     interpolator: str = "ours",
 ) -> Controller:
-    """A controller at rest at the robot's calibration pose.
+    """A controller with a stationary arm at the robot's calibration pose.
 
     Args:
         robot_name: built-in robot, or path of a robot.yaml.
@@ -63,7 +63,7 @@ def build_ur_cell(
     version: tuple[int, int, int, int] = POLYSCOPE,
     shortest_watchdog: float = 0.05,
 ) -> UrCell:
-    """A UR controller with its arm at rest, and its clock running.
+    """A UR controller with a stationary arm and a running clock.
 
     Args:
         robot_name, seed, clock, effects, faults, model: as of `build_controller`.

@@ -40,7 +40,7 @@ class Ring:
         self._parts: deque[tuple[int, np.ndarray, Slice]] = deque()
 
     def append(self, first: int, time_ns: np.ndarray, samples: Slice) -> None:
-        """Keep samples; the oldest make room."""
+        """Keep samples; drop the oldest if the buffer is full."""
         self._parts.append((first, time_ns, samples))
         self.size += len(samples)
         while self.size > RING:
@@ -58,7 +58,7 @@ class Listener(Protocol):
         """Samples from sequence number `first` on, with their controller times (K,) [ns]."""
 
     def on_end(self, reason: EndReason, samples: int, message: str) -> None:
-        """The arm rests; there were so many samples."""
+        """The arm rests; the motion had this number of samples."""
 
 
 class Controller:

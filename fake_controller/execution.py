@@ -55,12 +55,12 @@ class Astray:
         self._scale[joint] = times
 
     def changed(self, position: np.ndarray, velocity: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Set-points (K, n) and their velocities in place of a program's that begins at `start` (n,)."""
+        """Set-points (K, n) and their velocities that replace those of a program that begins at `start` (n,)."""
         offset, rate = self._path.next(len(position))
         return start + self._scale * (position - start) + offset, self._scale * velocity + rate
 
     def followed(self, position: np.ndarray, velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """What the servos go to in place of set-points (K, n)."""
+        """Targets of the servos that replace set-points (K, n)."""
         offset, rate = self._servo.next(len(position))
         return position + offset, velocity + rate
 
@@ -150,7 +150,7 @@ class Planner:
         self._plans: OrderedDict[tuple[object, ...], Trajectory] = OrderedDict()
 
     def chains(self, statements: Iterable[Statement], start: np.ndarray) -> Iterator[Chain]:
-        """The chains of a program that starts at rest at `start` (n,), each planned when it is asked for.
+        """The chains of a program that starts from a standstill at `start` (n,), each planned on request.
 
         Raises:
             CannotMove: a move that cannot be carried out.

@@ -11,7 +11,7 @@ import threading
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
-#: When a fault strikes: as a client is greeted, as a program comes, as it is started, after so much motion, on a stop.
+#: When a fault strikes: at the greeting, upload of a program or start, after some time of motion, on a stop.
 PHASES = ("connect", "upload", "start", "streaming", "stop")
 _EVERY = frozenset(PHASES)
 
@@ -27,7 +27,7 @@ WIRE = {
     "lost_client": _EVERY,  # nothing of what the client sends arrives
     "broker_gone": frozenset({"connect", "streaming"}),  # samples go by a broker, and none comes through any more
     "topic_missing": frozenset({"connect", "streaming"}),  # one of its topics is not published any more
-    "queue_full": frozenset({"upload"}),  # of points; it never has room again
+    "queue_full": frozenset({"upload"}),  # of points; it stays full
     "sequence_error": frozenset({"upload"}),  # a point is taken for another than the next
 }
 #: Of these, those that go on until another client comes; a server asks whether they act.
@@ -98,7 +98,7 @@ _TOO_LONG = 60.0  # s; longer than anybody waits
 
 @dataclass(frozen=True)
 class Fault:
-    """`name` out of `FAULTS`, striking in `phase`, while streaming `after` so many seconds of motion.
+    """`name` out of `FAULTS`, striking in `phase`; while streaming, it strikes `after` this time of motion [s].
 
     `value`: seconds of a delay, the override as a fraction, how many times slower, or what the fault says; 0 takes the
     usual one. `joint`: which, counted from 1, where the fault is one joint's.

@@ -82,7 +82,7 @@ class Plant:
         return self._simulation.motor_position @ to_joints + self.machine.encoder_offset
 
     def rest(self, q: np.ndarray) -> None:
-        """Put the arm at the set-point q (n,), at rest and settled; time starts again.
+        """Put the arm at the set-point q (n,), stationary and settled; time starts again.
 
         `resting` is what was measured at the end of that.
         """

@@ -1,4 +1,4 @@
-"""The controller's program memory: what is translated and stored, under which name, and when it is full."""
+"""The controller's program memory: translates and stores programs by name, up to its size."""
 
 from __future__ import annotations
 
@@ -38,10 +38,10 @@ class StoredProgram:
 
 
 class ProgramMemory:
-    """Programs by name, whatever the case of its letters. Not thread-safe: the controller locks.
+    """Programs by name, case-insensitive. Not thread-safe: the controller locks.
 
-    `full`, `alter_next` and `refused_line` are faults: no room for anything, another text stored than the one that
-    came, and a line (from 1; 0 for none) that the translator does not take.
+    `full`, `alter_next` and `refused_line` are faults: the memory is full, the stored text differs from the uploaded
+    one, and the translator refuses a line (from 1; 0 for none).
     """
 
     def __init__(self, robot: RobotDescription) -> None:
@@ -61,7 +61,7 @@ class ProgramMemory:
 
     def check_room(self, name: str, size: int) -> None:
         """Raises:
-        RefusedRequest: there is no room for so many bytes under this name.
+        RefusedRequest: there is no space for that number of bytes under this name.
         """
         others = [len(stored.text) for key, stored in self._programs.items() if key != name.lower()]
         if self.full or len(others) >= MAX_PROGRAMS or sum(others) + size > MEMORY:
@@ -87,7 +87,7 @@ class ProgramMemory:
             raise RefusedRequest(Refusal.SYNTAX, message, error.line, error.column) from None
 
     def keep(self, name: str, program: Program, data: bytes) -> StoredProgram:
-        """Store a translated program in place of the one of its name."""
+        """Store a translated program; it replaces the one with its name."""
         if self.alter_next:
             data, self.alter_next = data + b" ", False
         stored = StoredProgram(name, program, data, hashlib.sha256(data).hexdigest())

@@ -61,7 +61,7 @@ class ExpectSection(_Section):
 
 
 class Scenario(_Section):
-    """The whole file. `interrupt`: Ctrl-C after so much motion, where the fault strikes on the stop.
+    """The whole file. `interrupt`: time of motion before Ctrl-C, if the fault strikes on the stop.
 
     `expect` is for the tests; by hand it may be left out. `elsewhere` has the wires, by name, on which it ends in
     another way than on most.

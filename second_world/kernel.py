@@ -36,7 +36,7 @@ class Kind(IntEnum):
     COLD_TIME = 20  # size · exp(−t / p1)
     COLD_DISTANCE = 21  # size · exp(−distance / p1)
     COLD_POWER = 22  # size · exp(−T), Ṫ = p1 · power − T / p2
-    DRY = 23  # size · (1 − film), built by motion p1, lost at rest p2
+    DRY = 23  # size · (1 − film), built by motion p1, lost at standstill p2
     CONSTANT = 30  # size
     STEPS = 31  # size or nothing, by turns of p1 [s]
     ROUGH = 32  # size · a drag that changes from patch to patch of p1 [rad]
@@ -49,7 +49,7 @@ class Kind(IntEnum):
     VISCOUS = 46  # size · x
     TORSION = 50  # size · (q − p1)
     PIVOTS = 51  # a spring between two pivots, p2 the lever over the distance
-    CYLINDER = 52  # a constant force in its place
+    CYLINDER = 52  # a constant force instead
     CAM = 53  # size · atan((q − p1) / p2) bent once more
     SLACK = 54  # size · square of what x = q − p1 exceeds p2 by
     ONE_SIDED = 55  # size · p2 · log(1 + exp(p3 · x / p2))
@@ -67,7 +67,7 @@ class Kind(IntEnum):
     VIBRATION = 80  # size · sin(2 π p1 t + p2)
     VALVE = 81  # size · (stuck − x), x = sin(q − p1), free where they are p2 apart
     CREEP = 82  # size · (q − rest), the rest creeping to q within p2 [s]
-    LOOSE = 83  # size · place of a mass between two stops, sliding by gravity
+    LOOSE = 83  # size · position of a mass between two stops, sliding by gravity
     SLOSH = 84  # size · angle of a pendulum of p1 [rad/s], damped p2, shaken by the joint
 
 

@@ -35,7 +35,7 @@ class AddedBody:
 
 @dataclass(frozen=True)
 class Push:
-    """A force [N] on a link: at (share of a motion that has passed, place and velocity (3,) of the link) → (3,)."""
+    """A force [N] on a link: (elapsed share of a motion, position and velocity (3,) of the link) → (3,)."""
 
     link: int
     force: Callable[[float, np.ndarray, np.ndarray], np.ndarray]

@@ -36,7 +36,7 @@ class Opened:
 
 
 def picture(opened: Opened, cell: int = 12) -> Any:
-    """The whole page as it is laid out (rows, columns): mean grey, 0 to 255, of squares of so many pixels.
+    """The whole page as rendered (rows, columns): mean grey, 0 to 255, of squares with a side in pixels.
 
     Squares as large as a letter: a page keeps its picture where letters have another shape, and loses it where
     anything is missing, moved or of another colour.
@@ -50,8 +50,10 @@ def picture(opened: Opened, cell: int = 12) -> Any:
 
 
 def differs(now: Any, kept: Any, window: int = 6) -> str:
-    """How a picture differs from a kept one; empty where it is the same page, if in other letters: those changed the
-    mean of a window of so many squares by up to 23, a curve that is missing by 35 and more."""
+    """How a picture differs from a stored one; empty if it is the same page, even with other fonts.
+
+    Other fonts changed the mean of a window of squares by up to 23, a missing curve by 35 and more.
+    """
     import numpy as np
 
     if now.shape[1] != kept.shape[1] or abs(len(now) - len(kept)) > 2:

@@ -57,7 +57,7 @@ SHARED = ROOT / "../shared/data"
 
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
-    """Folder of measured data beside the checkout; skips where it is absent."""
+    """Folder of measured data next to the checkout; skips if it is absent."""
     if not SHARED.is_dir():
         pytest.skip("measured data is not here: ../shared/data beside the checkout is missing")
     return SHARED

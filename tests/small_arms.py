@@ -30,7 +30,7 @@ def make_arm(kinds: str) -> RobotDescription:
 
 
 def set_points(n: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """(S, n) positions and velocities of two cycles that begin and end at rest."""
+    """(S, n) positions and velocities of two cycles that begin and end at standstill."""
     rng = np.random.default_rng(seed)
     time = np.arange(round(CYCLE / PERIOD)) * PERIOD
     a, b = rng.normal(size=(2, 4, n)) * 0.35 / np.arange(1, 5)[:, None]

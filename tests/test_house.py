@@ -35,7 +35,7 @@ def test_no_class_name_stands_for_two_things():
     assert {name: where for name, where in places.items() if len(where) > 1} == {}
 
 
-def test_a_room_is_entered_by_its_door():
+def test_a_package_is_imported_through_its_public_names():
     """What a package of the agent has for others is what its `__init__` exports; the rest is private to it."""
     inside = []
     for package in PACKAGES:

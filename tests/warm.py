@@ -73,7 +73,7 @@ class WarmProcess:
         os.close(ended)
 
     def poll(self, patience: float | None = 0.0) -> int | None:
-        """Its exit code, negative where a signal ended it; None where it runs after so many seconds."""
+        """Its exit code, negative if a signal ended it; None if it still runs after a number of seconds."""
         if self.returncode is None and select.select([self._status], [], [], patience)[0]:
             told = os.read(self._status, _HEADER)  # nothing where the one that forked it was killed: so was it
             os.close(self._status)

@@ -67,8 +67,8 @@ class Evaluated:
 
     `effects` are numbers of the pool. `free` maps joints with "something else" to its size. `values[k]` is the
     posterior mean of effect k. `torque[k]` is its torque per joint over nominal, fitted without the noise model: the
-    root mean square while it lasts, in the log with most. `left` (n,) is the squared torque over nominal that neither the effects
-    nor the noise model explain.
+    root mean square while it lasts, in the log with most. `left` (n,) is the squared torque over nominal that neither
+    the effects nor the noise model explain.
     """
 
     effects: tuple[int, ...]

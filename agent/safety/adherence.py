@@ -194,7 +194,7 @@ class Adherence:
         time: np.ndarray,
         ways: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Mask (K, W) of the path points `ways` (W,) that fit positions (K, n), and the speed (K, n) at the positions."""
+        """Mask (K, W) of the path points `ways` (W,) that fit positions (K, n), and the speed (K, n) there."""
         speed, over = self._speed(what, allowed.span, time, positions)
         near, lost = self._near(positions, allowed, ways), (over > GAP)[:, None]
         for of_joint, fastest in zip(speed.T, self._fastest(allowed, ways).T, strict=True):

@@ -280,7 +280,7 @@ def run_otherwise(
     between them take no longer than `seconds`.
 
     Raises:
-        InputError: the recipe's cell leaves no room.
+        InputError: the recipe's cell allows no motion.
     """
     runs = Runs(recipe, name, seconds)
     if not pieces_otherwise(pick, loop_problem(recipe, recipe.motion.speed), seconds, seed, runs, kinds):

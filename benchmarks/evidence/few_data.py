@@ -28,11 +28,11 @@ _METHODS = ("weighted", "consistent", "paper")
 
 
 def wrong(share: int) -> str:
-    """The setting of links that are wrong by so many percent."""
+    """The setting of links with an error of `share` percent."""
     return f"URDF {share} % wrong"
 
 
-#: The description as it is, with long data too; then descriptions that are wrong by so much.
+#: The correct description, with long data too, and descriptions with an error.
 SETTINGS = [AS_DRAWN, *map(wrong, PRIORS)]
 
 

@@ -20,7 +20,7 @@ from benchmarks.evidence.results import Results
 
 #: Seeds of the machines start here: none that was looked at while the agent was made.
 FIRST_MACHINE = 501
-#: A loop depends on no machine (but for learned noise): so many searches are made, and machines take them in turn.
+#: Number of searches. A loop depends on no machine (except for learned noise), so machines take them in turn.
 SEARCHES = 3
 _FINALISTS = 10
 _TOGETHER = 7  # candidates worked out together

@@ -21,7 +21,7 @@ from drivers.wire.reasons import refusal_error
 from drivers.wire.tcp import Frame, FrameDecoder, Heartbeat, Refused, encode
 
 Reply = TypeVar("Reply")
-#: A command whose effect is seen counts as answered after another so many seconds.
+#: A command whose effect is visible counts as answered after this further time [s].
 ACTING = 0.25
 _RECEIVE = 256 * 1024
 
@@ -93,7 +93,7 @@ class FrameLink(LinkThread):
         return request
 
     def request(self, message: Any, reply: type[Reply], timeout: float, what: str, again: float = math.inf) -> Reply:
-        """Send a request and wait for its answer; only what changes nothing may be sent `again` after so long [s].
+        """Send a request and wait for its answer; one without effects may be sent again after `again` [s].
 
         Raises:
             RefusedError: the controller refused; its reason is in the message.

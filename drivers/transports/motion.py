@@ -96,7 +96,7 @@ class MotionStream:
         self._append(self.sequencer.give_up(before))
 
     def ended(self, reason: int, samples: int, message: str) -> None:
-        """The controller says that the motion is over after so many samples; some may still be missing."""
+        """The controller says that the motion is over, with the count of its samples; some may still be missing."""
         self._end = _End(reason, samples, message)
         self._close_if_complete()
 

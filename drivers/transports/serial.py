@@ -25,7 +25,7 @@ from drivers.wire.tcp import MAX_BATCH, End, Fetch, Samples, frame_bytes
 
 _FRAMES_IN_WATCHDOG = 3
 _RTU_EXCHANGE = 8 + 255  # bytes of the longest request and its answer
-_RTU_TOGETHER = 4  # bytes: where none comes for the time of so many, the answer is over
+_RTU_TOGETHER = 4  # bytes: silence for their duration ends the answer
 _RTU_PAUSE = 0.001  # s, at least
 _RTU_REST = 0.1  # s: what has not come of an answer by then, once it has begun, was damaged
 _BUFFERED = 8192  # bytes that may be on their way, in buffers that nobody can look into

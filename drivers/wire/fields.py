@@ -136,7 +136,7 @@ class PaddedText:
 
 
 class Many:
-    """Count (1 byte), then so many of another kind; a tuple in Python."""
+    """Count (1 byte), then that number of values of another kind; a tuple in Python."""
 
     def __init__(self, kind: FieldKind) -> None:
         self._kind = kind

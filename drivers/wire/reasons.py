@@ -32,7 +32,7 @@ class Refusal(IntEnum):
 
 
 class EndReason(IntEnum):
-    """Why a motion ended. The arm is at rest in every case."""
+    """Why a motion ended. The arm is stationary in every case."""
 
     DONE = 0
     STOPPED = 1  # by a stop command
@@ -60,7 +60,7 @@ SAFETY_ENDS = frozenset(
 
 
 def refusal_error(peer: str, what: str, code: int, line: int, column: int, message: str) -> RefusedError:
-    """A refusal for people: its reason, the place in the program (0: none), the controller's own words."""
+    """A refusal for people: its reason, the position in the program (0: none), the controller's own words."""
     try:
         reason = Refusal(code).name.lower().replace("_", " ")
     except ValueError:

@@ -1,4 +1,4 @@
-"""What Modbus RTU lacks beside Modbus/TCP: answers that say which request they belong to."""
+"""Matches answers of Modbus RTU to requests: unlike in Modbus/TCP, answers do not name their request."""
 
 from __future__ import annotations
 

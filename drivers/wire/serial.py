@@ -20,7 +20,7 @@ BITS_PER_BYTE = 10  # start bit, eight, stop bit
 
 
 def frame_time(baud: int, size: int = LONGEST_FRAME) -> float:
-    """Seconds that so many bytes take on the line."""
+    """Seconds that a number of bytes takes on the line."""
     return size * BITS_PER_BYTE / baud
 
 
@@ -87,7 +87,7 @@ class HuntingDecoder(FrameDecoder):
         return False
 
     def _skip(self) -> None:
-        """To the next place where a frame may begin."""
+        """Skip to the next byte where a frame may begin."""
         at = self._buffer.find(tcp.MAGIC[:1], 1)
         at = len(self._buffer) if at < 0 else at
         self.rejected += at

@@ -184,7 +184,7 @@ class End(FrameMessage, number=0x91):
 
 
 class Refused(FrameMessage, number=0xFF):
-    """The request was refused: a `Refusal`, a sentence for people, and for program text the place (from 1; 0: none)."""
+    """The request was refused: a `Refusal`, a sentence for people, and a position in program text (from 1; 0: none)."""
 
     code: U16
     line: U32

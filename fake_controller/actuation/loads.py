@@ -1,4 +1,4 @@
-"""Torques that act beside friction and gears: ripple of the motor, springs, hoses, forces from outside."""
+"""Torques in addition to friction and gears: ripple of the motor, springs, hoses, external forces."""
 
 from __future__ import annotations
 

@@ -73,7 +73,7 @@ class SimulatedInterpolatorMismatch(ArmEffect):
         machine.path_changes.append(self.executed)
 
     def executed(self, position: np.ndarray, period: float) -> np.ndarray:
-        """(T, n) set-points in place of the planned ones (S, n)."""
+        """Set-points (T, n) that replace the planned ones (S, n)."""
         last = len(position) - 1
         samples = 1 + int(np.ceil(last / self.rate - 1e-9))
         path = position

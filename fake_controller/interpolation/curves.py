@@ -1,4 +1,4 @@
-"""Legs and corners of a path: straight in a vector space, with the tool turning by quaternion slerp beside it.
+"""Legs and corners of a path: straight in a vector space, while the tool turns by quaternion slerp.
 
 The space is that of positions [m], or of joints divided by their speed limits [s]. A corner cuts `cut` off either leg
 and goes round on the circle or the parabola that touches both there. The way on a parabola is that of its control
@@ -36,7 +36,7 @@ class Leg:
         return (self.end - self.start) / self.length
 
     def at(self, part: np.ndarray) -> tuple[np.ndarray, Rotation]:
-        """(K, d) places and K orientations at parts (K,) of the way, 0 to 1."""
+        """Points (K, d) and K orientations at fractions (K,) of the path, 0 to 1."""
         return self.start + part[:, None] * (self.end - self.start), self.turn * Rotation.from_rotvec(
             part[:, None] * self.by
         )
@@ -55,7 +55,7 @@ def cut_off(angle: float, family: str) -> float:
 
 
 def corner(first: Leg, second: Leg, cut: float, family: str) -> tuple[np.ndarray, np.ndarray, Rotation]:
-    """Way (K,) from its beginning, places (K, d) and orientations of the corner between two legs."""
+    """Distance (K,) from its beginning, points (K, d) and orientations of the corner between two legs."""
     angle = corner_angle(first, second)
     u_in, u_out = first.direction, second.direction
     sigma = np.linspace(0.0, 1.0, _CORNER_KNOTS)
@@ -77,7 +77,7 @@ def corner(first: Leg, second: Leg, cut: float, family: str) -> tuple[np.ndarray
 
 
 def arc(start: np.ndarray, via: np.ndarray, end: np.ndarray, part: np.ndarray) -> tuple[float, np.ndarray] | None:
-    """Length and places (K, 3) at parts (K,) of the circle's way from start over via to end; None if there is none."""
+    """Length, and points (K, 3) at fractions (K,) of the circle from start via `via` to end; None if there is none."""
     a, b = via - start, end - start
     axis = np.cross(a, b)
     area = float(axis @ axis)

@@ -91,7 +91,7 @@ class PartMaker:
         return same_space and move.settings.tool == last.move.settings.tool
 
     def part(self, index: int, move: Move, before: Part | None, q: np.ndarray) -> Part | None:
-        """The part of a move that follows `before`, or starts at rest at joints q (n,); None where it moves nothing.
+        """The part of a move that follows `before`, or starts from a standstill at joints q (n,); None without motion.
 
         Raises:
             MotionError: out of reach, beyond a joint limit, or what this controller has not.

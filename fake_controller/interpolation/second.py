@@ -134,7 +134,7 @@ class SecondInterpolator:
             ways.append(piece.way + at)
             at += piece.way[-1]
         joints = self._solved(pieces, q)
-        # One spline over all pieces would carry the curvature of a corner into the legs beside it, and slow them down.
+        # One spline over all pieces would carry the curvature of a corner into the adjacent legs, and slow them down.
         splines = [CubicSpline(way, part) for way, part in zip(ways, joints, strict=True)]
         limits = np.array([self._limits(*each) for each in zip(pieces, ways, splines, strict=True)]).T
         slower = np.ones(len(pieces))

@@ -74,7 +74,7 @@ class DenavitHartenberg:
         """(6,) joint positions of a flange pose (4, 4), the nearest to `near` (6,) that were found.
 
         Raises:
-            Unreachable: none was found.
+            Unreachable: there is no solution.
         """
         rng, found = np.random.default_rng(0), []
         for start in (near, *(near + rng.uniform(-1.5, 1.5, (30, 6)))):
@@ -137,7 +137,7 @@ def twist_between(poses: np.ndarray, goals: np.ndarray) -> np.ndarray:
     )
     sine, cosine = np.linalg.norm(axis, axis=1), 0.5 * (np.trace(turn, axis1=1, axis2=2) - 1)
     angle = np.arctan2(sine, cosine)
-    half_turn = (sine < 1e-9) & (cosine < 0)  # the axis cannot be told from the sine there
+    half_turn = (sine < 1e-9) & (cosine < 0)  # the sine does not give the axis there
     axis[half_turn], sine[half_turn] = (1.0, 0.0, 0.0), 1.0
     factor = np.where(sine < 1e-9, 1.0, angle / np.maximum(sine, 1e-9))
     return np.hstack([goals[:, :3, 3] - poses[:, :3, 3], axis * factor[:, None]])

@@ -87,7 +87,7 @@ def _type(name: str, table: dict[str, str], version: tuple[int, ...]) -> str:
 
 
 def register_of(name: str) -> tuple[str, int] | None:
-    """The list of registers and the place in it that a field stands for, if it does."""
+    """The list of registers and the index in it that a field stands for, if any."""
     found = _REGISTER.fullmatch(name)
     return None if found is None else (f"{found[1]}_{found[2]}", int(found[3]))
 

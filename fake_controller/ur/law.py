@@ -149,7 +149,7 @@ class UrInterpolator:
         self.rest(q)
 
     def rest(self, q: np.ndarray) -> None:
-        """The next move begins at rest at joint positions (6,)."""
+        """The next move begins from a standstill at joint positions (6,)."""
         self.q, self._next = q, self._period  # seconds from the end of what is planned to the next set-point
         self._entered: tuple[Stretch, float, float] | None = None
 

@@ -62,7 +62,7 @@ class Question(Request):
 
 @dataclass
 class Pause(Request):
-    """Sleep so many seconds, to the end of the cycle at least."""
+    """Sleep for a number of seconds, at least to the end of the cycle."""
 
     seconds: float
 

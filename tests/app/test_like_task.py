@@ -53,7 +53,7 @@ def test_the_search_says_what_it_passes_over_and_refuses_a_job_that_does_not_mov
     assert "job.pdl: 3 lines without motion are skipped (IMPORT 1, WAIT 1, GRIP 1)" in capsys.readouterr().err
 
 
-def test_taught_positions_come_from_the_variable_file_beside_the_job(tmp_path):
+def test_taught_positions_come_from_the_variable_file_next_to_the_job(tmp_path):
     taught = JOB.replace("VAR vi_arm", "VAR left, right : JOINTPOS\n vi_arm").replace("{20, 10, -95, 0, 70, 0}", "left")
     recipe = recipe_for(tmp_path, taught.replace("{-20, 10, -95, 0, 70, 0}", "right"))
     with pytest.raises(InputError, match=r"job\.pdl.*left"):

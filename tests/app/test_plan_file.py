@@ -46,7 +46,7 @@ def _places(data, way=()):
 
 
 def _changed(document, draw):
-    """The document with something else in one place."""
+    """The document with one changed value."""
     document = json.loads(json.dumps(document))
     way, wrong = draw(st.sampled_from(list(_places(document)))), draw(WRONG)
     if not way:

@@ -36,7 +36,7 @@ def test_a_urdf_with_something_else_for_a_number_is_refused_by_name(tmp_path: Pa
         load_robot(tmp_path / "robot.yaml")
 
 
-def test_a_plan_that_has_no_place_is_refused_before_the_search(write_recipe, run_agent, tmp_path: Path):
+def test_a_plan_without_a_usable_folder_is_refused_before_the_search(write_recipe, run_agent, tmp_path: Path):
     (tmp_path / "file").write_text("")
     result = run_agent("plan", str(write_recipe("127.0.0.1:9")), "-o", str(tmp_path / "file"))
     assert result.returncode == 1

@@ -57,7 +57,7 @@ def test_a_killed_calibration_goes_on(
 def test_a_calibration_killed_in_motion_leaves_all_but_a_second(
     start_controller, write_recipe, start_agent, run_agent, only_run, tmp_path: Path, name: str
 ):
-    """In real time. The motion that was cut is run again from its beginning, and its log is kept beside."""
+    """In real time. The interrupted motion runs again from its beginning, and its old log is kept as well."""
     controller = start_controller("--clock", "real", "--watchdog", "1")
     recipe = write_recipe(controller.address, motions=1, cycles=2)
     elapsed = float(kill_when_it_says(start_agent("calibrate", recipe), IN_MOTION[name]))

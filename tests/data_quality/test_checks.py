@@ -175,7 +175,7 @@ def test_samples_that_are_spoiled_are_counted_by_joint(robot, change, joint, sha
     assert not found.refuses
 
 
-def test_coarse_steps_and_a_standing_joint_are_not_spoiled(robot):
+def test_coarse_steps_and_a_stationary_joint_are_not_spoiled(robot):
     log = motion(robot, 14, noise=0.002)
     still = log.position.copy()
     still[:, 3] = still[0, 3]
@@ -217,7 +217,7 @@ def test_a_wrong_length_in_the_description_is_said(robot, joint, times):
 
 
 def test_joints_that_move_alike_are_not_said_to_be_swapped_or_flipped(robot):
-    """As in a routine that moves them together: nothing tells one from the other."""
+    """As in a routine that moves both together: the joints cannot be distinguished."""
     log = motion(robot, 17)
     q, qd, qdd = (values.copy() for values in _multisine(4, log.t, 17))
     for values in (q, qd, qdd):

@@ -133,7 +133,7 @@ def test_gravity_in_another_direction_is_named_on_real_arms(shared_data, robot, 
 
 
 def exchanged(values: np.ndarray, a: int, b: int) -> np.ndarray:
-    """The values of two joints in each other's place."""
+    """The values of two joints swapped."""
     order = np.arange(values.shape[1])
     order[[a, b]] = b, a
     return values[:, order]
@@ -302,7 +302,7 @@ def test_of_a_sweep_that_goes_one_way_friction_is_said_to_be_an_offset_too():
     speed = begins * (0.4 + 0.1 * np.sin(2 * np.pi * time / 7.0))
     position = np.cumsum(speed) * (time[1] - time[0]) - 2.0
     rng = np.random.default_rng(5)
-    torque = 3.0 - 1.5 * begins + 0.5 * speed + 0.02 * rng.normal(size=len(time))  # at rest stiction holds any of it
+    torque = 3.0 - 1.5 * begins + 0.5 * speed + 0.02 * rng.normal(size=len(time))  # stiction holds any of it
     sweep = replace(
         log,
         position=position[:, None],
@@ -329,7 +329,7 @@ def test_a_joint_that_stands_while_its_velocity_is_noise_is_not_stuck(healthy):
 
 
 def standing(log):
-    """The arm at rest for three times as long, where stiction holds as much torque as it likes."""
+    """The arm is stationary for three times as long, and stiction holds any torque below its level."""
     count = 3 * len(log.t)
     held = log.effort[-1] + 2 * np.std(log.effort, axis=0)
     return replace(

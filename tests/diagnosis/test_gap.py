@@ -1,4 +1,4 @@
-"""The gap in plain error: what a cause takes away, its floor, and what standstill may not change."""
+"""The gap in held-out error: the part that a cause explains, the repeatability, and no influence of standstill."""
 
 from __future__ import annotations
 
@@ -40,8 +40,8 @@ def test_without_causes_nothing_is_gained(dataset):
     assert gap.closure == 0.0
 
 
-def test_the_floor_is_what_does_not_repeat_from_cycle_to_cycle(dataset):
-    """Independent noise far above stiction is its own floor; an error that comes back with every cycle is none."""
+def test_repeatability_is_the_difference_from_cycle_to_cycle(dataset):
+    """Independent noise far above stiction is the repeatability; an error that repeats with every cycle is not."""
     data, rng, size = dataset.dataset, np.random.default_rng(4), 1e5
     for repeats in (0.0, 5.0):
         noise = rng.normal(size=data.residual.shape) + repeats * np.sin(2 * np.pi * data.time / 5.0)[:, None]
@@ -51,7 +51,7 @@ def test_the_floor_is_what_does_not_repeat_from_cycle_to_cycle(dataset):
         assert gap.floor == pytest.approx(np.ones(data.robot.dof), rel=0.05)
 
 
-def test_friction_that_holds_a_standing_joint_the_other_way_is_no_gap(dataset):
+def test_friction_that_holds_a_stationary_joint_the_other_way_is_no_gap(dataset):
     """Twice the level from what is predicted: other joints stand while one of them is turned to and fro."""
     data, fit = dataset.dataset, dataset.dataset.fit
     level = stiction(fit.reference)

@@ -1,4 +1,4 @@
-"""Every run of the development set beside the checkout, against the model of its baseline."""
+"""Every run of the development set next to the checkout, against the model of its baseline."""
 
 from __future__ import annotations
 

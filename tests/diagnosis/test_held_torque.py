@@ -150,8 +150,8 @@ def test_of_a_real_arm_a_torque_that_is_made_to_hold_is_said(shared_data, joint)
     assert _said(found)[0].startswith(f"the torque of {arm.joint_names[joint]} stands still")
 
 
-def test_a_torque_that_stands_still_where_no_joint_has_a_gap_is_let_be(robot, model):
-    """Some energy over the background is there, and less than nothing on every joint as a whole."""
+def test_a_constant_torque_is_tolerated_if_no_joint_has_a_gap(robot, model):
+    """Some rows have energy over the noise model, but no joint has any as a whole."""
     logs = []
     for seed in MOVES:
         q, torque = _torque(robot, seed)

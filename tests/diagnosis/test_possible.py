@@ -30,7 +30,7 @@ def possible(reference, name, settings, values) -> bool:
     return effect.plausible(settings, values) and effect.possible(reference, joints, settings, values)
 
 
-def test_friction_does_not_fall_below_nought(reference):
+def test_friction_does_not_fall_below_zero(reference):
     coulomb, viscous = level(reference, "coulomb"), level(reference, "viscous")
     assert coulomb > 0
     for factor, fine in ((0.5, True), (-0.5, True), (-1.5, False)):
@@ -66,7 +66,7 @@ def test_a_spring_pulls_no_harder_than_the_joint_could_bear(reference):
         assert possible(reference, "dress_pack", {"middle": 0.0, "reach": 0.5}, hardening) == fine
 
 
-def test_torque_within_stiction_at_rest_keeps_no_cause_from_closing_the_gap(diagnosed):
+def test_torque_within_stiction_at_standstill_keeps_no_cause_from_closing_the_gap(diagnosed):
     found = diagnosed(1)
     fit = found.finding.fit
     rest = (fit.sigma > 1.01 * fit.sigma.min(axis=0)) & (np.arange(fit.reference.robot.dof) == 1)

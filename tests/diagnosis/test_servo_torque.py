@@ -119,7 +119,7 @@ def test_the_gap_is_in_motion_first_and_the_torque_is_said_to_be_the_servos(soft
     assert "its servo has another gain" in page
 
 
-def test_set_points_that_act_late_are_told_from_friction(tmp_path, monkeypatch):
+def test_late_set_points_are_distinguished_from_friction(tmp_path, monkeypatch):
     monkeypatch.setattr(forward_windows, "_WINDOWS", 4)
     source = arm(tmp_path / "arm.xml")
     logs = [recorded(tmp_path / f"{k}.mcap", source, k, late=0.03) for k in (1, 2)]

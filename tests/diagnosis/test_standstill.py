@@ -53,7 +53,7 @@ def test_dry_friction_that_holds_a_joint_where_it_turns_back_is_no_gap():
 
 
 def _beside(robot: RobotDescription, seed: int, offset: float, stuck: float | None = None) -> Log:
-    """A motion of two joints, or of the second beside a first that stiction holds with `stuck` of its level."""
+    """A motion of two joints, or of the second while stiction holds the first with `stuck` of its level."""
     rigid, _, _ = rigid_bodies(robot)
     time = np.arange(0, 12, 1 / RATE)
     q, qd, qdd = _multisine(2, time, seed)

@@ -77,7 +77,7 @@ def test_links_that_take_their_steps_together_move_as_each_alone(seed, links, pl
 
 @pytest.mark.parametrize("slope", [-1500.0, 0.0, 800.0])
 def test_a_link_hangs_where_it_is_and_forgets_a_start_that_was_wrong(slope):
-    """k d = L − s d at rest; the first sample's load is an edge's, and nothing damps the ring that it would start."""
+    """k d = L − s d at standstill. The first sample's load is an edge, and nothing damps the ringing it would start."""
     stiffness, load, time = 4000.0, np.full(1000, 20.0), np.arange(1000) / 500
     load[0] = 90.0
     motion = SimpleNamespace(

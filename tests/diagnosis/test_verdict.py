@@ -88,7 +88,7 @@ class _Fit:
 
 
 def found_by_a_search(verdict, candidates, rivals, scale=1.0, runner_up=()):
-    """A finding over two hypotheses: nothing, with a squared error of `scale` of the background, and the causes."""
+    """A finding over two hypotheses: the causes, and nothing, with a squared error of `scale` times the noise."""
     plain = Hypothesis((), (), 0.0, 0.1, (), 0.0, scale)
     best = Hypothesis(candidates, (), 9.0, 0.8, (0.1,) * len(candidates), 1.0, 1.0)
     others = (Hypothesis(runner_up, (), 5.0, 0.1, (0.1,), 1.0, 1.0),) if runner_up else ()
@@ -136,7 +136,7 @@ def test_what_a_search_found_comes_to_an_answer_that_keeps_its_promises(verdict,
 
 
 @given(scale=st.floats(0.2, 100))
-def test_what_explains_nothing_held_out_is_a_gap_only_where_the_background_is_exceeded(scale):
+def test_causes_without_held_out_gain_leave_a_gap_only_beyond_the_noise_model(scale):
     """A push that the search took for one closes nothing: on a healthy arm that is no gap, not an unknown one."""
     push = SimpleNamespace(place=("contact", ()))
     finding = found_by_a_search("explained", (push,), ((),), scale)
@@ -152,7 +152,7 @@ def test_what_explains_nothing_held_out_is_a_gap_only_where_the_background_is_ex
     assert judged.causes == ()
 
 
-def test_causes_that_leave_room_are_named_with_the_runner_up():
+def test_causes_that_close_too_little_are_named_with_the_runner_up():
     offset, stribeck = (SimpleNamespace(place=(name, (0,))) for name in ("torque_offset", "stribeck"))
     finding = found_by_a_search("explained", (offset,), ((),), 1.0, (stribeck,))
     cause = Cause("torque_offset", ("joint_1",), 0.5, 0.9, {"offset": 1.0})

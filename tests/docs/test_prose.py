@@ -1,11 +1,13 @@
-"""The pages are written as STYLE asks: plain terms, short sentences, few words."""
+"""Pages, messages, docstrings and comments use plain terms; pages also have short sentences and few words."""
 
 from __future__ import annotations
 
 import ast
+import io
 import re
 import subprocess
 import sys
+import tokenize
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -16,16 +18,17 @@ GUIDES = [ROOT / f"{name}.md" for name in ("CODE_OF_CONDUCT", "CONTRIBUTING", "S
 PAGES = [ROOT / "README.md", *GUIDES, *sorted((ROOT / "docs").rglob("*.md"))]
 #: Generated from code, whose tests check its words.
 PENDING = {"docs/reference.md"}
+PACKAGES = ("agent", "benchmarks", "docs", "drivers", "fake_controller", "second_world", "tests")
 #: Modules whose texts people read on terminal and pages.
 MODULES = {path for package in ("cli", "pipeline", "report") for path in (ROOT / "agent" / package).rglob("*.py")}
 BUDGET = 25_000  # words of all pages, blocks of code apart
 LONGEST, MEAN, LONGEST_SHOWN = 35, 18, 25  # words of a sentence: of a page; of a text of the program
 #: Term, and what the field says.
 GLOSSARY = {
-    r"\bplaces?\b(?! on the path| of the path)": "hypothesis, joint, position",
+    r"(?<!\bin )\bplaces?\b(?! on the path| of the path)": "hypothesis, joint, position",
     r"(?<!in the )\bbackground\b": "noise model",
     r"\bgiven model\b|\bmodel that is given\b": "external reference",
-    r"(?<!shop )(?<!shaking )\bfloor\b": "repeatability",
+    r"(?<!shop )(?<!shaking )\bfloor\b(?!\()": "repeatability",
     r"\bclosure\b": "gap explained",
     r"\bnameable\b": "admissible",
     r"\btold from\b|\btells? \w+ from\b": "distinguished from",
@@ -105,6 +108,27 @@ def test_texts_of_the_program_are_plain_and_short(module: Path):
     assert [(text, term) for text in texts for term in GLOSSARY if re.search(term, text)] == []
     sentences = [part for text in texts for part in re.split(r"(?<=[.!?;:])\s+", text)]
     assert [part for part in sentences if _words(part) > LONGEST_SHOWN] == []
+
+
+def _remarks(module: Path) -> Iterator[str]:
+    """Docstrings, comments and names of tests of a module, without names of code in backticks."""
+    source = module.read_text(encoding="utf-8")
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+            yield re.sub(r"`[^`]*`", "", ast.get_docstring(node, clean=False) or "")
+            name = getattr(node, "name", "")
+            if name.startswith("test_"):
+                yield name.replace("_", " ")
+    for token in tokenize.generate_tokens(io.StringIO(source).readline):
+        if token.type == tokenize.COMMENT:
+            yield re.sub(r"`[^`]*`", "", token.string)
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_docstrings_comments_and_names_of_tests_use_the_terms_of_the_field(package: str):
+    texts = ((path, text) for path in sorted((ROOT / package).rglob("*.py")) for text in _remarks(path))
+    found = [(path.relative_to(ROOT), text, term) for path, text in texts for term in GLOSSARY if re.search(term, text)]
+    assert found == []
 
 
 def test_all_pages_together_have_few_words():

@@ -313,7 +313,7 @@ def test_every_description_is_exported_and_read_back(tmp_path: Path, kind: str) 
 
 
 def test_the_sdf_has_the_torques_of_the_bodies(ns16, tmp_path):
-    """Read by hand into another library: joints and links as SDF's own words place them."""
+    """Read by hand into another library: joints and links with the poses of the SDF."""
     standard = bodies(ns16)
     export_model(model_of(ns16, standard, known=True), tmp_path)
     root = ElementTree.parse(tmp_path / f"{ns16.name}.sdf").getroot()

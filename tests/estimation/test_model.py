@@ -190,7 +190,7 @@ def test_the_interval_grows_where_the_data_were_silent(model, motion):
     assert np.all(far.mean(axis=0) > near.mean(axis=0))
 
 
-def test_bounds_tell_motion_from_standstill(model, motion):
+def test_bounds_distinguish_motion_from_standstill(model, motion):
     columns = model.columns(*motion)
     cautious = replace(model, group_rmse=np.array([[1.0] * 3, [5.0] * 3]), standstill_speed=np.full(3, 0.1))
     fast, slow = (cautious.prediction_interval(columns, np.full(motion[0].shape, speed)) for speed in (-0.2, 0.05))

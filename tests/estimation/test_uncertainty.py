@@ -141,8 +141,10 @@ def test_an_error_that_every_cycle_repeats_is_not_averaged_away(arm, multisine, 
 
 @pytest.fixture(scope="module")
 def white(arm, multisine, make_log):
-    """Of one cycle with white noise: the problem, its estimate, and the estimate with so much error held out (9 times
-    that of the fit, on every joint) that the jackknife widens nothing."""
+    """One cycle with white noise: the problem, its estimate, and the estimate with a large held-out error.
+
+    That error is 9 times the error of the fit on every joint, so the jackknife widens nothing.
+    """
     problem, found = _white(arm, multisine, make_log)
     return problem, found, replace(found, held_out=9 * problem.moments.energy(found.parameters)[None])
 

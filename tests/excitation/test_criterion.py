@@ -68,7 +68,7 @@ def test_without_nominal_torques_every_joint_weighs_the_same(robot: RobotDescrip
     assert torque_weights(robot).max() == 1.0
 
 
-def test_a_motion_that_leaves_a_joint_at_rest_is_worth_nothing(
+def test_a_motion_that_leaves_a_joint_stationary_is_worth_nothing(
     criterion: Criterion, states: tuple[np.ndarray, ...]
 ) -> None:
     q, qd, qdd = (array.copy() for array in states)

@@ -49,7 +49,7 @@ def test_the_result_is_the_best_of_the_finalists_on_all_samples(problem: LoopPro
     assert len(result.columns) == 58
 
 
-def test_a_loop_starts_and_ends_at_rest_at_its_first_point(candidates: Candidates) -> None:
+def test_a_loop_starts_and_ends_stationary_at_its_first_point(candidates: Candidates) -> None:
     for genome in genomes(5):
         loop = candidates.loop(genome)
         np.testing.assert_allclose(loop.poses, candidates.problem.regions.poses(genome))

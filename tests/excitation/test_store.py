@@ -48,7 +48,7 @@ def test_a_loop_comes_back_as_it_was_kept(write_recipe: Any, tmp_path: Path) -> 
     assert json.loads(json.dumps(kept.to_dict()))["schema"] == "loop/1"
     for part in ("comau_ns16", "no tool", "6 points in box", "-12.50", "excite", kept.checksum[:12], "2024-05-01"):
         assert part in kept.line()
-    assert [path.name[0] for path in (tmp_path / "loops").iterdir()] == ["c"]  # nothing left beside
+    assert [path.name[0] for path in (tmp_path / "loops").iterdir()] == ["c"]  # no other files are left
 
 
 def test_it_is_found_by_what_it_was_searched_for(write_recipe: Any, tmp_path: Path) -> None:

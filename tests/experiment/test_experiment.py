@@ -68,7 +68,7 @@ def test_a_standstill_tells_nothing(arm, ambiguous):
 
 @pytest.mark.parametrize("seconds", [10.0, 40.0, 160.0])
 def test_however_slow_a_motion_an_offset_is_friction_by_direction(arm, ambiguous, seconds):
-    """It is one while the joint slides, and how slow is standing depends on the logs, not on the motion alone."""
+    """It is one while the joint slides. The speed threshold depends on the logs, not on the motion alone."""
     pair = next(pair for pair in open_pairs(ambiguous) if set(pair.names) == SIDES)
     outlook = outlook_of(ambiguous, [pair])
     alike = pair.names.index("torque_offset")
@@ -91,7 +91,7 @@ def test_a_joint_that_turns_back_between_two_samples_stands_there(arm, ambiguous
     assert np.mean(still) < 0.25
 
 
-def test_pieces_begin_and_end_at_rest_in_the_sub_region(problem):
+def test_pieces_begin_and_end_stationary_in_the_sub_region(problem):
     arm = problem.robot
     pieces = Pieces(problem, [1, 4], 30.0, np.random.default_rng(5))
     found = [piece for piece in (pieces.draw() for _ in range(20)) if piece is not None]

@@ -95,7 +95,7 @@ def test_the_log_of_a_planned_motion_says_in_how_many_parts_it_is_held_out(progr
 
 @pytest.mark.parametrize("beside", [None, {}, {"payload": "1 kg, 0 mm, 0 mm, 0 mm"}])
 def test_the_program_itself_says_what_it_was_planned_with(tmp_path: Path, beside):
-    """Copied elsewhere, or beside a file that somebody has changed."""
+    """Copied elsewhere, or next to a file that somebody has changed."""
     robot, program = load_robot("comau_ns16"), tmp_path / "program.pdl"
     text = with_payload(write_program("experiment", [Delay(1.0)], robot), payload_of(LOAD), "--")
     parts = {}

@@ -119,7 +119,7 @@ def logs(arm):
     return [record(plant, name, seed) for name, seed in (("one", 21), ("two", 22))]
 
 
-def test_a_log_of_the_other_sign_is_found_beside_a_good_one(arm, logs):
+def test_a_log_of_the_other_sign_is_found_next_to_a_good_one(arm, logs):
     model = learn(arm)
     good, bad = logs[0], replace(logs[1], effort=-logs[1].effort)
     check_plausible(arm, [good, logs[1]], False, Console(-1), model=model)
@@ -201,7 +201,7 @@ def test_where_the_question_of_a_mass_is_stopped_the_motion_of_the_bare_arm_is_t
 
 
 def test_a_recipe_with_another_tool_than_the_logs_or_the_model_is_refused(tmp_path: Path):
-    """It had been planned and run; its log was refused beside the others."""
+    """It had been planned and run; its log was refused among the others."""
     bare = load_recipe(write_atomically(tmp_path / "bare.yaml", template()))
     tooled = load_recipe(write_atomically(tmp_path / "tool.yaml", template() + "\ntool: {mass: 4 kg}\n"))
     log = SimpleNamespace(name="a.mcap", metadata={"tool": "none"})

@@ -103,7 +103,7 @@ def test_the_mass_and_the_tool_are_no_more_than_the_arm_is_rated_for(ask):
     assert ask(0.5, 0.9, change=rated(2.0)) == (None, [])
 
 
-def test_the_page_says_it_beside_the_motion_of_the_bare_arm(ask):
+def test_the_page_says_it_next_to_the_motion_of_the_bare_arm(ask):
     mass, _ = ask(0.5, 0.9)
     robot = load_robot("comau_ns16")
     experiment = SimpleNamespace(expected=(), pieces=[SimpleNamespace(text=lambda robot: "a loop")])

@@ -46,7 +46,7 @@ record: {{rate: 500 Hz, cycles: 2}}
 """
 #: Faults of the wire that lose nothing; and of a controller that obeys no stop, where nobody asks for one.
 HARMLESS = ("delay", "reorder", "duplicate", "slow", "disobey")
-#: A UR is allowed so much of it where it is no real one [s].
+#: Allowed time for a simulated UR [s].
 UR_SILENCE = 5.0
 UR_RECIPE = """
 robot: ur5e
@@ -90,7 +90,7 @@ class Ended:
 
 
 class Interrupting(Faults):
-    """Sends this process a signal once the arm has moved for so long."""
+    """Sends this process a signal once the arm has moved for a given time."""
 
     def __init__(self, faults: Sequence[Fault], after: float, number: int = signal.SIGINT):
         super().__init__(faults)
@@ -202,7 +202,7 @@ def bench(request: pytest.FixtureRequest, arm: str, tmp_path: Path, run: Callabl
 def assert_at_rest() -> Callable[..., None]:
     """The arm was set in motion so often, rests, and came to rest on its path within its acceleration.
 
-    `acceleration`: so many times it, for an arm that goes astray.
+    `acceleration`: factor on it, for an arm that leaves its path.
     """
 
     def check(controller: Controller | FakeUr, motions: int, acceleration: float = 1.05) -> None:

@@ -85,7 +85,7 @@ def test_a_scenario_that_makes_no_sense(tmp_path: Path, text: str, said: str):
         load_scenario(path)
 
 
-def test_a_fault_out_of_place_cannot_be_built():
+def test_a_fault_that_makes_no_sense_cannot_be_built():
     with pytest.raises(ValueError, match="strikes in phase"):
         Fault("wrong_robot", "streaming")
 

@@ -35,7 +35,7 @@ ATTACKS = {
     "disobedience": (Fault("disobey", "streaming", STRIKES), Fault("off_path", "streaming", STRIKES, 0.3)),
 }
 DELAYS = (0.0, 0.02, 0.04, 0.1)
-#: Moves of seconds: an arm that disobeys but rests at a stop of its program cannot be told from one that obeys.
+#: Moves of seconds: an arm that disobeys but rests at a stop of its program looks like one that obeys.
 SLOW = LONG.replace("BEGIN\n", "BEGIN\n  $PROG_SPD_OVR := 10\n")
 
 
@@ -187,7 +187,7 @@ def assert_stopped(one: Attacked, name: str) -> None:
     if name == "disobedience":
         assert one.code == 5
         assert "PRESS THE EMERGENCY STOP" in one.errors or "nothing shows what the arm does" in one.errors
-        if isinstance(one.controller, FakeUr):  # in place of a second stop no heartbeat is sent
+        if isinstance(one.controller, FakeUr):  # no heartbeat is sent instead of a second stop
             assert EndReason.STOPPED in one.faults.reasons
             assert one.controller.ends == [EndReason.WATCHDOG]
             return

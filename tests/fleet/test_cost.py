@@ -1,4 +1,4 @@
-"""What a fleet costs beside its work: processor time, time, and memory of scheduler and client."""
+"""Overhead of a fleet: processor time, time, and memory of scheduler and client."""
 
 from __future__ import annotations
 

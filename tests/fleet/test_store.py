@@ -1,4 +1,4 @@
-"""A real S3 server that answers with errors and half files: the result is that of the folder beside it."""
+"""A real S3 server that answers with errors and half files gives the same result as a local folder."""
 
 from __future__ import annotations
 

@@ -106,7 +106,7 @@ class Records:
         self._muted = True
 
     def until(self, wanted, after=0):
-        """The first record that is wanted, among those that come after so many."""
+        """The first wanted record after a number of records."""
         with self._changed:
             found = []
             assert self._changed.wait_for(lambda: found.extend(filter(wanted, self.all[after:])) or found, 30)
@@ -135,7 +135,7 @@ class Feedback(Records):
         return self.until(lambda record: record[self.MOVING])
 
     def until_rest(self, after=0):
-        """The first record after a motion, of those that come after so many."""
+        """The first record after a motion, counted after a number of records."""
         moved = self.all.index(self.until(lambda record: record[self.MOVING], after), after)
         return self.until(lambda record: not record[self.MOVING], moved)
 

@@ -33,7 +33,7 @@ from tests.link.by_pinocchio import DATA, MODEL, ROBOT, flange
 HOME = np.radians([0.0, 0.0, -90.0, 0.0, 0.0, 0.0])
 MIDDLE = np.radians([0.0, 15.0, -90.0, 0.0, 45.0, 0.0])
 AROUND = np.radians([50.0, 25.0, 25.0, 60.0, 30.0, 90.0])
-ALONG = 0.01  # m between two places of a capsule's axis that are judged
+ALONG = 0.01  # m between two judged points of a capsule's axis
 
 
 @dataclass(frozen=True, eq=False)

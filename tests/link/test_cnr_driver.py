@@ -29,7 +29,7 @@ def test_a_real_controller_is_its_address():
     )
 
 
-def test_every_option_has_its_place():
+def test_every_option_is_read():
     text = (
         "c5g, trajectory=1, feedback=2, status=3, ftp=4, user=u, password_from=env:FTP, folder=UD:/usr/agent, "
         "mqtt=lpc:5, mqtt_user=m, mqtt_password_from=file:/a/b, topic=robot/arm3/, start=hand, mode=program"
@@ -111,7 +111,7 @@ def test_a_command_that_is_not_answered_is_not_sent_again(linked):
 
 def test_a_start_that_is_seen_to_act_is_watched_without_its_answer(linked):
     class Moves:
-        """As the motion that the driver follows: at rest before the start, in motion once it was heard."""
+        """As the motion that the driver follows: stationary before the start, in motion once it was heard."""
 
         @property
         def begun(self):
@@ -232,8 +232,8 @@ def test_points_go_in_order_and_the_last_is_followed_by_the_end(linked):
     assert sent(script) == [(3001, 1), (3001, 2), (3001, 3), (3001, 4), (3002, 0)]
 
 
-def test_a_full_queue_waits_until_it_has_room_and_no_taken_point_is_sent_again(linked):
-    """The queue takes the second point and is full, refuses nothing; two pings later there is room."""
+def test_a_full_queue_waits_for_space_and_no_taken_point_is_sent_again(linked):
+    """The queue takes the second point and is full, but refuses nothing; two pings later it has space again."""
     pings = []
 
     def reply(message):
@@ -257,7 +257,7 @@ def test_a_full_queue_waits_until_it_has_room_and_no_taken_point_is_sent_again(l
     assert len(pings) == 4
 
 
-def test_a_point_that_a_full_queue_did_not_take_is_sent_when_there_is_room(linked):
+def test_a_point_that_a_full_queue_did_not_take_is_sent_when_there_is_space(linked):
     seen = []
 
     def reply(message):

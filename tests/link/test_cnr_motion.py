@@ -20,7 +20,7 @@ PERIOD = 2000.0
 
 
 def messages(count, jitter=0, late=0):
-    """(channel, time, values) of so many samples; the last channel is stamped `late` µs later."""
+    """(channel, time, values) of a number of samples; the last channel is stamped `late` µs later."""
     rng = np.random.default_rng(count + jitter)
     made = []
     for k in range(count):
@@ -119,7 +119,7 @@ def moving(time):
 )
 @example(offset=0.0, drift=0.0, phase=0.02, behind=0)
 def test_the_clocks_are_aligned_by_what_both_saw(offset, drift, phase, behind):
-    """Feedbacks every 20 ms in whole milliseconds; samples on a clock of their own, so many feedbacks behind them."""
+    """Feedbacks every 20 ms in whole milliseconds; samples on their own clock, delayed by a number of feedbacks."""
     match, length = ClockMatch(), 5.0
     feedback, sample = np.arange(phase, length, 0.02), np.arange(0.0, length, 0.002)
     stamps, positions = sample + offset + drift * sample, moving(sample)

@@ -21,9 +21,9 @@ def sine(seconds: float, phase: float) -> tuple[np.ndarray, np.ndarray]:
 
 @given(st.floats(0, 3), st.floats(0.3, 5))
 @settings(max_examples=50, deadline=None)
-def test_a_stop_stays_on_the_path_and_ends_at_rest(phase, seconds):
+def test_a_stop_stays_on_the_path_and_ends_stationary(phase, seconds):
     position, velocity = sine(seconds, phase)
-    ramp = np.linspace(1, 0, len(position))[:, None]  # a trajectory ends at rest
+    ramp = np.linspace(1, 0, len(position))[:, None]  # a trajectory ends at standstill
     velocity = velocity * ramp
     position = position[0] + PERIOD * np.cumsum(velocity, axis=0)
     q, qd = (part[1:] for part in retimed(position, velocity, 0.0, LIMITS, PERIOD))

@@ -195,7 +195,7 @@ def test_switching_off_the_programs_ends_the_connection(bench):
 
 
 def test_an_arm_that_rests_is_held(bench, broker):
-    """Before anything has moved as afterwards: currents at rest carry gravity."""
+    """Before and after a motion: the currents of a stationary arm carry gravity."""
     samples = bench.connected(Samples(broker))
     samples.first("motor_currents")
     _, currents = samples.until("motor_currents", 0)

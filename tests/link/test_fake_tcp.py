@@ -100,7 +100,7 @@ def test_what_cannot_be_reached_is_refused_before_anything_moves(driver, server)
     assert len(run(driver, SHORT)) > 0
 
 
-def test_what_cannot_be_reached_later_ends_the_motion_at_rest(driver):
+def test_an_unreachable_later_target_ends_the_motion_with_a_standstill(driver):
     driver.start("p", driver.upload("p", program("  MOVE JOINT TO {20, -30}\n  MOVE JOINT TO {500, 0}")))
     blocks = []
     with pytest.raises(RefusedError, match="cannot go on with the program: line 6"):
@@ -120,7 +120,7 @@ def either(request, arm):
         yield server.controller, driver
 
 
-def test_a_syntax_error_is_refused_with_its_place(either):
+def test_a_syntax_error_is_refused_with_its_line(either):
     _, driver = either
     with pytest.raises(RefusedError, match=r"syntax, line 5 column \d+.*FLIP"):
         driver.upload("p", program("  FLIP TO {20, -30}"))

@@ -198,7 +198,7 @@ def test_one_lost_answer_to_a_read_is_made_good(server, tampered):
     records_with_a_loss(server, tampered, reads)
 
 
-def test_one_lost_answer_to_a_heartbeat_at_rest_ends_no_link(server, tampered):
+def test_one_lost_answer_to_a_heartbeat_without_motion_ends_no_link(server, tampered):
     loses = LosesAnswer(lambda data: writes(data, wire.HEARTBEAT))
     address = tampered(server.port, loses)
     with closing(ModbusDriver(address, watchdog=patience(0.2), timeout=patience(0.2))) as driver:

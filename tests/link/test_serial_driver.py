@@ -214,7 +214,7 @@ def test_a_stop_is_sent_again_where_it_or_its_answer_is_lost(line, protocol, los
 
 @pytest.mark.parametrize("every", [pytest.param(3000, marks=pytest.mark.verify), 20_000])
 def test_flipped_bits_cost_no_sample(line, every):
-    """One byte in so many is damaged on its way to the driver, all the time while samples come."""
+    """A fixed share of the bytes to the driver is damaged, all the time while samples come."""
     cable, controller, driver = line()
     passed, started = 0, []
 

@@ -28,7 +28,7 @@ def way(number):
 
 
 def rows_of(loop, seed, seconds=4.0):
-    """Rows of a node whose loop takes so long [µs]; currents are the positions of their own snapshot."""
+    """Rows of a node with a given loop time [µs]; currents are the positions of their own snapshot."""
     rng = np.random.default_rng(seed)
     at = 7e6 + np.cumsum(loop + rng.normal(0, 30, int(seconds * 1e6 / loop)))
     late = rng.uniform(50, 350, len(at))
@@ -41,7 +41,7 @@ def rows_of(loop, seed, seconds=4.0):
 
 
 def through(clock, rows, begin=198):
-    """Times and values that come out where rows come by nines, a motion being announced after so many."""
+    """Resulting times and values if rows come by nines, and a motion is announced after a number of them."""
     given = []
     for k in range(0, len(rows.times), 9):
         if k == begin:
@@ -145,7 +145,7 @@ def test_a_motion_through_the_published_node(arm, broker, monkeypatch, caplog, s
     sequence = np.concatenate([block.sequence for block in blocks])
     np.testing.assert_allclose(time - time[0], 0.002 * (sequence - sequence[0]), atol=1e-6)
     assert len(time) + sum(gap.count for gap in gaps) == sequence[-1] + 1
-    moving = np.flatnonzero(np.abs(np.diff(target, axis=0)).max(axis=1) > 1e-4)  # a repeated row at rest is not told
+    moving = np.flatnonzero(np.abs(np.diff(target, axis=0)).max(axis=1) > 1e-4)  # repeated rows of a stationary arm
     assert 0.8 < len(moving) / (sequence[moving[-1]] - sequence[moving[0]] + 1) < 0.95
     assert float(facts["node_rate_hz"]) == pytest.approx(1 / 2.3e-3, rel=0.02)
     assert facts["node_derived"] == f"{cnr.VELOCITIES} {cnr.TARGET_VELOCITIES}"

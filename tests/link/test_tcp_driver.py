@@ -100,7 +100,7 @@ def test_heartbeats_go_out_while_nobody_does_anything(peer):
         assert arrived.wait(20)
 
 
-def test_a_refusal_carries_reason_and_place(peer):
+def test_a_refusal_carries_reason_and_position(peer):
     def refuse(p):
         p.welcome()
         _, request = p.expect(tcp.UploadBegin)

@@ -1,4 +1,4 @@
-"""The effects beside a corrected simulator: with them it has the torque of our model."""
+"""The effects next to a corrected simulator: with them it has the torque of the identified model."""
 
 from __future__ import annotations
 

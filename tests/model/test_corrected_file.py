@@ -69,7 +69,7 @@ def test_the_text_of_an_mjcf_stays_as_it_was(tmp_path):
     assert out.read_text() == MJCF.replace(joint, new)
 
 
-def test_an_include_that_changes_is_written_beside_the_file(tmp_path):
+def test_an_include_that_changes_is_written_next_to_the_file(tmp_path):
     given = simulator(tmp_path, "mjcf")
     found = corrected(given, links=[2], change=moved(given, links=[2]))
     files = {path.name: path.read_text() for path in write_corrected(given, found, tmp_path / "fixed.xml")}
@@ -127,7 +127,7 @@ def test_a_rotor_found_as_a_links_is_written_as_one_where_a_body_would_lose_more
     assert exact.arm.armature[2] == pytest.approx(0.1, rel=0.4)
 
 
-def test_what_cannot_be_changed_in_place_is_refused_and_nothing_is_written(tmp_path):
+def test_a_file_that_cannot_be_edited_is_refused_and_nothing_is_written(tmp_path):
     given = simulator(tmp_path, "mjcf")
     (tmp_path / "arm.xml").write_text(MJCF.replace('angle="degree"', 'angle="degree" boundmass="5"'))
     given = load_simulator(tmp_path / "arm.xml", None, NAMES)

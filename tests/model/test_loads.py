@@ -43,7 +43,7 @@ def turned(roll: float, pitch: float, yaw: float) -> np.ndarray:
 
 
 def points(seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Masses (P,) and places (P, 3) in the flange's frame."""
+    """Masses (P,) and positions (P, 3) in the flange's frame."""
     rng = np.random.default_rng(seed)
     return rng.uniform(0.05, 0.5, 6), rng.uniform(-0.15, 0.15, (6, 3)) + rng.uniform(-0.1, 0.1, 3)
 

@@ -120,7 +120,7 @@ FORMS = {
 def uneven(folder: Path, form=lambda w: 0 * w, joint: int = 0, scale: float = 1.0, beside=lambda qd: 0 * qd):
     """Diagnosis of an arm that weighs otherwise than its file, which has no friction, with one effect on a joint.
 
-    `beside` (S, 3) of speeds is added to what the friction levels are multiplied with.
+    `beside` (S, 3) is a function of speeds, added to the factor of the friction levels.
     """
     names = ("pan", "lift", "tip")
     model = load_simulator(written(folder, weighing(20, 6, 0.8), "given.urdf"), None, names).model
@@ -141,7 +141,7 @@ def uneven(folder: Path, form=lambda w: 0 * w, joint: int = 0, scale: float = 1.
 
 @pytest.mark.verify
 @pytest.mark.parametrize(("effect", "joint"), [("stribeck", 2), ("asymmetric_friction", 1)])
-def test_friction_is_named_beside_wrong_numbers_of_larger_joints_though_the_file_has_none(tmp_path, effect, joint):
+def test_friction_is_named_with_wrong_numbers_of_larger_joints_though_the_file_has_none(tmp_path, effect, joint):
     found = uneven(tmp_path, FORMS[effect], joint)
     named = [(cause["effect"], cause["joints"]) for cause in found.result["causes"]]
     assert named == [(effect, [("pan", "lift", "tip")[joint]])]
@@ -151,7 +151,7 @@ def test_friction_is_named_beside_wrong_numbers_of_larger_joints_though_the_file
 
 
 @pytest.mark.verify
-def test_a_small_effect_is_named_beside_a_large_one_and_numbers_moved_in_their_stead_move_no_more(tmp_path):
+def test_a_small_effect_is_named_with_a_large_one_and_numbers_that_replaced_them_move_no_more(tmp_path):
     def beside(qd):
         return np.array([0, 0, 0.3]) * FORMS["stribeck"](qd)
 
@@ -164,7 +164,7 @@ def test_a_small_effect_is_named_beside_a_large_one_and_numbers_moved_in_their_s
 
 
 @pytest.mark.verify
-def test_beside_one_that_is_nearly_all_of_the_gap_an_effect_counts_by_its_own_joint(tmp_path):
+def test_next_to_a_dominant_effect_another_counts_by_its_own_joint(tmp_path):
     def beside(qd):
         return np.array([0, 0, 1]) * FORMS["stribeck"](qd)
 

@@ -122,7 +122,7 @@ def test_a_spring_is_asked_whether_a_link_in_its_stead_leaves_as_much(tmp_path):
 
 
 @pytest.mark.verify
-def test_a_link_that_weighs_otherwise_is_not_named_as_a_scale_of_torque_beside_a_strong_spring(tmp_path):
+def test_a_wrong_link_mass_is_not_named_as_a_scale_of_torque_with_a_strong_spring(tmp_path):
     model, logs = sprung_logs(tmp_path, lighter=0.9, strength=30.0)
     found = diagnose(model.robot, logs, model)
     assert [(cause["effect"], cause["joints"]) for cause in found.result["causes"]] == [("gravity_spring", ["pan"])]
@@ -138,7 +138,7 @@ def test_what_equals_a_cause_makes_the_first_ambiguous():
     assert finding.with_rival(0, links).verdict == "ambiguous"
 
 
-def test_an_effect_that_would_be_found_is_found_beside_a_far_larger_one(tmp_path):
+def test_an_effect_that_would_be_found_is_found_with_a_far_larger_one(tmp_path):
     moved = calibration(sprung(tmp_path, 0.16)).moved
     places = {("gravity_spring", (0,)), ("stribeck", (1,)), ("torque_constant", (0,)), ("asymmetric_friction", (0,))}
     search = Search(moved.fit, only=places)

@@ -55,7 +55,7 @@ def record(
     period: float = 0.004,
     rest: float = REST,
 ) -> Path:
-    """A log of a program, `program` (or the same) beside it, with something about it changed."""
+    """A log of a program with `program` (or the same) stored next to it, and with one change."""
     q, stand, moves = [np.tile(START, (round(rest / period), 1))], START, []
     for statement in parse_program(text, "", robot).run():
         assert isinstance(statement, Move)

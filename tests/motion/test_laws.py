@@ -107,7 +107,7 @@ def check_corners(fly: FlyInterpolator, trajectory: Trajectory, program: list, s
 
 
 def check_flight(fly: FlyInterpolator, trajectory: Trajectory, program: list, start: np.ndarray) -> None:
-    """FLY_CART over lines: never at rest between the ends but where the path turns back, never on another branch."""
+    """FLY_CART over lines: stationary only at the ends and where the path turns back, never on another branch."""
     from agent.robot import kinematics_for
 
     kinematics = kinematics_for(fly.robot)

@@ -50,7 +50,7 @@ def test_samples_are_the_controllers_and_name_their_statement(fly, home, corner)
     assert np.array_equal(trajectory.q, again.q)
 
 
-def test_nothing_to_do_is_one_sample_at_rest(fly, home, kinematics):
+def test_nothing_to_do_is_one_stationary_sample(fly, home, kinematics):
     for program in ([], [line(kinematics.forward(home[None])[0])], [Move(MoveType.JOINT, JointTarget(home))]):
         trajectory = fly.plan(program, home)
         assert np.array_equal(trajectory.q, home[None])

@@ -174,7 +174,7 @@ def test_a_program_is_stepped_through_the_library(vendor, controller, ns16, home
     assert np.array_equal(trajectory.q[0], home)
     assert np.allclose(trajectory.q[-1], home, atol=1e-12)
     assert np.allclose(np.diff(trajectory.t), 0.002)
-    for turn in turns:  # three and more moves go through the two places it has
+    for turn in turns:  # three and more moves go through its two slots
         assert np.min(np.abs(trajectory.q - home - turn).max(axis=1)) < 1e-9
     assert np.allclose(np.abs(trajectory.qd[10:40, 0]), np.radians(10), rtol=1e-6)
     assert list(np.unique(trajectory.move)) == [0, 1, 2, 3, 4, 5]

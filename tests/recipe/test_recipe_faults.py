@@ -200,7 +200,7 @@ def test_a_document_nested_without_end_is_refused(recipe_file: Path, text: str) 
     assert re.search(r"recipe\.yaml:[5-6]: .*(nested more than 50 deep|not allowed here)", fault)
 
 
-def test_what_is_right_can_be_looked_at_beside_what_is_wrong(recipe_file: Path) -> None:
+def test_valid_parts_can_be_inspected_next_to_wrong_ones(recipe_file: Path) -> None:
     text = (
         FULL.replace("speed: 500 mm/s", "speed: 1 kg")
         .replace("population", "populaton")

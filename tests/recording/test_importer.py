@@ -110,7 +110,7 @@ def test_motor_side_comes_to_the_joints_by_gears_and_coupling(convert, table):
     )
 
 
-def test_currents_beside_joint_positions(convert, table):
+def test_currents_next_to_joint_positions(convert, table):
     path, values = table
     log, _ = convert(JOINT_SIDE + "effort: {columns: [e1, e2], unit: mA, torque_constant: 2}\n", path)
     np.testing.assert_array_equal(log.position, values[:, 1:3])

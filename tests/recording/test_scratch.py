@@ -28,7 +28,7 @@ def test_values_stay_when_their_memory_is_given_back(on_disk):
         assert not np.shares_memory(before, after)
 
 
-def test_a_full_disk_is_told_when_room_is_asked_for(on_disk, monkeypatch):
+def test_a_full_disk_is_reported_when_space_is_requested(on_disk, monkeypatch):
     def full(*_):
         raise OSError(28, "No space left on device")
 

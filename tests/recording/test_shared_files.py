@@ -1,4 +1,4 @@
-"""Small files as people's tools write them give what is right (data beside the checkout)."""
+"""Small files from common tools are read correctly (data next to the checkout)."""
 
 from __future__ import annotations
 

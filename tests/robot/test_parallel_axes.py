@@ -17,7 +17,7 @@ POSTURE = np.array([0.3, -1.2, 1.4, -1.5, -1.2, 0.4])
 
 
 def arm(make_arm: Callable, seed: int, off: float = 0.0) -> RobotDescription:
-    """An arm of random lengths, offsets and senses; every frame is off by so much [m, rad] of a right angle."""
+    """An arm of random lengths, offsets and senses; every frame has an error [m, rad] from a right angle."""
     rng = np.random.default_rng(seed)
     signs = rng.choice([-1, 1], 6)
     a1, b, d4, d5, d6 = rng.uniform([0.0, -0.1, 0.05, -0.12, 0.02], [0.1, 0.1, 0.15, 0.12, 0.1])

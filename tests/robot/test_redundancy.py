@@ -64,7 +64,7 @@ def test_nearest_joints_are_a_minimum(arms: dict[str, RobotDescription], seed: i
         assert abs(null @ (here - wanted)) < 1e-8
 
 
-def test_the_posture_leaves_room_to_the_limits(arms: dict[str, RobotDescription]) -> None:
+def test_the_posture_keeps_a_margin_to_the_limits(arms: dict[str, RobotDescription]) -> None:
     kinematics = kinematics_for(arms["seven axes"])
     middle = kinematics.forward(MIDDLE[None])[0]
     regions = ViaRegions.from_box(3, middle[:3, 3], [0.1, 0.1, 0.1], rotation.to_euler(middle[:3, :3]), 0.2)

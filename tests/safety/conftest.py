@@ -61,7 +61,7 @@ class Controller:
     measures: Callable[[np.ndarray], np.ndarray] | None = None  # the same of what is measured, where it is another
     drops: tuple[int, ...] = ()  # blocks that get lost for good
     repeats: int = 1  # of every block
-    clock_jump: tuple[int, int] = (-1, 0)  # from this block on stamps are so many ns later
+    clock_jump: tuple[int, int] = (-1, 0)  # from this block on stamps are later by this [ns]
     half_closes_after: int = -1  # blocks; it reads on, and sends nothing more
     let_go: threading.Event = field(default_factory=threading.Event)  # the other end has closed the link
     starts: int = 0

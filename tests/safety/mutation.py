@@ -48,7 +48,7 @@ HEAVY = (
     "agent.runs.folder",
     "drivers.transports.tcp",
 )
-#: A change that hangs is noticed: after so long [s], and so many times what its tests take.
+#: A change that hangs is noticed: after a time [s], and after a multiple of the duration of its tests.
 LIMIT, TIMES = 30.0, 5.0
 MEMORY = 4 << 30  # bytes; a change that takes more is noticed
 #: Calls that build a message or move a loop on, and check nothing.
@@ -56,7 +56,7 @@ _HARMLESS_CALLS = {"append", "mkdir"}
 _OPPOSITE = {ast.Lt: ast.GtE, ast.LtE: ast.Gt, ast.Gt: ast.LtE, ast.GtE: ast.Lt}
 
 
-#: Comparisons by size of what is always a number there, or that choose words: none can tell them from their opposites.
+#: Comparisons of values that are never NaN, or that choose words: equivalent to their opposites for every test.
 ALWAYS_NUMBERS: dict[str, dict[str, str]] = {
     "adherence.py": {
         "len(chains) > 1": "a count",
@@ -120,7 +120,7 @@ ALWAYS_NUMBERS: dict[str, dict[str, str]] = {
     },
 }
 
-#: Conditions of a quick way beside a slow one that gives the same; a test compares the two.
+#: Conditions of a quick path that gives the same as a slow one; a test compares the two.
 QUICK_WAYS = {"planned_path.py": {"whole and one_run[k]": "tests/safety/test_laying.py"}}
 
 

@@ -144,7 +144,7 @@ def test_the_arm_does_not_run_into_itself():
     assert not report.collision.second.startswith("keep-out")
 
 
-def test_a_stop_needs_room(trajectory_through):
+def test_a_stop_needs_free_space(trajectory_through):
     """A motion that turns round just before a wall: fast, it could not stop before it, slow it could."""
     out = REACHING - np.radians([40, 0, 0, 0, 0, 0])
     dynamics = Dynamics(ROBOT, tool())

@@ -143,7 +143,7 @@ def test_a_plan_that_breaks_a_limit_does_not_run(bench, column, value, said, pro
     assert bench.controller.starts == 0
 
 
-def test_a_program_that_does_not_move_has_no_place_to_start_from(bench):
+def test_a_program_that_does_not_move_has_no_start_position(bench):
     bench.controller.status = {"position": tuple(HOME + 1.0)}
     bench.controller.moves = lambda times: np.tile(HOME + 1.0, (len(times), 1))
     assert bench.run(PlannedProgram("swing", "PROGRAM swing", ())) == 1000

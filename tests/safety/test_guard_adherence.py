@@ -83,7 +83,7 @@ def test_a_clock_that_stands_still_keeps_no_sample_from_being_judged(swing):
     assert run(watcher(chain), np.tile(HOME - 0.3, (200, 1)), None, period=0.0) is not None
 
 
-def test_when_it_was_is_told_from_the_start_whatever_the_clock_shows(swing):
+def test_times_count_from_the_start_whatever_the_clock_shows(swing):
     chain = swing(seconds=3.0)
     driven = chain.q + np.outer(np.arange(len(chain.q)) >= 500, np.eye(6)[0])
     reason, _ = run(watcher(chain), driven, driven, began=5000.0)

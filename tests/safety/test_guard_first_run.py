@@ -121,7 +121,7 @@ def test_the_slow_version_is_one_turn_at_no_more_than_the_first_speed(bench):
     assert planned.path_speed.max() <= FIRST_SPEED
 
 
-def test_every_way_is_gone_slowly_also_from_the_same_place(bench):
+def test_every_path_runs_slowly_first_also_from_the_same_position(bench):
     from agent.motion import FlyInterpolator, write_program
 
     goals = [HOME + np.radians([angle, 0, 0, 0, 0, 0]) for angle in (5.0, 0.0, -5.0, 0.0)]

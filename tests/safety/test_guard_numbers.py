@@ -92,7 +92,7 @@ def test_a_period_or_a_rate_that_is_none_is_refused(value):
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e308])
-def test_a_plan_or_a_place_that_is_none_does_not_run(program, value):
+def test_an_invalid_plan_or_position_does_not_run(program, value):
     chosen = program()
     (chain,) = chosen.chains
     for column in ("q", "qd"):
@@ -213,6 +213,6 @@ def test_a_joint_by_another_name_or_in_another_order_is_another_robot():
             check_identity(replace(who, joint_names=wrong), ROBOT, "here")
 
 
-def test_a_place_in_degrees_is_told_as_such(program):
+def test_a_position_in_degrees_is_reported_as_such(program):
     with pytest.raises(AgentError, match="fits its plan in degrees"):
         check_plan(program(), ROBOT, np.degrees(HOME), "here")

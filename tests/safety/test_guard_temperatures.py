@@ -1,4 +1,4 @@
-"""Temperatures of the motors: asked for beside the watch, seldom, where the controller has them."""
+"""Temperatures of the motors: requested rarely, alongside the watch, if the controller has them."""
 
 from __future__ import annotations
 

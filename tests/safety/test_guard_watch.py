@@ -95,7 +95,7 @@ def test_the_time_that_a_start_takes_is_no_silence_of_the_samples():
     assert stopped == [False, True]
 
 
-def test_samples_that_show_the_arm_at_rest_are_enough():
+def test_samples_that_show_a_stationary_arm_are_enough():
     link = Link()
 
     def script():

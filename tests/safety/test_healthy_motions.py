@@ -37,7 +37,7 @@ def run(wire: str, first: int) -> list[dict]:
 @pytest.mark.verify
 @pytest.mark.parametrize("piece", range(PIECES))
 def test_no_healthy_motion_is_stopped_on_a_loaded_machine(piece, measured):
-    """Two wires at a time, each with an agent and an emulator, beside a loop that keeps each core busy."""
+    """Two wires at a time, each with an agent and an emulator, while a loop keeps each core busy."""
     firsts = itertools.count(piece * MOTIONS * len(WIRES), MOTIONS)
     busy = [start("-c", "while True: pass") for _ in range(os.cpu_count() or 1)]
     try:

@@ -1,4 +1,4 @@
-"""Samples laid onto the places of a plan: by the edges of runs as place by place."""
+"""Samples matched to the points of a plan: by the edges of runs, with the result of point-by-point matching."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def place_by_place(path, fits, reached, first, passed, ahead):
 
 @st.composite
 def layings(draw):
-    """Some samples; most fit a run of places, some several, some none."""
+    """Some samples; most fit a run of points, some several, some none."""
     width, samples, first = draw(st.integers(1, 40)), draw(st.integers(1, 12)), draw(st.integers(0, 30))
     place = st.integers(0, width)
     fits = np.zeros((samples, width), dtype=bool)
@@ -50,7 +50,7 @@ def layings(draw):
 
 
 @given(layings())
-def test_runs_are_laid_as_their_places_one_by_one(laying):
+def test_runs_are_matched_like_their_points_one_by_one(laying):
     fits, reached, first, passed = laying
     path = path_of(first + fits.shape[1])
     ahead = 4.0 * passed

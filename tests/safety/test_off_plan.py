@@ -81,7 +81,7 @@ class Arm:
         self.given = self.measured = np.zeros((0, 6))
 
     def run(self, kind: str = "", after: float = 0.0, joint: int = 0, amount: float = 0.0, seen: bool = True) -> None:
-        """One motion, in which something goes wrong `after` so many seconds; `seen`: with set-points."""
+        """One motion with a fault `after` a number of seconds; `seen`: with set-points."""
         given, measured, count = [], [], 0
         if kind == "other_motion":
             self.astray.change_way(joint, amount)
@@ -116,7 +116,7 @@ class Arm:
         self.given, self.measured = np.concatenate(given), np.concatenate(measured)
 
     def beyond(self) -> tuple[int, np.ndarray]:
-        """The first sample that no place on the whole path is near enough to, and (S,) metres beyond the tolerance."""
+        """The first sample that is too far from every point of the path, and (S,) metres beyond the tolerance."""
         path, forward = self._watch._path, Dynamics(ROBOT).tcp_pose
         tools, q, reach = path.tool[::4], path.q[::4], path.reach[::4]
         until = self.stopped + 100 if self.stopped else len(self.given)

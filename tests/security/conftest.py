@@ -59,7 +59,7 @@ def ftp_folder(tmp_path: Path) -> Iterator[Callable[..., ProgramFolder]]:
 
 @pytest.fixture
 def line_server() -> Iterator[Callable[[bytes, int], int]]:
-    """Sends the same bytes so many times to whoever connects: `line_server(data, times)`."""
+    """Sends the same bytes a number of times to every client: `line_server(data, times)`."""
     open_ones: list[socket.socket] = []
 
     def start(data: bytes, times: int) -> int:

@@ -103,7 +103,7 @@ def test_a_recipe_with_a_password_leaves_no_trace_of_it(tmp_path: Path, command:
     assert leaks(tmp_path, PLANTED) == [str(tmp_path / "recipe.yaml")]
 
 
-def test_a_password_in_the_wrong_place_of_a_recipe_is_not_repeated(tmp_path: Path):
+def test_a_password_under_the_wrong_key_of_a_recipe_is_not_repeated(tmp_path: Path):
     text = RECIPE.format(driver="tcp", address="127.0.0.1:9100").replace(
         "robot:", 'controler: "joe:hunter22@host"\nrobot:'
     )
@@ -220,7 +220,7 @@ SLIPS = [
 @pytest.mark.parametrize("driver", available())
 @pytest.mark.parametrize("joint", [",", "?", ";", " ", "&", "#", "/", "|", ":", ",,"])
 def test_nothing_of_an_addresss_options_is_printed(driver: str, joint: str):
-    """Whatever it is called: what follows the place is never repeated."""
+    """The text after the address of a password is never repeated, whatever its name."""
     device = "/dev/null" if driver == "serial" and joint != "/" else "localhost:9"
     places = ["127.0.0.1:9", "127.0.0.1", device]
     if driver == "serial" and joint in "?&#;":  # elsewhere in a URL it is a path
@@ -248,7 +248,7 @@ def test_nothing_of_an_addresss_options_is_printed_by_a_recipe(tmp_path: Path, s
 
 
 @given(st.text(st.sampled_from("ab1.:/@,;?=&# [%]é"), max_size=12), st.sampled_from(",;?#& @="))
-def test_a_place_is_what_comes_before_the_options(before: str, joint: str):
+def test_the_address_of_a_password_ends_before_the_options(before: str, joint: str):
     shown = place_of(f"{before}{joint}hunter22")
     assert "hunter22" not in shown
     assert not shown.removesuffix(",…") or f"{before}{joint}".startswith(shown.removesuffix(",…"))
@@ -259,7 +259,7 @@ def test_a_place_is_what_comes_before_the_options(before: str, joint: str):
     ["192.168.0.10:9100", "[fe80::1%eth0]:502", "robot-1.cell.example:9100", "/dev/ttyUSB0", "COM3", "loop://", "lpc",
      "/dev/serial/by-path/pci-0000:00:14.0-usb-0:1:1.0-port0", "socket://127.0.0.1:4000", r"\\.\COM10"],
 )  # fmt: skip
-def test_a_plain_place_is_shown_whole(address: str):
+def test_a_plain_address_is_shown_in_full(address: str):
     assert place_of(address) == address
     assert place_of(f"{address},115200") == f"{address},…"
 

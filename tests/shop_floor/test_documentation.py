@@ -105,7 +105,7 @@ def test_links_lead_somewhere(page: Path):
 MADE_BY_A_READER = {"recipes/often.yaml"}
 
 
-def test_places_that_pages_name_exist():
+def test_files_that_pages_name_exist():
     """Paths and modules of the tree, whole; names of Python files alone, wherever they are."""
     tops = "agent|drivers|fake_controller|second_world|tests|benchmarks|docs|recipes"
     files = {path.name for top in tops.split("|") for path in (ROOT / top).rglob("*.py")}

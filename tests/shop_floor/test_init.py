@@ -78,7 +78,7 @@ def test_on_a_terminal_it_asks_and_asks_again(tmp_path: Path):
     assert recipe.robot.name == "comau_ns16"
 
 
-def test_the_schema_is_beside_the_recipe_and_named_in_it(tmp_path: Path):
+def test_the_schema_is_next_to_the_recipe_and_named_in_it(tmp_path: Path):
     assert agent(tmp_path, "init", "cell.yaml").returncode == 0
     first = (tmp_path / "cell.yaml").read_text(encoding="utf-8").splitlines()[0]
     assert first == "# yaml-language-server: $schema=recipe.schema.json"

@@ -16,7 +16,7 @@ def _watch(logs):
 
 @pytest.mark.parametrize("cooling", [False, True])
 @pytest.mark.parametrize("seed", range(6))
-def test_wear_of_one_axle_is_told_from_warm_up_of_all(write_runs, seed: int, cooling: bool):
+def test_wear_of_one_axle_is_distinguished_from_warm_up_of_all(write_runs, seed: int, cooling: bool):
     one, parameters = _watch(write_runs(20, seed, wear=seed, cooling=cooling))
     assert [trend.joint for trend in one.alarms] == [f"joint_{seed + 1}"]
     (alarm,) = one.alarms

@@ -178,7 +178,7 @@ def three_runs(tmp_path_factory):
 @settings(max_examples=20, deadline=None)
 @given(st.data())
 def test_one_bad_folder_is_one_bad_folder(three_runs, data):
-    """Whatever stands in one place of one file: the others are listed, and what wants this one says so."""
+    """One value of one file is damaged: the other runs are listed, and commands on this run say so."""
     logs, files = three_runs
     for path, content in files.items():
         path.write_bytes(content)

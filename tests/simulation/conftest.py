@@ -34,7 +34,7 @@ def make_arm_fixture() -> Callable[..., RobotDescription]:
 def stop_and_go(
     targets: np.ndarray, duration: float, pause: float = 0.1, period: float = 0.002
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(S, n) set-points and velocities from target to target (K, n), fifth-order and at rest in between."""
+    """(S, n) set-points and velocities from target to target (K, n), fifth-order, stationary at each target."""
     samples = round(duration / period)
     s = np.arange(1, samples + 1)[:, None] / samples
     shape, slope = s**3 * (10 - 15 * s + 6 * s**2), 30 * s**2 * (1 - s) ** 2 / duration

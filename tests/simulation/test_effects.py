@@ -44,7 +44,7 @@ def plain(measured):
 
 
 def resting_torque(robot, q, *effects):
-    """(n,) mean of what is measured at rest at q."""
+    """Mean (n,) of the measurement with the arm stationary at q."""
     plant = Plant(robot, 7, effects)
     plant.rest(q)
     return np.concatenate([part.torque for part in plant.hold(q, 0.4)]).mean(axis=0)

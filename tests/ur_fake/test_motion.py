@@ -186,7 +186,7 @@ def test_a_program_whose_heartbeat_ends_comes_to_a_protective_stop(start_ur):
 
 
 @pytest.mark.parametrize("how", ["dashboard", "primary", "another program", "protective_stop", "emergency_stop"])
-def test_a_stop_keeps_to_the_path_and_ends_at_rest(start_ur, how):
+def test_a_stop_keeps_to_the_path_and_ends_stationary(start_ur, how):
     faults = [Fault(how, "streaming", 1.0)] if "_stop" in how else []
     ur = start_ur(faults=faults)
     with clients(Primary(ur.address), Dashboard(ur.address), Rtde(ur.address, *FIELDS)) as (primary, dashboard, rtde):

@@ -131,7 +131,7 @@ def test_threads_run_side_by_side(ur):
         (["if True:", "x = 1"], 4, "compile_error_syntax_error"),
     ],
 )
-def test_a_script_that_is_none_is_told_with_its_place(ur, lines, line, text):
+def test_an_invalid_script_is_refused_with_its_line(ur, lines, line, text):
     with clients(Primary(ur)) as client:
         client.send((program(*lines) + "end\n" * (text.endswith("error") and lines[0].startswith("if"))).encode())
         found = errors([client.message()])[0]

@@ -1,4 +1,4 @@
-"""Sections of a run's report: by registration; the paper's estimator beside the one that was used."""
+"""Sections of a run's report: by registration; the paper's estimator next to the one that was used."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def logs(tmp_path_factory):
     return robot, made
 
 
-def test_the_papers_estimator_stands_beside_ours(logs):
+def test_the_papers_estimator_stands_next_to_ours(logs):
     robot, (fitted, unseen) = logs
     model = estimate(robot, [fitted], EstimationSettings.create(method="weighted", cutoff=20))
     predictions = [predict_log(model, unseen)]

@@ -23,7 +23,7 @@ def _log(robot, path, t, q, torque):
 
 @pytest.fixture(scope="module")
 def case(tmp_path_factory):
-    """The NS16, a rough model of it, and two logs: one moving, one half at rest."""
+    """The NS16, a rough model of it, and two logs: one moving, one stationary for half of the time."""
     robot = load_robot("comau_ns16")
     rng = np.random.default_rng(0)
     folder = tmp_path_factory.mktemp("logs")

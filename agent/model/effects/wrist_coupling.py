@@ -29,7 +29,7 @@ class WristCoupling(Effect):
 
     A seal or bearing of the coupled shaft rubs at that speed too, c sign(w + r q̇_i) + d (w + r q̇_i) on axle j, and r
     times that on joint i: though the motors turn as described (`besides`), or where they do not (`turning`, too). Other
-    parts that turn at that speed may add an inertia (`shaft`), e (ẇ + r q̈_i).
+    parts at that speed may add an inertia (`shaft`), e (ẇ + r q̈_i).
     """
 
     name = "wrist_coupling"

@@ -19,7 +19,7 @@ FTP_PORT, BROKER_PORT = 21, 1883
 class CnrAddress:
     """Where everything is. `broker` is None where no C5G Open node publishes.
 
-    Passwords are named by their place; `drivers.secrets` reads them when the link is opened.
+    The address names where passwords are stored; `drivers.secrets` reads them when the link is opened.
     `points`: via-points go through the socket instead of a program; `by_hand`: a person starts the program.
     """
 

@@ -14,11 +14,11 @@ import numpy as np
 
 #: The arm has begun to move when a joint is so far from where it stood [rad, or m].
 _MOVED = np.radians(0.02)
-#: A feedback tells the time where the arm is at least so fast (norm over joints) [rad/s].
+#: Lowest speed (norm over joints) at which a feedback gives the time [rad/s].
 _FAST = 0.05
 #: The beginnings of motion that both clocks saw agree within this [s].
 _REACH = 0.08
-#: Positions still differ by so much where the search went astray [rad, or m].
+#: Remaining difference of positions that shows a failed search [rad, or m].
 _ASTRAY = np.radians(0.2)
 _KEPT = 10.0  # s of samples
 _BATCH = 10  # feedbacks

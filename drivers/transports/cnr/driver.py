@@ -28,7 +28,7 @@ from drivers.transports.cnr.sockets import Sockets
 from drivers.wire.cnr import Feedback, MessageType, Mode, Point, StatusMessage
 from drivers.wire.reasons import EndReason
 
-#: The feedback program rests so long between two messages [s].
+#: Pause of the feedback program between two messages [s].
 FEEDBACK_PERIOD = 0.02
 _BURSTS = 0.5  # samples come in bursts: a pace from here on is the whole one
 _SAMPLE_PATIENCE = 1.0  # s without a sample, at least
@@ -121,7 +121,7 @@ class CnrDriver(LinkDriver[Sockets, CnrMotion]):
         )
 
     def throughput(self) -> float:
-        """`MeasuresThroughput`: by the samples at rest; feedbacks are the whole link where there is no broker."""
+        """`MeasuresThroughput` with samples of the stationary arm; without a broker, feedbacks are the whole link."""
         period = self.identify().period
         pace = 1.0 if self._broker is None else self._broker.pace()
         return (pace if pace < _BURSTS else 1.0) / period
@@ -136,7 +136,7 @@ class CnrDriver(LinkDriver[Sockets, CnrMotion]):
         """Store a program by FTP; returns the SHA-256 (hex) of what was read back.
 
         Raises:
-            RefusedError: not a program (with line and column, where the controller says), no room, or the arm moves.
+            RefusedError: not a program (with line and column, if known), no space, or the arm moves.
         """
         if self._moves(self._connected().feedback()):
             raise RefusedError("no program is stored while the arm moves; stop it first")
@@ -289,7 +289,7 @@ class CnrDriver(LinkDriver[Sockets, CnrMotion]):
         sockets.guarded = not motion.over
 
     def _take_samples(self, motion: CnrMotion | None) -> None:
-        """What the broker had, for the motion; at rest nobody wants it."""
+        """Messages of the broker, for the motion; they are dropped while the arm is stationary."""
         broker = self._broker
         if broker is None:
             return

@@ -69,7 +69,7 @@ class ProgramFolder:
         """Store a program and name it as the one to start; returns the SHA-256 (hex) of what was read back.
 
         Raises:
-            RefusedError: not a name, no room, or the controller cannot translate the text (with line and column).
+            RefusedError: not a name, no space, or the controller cannot translate the text (with line and column).
         """
         if not _NAME.fullmatch(name):
             raise RefusedError(f"{name!r} cannot name a program: 1 to 32 letters, digits or _, the first no digit")

@@ -24,13 +24,13 @@ _HOLE = 4.5
 _STILL = np.radians(1e-4)
 #: An arm that rests is seen to rest within this [rad, or m].
 _REST = np.radians(0.02)
-#: Without a flag that says so, an arm is moving until it has rested for so long [s].
+#: Without a flag from the controller, an arm counts as moving until it has rested for this time [s].
 _RESTING = 0.2
 #: A clock that goes back by more [s] was set anew.
 _BACK = 0.1
-#: So many feedbacks in a row say that the arm rests before a stop by the controller is believed.
+#: Number of consecutive feedbacks of a stationary arm that confirm a stop by the controller.
 _BELIEVED = 10
-#: A program that a person started is over when the arm has rested for so long [s]; a DELAY in it must be shorter.
+#: A program that a person started is over when the arm has rested for this time [s]; a DELAY in it must be shorter.
 HAND_REST = 2.0
 #: Samples of the end that do not come within this [s] of silence do not come any more.
 _DRAIN = 1.0

@@ -23,8 +23,8 @@ from drivers.transports.cnr.sockets import CommandReply, Sockets
 from drivers.wire import cnr as wire
 from drivers.wire.cnr import Feedback, MessageType, Point, QueueStatus
 
-_ASK = 0.05  # s between two looks whether a full queue has room again
-_LINGER = 0.05  # s between two looks whether a trajectory is over
+_ASK = 0.05  # s between two checks of a full queue for free space
+_LINGER = 0.05  # s between two checks for the end of a trajectory
 
 
 def create(address: str, **options: Any) -> CnrDriver:

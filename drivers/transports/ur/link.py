@@ -28,7 +28,7 @@ _RECEIVE = 256 * 1024
 _BEATS = 8
 #: The controller's clock goes back by more [s] only where it has been restarted.
 _BACK = 0.1
-#: The pace of samples is measured over so long [s].
+#: Time over which the rate of samples is measured [s].
 _PACE = 0.25
 
 

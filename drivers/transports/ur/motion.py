@@ -27,7 +27,7 @@ _SAFETY = (
     "VIOLATION",
     "FAULT",
 )
-#: A set-point that changes by less rests [rad/s]; the arm has settled after so long [s].
+#: A set-point that changes more slowly rests [rad/s]; settling time of the arm [s].
 STILL, _SETTLED = 1e-6, 0.1
 
 

@@ -53,7 +53,7 @@ class PointQueue:
         return QueueStatus.BUSY if full else QueueStatus.READY
 
     def add(self, point: Point) -> QueueStatus:
-        """Take a point; READY if it was taken, BUSY or ERROR (not the next number, or no place) if not."""
+        """Take a point; READY if it was taken, BUSY or ERROR (not the next number, or a full queue) if not."""
         if self.status is QueueStatus.BUSY:
             return QueueStatus.BUSY
         values = np.array([point.fly_tolerance, point.linear_vel, *point.joints])

@@ -38,7 +38,7 @@ logging.getLogger("pyftpdlib").propagate = False
 class FtpFolder:
     """Serves one folder of its own, which ends with it; a thread of its own does it.
 
-    `NAME.pdl` is stored and translated: beside it appears `NAME.cod`, or `NAME.err` with "line column message".
+    `NAME.pdl` is stored and translated: `NAME.cod` appears next to it, or `NAME.err` with "line column message".
     `PROGRAM_FILE` names the program that a start runs.
 
     Args:

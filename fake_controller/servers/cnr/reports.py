@@ -1,4 +1,4 @@
-"""What the socket programs and the C5G Open node tell of the arm, at rest and in motion, and who answers."""
+"""Reports of the socket programs and the C5G Open node about the arm, stationary or moving, and who answers."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from fake_controller.servers.cnr.mqtt import JointPublisher
 from fake_controller.servers.cnr.sockets import LockStep
 from fake_controller.servers.frame_client import IDLE_LIMIT
 
-TICK = 0.02  # s between two records at rest
+TICK = 0.02  # s between two records of a stationary arm
 PROGRAM_ERROR = 2  # error code of a program that could not be run, or not to its end
 _PERIOD_NS = round(PERIOD * 1e9)
 _EVERY = round(TICK / PERIOD)  # samples from one feedback record to the next
-_REST = 250  # samples at rest before and after a motion where the clock does not wait; most that are made up for
+_REST = 250  # stationary samples before and after a motion if the clock does not wait; limit of samples made up for
 _LATE = 3  # ticks without a record of a moving arm after which the last one is published again
 
 
@@ -35,7 +35,7 @@ class Reports:
         feedback, status: the two ports.
         publisher: of the samples.
         cut: ends the connections of a client that is gone.
-        watchdog: a moving arm stops when so long [s] no feedback was answered.
+        watchdog: a moving arm stops if no feedback was answered for this time [s].
         waits: the arm waits for its clients, and time does not wait for the wall.
     """
 
@@ -141,7 +141,7 @@ class Reports:
                     self._tell(self._controller.clock.now(), self._controller.position, self._last.torque[0])
 
     def _pass_time(self, samples: int = _REST) -> None:
-        """The arm stands still: until now, or where the clock does not run by itself for so many samples."""
+        """Keep the arm stationary until now, or for a number of samples if the clock does not run by itself."""
         clock = self._controller.clock
         if self._waits:
             clock.wait_until((self._index + samples) * _PERIOD_NS)
@@ -208,6 +208,6 @@ def _ten(values: np.ndarray) -> tuple[float, ...]:
 
 
 def _last_of(samples: Slice) -> Slice:
-    """Its last sample, standing still."""
+    """Its last sample, with the arm stationary."""
     last = samples.part(slice(-1, None))
     return replace(last, velocity=np.zeros_like(last.velocity), reference_velocity=np.zeros_like(last.velocity))

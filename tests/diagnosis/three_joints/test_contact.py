@@ -31,7 +31,7 @@ def free(arm):
 
 
 def pushed(arm, log, end: str, times, share: float = 1.0, at=(0.0, 0.0, 0.0)):
-    """The log with a `share` of a force during `times` [s] at a place [m] from where the link `end` begins."""
+    """The log with a `share` of a force during `times` [s] at a point [m] from where the link `end` begins."""
     dynamics, step, place = Dynamics(arm), 1e-6, np.append(at, 1.0)
     jacobian = np.stack(
         [
@@ -122,7 +122,7 @@ def test_a_push_that_was_there_when_the_log_began(arm, model, free):
 
 
 def test_several_long_pushes_in_every_log(arm, model, free):
-    """One of them meets the place of another in the next cycle; all bend the model's numbers if these may move."""
+    """One of them meets the phase of another in the next cycle; all bias the model's numbers if these may move."""
     times = [(1.0, 3.0), (6.6, 8.6)]
     found = forces(best(arm, model, [pushed(arm, log, "link_3", times) for log in free]))
     found = sorted(found, key=lambda entry: (round(entry[0]), entry[3]))
@@ -147,14 +147,14 @@ def test_friction_that_drifts_is_no_string_of_pushes(arm, model, free):
 
 
 def test_a_force_from_the_first_sample_to_the_last_is_no_event(arm, model, free):
-    """Nothing beside it says what is usual."""
+    """No other window says what is usual."""
     always = [(free[0].t[0] - 1, free[0].t[-1] + 1)]
     found = best(arm, model, [pushed(arm, free[0], "link_3", always)])
     within = 0.0 if found is None else sum(end - start for start, end, *_ in forces(found))
     assert within < 0.8 * free[0].t[-1]
 
 
-def test_a_push_near_the_base_beside_a_stronger_one_on_the_tip(arm, model, free):
+def test_a_push_near_the_base_next_to_a_stronger_one_on_the_tip(arm, model, free):
     """Joints near the base are known less finely: a force there gains a twenty-fifth of what the other does."""
     tip, base = (1.2, 2.0), (6.0, 6.8)
     log = pushed(arm, pushed(arm, free[0], "link_3", [tip]), "link_2", [base], share=0.6)
@@ -162,7 +162,7 @@ def test_a_push_near_the_base_beside_a_stronger_one_on_the_tip(arm, model, free)
     assert [entry[:2] for entry in found] == [pytest.approx(tip, abs=0.2), pytest.approx(base, abs=0.2)]
 
 
-def test_the_page_lists_each_push_with_place_times_and_force(arm, model, free):
+def test_the_page_lists_each_push_with_point_times_and_force(arm, model, free):
     times = [(1.2, 2.0), (6.9, 7.5)]
     found = diagnose(arm, [pushed(arm, free[0], "link_3", times), free[1]], model)
     assert [cause["effect"] for cause in found.result["causes"]] == ["contact"]

@@ -44,7 +44,7 @@ def at_rest(log, torque, seconds=4.0):
 
 
 def known_before(model, logs, known):
-    """A model that took so much for an offset already, and logs of the arm that had it then."""
+    """A model with such an offset already, and logs of the arm with the same offset."""
     here = [term.name for term in model.terms].index(f"offset_{JOINT + 1}") + len(model.independent)
     values = model.values + known * (np.arange(len(model.values)) == here)
     more = known * (np.arange(model.robot.dof) == JOINT)

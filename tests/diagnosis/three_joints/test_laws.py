@@ -20,7 +20,7 @@ from fake_controller.plant import Plant
 from tests.small_arms import learn, make_arm, record
 
 JOINT = 2
-#: (positions (S,), torque of the bodies (S,), way gone before (float)) -> torque (S,) of the law
+#: (positions (S,), torque of the bodies (S,), distance travelled before (float)) -> torque (S,) of the law
 Law = Callable[[np.ndarray, np.ndarray, float], np.ndarray]
 
 
@@ -56,7 +56,7 @@ def _best(evidence: Evidence) -> Candidate:
     return evidence.candidate(int(np.argmax(gains)))
 
 
-def test_a_small_effect_of_one_joint_is_named_beside_a_far_larger_one_of_another(arm, model, healthy):
+def test_a_small_effect_of_one_joint_is_named_with_a_far_larger_one_of_another(arm, model, healthy):
     """The spring takes all but a hundredth of the gap; on the first joint there is nothing but viscous friction."""
     size = [np.std(healthy[0].effort[:, joint]) for joint in range(2)]
     spring, more = 2.0 * size[1], 0.1 * size[0] / np.std(healthy[0].velocity[:, 0])
@@ -150,7 +150,7 @@ def test_friction_that_grows_with_a_load_that_hardly_changes_is_not_ruled_out(ar
     assert found.verdict == "ambiguous"
 
 
-def test_a_spring_beside_more_friction_may_be_a_hose_that_rubs(arm, model, healthy):
+def test_a_spring_with_more_friction_may_be_a_rubbing_hose(arm, model, healthy):
     """No form of a hose follows every one, so it is said whether one of them does as well or not."""
     size = np.std(healthy[0].effort[:, JOINT])
     altered = _with(model, healthy, lambda q, load, gone: size * np.sin(q - 0.4) + 0.4 * size * _slide(q))
@@ -185,7 +185,7 @@ def test_a_ripple_of_few_periods_is_no_hose(arm, model, healthy):
 
 
 def test_a_spring_between_two_pivots_keeps_its_name(arm, model, healthy):
-    """The lever is long beside the anchor, so that its law is far from a sine."""
+    """The lever is long compared with the anchor, so its law is far from a sine."""
     size = np.std(healthy[0].effort[:, JOINT])
 
     def law(q, load, gone):
@@ -263,7 +263,7 @@ def test_a_hose_that_hardens_and_rubs_also_where_one_motion_goes_further(left, p
     assert left("dress_pack", law) < 0.03
 
 
-def test_friction_that_warms_with_the_way_gone_through_all_logs(left):
+def test_friction_that_warms_with_the_distance_travelled_through_all_logs(left):
     def law(q: np.ndarray, load: np.ndarray, gone: float) -> np.ndarray:
         way = gone + np.cumsum(np.abs(np.diff(q, prepend=q[0])))
         return 4 * np.exp(-way / 5) * _slide(q)

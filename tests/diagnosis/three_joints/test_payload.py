@@ -21,7 +21,7 @@ PAYLOAD = CATALOGUE["payload"]
 
 
 @pytest.mark.parametrize(("inertia", "is_point"), [(0.0, False), (-0.06, True)])
-def test_a_load_is_a_point_where_its_own_inertia_would_be_below_nought(arm, model, inertia, is_point):
+def test_a_load_is_a_point_if_its_own_inertia_would_be_negative(arm, model, inertia, is_point):
     plant = Plant(arm, seed=3, effects=[{"effect": "payload", "parameters": {"mass": MASS}}])
     last = ParameterLayout.of(arm, rotors=False).link(arm.dof - 1)
     logs = []

@@ -213,7 +213,7 @@ def test_an_unknown_gap_is_located_on_the_page(arm, model):
 
 
 def test_a_gap_in_passing_is_not_taken_for_stiction(arm):
-    """All of it lies around reversals, where a joint at rest may have any torque below the Coulomb level."""
+    """All of it lies around reversals, where a stationary joint may have any torque below the Coulomb level."""
     rated = replace(arm, joints=tuple(replace(joint, nominal_motor_torque=1.0) for joint in arm.joints))
     late = {"effect": "presliding", "joints": ["joint_2"], "parameters": {"share": 0.8, "travel": 0.001}}
     plant = Plant(rated, seed=3, effects=[late])
@@ -237,7 +237,7 @@ def test_any_arm_is_diagnosed(kinds):
     robot = make_arm(kinds)
     known = learn(robot)
     levels = np.abs(record(Plant(robot, seed=3), "free", 21).effort).max(axis=0)
-    # without nominal torques shares are of N·m, so a light joint would be lost beside a heavy one
+    # without nominal torques shares are of N·m, so a heavy joint would hide a light one
     joint, level = robot.joint_names[int(np.argmax(levels))], float(levels.max())
     effects = [{"effect": "dress_pack", "joints": [joint], "parameters": {"stiffness": 0.3 * level}}]
     plants = Plant(robot, seed=3), Plant(robot, seed=3, effects=effects)

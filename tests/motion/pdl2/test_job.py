@@ -191,7 +191,7 @@ name STR Priv 'POS Priv X:1'
 """
 
 
-def test_positions_come_from_the_variable_file_beside_the_program():
+def test_positions_come_from_the_variable_file_next_to_the_program():
     kept, passed = job_text(LISTED, "weld.pdl", ROBOT, VARIABLES)
     read = [move for move in parse_program(kept, "weld.pdl", ROBOT).run() if isinstance(move, Move)]
     assert [move.line for move in read] == [8, 10, 11, 10, 11, 13]

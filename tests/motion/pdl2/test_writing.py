@@ -113,7 +113,7 @@ def test_statements_survive_writing_and_reading(statements):
 
 @given(st.lists(TARGETS, min_size=2, max_size=4), SETTINGS, SETTINGS, st.integers(1, 4))
 @settings(max_examples=25, deadline=None)
-def test_a_loop_approaches_goes_round_and_ends_every_cycle_at_rest(points, going, approach, cycles):
+def test_a_loop_approaches_goes_round_and_ends_every_cycle_stationary(points, going, approach, cycles):
     text = write_loop_program("loop", points, going, cycles, approach)
     found = list(parse_program(text).run())
     fine = going.changed(termination=Termination.FINE)

@@ -93,7 +93,7 @@ def test_what_is_written_is_read_back(statements):
 
 @running(max_examples=40, deadline=None)
 @given(st.lists(numbers, min_size=3, max_size=3), st.lists(st.floats(-1.8, 1.8), min_size=3, max_size=3))
-def test_a_pose_keeps_its_place_and_turn(place, turn):
+def test_a_pose_keeps_its_position_and_rotation(place, turn):
     from scipy.spatial.transform import Rotation
 
     pose = np.eye(4)
@@ -158,7 +158,7 @@ def test_tool_and_load_are_set_before_the_first_move(robot, pose):
         ("  thread watch():\n  sync()\n  end", "beside the program"),
     ],
 )
-def test_what_is_not_understood_is_refused_with_its_place(robot, body, message):
+def test_unknown_statements_are_refused_with_their_line(robot, body, message):
     with pytest.raises(InputError, match=message):
         SCRIPT.read(f"def p():\n{body}\nend\n", "t.script", robot)
 
