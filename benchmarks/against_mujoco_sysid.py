@@ -57,7 +57,7 @@ def motion(rng, low, high, count):
 
 
 def robot(path, rng):
-    """The file's arm with masses, inertias, friction and rotors of its own, and its Coulomb levels."""
+    """The file's arm with changed masses, inertias, friction and rotors, and its Coulomb levels."""
     model = mujoco.MjModel.from_xml_path(str(path))
     off = mujoco.mjtDisableBit
     model.opt.disableflags |= off.mjDSBL_CONSTRAINT | off.mjDSBL_ACTUATION | off.mjDSBL_AUTORESET
@@ -159,7 +159,7 @@ def with_parameters(given, x):
 
 
 def windows(spec, logs, names):
-    """What MuJoCo's identification fits to: initial states, torque and measured motion of the windows."""
+    """Input of MuJoCo's identification: initial states, torque and measured motion of the windows."""
     model, found = spec.compile(), []
     size = int(WINDOW * RATE) + 1
     time_ = np.arange(size) / RATE

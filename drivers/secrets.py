@@ -103,7 +103,7 @@ def _from_keyring(name: str) -> str:
         raise ConfigurationError("keyring: the package keyring is not installed; pip install keyring") from None
     try:
         secret = keyring.get_password(service, user)
-    except Exception as error:  # each of its back ends has errors of its own
+    except Exception as error:  # each of its back ends has its own errors
         raise DriverError(f"keyring:…: cannot be read: {type(error).__name__}") from None
     if secret is None:
         raise ConfigurationError("keyring:…: there is no such password; keyring set stores one")

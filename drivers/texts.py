@@ -11,7 +11,7 @@ MANY = 64
 #: Passwords that this process has read, in every form in which they may stand in a text.
 hidden_forms: set[str] = set()
 
-#: C0 and C1 controls but for line feed and tab, what turns the direction of writing, and halves of characters.
+#: C0 and C1 controls except line feed and tab, marks of the writing direction, and halves of characters.
 _CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
 #: ANSI: a command (CSI), a string (OSC, DCS, …) with its end, or another two characters.
 _ESCAPE = re.compile(
@@ -29,7 +29,7 @@ _PLACE = re.compile(
 
 
 def place_of(address: str) -> str:
-    """Where an address leads, for people. Nothing of what follows is shown, whatever its name: it may be a password."""
+    """The target of an address, for people. Its options are not shown, whatever their names: one may be a password."""
     text = printable(address, NAME)
     head = re.split(r"[,;?#&\s]", text, maxsplit=1)[0]
     found = None if "@" in text or "=" in head else _IP.fullmatch(head) or _PLACE.match(head)

@@ -142,13 +142,13 @@ class Controller:
 
     @property
     def stored(self) -> tuple[str, str]:
-        """Name and SHA-256 (hex) of the program that was stored last; empty where there is none."""
+        """Name and SHA-256 (hex) of the program that was stored last; empty if there is none."""
         with self._lock:
             last = self._programs.last
         return ("", "") if last is None else (last.name, last.checksum)
 
     def text(self, name: str) -> bytes:
-        """The stored text of a program; empty where there is none."""
+        """The stored text of a program; empty if there is none."""
         with self._lock:
             stored = self._programs.find(name)
         return b"" if stored is None else stored.text
@@ -160,7 +160,7 @@ class Controller:
         return f"motions started {self.motions_started}; ended: {ends or 'none'}; {where}"
 
     def reach(self, phase: str, motion_time: float = 0.0) -> None:
-        """A phase of `fake_controller.faults` is reached: whatever is to go wrong in it goes wrong now.
+        """A phase of `fake_controller.faults` is reached: its faults strike now.
 
         A server says `connect` as it greets a client, before it answers; the other phases are the controller's own.
         """
@@ -179,7 +179,7 @@ class Controller:
             self._programs.check_room(name, size)
 
     def store(self, name: str, data: bytes) -> str:
-        """Translate and store a program; returns the SHA-256 (hex) of what is stored.
+        """Translate and store a program; returns the SHA-256 (hex) of the stored text.
 
         Raises:
             RefusedRequest: not a program, or it cannot be stored now.
@@ -305,7 +305,7 @@ class Controller:
 
     def _restart(self) -> None:
         """Power off and on: connections, programs and memory are gone, and the drives are off."""
-        for cut in self.when_restarting:  # first: nobody sees the state of a controller that is off
+        for cut in self.when_restarting:  # first: a controller that is off has no visible state
             cut()
         self.stop(EndReason.SHUTDOWN, "the controller restarts")
         with self._lock:
@@ -335,7 +335,7 @@ class Controller:
                 self.reach("streaming", self._count * PERIOD)
         except (CannotMove, Pdl2Error) as error:
             reason, message = EndReason.PROGRAM_ERROR, f"line {error.line}: {error}" if error.line else str(error)
-        except Exception as error:  # the client must hear that the motion is over, whatever went wrong in here
+        except Exception as error:  # the client must hear that the motion is over, also after an error here
             traceback.print_exc()
             reason, message = EndReason.PROGRAM_ERROR, f"the controller failed: {type(error).__name__}: {error}"
         if reason is EndReason.DONE and switch.reason is not None:
@@ -350,7 +350,7 @@ class Controller:
             self._rests.set()
 
     def _tell(self, listener: Listener, first: int, time_ns: np.ndarray, samples: Slice) -> None:
-        """Tell of samples what is so, but for what faults make of it."""
+        """Report samples truthfully, apart from faults."""
         if "mute" in self._lies:
             return
         if "clock_back" in self._lies:

@@ -36,7 +36,7 @@ _SAME_START = 1e-9  # rad; starts nearer than this share a plan
 
 
 class Astray:
-    """What faults put onto the set-points of n joints."""
+    """Changes that faults make to the set-points of n joints."""
 
     def __init__(self, joints: int, period: float) -> None:
         self._path, self._servo = _Offset(joints, period), _Offset(joints, period)
@@ -134,7 +134,7 @@ class StopSwitch:
 
 @dataclass(frozen=True, eq=False)
 class Chain:
-    """From rest to rest: what is planned together. A `hold` [s] instead of a trajectory is a DELAY."""
+    """Motion from standstill to standstill, planned together. A `hold` [s] instead of a trajectory is a DELAY."""
 
     trajectory: Trajectory | None
     termination: Termination

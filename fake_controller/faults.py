@@ -1,4 +1,4 @@
-"""What goes wrong on a shop floor, on command: at the wire and at the machine.
+"""Faults of a shop floor on command: at the wire and at the machine.
 
 A fault waits for its phase and acts once. Those of the wire sit between a server and its line: servers send every
 frame through `Faults.send` and take what came through `Faults.heard`. Those of the machine are applied by the
@@ -17,7 +17,7 @@ _EVERY = frozenset(PHASES)
 
 #: Faults of the wire, with the phases in which they make sense.
 WIRE = {
-    "refuse": frozenset({"connect"}),  # nobody listens
+    "refuse": frozenset({"connect"}),  # no server listens
     "silent": _EVERY,  # nothing is sent any more, heartbeats neither
     "drop": _EVERY,  # the connection ends in mid-frame; of a line the plug comes out
     "delay": _EVERY,  # by `value` seconds
@@ -39,18 +39,18 @@ MACHINE = {
     "alarm": _EVERY,
     "protective_stop": _EVERY,
     "teach_mode": _EVERY,
-    "override": _EVERY,  # turned to `value`; the arm goes on at that speed
+    "override": _EVERY,  # turned to `value`; the arm continues at that speed
     "restart": _EVERY,
     "reset_counters": frozenset({"streaming"}),
     "slow": frozenset({"streaming"}),  # everything takes `value` times as long
     "off_path": frozenset({"streaming"}),  # the set-points of a joint go off by `value` rad
-    "off_speed": frozenset({"streaming"}),  # `value` times the planned speed, and it says nothing of that
+    "off_speed": frozenset({"streaming"}),  # `value` times the planned speed, without a report
     "servo_error": frozenset({"streaming"}),  # a joint goes off its set-points by `value` rad
     "mute": frozenset({"streaming"}),  # samples stop, state and heartbeat go on
-    "disobey": frozenset({"streaming"}),  # a stop on command is confirmed, and the arm goes on
+    "disobey": frozenset({"streaming"}),  # a stop on command is confirmed, but the arm continues
     "no_end": frozenset({"streaming"}),  # that the motion is over is never said
     "clock_back": frozenset({"streaming"}),  # stamps go back by `value` seconds
-    "no_numbers": frozenset({"streaming"}),  # torques that are none
+    "no_numbers": frozenset({"streaming"}),  # invalid torques
     "columns": frozenset({"start", "streaming"}),  # samples with one joint less
     "other_motion": frozenset({"start"}),  # a joint makes `value` times its way, under the name of the program
     "wrong_program": frozenset({"upload", "start"}),  # the stored text is another
@@ -63,7 +63,7 @@ _ONE_ANSWER = "it sends one answer at a time, so none can overtake another"
 _WITHOUT_BROKER = dict.fromkeys(
     ("tcp", "modbus", "serial", "rtu", "ur"), "samples come by no broker there, points in no queue"
 )
-#: What becomes of the samples alone.
+#: Faults of the samples only.
 LIES = ("mute", "no_end", "clock_back", "no_numbers", "columns")
 #: Faults that make no sense on a wire, and why.
 NOT_ON = {
@@ -154,7 +154,7 @@ class Faults:
 
     @property
     def refusing(self) -> bool:
-        """Whether nobody is to listen."""
+        """Whether no server should listen."""
         return any(fault.name == "refuse" for fault in self._waiting)
 
     def strike(self, phase: str, motion_time: float = 0.0) -> list[Fault]:
@@ -174,11 +174,11 @@ class Faults:
         return [fault for fault in due if fault.name in MACHINE]
 
     def acts(self, name: str) -> bool:
-        """Whether a fault that goes on until another client comes has struck."""
+        """Whether a fault that lasts until another client comes has struck."""
         return name in self._lasting
 
     def heard(self, data: bytes) -> bytes:
-        """What arrives of what a client sent."""
+        """The part of a client's bytes that arrives."""
         return b"" if self._deaf else data
 
     def unplug(self) -> None:

@@ -52,7 +52,7 @@ class ProgramMemory:
 
     @property
     def last(self) -> StoredProgram | None:
-        """What was stored last, if it is still there."""
+        """The program that was stored last, if it still exists."""
         return self.find(self._last)
 
     def find(self, name: str) -> StoredProgram | None:

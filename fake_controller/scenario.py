@@ -52,7 +52,7 @@ class FaultSection(_Section):
 
 
 class ExpectSection(_Section):
-    """How `agent record` must end: its exit code, how often the arm was set in motion, and what is left."""
+    """How `agent record` must end: its exit code, the number of started motions, and the remaining files."""
 
     exit_code: int = 0
     motions: Annotated[int, Field(ge=0)] = 1

@@ -17,7 +17,7 @@ import numpy as np
 
 compiled = numba.njit(cache=True)
 
-#: First kind that is a torque of its own.
+#: First kind that is an independent torque.
 TORQUE = 40
 
 
@@ -82,7 +82,7 @@ def _hash(x: float) -> float:
 def _level(  # noqa: C901
     p: np.ndarray, s: np.ndarray, q: float, v: float, load: float, power: float, t: float, dt: float
 ) -> float:
-    """What a term adds to the level [N·m]."""
+    """Contribution of a term to the level [N·m]."""
     kind, size, speed = int(p[0]), p[2], abs(v)
     if kind == 0:
         return size * exp(-min((speed / p[3]) ** p[4], 700.0))
@@ -194,7 +194,7 @@ def _outside(kind: int, p: np.ndarray, s: np.ndarray, q: float, v: float, t: flo
 def _torque(  # noqa: C901
     p: np.ndarray, s: np.ndarray, q: float, v: float, current: float, t: float, dt: float
 ) -> float:
-    """What a term takes of the motor's torque [N·m]."""
+    """Part of the motor's torque [N·m] that a term takes."""
     kind = int(p[0])
     if kind < 50:
         x = v / p[3]

@@ -43,7 +43,7 @@ class Push:
 
 @dataclass(eq=False)
 class DrawnMachine:
-    """What effects may change, from a world; n joints.
+    """Parameters of a world that effects may change; n joints.
 
     `wrist_inertia` (first, second, ratio, inertia [kg·m²]) turns at the speed v[second] + ratio · v[first];
     `base` (stiffness [N·m/rad], damping) is what the base gives way by, about x and y. `gravity` says where
@@ -99,7 +99,7 @@ class DrawnMachine:
     def run(self, motions: Motions) -> dict[str, np.ndarray]:
         """(3, S, n) reported position, velocity and torque of each motion, at `RATE`, without noise.
 
-        What has warmed up stays warm from one motion to the next.
+        Warm parts stay warm from one motion to the next.
         """
         simulation = _Simulation(self)
         reported = {}

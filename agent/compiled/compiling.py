@@ -40,7 +40,7 @@ def compiled(signature: str) -> Callable[[Function], Function]:
 
 
 def _own_folder() -> str:
-    """A temporary folder that nobody else can write to: what is read from it is run.
+    """A temporary folder that only this user can write to, because files read from it are executed.
 
     Raises:
         OSError: there is none.

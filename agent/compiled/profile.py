@@ -41,9 +41,9 @@ def fastest(  # noqa: C901
     least: np.ndarray,
     passes: int,
 ) -> np.ndarray:
-    """(K,) the largest z under `ceiling` (K,), zero at its ends, for which y = weight z (m, K) rises and falls no more.
+    """The largest z (K,) under `ceiling` (K,), zero at its ends, for which y = weight z (m, K) respects its limits.
 
-    rising, falling (m, K) as of `growth`. A y up to `least` (m,) is not limited. Passes are made until none changes z
+    The limits of its rise and fall are rising, falling (m, K), see `growth`. A y up to `least` (m,) is not limited. Passes are made until none changes z
     by more than 1e-4 of its largest, `passes` at most.
     """
     rows, knots = weight.shape

@@ -142,7 +142,7 @@ def read_json(path: Path) -> Any:
         InputError: missing, unreadable, not UTF-8, not JSON, nested too deep, or longer than 64 MiB.
     """
     try:
-        if path.exists() and not path.is_file():  # whoever opens a pipe waits for ever
+        if path.exists() and not path.is_file():  # opening a pipe blocks for ever
             raise ValueError("it is no file")
         with open(path, "rb") as file:
             data = file.read(LARGEST_JSON + 1)
@@ -172,7 +172,7 @@ def validate_document(path: Path, data: Any, model: type[Model]) -> Model:
 
 
 def find_faults(path: Path, data: Any, model: type[BaseModel]) -> dict[tuple[Any, ...], str]:
-    """What is wrong with what `read_yaml` returned: a line for people by the location of each fault."""
+    """Faults in the data that `read_yaml` returned: a line for people by the location of each fault."""
     if not isinstance(data, dict):
         return {(): f"{path}:1: a mapping of keys is expected, not {kind_of(data)}"}
     try:

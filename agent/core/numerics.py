@@ -1,4 +1,4 @@
-"""What NumPy and SciPy leave undone in linear algebra and splines, and memory for arrays."""
+"""Linear algebra and splines that NumPy and SciPy lack, and memory for arrays."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Messages that nobody waits for: a frozen terminal, a full pipe or a closed reader delays only its own text.
+"""Messages that never block the program: a frozen terminal, a full pipe or a closed reader delays only its own text.
 
 Whoever watches a moving arm also reports its progress, and a library may print a warning in any thread. Python's
 `sys.stderr` would let them wait for as long as the far end does not read.
@@ -117,7 +117,7 @@ class PatientStream(io.TextIOBase):
 
     def _work(self) -> None:
         while not self._gone:
-            with contextlib.suppress(Exception):  # whatever it is, the next message may fare better
+            with contextlib.suppress(Exception):  # any error: the next message may succeed
                 try:
                     item = self._queue.get(timeout=LOOK)
                 except queue.Empty:
@@ -158,7 +158,7 @@ _made: weakref.WeakKeyDictionary[TextIO, PatientStream] = weakref.WeakKeyDiction
 
 
 def patient(stream: TextIO | None) -> Any:
-    """A stream that nobody waits for, in front of this one; one in memory stays as it is."""
+    """A non-blocking stream in front of this one; a stream in memory is returned unchanged."""
     if stream is None:
         return io.StringIO()
     if isinstance(stream, PatientStream):
@@ -175,7 +175,7 @@ def patient(stream: TextIO | None) -> Any:
 
 @contextlib.contextmanager
 def patient_messages(on_gone: Callable[[], None]) -> Iterator[None]:
-    """Within it nobody waits for `sys.stderr`, whatever writes there: messages, warnings of libraries, their logging.
+    """Make `sys.stderr` non-blocking for all writers: messages, warnings of libraries, their logging.
     At its end the texts that still wait are written, as far as somebody reads them."""
     before = sys.stderr
     with open(os.devnull, "w", encoding="utf-8") as nowhere:

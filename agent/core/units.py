@@ -25,7 +25,7 @@ class _Units:
 
 
 class Dimension(Enum):
-    """What a quantity measures, with the units that may be written for it."""
+    """Dimension of a quantity, with its accepted units."""
 
     LENGTH = _Units("a length", "20 mm", {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "µm": 1e-6})
     ANGLE = _Units("an angle", "30 deg", {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180, "°": math.pi / 180})

@@ -89,7 +89,7 @@ class Bodies:
         return np.concatenate([self.dynamics.regressor(q, qd, qdd), rotor_regressor(self.robot, qdd)], axis=2)
 
     def reach(self) -> float:
-        """[m] of the tip, as far as random postures show it."""
+        """Reach [m] of the tip, estimated from random postures."""
         q = np.random.default_rng(0).uniform(-3, 3, (50, self.robot.dof))
         return max(float(np.linalg.norm(self.dynamics.tip_pose(q)[:, :3, 3], axis=1).max()), 0.1)
 
@@ -135,7 +135,7 @@ class RigidFit:
         self._own = np.array([part.swapaxes(1, 2) @ part for part in parts])
 
     def says_something(self) -> bool:
-        """Whether there are enough samples, and what is held out is predicted well enough, to compare fits."""
+        """Whether there are enough samples, and held-out ones are predicted well enough, to compare fits."""
         s = self.samples
         rows = self.columns.reshape(s.q.size, -1)
         length = np.linalg.norm(rows, axis=0)

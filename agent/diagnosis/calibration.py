@@ -1,4 +1,4 @@
-"""What a nominal simulator is wrong in before any effect is missing: friction, rotors and links, moved step by step.
+"""Corrects the numbers of a nominal simulator before effects are added: friction, rotors and links, step by step.
 
 A simulator's file holds its parameters as exact, and most are a little wrong at once. So groups of them, the friction
 of one axle, one rotor, one link, are released one after the other, each time the one that takes most from the held-out
@@ -31,7 +31,7 @@ _DRAWS = 200  # of blocks of motion, for an interval
 _INTERVAL = (5, 95)  # per cent
 _HELD = 1e-6  # of the stored covariance: the model's parameters stay where they are
 _UNLOADED = 0.1  # of a joint's torque, that holding its load makes at most
-#: What is left, as the last step.
+#: The remaining gap, as the last step.
 REMAINDER = "remainder"
 OWN_PARAMETERS = "the model's own parameters"
 
@@ -151,7 +151,7 @@ def _released(dataset: Dataset, groups: Sequence[Group]) -> Fit:
 
 
 def waterfall(found: ReleasedSimulator, finding: Finding, gap: HeldOutGap) -> tuple[WaterfallStep, ...]:
-    """What each released group, then each effect, closes of the held-out gap: alone, and in the order found.
+    """Part of the held-out gap that each released group, then each effect, closes: alone, and in the order found.
 
     Of a model that nothing is released of, the effects come first, with its numbers as they are. What its own
     parameters close after that, within their stored uncertainty and also on other joints, is a step of its own.
@@ -165,7 +165,7 @@ def waterfall(found: ReleasedSimulator, finding: Finding, gap: HeldOutGap) -> tu
     alone = [_released(dataset, [group]).out_of_fold() for group in found.groups]
     texts = [group.text(names) for group in found.groups]
     plain, moved = dataset.fit, dataset.fit.with_chosen(finding.causes)
-    if not found.groups and dataset.given:  # a model of these very logs has no numbers of its own to hold
+    if not found.groups and dataset.given:  # a model fitted to the same logs has no own numbers to keep
         held = plain.with_prior(precision_of(_HELD * dataset.model.covariance))
         by_effects, by_both = (_absorbed(gap, fit) for fit in (held.with_chosen(finding.causes), moved))
         plain = held if by_both - by_effects >= dataset.limits.least_share else plain

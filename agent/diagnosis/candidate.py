@@ -1,4 +1,4 @@
-"""What is tried: an effect somewhere with its columns, and the folds of the rows."""
+"""Candidates: an effect on some joints with its columns, and the folds of the rows."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Where = tuple[str, tuple[int, ...]]
 Wanted = tuple[Effect, tuple[int, ...], Mapping[str, float]]
 
 _AT_ONCE = 16  # columns filtered together, so that they stay in the cache
-_TOGETHER = 64  # candidates made together: what they are made of takes as much memory as they do
+_TOGETHER = 64  # candidates made together: their intermediate arrays take as much memory as they do
 
 
 @dataclass(frozen=True, eq=False)

@@ -152,7 +152,7 @@ def assemble(
 
 
 def _driving(log: Log, set_points: np.ndarray | None) -> np.ndarray | None:
-    """(S, n) [N·m] that set-points (S, n) add to a torque that is of position servos; else None."""
+    """Torque (S, n) [N·m] that set-points (S, n) add if the torque comes from position servos; else None."""
     stiffness = servo_stiffness(log.metadata)
     return None if stiffness is None or set_points is None else stiffness * set_points
 
@@ -167,13 +167,13 @@ def _begun(logs: Sequence[Log]) -> list[float]:
 
 
 def _links(model: IdentifiedModel) -> str:
-    """The prior of the links in a fit that is to leave gaps open: the description's, unless the data refute it."""
+    """Prior of the links for a fit that leaves gaps open: the description's, unless the data refute it."""
     chosen = str(model.provenance["link_prior"])
     return DESCRIPTION if chosen == EITHER else chosen
 
 
 def _expected_error(robot: RobotDescription, observation: Observation, share: float) -> np.ndarray:
-    """(n,) [N·m] what a model of these logs usually leaves, where no other logs tell: a share of the torque."""
+    """Usual error (n,) [N·m] of a model of these logs if there are no others: a share of the torque."""
     torque = np.concatenate([segment.torque for segment in observation.segments])
     usual = share * np.std(torque, axis=0)
     least = np.where(np.isfinite(robot.nominal_torque), share / 8 * robot.nominal_torque, 0.0)
@@ -222,7 +222,7 @@ def stiction(reference: NominalModel) -> np.ndarray:
 
 
 def known_effects(model: IdentifiedModel, signals: MotionSignals) -> np.ndarray:
-    """(S', n) filtered torque of the effects that the model has already."""
+    """Filtered torque (S', n) of the effects that the model has already."""
     total = np.zeros(signals.q.shape)
     motion = {"time": signals.time, "q": signals.q, "qd": signals.qd, "qdd": signals.qdd}
     for entry in model.effects:
@@ -231,7 +231,7 @@ def known_effects(model: IdentifiedModel, signals: MotionSignals) -> np.ndarray:
 
 
 def precision_of(covariance: np.ndarray) -> np.ndarray:
-    """(p, p) inverse of a covariance, which may be singular but for round-off."""
+    """Inverse (p, p) of a covariance, which may be singular apart from round-off."""
     deviation = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     correlation = covariance / np.outer(deviation, deviation)
     values, vectors = symmetric_eigen(0.5 * (correlation + correlation.T))
@@ -240,7 +240,7 @@ def precision_of(covariance: np.ndarray) -> np.ndarray:
 
 
 def plain_model(robot: RobotDescription, logs: Sequence[Log], cutoff: float | None) -> IdentifiedModel:
-    """A model of bodies and of friction that is alike both ways, fitted to the logs: what it cannot absorb is a gap."""
+    """A model of bodies and direction-independent friction, fitted to the logs: the remainder is the gap."""
     found = estimate(robot, logs, EstimationSettings.create(cutoff=cutoff))
     count = len(found.independent)
     alike = [k for k, term in enumerate(found.terms) if term.form not in ("offset", "viscous_asymmetry")]

@@ -135,7 +135,7 @@ def _answers(hypotheses: Sequence[Hypothesis], law: EvidenceLaw) -> dict[Answer,
 def _equal_by_definition(
     place: Where, leader: Hypothesis, hypotheses: Sequence[Hypothesis], law: EvidenceLaw
 ) -> tuple[Where, ...]:
-    """Forms that equal a cause unless the logs show otherwise, and explain as much as far as any form is trusted."""
+    """Hypotheses that equal a cause by definition unless the logs show otherwise, and explain about as much."""
     known = CATALOGUE[place[0]].structurally_equivalent
     found = {
         other: None
@@ -150,7 +150,7 @@ def _equal_by_definition(
 def _class_of(
     place: Where, names: frozenset[Where], answers: Mapping[Answer, float], equal: tuple[Where, ...], law: EvidenceLaw
 ) -> tuple[tuple[Where, ...], float]:
-    """What these motions do not distinguish from a cause, and the probability of any of them."""
+    """Hypotheses that these motions do not distinguish from a cause, and the probability of any of them."""
     own = sum(share for (places, _), share in answers.items() if place in places)
     instead: dict[Where, float] = {}
     for (places, _), share in answers.items():

@@ -458,7 +458,7 @@ class Evidence:
         return prior
 
     def unit_torque(self, form: Candidate) -> np.ndarray:
-        """(k,) parameters at which a form has nominal torque, each of them as much."""
+        """Parameters (k,) at which a form has nominal torque, with equal contributions."""
         (number,) = self._numbers([form])
         bank, k = self._where[number]
         first = self._banks[bank].first
@@ -619,7 +619,7 @@ class Evidence:
         return found
 
     def _cost(self, candidate: Candidate) -> float:
-        """Log evidence that nonlinear parameters chosen on the data cost (Schwarz, Ann. Statist. 6, 1978)."""
+        """Log evidence penalty of nonlinear parameters chosen on the data (Schwarz, Ann. Statist. 6, 1978)."""
         chosen = candidate.effect.counted(candidate.settings)
         return 0.5 * float(np.log(self.count)) * chosen
 

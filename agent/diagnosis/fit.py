@@ -130,12 +130,12 @@ class Fit:
 
     @property
     def given(self) -> bool:
-        """Whether the model is of other data; one that was fitted to these is pulled by its prior."""
+        """Whether the model comes from other data; a model fitted to the same data is drawn to its prior."""
         return not np.any(self.shift)
 
     @property
     def once(self) -> bool:
-        """Whether a chosen effect happens once, so that `single` folds are what it can be judged by."""
+        """Whether a chosen effect happens once, so that only `single` folds can judge it."""
         return any(c.once for c in self.chosen)
 
     @property
@@ -145,7 +145,7 @@ class Fit:
 
     @property
     def residuals(self) -> list[np.ndarray]:
-        """Per motion (S', n) [N·m]: what is left of the torque after a fit to all rows of model and chosen effects."""
+        """Torque (S', n) [N·m] per motion that remains after a fit of model and chosen effects to all rows."""
         if self._fitted is None:
             self._fitted = self.remaining(self.solve(np.ones(self.cells, dtype=bool))[1])
             self._fitted.flags.writeable = False
@@ -153,7 +153,7 @@ class Fit:
 
     @property
     def residuals_as_given(self) -> list[np.ndarray]:
-        """The same, but a model of other data stays as it is: a push is not spread over the whole motion."""
+        """The same, but a model of other data stays unchanged: a push is not spread over the whole motion."""
         if not self.given:
             return self.residuals
         parameters = self.solve(np.ones(self.cells, dtype=bool))[1].copy()

@@ -33,7 +33,7 @@ _HORIZONS = (0.2, 0.5, 1.0, 2.0)  # s
 _WINDOWS = 24  # at most, over all motions
 _DESCRIBED = 0.95  # of the torque's variance, by the servo on every joint, on the last third of the motion
 _WORSE = 1.1  # times the drift as given, to where the corrected simulator drifts as far
-_RUNS_AWAY = np.pi  # rad, rad/s or m: an error counts no more
+_RUNS_AWAY = np.pi  # rad, rad/s or m: upper bound of an error
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +88,7 @@ def _lasts(window: ForwardWindow, seconds: float) -> bool:
 
 
 def _windows(diagnosis: Diagnosis) -> list[ForwardWindow]:
-    """Starts that are spread evenly over what each fold leaves out, none of them over the end of it."""
+    """Starts that are spread evenly over the held-out part of each fold, with the whole window inside it."""
     dataset, fit = diagnosis.dataset, diagnosis.finding.fit
     settings = FilterSettings(dataset.cutoff, dataset.model.order)
     found: list[list[ForwardWindow]] = []
@@ -129,7 +129,7 @@ def _features(motion: Motion, joint: int) -> np.ndarray:
 
 
 def _servo(parts: Sequence[Motion]) -> np.ndarray | None:
-    """(n, 6) gains of the servo that the recorded motion shows, or None where it shows none."""
+    """Gains (n, 6) of the servo that the recorded motion shows; None if it shows none."""
     if any(m.set_points is None or not np.all(np.isfinite(m.set_points)) for m in parts):
         return None
     motion = max(parts, key=lambda m: len(m.time))
@@ -236,7 +236,7 @@ def forward_or_reason(diagnosis: Diagnosis, simulator: Simulator) -> tuple[dict[
 
 
 def forward_warning(result: dict[str, Any]) -> str:
-    """What to mind where the corrected simulator drifts further than the one given; empty where it does not."""
+    """Warning if the corrected simulator drifts further than the given one; empty otherwise."""
     before, after = (np.sqrt(np.mean(np.array(result[side]) ** 2, axis=1)) for side in ("before", "after"))
     worse = [
         f"{seconds:g} s" for seconds, a, b in zip(result["horizon_s"], after, before, strict=True) if a > _WORSE * b

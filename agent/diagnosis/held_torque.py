@@ -102,7 +102,7 @@ def held_torque(dataset: Dataset, found: Fit) -> HeldTorque | None:
 
 @dataclass(frozen=True)
 class _Stretch:
-    """How long [s], at which size [N·m], by how much below the largest of its log, and its energy."""
+    """Duration [s], torque [N·m], distance below the largest torque of its log, and energy."""
 
     duration: float
     size: float
@@ -111,7 +111,7 @@ class _Stretch:
 
 
 def _held(joint: str, stretches: Sequence[_Stretch], share: float) -> HeldTorque:
-    """What is said of it, by the stretches that matter."""
+    """Text about the stretches that matter."""
     at_limit = all(stretch.below < _AT_LIMIT * stretch.size for stretch in stretches)
     limit = float(np.median([stretch.size for stretch in stretches])) if at_limit else None
     return HeldTorque(joint, len(stretches), max(stretch.duration for stretch in stretches), limit, share)

@@ -52,13 +52,13 @@ class MotionGap:
 
     @property
     def practical(self) -> bool:
-        """Whether rate, shift or blend are of a size that matters: every interpolator is off by a little."""
+        """Whether rate, shift or blend are of a size that matters: every interpolator has a small error."""
         late = max(abs(self.shift), self.blend)
         return abs(self.rate - 1.0) > self.limits.path_rate or late > self.limits.path_time
 
     @property
     def closure(self) -> float | None:
-        """Of the motion gap."""
+        """Part of the motion gap that is explained."""
         b, a = np.mean(self.before**2), np.mean(self.after**2)
         return float((b - a) / b) if b > 0 else None
 
@@ -108,10 +108,10 @@ class _Pair:
 def _described(
     logs: Sequence[Log], pairs: Sequence[_Pair], before: np.ndarray, limits: DecisionLimits
 ) -> MotionGap | None:
-    """The gap that is left by rate and blend of the other logs, and a shift of each; None where a motion goes further
-    from its plan so: corners of a large motion may look like a pace, which a small one then denies.
+    """The gap with rate and blend of the other logs, and a shift of each; None if this increases the gap of a motion.
 
-    Where the plan starts anew at every stop the shift is that of the others too: the clock of the log is not in it.
+    Corners of a large motion may look like a rate, which a small motion then refutes. If the plan starts again at every
+    stop, the shift also comes from the other logs: it does not contain the clock of the log.
     """
     fitted = [_fit(pair) for pair in pairs]
     errors = []
@@ -126,7 +126,7 @@ def _described(
 
 
 def _after_stops(pair: _Pair) -> np.ndarray:
-    """Times [s] at which the executed set-points move again after they stood still, or the plan goes on."""
+    """Times [s] at which the executed set-points move again after a standstill, or the plan continues."""
     moves = np.any(np.diff(pair.executed, axis=0) != 0.0, axis=1)
     changes, period = np.flatnonzero(moves), float(np.median(np.diff(pair.time)))
     if not len(changes):

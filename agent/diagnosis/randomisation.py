@@ -97,7 +97,7 @@ def _ends(value: float, deviation: float) -> tuple[float, float]:
 
 
 def _range(of: str, parameter: str, value: float, deviation: float, unit: str) -> Range:
-    """Of a number that is nothing below zero."""
+    """Range of a number that is not negative."""
     low, high = _ends(value, deviation)
     return Range(of, parameter, max(float(value), 0.0), max(low, 0.0), max(high, 0.0), unit)
 

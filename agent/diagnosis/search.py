@@ -1,4 +1,4 @@
-"""The search for causes: which hypotheses are worth evaluating, by forward selection from what leads."""
+"""The search for causes: selects the hypotheses to evaluate, by forward selection from the leading ones."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class Search:
         self._found: dict[Key, Evaluated] = {}
 
     def run(self) -> Finding:
-        """Evaluate what is worth it, and decide."""
+        """Evaluate the promising hypotheses, and decide."""
         tried = self.forms()
         self.evidence = evidence = Evidence(self.fit, tried, self._healthy, self.law)
         self._known.update(tried)

@@ -79,7 +79,7 @@ class Explanation:
 
     @property
     def left(self) -> float:
-        """Mean square over joints of what is left."""
+        """Mean square over joints of the remaining error."""
         return float(np.mean(self.gap.after**2))
 
 
@@ -130,7 +130,7 @@ def search_simulator(
     progress: Callable[[str], None],
     limits: DecisionLimits,
 ) -> Explanation:
-    """Return the plainest of the three answers that closes as much as any.
+    """Return the simplest of the three answers that closes as much as any.
 
     Raises:
         InputError: logs that cannot be used (see `assemble`).
@@ -213,7 +213,7 @@ def _possible(given: IdentifiedModel, fit: Fit, number: int) -> bool:
 
 
 def _expected(dataset: Dataset, residual: np.ndarray) -> float:
-    """Share of torque that is left (S', n) [N·m] on a usual joint, as it may be expected of others."""
+    """Remaining share of torque on a usual joint, of errors (S', n) [N·m]; the same is expected of other joints."""
     left = np.sqrt(np.nanmean(residual**2, axis=0))
     torque = np.concatenate([log.effort for log in dataset.logs if log.effort is not None])
     relative = left / np.maximum(np.std(torque, axis=0), 1e-9)

@@ -1,4 +1,4 @@
-"""What these motions would show: the smallest size of every effect that would be found."""
+"""Detection limits of these motions: the smallest size at which each effect would be found."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ def judge(dataset: Dataset, finding: Finding, plain: Fit, unit: np.ndarray | Non
             finding = finding.with_runner_up()
         causes = causes_of(dataset, finding, gap)
         verdict, kept = settle(finding.verdict, causes, gap.closure, dataset.limits)
-        if not kept:  # held out, they explain no more than the model's own error, unless that is exceeded by far
+        if not kept:  # held out, they explain at most the model's own error, unless the gap exceeds that by far
             finding = finding.without_causes("unknown" if finding.exceeded else "no_gap", plain)
         elif len(kept) < len(causes):
             finding = finding.only([k for k, cause in enumerate(causes) if cause in kept], plain)

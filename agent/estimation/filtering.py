@@ -104,7 +104,7 @@ _TOGETHER = 16  # signals transformed at a time, so that they stay in the cache
 
 @dataclass(frozen=True)
 class FilterSettings:
-    """What a user may ask for; None is chosen from the data. Frequencies in Hz.
+    """Settings of the user; None is chosen from the data. Frequencies in Hz.
 
     cutoff: -6 dB point of the zero-phase filter (30 Hz, lower where the sampling rate is too low for it).
     order: of the Butterworth filter, before it runs forward and backward.
@@ -224,7 +224,7 @@ def motions(log: Log, settings: FilterSettings, reduce: bool = True) -> Iterator
 
 
 def used_text(log: Log, settings: FilterSettings) -> str:
-    """How many samples of a log a filter leaves to work with, and what is left out, for people."""
+    """Text for people: the number of samples of a log that remain after a filter, and the dropped ones."""
     cutoff = resolve_cutoff(log, settings)
     edge = _edge_time(cutoff, *_bands(log, cutoff))
     segments = log.bridged(_BRIDGED / cutoff)
@@ -355,7 +355,7 @@ def _bands(log: Log, cutoff: float) -> tuple[float, float]:
 
 
 def _edge_time(cutoff: float, pass_edge: float, stop_edge: float) -> float:
-    """What is dropped at either end [s]: the reach of the smoothing kernel, and four periods of the cut-off.
+    """Time dropped at either end [s]: the reach of the smoothing kernel, and four periods of the cut-off.
 
     By then the Butterworth kernel has fallen to under 1 %; what it adds of the reflected ends is the same in torque and
     columns.

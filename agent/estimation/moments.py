@@ -141,7 +141,7 @@ def solve_sum(total: np.ndarray, prior: Prior, prior_weight: float) -> np.ndarra
 
 
 def log_evidence(total: np.ndarray, prior: Prior, prior_weight: float) -> float:
-    """Logarithm of the probability of the torques under a prior, but for what all priors have in common.
+    """Logarithm of the probability of the torques under a prior, up to a constant that all priors share.
 
     Of N(y; X θ, 1/w), rows counting 1/k each, and θ from N(θ₀, Λ⁻¹): -½ (r² / k + |θ̂ - θ₀|²_Λ + ln |A/k + Λ| - ln |Λ|).
     """

@@ -1,4 +1,4 @@
-"""What held-out error decides: the estimator, the prior of the links, the friction terms, and the cut-off."""
+"""Selection by held-out error: the estimator, the prior of the links, the friction terms, and the cut-off."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def choose_links(problem: Problem) -> Problem:
 
 
 def placeholders(standard: np.ndarray) -> bool:
-    """Whether links (10 n,) have no mass, or most of them the mass of another one: nobody measured those."""
+    """Whether links (10 n,) have no mass, or most have the mass of another link: such values are placeholders."""
     mass = np.sort(standard[:: len(LINK_PARAMETERS)])
     if mass[-1] <= 0:
         return True
@@ -170,7 +170,7 @@ def select_friction_terms(observation: Observation, partition: Partition) -> Pro
 
 
 def _without_offsets(problem: Problem, weights: np.ndarray) -> Problem:
-    """The problem without those offsets without which what is held out is clearly predicted better."""
+    """The problem without the offsets whose removal clearly improves the held-out prediction."""
     while True:
         error = np.sum(weights * problem.held_out(weights), axis=(1, 2))
         least = _TERM_GAIN * error.sum() / problem.observation.robot.dof

@@ -74,7 +74,7 @@ class WorkingBox:
 
 
 def working_box(robot: RobotDescription) -> WorkingBox | None:
-    """The largest of some boxes in front of an arm that it reaches everywhere; None where there is none."""
+    """The largest of some boxes in front of an arm that it reaches completely; None if there is none."""
     kinematics = kinematics_for(robot, None)
     lower, upper = (np.clip(limit, -np.pi, np.pi) for limit in robot.position_limits)
     postures = np.random.default_rng(0).uniform(lower, upper, (200, robot.dof))
@@ -92,7 +92,7 @@ def working_box(robot: RobotDescription) -> WorkingBox | None:
 
 
 def _turned(kinematics: Kinematics, pose: np.ndarray) -> str:
-    """What to do where only the tool's frame is in the way: many descriptions have x, not z, along the last axis."""
+    """Advice if only the tool's frame prevents it: many descriptions have x, not z, along the last axis."""
     from scipy.spatial.transform import Rotation
 
     axes, _, tip = kinematics.chain.axes_at_zero()

@@ -40,19 +40,22 @@ _POWER = 0.84
 
 @dataclass(frozen=True, eq=False)
 class Told:
-    """What motions add: information (m, m) on the parameters of model and forms, mean squared torque over nominal
-    (m, m) with its weight in rows, and what all joints went through."""
+    """Contribution of motions.
+
+    It has the information (m, m) on the parameters of model and forms, the mean squared torque over nominal (m, m) with
+    its weight in rows, and the excursions of all joints.
+    """
 
     information: np.ndarray
     excursions: Excursions
 
     def __add__(self, other: Told) -> Told:
-        """Of both."""
+        """The sum of both."""
         return Told(self.information + other.information, self.excursions + other.excursions)
 
 
 class Outlook:
-    """What is open after a diagnosis, ready to weigh motions, with a known `load` at the flange or none."""
+    """The open hypotheses after a diagnosis, ready to weigh motions, with a known `load` at the flange or none."""
 
     def __init__(self, dataset: Dataset, evidence: Evidence, pairs: Sequence[OpenPair], load: Tool | None = None):
         self.dataset, self.pairs, self._evidence = dataset, list(pairs), evidence
@@ -73,12 +76,12 @@ class Outlook:
         return Told(np.zeros_like(self._known), none)
 
     def model_information(self, motion: GridMotion) -> np.ndarray:
-        """(p, p) that a motion adds to what is known of the model's own parameters."""
+        """Information (p, p) that a motion adds on the model's own parameters."""
         model = len(self.dataset.fit.precision)
         return self.told(motion).information[:model, :model]
 
     def told(self, motion: GridMotion) -> Told:
-        """What a motion adds."""
+        """Information that a motion adds."""
         dataset, evidence = self.dataset, self._evidence
         fast = any(one.effect.fast_torque for one in self._forms)
         motion = motion if fast else _thinned(motion)

@@ -51,7 +51,7 @@ _VARY = 0.15
 
 @dataclass(frozen=True, eq=False)
 class Draw:
-    """What a piece is drawn from: its kind, a genome (6 K,), the joint that turns (reversals), speed and rest."""
+    """The genome of a piece: its kind, numbers (6 K,), the joint that turns (reversals), speed and rest."""
 
     kind: str
     genome: np.ndarray

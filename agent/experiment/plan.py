@@ -59,7 +59,7 @@ class Experiment:
 
     @property
     def duration(self) -> float:
-        """Of the pieces [s], without the ways between them."""
+        """Duration of the pieces [s], without the transfers between them."""
         return sum(piece.duration for piece in self.pieces)
 
 
@@ -75,7 +75,7 @@ def plan_experiment(
     deadline: Deadline | None = None,
     runnable: Callable[[Sequence[Piece]], bool] = lambda pieces: True,
 ) -> Experiment:
-    """Return the motion of at most `seconds` in the problem's sub-region that settles most of what is open (`pairs`).
+    """Return the motion of at most `seconds` in the problem's sub-region that settles most open `pairs`.
 
     The worst pair counts first. The same seed gives the same motion, where the `deadline` does not end the search
     before: then it is the best of what was weighed. `runnable` says whether pieces can be run one after the other:
@@ -181,7 +181,7 @@ def _sum(outlook: Outlook, chosen: Sequence[Weighed]) -> Told:
 
 
 def _utility(outlook: Outlook, chosen: Sequence[Weighed], asked: np.ndarray) -> float:
-    """Log odds of what is within reach, the worst first, then the others."""
+    """Log odds of the pairs within reach, the worst first, then the others."""
     chance = np.clip(outlook.chances(_sum(outlook, chosen))[asked], 1e-300, 1 - 1e-9)
     odds = np.minimum(np.log(chance / (1 - chance)), 4)
     return float(odds.min() + 0.3 * odds.mean())

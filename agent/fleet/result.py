@@ -96,7 +96,7 @@ def _find_rows(store: Store, folder: Path) -> tuple[str, Any] | None:
         return None
     try:
         rows = pq.ParquetFile(path)
-    except Exception as error:  # of Arrow: whatever is wrong with the bytes
+    except Exception as error:  # of Arrow: any fault of the bytes
         raise InputError(f"{store.url}/{ROWS}: no Parquet file: {str(error).splitlines()[0]}") from None
     kind = (rows.schema_arrow.metadata or {}).get(META)
     if kind is None:
@@ -221,7 +221,7 @@ class Result:
         for name in self._store.names(DONE):
             path = self._folder / name
             path.write_bytes(self._store.read(f"{DONE}/{name}"))
-            with contextlib.suppress(Exception):  # of Arrow; a file of nobody's
+            with contextlib.suppress(Exception):  # of Arrow; not a result file
                 if pq.read_schema(path).names == self._schema.names:
                     names.append(name)
         return names

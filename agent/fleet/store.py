@@ -44,7 +44,7 @@ class StoredFile:
 
 
 class Store:
-    """The files below one folder or URL (`s3://bucket/logs`, and whatever else fsspec knows)."""
+    """The files below one folder or URL (`s3://bucket/logs`, or any other kind that fsspec supports)."""
 
     def __init__(self, url: str):
         self.url = str(url)
@@ -164,7 +164,7 @@ class Store:
             raise
         except NotADirectoryError:
             raise InputError(f"{where}: a file is where a folder should be") from None
-        except Exception as error:  # of whatever library speaks to the store
+        except Exception as error:  # of the library that accesses the store
             said = getattr(error, "strerror", None) or str(error) or type(error).__name__
             raise StoreError(f"{where}: {said.splitlines()[0][:300]}") from None
 

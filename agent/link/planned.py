@@ -1,4 +1,4 @@
-"""What a program will do: its set-points from stop to stop, checked against the cell."""
+"""The planned motion of a program: its set-points from stop to stop, checked against the cell."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def check_cell(recipe: Recipe, trajectory: Trajectory) -> None:
 
 
 def torque_limits(recipe: Recipe, load: Tool, console: Console) -> TorqueLimits:
-    """What the drives can bear with a known mass at the flange; says which of them nothing is known of."""
+    """Torque limits of the drives with a known mass at the flange; reports drives without known limits."""
     from agent.robot import TorqueLimits
 
     if unknown := [joint.name for joint in recipe.robot.joints if joint.max_torque is None]:

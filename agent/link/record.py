@@ -39,7 +39,7 @@ class Recording:
     temperatures: tuple[tuple[float, ...], ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data, but for the path."""
+        """Plain data, except for the path."""
         return {key: value for key, value in asdict(self).items() if key != "path"}
 
     @classmethod
@@ -74,12 +74,12 @@ class RobotLink:
 
     @property
     def address(self) -> str:
-        """Of the controller."""
+        """Address of the controller."""
         return self._guard.address
 
     @property
     def _machine(self) -> dict[str, str]:
-        """Whose motion it is, for the logs: those of another machine or tool are no more of the same model."""
+        """Machine and tool of the motion, for the logs: logs of another machine or tool belong to another model."""
         who, tool = self.identity, self._recipe.tool
         controller = f"{who.controller} {who.version}".strip()
         facts = {"serial": who.serial, "tool": "none" if tool is None else tool.text(), "controller": controller}
@@ -100,7 +100,7 @@ class RobotLink:
     ) -> Recording:
         """Upload, check, start once, and record until the program ends.
 
-        A program that is new to a machine runs slowly first, into a log of its own.
+        A program that is new to a machine runs slowly first, into a separate log.
 
         Args:
             chains: the plan from stop to stop, in order: written to the log together with the set-points.
@@ -226,9 +226,9 @@ def open_link(
 
     Args:
         runs: folder with the list of programs that have had their slow first run.
-        authorisation: what a person wrote down for when nobody is there.
-        watching: nothing will be identified from what is recorded.
-        facts: further ones for the logs.
+        authorisation: written permission for unattended motion.
+        watching: nothing will be identified from the recording.
+        facts: further facts for the logs.
 
     Raises:
         BusyError: another run holds this robot.

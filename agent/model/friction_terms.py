@@ -103,7 +103,7 @@ def _way(prismatic: bool) -> str:
 
 @dataclass(frozen=True, eq=False)
 class AxleMotion:
-    """What friction depends on: position, speed and transmitted load of every axle (S, n); load None where unknown."""
+    """Inputs of friction: position, speed and transmitted load of every axle (S, n); load is None if unknown."""
 
     position: np.ndarray
     speed: np.ndarray

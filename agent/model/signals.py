@@ -1,4 +1,4 @@
-"""What the forms of effects are computed from: one motion, and the reference model seen as separate physical parts."""
+"""Inputs of the forms of effects: one motion, and the reference model as separate physical parts."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class NominalModel:
         standard = mean + prior_std**2 * (model.projection.T @ np.linalg.solve(spread, away))
         layout = ParameterLayout.of(self.robot)
         self.links: Dynamics = nominal.with_parameters(standard[layout.links])
-        # a description without masses, or with made-up ones, says nothing of their size; the model does
+        # a description without masses, or with invented ones, does not give their size; the model does
         if np.any(links):
             times = _times_further(away, spread, model.covariance[: len(away), : len(away)])
         else:

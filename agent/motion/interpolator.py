@@ -1,4 +1,4 @@
-"""What every interpolator offers."""
+"""The interface of every interpolator."""
 
 from __future__ import annotations
 

@@ -134,7 +134,7 @@ def stop_to_stop(statements: Iterable[Statement]) -> Iterator[list[Move]]:
 
 
 def way_key(moves: Sequence[Move]) -> tuple[object, ...]:
-    """The same for moves that make the same way from the same start, whatever they and their points are called."""
+    """The same for moves along the same path from the same start, regardless of their names and those of points."""
 
     def place(target: Target | None) -> tuple[object, ...]:
         if isinstance(target, CartesianTarget):

@@ -103,7 +103,7 @@ class Section:
 
 @dataclass(frozen=True)
 class NextStep:
-    """What to do next, and the command for it, if there is one."""
+    """The next step, and its command, if there is one."""
 
     what: str
     command: str = ""
@@ -154,7 +154,7 @@ def render(page: Page) -> str:
 
 
 def _identifiers(sections: Sequence[Section]) -> list[str]:
-    """What the address of a section ends with, each its own."""
+    """Unique fragment of the address of a section."""
     found: list[str] = []
     for section in sections:
         name = re.sub(r"[^a-z0-9]+", "-", section.title.lower()).strip("-") or "section"

@@ -35,7 +35,7 @@ _VERDICTS = {
 }
 #: Equivalents of a cause that are named, regimes and steps of an attribution, at most.
 _MOST_OTHERS, _MOST_REGIMES, _MOST_STEPS = 2, 2, 3
-#: Shares of the gap from which a joint carries much of it, is described, and a step of the attribution is named.
+#: Shares of the gap from which a joint is a main carrier, is described, and a step of the attribution is named.
 _MUCH, _SOME, _STEP = 0.25, 0.15, 0.05
 _LIKELY = 0.7  # probability from which a cause is called likely
 
@@ -46,12 +46,12 @@ def place(entry: Mapping[str, Any]) -> str:
 
 
 def what(effect: str, result: Mapping[str, Any]) -> str:
-    """What an effect is, with its name in brackets."""
+    """Description of an effect, with its name in brackets."""
     return f"{_words(effect, result)[0]} ({effect})"
 
 
 def look_at(effect: str, result: Mapping[str, Any]) -> str:
-    """What to check on the arm."""
+    """Checks on the arm."""
     return _words(effect, result)[1]
 
 
@@ -115,7 +115,7 @@ def _one_of(cause: Mapping[str, Any], result: Mapping[str, Any]) -> str:
 
 
 def closes(cause: Mapping[str, Any], result: Mapping[str, Any]) -> str:
-    """What a cause closes of which gap: its step in the attribution, where there is one; empty where it is unknown."""
+    """Part of a gap that a cause closes: its step in the attribution, if there is one; empty if unknown."""
     called = " of ".join(part for part in (cause["effect"], ", ".join(cause["joints"])) if part)
     step = next((step["closes"] for step in result.get("waterfall", ()) if step["step"] == called), cause["closure"])
     if step is None:
@@ -124,7 +124,7 @@ def closes(cause: Mapping[str, Any], result: Mapping[str, Any]) -> str:
     part = "all" if closure > 0.995 else "less than 1 %" if 0 <= closure < 0.005 else f"{100 * closure:.0f} %"
     if not in_torque(cause):
         return f"closes {part} of the gap between planned and executed path"
-    own = cause.get("closure_of_joints") if closure < _STEP else None  # named for what it closes of its own joints
+    own = cause.get("closure_of_joints") if closure < _STEP else None  # named by its own joints
     on_its_own = "" if own is None else f" and {100 * own:.0f} % of the remaining gap on {place(cause)}"
     return f"closes {part} of the gap{on_its_own}"
 
@@ -264,10 +264,10 @@ def _found_if_there(result: Mapping[str, Any]) -> str:
 
 
 def measures(result: Mapping[str, Any]) -> list[NextStep]:
-    """What to look at on the arm, and what to run where no motion was planned for it."""
+    """Inspections of the arm, and commands to run if no motion was planned for them."""
     steps = [NextStep(f"look at {look_at(cause['effect'], result)}.") for cause in result["causes"][:1]]
     experiment = result["next_experiment"]
-    if experiment is not None and not experiment.get("program"):  # one that was planned has a command of its own
+    if experiment is not None and not experiment.get("program"):  # a planned motion has its own command
         motion = experiment["motion"]
         steps.append(NextStep(f"{motion}." if "program" in experiment else f"run {motion}."))
     return steps
@@ -295,7 +295,7 @@ def said_by_rounds(result: Mapping[str, Any]) -> bool:
 
 
 def chances_text(entry: Mapping[str, Any]) -> tuple[str, str, str, str]:
-    """Of a planned motion and one pair: the pair, both probabilities of the right answer, and the smallest size."""
+    """Row of a planned motion: the pair, both probabilities of the right answer, and the smallest size."""
     smallest = entry["smallest_over_practical"]
     size = "-" if smallest is None else f"{smallest:.2g}"
     sides = [f"{side:.2f}" for side in entry["after_if"] if side is not None]

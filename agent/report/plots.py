@@ -171,7 +171,7 @@ def packed(text: str) -> str:
 
 
 def spec(plot: Plot) -> str:
-    """What the page's script needs in addition to the data: JSON, safe inside a script element."""
+    """Settings for the page's script in addition to the data: JSON, safe inside a script element."""
     panels = [
         {
             "title": panel.title,

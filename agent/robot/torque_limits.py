@@ -1,4 +1,4 @@
-"""What a motion asks of the drives by the description's inertias, against the largest torque that they have."""
+"""Torque that a motion needs by the description's inertias, compared with the drives' largest torque."""
 
 from __future__ import annotations
 

@@ -101,7 +101,7 @@ def check_approved(run: RunFolder, recipe: Recipe) -> None:
 
 
 def approved_parts(run: Path, state: dict[str, Any]) -> dict[str, Any]:
-    """What a run was planned with.
+    """The inputs that a run was planned with.
 
     Raises:
         InputError: missing, damaged, or not what its state says.
@@ -117,7 +117,7 @@ def approved_parts(run: Path, state: dict[str, Any]) -> dict[str, Any]:
 
 
 def differences(then: dict[str, Any], now: dict[str, Any]) -> str:
-    """What differs between two problems, in one sentence for people."""
+    """Differences between two problems, in one sentence for people."""
     found: dict[str, list[str]] = {}
     for place, before, after in _differing(then, now):
         part, rest = _where(place)

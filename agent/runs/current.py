@@ -102,7 +102,7 @@ def apply_run(logs: Path, run: Path) -> Applied:
 
 
 def current_runs(logs: Path) -> tuple[set[str], list[str]]:
-    """Names of the runs of a folder whose models are the current ones of their robots; and what is damaged."""
+    """Names of the runs of a folder whose models are the current ones of their robots, and the damaged ones."""
     found, damaged = _all_current(logs)
     return {applied.run for applied in found.values()}, damaged
 

@@ -1,4 +1,4 @@
-"""What changes from run to run: wear distinguished from warm-up, step from drift, and how long until a limit.
+"""Changes from run to run: distinguishes wear from warm-up and step from drift, and predicts the time to a limit.
 
 One series is the friction of an axle at one speed, as runs of the same program found it. With y its logarithm,
 
@@ -149,7 +149,7 @@ class Warning:
 
 @dataclass(frozen=True, eq=False)
 class Watch:
-    """What the history of one machine's loop says: friction trends and warnings."""
+    """Friction trends and warnings from the history of one machine's loop."""
 
     robot: str
     serial: str
@@ -210,7 +210,7 @@ def friction_trends(
 def watch(runs: Sequence[PastRun]) -> list[Watch]:
     """Trends over the latest runs of every machine and program with enough runs.
 
-    Runs dated in the future are left out: nobody knows when they were.
+    Runs dated in the future are left out: their real date is unknown.
     """
     groups: dict[tuple[str, str, str], list[PastRun]] = {}
     for run in runs:

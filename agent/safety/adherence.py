@@ -58,7 +58,7 @@ _BLOCKS, _ROWS = 16, 64  # at once
 
 @dataclass(frozen=True)
 class Tolerance:
-    """What may differ from the plan.
+    """Tolerances on differences from the plan.
 
     `tool` [m] and `joint` [rad, m] are distances from the path beyond the margin that the cell was checked with. The
     speed over `span` [s] may exceed the plan by a share `faster` of it and a share `floor` of the joint's limit. Below

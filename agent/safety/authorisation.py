@@ -1,4 +1,4 @@
-"""Unattended motion: what a person has written down that may run while nobody is there.
+"""Unattended motion: a person's written permission for motions that run while nobody is there.
 
 The file is read, never written, by the agent:
 
@@ -146,7 +146,7 @@ class Authorisation:
         return replace(self, document=document, unseen=True)
 
     def ends_soon(self, now: datetime | None = None) -> str | None:
-        """What to say where it ends within two weeks."""
+        """Warning if it ends within two weeks."""
         left = self.document.expires - (now or datetime.now(UTC)).date()
         return f"{self.path}: this authorisation ends on {self.document.expires}" if left <= _SOON else None
 

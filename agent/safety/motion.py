@@ -1,4 +1,4 @@
-"""What is about to move."""
+"""The motion that is about to run."""
 
 from __future__ import annotations
 

@@ -147,7 +147,7 @@ class PlannedPath:
 
 
 def _ends(masks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(K,) where the first true of each of the masks (K, W) is, and (K,) where there is none any more."""
+    """Index (K,) of the first true value of each of the masks (K, W), and index (K,) one past the last."""
     return masks.argmax(axis=1), masks.shape[1] - masks[:, ::-1].argmax(axis=1)
 
 
@@ -181,7 +181,7 @@ def _along(chain: Trajectory, dynamics: Dynamics, margin: float) -> tuple[np.nda
 
 
 def _highest(values: np.ndarray, way: np.ndarray, span: float) -> np.ndarray:
-    """(S, n) the highest of values (S, n) no farther along the way (S,) than `span` [m]."""
+    """Highest of values (S, n) within `span` [m] along the path (S,)."""
     from scipy.ndimage import maximum_filter1d
 
     step = span / _STEPS

@@ -32,7 +32,7 @@ BRAKING, REGAINED = 0.8, 0.25
 AGAIN, LET_GO = 0.3, 0.6
 #: Samples and states that are older [s] do not show what the arm does now.
 RECENT = 0.3
-#: Time [s] after which nobody waits for the answer to a stop any more.
+#: Longest wait [s] for the answer to a stop.
 ANSWERED = 1.0
 #: Time after a stop [s] by which the arm has to stand, or the link is closed.
 STANDS = 4.0
@@ -55,7 +55,7 @@ class Braking:
         self._times = np.empty(0)
         self._positions = np.empty((0, len(max_velocity)))
         self._still_since: float | None = None
-        #: The fastest joint's, as a part of its limit; None where nobody knows.
+        #: Speed of the fastest joint, as a part of its limit; None if unknown.
         self.speed: float | None = None
         #: The same when the stop was asked for, and the least since then.
         self.before: float | None = None
@@ -140,7 +140,7 @@ class Stopping:
         self._eyes = ThreadPoolExecutor(1, "eyes")
         self._look: Future[None] = self._eyes.submit(lambda: None)
         self._state_at = -np.inf  # when the state was read last
-        self._excused = 0.0  # s in which nobody could look
+        self._excused = 0.0  # s without observation
         self._ended = False
         #: Whether there is nothing left to follow.
         self.over = False
@@ -224,7 +224,7 @@ class Stopping:
     def _carry_out(self, number: int) -> None:
         try:
             self._driver.stop()
-        except Exception as error:  # whatever it is: the other way to a stop is left
+        except Exception as error:  # any error: the other way to stop remains
             with self._lock:
                 if number == len(self._sent) and not (self.seen or self.over):
                     self._give_up(

@@ -74,7 +74,7 @@ def matched(
 def _proposed(in_file: Sequence[str], wanted: Sequence[str]) -> list[tuple[str, str]]:
     """Likely pairs in the file's order. Similar names first, because logs are often in alphabetical order."""
     plain = {name: name.lower().replace("_", "") for name in (*in_file, *wanted)}
-    plain = {name: own.replace("joint", "") or own for name, own in plain.items()}  # which says nothing of which
+    plain = {name: own.replace("joint", "") or own for name, own in plain.items()}  # which does not identify one
     likeness = {(a, b): SequenceMatcher(None, plain[a], plain[b]).ratio() for a in in_file for b in wanted}
     found: dict[str, str] = {}
     for (a, b), alike in sorted(likeness.items(), key=lambda entry: -entry[1]):

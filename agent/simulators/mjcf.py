@@ -22,7 +22,7 @@ from agent.simulators.joints import leaving_out, listed
 from agent.simulators.servos import position_servos, pulled_joints
 from agent.simulators.urdf import digits, rpy_of, set_inertial
 
-#: What the compilation of one file may take: seconds of processor time, bytes of memory.
+#: Limits of the compilation of one file: seconds of processor time, bytes of memory.
 _SECONDS, _MEMORY = 10, 4 << 30
 _COMPILE = """
 import resource, sys

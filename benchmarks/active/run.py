@@ -53,7 +53,7 @@ class WayMotion:
 
 
 class ActiveRun:
-    """What is said of a case after its first motions, and after a further one of every way."""
+    """Verdicts on a case after its first motions, and after a further motion of every strategy."""
 
     def __init__(self, case: Case, folder: Path):
         self._case = case
@@ -122,7 +122,7 @@ class ActiveRun:
     def _moved(
         self, way: str, name: str, seconds: float, drives_off: bool = False, load: Tool | None = None
     ) -> dict[str, Any]:
-        """What is said after a way's motion of at most `seconds`, and the mass it asks for; no result without a motion.
+        """Verdict after a strategy's motion of at most `seconds`, and its requested mass; no result without a motion.
 
         `name` is that of the answer; `load` is a known mass at the flange.
         """
@@ -176,7 +176,7 @@ class ActiveRun:
 
     @cached_property
     def _plan(self) -> Plan:
-        """Of the first motion: the recipe's excitation loop, after a short search."""
+        """Program of the first motion: the recipe's excitation loop, after a short search."""
         return make_plan(_short(self._recipe, self._case.motion, 0), _QUIET)
 
     @cached_property
@@ -190,7 +190,7 @@ class ActiveRun:
 
     @cached_property
     def _model(self) -> IdentifiedModel:
-        """Of the same machine without an effect, from other motions than those of its runs."""
+        """Model of the same machine without an effect, from other motions than those of its runs."""
         path = self._machine.with_suffix(".json")
         if not path.exists():
             recipe = _short(self._recipe, self._case.machine, 2)

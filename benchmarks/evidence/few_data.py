@@ -90,7 +90,7 @@ _ENOUGH = 90.0  # % of samples, of 95 % intervals
 
 
 def section(results: Results) -> PageSection:
-    """The section; it only says what is missing where nothing was run."""
+    """The section; it only names the missing runs if nothing was run."""
     part = PageSection()
     part.say("## Few data and long data")
     kept = {name: lines for name in SETTINGS if (lines := results.of(name))}

@@ -167,7 +167,7 @@ def found_loop(recipe: Recipe, machine: int, setting: str, candidates: Candidate
 
 
 def unseen_motions(recipe: Recipe, machine: int) -> list[Trajectory]:
-    """What judges a machine's models: as many random motions in the sub-region as the recipe validates by, as fast."""
+    """Test motions of a machine's models: random motions in the sub-region, in number and speed as in the recipe."""
     slow = LocalLoops(loop_problem(recipe, recipe.validate.speed))
     return random_loops(slow, recipe.validate.motions, np.random.default_rng([machine, 21]))
 

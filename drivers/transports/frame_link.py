@@ -1,6 +1,6 @@
 """One connection that carries frames: requests and answers, heartbeats, and the thread that reads.
 
-Nothing here waits for whoever consumes the samples, so neither a slow disk nor a busy search silences the heartbeat.
+Nothing here waits for the consumer of the samples, so neither a slow disk nor a busy search silences the heartbeat.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Channel(Protocol):
         """For a selector to wait on."""
 
     def recv(self, size: int, /) -> bytes:
-        """What has come; nothing where the far end has closed."""
+        """Received bytes; empty if the far end has closed."""
 
     def sendall(self, data: bytes, /) -> None:
         """Send, in the time the channel allows."""
@@ -52,10 +52,10 @@ class FrameLink(LinkThread):
     ----------
     channel, peer : what carries the frames, and the far end's address for messages.
     decoder, decode : turn bytes into frames, and frames into messages.
-    on_message : `on_message(message, request)` gets, in the reader thread, what nobody waits for.
-    on_failure : comes once, as the last call, when the link ends for whatever reason.
+    on_message : `on_message(message, request)` gets, in the reader thread, messages that no call waits for.
+    on_failure : called once, as the last call, when the link ends for any reason.
     on_turn : is called a few times a watchdog.
-    watchdog : [s]; may be set anew once another one is agreed on.
+    watchdog : [s]; may change when both ends agree on another one.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""What a driver holds of a motion between the wire and whoever reads the samples, the same for every wire."""
+"""Buffer of a motion's samples between the wire and their reader, the same for every wire."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class _End(NamedTuple):
 
 
 class MotionStream:
-    """What arrived of one motion and was not read yet. One thread gives, another takes.
+    """Received samples of one motion that were not read yet. One thread gives, another takes.
 
     Args:
         limit: bytes that may wait for the consumer before it is `too_full`.
@@ -92,7 +92,7 @@ class MotionStream:
             self._close_if_complete()
 
     def lost(self, before: int) -> None:
-        """What is missing before sequence number `before` cannot be had any more."""
+        """Samples missing before sequence number `before` are lost."""
         self._append(self.sequencer.give_up(before))
 
     def ended(self, reason: int, samples: int, message: str) -> None:
@@ -125,7 +125,7 @@ class MotionStream:
         assert self.fetching is not None
         _, first = self.fetching
         self.fetching = None
-        if self.sequencer.expected == first:  # asking again would bring no more
+        if self.sequencer.expected == first:  # another request would not help
             self._give_up()
 
     def _give_up(self) -> None:

@@ -28,8 +28,8 @@ _RTU_EXCHANGE = 8 + 255  # bytes of the longest request and its answer
 _RTU_TOGETHER = 4  # bytes: silence for their duration ends the answer
 _RTU_PAUSE = 0.001  # s, at least
 _RTU_REST = 0.1  # s: what has not come of an answer by then, once it has begun, was damaged
-_BUFFERED = 8192  # bytes that may be on their way, in buffers that nobody can look into
-_PATIENCE = 0.25  # s, beyond what is on its way
+_BUFFERED = 8192  # bytes that may be in transit, in buffers without access
+_PATIENCE = 0.25  # s, beyond the time of bytes in transit
 _REST_POLL = 0.05  # s
 _FEWEST, _MOST, _BAUD_PER_QUESTION = 8, 48, 8000  # questions that measure a line; a controller keeps some 64 answers
 
@@ -84,7 +84,7 @@ class SerialDriver(FrameDriver):
         return frame_bytes(LeanSamples.size(count, joints)) / count
 
     def _rests(self, motion: MotionStream) -> bool:
-        """Not until all samples have come, which may take much longer."""
+        """Wait until all samples have come, which may take much longer."""
         until = time.monotonic() + self._start_timeout
         while not motion.wait(_REST_POLL):
             if not self.status().moving:
@@ -122,7 +122,7 @@ class SerialDriver(FrameDriver):
 
 
 class _RtuClient(ModbusSerialClient):
-    """Waits by a clock that nobody sets; the library's is that on the wall."""
+    """Waits by a monotonic clock; the library uses the wall clock."""
 
     _begun = False  # the answer
 
@@ -132,7 +132,7 @@ class _RtuClient(ModbusSerialClient):
         return super().send(request, addr)
 
     def recv(self, size: int | None) -> bytes:
-        """What has come, once no more follows, or nothing within the timeout."""
+        """Received bytes once no more follow; empty if none come within the timeout."""
         port = self.socket
         assert port is not None  # it was written to just now
         limit = self.comm_params.timeout_connect

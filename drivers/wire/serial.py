@@ -1,4 +1,4 @@
-"""What the serial line has beyond the frames of drivers.wire.tcp: lean samples, and going on after damage.
+"""Serial line in addition to the frames of drivers.wire.tcp: compact samples, and recovery after damage.
 
 The frames are those of docs/wire-tcp.md, kept short, because a line is slow and a frame holds up what comes after it.
 """

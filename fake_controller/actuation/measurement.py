@@ -1,4 +1,4 @@
-"""Effects of sensors and of the interpolator: what is reported is not what is."""
+"""Effects of sensors and of the interpolator: reported values differ from the true ones."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ class Leg:
 
     @property
     def length(self) -> float:
-        """Of the way in its space."""
+        """Length of the path in its space."""
         return float(np.linalg.norm(self.end - self.start))
 
     @property

@@ -30,7 +30,7 @@ _SHARPEST = 2.9  # rad; the arm stops at corners that turn by more
 
 @dataclass(frozen=True)
 class InterpolationLaw:
-    """What makes one controller's interpolation differ from another's.
+    """Differences between the interpolations of controllers.
 
     blend: `circle` or `parabola`. jerk_time: [s] from no acceleration to all of it, 0 for trapezoidal ramps.
     acceleration: part of the limits that a ramp takes; curve: part of the joints' that a corner takes.
@@ -153,7 +153,7 @@ class PartMaker:
         return self._of_tool[settings.tool]
 
     def cut(self, first: Part, second: Part) -> float:
-        """How much of either leg the corner between them takes."""
+        """Length of either leg that the corner between them takes."""
         if first.via is not None or second.via is not None or first.turns_only or second.turns_only:
             return 0.0
         settings = first.settings

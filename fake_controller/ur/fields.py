@@ -43,7 +43,7 @@ UINT8 standard_digital_output_mask configurable_digital_output_mask standard_dig
 UINT8 standard_analog_output_mask standard_analog_output_type tool_digital_output_mask tool_digital_output
 VECTOR6D external_force_torque
 """
-#: First CB3 and e-Series versions with a field; (99,) where there is none.
+#: First CB3 and e-Series versions with a field; (99,) if there is none.
 _SINCE = {
     "payload": ((3, 11), (5, 5, 1)),
     "payload_cog": ((3, 11), (5, 5, 1)),

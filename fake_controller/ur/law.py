@@ -112,7 +112,7 @@ class Stretch:
         return self._arm.inverse(poses @ np.linalg.inv(self.move.tcp), near)
 
     def within(self, radius: float, of_goal: bool) -> float:
-        """How much of the way, at its end or its begin, the TCP is within `radius` [m] of that end."""
+        """Part of the path, at its end or its beginning, where the TCP is within `radius` [m] of that end."""
         if not self.in_joints and self.straight:
             return min(radius, self.length)
         s = np.linspace(0.0, self.length, _FINE)
@@ -150,7 +150,7 @@ class UrInterpolator:
 
     def rest(self, q: np.ndarray) -> None:
         """The next move begins from a standstill at joint positions (6,)."""
-        self.q, self._next = q, self._period  # seconds from the end of what is planned to the next set-point
+        self.q, self._next = q, self._period  # seconds from the end of the plan to the next set-point
         self._entered: tuple[Stretch, float, float] | None = None
 
     def plan(self, move: UrMove, after: UrMove | None) -> PlannedSetpoints:

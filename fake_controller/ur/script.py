@@ -41,7 +41,7 @@ class Pose(list[float]):
 
 @dataclass
 class Request:
-    """What a script asks of its controller; `line` is where."""
+    """Request of a script to its controller, at `line`."""
 
     line: int = field(default=0, init=False)
 
@@ -83,7 +83,7 @@ class Brake(Request):
 
 @dataclass
 class StartThread(Request):
-    """run: a thread of its own; the answer is its handle."""
+    """run: a separate thread; the answer is its handle."""
 
     run: Run
 

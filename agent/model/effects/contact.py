@@ -206,7 +206,7 @@ class Windows:
 
     @classmethod
     def of(cls, link: int, signals: MotionSignals, residual: np.ndarray, sigma: np.ndarray) -> Iterator[Windows]:
-        """Of every length, from running sums over the rows: moments of the force's columns, and with the error."""
+        """Windows of every length from running sums over the rows: moments of the force's columns and the error."""
         rows = np.zeros(len(signals.time), dtype=bool)
         rows[signals.kept] = True
         columns = -signals.pushed(link, rows) / sigma[:, None]
@@ -296,7 +296,7 @@ class Windows:
 
 
 def strongest(windows: Sequence[Windows]) -> list[PushedWindow]:
-    """The strongest windows that do not overlap, as far as they stand out; strongest first."""
+    """The strongest windows that stand out and do not overlap; strongest first."""
     taken: list[PushedWindow] = []
     best = [w.strongest for w in windows]
     spans = [(w.log, float(np.ptp(w.starts)) + w.duration) for w in windows if len(w.starts)]

@@ -123,7 +123,7 @@ class WristCoupling(Effect):
         return values["rotor"] > 0 and 0.3 < values.get("share", 1.0) < 1.7 and values.get("transmission", -1.0) < 0
 
     def possible(self, reference: NominalModel, joints: Joints, settings: Numbers, values: Numbers) -> bool:
-        """What rubs at the coupled speed drives at none, but for a tenth of what it rubs: both are estimates."""
+        """Friction at the coupled speed never drives, apart from a tenth of its size: both are estimates."""
         if "besides" not in settings:
             return True
         at_most = values["viscous"] * float(reference.robot.max_velocity[joints[1]])
@@ -131,7 +131,7 @@ class WristCoupling(Effect):
 
 
 class _Parts:
-    """What all columns are made of, along one motion; `filtered` as the torque is."""
+    """Signals of all columns along one motion, `filtered` like the torque."""
 
     def __init__(self, signals: MotionSignals, filtered: bool = False):
         self.signals, self._filtered = signals, filtered

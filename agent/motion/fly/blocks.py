@@ -118,7 +118,7 @@ class _Blocks:
 
     @classmethod
     def of(cls, path: Path, shape: PathShape, limits: ArmLimits, parameters: FlyParameters) -> _Blocks:
-        """Of a path, by the limits at its knots."""
+        """Speed profile of a path, by the limits at its knots."""
         borders = path.borders
         corner = path.block[borders[1:]] % 2 == 1
         asked, ramp = allowed_speed(path, shape, limits), _ramp(path, shape, limits)

@@ -107,7 +107,7 @@ class _Plan:
             self.pending = []
 
     def trajectory(self) -> Trajectory:
-        """All samples so far."""
+        """All samples up to now."""
         columns = zip(*self._parts, strict=True)
         q, qd, qdd, pose, speed, move = (
             np.concatenate(column, out=np.empty((self._samples, *column[0].shape[1:]), column[0].dtype))

@@ -124,7 +124,7 @@ class SetPoints:
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """What was planned between two standstills: the path, its spline and the samples."""
+    """The plan between two standstills: the path, its spline and the samples."""
 
     path: Path
     shape: PathShape

@@ -204,7 +204,7 @@ def _declared(node: syntax.Name | syntax.Element, memory: Memory) -> DataType:
 
 
 def _held(node: syntax.Expression, data_type: DataType, memory: Memory, key: str | tuple[str, int], word: str) -> Value:
-    """What a variable or an array element holds."""
+    """The value of a variable or an array element."""
     value = _SPECIMENS[data_type.name] if memory.checking else memory.variables.get(key)
     if value is None:
         raise Pdl2Error(f"{word} has no value yet", node.place)

@@ -51,7 +51,7 @@ _VARIABLE = re.compile(
 )
 _CONSTANT = re.compile(r"(\w+)\s*=\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:E[-+]?\d+)?|TRUE|FALSE|ON|OFF)$", re.IGNORECASE)
 _ROUTINE = re.compile(r"ROUTINE\s+(\w+)", re.IGNORECASE)
-#: What may be kept, other than a move.
+#: Statements other than moves that may be kept.
 _KEPT = re.compile(r"(?:FOR|ENDFOR|END)\b|\$[\w.\[\]]+\s*:=|\w+\s*(?:\[[^\]]*\]\s*)?:=", re.IGNORECASE)
 #: Words that begin a statement and are not in `OUTSIDE_SUBSET`, and forms of statements that begin with another word.
 _BEGIN = {"delay", "cycle", "with", "for", "endfor", "endopen", "end"}

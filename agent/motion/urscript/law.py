@@ -122,7 +122,7 @@ class _Planner(RunPlanner):
 
 
 def _limits(segments: Sequence[Segment], joints: int) -> ArmLimits:
-    """What bounds the speed: in joint moves that of the leading joint, else the program's own."""
+    """Speed limit: that of the leading joint in joint moves, else the program's own."""
     settings = [one.settings for one in segments if isinstance(one, JointSegment)]
     speed = min((one.joint_speed for one in settings if isinstance(one, _LawSettings)), default=np.inf)
     acceleration = min((one.joint_acceleration for one in settings if isinstance(one, _LawSettings)), default=np.inf)

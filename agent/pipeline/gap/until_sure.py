@@ -104,7 +104,7 @@ def until_sure(
                 end, rounds.other = motion.text, motion
                 break
             program = run.write_text(f"{name}{recipe.dialect.suffix}", motion.text).name
-            ran = replace(motion, brakes=False).to_dict(program)  # nobody was asked for seconds on the brakes
+            ran = replace(motion, brakes=False).to_dict(program)  # no log on the brakes was requested
             verdict = rounds.last[0].result["verdict"]
             rounds.asked.append({"after": verdict, **ran, "verdict": None, "causes": []})
             word = allowed and allowed.for_new_motion(run_key(recipe)["loop"], sha256_text(motion.text), moved)

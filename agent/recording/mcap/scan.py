@@ -1,4 +1,4 @@
-"""Finds the joint states of a recording, whatever program wrote it, complete or cut off.
+"""Finds the joint states of a recording from any program, complete or cut off.
 
 The records of an MCAP file are walked one after the other, without the index, so a file without one or cut off at any
 byte gives what it has. The library's stream reader would lose the chunk that is cut off. Messages are collected on the
@@ -188,7 +188,7 @@ def _check_unpacked(path: Path, found: Scan, size: int) -> None:
 
 
 def _chunk_data(path: Path, body: bytes, whole: bool, found: Scan) -> bytes:
-    """The records of a chunk, as far as they go; an error of `_DAMAGED` where they are not what it declares."""
+    """The records of a chunk up to its end; an error of `_DAMAGED` if they differ from its declaration."""
     chunk = Chunk.read(_stream(body))  # of a chunk that is cut off, the data that are there
     if not chunk.compression:
         data = chunk.data
@@ -271,7 +271,7 @@ class _Collector:
             self.decode()
 
     def end_file(self) -> None:
-        """Decode what is left; the next file of a bag numbers its channels anew."""
+        """Decode the remaining messages; the next file of a bag numbers its channels again."""
         self.decode()
         for numbered in (self._schemas, self._channels, self._layouts):
             numbered.clear()

@@ -1,4 +1,4 @@
-"""What a simulator's file cannot say: torque that the robot's drives give beyond the simulator's own.
+"""Effects that a simulator's file cannot express: torque of the robot's drives beyond the simulator's own.
 
 Pure NumPy. `Effects.torque` takes one step of one arm, or of many at once (any leading shape), and returns what the
 motors have to give more, (..., n) [N·m]: a simulator applies the opposite to its joints. `Effects.reading` turns the

@@ -61,7 +61,7 @@ class CnrDriver(LinkDriver[Sockets, CnrMotion]):
         self._broker: BrokerLink | None = None
         self._machine: CnrIdentity | None = None
         self._stored = "", ""
-        self._starting = threading.Lock()  # whoever holds it may start a trajectory, or say that none is to follow
+        self._starting = threading.Lock()  # its holder may start a trajectory, or say that none follows
 
     @property
     def facts(self) -> dict[str, str]:
@@ -95,7 +95,7 @@ class CnrDriver(LinkDriver[Sockets, CnrMotion]):
         )
 
     def status(self) -> Status:
-        """What the controller says of itself after this call. The override is not on this wire."""
+        """State of the controller after this call. The override is not on this wire."""
         sockets = self._connected()
         assert self._machine is not None
         state = sockets.fresh_status()
@@ -237,7 +237,7 @@ class CnrDriver(LinkDriver[Sockets, CnrMotion]):
             RefusedError: it was not; nothing has moved.
             DriverError: no answer.
         """
-        rested = not motion.begun  # later on, that it moves says nothing of this start
+        rested = not motion.begun  # later, motion does not prove this start
 
         def acts() -> bool:
             return rested and motion.begun
@@ -262,7 +262,7 @@ class CnrDriver(LinkDriver[Sockets, CnrMotion]):
         """Ask for START at the pendant, and wait until the arm moves.
 
         Raises:
-            DriverError: nobody came.
+            DriverError: no client connected.
         """
         motion.started = True
         self.tell(
@@ -273,7 +273,7 @@ class CnrDriver(LinkDriver[Sockets, CnrMotion]):
         if not sockets.wait(lambda: motion.begun, _HAND_TIMEOUT):
             raise DriverError(f"nobody started {name} within {_HAND_TIMEOUT / 60:.0f} minutes; nothing was recorded")
 
-    # From here on in the reader thread of the sockets, but for `_on_loss`.
+    # Methods from here on run in the reader thread of the sockets, except `_on_loss`.
 
     def _on_turn(self, feedbacks: list[Feedback]) -> None:
         motion, sockets = self._motion, self._link

@@ -31,7 +31,7 @@ _MOST_LINES = 100  # of an answer
 
 @dataclass(frozen=True)
 class CnrIdentity:
-    """What the identity file says. `watchdog` [s]."""
+    """Content of the identity file. `watchdog` [s]."""
 
     identity: Identity
     emulator: bool
@@ -58,7 +58,7 @@ class ProgramFolder:
         return _machine(data, self._peer)
 
     def stored(self) -> tuple[str, str]:
-        """Name and SHA-256 (hex) of the program that a start would run; empty where there is none."""
+        """Name and SHA-256 (hex) of the program that a start would run; empty if there is none."""
         with self._session() as ftp:
             entry = _read(ftp, wire.PROGRAM_FILE)
             name = "" if entry is None else entry.decode("ascii", "replace").strip()
@@ -144,7 +144,7 @@ class ProgramFolder:
 
 
 class _Client(ftplib.FTP):
-    """An answer of lines without end is none."""
+    """Reject an answer with endless lines."""
 
     def getmultiline(self) -> str:
         self._lines = 0
@@ -158,7 +158,7 @@ class _Client(ftplib.FTP):
 
 
 def _read(ftp: ftplib.FTP, name: str) -> bytes | None:
-    """A file, or None where there is none.
+    """A file, or None if it does not exist.
 
     Raises:
         ProtocolError: it is longer than any that belongs there.

@@ -26,7 +26,7 @@ _STILL = np.radians(1e-4)
 _REST = np.radians(0.02)
 #: Without a flag from the controller, an arm counts as moving until it has rested for this time [s].
 _RESTING = 0.2
-#: A clock that goes back by more [s] was set anew.
+#: A clock that goes back by more [s] was reset.
 _BACK = 0.1
 #: Number of consecutive feedbacks of a stationary arm that confirm a stop by the controller.
 _BELIEVED = 10
@@ -35,7 +35,7 @@ HAND_REST = 2.0
 #: Samples of the end that do not come within this [s] of silence do not come any more.
 _DRAIN = 1.0
 _LONGEST_DRAIN = 5.0  # s
-_TURN = 0.05  # s: no turn counts for more, so that a stall of this process is nobody's silence
+_TURN = 0.05  # s: longest counted turn, so that a stall of this process is not taken for silence
 
 #: Of `wire.CHANNELS`, in their order.
 _POSITION, _TARGET, _CURRENT = 0, 2, 4
@@ -43,7 +43,7 @@ _POSITION, _TARGET, _CURRENT = 0, 2, 4
 
 @dataclass(frozen=True, eq=False)
 class CnrArm:
-    """What the driver knows of the arm: joints n, sampling period [s], and torque per ampere (n, n) [N·m/A]."""
+    """Data of the arm for the driver: joints n, sampling period [s], and torque per ampere (n, n) [N·m/A]."""
 
     joints: int
     period: float
@@ -51,7 +51,7 @@ class CnrArm:
 
 
 class CnrMotion(MotionStream):
-    """What came of one motion, and what of that belongs to it.
+    """Received data of one motion, and the part that belongs to it.
 
     Called from the reader thread of the sockets, unless a method says otherwise.
 
@@ -75,7 +75,7 @@ class CnrMotion(MotionStream):
         super().__init__(limit)
         self.started = False  # set by the driver when the controller has said so
         self.match = None if silent is None else ClockMatch()
-        self.clock_reset = False  # a clock went back: somebody counts anew, and no time can be trusted
+        self.clock_reset = False  # a clock went back: a counter was reset, and no time can be trusted
         self.begun_at: float | None = None  # sample time [s] of the first change of the set-points
         self._arm = arm
         self._is_over = is_over
@@ -97,7 +97,7 @@ class CnrMotion(MotionStream):
         self._failure: DriverError | None = None
         self._end_time = 0.0  # controller time [s]
         self._drained = 0.0
-        self._cut = False  # samples went back in time: none of those that come belong to this motion
+        self._cut = False  # samples went back in time: later ones do not belong to this motion
 
     @property
     def begun(self) -> bool:
@@ -123,7 +123,7 @@ class CnrMotion(MotionStream):
             self._failure, self._end_time, self._drained = error, self._time, 0.0
 
     def feedbacks(self, feedbacks: list[Feedback], status: StatusMessage) -> None:
-        """What the controller said of itself."""
+        """Take a state of the controller."""
         for feedback in feedbacks:
             now, position = feedback.time * 1e-3, np.radians(feedback.joints[: self._arm.joints])
             self.clock_reset |= now < self._time - _BACK
@@ -141,7 +141,7 @@ class CnrMotion(MotionStream):
             self._judge(feedback, status, now, position)
 
     def samples(self, times_us: np.ndarray, values: np.ndarray) -> None:
-        """What the broker had: times (K,) [µs], values (K, 5, 10) in degrees and amperes."""
+        """Take messages of the broker: times (K,) [µs], values (K, 5, 10) in degrees and amperes."""
         times = times_us * 1e-6
         back = np.flatnonzero(np.diff(times, prepend=self._seen) < 0.0)
         if len(back):
@@ -165,7 +165,7 @@ class CnrMotion(MotionStream):
             self._give(times, values)
 
     def turn(self) -> DriverError | None:
-        """Called all the time: ends the motion where it is over; returns what is wrong, if anything is, for `fail`."""
+        """Called continuously: ends a motion that is over; returns an error for `fail`, if there is one."""
         now = time.monotonic()
         passed, self._turned = min(now - self._turned, _TURN), now
         if self.over:
@@ -186,7 +186,7 @@ class CnrMotion(MotionStream):
         return None
 
     def _finish(self, reason: EndReason, message: str) -> DriverError | None:
-        """End the motion once its samples are there; what is wrong where they will not come."""
+        """End the motion once its samples are there; return an error if they will not come."""
         lacking = 0.0 if self.match is None else self._lacking(self.match)
         if lacking > 0.0:
             if self._silence <= max(_DRAIN, self._patience):
@@ -198,7 +198,7 @@ class CnrMotion(MotionStream):
         return None
 
     def _finish_failed(self, error: DriverError) -> None:
-        """End the motion with an error once its samples are there, or none of them comes any more."""
+        """End the motion with an error once its samples are there, or no more of them can come."""
         lacking = 0.0 if self.match is None or self._cut else self._lacking(self.match)
         if lacking <= 0.0 or self._silence > _DRAIN or self._drained > _LONGEST_DRAIN:
             self.finish(error)
@@ -211,9 +211,9 @@ class CnrMotion(MotionStream):
         moved = match.controller_moved_at
         if moved is not None and self.begun_at is None:
             return self._end_time - moved
-        return max(0.0, _DRAIN - self._drained)  # nothing has moved, as far as one of the two can tell
+        return max(0.0, _DRAIN - self._drained)  # neither of the two shows motion
 
-    # What the controller says.
+    # State of the controller.
 
     def _judge(self, feedback: Feedback, status: StatusMessage, now: float, position: np.ndarray) -> None:
         """Is it over, and why?"""
@@ -302,7 +302,7 @@ class CnrMotion(MotionStream):
         target: np.ndarray | None = None,
         target_velocity: np.ndarray | None = None,
     ) -> None:
-        """Give samples to the consumer; what is missing before them is lost."""
+        """Give samples to the consumer; missing samples before them are lost."""
         torque = current @ self._arm.torque_per_ampere.T
         block = SampleBlock(
             sequence, times, position, velocity, torque, target, target_velocity, received=time.time(), current=current
@@ -313,7 +313,7 @@ class CnrMotion(MotionStream):
 
 
 def stop_reason(status: StatusMessage) -> tuple[EndReason, str] | None:
-    """Why the controller would have stopped the arm, by its status; None where that says nothing."""
+    """Reason of the controller for a stop of the arm, by its status; None if the status names none."""
     if status.e_stopped == 1:
         return EndReason.EMERGENCY_STOP, "the emergency stop is pressed"
     if status.in_error == 1:

@@ -85,7 +85,7 @@ class PointDriver(CnrDriver):
         return self._stored
 
     def _feed(self, feeder: _Feeder, sockets: Sockets, motion: CnrMotion) -> None:
-        """The rest of the first trajectory and all others (in a thread of its own)."""
+        """The rest of the first trajectory and all others (in a separate thread)."""
         try:
             while feeder.go_on(motion):
                 with self._starting:
@@ -94,7 +94,7 @@ class PointDriver(CnrDriver):
                     self._command_start(sockets, motion, "the start of the next trajectory")
                 feeder.started()
                 motion.resume()
-        except Exception as error:  # whatever it is, nobody else would send the rest
+        except Exception as error:  # any error: no other thread would send the rest
             if not (motion.over or motion.stopping):
                 known = error if isinstance(error, DriverError) else DriverError(f"no points can be sent: {error!r}")
                 self._end_with(sockets, motion, known)
@@ -108,7 +108,7 @@ class _Feeder:
         self._trajectories = trajectories
         self._at = 0  # trajectory
         self._sent = 0  # points of it
-        self._finished = False  # the controller knows that there are no more
+        self._finished = False  # the controller knows that this was the last
         self._running = False
         self._seen = False  # that the running trajectory has begun
 
@@ -125,7 +125,7 @@ class _Feeder:
 
         Raises:
             RefusedError: the controller does not take them.
-            DriverError: nobody knows whether it did.
+            DriverError: it is unknown whether it did.
         """
         points = self._trajectories[self._at]
         while self._sent < len(points) and not motion.stopping:

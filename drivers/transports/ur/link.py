@@ -44,7 +44,7 @@ class UrLink(LinkThread):
         on_failure: comes once, as the last call.
 
     Raises:
-        DriverError: nobody there, silent, or another protocol.
+        DriverError: no answer, silence, or another protocol.
         RefusedError: another client drives this robot, or the controller lacks a field.
     """
 
@@ -161,7 +161,7 @@ class UrLink(LinkThread):
         self._primary.close()
 
     def _agree(self) -> tuple[rtde.OutputRecipe, int]:
-        """What is sent and received from now on."""
+        """Set the messages that are sent and received from now on."""
         if self._ask(rtde.package(rtde.VERSION, struct.pack(">H", 2))) != b"\1":
             raise ProtocolError(f"{self.peer}: the controller does not speak version 2 of RTDE")
         answer = self._ask(rtde.output_request(rtde.FIELDS, 1.0 / self._period))

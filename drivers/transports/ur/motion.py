@@ -37,7 +37,7 @@ def safety_text(mode: int) -> str:
 
 
 class UrMotion(MotionStream):
-    """What came of one motion. Called from the thread of the link, but for `begin`.
+    """Received data of one motion. Called from the thread of the link, except `begin`.
 
     Args:
         program: its name on the controller.
@@ -55,7 +55,7 @@ class UrMotion(MotionStream):
         self._program = program
         self._period = period
         self._torque_per_ampere = torque_per_ampere
-        self._said = ""  # the controller's last words of what is wrong
+        self._said = ""  # the controller's last error text
         self._begun = False
         self._first: float | None = None
         self._number = -1
@@ -73,7 +73,7 @@ class UrMotion(MotionStream):
         self._begun = True
 
     def message(self, message: ProgramChange | ProgramFault) -> None:
-        """What the controller said of the program."""
+        """Take the controller's text about the program."""
         if isinstance(message, ProgramChange):
             self.loaded = self.loaded or (message.started and message.name == self._program)
         else:
@@ -88,7 +88,7 @@ class UrMotion(MotionStream):
         numbers = np.rint((samples["timestamp"] - self._first) / self._period).astype(np.int64)
         new = numbers > np.maximum.accumulate(
             np.concatenate(([self._number], numbers[:-1]))
-        )  # a repeated stamp is none
+        )  # repeated stamps are dropped
         samples, numbers = samples[new], numbers[new]
         if len(samples) == 0:
             return
@@ -107,7 +107,7 @@ class UrMotion(MotionStream):
             self.ended(reason, self._number + 1, "; ".join(part for part in (self._said, text) if part))
 
     def _judge(self, sample: np.void) -> None:
-        """What forbids that the motion goes on; the first of it counts."""
+        """A reason that forbids the motion to continue; the first one counts."""
         if self._verdict is None and (found := _unsafe(sample)) is not None:
             self._verdict = found
 
@@ -117,7 +117,7 @@ class UrMotion(MotionStream):
         return self._verdict is not None
 
     def _give(self, samples: np.ndarray, numbers: np.ndarray) -> None:
-        """Hand out runs without gaps; what is missing never comes, as RTDE sends nothing twice."""
+        """Deliver runs without gaps; missing samples never come, because RTDE sends nothing twice."""
         cycles = samples[rtde.CYCLE]
         changed = np.flatnonzero(np.diff(cycles, prepend=cycles[0] if self._cycle is None else self._cycle))
         self.markers += samples["timestamp"][changed].tolist()

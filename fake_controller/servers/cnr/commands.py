@@ -68,7 +68,7 @@ class PointQueue:
         return QueueStatus.READY
 
     def read_ahead(self) -> None:
-        """What the interpolator does once the trajectory is started: nodes become free."""
+        """Free nodes, as the interpolator does once the trajectory is started."""
         if self.started:
             self._read += self._queued
             self._queued = []

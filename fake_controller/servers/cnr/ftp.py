@@ -1,4 +1,4 @@
-"""The folder of programs on the controller, over FTP: what is stored there is translated at once."""
+"""The folder of programs on the controller, over FTP: stored programs are translated at once."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ _LATE = 3  # ticks without a record of a moving arm after which the last one is 
 class Reports:
     """Publishes every sample and sends the records of both lock-step ports, in a thread of its own while the arm rests.
 
-    At rest the last sample is repeated: nobody simulates an arm that stands still.
+    While the arm is stationary, the last sample is repeated instead of simulated.
 
     Args:
         controller: whose arm it is.
@@ -74,7 +74,7 @@ class Reports:
 
     @property
     def flag(self) -> bool:
-        """What the records say of whether the arm moves."""
+        """Flag of the records for a moving arm."""
         return self.moving and not self._by_hand
 
     def begin(self, last_point: int, by_hand: bool = False) -> None:
