@@ -1,4 +1,4 @@
-"""A headless Chromium for tests of pages; what needs it skips, and says so, where there is none."""
+"""A headless Chromium for tests of pages; without it, these tests skip with a message."""
 
 from __future__ import annotations
 

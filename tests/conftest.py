@@ -47,7 +47,7 @@ DRAW = int(os.environ.get("CALIBRATION_DRAW", "0"))
 
 
 def drawn(usual: Draw, draw: Callable[[np.random.Generator], Draw]) -> Draw:
-    """What a test takes as a rule; in another draw another of its kind: a posture, a motion, a moment, a wire."""
+    """The usual value of a test; another draw gives another of its kind: a posture, a motion, a time, a wire."""
     return usual if DRAW == 0 else draw(np.random.default_rng(DRAW))
 
 
@@ -179,7 +179,7 @@ _tried = itertools.count(1)
 
 
 def free_loopback() -> str:
-    """Published ports are fixed, so every server of a test has a loopback address of its own."""
+    """Published ports are fixed, so every server of a test has its own loopback address."""
     while True:
         address = f"127.{1 + os.getpid() % 200}.{1 + os.getpid() // 200 % 250}.{1 + next(_tried) % 250}"
         with contextlib.closing(socket.socket()) as probe:

@@ -36,7 +36,7 @@ def test_no_class_name_stands_for_two_things():
 
 
 def test_a_package_is_imported_through_its_public_names():
-    """What a package of the agent has for others is what its `__init__` exports; the rest is private to it."""
+    """Other packages use only the names that a package's `__init__` exports; the rest is private to it."""
     inside = []
     for package in PACKAGES:
         for path in sorted((ROOT / package).rglob("*.py")):

@@ -173,7 +173,7 @@ def _serve(asked: socket.socket) -> dict[str, object] | None:
 
 
 def _become(request: dict) -> None:
-    """What an interpreter does before its module runs."""
+    """Steps of an interpreter before its module runs."""
     os.chdir(request["cwd"])
     os.environ.clear()
     os.environ.update(request["env"])

@@ -43,8 +43,8 @@ def fastest(  # noqa: C901
 ) -> np.ndarray:
     """The largest z (K,) under `ceiling` (K,), zero at its ends, for which y = weight z (m, K) respects its limits.
 
-    The limits of its rise and fall are rising, falling (m, K), see `growth`. A y up to `least` (m,) is not limited. Passes are made until none changes z
-    by more than 1e-4 of its largest, `passes` at most.
+    The limits of its rise and fall are rising, falling (m, K), see `growth`. A y up to `least` (m,) is not limited. The
+    passes end once one changes z by at most 1e-4 of its largest, or after `passes`.
     """
     rows, knots = weight.shape
     inverse, unused = np.empty((rows, knots)), np.empty((rows, knots))

@@ -54,7 +54,7 @@ class HeldOutGap:
         return closure(self.before, rms(self.beyond(left)) / self.unit, self.after, self.floor, self.limits)
 
     def closure_on(self, joints: Sequence[int], left: np.ndarray) -> float | None:
-        """Part of the remaining error of joints that is closed if (S', n) [N·m] is left instead."""
+        """Part that is closed of the error of joints, compared with (S', n) [N·m] left on them."""
         at, floor = list(joints), None if self.floor is None else self.floor[list(joints)]
         without = (rms(self.beyond(left)) / self.unit)[at]
         return closure(without, without, self.after[at], floor, self.limits)

@@ -1,4 +1,4 @@
-"""plan.json and state.json of a run that is gone on with: whatever stands in them, one message or a plan."""
+"""plan.json and state.json of a resumed run: any content gives one message or a plan."""
 
 from __future__ import annotations
 

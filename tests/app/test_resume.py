@@ -1,4 +1,4 @@
-"""kill -9 in every step of a calibration: the folder it leaves goes on at the next step boundary, and no further."""
+"""kill -9 in every step of a calibration: the run resumes at the next step boundary."""
 
 from __future__ import annotations
 

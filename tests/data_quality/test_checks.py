@@ -1,4 +1,4 @@
-"""What is wrong with recorded data is named, with joints and share of samples; healthy data is accepted."""
+"""Faults of recorded data are named, with joints and share of samples; healthy data is accepted."""
 
 from __future__ import annotations
 
@@ -330,7 +330,7 @@ def shared_robot(tmp_path_factory):
 
 
 GRAVITY_FREE, TILTED, PUBLISHERS = "carry no gravity", "gravity in the base frame looks like", "two publishers"
-#: Logs, and what is said of them: a refusal, and parts of warnings.
+#: Logs, and the expected messages: a refusal, and parts of warnings.
 FOLDERS = [
     (("lib/base1", "lib/base2"), None, ()),
     (("lib/base1",), None, ()),

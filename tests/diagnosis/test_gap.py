@@ -14,7 +14,7 @@ from agent.model.effects import CATALOGUE
 
 @pytest.fixture(scope="module")
 def dataset(diagnosed):
-    """Of the run with an effect, which was found."""
+    """The diagnosis of the run with an effect; its cause was found."""
     found = diagnosed(1)
     assert found.finding.causes
     return found

@@ -115,7 +115,7 @@ def test_a_coupled_shaft_rubs_and_turns(reference):
 
 @pytest.mark.parametrize("kind", [{}, {"besides": 1.0}])
 def test_a_coupling_of_next_to_nothing_is_none(reference, kind):
-    """What rubs at a speed that is almost the axle's own is the axle's own friction."""
+    """Friction at a speed that is almost the axle's own is the axle's own friction."""
     values = {"coulomb": 1.0, "viscous": 0.1} if kind else {"rotor": 1e-4, "share": 1.0}
     for ratio, expected in ((0.01, False), (-0.03, False), (0.05, True), (-1.0, True)):
         assert possible(reference, "wrist_coupling", {"ratio": ratio, **kind}, values) is expected

@@ -1,4 +1,4 @@
-"""What a verdict promises holds whatever the procedure came to."""
+"""The conditions of a verdict hold for every result of the search."""
 
 from __future__ import annotations
 

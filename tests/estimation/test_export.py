@@ -259,7 +259,7 @@ ARM = (
     + joint("j2", "revolute", "a", "b", "0 1 0", "0.4 0.1 0")
     + joint("j3", "continuous", "b", "c", "0.6 0 0.8")
 )
-#: What URDFs of public arms have: elements of the root, joints of the description, tip frame.
+#: Content of URDFs of public arms: elements of the root, joints of the description, tip frame.
 DESCRIPTIONS = {
     "joints named again by transmissions": (
         ARM + '<transmission name="t"><joint name="j1"><x/></joint></transmission><gazebo reference="a"/>',

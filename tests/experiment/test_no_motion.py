@@ -1,4 +1,4 @@
-"""Why no motion is planned, and what is left of a diagnosis whose further motion cannot be planned."""
+"""Reasons for no planned motion, and the result of a diagnosis whose further motion cannot be planned."""
 
 from __future__ import annotations
 

@@ -82,7 +82,7 @@ def ur_program(turns: int) -> str:
 
 @dataclass
 class Ended:
-    """What came of one run of the command line."""
+    """Result of one run of the command line."""
 
     code: int
     output: str

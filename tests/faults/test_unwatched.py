@@ -104,7 +104,7 @@ class SlowRelay:
 
 @dataclass
 class Attacked:
-    """What came of one run: the agent's exit code and words, and the arm's side of it."""
+    """Result of one run: the agent's exit code and messages, and the record of the arm."""
 
     code: int
     errors: str

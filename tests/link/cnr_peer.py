@@ -171,7 +171,7 @@ class Samples:
         return np.array([row["time"] for row in rows]), np.array([[row["J1"], row["J2"]] for row in rows])
 
     def until_anew(self, topic):
-        """Times of a topic's messages, once they have begun anew: the broker may be behind the controller."""
+        """Times of a topic's messages after their restart: the broker may be behind the controller."""
         while True:
             times = self.times(topic)
             if (np.diff(times) < 0).any():
@@ -187,7 +187,7 @@ class Samples:
 
 
 class Bench:
-    """A server and whoever talks to it."""
+    """A server and its clients."""
 
     def __init__(self, robot, broker, undo, clock="fast", faults=(), watchdog=2.0):
         self.undo = undo

@@ -101,7 +101,7 @@ def run(wire: str, seed: int, broker: Broker | None) -> dict[str, object]:
         try:
             driver.start("loop", driver.upload("loop", loop.text))
             blocks = list(driver.samples())
-        except Exception as error:  # whatever it was, the loop was not run: the judge counts it
+        except Exception as error:  # any error: the loop was not run, and the judge counts it
             ended, blocks = f"{type(error).__name__}: {error}", []
     result = {"wire": wire, "seed": seed, "interpolator": kind, "ended": ended, "mm": 1000 * loop.distance}
     if not blocks:

@@ -123,7 +123,7 @@ def test_a_start_that_is_seen_to_act_is_watched_without_its_answer(linked):
     assert run.started
     assert [m.type for m in script.heard].count(MessageType.START) == 1
     hasty = create("cnr_comau", "c5g", start_timeout=patience(0.3))
-    with pytest.raises(DriverError, match="did not answer the start"):  # it moves already, which says nothing
+    with pytest.raises(DriverError, match="did not answer the start"):  # it moves already, which proves nothing
         hasty._command_start(sockets, Moves(), "the start", 5)
 
 

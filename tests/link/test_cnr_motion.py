@@ -207,7 +207,7 @@ def test_missing_samples_are_gaps_by_their_times():
 
 
 def test_samples_that_end_before_the_motion_are_an_error():
-    """Whatever the controller says of the end: a recording without it is none."""
+    """A recording without the end of the motion is refused, whatever the controller reports."""
     for heard in (0.0, 1.6):  # s of samples
         run = motion()
         run._patience = 0.0

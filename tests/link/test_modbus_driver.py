@@ -78,7 +78,7 @@ class LosesAnswer:
 
 
 def test_what_tcp_and_modbus_tell_is_the_same(arm):
-    """The same machine with the same seed on both wires, but for single precision."""
+    """The same machine with the same seed on both wires, apart from single precision."""
     from drivers.transports.tcp import TcpDriver
     from fake_controller.servers.tcp import TcpServer
 
@@ -220,7 +220,7 @@ def test_a_controller_that_is_late_with_an_answer_hears_of_its_client_meanwhile(
 
 
 def test_a_thread_that_stands_still_is_waited_for_no_longer_than_it_may(driver, monkeypatch):
-    """Whatever it waits for: nobody else waits for ever, and nothing hangs at the end."""
+    """Whatever it waits for, no other call blocks for ever, and nothing hangs at the end."""
     monkeypatch.setattr(link, "_STANDSTILL", 0.05)
     driver._link.timeout = 0.05
     held = threading.Event()

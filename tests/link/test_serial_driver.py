@@ -117,7 +117,7 @@ def test_a_clock_that_is_set_back_lengthens_no_wait(line, monkeypatch):
 
 
 def test_an_answer_that_comes_again_is_not_taken_for_the_next_one(line):
-    """RTU has no transaction numbers: whatever stands before an answer could be it."""
+    """RTU has no transaction numbers: any bytes before an answer could be the answer."""
     cable, controller, driver = line("rtu")
     before = [b""]
 
@@ -292,7 +292,7 @@ def test_an_upload_that_is_damaged_stores_nothing(line):
 
 
 def test_the_wrong_baud_rate_is_noise(line):
-    """What another rate makes of the bits is modelled as what it is to a receiver: other bytes."""
+    """Another bit rate is modelled by its effect on a receiver: other bytes."""
     cable, _, driver = line()
     driver.close()
     cable.tamper = lambda end, data: bytes(byte ^ 0x55 for byte in data) if end == "near" else data
@@ -301,7 +301,7 @@ def test_the_wrong_baud_rate_is_noise(line):
 
 
 def test_a_cable_is_as_slow_as_its_baud_rate():
-    """By the bytes that are still under way: the other end has no more than its share of what was sent."""
+    """By the bytes in transit: the other end has at most its share of the sent bytes."""
     with (
         contextlib.closing(Cable(38_400)) as cable,
         serial.Serial(cable.near, 38_400) as near,

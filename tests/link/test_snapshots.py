@@ -1,4 +1,4 @@
-"""Samples of a C5G Open node that reads the controller's snapshots in a loop of its own, as the published one does."""
+"""Samples of a C5G Open node that reads the controller's snapshots in its own loop, like the published node."""
 
 from __future__ import annotations
 

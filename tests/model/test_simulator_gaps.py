@@ -1,4 +1,4 @@
-"""What a simulator of others gets wrong is found, corrected, driven and told."""
+"""Errors of third-party simulators are found, corrected, run and reported."""
 
 from __future__ import annotations
 

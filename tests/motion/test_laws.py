@@ -1,4 +1,4 @@
-"""What holds for every program: checked on the set-points alone, by finite differences and by geometry."""
+"""Laws of every program, checked on the set-points alone, by finite differences and by geometry."""
 
 from __future__ import annotations
 

@@ -155,7 +155,7 @@ def controller(tmp_path, monkeypatch) -> Path:
 
 
 def heard(library: Path) -> list[str]:
-    """What the stub was told since the last look."""
+    """Calls of the stub since the last check."""
     text = (ctypes.c_char * (1 << 16)).in_dll(ctypes.CDLL(str(library)), "told")
     lines = text.value.decode().splitlines()
     text.value = b""

@@ -52,7 +52,7 @@ def convert(pair, tmp_path):
 
 @pytest.fixture
 def table(tmp_path):
-    """A CSV file with time, two positions, two velocities, two efforts; and what is in it (S, 7)."""
+    """A CSV file with time, two positions, two velocities, two efforts; and its content (S, 7)."""
     t = np.arange(400) / 200
     values = np.column_stack([t, *(np.sin(t * k) * k for k in range(1, 7))])
     path = tmp_path / "data.csv"

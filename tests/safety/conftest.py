@@ -29,14 +29,14 @@ from tests.safety.following import HOME, at
 
 #: How the joints share in a swing.
 SHARES = drawn(np.ones(6), lambda rng: rng.uniform(0.7, 1.1, 6) * rng.choice([-1.0, 1.0], 6))
-#: What lies between the ends of a longer one.
+#: Points between the ends of a longer one.
 BETWEEN = drawn(np.zeros(3), lambda rng: rng.uniform(-0.08, 0.08, 3))
 NAMES = tuple(f"joint_{k}" for k in range(1, 7))
 
 
 @dataclass
 class Controller:
-    """What the peer says of itself, and what it was asked to do."""
+    """The peer's reports of itself, and its received requests."""
 
     robot: str = "comau_ns16"
     serial: str = "NS16-7"

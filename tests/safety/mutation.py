@@ -37,7 +37,7 @@ TESTS = [
     "tests/shop_floor/test_authorisation.py",
 ]
 MODULES = sorted(str(path.relative_to(ROOT)) for path in ROOT.glob("agent/safety/*.py") if path.name != "__init__.py")
-#: What is heavy is imported once, for all children; nothing of the layer itself.
+#: Heavy modules are imported once, for all children; none of the layer itself.
 HEAVY = (
     "hypothesis",
     "scipy.interpolate",
@@ -339,7 +339,7 @@ class Reach:
 
 
 def ready() -> None:
-    """What is heavy is imported, and nothing of the layer.
+    """Import heavy modules, and none of the layer.
 
     Raises:
         RuntimeError: something of the layer is, so it cannot be changed.

@@ -1,4 +1,4 @@
-"""What the check finds on motions, and that it misses nothing."""
+"""The check finds every collision of a motion."""
 
 from dataclasses import replace
 

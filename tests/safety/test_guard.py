@@ -1,4 +1,4 @@
-"""What must be true before an arm moves: the real driver on a real socket, a controller that does as told (conftest).
+"""Conditions before an arm moves: the real driver on a real socket, a controller that obeys (conftest).
 
 Nothing of the agent is replaced. `tests/safety/mutation.py` takes the checks of the layer away one at a time and sees
 that a test of a file `test_guard*.py` fails.
@@ -226,7 +226,7 @@ def test_an_authorisation_ends_at_the_end_of_its_day(program, authorisation):
 
 
 class Unguarded(TcpDriver):
-    """The real driver, on a wire whose far end goes on without this one."""
+    """The real driver, on a wire whose far end continues without this one."""
 
     def identify(self):
         return replace(super().identify(), unguarded="the published programs run on")

@@ -1,4 +1,4 @@
-"""Not a number is not fine: no state, plan, sample, limit or authorisation that is none lets an arm move."""
+"""NaN is never accepted: no state, plan, sample, limit or authorisation with NaN lets an arm move."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ ROOT = Path(__file__).resolve().parents[2]
 ROBOT = load_robot("comau_ns16")
 NO_NUMBERS = [np.nan, np.inf, -np.inf, 5e-324, -5e-324, 1e308]
 
-#: Comparisons that let nothing move where they are false, as they are for what is no number. All others, but those of
-#: what is always one, stand under a `not` or `~`: what is allowed is said, and fails for what is no number.
+#: Comparisons that prevent motion when they are false, as they are for NaN. All other comparisons, except those of
+#: values that are never NaN, are under a `not` or `~`: they state what is allowed, and fail for NaN.
 FALSE_STOPS = {
     "adherence.py": {
         "self._path.distance(tool, rows) <= self._margin + allowed.tool": "true is near",

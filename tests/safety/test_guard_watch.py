@@ -1,4 +1,4 @@
-"""What the watch over a motion does with a scripted link: a start, a stop, and the way to its end."""
+"""The watch over a motion with a scripted link: a start, a stop, and the motion up to its end."""
 
 from __future__ import annotations
 
@@ -186,7 +186,7 @@ def test_a_block_that_was_handed_out_before_a_stop_comes_once_more():
 
 
 def test_no_look_goes_on_once_the_motion_is_over():
-    """It could blame an arm that nobody watches any more."""
+    """It could blame an arm that is no longer watched."""
     link = Link()
     entered, release, done = threading.Event(), threading.Event(), []
 

@@ -66,7 +66,7 @@ def drawn(seed: int, kind: str = "ours") -> Drawn:
 
 
 class Arm:
-    """The emulator's arm on a loop of its own, and what watches it."""
+    """The emulator's arm on its own loop, and its watch."""
 
     def __init__(self, loop: Drawn, seed: int) -> None:
         self.loop = loop

@@ -21,7 +21,7 @@ from drivers.transports.cnr.files import ProgramFolder
 
 @pytest.fixture
 def ftp_folder(tmp_path: Path) -> Iterator[Callable[..., ProgramFolder]]:
-    """A controller's folder of programs that holds whatever a test puts there: `ftp_folder(name=content)`."""
+    """A controller's folder of programs with the content that a test puts there: `ftp_folder(name=content)`."""
 
     @contextmanager
     def served() -> Iterator[int]:

@@ -1,4 +1,4 @@
-"""Passwords: refused in addresses, read from where nobody else reads, and found in no text and no file of a run."""
+"""Passwords: refused in addresses, read from private files, and absent from all texts and files of a run."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ validate: {{motions: 1, speed: 0.5 m/s, seed: 2}}
 
 @pytest.fixture(autouse=True)
 def nothing_known():
-    """What one test has read is no secret of the next."""
+    """Forget the passwords that a test has read before the next test."""
     before = set(hidden_forms)
     yield
     hidden_forms.clear()

@@ -19,7 +19,7 @@ from tests.conftest import free_port
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
 README = ROOT / "README.md"
-# Each page goes on where the one before ends, in one clone.
+# Each page continues where the page before ends, in one clone.
 STORY = (
     "../README.md",
     "tutorial.md",

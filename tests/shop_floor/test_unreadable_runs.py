@@ -31,7 +31,7 @@ def _runs(logs: Path) -> list[Path]:
 
 
 def _left_out(logs: Path, damaged: Path, has_figures: bool) -> list[str]:
-    """What is said of a damaged run among two whole ones; its parameters are left out, or all of it."""
+    """Messages about a damaged run among two whole ones; it lacks its parameters, or everything."""
     history = History(logs)
     listed, parameters = {run.run for run in history.runs()}, set(history.parameters())
     assert len(parameters) == 2
@@ -145,7 +145,7 @@ def test_no_runs_at_all(shop: Path, run_agent):
     assert not any((shop / "empty").iterdir())
 
 
-#: What may stand where a value is expected.
+#: Values that may replace an expected one.
 WRONG = st.one_of(
     st.none(),
     st.booleans(),
@@ -168,7 +168,7 @@ def _places(data: Any, way: tuple = ()) -> Iterator[tuple]:
 
 @pytest.fixture(scope="module")
 def three_runs(tmp_path_factory):
-    """Three whole runs, made anew from memory for every example."""
+    """Three whole runs, written again from memory for every example."""
     logs = tmp_path_factory.mktemp("runs") / "logs"
     for number, (result, parameters) in enumerate(friction_runs(3, 5)):
         write_run(logs, number, result, parameters)

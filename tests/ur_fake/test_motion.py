@@ -1,4 +1,4 @@
-"""Programs in motion on the emulated UR: what is streamed, what stops them, and what is left out."""
+"""Programs in motion on the emulated UR: the streamed samples, the causes of a stop, and the omissions."""
 
 import numpy as np
 import pytest
@@ -237,7 +237,7 @@ def test_a_client_that_does_not_read_is_dropped(start_ur):
 
 
 def test_a_client_of_state_that_does_not_read_misses_it_and_nobody_else_does(start_ur):
-    """Real time waits for nobody."""
+    """Real time does not wait for clients."""
     ur = start_ur(clock="real")
     with clients(Wire(ur.address, 30001), Rtde(ur.address, "timestamp")) as (idle, reader):
         idle.socket.setsockopt(1, 8, 4096)  # SOL_SOCKET, SO_RCVBUF

@@ -10,7 +10,7 @@ from tests.ur_fake.clients import Primary, Rtde, clients, errors, program, texts
 
 
 def run(ur, *lines):
-    """What a program says, and its errors."""
+    """Messages of a program, and its errors."""
     with clients(Primary(ur)) as client:
         client.send(program(*lines).encode())
         said = client.ended()
@@ -18,7 +18,7 @@ def run(ur, *lines):
 
 
 def value_of(expression):
-    """What an expression is, with nothing but textmsg known."""
+    """The value of an expression, with only textmsg defined."""
     said = []
     script = Script(
         f"def f():\n  textmsg({expression})\nend\n", {"textmsg": lambda value: Action(lambda _: said.append(value))}

@@ -1,4 +1,4 @@
-"""Contacts: on any link, several in a log, for any share of it; what comes back in every cycle is none."""
+"""Contacts: on any link, several in a log, for any share of it; a force that repeats in every cycle is not one."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def pushed(arm, log, end: str, times, share: float = 1.0, at=(0.0, 0.0, 0.0)):
 
 
 def test_what_is_there_all_through_one_log_is_no_push(arm, model, free):
-    """An offset, a gain or a load of one log only: nothing in that log says what is usual."""
+    """An offset, a gain or a load of one log only: that log has no usual windows."""
     shift = 15.0 * (np.arange(arm.dof) == 1)
     found = diagnose(arm, [free[0], replace(free[1], effort=free[1].effort + shift)], model).answer
     assert found.verdict == "unknown"
@@ -67,7 +67,7 @@ def best(arm, model, logs):
 
 
 def forces(found):
-    """Of each push by its start: link, log, start, end, and force."""
+    """Link, log, start, end and force of each push, by its start."""
     ends = [""] + [f"_{number}" for number in range(2, 40)]
     return sorted(
         (
@@ -112,7 +112,7 @@ def test_a_push_in_the_middle_of_a_link_is_found_there(arm, model, free):
 
 
 def test_a_push_that_was_there_when_the_log_began(arm, model, free):
-    """Nothing before it is quiet, so it has to be far over what is after it."""
+    """There is no quiet time before it, so it has to exceed the time after it by far."""
     found = forces(best(arm, model, [pushed(arm, free[0], "link_3", [(-1.0, 1.6)]), free[1]]))
     ((start, end, link, log, force),) = found
     assert start < 0.4
@@ -147,7 +147,7 @@ def test_friction_that_drifts_is_no_string_of_pushes(arm, model, free):
 
 
 def test_a_force_from_the_first_sample_to_the_last_is_no_event(arm, model, free):
-    """No other window says what is usual."""
+    """No other window shows the usual gain."""
     always = [(free[0].t[0] - 1, free[0].t[-1] + 1)]
     found = best(arm, model, [pushed(arm, free[0], "link_3", always)])
     within = 0.0 if found is None else sum(end - start for start, end, *_ in forces(found))

@@ -21,7 +21,7 @@ from agent.validation import predict_log
 from fake_controller.plant import Plant
 from tests.small_arms import learn, make_arm, record
 
-#: What says how much of a gap in torque there is, or is closed.
+#: Figures for the size of a torque gap and its explained part.
 SIZED_GAP = re.compile(r"has [0-9]+ %.{0,20} of the gap|[0-9] % of the (torque )?gap(?! between)|closed:")
 #: One of each kind runs with every change: friction, body, position, channel.
 QUICK = ("stribeck", "payload", "gravity_spring", "time_delay")
@@ -32,7 +32,7 @@ MODELLED = [
 ]
 
 SWINGING = ("joint_elasticity", "backlash", "torque_ripple")
-#: What is not tried on a motion without a trace of it.
+#: Effects that are not tried on a motion without a trace of them.
 LAST_RESORT = {
     "torque_ripple": {"order": 20.0, "harmonics": 1.0},
     "backlash": {"gap": 0.01, "stiffness": 1e5, "damping": 0.1},
@@ -87,7 +87,7 @@ def test_a_model_with_an_effect_predicts_it_and_runs_in_the_fake_controller(name
     happened = predict_log(model, changed).measured - predict_log(model, plain).measured
     size = np.sqrt(np.mean(predicted**2, axis=0))
     joint = int(np.argmax(size))
-    if name in SWINGING:  # a ringing that starts a little otherwise goes on otherwise
+    if name in SWINGING:  # a ringing with a slightly different start continues differently
         assert 0.2 < np.sqrt(np.mean(happened[:, joint] ** 2)) / size[joint] < 5
         return
     noise = np.sqrt(np.mean(predict_log(model, plain).error[:, joint] ** 2))
@@ -170,7 +170,7 @@ COUPLED = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, -0.5, 1.0))
 
 @pytest.mark.parametrize("described", [None, pytest.param(COUPLED, marks=pytest.mark.verify)])
 def test_a_motor_that_turns_along_is_found_as_it_is_built_in(arm, model, described):
-    """The simulated motor has rotor and friction of its own; another coupling, in the description, changes nothing."""
+    """The simulated motor has its own rotor and friction; another coupling in the description changes nothing."""
     if described is not None:
         arm = replace(arm, motor_coupling=described)
         model = learn(arm)

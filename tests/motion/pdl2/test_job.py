@@ -1,4 +1,4 @@
-"""Programs as people have them: what moves is read, what does not is counted, what is not understood is told."""
+"""Real programs: moves are read, other statements are counted, unknown ones are reported."""
 
 from __future__ import annotations
 

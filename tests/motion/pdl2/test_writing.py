@@ -1,4 +1,4 @@
-"""What the writer writes, the parser gives back."""
+"""The parser reads back the writer's programs unchanged."""
 
 from dataclasses import fields
 from enum import Enum

@@ -54,7 +54,7 @@ def movel(pose, *by, radius=0.0, **values):
 
 
 def as_said(statement):
-    """What the controller is told, in numbers."""
+    """The numbers that the controller receives."""
     if isinstance(statement, Delay):
         return ("sleep", statement.seconds)
     target, of = statement.target, UrSettings.of(statement.settings)
