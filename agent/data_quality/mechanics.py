@@ -175,7 +175,7 @@ def _tilted(bodies: Bodies, samples: FitSamples) -> Iterator[tuple[float, float,
 
 def _in_unison(q: np.ndarray) -> np.ndarray:
     """(n, n) pairs of joints that move alike and so cannot be distinguished."""
-    moved = np.ptp(q, axis=0) > 0
+    moved = np.var(q, axis=0) > 0  # not of a joint whose square underflows
     alike = np.zeros((q.shape[1], q.shape[1]), bool)
     if moved.sum() > 1:
         alike[np.ix_(moved, moved)] = np.abs(np.corrcoef(q[:, moved].T)) > _UNISON

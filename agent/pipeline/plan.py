@@ -234,7 +234,7 @@ def replan(recipe: Recipe, path: Path) -> Plan:
         InputError: it is damaged, or no plan for this recipe.
     """
     stored = read_json(path)
-    if isinstance(stored, dict) and stored.get("schema") == "planned-loop/1":
+    if isinstance(stored, dict) and "folder" in stored:  # its schema was `plan/1` once, as a run's is
         raise InputError(f"{path}: is what `agent plan` wrote of a loop, not the plan of a run; start a new run")
     try:
         fast, slow = (Candidates(loop_problem(recipe, speed)) for speed in (recipe.motion.speed, recipe.validate.speed))

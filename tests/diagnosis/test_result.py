@@ -100,7 +100,7 @@ def test_the_page_and_the_text_name_the_cause(diagnosed):
     assert steps[0]["closes"] > 0.99
     assert "It closes 99 % of the gap" in text
     assert re.search(r"stribeck of joint_2 .*####", text)
-    assert "waterfall-picture" in page
+    assert "stribeck of joint_2" in page
     assert "waterfall" not in diagnosed(0).result
 
 

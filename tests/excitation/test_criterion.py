@@ -53,7 +53,7 @@ def test_the_matrix_gives_the_weighted_torque(
     q, qd, qdd = states
     dynamics = Dynamics(robot)
     rotors = np.array([joint.rotor_inertia for joint in robot.joints])
-    base = base_parameters(robot).values(np.concatenate([dynamics.standard_parameters(), rotors]))
+    base = base_parameters(robot).projection @ np.concatenate([dynamics.standard_parameters(), rotors])
     friction = np.random.default_rng(1).uniform(1, 50, (3, 6))
     torque = dynamics.inverse_dynamics(q, qd, qdd) + robot.gear_ratios**2 * rotors * qdd
     torque += friction[0] * np.sign(qd) + friction[1] * qd + friction[2] * np.sign(qd) * qd**2

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from agent.diagnosis import Excursions, diagnose
-from agent.experiment import LOOPS, Deadline, as_drawn, d_optimal, open_pairs, pieces_otherwise, plan_experiment
+from agent.experiment import Deadline, as_drawn, d_optimal, open_pairs, pieces_otherwise, plan_experiment
 from agent.experiment.motion import GridMotion, background_on
 from agent.experiment.outlook import Outlook
 from agent.experiment.pieces import Pieces
@@ -164,7 +164,7 @@ def test_a_form_whose_joint_does_not_travel_far_enough_is_not_told(arm, ambiguou
 
 def test_loops_at_random_fill_the_time_with_nothing_else(problem):
     """Every use of the robot's time gets the same of it: of short pieces there are more."""
-    loops = pieces_otherwise(as_drawn, problem, 60.0, 7, lambda pieces: True, LOOPS)
+    loops = pieces_otherwise(as_drawn, problem, 60.0, 7, lambda pieces: True, {"loop": 1.0})
     assert {piece.draw.kind for piece in loops} == {"loop"}
     assert len(loops) > 5
     assert 50.0 < sum(piece.duration for piece in loops) <= 60.0
