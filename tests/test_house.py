@@ -69,8 +69,8 @@ def test_a_package_is_imported_through_its_public_names():
     assert inside == []
 
 
-def test_a_door_offers_what_somebody_outside_takes():
-    """That each name exists, mypy sees: the doors are stubs, loaded name by name."""
+def test_exported_names_are_used_outside_their_package():
+    """mypy checks that each name exists: the `__init__.pyi` files are stubs, loaded name by name."""
     texts = {path: path.read_text("utf-8") for top in (*PACKAGES, "tests", "benchmarks") for path in _modules(top)}
     pages = "\n".join(path.read_text("utf-8") for path in (ROOT / "docs").rglob("*.md"))
     idle = []
@@ -83,8 +83,8 @@ def test_a_door_offers_what_somebody_outside_takes():
     assert idle == []
 
 
-def test_no_module_hides_a_function_behind_its_door():
-    """A door loads what it offers on first use; a module imported by then stands in the way of its name."""
+def test_no_module_shadows_an_exported_function():
+    """A package loads an exported name on first use; a module of that name, imported before, would replace it."""
     hidden = []
     for door in sorted((ROOT / "agent").rglob("__init__.pyi")):
         offered = {name.asname or name.name for node in ast.parse(door.read_text("utf-8")).body for name in node.names}

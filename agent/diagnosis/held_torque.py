@@ -31,11 +31,8 @@ _HIGHEST = 4.0  # times its deviation, of noise in ten thousand samples
 
 @dataclass(frozen=True)
 class HeldTorque:
-    """Stretches in which a joint's torque was constant although it should have changed.
-
-    Their count, the longest duration [s], the torque [N·m] if always the same, and their share of the arm's whole gap
-    (energy over the noise model).
-    """
+    """Stretches in which a joint's torque was constant although it should have changed: their count, longest duration
+    [s], torque [N·m] if always the same, and share of the arm's whole gap (energy over the noise model)."""
 
     joint: str
     times: int
@@ -118,11 +115,8 @@ def _held(joint: str, stretches: Sequence[_Stretch], share: float) -> HeldTorque
 
 
 def _of_joint(dataset: Dataset, joint: int, predicted: Sequence[np.ndarray], excess: np.ndarray) -> list[_Stretch]:
-    """All stretches in which a joint's torque is constant.
-
-    The joint's torque by the model is given per motion, (S',) [N·m]. `excess` (S'total,) is its energy over the noise
-    model.
-    """
+    """All stretches in which a joint's torque is constant. The torque by the model is given per motion, (S',) [N·m];
+    `excess` (S'total,) is its energy over the noise model."""
     background = float(dataset.fit.sigma[:, joint].min())
     found, row = [], 0
     for signals, by_model in zip(dataset.fit.signals, predicted, strict=True):

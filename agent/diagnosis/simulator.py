@@ -4,15 +4,11 @@ The file stores no held-out error. The error that a model usually leaves on such
 torque as without a model (`DecisionLimits.unknown_error`). The error is smaller if the moved numbers leave less on most
 joints; a joint that then stands out has a gap that numbers do not close.
 
-Three answers are compared, the simplest first:
-
-1. The numbers are right and one effect explains the gap.
-2. Friction and rotors are moved, with effects.
-3. Links are moved too.
-
-A later answer is taken only if it closes clearly more of the gap. An answer whose effects may replace link changes is
-taken only if moving the links closes no more. The moved numbers are then chosen again together with the effects found,
-and the effects are searched again with these numbers, until neither changes.
+Three answers are compared, the simplest first. The numbers are right and one effect explains the gap; or friction and
+rotors are moved, with effects; or links are moved too. A later answer is taken only if it closes clearly more of the
+gap. An answer whose effects may replace link changes is taken only if moving the links closes no more. The moved
+numbers are then chosen again together with the effects found, and the effects are searched again with these numbers,
+until neither changes.
 """
 
 from __future__ import annotations

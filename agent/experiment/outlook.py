@@ -40,11 +40,8 @@ _POWER = 0.84
 
 @dataclass(frozen=True, eq=False)
 class Told:
-    """Contribution of motions.
-
-    It has the information (m, m) on the parameters of model and forms, the mean squared torque over nominal (m, m) with
-    its weight in rows, and the excursions of all joints.
-    """
+    """Gain from motions: information (m, m) on the parameters of model and forms, mean squared torque over nominal
+    (m, m) with its weight in rows, and the excursions of all joints."""
 
     information: np.ndarray
     excursions: Excursions

@@ -50,9 +50,7 @@ def check_payload(robot: RobotDescription, tool: Tool | None, load: Tool) -> Non
 
 
 def known_of(program: Path, text: str, payload: str | None, ask: Callable[[str], bool]) -> dict[str, str]:
-    """Facts about a program for the log: the number of held-out parts of a planned motion, and the payload.
-
-    A person names the payload, or confirms the one that the program was planned with.
+    """Facts for the log: held-out parts of a planned motion, and the payload that a person names or confirms.
 
     Args:
         program: `experiment.json` next to it names the payload it was planned with; so does its `text`.

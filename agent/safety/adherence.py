@@ -4,8 +4,7 @@ The controller's interpolator is not known exactly, so samples are not compared 
 
 - Each sample is close to some point of the planned path, at no more than the planned speed around that point.
 - These points advance along the path: the points of a sample are reached from those of the sample before, never
-  backwards (as in the Fréchet distance of two paths). If several points fit, as on a path that returns on itself, all
-  are kept.
+  backwards (as in the Fréchet distance of two paths). If several points fit, all are kept.
 - The time along the path matches the plan, without the pauses at stops.
 
 The tool may leave its path by the distance that the cell was checked with (the FLY distance of the recipe). A joint may

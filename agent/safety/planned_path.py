@@ -30,14 +30,12 @@ _STEPS = 8  # of a span along the way
 class PlannedPath:
     """P points of the path in order. Each is a row of one of the different stretches, so that a cycle is stored once.
 
-    rows (P,): row of each point.
-    when (P,): motion time up to each point, without pauses [s].
+    rows (P,) and when (P,): row of each point, and motion time up to it, without pauses [s].
     q (S, n) and tool (S, 3) [m]: joint positions and tool position per row.
     reach (S, n): joint motion if the tool leaves the path by the margin, or a blend turns the tool earlier or later.
     speed (S, n): highest speed around the row.
     turning (S, n): speed at which each joint alone would move something as fast as the tool moves around the row.
-    levers (n,): largest tool motion per joint motion [m/rad, or 1].
-    step: largest time between points [s].
+    levers (n,) and step: largest tool motion per joint motion [m/rad, or 1], largest time between points [s].
     """
 
     rows: np.ndarray
