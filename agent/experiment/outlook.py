@@ -5,10 +5,10 @@ leaves
 
     E = ½ (βᵀ S_aa β − βᵀ S_aF (S_FF + R)⁻¹ S_Fa β),    F = δ, shared effects and b,
 
-where S is the information on all columns beyond the background of the verdict (`agent.diagnosis.evidence`) and R the
-prior. E is the expected log Bayes factor of a against b (the T-optimality criterion of Atkinson and Fedorov, Biometrika
-62, 1975); the factor itself is about normal with mean E and variance 2 E. The right answer comes out where it exceeds
-what a class is cut at. A form is wrong by a share of its own torque, which b may follow, so that share counts as lost.
+where S is the information on all columns beyond the noise model of the verdict (`agent.diagnosis.hypotheses.evidence`)
+and R the prior. E is the expected log Bayes factor of a against b (the T-optimality criterion of Atkinson and Fedorov,
+Biometrika 62, 1975). The factor itself is about normal with mean E and variance 2 E. The right answer comes out where
+it exceeds what a class is cut at. A form is wrong by a share of its own torque, which b may follow: that share is lost.
 
 The matrix of all E is the isolability of what is open on these motions. Information of motions adds up, so pieces are
 weighed one by one. Rows at a standstill of their joint count nothing: there the torque is what stiction makes of it.
