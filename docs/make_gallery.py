@@ -14,9 +14,10 @@ import textwrap
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from make_picture import screen_of
+from make_picture import HOSE, screen_of
 
 import agent as ca
 from agent.notebook import Model, TorqueValidation
@@ -38,9 +39,9 @@ SIMULATED, RECIPE = "NS16", "ns16_quickstart.yaml"
 SHOWN, LARGE = 10.0, 0.2  # s of motion in a picture; error over RMS torque that the page points out
 INTRODUCTION = """# Gallery
 
-What you get from the agent, before you try it. Each model is identified with default settings and predicts the torque
-of motion that it was not fitted to. `agent diagnose` then looks for what the model lacks. "No gap" after a poor model
-says little.
+What you get from the agent, before you try it. Each model is identified with default settings except for the cut-off
+frequency, and predicts the torque of motion that it was not fitted to. `agent diagnose` then looks for what the model
+lacks. "No gap" rules out only the effects that the logs could show; each section says how many.
 
 The public logs are not in this repository; [Public logs](real-data.md) names their sources. `python
 docs/make_gallery.py` wrote this page and its pictures on {date} at commit {commit}, and writes them again.
@@ -63,7 +64,7 @@ UNCOUPLED = (
     "The held-out part is too short for a diagnosis of its own. So `agent diagnose` gets both parts, no model, and a "
     "description without the coupling of the wrist. It says:"
 )
-HOSE = "What `agent diagnose --record` says with this model after a hose was added to joint 4:"
+RECORDED = "What `agent diagnose --record` says with this model after a hose was added to joint 4:"
 
 
 def main() -> None:
@@ -113,13 +114,24 @@ def public(name: str, folder: Path) -> tuple[str, str]:
 
 def simulated(folder: Path) -> tuple[str, str]:
     """The same of the quickstart on the fake controller; the diagnosis is of a robot with a hose on joint 4."""
-    said = screen_of(folder, RECIPE).partition("\n")[2].partition("\n\n")[0]
+    screen = screen_of(folder, RECIPE).partition("\n\n")[0].splitlines()[1:]
     calibration, diagnosis = sorted((folder / "logs").glob("*_comau_ns16"))
     validation = ca.validate(calibration / "model.json", str(calibration / "validation_*.mcap"))
+    result = json.loads((diagnosis / "result.json").read_text("utf-8"))
     about = ["Robot: COMAU NS16. **Simulated**: no real arm moved.", f"Source: `recipes/{RECIPE}`, fake controller."]
     about.append(f"Fitted: the planned loop. Held out: {len(validation.predictions)} slow motions.")
-    case = f"Hose added to joint 4: {headline(json.loads((diagnosis / 'result.json').read_text('utf-8')))}"
-    return _entry(SIMULATED, "simulated", about, validation, case, HOSE, [said])
+    found = f"Hose added to joint 4: {headline(result)}"
+    said = [line for line in screen if "logs/" not in line]  # less a command with the paths of this run
+    return _entry(SIMULATED, "simulated", about, validation, found, f"{_hose_found(result)} {RECORDED}", said)
+
+
+def _hose_found(result: dict[str, Any]) -> str:
+    """How what was found compares with what was added."""
+    named = [[cause["effect"], *(other["effect"] for other in cause["equivalent_to"])] for cause in result["causes"]]
+    right = next((names for names in named if HOSE["effect"] in names), [])
+    how = "is not found" if not right else "is one of several that fit" if len(right) > 1 else "is named"
+    wrong = ", ".join(f"`{names[0]}`" for names in named if names != right)
+    return f"The hose (`{HOSE['effect']}`) {how}.{f' Also named, but not there: {wrong}.' if wrong else ''}"
 
 
 def _entry(
