@@ -43,6 +43,9 @@ What you get from the agent, before you try it. Each model is identified with de
 frequency, and predicts the torque of motion that it was not fitted to. `agent diagnose` then looks for what the model
 lacks. "No gap" rules out only the effects that the logs could show; each section says how many.
 
+Pictures show the joint with the largest error first. In those of friction, the line and its 95 % band are the model
+without load-dependent terms; dots are measured torque minus the torque of the links.
+
 The public logs are not in this repository; [Public logs](real-data.md) names their sources. `python
 docs/make_gallery.py` wrote this page and its pictures on {date} at commit {commit}, and writes them again.
 
@@ -64,7 +67,7 @@ UNCOUPLED = (
     "The held-out part is too short for a diagnosis of its own. So `agent diagnose` gets both parts, no model, and a "
     "description without the coupling of the wrist. It says:"
 )
-RECORDED = "What `agent diagnose --record` says with this model after a hose was added to joint 4:"
+RECORDED = "A hose was added to joint 4. {} What `agent diagnose --record` says with this model:"
 
 
 def main() -> None:
@@ -122,7 +125,7 @@ def simulated(folder: Path) -> tuple[str, str]:
     about.append(f"Fitted: the planned loop. Held out: {len(validation.predictions)} slow motions.")
     found = f"Hose added to joint 4: {headline(result)}"
     said = [line for line in screen if "logs/" not in line]  # less a command with the paths of this run
-    return _entry(SIMULATED, "simulated", about, validation, found, f"{_hose_found(result)} {RECORDED}", said)
+    return _entry(SIMULATED, "simulated", about, validation, found, RECORDED.format(_hose_found(result)), said)
 
 
 def _hose_found(result: dict[str, Any]) -> str:
@@ -131,7 +134,7 @@ def _hose_found(result: dict[str, Any]) -> str:
     right = next((names for names in named if HOSE["effect"] in names), [])
     how = "is not found" if not right else "is one of several that fit" if len(right) > 1 else "is named"
     wrong = ", ".join(f"`{names[0]}`" for names in named if names != right)
-    return f"The hose (`{HOSE['effect']}`) {how}.{f' Also named, but not there: {wrong}.' if wrong else ''}"
+    return f"The hose (`{HOSE['effect']}`) {how}.{f' Named, but not added as such: {wrong}.' if wrong else ''}"
 
 
 def _entry(
