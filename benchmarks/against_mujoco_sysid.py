@@ -23,7 +23,7 @@ import numpy as np
 from mujoco import sysid
 
 from agent.core.console import Console
-from agent.diagnosis.rollout import MujocoEngine, at_motors
+from agent.diagnosis.forward.rollout import MujocoEngine, at_motors
 from agent.model import ModelEffect
 from agent.pipeline.gap.diagnose import GapQuestion, diagnose_files
 from agent.recording import read_log

@@ -64,13 +64,13 @@ def _emphasis(line: str) -> str:
     return ' fill="#7ee0a0" font-weight="bold"' if line.startswith(("$", "Verdict", "What")) else ""
 
 
-def screen_of(folder: Path) -> str:
-    """The command and what it printed."""
-    recipe = folder / "first_look.yaml"
+def screen_of(folder: Path, name: str = "first_look.yaml") -> str:
+    """The command and what it printed; the runs of the recipe of this `name` stay in the folder."""
+    recipe = folder / name
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = str(probe.getsockname()[1])
-    recipe.write_text((ROOT / "recipes/first_look.yaml").read_text("utf-8").replace("9100", port), encoding="utf-8")
+    recipe.write_text((ROOT / "recipes" / name).read_text("utf-8").replace("9100", port), encoding="utf-8")
     effects = folder / "effects.json"
     effects.write_text(json.dumps([HOSE]), encoding="utf-8")
     with _emulator(folder, port):

@@ -94,7 +94,7 @@ def _effects() -> Iterator[str]:
 
 
 def _limits() -> Iterator[str]:
-    from agent.diagnosis.law import LAW
+    from agent.diagnosis.hypotheses.law import LAW
     from agent.diagnosis.limits import LIMITS, described
 
     yield "| number | value | unit | meaning | source |"

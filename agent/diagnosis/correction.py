@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from agent.diagnosis.dataset import assemble
 from agent.diagnosis.result import Diagnosis
-from agent.diagnosis.servo_torque import at_gains
+from agent.diagnosis.rows.dataset import assemble
+from agent.diagnosis.simulator_file.servo_torque import at_gains
 from agent.simulators import Correction, Released, Simulator, correct
 
 

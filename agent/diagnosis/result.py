@@ -19,16 +19,16 @@ from agent.diagnosis.answer import (
     TorqueGap,
     WaterfallStep,
 )
-from agent.diagnosis.calibration import ReleasedSimulator, causes_of_steps, waterfall
-from agent.diagnosis.dataset import Dataset
-from agent.diagnosis.finding import Finding
-from agent.diagnosis.gap import HeldOutGap, held_out_gap
-from agent.diagnosis.held_torque import HeldTorque
-from agent.diagnosis.motion_gap import MotionGap
-from agent.diagnosis.regimes import regimes, share_intervals
-from agent.diagnosis.search import Search
+from agent.diagnosis.gap.held_torque import HeldTorque
+from agent.diagnosis.gap.motion_gap import MotionGap
+from agent.diagnosis.gap.regimes import regimes, share_intervals
+from agent.diagnosis.gap.torque_gap import HeldOutGap, held_out_gap
+from agent.diagnosis.hypotheses.finding import Finding
+from agent.diagnosis.hypotheses.search import Search
+from agent.diagnosis.hypotheses.testability import effects_of_path, not_testable
+from agent.diagnosis.rows.dataset import Dataset
+from agent.diagnosis.simulator_file.calibration import ReleasedSimulator, causes_of_steps, waterfall
 from agent.diagnosis.sizes import intervals
-from agent.diagnosis.testability import effects_of_path, not_testable
 from agent.diagnosis.verdict import causes_of, settle, with_path
 from agent.model import CATALOGUE, PAYLOAD
 from agent.robot import error_units

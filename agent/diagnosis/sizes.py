@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from agent.core import plus_minus
-from agent.diagnosis.finding import Finding
+from agent.diagnosis.hypotheses.finding import Finding
 from agent.model import CATALOGUE
 
 #: What a cause is called large by, in the order of preference.

@@ -9,11 +9,11 @@ from math import isfinite
 import numpy as np
 
 from agent.diagnosis.answer import Cause, EffectPlace
-from agent.diagnosis.dataset import Dataset
-from agent.diagnosis.finding import Finding
-from agent.diagnosis.fit import Fit
-from agent.diagnosis.gap import HeldOutGap, held_out_gap
+from agent.diagnosis.gap.torque_gap import HeldOutGap, held_out_gap
+from agent.diagnosis.hypotheses.finding import Finding
 from agent.diagnosis.limits import LIMITS, DecisionLimits
+from agent.diagnosis.rows.dataset import Dataset
+from agent.diagnosis.rows.fit import Fit
 
 
 def judge(dataset: Dataset, finding: Finding, plain: Fit, unit: np.ndarray | None = None) -> tuple[Finding, HeldOutGap]:

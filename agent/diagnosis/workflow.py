@@ -9,15 +9,15 @@ import numpy as np
 
 from agent.core import InputError, keep_freed_memory
 from agent.data_quality import spoiled
-from agent.diagnosis.dataset import Dataset, assemble
-from agent.diagnosis.drives_off import as_evidence, channel_zero, said_by_zero
-from agent.diagnosis.healthy import healthy_on
-from agent.diagnosis.held_torque import HeldTorque, held_torque
+from agent.diagnosis.gap.drives_off import as_evidence, channel_zero, said_by_zero
+from agent.diagnosis.gap.held_torque import HeldTorque, held_torque
+from agent.diagnosis.gap.motion_gap import MotionGap, motion_gap
+from agent.diagnosis.hypotheses.healthy import healthy_on
+from agent.diagnosis.hypotheses.search import Search
 from agent.diagnosis.limits import LIMITS, DecisionLimits
-from agent.diagnosis.motion_gap import MotionGap, motion_gap
 from agent.diagnosis.result import Diagnosis, build
-from agent.diagnosis.search import Search
-from agent.diagnosis.simulator import search_simulator
+from agent.diagnosis.rows.dataset import Dataset, assemble
+from agent.diagnosis.simulator_file.simulator import search_simulator
 from agent.diagnosis.verdict import judge
 from agent.estimation import beyond_fit
 from agent.model import CATALOGUE, IdentifiedModel

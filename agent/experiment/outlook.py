@@ -5,10 +5,10 @@ leaves
 
     E = ½ (βᵀ S_aa β − βᵀ S_aF (S_FF + R)⁻¹ S_Fa β),    F = δ, shared effects and b,
 
-where S is the information on all columns, given the noise model of the verdict (`agent.diagnosis.evidence`), and R the
-prior. E is the expected log Bayes factor of a against b (the T-optimality criterion of Atkinson and Fedorov, Biometrika
-62, 1975); the factor itself is about normal with mean E and variance 2 E. The answer is right if the factor exceeds
-the threshold of a class. A form is wrong by a share of its own torque. b may follow that share, so it does not count.
+where S is the information on all columns, given the noise model of the verdict (`agent.diagnosis.hypotheses.evidence`),
+and R the prior. E is the expected log Bayes factor of a against b (the T-optimality criterion of Atkinson and Fedorov,
+Biometrika 62, 1975). The factor itself is about normal with mean E and variance 2 E. The answer is right if the factor
+exceeds the threshold of a class. A form is wrong by a share of its own torque; b may follow it, so that share is lost.
 
 The matrix of all E is the isolability of the open hypotheses on these motions. The information of motions adds up, so
 each piece is weighed alone. Rows with a stationary joint do not count: stiction decides the torque there.

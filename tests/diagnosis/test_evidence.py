@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from agent.core import Console
-from agent.diagnosis.dataset import assemble
-from agent.diagnosis.evidence import Evidence
-from agent.diagnosis.healthy import healthy_on, with_healthy_effects
-from agent.diagnosis.law import LAW
-from agent.diagnosis.search import Search
+from agent.diagnosis.hypotheses.evidence import Evidence
+from agent.diagnosis.hypotheses.healthy import healthy_on, with_healthy_effects
+from agent.diagnosis.hypotheses.law import LAW
+from agent.diagnosis.hypotheses.search import Search
+from agent.diagnosis.rows.dataset import assemble
 from agent.estimation import EstimationSettings, estimate
 from agent.model import IdentifiedModel
 from agent.pipeline import estimate_files

@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 
 from agent.blind_check import clopper_pearson
-from agent.diagnosis.dataset import assemble
-from agent.diagnosis.finding import Finding
-from agent.diagnosis.healthy import healthy_on, with_healthy_effects
-from agent.diagnosis.search import Search
+from agent.diagnosis.hypotheses.finding import Finding
+from agent.diagnosis.hypotheses.healthy import healthy_on, with_healthy_effects
+from agent.diagnosis.hypotheses.search import Search
+from agent.diagnosis.rows.dataset import assemble
 from agent.estimation import estimate
 from fake_controller.plant import Plant
 from tests.small_arms import make_arm, record

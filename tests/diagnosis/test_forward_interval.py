@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from agent.diagnosis.forward_interval import expected_range
+from agent.diagnosis.forward.interval import expected_range
 
 WINDOWS, HORIZONS, JOINTS = 8, 4, 6
 

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from agent.diagnosis.dataset import stiction
-from agent.diagnosis.gap import held_out_gap
+from agent.diagnosis.gap.torque_gap import held_out_gap
+from agent.diagnosis.rows.dataset import stiction
 from agent.model.effects import CATALOGUE
 
 

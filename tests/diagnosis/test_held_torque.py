@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from agent.diagnosis import Diagnosis, diagnose
-from agent.diagnosis.dataset import assemble
-from agent.diagnosis.held_torque import held_torque
+from agent.diagnosis.gap.held_torque import held_torque
+from agent.diagnosis.rows.dataset import assemble
 from agent.estimation import EstimationSettings, estimate
 from agent.model import IdentifiedModel
 from agent.recording import read_log

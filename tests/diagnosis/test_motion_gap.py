@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.diagnosis.motion_gap import motion_gap
+from agent.diagnosis.gap.motion_gap import motion_gap
 from agent.recording import Log
 
 PERIOD = 0.002

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from agent.diagnosis.fit import Fit
-from agent.diagnosis.gap import held_out_gap, rms
+from agent.diagnosis.gap.torque_gap import held_out_gap, rms
+from agent.diagnosis.rows.fit import Fit
 from agent.model.effects import CATALOGUE
 from agent.model.signals import NominalModel
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from agent.diagnosis.rollout import at_motors
+from agent.diagnosis.forward.rollout import at_motors
 from agent.model.rigid_friction import ModelEffect
 
 

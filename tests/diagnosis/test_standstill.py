@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from agent.diagnosis import diagnose
-from agent.diagnosis.standstill import Rests
+from agent.diagnosis.rows.standstill import Rests
 from agent.estimation import EstimationSettings, estimate
 from agent.model import CATALOGUE
 from agent.recording.log import Log

@@ -12,8 +12,8 @@ from hypothesis import given, strategies as st
 
 from agent.diagnosis import verdict as rules
 from agent.diagnosis.answer import Cause, DiagnosisResult, EffectPlace, JointShare, PathGap, TorqueGap
-from agent.diagnosis.finding import Finding, Hypothesis
-from agent.diagnosis.law import LAW
+from agent.diagnosis.hypotheses.finding import Finding, Hypothesis
+from agent.diagnosis.hypotheses.law import LAW
 from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.result import next_experiment
 from agent.diagnosis.verdict import judge, settle, with_path

@@ -12,7 +12,7 @@ import pytest
 
 from agent.core import Console, write_atomically
 from agent.diagnosis import diagnose
-from agent.diagnosis.search import Search
+from agent.diagnosis.hypotheses.search import Search
 from agent.experiment import open_pairs, tells_apart_by_load
 from agent.experiment.motion import GridMotion
 from agent.experiment.questions import OpenPair, Side

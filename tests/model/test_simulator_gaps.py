@@ -17,9 +17,9 @@ from ruamel.yaml import YAML
 from agent.core import InputError
 from agent.core.console import Console
 from agent.diagnosis import diagnose, extended_model, forward_windows
-from agent.diagnosis.dataset import assemble
 from agent.diagnosis.randomisation import ranges, ranges_text
-from agent.diagnosis.simulator import _possible, with_expected_error
+from agent.diagnosis.rows.dataset import assemble
+from agent.diagnosis.simulator_file.simulator import _possible, with_expected_error
 from agent.model import CATALOGUE
 from agent.model.identified import IdentifiedModel
 from agent.pipeline.gap.corrected_simulator import write_simulator

@@ -11,16 +11,16 @@ import pytest
 
 from agent.core import Console
 from agent.diagnosis import diagnose
-from agent.diagnosis.calibration import ReleasedSimulator, calibration
-from agent.diagnosis.dataset import Dataset, assemble
-from agent.diagnosis.finding import Finding
-from agent.diagnosis.gap import held_out_gap
+from agent.diagnosis.forward.rollout import MujocoEngine
+from agent.diagnosis.gap.torque_gap import held_out_gap
+from agent.diagnosis.hypotheses.finding import Finding
+from agent.diagnosis.hypotheses.search import Search
+from agent.diagnosis.hypotheses.testability import smallest_sizes
 from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.result import not_testable
-from agent.diagnosis.rollout import MujocoEngine
-from agent.diagnosis.search import Search
-from agent.diagnosis.simulator import Explanation, _possible, numbers_instead, with_expected_error
-from agent.diagnosis.testability import smallest_sizes
+from agent.diagnosis.rows.dataset import Dataset, assemble
+from agent.diagnosis.simulator_file.calibration import ReleasedSimulator, calibration
+from agent.diagnosis.simulator_file.simulator import Explanation, _possible, numbers_instead, with_expected_error
 from agent.model import CATALOGUE
 from agent.pipeline import GapQuestion
 from agent.pipeline.gap.corrected_simulator import beyond_range

@@ -10,7 +10,7 @@ import pytest
 
 from agent.core.console import Console
 from agent.core.errors import InputError, RejectedError
-from agent.diagnosis.rollout import MujocoEngine
+from agent.diagnosis.forward.rollout import MujocoEngine
 from agent.model.identified import IdentifiedModel
 from agent.pipeline.gap.diagnose import GapQuestion, diagnose_files
 from agent.recording import read_log

@@ -8,7 +8,7 @@ from agent.robot import RobotDescription
 
 
 class InterpolatorMismatch(Effect):
-    """Set-points r(t) against planned ones p(t): r(t) ≈ p(a t + b), see `agent.diagnosis.motion_gap`."""
+    """Set-points r(t) against planned ones p(t): r(t) ≈ p(a t + b), see `agent.diagnosis.gap.motion_gap`."""
 
     name = "interpolator_mismatch"
     family = "path"

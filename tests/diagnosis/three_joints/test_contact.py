@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from agent.diagnosis import diagnose, simulate
-from agent.diagnosis.dataset import assemble
+from agent.diagnosis.rows.dataset import assemble
 from agent.diagnosis.sizes import intervals
 from agent.model.effects import CATALOGUE
 from agent.pipeline import GapQuestion

@@ -10,8 +10,8 @@ import pytest
 from scipy.signal import savgol_filter
 
 from agent.diagnosis import Candidate, diagnose
-from agent.diagnosis.dataset import assemble
-from agent.diagnosis.evidence import Evidence
+from agent.diagnosis.hypotheses.evidence import Evidence
+from agent.diagnosis.rows.dataset import assemble
 from agent.model import CATALOGUE, IdentifiedModel
 from agent.model.friction_terms import dahl
 from agent.pipeline.gap.printed_diagnosis import diagnosis_text

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from agent.diagnosis import diagnose
-from agent.diagnosis.dataset import assemble
+from agent.diagnosis.rows.dataset import assemble
 from agent.model import CATALOGUE
 from fake_controller.plant import Plant
 from tests.small_arms import record

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from agent.diagnosis import diagnose
-from agent.diagnosis.rounding import rounding_noise, rounding_step
+from agent.diagnosis.rows.rounding import rounding_noise, rounding_step
 from agent.model import NominalModel
 from agent.validation import predict_log
 from fake_controller.plant import Plant

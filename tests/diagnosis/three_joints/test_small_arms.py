@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from agent.diagnosis import Diagnosis, diagnose, extended_model, simulate, simulation_part
-from agent.diagnosis.dataset import Dataset, assemble
+from agent.diagnosis.rows.dataset import Dataset, assemble
 from agent.model import CATALOGUE, IdentifiedModel
 from agent.model.identified import ModelEffect
 from agent.pipeline.gap.printed_diagnosis import diagnosis_text

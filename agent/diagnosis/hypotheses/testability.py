@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from agent.diagnosis.answer import NotTestable
-from agent.diagnosis.candidate import Where
-from agent.diagnosis.dataset import Dataset
-from agent.diagnosis.evidence import Evidence
-from agent.diagnosis.needs import Excursions
-from agent.diagnosis.search import Search
+from agent.diagnosis.hypotheses.evidence import Evidence
+from agent.diagnosis.hypotheses.search import Search
+from agent.diagnosis.rows.candidate import Where
+from agent.diagnosis.rows.dataset import Dataset
+from agent.diagnosis.rows.needs import Excursions
 from agent.model import CATALOGUE, Effect
 
 

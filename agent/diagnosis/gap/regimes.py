@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 
 from agent.diagnosis.answer import RegimeShare
-from agent.diagnosis.dataset import Dataset
+from agent.diagnosis.rows.dataset import Dataset
 from agent.model import regime_masks, standstill_speed
 
 BANDS = ((0.0, 1.0), (1.0, 5.0), (5.0, 15.0), (15.0, np.inf))  # Hz

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from agent.core import InputError
-from agent.diagnosis.dataset import Dataset
-from agent.diagnosis.evidence import Evaluated, Evidence
-from agent.diagnosis.finding import Finding
+from agent.diagnosis.hypotheses.evidence import Evaluated, Evidence
+from agent.diagnosis.hypotheses.finding import Finding
+from agent.diagnosis.rows.dataset import Dataset
 from agent.model import IdentifiedModel
 from agent.recording import Log
 from agent.robot import RobotDescription

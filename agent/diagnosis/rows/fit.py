@@ -20,10 +20,10 @@ from typing import Any
 
 import numpy as np
 
-from agent.diagnosis.candidate import Candidate, Fold, Wanted, make_candidates
 from agent.diagnosis.limits import LIMITS, DecisionLimits
-from agent.diagnosis.moments import FitMoments
-from agent.diagnosis.standstill import Rests
+from agent.diagnosis.rows.candidate import Candidate, Fold, Wanted, make_candidates
+from agent.diagnosis.rows.moments import FitMoments
+from agent.diagnosis.rows.standstill import Rests
 from agent.model import Effect, MotionSignals, NominalModel
 
 _INDEPENDENT = 0.1  # s between independent rows

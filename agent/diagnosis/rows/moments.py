@@ -8,8 +8,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from agent.diagnosis.candidate import Candidate
-from agent.diagnosis.standstill import Rests
+from agent.diagnosis.rows.candidate import Candidate
+from agent.diagnosis.rows.standstill import Rests
 
 _AT_ONCE = 25  # candidates worked out together: what fits into memory that the C library keeps
 

@@ -13,12 +13,12 @@ from dataclasses import replace
 import numpy as np
 
 from agent.core import InputError
-from agent.diagnosis.background import Healthy
-from agent.diagnosis.candidate import Candidate, Where
-from agent.diagnosis.dataset import assemble
-from agent.diagnosis.evidence import Evidence
-from agent.diagnosis.fit import Fit
-from agent.diagnosis.search import Search
+from agent.diagnosis.hypotheses.background import Healthy
+from agent.diagnosis.hypotheses.evidence import Evidence
+from agent.diagnosis.hypotheses.search import Search
+from agent.diagnosis.rows.candidate import Candidate, Where
+from agent.diagnosis.rows.dataset import assemble
+from agent.diagnosis.rows.fit import Fit
 from agent.estimation import EstimationSettings, estimate
 from agent.model import CATALOGUE, HealthyEffect, IdentifiedModel
 from agent.recording import Log

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from agent.diagnosis.candidate import Candidate, Where
-from agent.diagnosis.evidence import Evidence
-from agent.diagnosis.fit import Fit
+from agent.diagnosis.hypotheses.evidence import Evidence
+from agent.diagnosis.rows.candidate import Candidate, Where
+from agent.diagnosis.rows.fit import Fit
 
 
 def near(place: Where, other: Where) -> bool:

@@ -25,10 +25,10 @@ from itertools import pairwise
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from agent.diagnosis.background import Healthy, smooth_columns, usual_effects
-from agent.diagnosis.candidate import Candidate, Where
-from agent.diagnosis.fit import Fit
-from agent.diagnosis.law import LAW, EvidenceLaw
+from agent.diagnosis.hypotheses.background import Healthy, smooth_columns, usual_effects
+from agent.diagnosis.hypotheses.law import LAW, EvidenceLaw
+from agent.diagnosis.rows.candidate import Candidate, Where
+from agent.diagnosis.rows.fit import Fit
 from agent.model import CATALOGUE
 from agent.simulators import SIMULATOR
 

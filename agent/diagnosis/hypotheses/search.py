@@ -6,14 +6,14 @@ from collections.abc import Callable, Collection, Sequence
 
 import numpy as np
 
-from agent.diagnosis.background import Healthy
-from agent.diagnosis.candidate import Candidate, Wanted, Where
-from agent.diagnosis.decision import Observed, decide
-from agent.diagnosis.evidence import Evaluated, Evidence
-from agent.diagnosis.finding import Finding
-from agent.diagnosis.fit import Fit
-from agent.diagnosis.law import LAW, EvidenceLaw
-from agent.diagnosis.needs import Excursions
+from agent.diagnosis.hypotheses.background import Healthy
+from agent.diagnosis.hypotheses.decision import Observed, decide
+from agent.diagnosis.hypotheses.evidence import Evaluated, Evidence
+from agent.diagnosis.hypotheses.finding import Finding
+from agent.diagnosis.hypotheses.law import LAW, EvidenceLaw
+from agent.diagnosis.rows.candidate import Candidate, Wanted, Where
+from agent.diagnosis.rows.fit import Fit
+from agent.diagnosis.rows.needs import Excursions
 from agent.model import CATALOGUE
 
 _LEADERS = 8  # hypotheses whose nonlinear parameters are refined

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from agent.diagnosis.limits import LIMITS, DecisionLimits
-from agent.diagnosis.standstill import moves
+from agent.diagnosis.rows.standstill import moves
 from agent.model import Effect, MotionSignals
 
 _METRES = 0.1  # of a slide that count as a radian

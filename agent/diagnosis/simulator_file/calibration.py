@@ -16,12 +16,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from agent.diagnosis.answer import Cause, EffectPlace, WaterfallStep
-from agent.diagnosis.candidate import Candidate
-from agent.diagnosis.dataset import Dataset, precision_of
-from agent.diagnosis.finding import Finding
-from agent.diagnosis.fit import Fit
-from agent.diagnosis.gap import HeldOutGap, rms
-from agent.diagnosis.law import LAW
+from agent.diagnosis.gap.torque_gap import HeldOutGap, rms
+from agent.diagnosis.hypotheses.finding import Finding
+from agent.diagnosis.hypotheses.law import LAW
+from agent.diagnosis.rows.candidate import Candidate
+from agent.diagnosis.rows.dataset import Dataset, precision_of
+from agent.diagnosis.rows.fit import Fit
 from agent.model import CATALOGUE, IdentifiedModel, NominalModel
 from agent.robot import ParameterLayout
 

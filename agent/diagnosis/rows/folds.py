@@ -8,8 +8,8 @@ from itertools import pairwise
 import numpy as np
 
 from agent.core import InputError
-from agent.diagnosis.candidate import Fold
 from agent.diagnosis.limits import DecisionLimits
+from agent.diagnosis.rows.candidate import Fold
 from agent.recording import PARTS, Log
 
 _BLOCKS = 5  # of one log without cycles

@@ -14,12 +14,12 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from agent.diagnosis.candidate import Where
-from agent.diagnosis.evidence import Evaluated, Evidence
-from agent.diagnosis.finding import Finding, Hypothesis, near
-from agent.diagnosis.fit import Fit
-from agent.diagnosis.law import EvidenceLaw
+from agent.diagnosis.hypotheses.evidence import Evaluated, Evidence
+from agent.diagnosis.hypotheses.finding import Finding, Hypothesis, near
+from agent.diagnosis.hypotheses.law import EvidenceLaw
 from agent.diagnosis.limits import LIMITS
+from agent.diagnosis.rows.candidate import Where
+from agent.diagnosis.rows.fit import Fit
 from agent.model import CATALOGUE
 
 _LISTED = 100  # hypotheses that a finding keeps

@@ -9,11 +9,11 @@ from itertools import pairwise
 import numpy as np
 
 from agent.core import InputError, symmetric_eigen
-from agent.diagnosis.fit import Fit
-from agent.diagnosis.folds import folds_of
 from agent.diagnosis.limits import LIMITS, DecisionLimits
-from agent.diagnosis.rounding import rounding_noise
-from agent.diagnosis.standstill import standing
+from agent.diagnosis.rows.fit import Fit
+from agent.diagnosis.rows.folds import folds_of
+from agent.diagnosis.rows.rounding import rounding_noise
+from agent.diagnosis.rows.standstill import standing
 from agent.estimation import (
     DESCRIPTION,
     EITHER,

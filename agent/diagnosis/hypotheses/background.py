@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from agent.diagnosis.candidate import Candidate
+from agent.diagnosis.rows.candidate import Candidate
 
 #: Effects that the arm has already, and their torque over nominal.
 Healthy = Sequence[tuple[Candidate, float]]

@@ -8,9 +8,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from agent.diagnosis.dataset import Dataset, stiction
-from agent.diagnosis.fit import Fit
 from agent.diagnosis.limits import LIMITS, DecisionLimits
+from agent.diagnosis.rows.dataset import Dataset, stiction
+from agent.diagnosis.rows.fit import Fit
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,15 +19,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from agent.core import InputError
-from agent.diagnosis.calibration import ReleasedSimulator, calibration
-from agent.diagnosis.candidate import Candidate
-from agent.diagnosis.dataset import Dataset, assemble
-from agent.diagnosis.finding import Finding
-from agent.diagnosis.fit import Fit
-from agent.diagnosis.gap import HeldOutGap, held_out_gap
+from agent.diagnosis.gap.torque_gap import HeldOutGap, held_out_gap
+from agent.diagnosis.hypotheses.finding import Finding
+from agent.diagnosis.hypotheses.search import Search
 from agent.diagnosis.limits import LIMITS, DecisionLimits
-from agent.diagnosis.rounding import quiet_cutoff
-from agent.diagnosis.search import Search
+from agent.diagnosis.rows.candidate import Candidate
+from agent.diagnosis.rows.dataset import Dataset, assemble
+from agent.diagnosis.rows.fit import Fit
+from agent.diagnosis.rows.rounding import quiet_cutoff
+from agent.diagnosis.simulator_file.calibration import ReleasedSimulator, calibration
 from agent.diagnosis.verdict import judge
 from agent.estimation import FilterSettings, resolve_cutoff
 from agent.model import CATALOGUE, IdentifiedModel, NominalModel

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agent.diagnosis.dataset import Dataset, known_effects
-from agent.diagnosis.fit import Fit
+from agent.diagnosis.rows.dataset import Dataset, known_effects
+from agent.diagnosis.rows.fit import Fit
 from agent.simulators import SERVO_STIFFNESS
 
 _WINDOWS = (0.05, 0.1, 0.2, 0.4, 0.8)  # s

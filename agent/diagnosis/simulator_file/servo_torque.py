@@ -16,7 +16,7 @@ import numpy as np
 
 from agent.core import InputError
 from agent.data_quality import unsigned_torque
-from agent.diagnosis.rounding import rounding_step
+from agent.diagnosis.rows.rounding import rounding_step
 from agent.estimation import FilterSettings, motions
 from agent.recording import Log
 from agent.simulators import SERVO_STIFFNESS, PositionServos, Simulator, servo_stiffness
