@@ -22,11 +22,7 @@ from make_picture import HOSE, screen_of
 import agent as ca
 from agent.notebook import Model, TorqueValidation
 from agent.recording import import_log
-from agent.report import TorqueData, headline
-from agent.report.friction_curves import friction_plot
-from agent.report.plots import Plot
-from agent.report.stills import still
-from agent.report.torque_section import torque_plot
+from agent.report import Plot, friction_section, headline, still, torque_plot
 from agent.robot import torque_units
 from agent.validation import pooled_rmse, summary
 
@@ -154,10 +150,10 @@ def _entry(
     for joint, rmse, unit, *shares in rows:
         cells = " | ".join("–" if share is None else f"{100 * share:.1f} %" for share in shares)
         lines.append(f"| {joint} | {rmse:.3g} {unit} | {cells} |")
-    data = TorqueData.of(first, pooled_rmse(validation.predictions), first.time[0], first.time[0] + SHOWN)
-    torque = torque_plot(data, f"measured and predicted torque, {first.log}")
+    torque = torque_plot(first, pooled_rmse(validation.predictions), first.time[0], first.time[0] + SHOWN)
+    torque = replace(torque, caption=f"measured and predicted torque, {first.log}")
     panels = [replace(p, series=[one for one in p.series if one.look != "part"]) for p in torque.panels[::2]]
-    pictures = [replace(torque, panels=panels), friction_plot(validation.predictions)]
+    pictures = [replace(torque, panels=panels), friction_section(validation.predictions).parts[0]]
     lines += ["", *(f"{_picture(name, plot)}\n" for plot in pictures), f"{how}\n\n```text"]
     for line in "\n".join(said).splitlines():
         lines += textwrap.wrap(line, 100, subsequent_indent=" " * 10)

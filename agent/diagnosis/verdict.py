@@ -77,13 +77,13 @@ def with_path(
     return ("explained", closure_of_path) if named else ("unknown", closure)
 
 
-def has_size(cause: Cause) -> bool:
-    """Return whether a cause has finite parameters, not all zero, and lowers the held-out error of arm or joints."""
+def has_size(cause: Cause, limits: DecisionLimits = LIMITS) -> bool:
+    """Return whether a cause has finite parameters, not all zero, and closes a part of the gap or of its joints'."""
     values = cause.parameters.values()
     if cause.closure is None or not isfinite(cause.closure):
         return False
     of_joints = cause.closure if cause.closure_of_joints is None else cause.closure_of_joints
-    return max(cause.closure, of_joints) > 0 and all(map(isfinite, values)) and any(values)
+    return max(cause.closure, of_joints) >= limits.least_share and all(map(isfinite, values)) and any(values)
 
 
 def settle(
@@ -100,7 +100,7 @@ def settle(
         return verdict, ()
     if closure is None:
         return "no_gap", ()
-    left = tuple(cause for cause in causes if has_size(cause))
+    left = tuple(cause for cause in causes if has_size(cause, limits))
     if not left:
         return "unknown", ()
     if left[0].equivalent_to:
