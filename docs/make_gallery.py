@@ -7,6 +7,7 @@ it writes nothing. It takes some minutes.
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 import tempfile
@@ -28,6 +29,7 @@ from agent.validation import pooled_rmse, summary
 
 DOCS = Path(__file__).resolve().parent
 DATA = DOCS.parents[1] / "shared/data"
+LEGEND = 16  # above a panel of a picture
 PAGE, PICTURES = DOCS / "gallery.md", DOCS / "gallery"
 TX40 = DOCS.parent / "recipes/examples/tx40"
 TABLES = [DATA / "tx40/pos_read_data.csv", DATA / "tx40/curr_data.csv"]
@@ -161,10 +163,21 @@ def _entry(
 
 
 def _picture(name: str, plot: Plot) -> str:
-    """Write a picture on white, which reads on a dark page too; the link to it."""
+    """Write the panels of a plot as one picture on white, which reads on a dark page too; the link to it."""
     path = PICTURES / f"{name.lower()}_{plot.name}.svg"
-    white = '><rect width="100%" height="100%" fill="#fff"/>'
-    path.write_text(still(plot).replace(">", white, 1) + "\n", encoding="utf-8")
+    panels = re.findall(r"<p>(.*?)</p><svg([^>]*)>(.*?)</svg>", still(plot), flags=re.S)
+    wide, high = (int(size) for size in re.findall(r'viewBox="0 0 (\d+) (\d+)"', panels[0][1])[0])
+    columns = min(plot.columns, len(panels))
+    cells = []
+    for number, (legend, head, content) in enumerate(panels):
+        x, y = number % columns * wide, number // columns * (high + LEGEND)
+        words = re.sub(r'<span style="color:(.*?)">(.*?)</span>', r'<tspan fill="\1">\2</tspan>', legend)
+        words = words.replace("<b>", '<tspan font-weight="bold">').replace("</b>", "</tspan>")
+        cells.append(f'<text x="{x + 30}" y="{y + 11}" font-size="10" font-family="sans-serif">{words}</text>')
+        cells.append(f'<svg x="{x}" y="{y + LEGEND}" width="{wide}" height="{high}"{head}>{content}</svg>')
+    size = f"0 0 {columns * wide} {-(-len(panels) // columns) * (high + LEGEND)}"
+    body = "\n".join(['<rect width="100%" height="100%" fill="#fff"/>', *cells])
+    path.write_text(f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="{size}">{body}</svg>\n', encoding="utf-8")
     return f"![{name}, {plot.caption.rstrip('.')}](gallery/{path.name})"
 
 
