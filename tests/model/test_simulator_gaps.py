@@ -16,7 +16,8 @@ from ruamel.yaml import YAML
 
 from agent.core import InputError
 from agent.core.console import Console
-from agent.diagnosis import diagnose, extended_model, forward_windows
+from agent.diagnosis import diagnose, extended_model
+from agent.diagnosis.forward import windows as forward_windows
 from agent.diagnosis.randomisation import ranges, ranges_text
 from agent.diagnosis.rows.dataset import assemble
 from agent.diagnosis.simulator_file.simulator import _possible, with_expected_error

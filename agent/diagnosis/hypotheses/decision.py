@@ -2,7 +2,7 @@
 
 - The posterior of a hypothesis is its evidence times a prior: none or some, which effect on which joint, how many.
 - Hypotheses that differ by effects too small to matter are one answer; the likeliest answer is taken.
-- The class of a cause is what replaces it in other hypotheses with a twentieth of its probability or more, and what
+- The class of a cause is what replaces it in other hypotheses with a tenth of its probability or more, and what
   equals it by definition and explains about as much.
 - A class is named if a wrong name costs less than an abstention and the causes together explain what the noise model
   does not. Otherwise the verdict is `unknown`.
@@ -156,7 +156,7 @@ def _class_of(
     for (places, _), share in answers.items():
         for other in places - names if place not in places else ():
             instead[other] = instead.get(other, 0.0) + share
-    alike = [other for other, share in instead.items() if share >= (1 - law.certain) * own and near(place, other)]
+    alike = [other for other, share in instead.items() if share >= law.rare * own and near(place, other)]
     alike = sorted(alike, key=lambda other: -instead[other])
     alike = list(dict.fromkeys([*alike, *equal]))[:_RIVALS]
     return tuple(alike), law.certain * min(1.0, own + sum(instead.get(other, 0.0) for other in alike))

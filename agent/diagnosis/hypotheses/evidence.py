@@ -476,7 +476,7 @@ class Evidence:
         """Log Bayes factor from which on a name stands alone: over a rival, or over nothing."""
         law = self.law
         if not against_nothing:
-            return float(-np.log(1 - law.certain))
+            return float(-np.log(law.rare))
         prior = (1 - law.nothing) * (1 - law.rare) / len(CATALOGUE) / self.joints
         sure = law.sure / law.certain
         return float(np.log(law.nothing / prior) + np.log(sure / (1 - sure)))

@@ -27,7 +27,11 @@ class EvidenceLaw:
     nu: float = known(6.0, "degrees of freedom", "with which the model's held-out error is known", "chosen")
     nothing: float = known(0.5, "probability", "of no effect, before the data", "chosen")
     rare: float = known(
-        0.1, "probability", "of an effect outside the catalogue, and of every further effect, before the data", "chosen"
+        0.1,
+        "probability",
+        "of an effect outside the catalogue, and of every further effect, before the data; and of a rival, over the "
+        "leader's, below which it does not belong to the class",
+        "chosen",
     )
     practical: float = known(
         0.003, "nominal torque", "smallest effect worth a name, in the log with most of it", "chosen"
@@ -38,10 +42,7 @@ class EvidenceLaw:
     sure: float = known(0.6, "probability", "of a class that is named: a wrong name costs 1.5 abstentions", "chosen")
     most: int = known(3, "effects", "in one hypothesis", "chosen")
     certain: float = known(
-        0.95,
-        "probability",
-        "of something, below which an arm is healthy; the highest of any class; what its members leave to others",
-        "derived: 5 %",
+        0.95, "probability", "of something, below which an arm is healthy, and the highest of any class", "derived: 5 %"
     )
 
 
