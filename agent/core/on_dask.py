@@ -78,7 +78,7 @@ class DaskEngine:
             return self
         if not self._scheduler.startswith(_ENCRYPTED):
             self._warn(
-                f"{self._scheduler}: this link is neither encrypted nor authenticated. Whoever reaches the "
+                f"{self._scheduler}: this link is neither encrypted nor authenticated. Anyone who reaches the "
                 "scheduler can run code as the users of its workers; use a scheduler at tls://"
             )
         self._say(f"{self._scheduler}: connecting to the scheduler")

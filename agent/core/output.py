@@ -1,7 +1,7 @@
 """Messages that never block the program: a frozen terminal, a full pipe or a closed reader delays only its own text.
 
-Whoever watches a moving arm also reports its progress, and a library may print a warning in any thread. Python's
-`sys.stderr` would let them wait for as long as the far end does not read.
+The thread that watches a moving arm also reports its progress, and a library may print a warning in any thread.
+Python's `sys.stderr` would block them while the far end does not read.
 """
 
 from __future__ import annotations

@@ -121,7 +121,7 @@ def closes(cause: Mapping[str, Any], result: Mapping[str, Any]) -> str:
     if step is None:
         return ""
     closure = step if result["closure"] is None else min(step, result["closure"])
-    part = "all" if closure > 0.995 else "less than 1 %" if 0 <= closure < 0.005 else f"{100 * closure:.0f} %"
+    part = "all" if closure > 0.995 else "less than 1 %" if abs(closure) < 0.005 else f"{100 * closure:.0f} %"
     if not in_torque(cause):
         return f"closes {part} of the gap between planned and executed path"
     own = cause.get("closure_of_joints") if closure < _STEP else None  # named by its own joints

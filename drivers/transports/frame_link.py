@@ -45,6 +45,13 @@ class Channel(Protocol):
         """Give the handle back."""
 
 
+class _Stamped(queue.SimpleQueue[Any]):
+    """A queue of answers, each with the time at which the link's thread took it from the line."""
+
+    def put(self, item: Any, block: bool = True, timeout: float | None = None) -> None:
+        super().put((time.monotonic(), item), block, timeout)
+
+
 class FrameLink(LinkThread):
     """A channel and its reader thread. Heartbeats are sent all the time, four to a watchdog.
 
@@ -126,23 +133,24 @@ class FrameLink(LinkThread):
         Raises:
             DriverError: as of `request`.
         """
-        answers: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        answers = _Stamped()
         asked = [next(self._ids) for _ in range(count)]
         self._waiting |= dict.fromkeys(asked, answers)
-        size, first, until = 0, 0.0, time.monotonic() + timeout
+        size, first, last, until = 0, 0.0, 0.0, time.monotonic() + timeout
         try:
             for request in asked:
                 self._send(message, request)
             for number in range(count):
                 try:
-                    answer = answers.get(timeout=max(0.0, until - time.monotonic()))
+                    last, answer = answers.get(timeout=max(0.0, until - time.monotonic()))
                 except queue.Empty:
                     if number == 0:
                         raise self._silent(what, timeout) from None
-                    break  # the line has not carried more in all that time
+                    last = time.monotonic()  # the line has not carried more in all that time
+                    break
                 reply = self._checked(answer, object, timeout, what)
-                first, size = (time.monotonic(), 0) if number == 0 else (first, size + len(encode(reply)))
-            return size, time.monotonic() - first
+                first, size = (last, 0) if number == 0 else (first, size + len(encode(reply)))
+            return size, last - first
         finally:
             for request in asked:
                 self._waiting.pop(request, None)

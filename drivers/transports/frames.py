@@ -83,9 +83,8 @@ class FrameDriver(LinkDriver[FrameLink, MotionStream]):
 
     def throughput(self) -> float:
         """`MeasuresThroughput`: samples as large as the answers to many questions that were asked at once."""
-        joints = len(self.identify().joint_names)
         size, seconds = self._connected().burst(Identify(), self.BURST, self._timeout, "the measurement of the link")
-        return size / max(seconds, 1e-6) / self._sample_bytes(joints)
+        return size / max(seconds, 1e-6) / self._sample_bytes(len(self.identify().joint_names))
 
     def temperatures(self) -> np.ndarray | None:
         """(n,) of the motors [°C], or None where this controller measures none; it is asked again only if it does."""

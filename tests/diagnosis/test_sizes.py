@@ -92,9 +92,9 @@ def test_a_cause_closes_what_its_step_of_the_attribution_closes():
     cause |= {"probability": 0.9, "equivalent_to": []}
     steps = [("torque_offset of elbow", 0.61), ("the model's own parameters", 0.38), ("remainder", 0.01)]
     result = {"verdict": "explained", "closure": 0.99, "causes": [cause], "where": [], "next_experiment": None}
-    result["gap"] = GAP
-    result["waterfall"] = [{"step": step, "closes": part} for step, part in steps]
+    result |= {"gap": GAP, "waterfall": [{"step": step, "closes": part} for step, part in steps]}
     assert closes(cause, result) == "closes 61 % of the gap"
+    assert closes({**cause, "closure": -0.004}, {"closure": 0.99}) == "closes less than 1 % of the gap"
     assert (
         "It closes 61 % of the gap, offset 2 N·m. Most of the gap closes with: torque_offset of elbow (61 %)"
         in (summary(result)["what"])

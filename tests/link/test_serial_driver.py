@@ -14,6 +14,7 @@ from pymodbus.pdu import DecodePDU
 
 from drivers.errors import ConfigurationError, DriverError, ProtocolError
 from drivers.registry import create
+from drivers.transports.modbus import driver as modbus_driver
 from drivers.transports.serial import RtuDriver, SerialDriver
 from drivers.wire import modbus, tcp
 from drivers.wire.rtu import without_strays
@@ -95,7 +96,7 @@ def test_a_line_that_is_too_slow_is_read_after_the_motion(line, protocol):
 @pytest.mark.parametrize(("protocol", "most"), [("frames", 230), ("rtu", 200)])
 def test_what_a_line_carries_is_measured(line, protocol, most):
     _, _, driver = line(protocol, 115_200)
-    assert 0.3 * most < driver.throughput() <= 1.1 * most  # what a busy machine held back comes at once
+    assert 0.3 * most < driver.throughput() <= most
     _, _, driver = line(protocol, FAST)
     assert driver.throughput() > 500
 
@@ -189,7 +190,8 @@ def test_a_stop_on_a_slow_line_does_not_wait_for_the_samples(line):
 
 @pytest.mark.parametrize("lost", ["far", "near"])
 @pytest.mark.parametrize("protocol", ["frames", "rtu"])
-def test_a_stop_is_sent_again_where_it_or_its_answer_is_lost(line, protocol, lost):
+def test_a_stop_is_sent_again_where_it_or_its_answer_is_lost(line, protocol, lost, monkeypatch):
+    monkeypatch.setattr(modbus_driver, "WATCHDOG", 2.0)  # a stall of this machine is no second lost answer
     cable, controller, driver = line(protocol)
     received = start(driver, LONG)
     next(received)
@@ -207,7 +209,7 @@ def test_a_stop_is_sent_again_where_it_or_its_answer_is_lost(line, protocol, los
 
     cable.tamper = lose
     driver.stop()
-    assert 2 <= len(sent) <= 3  # on a busy machine the second answer may come late
+    assert len(sent) == 2
     assert controller.wait(10.0)
     assert controller.motions_started == 1
 
