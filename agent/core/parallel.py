@@ -12,6 +12,7 @@ import os
 import signal
 import sys
 import threading
+import time
 import traceback
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -90,29 +91,44 @@ class LocalProcesses:
             raise RuntimeError("a process that worked for this one was killed; is memory short?") from None
 
 
+_working = threading.Event()
+
+
 def _answer(function: Callable[[Task], Answer], task: Task) -> Answer:
     try:
+        _working.set()
         return function(task)
     except InputError as error:  # as one plain kind: its subclasses need not survive the journey
         raise InputError(str(error)) from None
-    except SystemExit:  # asked to end, when what the task started has ended; the pool would go on
+    except SystemExit:  # asked to end, and what the task started has ended; the pool would go on
         os._exit(1)
     except Exception:
         raise RuntimeError(f"a process that worked for this one failed:\n{traceback.format_exc()}") from None
+    finally:
+        _working.clear()
+
+
+def _end(*_: object) -> None:
+    if _working.is_set():
+        sys.exit(1)  # so that what the task has started ends with it
+    os._exit(1)  # between two tasks the pool would take an exception for a task's answer and go on
 
 
 def _end_with_parent() -> None:
     for number in (signal.SIGINT, signal.SIGQUIT, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)  # they reach every process of the terminal; ours ends us
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # so that what a task has started ends with it
+    signal.signal(signal.SIGTERM, _end)
     threading.Thread(target=_watch_parent, daemon=True).start()
 
 
 def _watch_parent() -> None:
     parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
+    if parent is None:
+        return
+    parent.join()
+    while True:  # Python acts on a signal only once the main thread runs; one may come just before it waits
         os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(5)  # as long as what a task started has for its end
 
 
 def available_cores() -> int:

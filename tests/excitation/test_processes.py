@@ -52,10 +52,30 @@ if __name__ == "__main__":
 """
 
 
+# its answer takes for ever to pickle: the pool takes any exception there for a task's failure, and goes on
+BETWEEN_TWO_TASKS = """
+from agent.core import LocalProcesses
+
+class Answer:
+    def __reduce__(self):
+        print("working", flush=True)
+        while True:
+            pass
+
+def answer(_):
+    return Answer()
+
+if __name__ == "__main__":
+    with LocalProcesses(1) as engine:
+        list(engine.map(answer, [0]))
+"""
+
+
+@pytest.mark.parametrize("program", [ENDLESS, BETWEEN_TWO_TASKS], ids=["in tasks", "between two tasks"])
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
-def test_no_process_outlives_what_it_works_for(tmp_path: Path, how: signal.Signals) -> None:
+def test_no_process_outlives_what_it_works_for(tmp_path: Path, how: signal.Signals, program: str) -> None:
     script = tmp_path / "endless.py"
-    script.write_text(ENDLESS, encoding="utf-8")
+    script.write_text(program, encoding="utf-8")
     main = subprocess.Popen(
         [sys.executable, str(script)],
         stdout=subprocess.PIPE,
