@@ -37,7 +37,6 @@ from .files import (
 from .formats import counted as counted, csv_text as csv_text, error_text as error_text, plus_minus as plus_minus
 from .numerics import (
     CubicSplines as CubicSplines,
-    cubic_spline as cubic_spline,
     keep_freed_memory as keep_freed_memory,
     symmetric_eigen as symmetric_eigen,
 )

@@ -20,17 +20,12 @@ def symmetric_eigen(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return values, vectors
 
 
-def cubic_spline(knots: np.ndarray, values: np.ndarray, places: np.ndarray, natural: bool = False) -> np.ndarray:
-    """(P, m) at points (P,) of the cubic splines through values (K, m) at ascending knots (K,), four or more.
+class CubicSplines:
+    """Cubic splines through values (K, m) at ascending knots (K,), four or more.
 
     Not-a-knot at the ends (one cubic over the first two intervals, and one over the last two): the outer cubics go on
     beyond them. `natural`: no bending at the ends, and straight on beyond them.
     """
-    return CubicSplines(knots, values, natural)(places)
-
-
-class CubicSplines:
-    """The splines of `cubic_spline` through values (K, m), for repeated evaluation."""
 
     def __init__(self, knots: np.ndarray, values: np.ndarray, natural: bool = False):
         from scipy.interpolate import CubicSpline  # heavy to import, needed only once there is something to fit
@@ -53,8 +48,8 @@ _BLOCK = 30_000_000
 def keep_freed_memory() -> None:
     """Let the C library keep what arrays give back for the next ones, instead of returning it to the system each time.
 
-    glibc maps blocks above a threshold and hands back free memory above twice that; freeing a mapped block raises the
-    threshold to its size (mallopt(3), M_MMAP_THRESHOLD). One block that is never touched does it, and costs nothing.
-    Without it a tenth of the time of a search goes into fetching the same pages again. Elsewhere it does nothing.
+    glibc maps blocks above a threshold. Freeing a mapped block raises the threshold to its size (mallopt(3),
+    M_MMAP_THRESHOLD): one untouched block is enough. Without it a search spends a tenth of its time fetching the same
+    pages again. Elsewhere it does nothing.
     """
     bytes(_BLOCK)

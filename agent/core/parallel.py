@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
-from typing import Generic, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 from agent.core.errors import InputError
 
@@ -49,8 +49,7 @@ class InProcess:
     def __enter__(self) -> InProcess:
         return self
 
-    def __exit__(self, *_: object) -> None:
-        return None
+    def __exit__(self, *_: object) -> None: ...
 
     def map(self, function: Callable[[Task], Answer], tasks: Iterable[Task]) -> Iterator[TaskDone[Answer]]:
         """Answers in order."""
@@ -118,13 +117,10 @@ def _end_with_parent() -> None:
     for number in (signal.SIGINT, signal.SIGQUIT, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)  # they reach every process of the terminal; ours ends us
     signal.signal(signal.SIGTERM, _end)
-    threading.Thread(target=_watch_parent, daemon=True).start()
+    threading.Thread(target=_end_after, args=(multiprocessing.parent_process(),), daemon=True).start()
 
 
-def _watch_parent() -> None:
-    parent = multiprocessing.parent_process()
-    if parent is None:
-        return
+def _end_after(parent: Any) -> None:
     parent.join()
     while True:  # Python acts on a signal only once the main thread runs; one may come just before it waits
         os.kill(os.getpid(), signal.SIGTERM)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from agent.core import cubic_spline
+from agent.core import CubicSplines
 
 
 @pytest.mark.parametrize("natural", [False, True])
@@ -15,12 +15,12 @@ def test_a_spline_passes_through_its_values_and_goes_on_smoothly(natural, seed, 
     rng = np.random.default_rng(seed)
     at = np.cumsum(rng.uniform(0.1, 1.0, knots))
     values = rng.standard_normal((knots, 3))
-    np.testing.assert_allclose(cubic_spline(at, values, at, natural), values, atol=1e-9)
+    np.testing.assert_allclose(CubicSplines(at, values, natural)(at), values, atol=1e-9)
     steps = np.linspace(0.0, 0.5, 6)
     for end, beyond in ((at[0], at[0] - steps), (at[-1], at[-1] + steps)):
-        found = cubic_spline(at, values, beyond, natural)
+        found = CubicSplines(at, values, natural)(beyond)
         if natural:  # straight, with the slope at the end
             step = np.sign(beyond[1] - end) * 1e-6
-            slope = (cubic_spline(at, values, np.array([end, end - step]), True) * [[1], [-1]]).sum(axis=0) / step
+            slope = (CubicSplines(at, values, True)(np.array([end, end - step])) * [[1], [-1]]).sum(axis=0) / step
             expected = found[0] + (beyond - end)[:, None] * slope
             np.testing.assert_allclose(found, expected, atol=1e-4 * max(1.0, np.abs(slope).max()))

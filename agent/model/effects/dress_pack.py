@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from agent.core import cubic_spline
+from agent.core import CubicSplines
 from agent.model.effects.effect import Columns, Effect, FitContext, Joints, Numbers
 from agent.model.effects.experiments import WHOLE_RANGE
 from agent.model.friction_terms import dahl
@@ -83,4 +83,4 @@ class DressPack(Effect):
 
 def _curve(q: np.ndarray, low: float, high: float) -> list[np.ndarray]:
     """(S,) per node: the natural spline that is 1 at this node and 0 at the others."""
-    return list(cubic_spline(np.linspace(low, high, N_NODES), np.eye(N_NODES), q, natural=True).T)
+    return list(CubicSplines(np.linspace(low, high, N_NODES), np.eye(N_NODES), natural=True)(q).T)
