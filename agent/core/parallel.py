@@ -1,8 +1,7 @@
 """Many tasks at once: in this process, or on processes of this machine; `agent.core.on_dask` has a cluster's.
 
-`TaskEngine.map` calls a function once for each task and returns the answers as they arrive, each with the number of its
-task: sorted by number, the result is the same from any engine. Function and tasks are pickled. An answer must depend on
-nothing but its task.
+`TaskEngine.map` calls a function once for each task and returns the answers as they arrive, each with its task's
+number: sorted, they are the same from any engine. Function and tasks are pickled; answers depend on the task alone.
 """
 
 from __future__ import annotations
