@@ -260,7 +260,7 @@ def _found_if_there(result: Mapping[str, Any]) -> str:
     usual = "of practical size would have been found (80 % power)"
     if not open_:
         return f"Every effect {usual}."
-    return f"{len(CATALOGUE) - len(open_)} of {len(CATALOGUE)} effects {usual}. The rest: {NOT_TESTABLE}."
+    return f"{len(CATALOGUE) - len(open_)} of {len(CATALOGUE)} effects {usual}. The rest are not testable here."
 
 
 def measures(result: Mapping[str, Any]) -> list[NextStep]:

@@ -91,7 +91,7 @@ class RunFolder:
         state = read_json(path / _STATE)
         kind = state.get("kind") if isinstance(state, dict) else None
         if kind in ("recalibrate", "diagnose"):
-            raise InputError(f"{path}: only calibrations are gone on with; start this one again: `agent {kind}`")
+            raise InputError(f"{path}: only a calibration can be resumed; start this one again: `agent {kind}`")
         try:
             from_plain(RunState, state)
         except ValueError as error:

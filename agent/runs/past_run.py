@@ -199,7 +199,7 @@ def readable(run: Path) -> Iterator[None]:
     except (OSError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RecursionError) as error:
         what = f"{error} is missing in them" if isinstance(error, KeyError) else str(error)
         page = run / "report.html"
-        advice = f"the page of its own time is {page}" if os.path.isfile(page) else "it has no page of its own time"
+        advice = f"its page from then is {page}" if os.path.isfile(page) else "it has no page from then"
         raise InputError(
             f"{run}: files of this run are damaged, or another version of the agent wrote them ({what}); {advice}"
         ) from error

@@ -64,7 +64,7 @@ def test_stored_results_are_not_computed_again(tmp_path: Path, recipe: Path, mon
 
     monkeypatch.setitem(page.PIECES, "local", (["a", "b"], measure))
     evidence.main([*given, "1", "--minutes", "-1"])
-    assert (asked, capsys.readouterr().err) == ([], "2 left; the same command goes on\n")
+    assert (asked, capsys.readouterr().err) == ([], "2 left; run the same command again to do them\n")
     evidence.main([*given, "1"])
     file = tmp_path / "local.jsonl"
     file.write_text(file.read_text("utf-8")[:-9], "utf-8")  # killed while it wrote

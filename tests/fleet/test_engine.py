@@ -114,7 +114,7 @@ def test_a_killed_scheduler_ends_the_run_with_the_command_to_continue(cluster: D
         if done == 15:
             cluster.kill("scheduler")
 
-    with DaskEngine(cluster.address) as engine, pytest.raises(AgentError, match="the same command goes on"):
+    with DaskEngine(cluster.address) as engine, pytest.raises(AgentError, match="run the same command again"):
         _answers(engine, 400, disturb)
 
 

@@ -97,7 +97,7 @@ class Search:
     def forms(self) -> list[Candidate]:
         """Return every effect on all its possible joints, with the grid of its nonlinear parameters."""
         wanted = [(effect, joints, s) for effect, joints in self._places for s in effect.settings(self.fit, joints)]
-        self._progress(f"{len(wanted)} forms of effects are made")
+        self._progress(f"comparing {len(wanted)} forms of effects")
         return self.fit.candidates(wanted)
 
     def _text(self, base: Evaluated) -> str:

@@ -51,4 +51,4 @@ def test_reports_a_large_error_of_the_model_itself(arm, model, logs):
         for text in diagnose(arm, logs[USUAL], replace(model, held_out_rmse=0.4 * size)).warnings
         if "the model errs by" in text
     )
-    assert "no gap means none beside that" in said
+    assert "smaller gaps do not show" in said
