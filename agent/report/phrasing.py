@@ -255,7 +255,7 @@ def _how_sure(result: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _found_if_there(result: Mapping[str, Any]) -> str:
-    """How far "no gap" can be trusted: what would have been found."""
+    """Confidence in "no gap": effects that would have been found."""
     open_ = {entry["effect"] for entry in result["not_testable"]}
     usual = "of practical size would have been found (80 % power)"
     if not open_:

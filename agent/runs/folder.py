@@ -30,7 +30,7 @@ Kind = TypeVar("Kind")
 
 @dataclass
 class RunState:
-    """What every run's state has."""
+    """State of a run."""
 
     schema: Literal["run/1"]
     robot: str
@@ -111,7 +111,7 @@ class RunFolder:
         return run
 
     def finished(self, step: str) -> dict[str, Any] | None:
-        """What a finished step noted, or None if it has not finished."""
+        """Values noted by a finished step; None if it has not finished."""
         return self.state["steps"].get(step)
 
     def finish(self, step: str, **found: Any) -> dict[str, Any]:

@@ -159,7 +159,7 @@ class PastParameter:
 
 
 def read_run(path: Path) -> PastRun:
-    """What a run folder says, without its model.
+    """Read a run folder without its model.
 
     Raises:
         InputError: one of its files cannot be read.
@@ -169,7 +169,7 @@ def read_run(path: Path) -> PastRun:
 
 
 def read_parameters(path: Path) -> list[PastParameter]:
-    """What the model of a run folder says, in the model's order; nothing where there is none.
+    """Read the parameters of a run's model, in the model's order; empty without a model.
 
     Raises:
         InputError: it cannot be read.

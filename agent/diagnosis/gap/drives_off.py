@@ -1,4 +1,4 @@
-"""Torque with the drives off: it is the channel's own, and tells an offset of it from friction that equals one.
+"""Torque with the drives off: distinguishes an offset of the channel from friction that looks like one.
 
 A motor without current makes no torque, so what its channel shows then is its zero. An offset that a diagnosis found is
 there as well, alone or with the one that the model had before; friction by direction, a spring or a hose is not.
