@@ -266,8 +266,8 @@ def beyond_fit(model: IdentifiedModel, motions: Sequence[tuple[np.ndarray, np.nd
         faster, lambda k: f"at up to {speed[:, k].max():.3g} {units[k]}/s, fitted up to {fastest[k]:.3g}"
     ):
         yield (
-            f"these logs go faster than the motions that the model was fitted to ({said}): friction beyond that is a "
-            "guess, and so is what differs there"
+            f"these logs go faster than the motions that the model was fitted to ({said}): friction there is "
+            "extrapolated, treat results there with care"
         )
     lower, upper = known_positions(model) or (lowest, highest)
     if said := of_joints(
