@@ -102,9 +102,9 @@ def _notes(model: IdentifiedModel, problem: Problem, found: Estimate, times: np.
     if model.condition_number > _BAD_CONDITION:
         number = condition_text(model.condition_number)
         yield (
-            f"The condition number of the observation matrix is {number}: these motions hardly tell some parameters "
-            "apart. Together they are sound on motions like these, each alone is not; a motion planned for excitation, "
-            "or a larger sub-region, separates them."
+            f"The condition number of the observation matrix is {number}: these motions hardly separate some "
+            "parameters. Predictions of similar motions are sound, single values are not; a motion planned for "
+            "excitation, or a larger sub-region, separates them."
         )
     directions = silent_directions(problem.moments, found.weights, problem.prior, times)
     if len(directions) and found.prior_weight > 0:

@@ -170,7 +170,7 @@ def _read(ftp: ftplib.FTP, name: str) -> bytes | None:
         nonlocal size
         size += len(part)
         if size > _LONGEST:
-            raise ProtocolError(f"{name} is longer than {_LONGEST >> 20} MiB; what is it, who put it there?")
+            raise ProtocolError(f"{name} is longer than {_LONGEST >> 20} MiB; is it the right file?")
         parts.append(part)
 
     try:
