@@ -269,7 +269,7 @@ def measures(result: Mapping[str, Any]) -> list[NextStep]:
     experiment = result["next_experiment"]
     if experiment is not None and not experiment.get("program"):  # a planned motion has its own command
         motion = experiment["motion"]
-        steps.append(NextStep(f"{motion}." if "program" in experiment else f"run {motion}."))
+        steps.append(NextStep(f"{motion}." if "program" in experiment else f"record {motion}."))
     return steps
 
 
@@ -285,7 +285,7 @@ def next_text(experiment: Mapping[str, Any]) -> str:
     if "program" in experiment and experiment["program"] is None:
         return capital(motion)
     took = f" ({experiment['duration_s']:.0f} s, {experiment['program']})" if "program" in experiment else ""
-    return f"Run next: {motion}{took}"
+    return f"Record next: {motion}{took}"
 
 
 def said_by_rounds(result: Mapping[str, Any]) -> bool:

@@ -209,7 +209,7 @@ def test_an_unknown_gap_is_located_on_the_page(arm, model):
     head = page.split("</header>")[0]
     assert "no known effect explains" in head
     assert re.search(r"joint_\d has \d+ %", head)
-    assert "Run next" in page
+    assert "Record next" in page
 
 
 def test_a_gap_around_reversals_is_not_dismissed_as_stiction(arm):
