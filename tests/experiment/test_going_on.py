@@ -107,11 +107,7 @@ def test_asks_for_a_drives_off_record_with_its_option(known):
 
 
 def test_after_a_planned_motion_the_next_commands_record_and_diagnose():
-    planned = {
-        "program": "my plan/program.pdl",
-        "payload": "5 kg, 0 mm, 0 mm, 60 mm",
-        "motion": f"{BRAKES}; then a loop",
-    }
+    planned = {"program": "my plan/program.pdl", "payload": "5 kg, 0 mm, 0 mm, 60 mm", "motion": f"{BRAKES}; a loop"}
     result = {"verdict": "ambiguous", "causes": [{"effect": "stribeck"}], "next_experiment": planned}
     record, again = after_diagnosis(result, "my robot.yaml", [Path("a b.mcap")], ASKED)
     words = shlex.split(record.command)
@@ -120,6 +116,12 @@ def test_after_a_planned_motion_the_next_commands_record_and_diagnose():
     assert record.what.startswith("mount 5 kg, 0 mm, 0 mm, 60 mm at the flange, then run")
     assert "--drives-off LOG" in again.what
     assert read(again.command)["logs"] == [Path("a b.mcap"), Path("my plan/program.mcap")]
+
+
+def test_another_path_asks_to_learn_the_interpolator():
+    result = {"verdict": "explained", "causes": [{"effect": "interpolator_mismatch"}], "next_experiment": None}
+    (step,) = after_diagnosis(result, "my robot.yaml", [Path("a b.mcap")], ASKED)
+    assert step.command == "agent learn-interpolator --robot 'my robot.yaml' -o law.yaml 'a b.mcap'"
 
 
 @pytest.mark.parametrize("program", ["my plan/program.pdl", None])

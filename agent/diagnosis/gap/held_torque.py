@@ -58,7 +58,7 @@ class HeldTorque:
         """Next motion to record."""
         return (
             f"the same motions again, once the torque of {self.joint}, which stands still where it should change, is "
-            "recorded as it is"
+            "measured correctly"
         )
 
 
