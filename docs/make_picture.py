@@ -40,11 +40,15 @@ def drawn(screen: str) -> str:
     """An SVG of a screen up to what to do next, wrapped as a terminal does."""
     head, _, after = screen.partition("\nNext")
     shown = f"{head}\nNext{after.partition(chr(10))[0]}".splitlines()
-    lines = [part for line in shown for part in textwrap.wrap(line, COLUMNS, subsequent_indent=" " * INDENT)]
+    lines = [
+        (part, _emphasis(line))
+        for line in shown
+        for part in textwrap.wrap(line, COLUMNS, subsequent_indent=" " * INDENT)
+    ]
     width, height = COLUMNS * CHARACTER + 2 * MARGIN, len(lines) * LINE + 2 * MARGIN
     rows = "\n".join(
-        f'<text x="{MARGIN}" y="{MARGIN + (k + 0.75) * LINE:g}"{_emphasis(line)}>{_text(line)}</text>'
-        for k, line in enumerate(lines)
+        f'<text x="{MARGIN}" y="{MARGIN + (k + 0.75) * LINE:g}"{emphasis}>{_text(line)}</text>'
+        for k, (line, emphasis) in enumerate(lines)
     )
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:g} {height:g}" role="img" '

@@ -265,7 +265,7 @@ def _raises(kind: type[DriverError]) -> Iterator[None]:
     except kind as error:
         if str(error):
             return
-        raise AssertionError(f"{kind.__name__} without a message helps nobody") from error
+        raise AssertionError(f"{kind.__name__} has no message for the user") from error
     raise AssertionError(f"{kind.__name__} is expected, and nothing was raised")
 
 

@@ -1,4 +1,4 @@
-"""What an address leads to, however it is spelt: two runs at one controller must know of each other."""
+"""Canonical form of an address, so that two runs at one controller share a lock."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What can go wrong on a link. The command line turns each into its exit code."""
+"""Errors of a link. The command line turns each into its exit code."""
 
 from drivers.texts import hide_all, printable
 

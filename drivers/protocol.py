@@ -166,7 +166,7 @@ class Driver(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class ViaPoint:
-    """Where to go in a straight line of the tool: joint positions (n,) [rad, m].
+    """Target of a straight tool motion: joint positions (n,) [rad, m].
 
     `fly_tolerance` [m]: how far the arm may pass by; 0 is a stop. `linear_speed` [m/s] of the tool centre point.
     """

@@ -40,7 +40,7 @@ def refuse_in_address(address: str) -> None:
 
 
 def check_source(source: str) -> str:
-    """Where a password is stored, as written in an address.
+    """Check the password source named in an address.
 
     Raises:
         ValueError: it is none of the three kinds. The text is not repeated because it may be a password.

@@ -52,7 +52,7 @@ class Ring:
 
 
 class Listener(Protocol):
-    """Who hears about a motion, in the motion's own thread."""
+    """Receiver of a motion's events, called in the motion's thread."""
 
     def on_samples(self, first: int, time_ns: np.ndarray, samples: Slice) -> None:
         """Samples from sequence number `first` on, with their controller times (K,) [ns]."""

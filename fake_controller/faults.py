@@ -137,7 +137,7 @@ def check_wire(faults: Iterable[Fault], wire: str) -> None:
 
 
 class Faults:
-    """Those that wait, and what has become of the wire. Thread-safe."""
+    """Waiting faults, and the state of the wire. Thread-safe."""
 
     def __init__(self, faults: Sequence[Fault] = ()) -> None:
         self._lock = threading.Lock()
@@ -149,7 +149,7 @@ class Faults:
 
     @property
     def waiting(self) -> tuple[Fault, ...]:
-        """Those that did not strike yet."""
+        """Faults that have not struck yet."""
         return tuple(self._waiting)
 
     @property

@@ -1,4 +1,4 @@
-"""What the controller makes of a program: its own reading of the statements, on its own system variables.
+"""The controller's own reading of a program's statements, with its own system variables.
 
 With the planner it shares the grammar and the arithmetic of expressions, not what a statement or a variable means.
 System variables outlive a program: what one has set, the next finds.

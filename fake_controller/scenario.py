@@ -84,7 +84,7 @@ class Scenario(_Section):
 
     @property
     def wires(self) -> list[str]:
-        """Those on which all of its faults make sense."""
+        """Wires on which all of its faults are possible."""
         return [wire for wire in WIRES if not any(wire in NOT_ON.get(section.fault, {}) for section in self.faults)]
 
     def expected(self, wire: str) -> ExpectSection:

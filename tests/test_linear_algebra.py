@@ -10,7 +10,7 @@ from agent.core import symmetric_eigen
 
 
 @given(st.integers(1, 12), st.integers(0, 2**31), st.floats(0, 8))
-def test_values_and_vectors_make_the_matrix(size, seed, decades):
+def test_eigenvalues_and_eigenvectors_reproduce_the_matrix(size, seed, decades):
     rng = np.random.default_rng(seed)
     turned, _ = np.linalg.qr(rng.normal(size=(size, size)))
     values = np.sort(10.0 ** -rng.uniform(0, decades, size))
@@ -19,7 +19,7 @@ def test_values_and_vectors_make_the_matrix(size, seed, decades):
     assert (vectors * found) @ vectors.T == pytest.approx((turned * values) @ turned.T, abs=1e-14)
 
 
-def test_a_method_that_does_not_converge_is_replaced(monkeypatch):
+def test_falls_back_if_a_method_does_not_converge(monkeypatch):
     def gives_up(matrix):
         raise np.linalg.LinAlgError("Eigenvalues did not converge")
 

@@ -14,7 +14,7 @@ from agent.model import CATALOGUE
 
 
 class _Lenient(BaseModel):
-    """Keys that the score does not need are a tool's own."""
+    """Model that ignores keys which the score does not need."""
 
     model_config = ConfigDict(extra="ignore", strict=True, allow_inf_nan=False)
 

@@ -41,7 +41,7 @@ class BlindCheck:
 
     @property
     def key_file(self) -> Path:
-        """Of the key."""
+        """Path of the answer key."""
         return self.folder / "withheld" / "key.json"
 
     def run(self, console: Console, engine: TaskEngine | None = None) -> dict[str, Any]:
@@ -131,7 +131,7 @@ def _answered(folder: Path, questions: Sequence[Question]) -> list[str]:
 
 
 def hidden_from(command: Sequence[str], folder: Path) -> list[str]:
-    """The command in a mount namespace in which a folder is empty; as it is where the system has no namespaces."""
+    """Wrap a command in a mount namespace that hides a folder; unchanged if the system has no namespaces."""
     script = 'mount -t tmpfs none "$0" && exec "$@"'
     prefix = ["unshare", "--user", "--map-root-user", "--mount", "sh", "-c", script, str(folder)]
     if shutil.which("unshare") and subprocess.run([*prefix, "true"], capture_output=True).returncode == 0:

@@ -26,7 +26,7 @@ class World(Protocol):
 
     @property
     def name(self) -> str:
-        """As `--world` and the key call it."""
+        """Name used by `--world` and the key."""
 
     def draw(self, count: int, seed: int, laws: str) -> list[dict[str, Any]]:
         """The truth of every run, by laws of `development` or `judgement` where a world has laws for both.
@@ -98,7 +98,7 @@ def world_of(name: str) -> World:
 
 
 def ask_world(arguments: Sequence[str], given: Any = None) -> Any:
-    """What the process of a world answers to arguments of Python, and to an object on its stdin.
+    """Run the process of a world with arguments for Python and an object on stdin; returns its answer.
 
     Raises:
         InputError: something it needs is not installed.

@@ -53,7 +53,7 @@ def _run() -> None:
 
 
 def _called() -> object:
-    """What the command returns; where a signal comes while compiled code returns, Python hides it in a SystemError."""
+    """Run the command; recover a signal that compiled code has turned into a SystemError."""
     try:
         return app(standalone_mode=False)
     except SystemError as error:

@@ -88,7 +88,7 @@ Workers = Annotated[int | None, Option("--workers", metavar="N", min=1, help="lo
 
 
 def engine_for(scheduler: str | None, workers: int | None, console: Any) -> Any:
-    """Where work is done that has many parts: a Dask cluster, or processes of this machine."""
+    """Create the task engine: a Dask cluster, or processes of this machine."""
     from agent.core import DaskEngine, InProcess, LocalProcesses, available_cores
 
     if scheduler is not None:
@@ -98,14 +98,14 @@ def engine_for(scheduler: str | None, workers: int | None, console: Any) -> Any:
 
 
 def console_for(messages: bool | None) -> Any:
-    """What a person sees while a command works."""
+    """Create the console that shows messages and progress."""
     from agent.core import Console
 
     return Console(verbosity=0 if messages is None else 1 if messages else -1)
 
 
 def print_found(as_json: bool, found: Any, text: str | None = None) -> None:
-    """What a command found, on stdout: one JSON object, or for people `text`, or what `found` itself says."""
+    """Print a result on stdout: one JSON object, or for people `text`, by default that of `found`."""
     from agent.core import print_json, print_text
 
     if as_json:
@@ -116,7 +116,7 @@ def print_found(as_json: bool, found: Any, text: str | None = None) -> None:
 
 @contextmanager
 def diagnosis_shown(as_json: bool) -> Iterator[Callable[[dict[str, Any]], None]]:
-    """Show a diagnosis as often as there is more of it: for people at once, first the verdict, then what was planned.
+    """Show a diagnosis in steps: for people first the verdict, then the planned motion.
 
     As JSON it is one object on stdout: the last one, also where the work ends with an error.
     """

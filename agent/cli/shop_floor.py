@@ -1,4 +1,4 @@
-"""Commands of the shop floor: again by the clock, past runs, the current model, pages."""
+"""Commands for operation: recalibration, schedule, past runs, current model, pages."""
 
 from __future__ import annotations
 
@@ -223,7 +223,7 @@ def apply(
 
 @app.command(rich_help_panel=opt.TOOLS, epilog="Example: agent doctor")
 def doctor(logs: opt.RunsFolder = Path("logs"), as_json: opt.AsJson = False) -> None:
-    """Versions, extras, compiled functions, serial ports, clock, disk and limits; what to do where one is wrong."""
+    """Check versions, extras, compiled functions, serial ports, clock, disk and limits. Says how to fix a fault."""
     from agent.pipeline import examine_installation
 
     opt.print_found(as_json, findings := examine_installation(logs))

@@ -95,13 +95,13 @@ def sampled_on(
 
 @compiled("f8(f8, f8)")
 def _larger(one: float, other: float) -> float:
-    """The larger one; where either is no number, that."""
+    """Return the larger value; NaN if either is NaN."""
     return one if one >= other or one != one else other
 
 
 @compiled("void(f8[::1], f8[::1], f8)")
 def _raise_to(largest: np.ndarray, values: np.ndarray, limit: float) -> None:
-    """`largest` (S,) raised to how full values (S,) are of a limit."""
+    """Raise `largest` (S,) to the share of a limit that values (S,) use."""
     for k in range(len(values)):
         largest[k] = _larger(largest[k], np.abs(values[k]) / limit)
 

@@ -93,7 +93,7 @@ def read_text(path: Path, largest: int) -> str:
 
 
 class _Bounds:
-    """A YAML document stays small when it is built: what its parser says is looked at on the way."""
+    """Limits the size of a YAML document while it is parsed."""
 
     def __init__(self, path: Path):
         self._path = path
@@ -102,7 +102,7 @@ class _Bounds:
         self._total = 0
 
     def look(self, event: Any) -> Any:
-        """The event itself.
+        """Check a parser event; returns it unchanged.
 
         Raises:
             InputError: nested too deep, a value that is too long, or aliases that grow into too many values.
@@ -219,7 +219,7 @@ def line_of(data: Any, location: tuple[Any, ...]) -> int:
 
 
 def _depth(data: Any, location: tuple[Any, ...]) -> int:
-    """How many keys of `location` lead somewhere."""
+    """Number of keys of `location` that exist."""
     for depth, key in enumerate(location):
         try:
             data = data[key]

@@ -1,4 +1,4 @@
-"""Files that are there whole or not at all, and their checksums."""
+"""Atomic file writes, and checksums."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def swept_folder(prefix: str) -> Iterator[Path]:
 
 @contextmanager
 def _held(folder: Path) -> Iterator[None]:
-    """Nobody else holds it, or OSError; the system lets go of it when the process ends, however that does."""
+    """Lock a file exclusively, or raise OSError; the system releases it when the process ends."""
     place = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
     try:
         fcntl.flock(place, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -129,9 +129,7 @@ class DaskEngine:
             yield
         except (OSError, CancelledError):
             where = self._scheduler or "local Dask cluster"
-            raise AgentError(
-                f"{where}: the scheduler is gone; the same command goes on with what is not done"
-            ) from None
+            raise AgentError(f"{where}: the scheduler is gone; run the same command again to do the rest") from None
 
     def _lost(self, number: int, error: BaseException) -> TaskDone[Any]:
         if not isinstance(error, self._dask.KilledWorker):

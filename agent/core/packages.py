@@ -10,7 +10,7 @@ from agent.core.errors import InputError
 
 
 def package_version(package: str = "calibration-agent") -> str:
-    """For people and records; "not installed" where it is not, as from a folder of sources."""
+    """Version of a package; "not installed" if it is missing, as in a source folder."""
     try:
         return version(package)
     except PackageNotFoundError:
@@ -18,7 +18,7 @@ def package_version(package: str = "calibration-agent") -> str:
 
 
 def needed(module: str, what: str, extra: str = "fleet") -> Any:
-    """An optional package, imported.
+    """Import an optional package.
 
     Raises:
         InputError: it is not installed; says how to install it.

@@ -27,7 +27,7 @@ Answer = TypeVar("Answer")
 
 @dataclass(frozen=True)
 class TaskDone(Generic[Answer]):
-    """What came of task `number`: its `answer`, or why it has none (`lost`: it killed every worker that tried it)."""
+    """Result of task `number`: its `answer`, or why it has none (`lost`: it killed every worker that tried it)."""
 
     number: int
     answer: Answer | None
@@ -35,7 +35,7 @@ class TaskDone(Generic[Answer]):
 
 
 class TaskEngine(Protocol):
-    """Where tasks are done."""
+    """Engine that runs tasks."""
 
     def map(self, function: Callable[[Task], Answer], tasks: Iterable[Task]) -> Iterator[TaskDone[Answer]]:
         """Answers in the order in which they come; an error of `function` is raised here."""

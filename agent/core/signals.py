@@ -58,12 +58,12 @@ class Ended(BaseException):
 
 
 def words_of(error: BaseException) -> str:
-    """What ended something, for people."""
+    """Describe a signal or error for people."""
     return _WORDS[signal.SIGINT] if isinstance(error, KeyboardInterrupt) else str(error) or type(error).__name__
 
 
 class _State:
-    """Of this process; changed in its main thread alone."""
+    """Signal state of this process; changed by the main thread only."""
 
     catching = False
     raised = -float("inf")  # when a signal was, the last time
@@ -168,7 +168,7 @@ def _set_priority(niceness: int, session: int) -> None:
 
 @contextlib.contextmanager
 def undisturbed() -> Iterator[None]:
-    """For the stop itself: no signal is raised. What it is a part of comes to its end anyway."""
+    """Hold signals back during the stop itself, which ends the motion anyway."""
     main = threading.current_thread() is threading.main_thread()
     with signals_raised():
         _state.shields += main
@@ -179,7 +179,7 @@ def undisturbed() -> Iterator[None]:
 
 
 def hang_up() -> None:
-    """What a closed terminal does, for one that was found to be closed; callable from any thread."""
+    """Raise the hang-up of a terminal that was found closed; callable from any thread."""
     if _state.catching:
         _wake(signal.SIGHUP)
 
@@ -205,7 +205,7 @@ def _reporting(hook: Callable[[threading.ExceptHookArgs], Any]) -> Callable[[thr
 
 
 def _wake(number: int) -> None:
-    """A signal to the main thread, also where it waits."""
+    """Send a signal to the main thread, even while it waits."""
     main = threading.main_thread().ident
     if main is not None:
         signal.pthread_kill(main, number)

@@ -150,7 +150,7 @@ def _finite(number: float, expected: str) -> float:
 
 
 def kind_of(value: Any) -> str:
-    """What a value of a document is called."""
+    """Name the type of a document's value for messages."""
     if value is None:
         return "nothing"
     if isinstance(value, bool):

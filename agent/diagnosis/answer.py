@@ -84,7 +84,7 @@ class NotTestable:
 
 @dataclass(frozen=True)
 class NextExperiment:
-    """A motion that tells effects apart."""
+    """A motion that separates effects."""
 
     separates: tuple[str, ...]
     motion: str
@@ -135,7 +135,7 @@ class DiagnosisResult:
 
 
 def _unless(data: Mapping[str, Any], usual: Mapping[str, Any]) -> dict[str, Any]:
-    """Without the keys that are as usual."""
+    """Drop keys that have their usual value."""
     return {key: value for key, value in data.items() if key not in usual or value != usual[key]}
 
 

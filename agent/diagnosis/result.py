@@ -144,16 +144,16 @@ def build(
 
 def _within_uncertainty(share: float) -> str:
     return (
-        f"the model's own parameters, moved no further than their stored uncertainty allows, would take away "
-        f"{100 * share:.0f} % of the squared error: estimate it again with motions like these"
+        f"the model's own parameters explain {100 * share:.0f} % of the squared error within their uncertainty: "
+        "estimate it again with motions like these"
     )
 
 
 def _left_by_numbers(dataset: Dataset, gap: HeldOutGap) -> str:
     worst = int(np.argmax(gap.after * gap.unit / dataset.model.held_out_rmse))
     return (
-        f"the simulator's numbers, moved, leave {100 * (1 - gap.absorbed):.1f} % of the gap, which no effect of the "
-        f"catalogue closes; over what is expected of a simulator it is most on {dataset.robot.joint_names[worst]}"
+        f"corrected simulator parameters leave {100 * (1 - gap.absorbed):.1f} % of the gap, and no known effect "
+        f"explains it; compared with a usual simulator it is largest on {dataset.robot.joint_names[worst]}"
     )
 
 

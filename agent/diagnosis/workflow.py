@@ -87,10 +87,10 @@ def check_effects(names: Sequence[str]) -> None:
 def _path_warnings(motion: MotionGap | None) -> Iterator[str]:
     if motion is not None and motion.notable and not motion.described:
         yield (
-            f"the executed path is not the planned one, by up to {1e3 * motion.before.max():.2g} mrad or mm root mean "
-            "square, and no change of rate, shift in time or rounding of practical size that all motions share "
-            "describes it: compare the controller's FLY and ramp settings with the recipe's, or learn them (agent "
-            "learn-interpolator); torque is judged on the executed motion"
+            f"the executed path is not the planned one: they differ by up to {1e3 * motion.before.max():.2g} mrad or "
+            "mm RMS. No rate, delay or rounding of practical size common to all motions explains it. Compare the "
+            "controller's FLY and ramp settings with the recipe's, or learn them (agent learn-interpolator). Torque is "
+            "judged on the executed motion"
         )
 
 
@@ -118,15 +118,15 @@ def _of_model(dataset: Dataset) -> Iterator[str]:
     share = float(np.linalg.norm(error) / np.sqrt(np.mean(torque**2, axis=0).sum()))
     if dataset.model.method != SIMULATOR and share > dataset.limits.weak_model:
         yield (
-            f"the model errs by {100 * share:.0f} % of the torque on motions that it was fitted to, held out: no gap "
-            "means none beside that, and what is smaller does not show"
+            f"the model errs by {100 * share:.0f} % of the torque on held-out parts of its own data: "
+            "smaller gaps do not show"
         )
 
 
 def _warnings(robot: RobotDescription, logs: Sequence[Log], given: bool, limits: DecisionLimits) -> Iterator[str]:
     """Warnings that limit the conclusions."""
     if len(logs) == 1:
-        yield "one motion only: parts of it are held out from each other, which another motion would test harder"
+        yield "one motion only: held-out figures come from parts of it; another motion would be a harder test"
     if not given:
         yield "no model was given: only what a model fitted to these logs cannot absorb is seen as a gap"
     yield from map(str, spoiled(robot, logs))
@@ -136,4 +136,4 @@ def _warnings(robot: RobotDescription, logs: Sequence[Log], given: bool, limits:
         if all(np.ptp(log.position[:, joint]) <= limits.least_travel for log in logs)
     ]
     if still:
-        yield f"nothing but its weight can be judged of a joint that never moves: {', '.join(still)}"
+        yield f"only the weight of a joint that never moves can be judged: {', '.join(still)}"

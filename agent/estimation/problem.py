@@ -1,4 +1,4 @@
-"""What an estimator is given, what it gives back, and how it is held to account."""
+"""Input and output of an estimator, and its cross-validation."""
 
 from __future__ import annotations
 

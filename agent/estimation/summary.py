@@ -102,9 +102,9 @@ def _notes(model: IdentifiedModel, problem: Problem, found: Estimate, times: np.
     if model.condition_number > _BAD_CONDITION:
         number = condition_text(model.condition_number)
         yield (
-            f"The condition number of the observation matrix is {number}: these motions hardly tell some parameters "
-            "apart. Together they are sound on motions like these, each alone is not; a motion planned for excitation, "
-            "or a larger sub-region, separates them."
+            f"The condition number of the observation matrix is {number}: these motions hardly separate some "
+            "parameters. Predictions of similar motions are sound, single values are not; a motion planned for "
+            "excitation, or a larger sub-region, separates them."
         )
     directions = silent_directions(problem.moments, found.weights, problem.prior, times)
     if len(directions) and found.prior_weight > 0:
@@ -266,8 +266,8 @@ def beyond_fit(model: IdentifiedModel, motions: Sequence[tuple[np.ndarray, np.nd
         faster, lambda k: f"at up to {speed[:, k].max():.3g} {units[k]}/s, fitted up to {fastest[k]:.3g}"
     ):
         yield (
-            f"these logs go faster than the motions that the model was fitted to ({said}): friction beyond that is a "
-            "guess, and so is what differs there"
+            f"these logs go faster than the motions that the model was fitted to ({said}): friction there is "
+            "extrapolated, treat results there with care"
         )
     lower, upper = known_positions(model) or (lowest, highest)
     if said := of_joints(

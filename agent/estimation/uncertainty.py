@@ -1,4 +1,4 @@
-"""How far the parameters may be off, honestly.
+"""Uncertainty of the parameters.
 
 The estimate is θ̂ = A⁻¹ (Xᵀ W y + k Λ θ₀) with A = Xᵀ W X + k Λ, so its covariance is A⁻¹ (M + k² Λ) A⁻¹ with
 M = Xᵀ W E[e eᵀ] W X: the second term is what the prior may be wrong by, M what the noise does. Two views of M:

@@ -1,4 +1,4 @@
-"""The front: logs in, identified model out."""
+"""Entry point of the estimation: logs in, identified model out."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Excitation: which loop through the sub-region tells most about the parameters."""
+"""Excitation: the loop through the sub-region with the most information on the parameters."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""From a genome to a motion and what it is worth."""
+"""Candidates of the search: from a genome to a motion and its score."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The experiment that tells what a diagnosis leaves open: which motion, and what it is expected to say."""
+"""Experiments that settle what a diagnosis leaves open: the next motion and its expected result."""
 
 import lazy_loader
 

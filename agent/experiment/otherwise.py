@@ -1,4 +1,4 @@
-"""Other ways to spend the time of an experiment, to compare it with: motions at random, and the D-optimal ones.
+"""Baselines of an experiment with the same motion time: random and D-optimal motions.
 
 They are loops through via-points of the sub-region at several speeds, as an excitation or a validation is, or pieces of
 all the kinds that an experiment is put together from: what its kinds are worth, and what choosing them is.

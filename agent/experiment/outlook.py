@@ -201,7 +201,7 @@ def tells_apart_by_load(
     motions: Sequence[GridMotion],
     load: Tool,
 ) -> bool:
-    """Return whether the same motions tell clearly more with a known load at the flange."""
+    """Return whether a known load at the flange clearly improves what the same motions distinguish."""
     bare, loaded = (Outlook(dataset, evidence, pairs, one) for one in (None, load))
     first, second = (
         np.nan_to_num(one.evidence(sum((one.told(motion) for motion in motions), one.nothing)))

@@ -33,8 +33,8 @@ AHEAD = 90.0
 _LIKE_GATE = 0.2
 _VERDICTS = {
     "explained": "the gap between model and robot is explained",
-    "ambiguous": "there is a gap between model and robot, and more than one cause is as good",
-    "unknown": "there is a gap between model and robot that nothing known explains",
+    "ambiguous": "there is a gap between model and robot that several causes explain equally well",
+    "unknown": "there is a gap between model and robot that no known effect explains",
 }
 #: Characters of a reason on the page.
 _LONGEST = 300

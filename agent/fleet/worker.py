@@ -37,7 +37,7 @@ class Notes(Console):
         self.warnings: list[str] = []
 
     def warn(self, text: str) -> None:
-        """Kept."""
+        """Keep a warning."""
         self.warnings.append(text)
 
 

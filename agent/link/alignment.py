@@ -1,4 +1,4 @@
-"""What we planned, laid onto the controller's set-points."""
+"""Alignment of planned set-points with the controller's."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class Aligner:
-    """Lays what we planned, from stop to stop, onto the controller's set-points.
+    """Aligns planned set-points, from stop to stop, with the controller's.
 
     The controller waits for the arm to settle at each stop, so only the segments between stops are comparable in
     time. Where the numbers of segments differ there is nothing to compare, and nothing is written.

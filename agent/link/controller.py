@@ -1,4 +1,4 @@
-"""The recipe's controller: its driver, told what it has to know of the robot."""
+"""Driver of the recipe's controller, with the robot data it needs."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def create_driver(recipe: Recipe, tell: Callable[[str], None]) -> Driver:
 
 @contextmanager
 def answering(recipe: Recipe) -> Iterator[tuple[Driver, Identity]]:
-    """The recipe's controller, connected for questions, and who it is; nothing moves.
+    """Connect to the recipe's controller for queries only; yields driver and identity.
 
     Raises:
         ControllerError: another robot.
@@ -50,7 +50,7 @@ def answering(recipe: Recipe) -> Iterator[tuple[Driver, Identity]]:
 
 
 def torque_facts(recipe: Recipe, driver: Driver) -> dict[str, str]:
-    """What a log says of how its torque was obtained; nothing where the controller delivers torque itself."""
+    """Facts for the log on how torque was obtained; empty if the controller delivers torque."""
     if not isinstance(driver, MeasuresCurrents):
         return {}
     constants = {joint.name: joint.torque_constant for joint in recipe.robot.joints}

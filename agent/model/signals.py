@@ -118,7 +118,7 @@ def _doubt(robot: RobotDescription, nominal: Dynamics, links: np.ndarray) -> tup
 
 
 def _times_further(away: np.ndarray, spread: np.ndarray, covariance: np.ndarray) -> float:
-    """How many times the prior deviations a model says that its description is wrong by, at least once.
+    """Factor on the prior deviations by which a model finds its description wrong; at least 1.
 
     `away` (b,): base parameters of the model less those of the description; `spread` (b, b): their covariance by the
     prior; `covariance` (b, b): that of the model, all in the base parameters' units. The s with most evidence for

@@ -41,7 +41,7 @@ def frame_of(matrix: np.ndarray) -> Frame:
 
 @dataclass(frozen=True)
 class MotionSettings:
-    """What every controller is told of a move; a dialect derives its own class for what only its controllers know.
+    """Settings of a move on every controller; a dialect derives its own class with further ones.
 
     `fly_distance` [m]: how far a blend keeps from the via-point (a tolerance, a zone, a blend radius: the dialect says
     which). Speeds [m/s, rad/s]; `speed_override` a fraction of them, and of the joint limits in a joint move. `base`,

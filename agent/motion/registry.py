@@ -46,7 +46,7 @@ def dialect_of(program: Path) -> Dialect | None:
 
 
 def dialects() -> tuple[Dialect, ...]:
-    """All there are."""
+    """All registered dialects."""
     return tuple(map(create_dialect, _DIALECTS))
 
 

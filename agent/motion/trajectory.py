@@ -1,4 +1,4 @@
-"""What an interpolator returns."""
+"""Result of an interpolator."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a notebook calls. Robots, logs, models and recipes are given as paths or as loaded objects."""
+"""Functions for notebooks. Robots, logs, models and recipes are paths or loaded objects."""
 
 from __future__ import annotations
 

@@ -88,7 +88,7 @@ class Model(Shown, IdentifiedModel):
 
     @classmethod
     def of(cls, model: IdentifiedModel) -> Model:
-        """The same model."""
+        """Wrap a model."""
         return cls(**{field.name: getattr(model, field.name) for field in fields(model)})
 
     def headline(self) -> str:

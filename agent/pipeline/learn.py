@@ -90,7 +90,7 @@ def learn_files(robot: str, paths: Sequence[Path], out: Path, console: Console) 
     """
     check_output(out, paths)
     if out.suffix.lower() not in (".yaml", ".yml"):
-        raise InputError(f"{out}: name a .yaml file: a recipe's search.interpolator tells it by that from a name")
+        raise InputError(f"{out}: name a .yaml file; search.interpolator of a recipe needs that ending")
     description = load_robot(robot)
     logs = read_logs(list(paths), description, console)
     check_one_machine(logs, None, False)

@@ -21,7 +21,7 @@ from agent.runs import PastRun, read_object, read_run, readable
 from agent.validation import Comparison, predict_log
 
 _AGAIN = {
-    "calibrate": "`agent calibrate RECIPE --resume {}` goes on with it",
+    "calibrate": "`agent calibrate RECIPE --resume {}` continues it",
     "recalibrate": "`agent recalibrate RECIPE` starts a new one",
     "diagnose": "`agent diagnose --record RECIPE` starts a new one",
 }

@@ -261,7 +261,7 @@ def check_loop(recipe: Recipe, loop: StoredLoop) -> None:
 
 
 def _unlike(move: Move, wanted: Move) -> str | None:
-    """What differs between two moves."""
+    """Differences between two moves."""
     if (move.type, move.fly, move.via) != (wanted.type, wanted.fly, None):
         return "the kind"
     if move.settings != wanted.settings:

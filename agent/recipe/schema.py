@@ -277,9 +277,9 @@ def _clashes(data: dict[Any, Any]) -> list[InitErrorDetails]:
     if chosen == ["points"] and counted:
         faults.append(_fault(("count",), "points are counted by themselves; leave count out", data["count"]))
     if chosen != ["points"] and not counted:
-        faults.append(_fault(("count",), f"how many via-points is required beside {chosen[0]}", data))
+        faults.append(_fault(("count",), f"how many via-points is required with {chosen[0]}", data))
     if (chosen == ["like"]) != (data.get("around") is not None):
-        message = "how far around it is required beside like" if chosen == ["like"] else "it belongs to like alone"
+        message = "how far around it is required with like" if chosen == ["like"] else "it belongs to like alone"
         faults.append(_fault(("around",), message, data))
     return faults
 

@@ -370,7 +370,7 @@ class _Source:
                 word = table.words.get(table.name(name) or "")
                 if word is None:
                     fault(columns_key, f"{table.path}: column {name} is empty: nothing was recorded in it")
-                what = f"{table.path}: column {name} is not of numbers ({word[:_SHOWN]!r} is none)"
+                what = f"{table.path}: column {name} is not of numbers ({word[:_SHOWN]!r} is not a number)"
                 fault(columns_key, f"{what}; numbers are written like 1234.5, times in seconds or another unit")
         return table, columns
 

@@ -27,7 +27,7 @@ _AROUND = 1.0  # s kept on either side of a cycle that is cut out of a log: filt
 
 
 def machines_of(logs: Sequence[Log]) -> dict[str, list[str]]:
-    """What logs say of whose motions they are: the sorted values of each key of `MACHINE`."""
+    """Machines that logs name: the sorted values of each key of `MACHINE`."""
     return {key: sorted({log.metadata.get(key, "") for log in logs} - {""}) for key in MACHINE}
 
 

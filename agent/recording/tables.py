@@ -32,7 +32,7 @@ def read_table(path: Path) -> ColumnTable:
     """
     ending = path.suffix.lower()
     if ending not in _READERS:
-        raise InputError(f"{path}: tables end in {', '.join(_READERS)}; {path.suffix or 'no ending'} is none of them")
+        raise InputError(f"{path}: tables end in {', '.join(_READERS)}; {path.suffix or 'no ending'} is not known")
     if not path.is_file():
         raise InputError(f"{path}: no such file")
     kind, reader = _READERS[ending]

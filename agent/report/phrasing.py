@@ -255,12 +255,12 @@ def _how_sure(result: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _found_if_there(result: Mapping[str, Any]) -> str:
-    """How far "no gap" can be trusted: what would have been found."""
+    """Confidence in "no gap": effects that would have been found."""
     open_ = {entry["effect"] for entry in result["not_testable"]}
     usual = "of practical size would have been found (80 % power)"
     if not open_:
         return f"Every effect {usual}."
-    return f"{len(CATALOGUE) - len(open_)} of {len(CATALOGUE)} effects {usual}. The rest: {NOT_TESTABLE}."
+    return f"{len(CATALOGUE) - len(open_)} of {len(CATALOGUE)} effects {usual}. The rest are not testable here."
 
 
 def measures(result: Mapping[str, Any]) -> list[NextStep]:
@@ -269,7 +269,7 @@ def measures(result: Mapping[str, Any]) -> list[NextStep]:
     experiment = result["next_experiment"]
     if experiment is not None and not experiment.get("program"):  # a planned motion has its own command
         motion = experiment["motion"]
-        steps.append(NextStep(f"{motion}." if "program" in experiment else f"run {motion}."))
+        steps.append(NextStep(f"{motion}." if "program" in experiment else f"record {motion}."))
     return steps
 
 
@@ -285,7 +285,7 @@ def next_text(experiment: Mapping[str, Any]) -> str:
     if "program" in experiment and experiment["program"] is None:
         return capital(motion)
     took = f" ({experiment['duration_s']:.0f} s, {experiment['program']})" if "program" in experiment else ""
-    return f"Run next: {motion}{took}"
+    return f"Record next: {motion}{took}"
 
 
 def said_by_rounds(result: Mapping[str, Any]) -> bool:

@@ -49,7 +49,7 @@ class Scene:
 
 
 def scene_part(scene: Scene) -> dict[str, Any]:
-    """What the page's template needs of a view."""
+    """Data of a view for the page's template."""
     data: dict[str, Any] = {
         "lines": {name: np.round(line, 4).tolist() for name, line in scene.lines.items()},
         "points": {name: np.round(points, 4).tolist() for name, points in scene.points.items()},

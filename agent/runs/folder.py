@@ -30,7 +30,7 @@ Kind = TypeVar("Kind")
 
 @dataclass
 class RunState:
-    """What every run's state has."""
+    """State of a run."""
 
     schema: Literal["run/1"]
     robot: str
@@ -91,7 +91,7 @@ class RunFolder:
         state = read_json(path / _STATE)
         kind = state.get("kind") if isinstance(state, dict) else None
         if kind in ("recalibrate", "diagnose"):
-            raise InputError(f"{path}: only calibrations are gone on with; start this one again: `agent {kind}`")
+            raise InputError(f"{path}: only a calibration can be resumed; start this one again: `agent {kind}`")
         try:
             from_plain(RunState, state)
         except ValueError as error:
@@ -111,7 +111,7 @@ class RunFolder:
         return run
 
     def finished(self, step: str) -> dict[str, Any] | None:
-        """What a finished step noted, or None if it has not finished."""
+        """Values noted by a finished step; None if it has not finished."""
         return self.state["steps"].get(step)
 
     def finish(self, step: str, **found: Any) -> dict[str, Any]:

@@ -159,7 +159,7 @@ class PastParameter:
 
 
 def read_run(path: Path) -> PastRun:
-    """What a run folder says, without its model.
+    """Read a run folder without its model.
 
     Raises:
         InputError: one of its files cannot be read.
@@ -169,7 +169,7 @@ def read_run(path: Path) -> PastRun:
 
 
 def read_parameters(path: Path) -> list[PastParameter]:
-    """What the model of a run folder says, in the model's order; nothing where there is none.
+    """Read the parameters of a run's model, in the model's order; empty without a model.
 
     Raises:
         InputError: it cannot be read.
@@ -199,7 +199,7 @@ def readable(run: Path) -> Iterator[None]:
     except (OSError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RecursionError) as error:
         what = f"{error} is missing in them" if isinstance(error, KeyError) else str(error)
         page = run / "report.html"
-        advice = f"the page of its own time is {page}" if os.path.isfile(page) else "it has no page of its own time"
+        advice = f"its page from then is {page}" if os.path.isfile(page) else "it has no page from then"
         raise InputError(
             f"{run}: files of this run are damaged, or another version of the agent wrote them ({what}); {advice}"
         ) from error

@@ -57,7 +57,7 @@ class Violation:
 
 @dataclass(frozen=True, eq=False)
 class CellReport:
-    """What a check found.
+    """Result of a check.
 
     `clearances`: the smallest distance of each pair of bodies [m], negative where they overlap; `collision`: the first
     violation in time, or None; `depth`: the deepest of all violations [m, rad], to rank motions by.

@@ -1,4 +1,4 @@
-"""How old the newest sample is that was judged: an arm is watched only as far as that."""
+"""Age of the newest judged sample: the arm is watched only up to that sample."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class Freshness:
 
     @property
     def silent(self) -> float:
-        """For how long [s] nothing was judged."""
+        """Time [s] since a sample was last judged."""
         return self._clock() - self._since
 
     @property

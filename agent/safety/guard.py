@@ -102,7 +102,7 @@ class GuardedLink:
 
     @property
     def identity(self) -> Identity:
-        """Who is at the far end."""
+        """Identity of the controller."""
         assert self._identity is not None, "open() comes first"
         return self._identity
 

@@ -1,4 +1,4 @@
-"""What must be true before a robot moves. Reads, never sets."""
+"""Conditions for motion. Reads the controller, never changes it."""
 
 from __future__ import annotations
 

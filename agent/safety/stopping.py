@@ -97,7 +97,7 @@ class Braking:
 
     @property
     def rested(self) -> float:
-        """For how long [s] it has."""
+        """Time [s] for which the arm has rested."""
         return 0.0 if self._still_since is None else float(self._times[-1]) - self._still_since
 
     @property

@@ -147,7 +147,7 @@ class MotionWatch:
             thread.join()
 
     def turn(self) -> None:
-        """One look of that thread."""
+        """One iteration of that thread."""
         now = self._clock()
         # A stall of this whole process is no delay of the link: what came meanwhile is judged first, which takes time.
         passed, self._turned = now - self._turned, now
@@ -187,7 +187,7 @@ class MotionWatch:
         self._freshness.judged(self._now)
 
     def _broken(self, block: SampleBlock) -> str | None:
-        """What makes a block no samples of this arm that could be judged or recorded."""
+        """Reason why a block cannot be judged or recorded as samples of this arm; None if it can."""
         joints = self._robot.dof
         arrays = [values for values in vars(block).values() if isinstance(values, np.ndarray) and values.ndim != 1]
         for values in arrays:

@@ -252,7 +252,7 @@ def _notes(model: IdentifiedModel) -> Iterable[str]:
         "line through those that change sign with w, up to the highest speed."
     )
     if np.any(model.robot.coupling - np.diag(np.diag(model.robot.coupling))):
-        yield "In the URDF the friction of a coupled axle is that of its own joint, for want of a way to say more."
+        yield "A URDF cannot describe coupled friction: the friction of a coupled axle is that of its own joint."
     if model.effects:
         yield f"Not in these files: {', '.join(effect.effect for effect in model.effects)}."
 

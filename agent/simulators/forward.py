@@ -72,7 +72,7 @@ class ServoGains:
 
 @dataclass(frozen=True, eq=False)
 class SimulatedMotion:
-    """What happened at the moments of the set-points. S samples, n joints.
+    """Simulated motion at the times of the set-points. S samples, n joints.
 
     time (S,) [s]; position, velocity (S, n) of the joints, load side; motor_position, motor_velocity (S, n) of the
     motors and motor_torque (S, n) on the axles; torque (S, n) is the motors' torque seen at the joints.

@@ -41,7 +41,7 @@ class ParameterChange:
 
 @dataclass(frozen=True, eq=False)
 class TorqueChange:
-    """How far predictions of two models are apart along `motion`, a recorded motion in the sub-region.
+    """Difference between two models' predictions along `motion`, a recorded motion in the sub-region.
 
     `rmse`, `largest` (n,) [N·m]; `normalised_rmse` (n,) by nominal torque, NaN where there is none;
     `standard_deviation` (n,) is what the stated uncertainty of the models explains of `rmse`.

@@ -1,4 +1,4 @@
-"""What a motion shows of a model's parameters: the health of its observation matrix, and what nothing can show."""
+"""Observability of parameters: singular values of a motion's observation matrix, and unobservable parameters."""
 
 from __future__ import annotations
 

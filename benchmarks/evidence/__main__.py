@@ -46,7 +46,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             left = sum(pool.map(work, machines))
     else:
         left = sum(map(work, machines))
-    print(f"{left} left; the same command goes on" if left else "complete", file=sys.stderr)
+    print(f"{left} left; run the same command again to do them" if left else "complete", file=sys.stderr)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""What drivers share on every wire: the thread that reads a link, and one motion at a time."""
+"""Shared base of all drivers: the thread that reads a link, and one motion at a time."""
 
 from __future__ import annotations
 

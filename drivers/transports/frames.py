@@ -1,4 +1,4 @@
-"""What the drivers over frames have in common, whatever carries the frames; docs/wire-tcp.md has them."""
+"""Shared base of drivers over frames, for any transport; docs/wire-tcp.md describes the frames."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ class Sequencer:
 
     @property
     def gaps(self) -> tuple[Gap, ...]:
-        """What was given up."""
+        """Abandoned samples."""
         return tuple(self._gaps)
 
     @property

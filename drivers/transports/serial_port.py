@@ -80,7 +80,7 @@ class SerialChannel:
         return self._port.fileno()
 
     def recv(self, size: int) -> bytes:
-        """What has come; called when something has."""
+        """Received bytes; called when there are some."""
         if not self._open:
             return b""
         try:
@@ -98,7 +98,7 @@ class SerialChannel:
             raise OSError(None, str(error)) from None
 
     def shutdown(self, how: int) -> None:
-        """From now on nothing comes."""
+        """Stop receiving."""
         self._open = False
         with contextlib.suppress(OSError, AttributeError):
             self._port.cancel_write()

@@ -45,7 +45,7 @@ class Cursor:
 
 
 class FieldKind(Protocol):
-    """How one field is packed."""
+    """Packing of one field."""
 
     def pack(self, value: Any) -> bytes: ...
 

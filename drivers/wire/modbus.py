@@ -42,7 +42,7 @@ class Flag(IntFlag):
 
 
 class Command(IntEnum):
-    """What `command.command` may be."""
+    """Values of `command.command`."""
 
     OPEN = 1  # take the controller; the watchdog asked for is in watchdog_ms
     RELEASE = 2  # give it back; an arm that moves is brought to rest
@@ -53,7 +53,7 @@ class Command(IntEnum):
 
 
 class OutcomeCode(IntEnum):
-    """What `answer.outcome` may be."""
+    """Values of `answer.outcome`."""
 
     WORKING = 0
     DONE = 1
@@ -61,7 +61,7 @@ class OutcomeCode(IntEnum):
 
 
 class MotionState(IntEnum):
-    """What `progress.state` may be."""
+    """Values of `progress.state`."""
 
     NONE = 0
     RUNNING = 1

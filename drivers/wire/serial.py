@@ -31,7 +31,7 @@ def samples_per_second(baud: int, joints: int) -> float:
 
 
 def samples_per_frame(joints: int) -> int:
-    """How many samples fit into the longest frame."""
+    """Number of samples in the longest frame."""
     room = LONGEST_FRAME - tcp.frame_bytes(LeanSamples.size(0, joints))
     return max(1, room // (LeanSamples.size(1, joints) - LeanSamples.size(0, joints)))
 

@@ -26,7 +26,7 @@ class StreamDecoder(Generic[Whole]):
         return len(self._buffer)
 
     def feed(self, data: bytes) -> Iterator[Whole]:
-        """What is complete now; run through all of it before feeding again.
+        """Yield complete items; consume all of them before feeding again.
 
         Raises:
             ProtocolError: another protocol, or damage; after the whole frames that came before.

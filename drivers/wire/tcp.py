@@ -60,7 +60,7 @@ class Welcome(FrameMessage, number=0x81):
 
 
 class Identify(FrameMessage, number=0x02):
-    """Who are you?"""
+    """Request for the identity."""
 
 
 class IdentityReply(FrameMessage, number=0x82):
@@ -75,7 +75,7 @@ class IdentityReply(FrameMessage, number=0x82):
 
 
 class AskStatus(FrameMessage, number=0x03):
-    """How are you?"""
+    """Request for the status."""
 
 
 class StatusReply(FrameMessage, number=0x83):

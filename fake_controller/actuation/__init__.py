@@ -1,4 +1,4 @@
-"""What acts in the drives of the simulated robot: friction, gears, and the simulated form of every effect."""
+"""Drives of the simulated robot: friction, gears, and the simulated form of every effect."""
 
 from __future__ import annotations
 

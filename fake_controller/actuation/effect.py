@@ -1,4 +1,4 @@
-"""What every simulated effect offers, and how one is read from plain data."""
+"""Interface of every simulated effect, and its reading from plain data."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class SimulatedEffect(ABC):
         """
 
     def indices(self, robot: RobotDescription) -> list[int]:
-        """Where `joints` stand in the arm.
+        """Indices of `joints` in the arm.
 
         Raises:
             InputError: no joint given, or one that the robot does not have.

@@ -1,4 +1,4 @@
-"""What the controller measures of its drives: counted angles, quantised and noisy currents, channels out of step."""
+"""Sensors of the drives: counted angles, quantised and noisy currents, delayed channels."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What every server offers, and what those over sockets share."""
+"""Interface of every server, and shared code of those over sockets."""
 
 from __future__ import annotations
 

@@ -77,7 +77,7 @@ class Cable:
                         left[source] = self._write(ways[source], data)
 
     def _write(self, target: int, data: bytes) -> bytes:
-        """What could not be written."""
+        """Write bytes; returns those that could not be written."""
         try:
             return data[os.write(target, data) :]
         except BlockingIOError:

@@ -72,7 +72,7 @@ def made(tmp_path: Path, monkeypatch):
     return made
 
 
-def test_every_way_gets_the_time_of_the_planned_motion_and_begins_with_the_same_recording(made):
+def test_every_strategy_gets_the_same_motion_time_and_first_recording(made):
     scores = made.whole()
     assert [entry for entry in made.asked if entry[0] == 0] == [
         (0, "planned", 60.0),
@@ -87,7 +87,7 @@ def test_every_way_gets_the_time_of_the_planned_motion_and_begins_with_the_same_
     assert not list(made.folder.glob("runs/*/*brakes*"))
 
 
-def test_ambiguous_runs_come_before_the_others_once_all_have_their_first_motions(made):
+def test_ambiguous_runs_are_continued_first(made):
     made.first = {0: "unknown", 1: "explained"}
     scores = made.whole()
     assert [entry[0] for entry in made.ran[:3]] == [0, 1, 2]
@@ -95,7 +95,7 @@ def test_ambiguous_runs_come_before_the_others_once_all_have_their_first_motions
     assert [case["number"] for case in scores["cases"]] == [0, 1, 2]
 
 
-def test_where_an_offset_is_open_the_motion_is_planned_for_what_seconds_with_the_drives_off_leave(made):
+def test_plans_a_motion_for_what_the_drives_off_record_leaves_open(made):
     made.effect = "torque_offset"
     made.brakes = {(0, 1): "explained", (1, 1): "ambiguous", (1, 2): "explained", (2, 1): "ambiguous"}
     made.brakes[2, 2] = "unknown"
@@ -106,7 +106,7 @@ def test_where_an_offset_is_open_the_motion_is_planned_for_what_seconds_with_the
     assert [run["verdict"] for run in runs] == ["explained", "explained", "unknown"]
 
 
-def test_a_mass_that_is_asked_for_is_mounted_and_all_ways_get_the_time_of_its_motion(made):
+def test_mounts_the_requested_mass_and_gives_every_strategy_that_motion_time(made):
     made.masses, made.refuses = {0: "5 kg, 0 mm, 0 mm, 60 mm", 1: "2 kg, 0 mm, 0 mm, 0 mm"}, (1,)
     scores = made.whole()
     ball = {"effect": "payload", "joints": [], "parameters": {"mass": 5.0, "centre": [0.0, 0.0, 0.06]}}
@@ -117,7 +117,7 @@ def test_a_mass_that_is_asked_for_is_mounted_and_all_ways_get_the_time_of_its_mo
     assert scores["no_motion"] == 1
 
 
-def test_where_no_motion_helps_with_the_drives_off_their_verdict_stands_though_a_mass_is_asked_for(made):
+def test_keeps_the_drives_off_verdict_if_no_motion_helps(made):
     made.effect, made.refuses, made.masses = "torque_offset", (0,), {0: "5 kg, 0 mm, 0 mm, 0 mm"}
     made.brakes = {(0, 1): "unknown", (1, 1): "explained", (2, 1): "explained"}
     made.whole()
@@ -125,7 +125,7 @@ def test_where_no_motion_helps_with_the_drives_off_their_verdict_stands_though_a
     assert kept["result"]["verdict"] == "unknown"
 
 
-def test_no_time_is_spent_where_no_motion_would_settle_it(made):
+def test_records_nothing_if_no_motion_would_help(made):
     made.refuses = (1,)
     scores = made.whole()
     assert [entry for entry in made.asked if entry[0] == 1] == [(1, "planned", 60.0)]
@@ -136,7 +136,7 @@ def test_no_time_is_spent_where_no_motion_would_settle_it(made):
 @pytest.mark.parametrize(
     ("fails", "why"), [("1 0001", "nobody there"), ("1 random_pieces", "random_pieces: nobody there")]
 )
-def test_what_could_not_be_recorded_is_named_and_a_finished_check_records_nothing_again(made, fails: str, why: str):
+def test_names_failed_recordings_and_does_not_repeat_a_finished_check(made, fails: str, why: str):
     made.fails = fails
     scores = made.whole()
     assert scores["not_recorded"] == [{"run": 1, "why": why}]
@@ -147,7 +147,7 @@ def test_what_could_not_be_recorded_is_named_and_a_finished_check_records_nothin
     assert len(made.ran) == before
 
 
-def test_a_check_that_is_stopped_keeps_every_answer_until_then(made, monkeypatch):
+def test_a_stopped_check_keeps_its_answers(made, monkeypatch):
     real = ActiveRun._motion
     monkeypatch.setattr(
         ActiveRun,
@@ -162,7 +162,7 @@ def test_a_check_that_is_stopped_keeps_every_answer_until_then(made, monkeypatch
     assert len({entry[:2] for entry in made.ran}) == len(made.ran), "nothing is recorded twice"
 
 
-def test_another_check_in_the_folder_is_refused(made):
+def test_refuses_a_folder_of_another_check(made):
     made.whole()
     with pytest.raises(InputError, match="another seed"):
         check(3, 6, made.folder, QUIET)
@@ -174,7 +174,7 @@ def test_another_check_in_the_folder_is_refused(made):
             check(1, 6, made.folder / below, QUIET)
 
 
-def test_weak_effects_of_every_kind_that_comes_again_are_drawn():
+def test_draws_weak_effects_of_every_repeatable_kind():
     cases = draw_cases(60, 3, load_robot("comau_ns16"), OPEN)
     assert {case.kind for case in cases} == {"one", "none"}
     assert all(0.15 <= case.strength <= 0.8 for case in cases)

@@ -45,7 +45,7 @@ def scores():
     )
 
 
-def test_every_way_is_counted_over_the_runs_that_were_ambiguous(scores):
+def test_scores_every_strategy_on_the_ambiguous_runs(scores):
     assert scores["first"] == {"ambiguous": 2, "explained": 1, "no_gap": 1}
     assert scores["ambiguous"] == 2
     found = {way: scores["ways"][way]["right"]["count"] for way in WAYS}
@@ -55,7 +55,7 @@ def test_every_way_is_counted_over_the_runs_that_were_ambiguous(scores):
     assert scores["not_recorded"] == [{"run": 4, "why": "nobody there"}]
 
 
-def test_predicted_probabilities_are_compared_with_what_came_where_the_truth_was_asked_about(scores):
+def test_compares_predicted_probabilities_with_outcomes(scores):
     calibration = scores["calibration"]
     assert calibration["pairs"] == 2, "a pair without the truth has no right answer"
     overall = {"said": 0.9, "came": 0.5, "brier": (0.1**2 + 0.9**2) / 2}
@@ -63,12 +63,12 @@ def test_predicted_probabilities_are_compared_with_what_came_where_the_truth_was
     assert "predicted 0.90, came 0.50" in active_text(scores)
 
 
-def test_a_rival_that_still_equals_the_truth_is_no_answer():
+def test_a_cause_still_equivalent_to_the_truth_does_not_count():
     still = said("ambiguous", "stribeck", equal=("presliding",))
     assert active_scores([run(0, OPEN, planned=still)])["calibration"]["overall"]["came"] == 0.0
 
 
-def test_a_pair_without_a_prediction_for_the_truth_is_not_compared():
+def test_skips_a_pair_without_a_prediction_for_the_truth():
     unsaid = run(0, OPEN, planned=RIGHT)
     unsaid["ways"]["planned"]["expected"] = [{**unsaid["ways"]["planned"]["expected"][0], "after_if": [0.6, None]}]
     calibration = active_scores([unsaid, run(1, OPEN, planned=RIGHT)])["calibration"]
@@ -76,14 +76,14 @@ def test_a_pair_without_a_prediction_for_the_truth_is_not_compared():
     assert calibration["overall"]["said"] == pytest.approx(0.9)
 
 
-def test_where_nothing_is_recorded_there_are_no_figures():
+def test_reports_no_figures_without_recordings():
     nothing = active_scores([{"number": 0, "kind": "one", "effects": [TRUE], "strength": 1.0, "error": "no link"}])
     assert nothing["calibration"]["overall"] is None
     assert nothing["planning_s"] is None
     assert "1 runs" in active_text(nothing)
 
 
-def test_the_tests_that_the_tool_asks_for_count_for_the_planned_way():
+def test_requested_tests_count_for_the_planned_strategy_only():
     scores = active_scores([run(0, OPEN, tests=RIGHT, planned=OPEN, random_pieces=OPEN), run(1, OPEN, planned=OPEN)])
     ways = scores["ways"]
     assert ways["planned"]["right_with_tests"]["count"] == 1
@@ -91,7 +91,7 @@ def test_the_tests_that_the_tool_asks_for_count_for_the_planned_way():
     assert "and tests" in active_text(scores)
 
 
-def test_an_effect_without_a_name_at_first_counts_where_one_motion_names_it():
+def test_an_effect_named_after_one_motion_counts():
     runs = [
         run(0, said("no_gap"), planned=RIGHT, loop_again=said("no_gap")),
         run(1, said("unknown"), planned=WRONG),

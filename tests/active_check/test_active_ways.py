@@ -16,7 +16,7 @@ _LONGEST = 570  # s; a check that is stopped goes on with the next call
 
 
 @pytest.mark.verify
-def test_the_planned_motion_names_no_fewer_than_the_d_optimal_pieces(measured):
+def test_planned_motions_name_at_least_as_many_effects_as_d_optimal_pieces(measured):
     """Bounded: where the time is not enough it is skipped, and goes on at the same commit when it is called again."""
     commit = subprocess.run(["git", "rev-parse", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=True).stdout
     folder = ROOT / ".verify" / f"active_{commit.strip()[:12]}"

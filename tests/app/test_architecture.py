@@ -14,7 +14,7 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 TOPS = ("agent", "drivers", "fake_controller")
 
 
-def test_every_package_is_named_and_every_name_is_a_package():
+def test_the_architecture_page_names_exactly_the_packages():
     text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8").split("## What is added where")[0]
     named = {name.rstrip("/") for name in re.findall(r"`((?:agent|drivers|fake_controller)(?:/[a-z_0-9/]+)?)`", text)}
     there = {path.parent.relative_to(ROOT).as_posix() for top in TOPS for path in (ROOT / top).rglob("__init__.py")}
@@ -22,14 +22,14 @@ def test_every_package_is_named_and_every_name_is_a_package():
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
-def test_paths_that_a_page_names_exist(page: Path):
+def test_paths_named_on_the_page_exist(page: Path):
     text = page.read_text(encoding="utf-8")
     for name in re.findall(r"\b((?:agent|drivers|fake_controller|tests|benchmarks)/[\w/]+(?:\.\w+)?)", text):
         assert (ROOT / name.rstrip("/")).exists(), name
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
-def test_modules_and_their_names_exist(page: Path):
+def test_modules_and_functions_named_on_the_page_exist(page: Path):
     text = page.read_text(encoding="utf-8")
     for name in re.findall(r"`((?:agent|drivers|fake_controller)(?:\.\w+)+)`", text):
         assert _resolves(name), name

@@ -35,7 +35,7 @@ def score_of_the_truth(folder: Path) -> np.ndarray:
     return np.sqrt(np.mean(np.concatenate(errors) ** 2, axis=0)) / robot.nominal_torque
 
 
-def test_the_whole_job(controller, write_recipe, run_agent, tmp_path: Path):
+def test_calibrates_the_emulated_robot_end_to_end(controller, write_recipe, run_agent, tmp_path: Path):
     recipe = write_recipe(controller.address)
     run = run_agent("calibrate", recipe)
     assert run.returncode == 0, run.stderr
@@ -80,9 +80,7 @@ def test_the_whole_job(controller, write_recipe, run_agent, tmp_path: Path):
     assert len(json.loads(kept.stdout)["trajectories"]) == 1, "the same search finds the same loop"
 
 
-def test_a_gate_that_is_missed_is_exit_3_and_keeps_everything(
-    only_run, controller, write_recipe, run_agent, tmp_path: Path
-):
+def test_a_missed_gate_exits_with_3_and_keeps_the_run(only_run, controller, write_recipe, run_agent, tmp_path: Path):
     recipe = write_recipe(controller.address, motions=1, gate=1e-5)
     run = run_agent("calibrate", recipe, "--json")
     assert run.returncode == 3
@@ -132,7 +130,7 @@ def test_an_interrupted_run_stops_the_arm_and_says_where(
     assert "another recipe" in other.stderr
 
 
-def test_a_rate_that_the_controller_has_not_is_found_by_check_and_ends_the_run(controller, write_recipe, run_agent):
+def test_check_and_calibrate_refuse_an_unsupported_sample_rate(controller, write_recipe, run_agent):
     recipe = write_recipe(controller.address)
     recipe.write_text(recipe.read_text(encoding="utf-8").replace("rate: 500 Hz", "rate: 1000 Hz"), encoding="utf-8")
     checked = run_agent("check", recipe, "--json", "-q")
@@ -147,7 +145,7 @@ def test_a_rate_that_the_controller_has_not_is_found_by_check_and_ends_the_run(c
     assert "--resume" not in run.stderr
 
 
-def test_a_stopped_run_goes_on(
+def test_resumes_a_stopped_run(
     only_run, start_controller, write_recipe, start_agent, wait_for_motion, run_agent, tmp_path: Path
 ):
     slow = start_controller("--clock", "real")
@@ -179,9 +177,7 @@ def test_a_stopped_run_goes_on(
     assert "are of FAKE-0007" in other.stderr
 
 
-def test_torque_that_no_arm_can_have_makes_no_model(
-    only_run, start_controller, write_recipe, run_agent, tmp_path: Path
-):
+def test_impossible_torque_makes_no_model(only_run, start_controller, write_recipe, run_agent, tmp_path: Path):
     effects = tmp_path / "millimetres.json"
     effects.write_text(
         json.dumps([{"effect": "torque_constant", "joints": JOINTS, "parameters": {"scale": 1000}}]), encoding="utf-8"
@@ -197,7 +193,7 @@ def test_torque_that_no_arm_can_have_makes_no_model(
     assert "N·mm" in stopped["reason"]
 
 
-def test_a_controller_killed_in_mid_motion(
+def test_a_controller_killed_in_motion_ends_the_run(
     only_run, start_controller, write_recipe, start_agent, wait_for_motion, tmp_path: Path
 ):
     controller = start_controller("--clock", "real")

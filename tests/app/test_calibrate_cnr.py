@@ -45,7 +45,9 @@ def check(folder: Path, measured, what: str) -> None:
 
 
 @pytest.mark.verify
-def test_programs_that_a_person_starts(server, write_recipe, start_agent, only_run, measured, tmp_path: Path):
+def test_calibrates_with_operator_started_programs(
+    server, write_recipe, start_agent, only_run, measured, tmp_path: Path
+):
     recipe = recipe_for(write_recipe, f"{server.address},start=hand")
     agent = start_agent("calibrate", recipe)
     said = []
@@ -60,7 +62,7 @@ def test_programs_that_a_person_starts(server, write_recipe, start_agent, only_r
 
 
 @pytest.mark.verify
-def test_via_points(server, write_recipe, run_agent, only_run, measured, tmp_path: Path):
+def test_calibrates_with_via_points(server, write_recipe, run_agent, only_run, measured, tmp_path: Path):
     """Straight lines cannot begin in the singular calibration pose, nor with a tool that somebody left: a program goes
     elsewhere first and sets the tool."""
     (tmp_path / "away.pdl").write_text(AWAY, encoding="utf-8")

@@ -56,7 +56,7 @@ def test_each_command_shows_an_example(group: tuple[str, ...]):
         assert f"Example: {' '.join(('agent', *group, name))} " in _help(*group, name, "--help")
 
 
-def test_the_help_of_diagnose_fits_on_a_screen_and_all_of_it_can_be_asked_for():
+def test_the_help_of_diagnose_fits_on_one_screen_and_help_all_shows_the_rest():
     first, all_of_it = (
         set(re.findall(r"^│ (--[a-z-]+)", _help("diagnose", how), re.M)) for how in ("-h", "--help-all")
     )
@@ -65,7 +65,7 @@ def test_the_help_of_diagnose_fits_on_a_screen_and_all_of_it_can_be_asked_for():
     assert {"--cutoff", "--planning-budget", "--allow-mixed"} <= all_of_it - first
 
 
-def test_a_signal_within_compiled_code_is_a_signal():
+def test_reports_a_signal_received_in_compiled_code_as_a_signal():
     """Python says SystemError where a handler raises while a function in C returns a result."""
     script = (
         "import importlib\n"
@@ -143,9 +143,7 @@ def test_recipe_faults_name_line_and_key(write_recipe, run_agent, tmp_path):
     assert not (tmp_path / "logs").exists()
 
 
-def test_nobody_at_the_address_is_exit_4_and_the_run_says_where_it_stopped(
-    only_run, write_recipe, run_agent, tmp_path: Path
-):
+def test_an_unreachable_controller_exits_with_4_and_names_the_step(only_run, write_recipe, run_agent, tmp_path: Path):
     path = write_recipe("127.0.0.1:1", motions=1)
     run = run_agent("calibrate", path)
     assert run.returncode == 4
@@ -158,13 +156,13 @@ def test_nobody_at_the_address_is_exit_4_and_the_run_says_where_it_stopped(
     assert f"agent calibrate recipe.yaml --resume {folder.name}" in run.stderr
 
 
-def test_the_version(run_agent):
+def test_prints_the_version(run_agent):
     run = run_agent("--version")
     assert run.returncode == 0
     assert re.fullmatch(r"[0-9]+(\.[0-9]+)+\S*\n", run.stdout)
 
 
-def test_check_says_how_far_it_has_come(run_agent, write_recipe):
+def test_check_shows_its_progress(run_agent, write_recipe):
     run = run_agent("check", write_recipe("127.0.0.1:1"))
     assert "random loops at 1 m/s tried" in run.stderr
     assert "checking controller" in run.stderr
@@ -177,7 +175,7 @@ def test_the_shell_completes_commands():
     assert run.stdout.split() == ["recalibrate"], run.stderr
 
 
-def test_progress_on_a_terminal_stands_below_the_messages_and_goes(monkeypatch):
+def test_progress_on_a_terminal_stays_below_messages_and_is_erased(monkeypatch):
     from agent.core.console import Console, print_text
     from agent.core.output import patient
 
@@ -265,7 +263,7 @@ def test_a_topic_is_named_on_the_command_line(run_agent, tmp_path: Path):
         assert "no joint states on the topic /c" in run.stderr
 
 
-def test_a_new_recipe_lies_where_the_arm_works(run_agent, tmp_path: Path):
+def test_a_new_recipe_has_its_sub_region_within_reach(run_agent, tmp_path: Path):
     """Of a small arm as of the built-in one: `agent check` finds nothing out of reach."""
     from agent.excitation import check_sub_region
     from agent.pipeline.plan import loop_problem

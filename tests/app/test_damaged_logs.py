@@ -148,7 +148,7 @@ effort: {columns: [e1, e2], unit: N·m}
 
 @settings(max_examples=8, deadline=None, suppress_health_check=list(HealthCheck))
 @given(st.lists(DAMAGE, min_size=1, max_size=3))
-def test_any_damage_in_a_table_is_answered(arm, folder, damages):
+def test_any_damaged_table_gives_a_result_or_one_message(arm, folder, damages):
     columns = Columns(arm)
     for kind, *how in damages:
         columns.damage(kind, *how)
@@ -169,12 +169,12 @@ def test_any_damage_in_a_table_is_answered(arm, folder, damages):
 @given(st.lists(DAMAGE, min_size=1, max_size=3))
 @example([("scale", "effort", 1e-300)])
 @example([("scale", "velocity", 1e-300)])
-def test_any_damage_is_answered(arm, folder, damages):
+def test_any_damaged_log_gives_a_result_or_one_message(arm, folder, damages):
     check(arm, folder, damages, diagnose=False)
 
 
 @pytest.mark.verify
 @settings(max_examples=400, deadline=None, suppress_health_check=list(HealthCheck))
 @given(st.lists(DAMAGE, min_size=1, max_size=4))
-def test_any_damage_is_answered_at_length(arm, folder, damages):
+def test_any_of_many_damaged_logs_gives_a_result_or_one_message(arm, folder, damages):
     check(arm, folder, damages, diagnose=True)

@@ -73,7 +73,7 @@ def test_a_recipe_is_recorded_then_diagnosed(start_controller, write_recipe, run
     assert [entry.effect for entry in IdentifiedModel.load(tmp_path / "model.json").effects] == ["time_delay"]
 
 
-def test_a_log_with_the_drives_off_of_another_machine_is_refused(run_agent, tmp_path: Path):
+def test_refuses_a_drives_off_log_of_another_machine(run_agent, tmp_path: Path):
     zero = write_zero(tmp_path / "zero.mcap", serial="NS16-1")
     other = write_zero(tmp_path / "other.mcap", serial="NS16-2")
     run = run_agent("diagnose", "--robot", "comau_ns16", zero, "--drives-off", other)
@@ -81,7 +81,7 @@ def test_a_log_with_the_drives_off_of_another_machine_is_refused(run_agent, tmp_
     assert "not of one machine: serial NS16-1 (zero.mcap) and NS16-2 (other.mcap)" in run.stderr
 
 
-def test_nothing_moves_where_the_question_makes_no_sense(controller, write_recipe, run_agent, arm, tmp_path: Path):
+def test_invalid_options_move_nothing(controller, write_recipe, run_agent, arm, tmp_path: Path):
     recipe = write_recipe(controller.address)
     for arguments, reason in (
         (["--record", recipe, "--robot", "comau_ns16"], "leave out LOG and --robot"),
@@ -110,7 +110,7 @@ def test_nothing_moves_where_the_question_makes_no_sense(controller, write_recip
     assert not (tmp_path / "logs").exists()
 
 
-def test_a_diagnosis_that_stopped_names_the_command_that_started_it(write_recipe, run_agent, tmp_path: Path):
+def test_a_stopped_diagnosis_names_the_command_to_run_again(write_recipe, run_agent, tmp_path: Path):
     options = ["--cutoff", "20.0", "--without", "stribeck", "--force", "--report", "the page.html"]
     run = run_agent("diagnose", "--record", write_recipe("127.0.0.1:1"), *options, "--until-sure", "-q")
     assert run.returncode == 4
@@ -128,7 +128,7 @@ def test_a_diagnosis_that_stopped_names_the_command_that_started_it(write_recipe
 
 
 @pytest.mark.verify
-def test_rounds_ask_record_and_answer(start_controller, write_recipe, run_agent, only_run, tmp_path: Path):
+def test_rounds_of_recording_settle_an_ambiguity(start_controller, write_recipe, run_agent, only_run, tmp_path: Path):
     healthy = start_controller("--clock", "fast")
     assert run_agent("calibrate", write_recipe(healthy.address, speed="0.3 m/s"), "--yes").returncode == 0
     model = only_run(tmp_path / "logs") / "model.json"

@@ -32,7 +32,7 @@ def lacking(monkeypatch: pytest.MonkeyPatch):
     return lack
 
 
-def test_the_command_lists_what_it_looked_at(run_agent):
+def test_doctor_lists_what_it_checked(run_agent):
     run = run_agent("doctor", "--json")
     found = json.loads(run.stdout)
     assert (run.returncode, found["schema"], found["ok"]) == (0, "doctor/1", True)
@@ -40,7 +40,7 @@ def test_the_command_lists_what_it_looked_at(run_agent):
     assert {"python", "agent", "packages", "extra mujoco", "compiled cache", "clock", "disk", "limits"} <= subjects
 
 
-def test_a_missing_extra_is_no_problem_and_has_its_command(lacking, tmp_path: Path):
+def test_names_the_install_command_of_a_missing_extra(lacking, tmp_path: Path):
     lacking(h5py=None, openpyxl=None)
     ok, message = _messages(tmp_path)["extra tables"]
     assert ok
@@ -50,7 +50,7 @@ def test_a_missing_extra_is_no_problem_and_has_its_command(lacking, tmp_path: Pa
 
 
 @pytest.mark.parametrize(("installed", "says"), [(None, "not installed"), ("1.9", "1.9 is installed, >=2 is needed")])
-def test_a_package_that_is_needed_is_a_problem(lacking, tmp_path: Path, installed: str | None, says: str):
+def test_a_missing_required_package_is_a_problem(lacking, tmp_path: Path, installed: str | None, says: str):
     lacking(pydantic=installed)
     ok, message = _messages(tmp_path)["packages"]
     assert not ok
@@ -65,7 +65,7 @@ def test_a_full_disk_is_a_problem(monkeypatch, tmp_path: Path):
     assert message.startswith(f"1 MB free in {tmp_path}")
 
 
-def test_a_clock_before_the_installation_is_a_problem(monkeypatch, tmp_path: Path):
+def test_a_clock_earlier_than_the_installation_is_a_problem(monkeypatch, tmp_path: Path):
     copy = shutil.copy(doctor.__file__, tmp_path)
     os.utime(copy, (4e9, 4e9))
     monkeypatch.setattr(doctor, "__file__", copy)

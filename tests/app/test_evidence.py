@@ -35,7 +35,7 @@ def recipe(tmp_path: Path) -> Path:
     return path
 
 
-def test_a_line_of_a_piece_and_a_page_of_what_is_there(tmp_path: Path, recipe: Path, monkeypatch, capsys):
+def test_stores_one_line_per_result_and_writes_the_page(tmp_path: Path, recipe: Path, monkeypatch, capsys):
     given = ["--folder", str(tmp_path / "results"), "--recipe", str(recipe)]
     with pytest.raises(SystemExit):
         evidence.main([*given, "page", "--docs", str(tmp_path)])
@@ -54,7 +54,7 @@ def test_a_line_of_a_piece_and_a_page_of_what_is_there(tmp_path: Path, recipe: P
     assert written.index("## What a loop is searched for") < written.index("local against global: not run")
 
 
-def test_what_is_there_is_not_computed_again(tmp_path: Path, recipe: Path, monkeypatch, capsys):
+def test_stored_results_are_not_computed_again(tmp_path: Path, recipe: Path, monkeypatch, capsys):
     asked: list[tuple[int, str]] = []
     given = ["--folder", str(tmp_path), "--recipe", str(recipe), "run", "local", "--machines"]
 
@@ -64,7 +64,7 @@ def test_what_is_there_is_not_computed_again(tmp_path: Path, recipe: Path, monke
 
     monkeypatch.setitem(page.PIECES, "local", (["a", "b"], measure))
     evidence.main([*given, "1", "--minutes", "-1"])
-    assert (asked, capsys.readouterr().err) == ([], "2 left; the same command goes on\n")
+    assert (asked, capsys.readouterr().err) == ([], "2 left; run the same command again to do them\n")
     evidence.main([*given, "1"])
     file = tmp_path / "local.jsonl"
     file.write_text(file.read_text("utf-8")[:-9], "utf-8")  # killed while it wrote
@@ -73,13 +73,13 @@ def test_what_is_there_is_not_computed_again(tmp_path: Path, recipe: Path, monke
     assert len(Results(tmp_path, "local")) == 4
 
 
-def test_the_page_in_the_repository_is_made_of_the_results_kept_with_it(tmp_path: Path):
+def test_the_published_page_matches_the_stored_results(tmp_path: Path):
     evidence.main(["page", "--docs", str(tmp_path)])
     assert (tmp_path / "evidence.md").read_text("utf-8") == (ROOT / "docs/measured/evidence.md").read_text("utf-8")
     assert sum(path.stat().st_size for path in FOLDER.iterdir()) < 300_000
 
 
-def test_searches_are_compared_in_pairs_and_a_better_one_is_a_weak_spot(tmp_path: Path):
+def test_compares_searches_in_pairs_and_reports_a_better_one(tmp_path: Path):
     for budget, gain in ((500, 0.0), (2000, 3.0)):
         results = Results(tmp_path, f"search-{budget}")
         for machine in range(501, 507):
@@ -97,7 +97,7 @@ def test_searches_are_compared_in_pairs_and_a_better_one_is_a_weak_spot(tmp_path
     assert "searches of 20000 candidates: not run" in weak
 
 
-def test_a_loop_is_scored_as_it_is_run():
+def test_scores_a_loop_in_the_mode_it_runs_in():
     recipe = load_recipe(evidence.RECIPE)
     problem = loop_problem(recipe, recipe.motion.speed)
     (genome,) = np.random.default_rng(1).random((1, problem.genes))
@@ -113,7 +113,7 @@ def test_a_loop_is_scored_as_it_is_run():
     assert anywhere.loop(genome).trajectory.q.std(axis=0).min() > 3 * flown.loop(genome).trajectory.q.std(axis=0).min()
 
 
-def test_a_wrong_urdf_is_wrong_by_what_it_says():
+def test_a_perturbed_urdf_differs_by_the_stated_amount():
     robot = load_robot("comau_ns16")
     own = Dynamics(robot).standard_parameters() * 1.1
     assert Dynamics(wrong_urdf(robot, own, 0.0, 1)).standard_parameters() == pytest.approx(own, abs=1e-9)
@@ -123,7 +123,7 @@ def test_a_wrong_urdf_is_wrong_by_what_it_says():
     assert np.abs(masses - 1).max() > 0.1
 
 
-def test_a_ratio_is_compared_in_pairs():
+def test_error_ratios_are_computed_in_pairs():
     wide = {machine: float(machine) for machine in range(1, 11)}
     ratio, low, high = ratio_of({machine: 0.5 * error for machine, error in wide.items()}, wide)
     assert (ratio, low, high) == pytest.approx((0.5, 0.5, 0.5))

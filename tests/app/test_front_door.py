@@ -43,7 +43,7 @@ def folder(maker, tmp_path_factory):
     return path
 
 
-def test_importing_it_loads_nothing():
+def test_importing_the_agent_loads_no_heavy_package():
     script = (
         "import sys, agent as ca\n"
         "assert {'estimate', 'report', 'drivers'} <= set(dir(ca))\n"
@@ -57,7 +57,7 @@ def test_importing_it_loads_nothing():
     assert run.returncode == 0, run.stderr
 
 
-def test_every_name_is_there_and_no_other():
+def test_exports_exactly_the_documented_names():
     assert all(callable(getattr(ca, name)) for name in ca.__all__)
     with pytest.raises(AttributeError, match="no attribute 'calibrte'"):
         ca.calibrte  # noqa: B018
@@ -69,7 +69,7 @@ def test_every_name_is_there_and_no_other():
     assert {name for name in re.findall(r"`(\w+)\(", page)} == set(ca.__all__)
 
 
-def test_nothing_in_the_agent_stands_on_the_front_door():
+def test_no_module_of_the_agent_imports_the_python_api():
     for path in (ROOT / "agent").rglob("*.py"):
         if path.name == "__init__.py" and path.parent == ROOT / "agent":
             continue
@@ -79,7 +79,7 @@ def test_nothing_in_the_agent_stands_on_the_front_door():
             assert not (isinstance(node, ast.Import) and "agent" in {alias.name for alias in node.names}), path
 
 
-def test_the_page_runs(folder, monkeypatch, capsys):
+def test_examples_on_the_python_page_run(folder, monkeypatch, capsys):
     (code,) = re.findall(r"^```python\n(.*?)^```", (DOCS / "python.md").read_text(encoding="utf-8"), re.DOTALL | re.M)
     assert len([line for line in code.splitlines() if line]) == 10
     monkeypatch.chdir(folder)
@@ -91,7 +91,7 @@ def test_the_page_runs(folder, monkeypatch, capsys):
     assert {path.name for path in (folder / "robot").iterdir()} >= {"friction.json", "comau_ns16.urdf"}
 
 
-def test_the_notebook_is_what_its_cells_show(maker, executed):
+def test_the_notebook_matches_its_generator(maker, executed):
     written = json.loads(maker.NOTEBOOK.read_text(encoding="utf-8"))
     assert maker.NOTEBOOK.stat().st_size < 300_000
     assert [cell["source"] for cell in written["cells"]] == [cell["source"] for cell in executed["cells"]], (
@@ -117,7 +117,7 @@ def test_results_show_a_key_figure_and_a_plot(executed):
         assert len(html) < 40_000
 
 
-def test_paths_and_objects_do_the_same(folder, monkeypatch):
+def test_paths_and_objects_give_the_same_results(folder, monkeypatch):
     monkeypatch.chdir(folder)
     robot = ca.load_robot("comau_ns16")
     by_path = ca.read_logs(["logs/monday_1.mcap", "logs/monday_2.mcap"], "comau_ns16")
@@ -138,7 +138,7 @@ def test_paths_and_objects_do_the_same(folder, monkeypatch):
         ca.validate(model, [])
 
 
-def test_a_recipe_is_planned(write_recipe, tmp_path):
+def test_plans_a_recipe_from_python(write_recipe, tmp_path):
     recipe = ca.load_recipe(write_recipe("127.0.0.1:1"))
     assert ca.load_recipe(recipe) is recipe
     loop = ca.plan(recipe, tmp_path / "plan")

@@ -40,13 +40,13 @@ def recipe_for(folder, job):
 
 
 @pytest.mark.verify
-def test_a_loop_is_found_around_the_job(tmp_path, monkeypatch):
+def test_finds_a_loop_around_the_job(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     found, _ = search_loop(recipe_for(tmp_path, JOB), Console())
     assert found.loop.trajectory.duration > 1
 
 
-def test_the_search_says_what_it_passes_over_and_refuses_a_job_that_does_not_move(tmp_path, capsys):
+def test_reports_ignored_statements_and_refuses_a_job_without_motion(tmp_path, capsys):
     still = "\n".join(line for line in JOB.split("\n") if "MOVE" not in line)
     with pytest.raises(InputError, match=r"job\.pdl: nothing in this program moves the arm"):
         search_loop(recipe_for(tmp_path, still), Console())

@@ -62,7 +62,7 @@ def _attempt(robot) -> str:
         return str(error)
 
 
-def test_a_process_may_take_it_again_and_another_may_not(robot):
+def test_the_lock_is_reentrant_within_a_process_only(robot):
     with robot_lock(*robot):
         with robot_lock(*robot):
             assert _in_a_fork(lambda: _attempt(robot)) == "busy"
@@ -70,7 +70,7 @@ def test_a_process_may_take_it_again_and_another_may_not(robot):
     assert _in_a_fork(lambda: _attempt(robot)) == "held"
 
 
-def test_the_lock_of_another_robot_lets_go_of_none(robot):
+def test_releasing_another_robots_lock_keeps_this_one(robot):
     """Whoever closes a file lets go of every lock that its process has on it."""
     other = robot[0], f"{robot[1]}-other"
     with robot_lock(*robot):
@@ -79,7 +79,7 @@ def test_the_lock_of_another_robot_lets_go_of_none(robot):
         assert _in_a_fork(lambda: _attempt(robot)) == "busy"
 
 
-def test_nothing_is_left_behind(robot):
+def test_removes_the_lock_file(robot):
     with robot_lock(*robot):
         assert len(lock_files(*robot)) == 1
         assert _in_a_fork(lambda: _attempt(robot)) == "busy"
@@ -100,7 +100,7 @@ as_root = pytest.mark.skipif(os.getuid() != 0, reason="only root can become anot
 
 @as_root
 @pytest.mark.parametrize("first", [None, 65534])
-def test_it_works_for_a_second_user(robot, first):
+def test_a_second_user_can_take_the_lock(robot, first):
     """Also with the file that the first one left."""
     _in_a_fork(lambda: _leave(robot), first)
     assert len(lock_files(*robot)) == 1
@@ -112,7 +112,7 @@ def test_it_works_for_a_second_user(robot, first):
 
 @as_root
 @pytest.mark.parametrize("how", ["flock", "shared", "exclusive flock of a name that is not there yet"])
-def test_another_user_holds_no_file_of_ours(robot, how: str):
+def test_a_file_locked_by_another_user_blocks_no_run(robot, how: str):
     """Who can read a file can lock it, for ever; that counts for nothing."""
     _in_a_fork(lambda: _leave(robot), 65533)
     (path,) = lock_files(*robot)
@@ -141,7 +141,7 @@ def test_another_user_holds_no_file_of_ours(robot, how: str):
 
 
 @pytest.mark.parametrize("made", ["link", "fifo", "folder", "socket"])
-def test_what_somebody_puts_there_keeps_no_run_out(robot, tmp_path, made: str):
+def test_foreign_files_in_the_lock_folder_block_no_run(robot, tmp_path, made: str):
     with robot_lock(*robot):
         (path,) = lock_files(*robot)
     other = path.with_name(path.name.replace(".lock", "x.lock"))
@@ -160,7 +160,7 @@ def test_what_somebody_puts_there_keeps_no_run_out(robot, tmp_path, made: str):
         other.rmdir() if made == "folder" else other.unlink()
 
 
-def test_of_two_that_begin_at_once_at_most_one_holds_it(robot):
+def test_at_most_one_of_two_simultaneous_runs_gets_the_lock(robot):
     for _ in range(20):
         read, write = os.pipe()
         children = []
@@ -187,7 +187,7 @@ SPELLINGS = ["127.0.0.1", "localhost", "127.1", "LOCALHOST", "0x7f.1", "21307064
 
 @pytest.mark.parametrize("driver", ["tcp", "modbus", "cnr_comau"])
 @pytest.mark.parametrize("spelt", SPELLINGS)
-def test_a_lock_is_of_the_robot_however_its_address_is_spelt(driver: str, spelt: str):
+def test_spellings_of_one_address_share_a_lock(driver: str, spelt: str):
     port = 40000 + os.getpid() % 20000
     end = ",trajectory={}" if driver == "cnr_comau" else ":{}"
     if driver == "cnr_comau":
@@ -201,13 +201,13 @@ def test_a_lock_is_of_the_robot_however_its_address_is_spelt(driver: str, spelt:
             assert _in_a_fork(lambda: _attempt(("tcp", f"{spelt}:{port}"))) == "busy", "by another driver too"
 
 
-def test_options_and_this_machines_own_address_make_no_second_robot():
+def test_address_options_and_localhost_share_a_lock():
     port = 40000 + os.getpid() % 20000
     with robot_lock("cnr_comau", f"127.0.0.1,trajectory={port}"):
         assert _in_a_fork(lambda: _attempt(("cnr_comau", f"localhost,mode=points,trajectory={port}"))) == "busy"
 
 
-def test_a_serial_adapter_in_the_network_is_one_robot_from_every_folder(tmp_path, monkeypatch):
+def test_a_network_serial_adapter_has_one_lock_in_every_folder(tmp_path, monkeypatch):
     port = 40000 + os.getpid() % 20000
     with robot_lock("serial", f"socket://127.0.0.1:{port}"):
         monkeypatch.chdir(tmp_path)
@@ -216,7 +216,7 @@ def test_a_serial_adapter_in_the_network_is_one_robot_from_every_folder(tmp_path
         assert _in_a_fork(lambda: _attempt(("serial", f"socket://127.0.0.1:{port + 1}"))) == "held"
 
 
-def test_a_serial_port_by_another_name_is_the_same_robot(tmp_path):
+def test_aliases_of_a_serial_port_share_a_lock(tmp_path):
     import pty
 
     master, slave = pty.openpty()
@@ -237,7 +237,7 @@ def test_a_serial_port_by_another_name_is_the_same_robot(tmp_path):
         os.close(slave)
 
 
-def test_the_message_says_who_holds_it(robot):
+def test_the_message_names_the_holder_of_the_lock(robot):
     with robot_lock(*robot):
         said = _in_a_fork(lambda: _said(robot))
     assert f"process {os.getpid()} of user {os.geteuid()}" in said

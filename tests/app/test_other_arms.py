@@ -72,7 +72,7 @@ def write_arm(folder: Path, joints: list, flange: float) -> Path:
 
 @pytest.mark.verify
 @pytest.mark.parametrize(("joints", "flange"), [(SEVEN, 0.107), (OFFSET_WRIST, 0.08)], ids=["seven", "offset wrist"])
-def test_an_arm_without_nominal_torques(tmp_path: Path, start_controller, run_agent, only_run, joints, flange):
+def test_calibrates_without_nominal_torques(tmp_path: Path, start_controller, run_agent, only_run, joints, flange):
     robot = write_arm(tmp_path / "arm", joints, flange)
     controller = start_controller("--robot", str(robot))
     (tmp_path / "recipe.yaml").write_text(RECIPE.format(address=controller.address), encoding="utf-8")

@@ -72,7 +72,7 @@ def planned(tmp_path_factory):
 
 @settings(max_examples=12, deadline=None)
 @given(st.data())
-def test_a_plan_that_was_changed_is_a_plan_or_one_message(planned, data):
+def test_an_edited_plan_loads_or_gives_one_message(planned, data):
     recipe, path, plan = planned
     path.write_text(json.dumps(_changed(plan, data.draw)), encoding="utf-8")
     try:
@@ -84,7 +84,7 @@ def test_a_plan_that_was_changed_is_a_plan_or_one_message(planned, data):
 
 
 @pytest.mark.parametrize("schema", ["planned-loop/1", "plan/1"])  # the second until it had a name of its own
-def test_what_agent_plan_wrote_is_no_plan_of_a_run(planned, tmp_path, schema):
+def test_refuses_the_output_of_agent_plan_as_the_plan_of_a_run(planned, tmp_path, schema):
     recipe, _, plan = planned
     path = tmp_path / "plan.json"
     document = {"schema": schema, "folder": "p", "fitness": 1.0, "cycle_s": 9.0, "search": plan["search"]}
@@ -95,7 +95,7 @@ def test_what_agent_plan_wrote_is_no_plan_of_a_run(planned, tmp_path, schema):
 
 @settings(max_examples=100, deadline=None)
 @given(st.data())
-def test_a_state_that_was_changed_is_gone_on_with_or_one_message(tmp_path_factory, data):
+def test_an_edited_run_state_resumes_or_gives_one_message(tmp_path_factory, data):
     run = tmp_path_factory.mktemp("run")
     (run / "state.json").write_text(json.dumps(_changed(STATE, data.draw)), encoding="utf-8")
     try:

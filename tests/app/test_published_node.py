@@ -46,7 +46,7 @@ def record(broker, write_recipe, run_agent, tmp_path: Path) -> Callable[..., Pat
 
 
 @pytest.mark.verify
-def test_a_torque_model_is_nearly_as_good_as_through_an_ideal_node(record, measured):
+def test_an_uneven_node_loop_costs_little_model_accuracy(record, measured):
     """Over periods of 2.00 to 3 ms of the node's loop."""
     unseen = ca.read_logs(record("unseen", 2, 16, None), "comau_ns16")
 

@@ -26,7 +26,7 @@ ROBOT = "name: r\nurdf: r.urdf\ntip_frame: l1\njoints: [{name: j1, max_velocity:
         ({"lower": "nan"}, "joint 'j1': limit lower"),
     ],
 )
-def test_a_urdf_with_something_else_for_a_number_is_refused_by_name(tmp_path: Path, fault, named):
+def test_names_the_urdf_attribute_that_is_not_a_number(tmp_path: Path, fault, named):
     from agent.core.errors import InputError
     from agent.robot import load_robot
 
@@ -53,9 +53,7 @@ def test_estimate_never_writes_the_model_over_a_log(run_agent, tmp_path: Path):
     assert log.read_bytes() == b"data of a day"
 
 
-def test_a_program_that_moves_nothing_is_refused_and_no_log_is_claimed(
-    write_recipe, run_agent, start_controller, tmp_path: Path
-):
+def test_refuses_a_program_without_motion_and_creates_no_log(write_recipe, run_agent, start_controller, tmp_path: Path):
     program = tmp_path / "still.pdl"
     program.write_text("PROGRAM still\nBEGIN\nEND still\n")
     recipe = write_recipe(start_controller("--clock", "fast").address)

@@ -31,7 +31,7 @@ DOCUMENT = """
 """
 
 
-def test_the_document_has_the_keys_that_others_read():
+def test_the_result_document_has_the_published_keys():
     result = CalibrationResult(
         robot="arm",
         accepted=True,

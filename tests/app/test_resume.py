@@ -44,7 +44,7 @@ def go_on(run_agent, recipe: Path, folder: Path) -> None:
 
 @pytest.mark.verify
 @pytest.mark.parametrize("moment", SPOKEN)
-def test_a_killed_calibration_goes_on(
+def test_resumes_a_killed_calibration(
     start_controller, write_recipe, start_agent, run_agent, only_run, tmp_path: Path, moment: str
 ):
     recipe = write_recipe(start_controller().address, motions=1, cycles=1)
@@ -54,7 +54,7 @@ def test_a_killed_calibration_goes_on(
 
 @pytest.mark.verify
 @pytest.mark.parametrize("name", IN_MOTION)
-def test_a_calibration_killed_in_motion_leaves_all_but_a_second(
+def test_a_calibration_killed_in_motion_loses_at_most_one_second(
     start_controller, write_recipe, start_agent, run_agent, only_run, tmp_path: Path, name: str
 ):
     """In real time. The interrupted motion runs again from its beginning, and its old log is kept as well."""

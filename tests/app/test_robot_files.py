@@ -44,7 +44,7 @@ def file(request, tmp_path):
     return path
 
 
-def test_the_arm_of_a_file_is_its_longest_chain_without_the_gripper(file):
+def test_takes_the_longest_chain_of_a_file_without_the_gripper(file):
     robot = load_arm(str(file))
     assert robot.joint_names == ("turn", "lift")
     assert np.isnan(robot.nominal_torque).all()
@@ -52,7 +52,7 @@ def test_the_arm_of_a_file_is_its_longest_chain_without_the_gripper(file):
     np.testing.assert_array_equal(robot.gear_ratios, [1, 1])
 
 
-def test_of_an_arm_those_joints_are_taken_that_the_log_has(file, tmp_path):
+def test_takes_only_the_joints_present_in_the_log(file, tmp_path):
     from tests.recording.conftest import write_foreign
 
     messages = [
@@ -93,7 +93,7 @@ def test_a_table_is_imported_for_a_file_without_drives(file, tmp_path, columns):
     ],
 )
 @pytest.mark.parametrize("ending", ["urdf", "xacro", "sdf"])
-def test_what_has_to_be_converted_is_named_with_its_command(tmp_path, text, said, ending):
+def test_names_the_conversion_command_of_an_unsupported_file(tmp_path, text, said, ending):
     path = tmp_path / f"given.{ending}"
     path.write_text(text)
     (tmp_path / "robot.yaml").write_text(
@@ -116,6 +116,6 @@ def test_an_mjcf_in_a_robot_yaml_is_named(tmp_path):
         load_robot(tmp_path / "robot.yaml")
 
 
-def test_where_drives_are_needed_a_file_of_links_is_not_enough(file):
+def test_asks_for_a_robot_yaml_if_drives_are_needed(file):
     with pytest.raises(InputError, match=r"write a robot\.yaml for it"):
         load_robot(file)

@@ -40,7 +40,7 @@ def recipe(tmp_path: Path) -> Path:
     return path
 
 
-def test_two_runs_in_one_second_are_two_folders(recipe: Path, tmp_path: Path):
+def test_two_runs_in_one_second_get_two_folders(recipe: Path, tmp_path: Path):
     now = datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)
     first = RunFolder.create(tmp_path / "logs", "arm", recipe, now)
     second = RunFolder.create(tmp_path / "logs", "arm", recipe, now)
@@ -48,7 +48,7 @@ def test_two_runs_in_one_second_are_two_folders(recipe: Path, tmp_path: Path):
     assert first.path != second.path
 
 
-def test_a_stopped_run_goes_on_with_what_it_finished(recipe: Path, tmp_path: Path):
+def test_resuming_keeps_the_finished_steps(recipe: Path, tmp_path: Path):
     run = RunFolder.create(tmp_path / "logs", "arm", recipe)
     run.finish("plan", found=np.array([1.0, np.nan]))
     run.stopped("record", "cable pulled")
@@ -83,7 +83,7 @@ def test_a_failed_write_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.
 
 
 @pytest.mark.skipif(not Path("/dev/full").is_char_device(), reason="no device here that is always full")
-def test_a_full_device_is_one_message_and_stays_a_device(tmp_path: Path):
+def test_a_full_device_gives_one_message_and_is_not_replaced(tmp_path: Path):
     link = tmp_path / "model.json"
     link.symlink_to("/dev/full")
     with pytest.raises(AgentError, match="No space left on device; free space"):
@@ -102,7 +102,7 @@ def test_state_is_json_without_nan(recipe: Path, tmp_path: Path):
     lengths=st.lists(st.tuples(st.integers(4, 60), st.integers(2, 50)), min_size=1, max_size=5),
     rest=st.integers(4, 20),
 )
-def test_moving_stretches_are_found_where_they_were_put(lengths: list[tuple[int, int]], rest: int):
+def test_finds_the_moving_stretches(lengths: list[tuple[int, int]], rest: int):
     reference, expected, here = [0.0] * rest, [], 0.0
     for pause, moving in lengths:
         expected.append((len(reference) - 1, len(reference) + moving))
@@ -113,7 +113,7 @@ def test_moving_stretches_are_found_where_they_were_put(lengths: list[tuple[int,
     assert found == expected
 
 
-def test_nothing_that_moves_has_no_stretches():
+def test_a_stationary_log_has_no_moving_stretches():
     assert moving_segments(np.ones((100, 6)), 3) == []
     assert moving_segments(np.ones((1, 6)), 3) == []
 
@@ -132,7 +132,7 @@ def test_nothing_that_moves_has_no_stretches():
         ({"program": "other"}, ControllerError, "other"),
     ],
 )
-def test_every_condition_stops_the_start(change: dict, error: type[AgentError], said: str):
+def test_every_unready_condition_prevents_the_start(change: dict, error: type[AgentError], said: str):
     check_ready(READY, "here", "p", "c")
     with pytest.raises(error, match=said):
         check_ready(replace(READY, **change), "here", "p", "c")
@@ -142,7 +142,7 @@ def test_every_condition_stops_the_start(change: dict, error: type[AgentError], 
     ("address", "local"),
     [("127.0.0.1:9100", True), ("localhost:1", True), ("[::1]:1", True), ("10.0.0.3:9100", False), ("robot:1", False)],
 )
-def test_only_an_emulator_on_this_machine_moves_unasked(address: str, local: bool):
+def test_only_a_local_emulator_moves_without_confirmation(address: str, local: bool):
     who, asked = Identity("arm", "1", "c", "v", ("a",), 0.002), []
 
     def nobody(question: str) -> bool:

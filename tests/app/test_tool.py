@@ -45,9 +45,7 @@ def programmed(text: str) -> np.ndarray:
 @pytest.mark.parametrize(
     "tool", [pytest.param(True, id="tool"), pytest.param(False, id="no_tool", marks=pytest.mark.verify)]
 )
-def test_the_recipe_of_the_ns16_is_accepted_and_every_point_is_passed(
-    tool, controller, run_agent, only_run, tmp_path: Path
-):
+def test_the_ns16_recipe_is_accepted_and_passes_every_point(tool, controller, run_agent, only_run, tmp_path: Path):
     text = (ROOT / "recipes" / "ns16.yaml").read_text(encoding="utf-8")
     for usual, small in SMALL.items():
         assert usual in text

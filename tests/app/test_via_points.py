@@ -50,7 +50,7 @@ def loop(request):
     return planned(write_loop_program("p", targets, FLY, 2, robot=ROBOT))
 
 
-def test_a_loop_flies_by_its_points_and_stops_where_each_cycle_ends(loop):
+def test_a_loop_blends_at_its_points_and_stops_after_each_cycle(loop):
     points = via_points(loop, ROBOT, None)
     first_stop = next(k for k, point in enumerate(points) if point.fly_tolerance == 0)
     np.testing.assert_allclose(points[first_stop].position, CORNERS[0], atol=1e-6)
@@ -62,7 +62,7 @@ def test_a_loop_flies_by_its_points_and_stops_where_each_cycle_ends(loop):
     np.testing.assert_array_equal([p.position for p in points[-3:]], [p.position for p in cycle])
 
 
-def test_a_joint_move_becomes_short_lines_along_its_plan(loop):
+def test_a_joint_move_becomes_short_lines(loop):
     chain = loop.chains[0]
     points = via_points(loop, ROBOT, None)
     approach = points[: next(k for k, point in enumerate(points) if point.fly_tolerance == 0) + 1]
@@ -74,13 +74,13 @@ def test_a_joint_move_becomes_short_lines_along_its_plan(loop):
     assert max(point.linear_speed for point in approach) <= max(0.01, chain.path_speed.max())
 
 
-def test_an_arm_that_stands_at_the_first_point_has_no_approach(loop):
+def test_an_arm_at_the_first_point_needs_no_approach(loop):
     there = planned(loop.text, loop.chains[0].q[-1])
     assert len(there.chains) == 2
     assert len(via_points(there, ROBOT, None)) == 6
 
 
-def test_a_slower_program_is_a_slower_motion():
+def test_a_slower_program_gives_a_slower_motion():
     text = write_program("p", [Move(MoveType.LINEAR, JointTarget(CORNERS[1]), FLY.changed(speed_override=0.5))], ROBOT)
     (point,) = via_points(planned(text, CORNERS[0]), ROBOT, None)
     assert point.linear_speed == pytest.approx(0.2)
@@ -107,7 +107,7 @@ def test_a_slower_program_is_a_slower_motion():
         ),
     ],
 )
-def test_moves_that_points_cannot_say_are_refused_with_their_line(moves, said):
+def test_refuses_moves_without_a_via_point_form_and_names_the_line(moves, said):
     text = write_program("p", [*moves, Move(MoveType.LINEAR, JointTarget(CORNERS[2]), FLY)], ROBOT)
     with pytest.raises(InputError, match=said) as refused:
         via_points(planned(text, CORNERS[0]), ROBOT, None)

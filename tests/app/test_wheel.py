@@ -67,7 +67,7 @@ def address(environment: Path, tmp_path: Path) -> Iterator[str]:
 
 
 @pytest.mark.verify
-def test_the_wheel_says_its_version_and_writes_a_recipe(installed, tmp_path: Path):
+def test_the_wheel_prints_its_version_and_writes_a_recipe(installed, tmp_path: Path):
     assert installed("--version").stdout.strip()
     assert installed("init").returncode == 0
     assert (tmp_path / "recipe.yaml").is_file()

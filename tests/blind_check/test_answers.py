@@ -56,16 +56,16 @@ def scored(tmp_path: Path, runs, answers, name="tool", out=None):
         (None, "no answer"),
     ],
 )
-def test_outcomes(said, expected):
+def test_classifies_each_answer(said, expected):
     assert outcome(truth("a")["effects"], said) == expected
 
 
-def test_a_pair_of_joints_has_no_order():
+def test_the_order_of_a_joint_pair_does_not_matter():
     effects = truth("a", effects=[("wrist_coupling", ["joint_2", "joint_1"])])["effects"]
     assert outcome(effects, answer("a", "explained", cause("wrist_coupling", "joint_1", "joint_2"))) == "named"
 
 
-def test_every_run_counts_once_under_its_kind(tmp_path: Path):
+def test_every_run_counts_once_by_kind(tmp_path: Path):
     runs = [
         truth("a", "none", ()),
         truth("b", "none", ()),
@@ -99,7 +99,7 @@ def test_every_run_counts_once_under_its_kind(tmp_path: Path):
     assert found["effects"]["rust"]["unknown"] == 1
 
 
-def test_effects_too_small_to_matter_stay_in_the_power_curve(tmp_path: Path):
+def test_small_effects_stay_in_the_power_curve(tmp_path: Path):
     runs = [truth("a", size=0.001), truth("b", size=0.001), truth("c", size=0.03)]
     wrong, right = cause("backlash", "joint_1"), cause("stribeck", "joint_1")
     answers = [answer("a", "explained", wrong), answer("b", "no_gap"), answer("c", "explained", right)]
@@ -110,7 +110,7 @@ def test_effects_too_small_to_matter_stay_in_the_power_curve(tmp_path: Path):
     assert row["from"] <= 0.03 < row["to"]
 
 
-def test_with_the_truth_withheld_any_name_is_wrong(tmp_path: Path):
+def test_any_named_cause_is_wrong_if_the_true_effect_is_withheld(tmp_path: Path):
     runs = [truth(name) for name in "abc"]
     plain = [answer(name, "explained", cause("stribeck", "joint_1")) for name in "abc"]
     other = cause("backlash", "joint_1")
@@ -126,7 +126,7 @@ def test_with_the_truth_withheld_any_name_is_wrong(tmp_path: Path):
         scored(tmp_path, runs, [answer("a", "unknown", without=["backlash"])])
 
 
-def test_calibration_counts_healthy_runs_and_compares_what_was_said_with_what_came(tmp_path: Path):
+def test_calibration_compares_stated_probabilities_with_outcomes(tmp_path: Path):
     runs = [truth("a"), truth("b"), truth("c"), truth("d", "none", ())]
     said = [cause("stribeck", "joint_1", probability=0.96)] * 3 + [cause("payload", probability=0.7)]
     answers = [answer(run["run"], "explained", one) for run, one in zip(runs, said, strict=True)]
@@ -166,7 +166,7 @@ def test_a_tool_without_probabilities_has_no_calibration(tmp_path: Path):
         (json.dumps(answer("b", "unknown", without=["stribeck"])), "run b: it has no effect to be `without`"),
     ],
 )
-def test_what_is_no_answer_is_refused_with_file_and_reason(tmp_path: Path, line: str, message: str):
+def test_refuses_invalid_answers_with_file_and_reason(tmp_path: Path, line: str, message: str):
     (tmp_path / "tool.jsonl").write_text(line + "\n")
     Key("tiny", 2, 1, "salt", [truth("a"), truth("b", "none", ())]).save(tmp_path / "key.json")
     with pytest.raises(InputError, match=message) as caught:
@@ -186,7 +186,7 @@ def test_a_key_without_runs_and_tools_of_one_name_are_refused(tmp_path: Path):
         read_answers(tmp_path / "missing.jsonl")
 
 
-def test_a_mark_at_the_start_and_line_separators_inside_a_text_are_no_ends_of_lines(tmp_path: Path):
+def test_a_byte_order_mark_and_unicode_line_separators_do_not_split_lines(tmp_path: Path):
     line = json.dumps(answer("a", "unknown") | {"note": "one\u2028two"}, ensure_ascii=False)
     (tmp_path / "tool.jsonl").write_text(f"\ufeff{line}\r\n\n", encoding="utf-8")
     assert [one["run"] for one in read_answers(tmp_path / "tool.jsonl")] == ["a"]
@@ -203,7 +203,7 @@ def test_a_key_whose_runs_are_damaged_is_refused(tmp_path: Path, runs):
         score_answers(tmp_path / "key.json", [tmp_path / "tool.jsonl"])
 
 
-def test_three_effects_count_apart_and_a_path_has_no_size(tmp_path: Path):
+def test_runs_with_three_effects_and_path_effects_are_scored_separately(tmp_path: Path):
     three = [*STRIBECK, ("payload", []), ("backlash", ["joint_2"])]
     runs = [truth("a", "three", three), truth("b", effects=[("interpolator_mismatch", [])], size=None)]
     runs[1]["size"] = None
@@ -215,7 +215,7 @@ def test_three_effects_count_apart_and_a_path_has_no_size(tmp_path: Path):
     assert sum(row["found"]["of"] for row in found["power"]) == 0
 
 
-def test_a_page_counts_worlds_apart(tmp_path: Path):
+def test_the_page_counts_each_world_separately(tmp_path: Path):
     scored(tmp_path, [truth("a")], [answer("a", "unknown")], out=tmp_path / "out")
     (result,) = read_results(tmp_path / "out" / "results.jsonl")
     text = page([result, {**result, "world": "other"}, {**result, "world": "other", "run": "b"}])
@@ -248,7 +248,7 @@ def test_the_published_page_is_made_of_the_published_results():
 
 
 @given(st.integers(1, 400).flatmap(lambda n: st.tuples(st.integers(0, n), st.just(n))))
-def test_the_exact_interval_holds_the_share_and_has_the_tails_it_promises(counts):
+def test_the_clopper_pearson_interval_has_its_nominal_tails(counts):
     from scipy.stats import binom
 
     hits, trials = counts

@@ -31,11 +31,11 @@ def test_kinds_and_effects_are_spread_evenly():
     assert set(joints) == set(ROBOT.joint_names)
 
 
-def test_a_dozen_has_some_of_every_kind():
+def test_twelve_cases_contain_every_kind():
     assert {case.kind for case in draw_cases(12, 5, ROBOT)} == {"none", "one", "two", "outside"}
 
 
-def test_gears_and_zero_positions_are_changed_on_every_joint_and_friction_both_ways():
+def test_draws_cover_every_joint_and_both_signs_of_friction():
     cases = draw_cases(2000, 1, ROBOT)
     drawn = [effect for case in cases for effect in case.effects]
     for name in ("joint_elasticity", "backlash", "encoder_offset"):
@@ -44,7 +44,7 @@ def test_gears_and_zero_positions_are_changed_on_every_joint_and_friction_both_w
         assert {e["parameters"][value] > 1 for e in drawn if e["effect"] == name} == {True, False}
 
 
-def test_the_seed_decides():
+def test_the_seed_determines_the_cases():
     assert draw_cases(20, 3, ROBOT) == draw_cases(20, 3, ROBOT)
     assert draw_cases(20, 3, ROBOT) != draw_cases(20, 4, ROBOT)
 
@@ -58,7 +58,7 @@ def test_the_fake_controller_takes_every_effect():
             Plant(ROBOT, effects=[draw_effect(name, ROBOT, strength, rng)])
 
 
-def test_the_serial_of_a_machine_does_not_hold_its_seed():
+def test_a_serial_does_not_reveal_the_seed():
     """Whoever knew it could run the machine again without its effect."""
     (case,) = draw_cases(1, 3, ROBOT)
     assert case.machine > 2**40
@@ -67,7 +67,7 @@ def test_the_serial_of_a_machine_does_not_hold_its_seed():
     assert not any(str(case.machine)[at : at + 6] in secret for at in range(13))
 
 
-def test_a_program_says_with_which_tool_its_corners_are_flown():
+def test_a_program_sets_the_tool_that_its_blends_refer_to():
     """What another program has left in the controller shapes the corners of joint moves, too."""
     programs = draw_programs(link_recipe(ROBOT.name), 3, 2.0)
     assert all("$TOOL := POS(0, 0, 0, 0, 0, 0" in text for text in programs.values())

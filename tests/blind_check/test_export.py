@@ -51,7 +51,7 @@ def leaks(folder: Path, key: Key) -> dict[str, float]:
     return {name: p_value(table, label) for name, label in labels_of(key).items()}
 
 
-def test_no_metadata_of_two_hundred_runs_tell_what_they_hold(tiny):
+def test_metadata_of_two_hundred_runs_do_not_predict_the_key(tiny):
     folder, key = tiny
     assert len(key.runs) == RUNS
     found = leaks(folder, key)
@@ -79,7 +79,7 @@ def named(path: Path, run: dict) -> None:
 
 
 @pytest.mark.parametrize("leak", [touched, more_there, longer, named])
-def test_a_leak_is_found(tiny, tmp_path: Path, leak: Callable[[Path, dict], None]):
+def test_detects_a_leak(tiny, tmp_path: Path, leak: Callable[[Path, dict], None]):
     folder, key = tiny
     shutil.copytree(folder, tmp_path / "out", copy_function=shutil.copy2)
     for run in key.runs:
@@ -87,7 +87,7 @@ def test_a_leak_is_found(tiny, tmp_path: Path, leak: Callable[[Path, dict], None
     assert min(leaks(tmp_path / "out", key).values()) < CHANCE
 
 
-def test_what_a_world_says_of_itself_does_not_reach_the_runs(tiny):
+def test_exported_runs_omit_what_the_world_reports_about_itself(tiny):
     folder, key = tiny
     run = next(run for run in key.runs if run["effects"])
     held = folder / "runs" / run["run"]
@@ -120,7 +120,7 @@ def test_the_samples_are_copied_as_they_are(tmp_path: Path):
     np.testing.assert_allclose(before.t, after.t, atol=1e-6)
 
 
-def test_the_key_is_its_owners_and_outside_the_runs(tmp_path: Path):
+def test_the_key_is_private_and_outside_the_runs(tmp_path: Path):
     key = tmp_path / "key.json"
     export_runs(TinyWorld(), tmp_path / "out", key, 3)
     assert stat.S_IMODE(key.stat().st_mode) == 0o600
@@ -148,7 +148,7 @@ def test_the_key_draws_the_same_runs_again(tmp_path: Path):
         assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes(), file
 
 
-def test_a_draw_without_a_seed_is_for_judgement_and_shares_nothing_with_one_for_development(tmp_path: Path):
+def test_a_draw_without_a_seed_differs_from_development_draws(tmp_path: Path):
     keys = [export_runs(TinyWorld(), tmp_path / f"{seed}", tmp_path / f"{seed}.json", 1, seed) for seed in (None, 1)]
     assert [key.laws for key in keys] == ["judgement", "development"]
     told = [json.loads((tmp_path / name / "benchmark.json").read_text())["laws"] for name in ("None", "1")]
@@ -157,7 +157,7 @@ def test_a_draw_without_a_seed_is_for_judgement_and_shares_nothing_with_one_for_
 
 
 @pytest.mark.parametrize("world", [EmulatorWorld(), SecondWorld()], ids=lambda world: world.name)
-def test_no_secret_stands_in_the_arguments_of_a_process(world, monkeypatch):
+def test_no_process_argument_contains_the_secret(world, monkeypatch):
     """Everybody on a machine can read them."""
     known: list[list[str]] = []
 
@@ -181,7 +181,7 @@ def family(tmp_path_factory) -> tuple[Path, Key]:
     return folder, export_runs(SecondWorld(0.4), folder / "out", folder / "key.json", 3)
 
 
-def test_the_second_world_is_drawn_from_the_family_and_the_truth_stands_in_the_key_alone(family):
+def test_draws_the_second_world_and_keeps_the_truth_in_the_key(family):
     folder, key = family
     assert key.laws == "judgement"
     assert len({run["machine"] for run in key.runs}) == 3
@@ -209,7 +209,7 @@ def test_the_key_draws_the_family_again_bit_by_bit(family, tmp_path: Path):
         assert (folder / file).read_bytes() == (tmp_path / file).read_bytes(), file
 
 
-def test_an_interrupted_export_goes_on(tmp_path: Path, monkeypatch):
+def test_resumes_an_interrupted_export(tmp_path: Path, monkeypatch):
     world, whole = TinyWorld(), TinyWorld.write
 
     def stopped(self, truth, folder):
@@ -266,7 +266,7 @@ def test_what_cannot_be_exported_is_refused(tmp_path: Path):
 
 @pytest.mark.verify
 @pytest.mark.parametrize("world", [EmulatorWorld({"cycle": 2.0}), SecondWorld(1.0)], ids=lambda world: world.name)
-def test_no_metadata_of_two_hundred_recorded_runs_tell_what_they_hold(world, tmp_path: Path, measured):
+def test_metadata_of_two_hundred_recorded_runs_do_not_predict_the_key(world, tmp_path: Path, measured):
     with LocalProcesses(2) as engine:
         key = export_runs(world, tmp_path / "out", tmp_path / "key.json", RUNS, engine=engine)
     found = leaks(tmp_path / "out", key)

@@ -90,7 +90,7 @@ def test_every_run_has_the_same_files_and_a_plan_for_every_sample(check):
         assert not any("FAKE" in log.metadata["serial"] for log in logs)
 
 
-def test_a_rerun_asks_nothing_twice_and_answers_alike(check):
+def test_a_rerun_diagnoses_nothing_twice_and_scores_the_same(check):
     said = check.folder / "answers.jsonl"
     before = said.read_text().splitlines()
     lost = next(line for line in before if json.loads(line)["verdict"] == "no_gap" and "without" not in line)
@@ -122,7 +122,7 @@ def test_the_diagnosing_process_cannot_see_the_key(tmp_path: Path):
     assert (tmp_path / "withheld" / "key.json").read_text() == "secret"
 
 
-def test_a_run_that_breaks_the_diagnosis_is_told_and_has_no_answer(tmp_path: Path, capfd):
+def test_reports_a_failed_diagnosis_as_no_answer(tmp_path: Path, capfd):
     scores = BlindCheck(TinyWorld(), 2, tmp_path / "check").run(QUIET)
     counted = scores["tools"]["agent diagnose"]["outcomes"]
     assert sum(row["no answer"] for row in counted.values()) == 2
@@ -162,7 +162,7 @@ def test_the_baselines_answer_the_same_runs(check, tmp_path: Path, method: str, 
         (["--world", "moon"], "--world moon: there is no such world; one of emulator, mujoco"),
     ],
 )
-def test_what_does_not_go_together_is_refused(tmp_path: Path, arguments: list[str], message: str):
+def test_refuses_incompatible_options(tmp_path: Path, arguments: list[str], message: str):
     run = warm.run("agent", "blind-check", *arguments, cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(ROOT)})
     assert run.returncode == 2
     assert message in run.stderr
@@ -171,7 +171,7 @@ def test_what_does_not_go_together_is_refused(tmp_path: Path, arguments: list[st
 
 
 @pytest.mark.verify
-def test_blind_check(measured):
+def test_blind_check_on_the_fake_controller(measured):
     """Two hundred runs of the emulator; what is finished is kept in `.verify/`, and so is its page."""
     folder = ROOT / ".verify" / "blind_check"
     with LocalProcesses(available_cores()) as engine:

@@ -47,7 +47,7 @@ def robot():
 
 
 @pytest.mark.parametrize(("seed", "rate", "seconds"), [(1, 200.0, 18.0), (2, 100.0, 30.0), (3, 333.0, 12.0)])
-def test_healthy_logs_are_accepted_without_a_word(robot, seed, rate, seconds):
+def test_accepts_healthy_logs_without_a_warning(robot, seed, rate, seconds):
     log = motion(robot, seed, rate, seconds)
     assert check_quality(robot, [log]) == []
     assert spoiled(robot, [log]) == []
@@ -62,7 +62,7 @@ def test_torque_without_gravity_is_refused_with_what_to_record(dof, seed, second
     assert found.joints
 
 
-def test_slow_torque_without_gravity_is_told_by_the_described_masses(robot):
+def test_detects_missing_gravity_in_slow_motion_from_the_described_masses(robot):
     """Without inertia in it nothing but friction is left, which any mass moments near zero fit."""
     log = motion(robot, 7)
     t = log.t * 6
@@ -111,7 +111,7 @@ def first_robot(log):
 
 @pytest.mark.parametrize(("every", "share"), [(1, 0.5), (4, 0.2), (15, 0.0625)])
 @pytest.mark.parametrize("kind", ["zero", "another motion"])
-def test_two_publishers_on_one_topic_are_named(robot, every, share, kind):
+def test_names_two_publishers_on_one_topic(robot, every, share, kind):
     first, second = motion(robot, 9), motion(robot, 10)
     apart = replace(first, position=first.position + 0.9)
     if kind == "zero":
@@ -122,14 +122,14 @@ def test_two_publishers_on_one_topic_are_named(robot, every, share, kind):
     assert found.share == pytest.approx(share, abs=0.01)
 
 
-def test_rows_out_of_order_are_no_degrees(robot):
+def test_rows_out_of_order_are_not_reported_as_degrees(robot):
     log = motion(robot, 11)
     order = np.random.default_rng(2).permutation(len(log.t))
     (found,) = refusals(robot, replace(log, position=log.position[order], effort=log.effort[order]))
     assert "rows are out of order" in found.text
 
 
-def test_fast_motion_below_pi_is_not_taken_for_degrees(robot):
+def test_fast_motion_below_pi_is_not_reported_as_degrees(robot):
     """The description's speed may be wrong; whoever means degrees has some beyond 3.14."""
     slow = replace(robot, joints=tuple(replace(joint, max_velocity=0.02) for joint in robot.joints))
     assert not any("degrees" in finding.text for finding in check_quality(slow, [motion(robot, 12)]))
@@ -166,7 +166,7 @@ def zeroed(effort, joint=1):
         (zeroed, "joint_2", 11 * 25 / 3600, "exactly zero"),
     ],
 )
-def test_samples_that_are_spoiled_are_counted_by_joint(robot, change, joint, share, says):
+def test_counts_spoiled_samples_by_joint(robot, change, joint, share, says):
     (found,) = spoiled(robot, [bad(motion(robot, 13), change)])
     assert found.joints == (joint,)
     assert says in found.text
@@ -192,7 +192,7 @@ def test_coarse_steps_and_a_stationary_joint_are_not_spoiled(robot):
         (lambda nominal: 100 / nominal, "% of nominal torque"),
     ],
 )
-def test_torques_in_another_unit_are_named_by_the_described_masses(robot, scale, unit):
+def test_detects_a_torque_unit_from_the_described_masses(robot, scale, unit):
     nominal = np.array([700.0, 450.0, 240.0, 30.0])
     joints = tuple(replace(joint, max_torque=value) for joint, value in zip(robot.joints, nominal, strict=True))
     described = replace(robot, joints=joints)
@@ -205,7 +205,7 @@ def test_torques_in_another_unit_are_named_by_the_described_masses(robot, scale,
 
 
 @pytest.mark.parametrize(("joint", "times"), [(2, 1.4), (2, 0.7)])
-def test_a_wrong_length_in_the_description_is_said(robot, joint, times):
+def test_reports_a_wrong_length_in_the_description(robot, joint, times):
     old = '<child link="link_3"/><origin xyz="0.05 0.02 0.3"/>'
     new = f'<child link="link_3"/><origin xyz="{0.05 * times} {0.02 * times} {0.3 * times}"/>'
     assert old in robot.urdf
@@ -216,7 +216,7 @@ def test_a_wrong_length_in_the_description_is_said(robot, joint, times):
     assert float(re.search(r"about ([\d.]+) times", found.text)[1]) == pytest.approx(1 / times, rel=0.1)
 
 
-def test_joints_that_move_alike_are_not_said_to_be_swapped_or_flipped(robot):
+def test_joints_that_move_alike_are_not_reported_as_swapped_or_flipped(robot):
     """As in a routine that moves both together: the joints cannot be distinguished."""
     log = motion(robot, 17)
     q, qd, qdd = (values.copy() for values in _multisine(4, log.t, 17))
@@ -231,7 +231,7 @@ def test_joints_that_move_alike_are_not_said_to_be_swapped_or_flipped(robot):
     assert not [text for text in texts if re.search("joint_[23].*(swapped|flipped)", text)]
 
 
-def test_what_a_model_predicts_is_no_unit_error(robot):
+def test_logs_that_the_model_predicts_have_no_unit_error(robot):
     """A description with tiny masses in it, as some URDFs have, and somebody who pushes."""
     mass = re.sub(r'mass value="([\d.]+)"', lambda m: f'mass value="{float(m[1]) / 900:.6f}"', robot.urdf)
     centred = replace(robot, urdf=mass)
@@ -248,7 +248,7 @@ def test_what_a_model_predicts_is_no_unit_error(robot):
         check_plausible(drives, [pushed], False, Console(-1))
 
 
-def test_the_described_masses_are_no_evidence_against_what_they_say(robot, tmp_path):
+def test_a_simulators_own_masses_do_not_excuse_missing_gravity(robot, tmp_path):
     """A simulator made of the same URDF predicts torques of the right size on joints that carry little only."""
     path = tmp_path / "arm.urdf"
     path.write_text(robot.urdf, encoding="utf-8")
@@ -258,7 +258,7 @@ def test_the_described_masses_are_no_evidence_against_what_they_say(robot, tmp_p
         check_plausible(robot, [weightless], False, Console(-1), model=model)
 
 
-def test_currents_of_a_simulated_arm_are_said(robot, tmp_path, capsys):
+def test_detects_currents_against_a_frictionless_simulator(robot, tmp_path, capsys):
     """A simulator without friction predicts next to nothing on some joints, of which currents are no smaller."""
     path = tmp_path / "arm.urdf"
     path.write_text(robot.urdf, encoding="utf-8")
@@ -297,7 +297,7 @@ def test_estimate_and_validate_warn_of_spoiled_samples(tmp_path, shared_robot, c
     assert "the torque of joint_2 is exactly zero for 7.6 % of the samples" in capsys.readouterr().err
 
 
-def test_a_rotor_with_a_negative_inertia_and_an_error_far_above_the_noise_are_said(robot):
+def test_warns_of_a_negative_rotor_inertia_and_an_error_far_above_noise(robot):
     log = motion(robot, 22, noise=0.002)
     q, _, qdd = _multisine(4, log.t, 22)
     wrong = log.effort.copy()

@@ -73,7 +73,7 @@ def healthy(ns16):
 
 
 @pytest.mark.parametrize("reason", MISTAKES)
-def test_what_cannot_be_is_said(healthy, reason):
+def test_reports_each_impossible_log(healthy, reason):
     robot, log = healthy
     found = plausibility_warnings(robot, [replace(log, **MISTAKES[reason](log))])
     assert found
@@ -93,7 +93,7 @@ IN_MM = {
 
 
 @pytest.mark.parametrize("reason", IN_MM)
-def test_a_slide_in_mm_is_said(reason):
+def test_reports_a_prismatic_joint_in_mm(reason):
     robot = make_arm("P")
     log = record(Plant(robot, seed=3), "slide", 21)
     assert not plausibility_warnings(robot, [log])
@@ -181,7 +181,7 @@ def test_a_mistake_in_logs_of_a_real_arm_is_named(shared_data, reason):
     assert re.match(reason, found[0]), found
 
 
-def test_an_arm_whose_tip_is_where_its_axes_meet_is_as_long_as_its_joints_are_apart(make_log):
+def test_measures_arm_length_along_the_joints(make_log):
     """A remote centre of motion, as surgical arms have: the slide ends where yaw and pitch meet."""
     block = 0.01, 0.01, 0.01
     bars = [
@@ -197,7 +197,7 @@ def test_an_arm_whose_tip_is_where_its_axes_meet_is_as_long_as_its_joints_are_ap
     assert not any("N·mm" in text for text in plausibility_warnings(serial_arm(bars), [log]))
 
 
-def test_seconds_of_a_real_arm_that_alone_fit_better_with_a_mistake_are_cleared_by_its_other_motions(shared_data):
+def test_other_motions_clear_a_false_suspicion_from_a_short_log(shared_data):
     robot, (log, *others) = recorded(shared_data / "real-dev", "kr300/robot_real.yaml", "A_se", "B_se", "C_se")
     short = log.between(log.t[0] + 5.0, log.t[0] + 10.0)
     (doubt,) = plausibility_warnings(robot, [short])
@@ -216,7 +216,7 @@ def test_joints_of_a_real_arm_that_move_alike_for_some_seconds_are_not_swapped(s
     assert plausibility_warnings(description, [log.between(start, stop)]) == []
 
 
-def test_other_motions_clear_nothing_that_is_wrong_for_itself(healthy):
+def test_other_motions_do_not_clear_an_evident_mistake(healthy):
     robot, log = healthy
     for reason in ("N·mm", "opposite signs", "joint_2 never changes while it moves", "joint_2 is stuck"):
         (found, *_) = plausibility_warnings(robot, [replace(log, **MISTAKES[reason](log))], [log])
@@ -282,7 +282,7 @@ def test_logs_of_two_machines_or_tools_are_not_pooled(healthy, tmp_path, capsys)
     assert "fitted to" not in capsys.readouterr().err
 
 
-def test_an_absurd_error_has_a_comment(healthy, tmp_path, capsys):
+def test_validate_comments_on_an_absurd_error(healthy, tmp_path, capsys):
     _, log = healthy
     robot, out, quiet = "comau_ns16", tmp_path / "model.json", Console(-1)
     for name, factor in (("right", 1.0), ("wrong", 1000.0)):
@@ -293,7 +293,7 @@ def test_an_absurd_error_has_a_comment(healthy, tmp_path, capsys):
     assert "predicting no torque at all would be better" in capsys.readouterr().err
 
 
-def test_of_a_sweep_that_goes_one_way_friction_is_said_to_be_an_offset_too():
+def test_friction_of_a_one_way_sweep_is_reported_as_a_possible_offset():
     """Nor can it be said to drive the joint on."""
     robot = make_arm("R")
     log = record(Plant(robot, seed=3), "sweep", 21)
@@ -318,7 +318,7 @@ def test_of_a_sweep_that_goes_one_way_friction_is_said_to_be_an_offset_too():
     assert not any("goes one way only" in note for note in both_ways.notes)
 
 
-def test_a_joint_that_stands_while_its_velocity_is_noise_is_not_stuck(healthy):
+def test_a_stationary_joint_with_velocity_noise_is_not_stuck(healthy):
     robot, log = healthy
     rng = np.random.default_rng(1)
     position, velocity = log.position.copy(), np.gradient(log.position, log.t, axis=0)
@@ -345,7 +345,7 @@ def standing(log):
     )
 
 
-def test_what_a_model_predicts_is_not_refused(healthy, monkeypatch):
+def test_logs_that_the_model_predicts_are_not_refused(healthy, monkeypatch):
     """On a few seconds a refit with a mistake in it may do better; logs that the model predicts have none."""
     robot, log = healthy
     model = estimate(robot, [record(Plant(robot, seed=3), name, seed) for name, seed in (("one", 11), ("two", 12))])

@@ -46,7 +46,7 @@ def plug_in(tmp_path, monkeypatch):
     CATALOGUE.reload()
 
 
-def test_no_name_of_an_effect_is_left_in_the_procedure_and_its_pages():
+def test_no_effect_name_appears_in_the_procedure_and_its_pages():
     folder = Path(agent.diagnosis.__file__).parent
     pages = Path(agent.report.__file__).parent
     named = re.compile("|".join(rf"""["']{name}["']""" for name in CATALOGUE))
@@ -57,7 +57,7 @@ def test_no_name_of_an_effect_is_left_in_the_procedure_and_its_pages():
     assert {name: hits for name, hits in found.items() if hits} == {}
 
 
-def test_every_effect_says_what_it_is():
+def test_every_effect_describes_itself():
     for effect in CATALOGUE.values():
         assert effect.family in FAMILIES
         assert effect.shows_in == ("path" if effect.family == "path" else "torque")
@@ -65,7 +65,7 @@ def test_every_effect_says_what_it_is():
     assert len({effect.phrase for effect in CATALOGUE.values()}) == len(CATALOGUE)
 
 
-def test_an_installed_effect_is_found_told_of_and_kept_in_the_model(plug_in, tmp_path):
+def test_finds_reports_and_saves_an_installed_effect(plug_in, tmp_path):
     plug_in("magnet", SOURCE)
     check_effects(["magnet"])
     robot = make_arm("RR")
@@ -99,7 +99,7 @@ def test_an_installed_effect_is_found_told_of_and_kept_in_the_model(plug_in, tmp
         ("none", "class Magnet: pass", "is no agent.model.effects.Effect"),
     ],
 )
-def test_an_effect_that_is_none_is_told_of_and_left_out(plug_in, caplog, name, source, told):
+def test_an_invalid_plug_in_effect_is_reported_and_left_out(plug_in, caplog, name, source, told):
     usual = list(CATALOGUE)
     with caplog.at_level(logging.WARNING):
         plug_in(name, source.replace('"magnet"', f'"{name}"') if name == "mute" else source)

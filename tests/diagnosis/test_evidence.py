@@ -47,14 +47,14 @@ def test_a_healthy_arm_has_no_gap(robot, model):
     assert Search(fit_of(robot, model)).run().verdict == "no_gap"
 
 
-def test_an_offset_is_named_or_one_of_its_class(robot, model):
+def test_names_an_offset_or_an_equivalent(robot, model):
     decision = Search(fit_of(robot, model, [OFFSET])).run()
     assert ("torque_offset", (1,)) in (decision.causes[0].place, *decision.rivals[0])
     assert decision.probability[0] > 0.6
     assert sum(h.probability for h in decision.hypotheses) == pytest.approx(1.0, abs=1e-6)
 
 
-def test_what_the_healthy_arm_has_as_well_is_not_named(robot, model):
+def test_an_effect_of_the_healthy_arm_is_not_named(robot, model):
     fit = fit_of(robot, model, [OFFSET])
     found = {cause.place for cause in Search(fit).run().causes}
     assert found
@@ -101,7 +101,7 @@ def test_a_gain_is_the_ratio_of_two_normal_densities_of_all_rows(robot, model):
     assert gains[0] == pytest.approx(max(ratios), rel=1e-3, abs=1e-3)
 
 
-def test_what_one_log_of_the_baseline_has_is_learned(robot, baseline, model):
+def test_learns_an_effect_present_in_one_baseline_log(robot, baseline, model):
     """An offset on one day is part of what the arm has; a baseline without it teaches far less of it."""
     logs = [*baseline[:2], record(Plant(robot, seed=3, effects=[OFFSET]), "odd_day", 13)]
     learned, plain = (with_healthy_effects(model, known) for known in (logs, baseline))
@@ -116,13 +116,13 @@ def test_what_one_log_of_the_baseline_has_is_learned(robot, baseline, model):
     assert IdentifiedModel.from_dict(learned.to_dict()).healthy == learned.healthy
 
 
-def test_the_same_with_an_effect_withheld(robot, baseline, model):
+def test_a_withheld_effect_is_left_out_of_the_healthy_effects(robot, baseline, model):
     learned = with_healthy_effects(model, [*baseline[:2], record(Plant(robot, seed=3, effects=[OFFSET]), "odd", 13)])
     left = healthy_on(fit_of(robot, model), learned, without=("torque_offset",))
     assert "torque_offset" not in {form.effect.name for form, _ in left}
 
 
-def test_estimate_writes_what_the_healthy_arm_has(robot, baseline, tmp_path):
+def test_estimate_stores_the_effects_of_the_healthy_arm(robot, baseline, tmp_path):
     """`agent estimate` keeps it in the file of the model, where a diagnosis reads it."""
     logs = [*baseline[:2], record(Plant(robot, seed=3, effects=[OFFSET]), "odd", 13)]
     paths = [tmp_path / f"{number}.mcap" for number in range(len(logs))]

@@ -17,7 +17,7 @@ def squares(rng, motions: int, between: float, within: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize("between", [0.0, 0.6, 1.2])
-def test_another_motion_lies_inside_nine_times_of_ten(between):
+def test_the_interval_covers_nine_of_ten_unseen_motions(between):
     inside = []
     for seed in range(60):
         rng = np.random.default_rng(seed)

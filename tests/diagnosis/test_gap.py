@@ -20,11 +20,11 @@ def dataset(diagnosed):
     return found
 
 
-def test_the_cause_that_is_there_takes_the_gap_away(dataset):
+def test_the_true_cause_closes_the_gap(dataset):
     assert held_out_gap(dataset.dataset, dataset.finding.fit).closure > 0.75
 
 
-def test_a_cause_on_another_joint_does_not(dataset):
+def test_a_cause_on_another_joint_does_not_close_the_gap(dataset):
     fit = dataset.dataset.fit
     (wrong,) = {c.joints for c in dataset.finding.causes}
     other = tuple((joint + 1) % fit.reference.robot.dof for joint in wrong)
@@ -35,12 +35,12 @@ def test_a_cause_on_another_joint_does_not(dataset):
     assert alone < 0.25
 
 
-def test_without_causes_nothing_is_gained(dataset):
+def test_without_causes_no_gap_is_closed(dataset):
     gap = held_out_gap(dataset.dataset, dataset.dataset.fit).unclosed
     assert gap.closure == 0.0
 
 
-def test_repeatability_is_the_difference_from_cycle_to_cycle(dataset):
+def test_repeatability_is_the_difference_between_cycles(dataset):
     """Independent noise far above stiction is the repeatability; an error that repeats with every cycle is not."""
     data, rng, size = dataset.dataset, np.random.default_rng(4), 1e5
     for repeats in (0.0, 5.0):
@@ -51,7 +51,7 @@ def test_repeatability_is_the_difference_from_cycle_to_cycle(dataset):
         assert gap.floor == pytest.approx(np.ones(data.robot.dof), rel=0.05)
 
 
-def test_friction_that_holds_a_stationary_joint_the_other_way_is_no_gap(dataset):
+def test_stiction_of_either_sign_at_standstill_is_not_a_gap(dataset):
     """Twice the level from what is predicted: other joints stand while one of them is turned to and fro."""
     data, fit = dataset.dataset, dataset.dataset.fit
     level = stiction(fit.reference)
@@ -63,7 +63,7 @@ def test_friction_that_holds_a_stationary_joint_the_other_way_is_no_gap(dataset)
     assert np.any(gap.before * gap.unit > 0.5 * level), "beyond that it is one"
 
 
-def test_in_units_of_each_joint_a_cause_counts_by_its_own_joint(dataset):
+def test_a_cause_is_scored_in_units_of_its_own_joint(dataset):
     """A hundredth of the torque, and of the gap, where no nominal torque says what a joint is for."""
     data, fit = dataset.dataset, dataset.finding.fit
     (own,) = {joint for candidate in fit.chosen for joint in candidate.blocks}

@@ -44,7 +44,7 @@ def answers(shared_data):
     return json.loads((shared_data / "gap-dev/ANSWERS.json").read_text())
 
 
-def test_nothing_is_found_where_nothing_is(diagnosed, measured):
+def test_healthy_runs_have_no_causes(diagnosed, measured):
     result = diagnosed(0).result
     measured("gap-dev, run without an effect", result["verdict"], "", "no_gap", result["verdict"] == "no_gap")
     assert result["verdict"] == "no_gap"
@@ -52,7 +52,7 @@ def test_nothing_is_found_where_nothing_is(diagnosed, measured):
 
 
 @pytest.mark.parametrize("case", [1, 2, *(pytest.param(case, marks=pytest.mark.verify) for case in (3, 4))])
-def test_the_effect_and_its_joint_are_named(diagnosed, answers, case, measured):
+def test_names_the_effect_and_its_joint(diagnosed, answers, case, measured):
     result = diagnosed(case).result
     (truth,) = answers[f"case_{case:02d}"]
     joints = [f"joint_{truth['joint']}"] if "joint" in truth else []
@@ -66,7 +66,7 @@ def test_the_effect_and_its_joint_are_named(diagnosed, answers, case, measured):
 
 
 @pytest.mark.verify
-def test_the_sizes_are_those_of_the_key(diagnosed, answers):
+def test_sizes_match_the_key(diagnosed, answers):
     mass = diagnosed(2).result["causes"][0]["parameters"]["mass"]
     assert mass == pytest.approx(answers["case_02"][0]["mass"], rel=0.02)
     stiffness = diagnosed(3).result["causes"][0]["parameters"]["stiffness"]

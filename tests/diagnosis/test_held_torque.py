@@ -66,7 +66,7 @@ def _level(warning: str) -> float:
     return float(warning.split("stands still at ")[1].split(" N·m")[0])
 
 
-def test_a_sensor_that_holds_its_value_is_said_and_no_cause_named(robot, model):
+def test_reports_a_held_torque_sensor_and_names_no_cause(robot, model):
     logs = []
     for seed in MOVES:
         q, torque = _torque(robot, seed)
@@ -79,7 +79,7 @@ def test_a_sensor_that_holds_its_value_is_said_and_no_cause_named(robot, model):
     assert f"once the torque of {robot.joint_names[0]}, which stands still" in found.result["next_experiment"]["motion"]
 
 
-def test_a_torque_that_is_nearly_always_cut_off_is_said_too(robot, model):
+def test_reports_a_torque_that_is_nearly_always_clipped(robot, model):
     logs = []
     for seed in MOVES:
         q, torque = _torque(robot, seed)
@@ -91,7 +91,7 @@ def test_a_torque_that_is_nearly_always_cut_off_is_said_too(robot, model):
     assert _level(warning) == pytest.approx(8.0, rel=0.02)
 
 
-def test_a_torque_that_is_cut_off_is_said_with_the_level(robot, model):
+def test_reports_clipped_torque_with_its_level(robot, model):
     logs, level = [], 0.0
     for seed in MOVES:
         q, torque = _torque(robot, seed)
@@ -105,7 +105,7 @@ def test_a_torque_that_is_cut_off_is_said_with_the_level(robot, model):
     assert f"{robot.joint_names[1]} stands still at" in warning
 
 
-def test_what_the_arm_does_is_not_the_sensors(robot, model):
+def test_friction_is_not_reported_as_a_held_sensor(robot, model):
     """More friction, and torque held only where it hardly changes, which nothing tells from one that follows."""
     logs = [_recorded(robot, seed, *_torque(robot, seed, np.array([2.0, 0.0]))) for seed in MOVES]
     found = diagnose(robot, logs, model)
@@ -113,7 +113,7 @@ def test_what_the_arm_does_is_not_the_sensors(robot, model):
     assert not _said(found)
 
 
-def test_a_torque_that_hardly_changes_as_friction_is_gone_is_not_the_sensors(robot, model):
+def test_nearly_constant_torque_is_not_reported_as_a_held_sensor(robot, model):
     """By the model it goes up and down with the friction; without any, on an upright axis, nothing is left of it."""
     logs = []
     for seed in MOVES:
@@ -125,14 +125,14 @@ def test_a_torque_that_hardly_changes_as_friction_is_gone_is_not_the_sensors(rob
     assert not _said(found)
 
 
-def test_without_a_gap_nothing_is_said(robot, model):
+def test_a_run_without_a_gap_reports_no_held_sensor(robot, model):
     found = diagnose(robot, [_recorded(robot, seed, *_torque(robot, seed)) for seed in MOVES], model)
     assert found.answer.verdict == "no_gap"
     assert not _said(found)
 
 
 @pytest.mark.parametrize("joint", [1, 5])
-def test_of_a_real_arm_a_torque_that_is_made_to_hold_is_said(shared_data, joint):
+def test_reports_a_held_torque_on_a_real_arm(shared_data, joint):
     """KR300, free motion: the torque of one joint is held for 0.2 to 0.8 s now and then; as recorded it is not."""
     folder = shared_data / "real-dev/kr300"
     arm = load_robot(folder / "robot_real.yaml")

@@ -36,7 +36,7 @@ def massless():
     return fitted("")
 
 
-def test_its_links_are_bodies(massless):
+def test_placeholder_links_are_physical_bodies(massless):
     nominal, signals = massless
     for block in nominal.solid.standard_parameters().reshape(-1, 10):
         assert np.linalg.eigvalsh(pseudo_inertia(block)).min() > 0
@@ -65,14 +65,14 @@ def deviation(nominal):
     return [1 / np.sqrt(effect.prior_precision(context, (), place)[0, 0]) for place in effect.settings(context, ())]
 
 
-def test_links_that_are_known_may_weigh_otherwise_by_half():
+def test_known_links_may_deviate_by_half_their_mass():
     nominal, _ = fitted(r"\g<0>")
     described = rigid_bodies(nominal.robot)[0].dynamics.standard_parameters()[::10]
     assert deviation(nominal) == pytest.approx(0.5 * described)
 
 
 @pytest.mark.parametrize("kilograms", [None, 0.01, 1.0, 3.0])
-def test_its_links_may_weigh_otherwise(massless, kilograms):
+def test_unknown_links_may_deviate_by_the_weight_the_arm_carries(massless, kilograms):
     """By as much as what the arm holds up, which is all that is known of their size: links that stand in for unknown
     ones say nothing of it."""
     nominal, signals = massless if kilograms is None else fitted(placeholder(kilograms))

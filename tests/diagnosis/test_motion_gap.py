@@ -44,7 +44,7 @@ def recorded(name: str, ways, rate: float, share: float = 1.0) -> Log:
 
 
 @pytest.mark.parametrize("rate", [0.987, 1.018])
-def test_another_pace_is_found_though_every_way_begins_anew(rate):
+def test_finds_a_different_pace_in_motions_with_stops(rate):
     """The plan is laid on from stop to stop, so no single rate over the log's time describes it."""
     gap = motion_gap([recorded("one.mcap", WAYS, rate), recorded("two.mcap", WAYS[::-1], rate)])
     assert gap.described
@@ -52,13 +52,13 @@ def test_another_pace_is_found_though_every_way_begins_anew(rate):
     assert gap.closure > 0.95
 
 
-def test_other_ramps_alone_are_no_pace():
+def test_different_ramps_are_not_a_different_pace():
     gap = motion_gap([recorded("one.mcap", WAYS, 1.0, 1.15), recorded("two.mcap", WAYS[::-1], 1.0, 0.85)])
     assert gap.notable
     assert not gap.described
 
 
-def test_a_pace_that_one_motion_denies_is_none():
+def test_a_pace_contradicted_by_one_motion_is_rejected():
     """Corners of a large motion look like a pace, by chance that between two others; one of these ran as planned."""
     sizes = {"large.mcap": (6.0, 1.006), "small.mcap": (0.5, 1.012), "least.mcap": (0.1, 1.0)}
     logs = [

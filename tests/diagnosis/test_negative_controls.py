@@ -70,7 +70,7 @@ def test_a_model_of_the_end_of_a_log_of_a_tx40_finds_no_cause_in_its_beginning(s
     _control(robot, [end], [beginning])
 
 
-def test_where_nothing_is_named_nothing_is_closed(shared_data):
+def test_no_named_cause_means_no_gap_explained(shared_data):
     """A model of too few motions takes most of the gap of another into its own parameters."""
     source = shared_data / "real-dev/bam_xl330"
     robot = load_robot(source / "robot.yaml")

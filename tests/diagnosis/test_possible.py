@@ -57,7 +57,7 @@ def test_a_load_has_no_negative_inertia(reference):
     assert not possible(reference, "payload", settings, {**load, "inertia": -0.02})
 
 
-def test_a_spring_pulls_no_harder_than_the_joint_could_bear(reference):
+def test_a_spring_torque_stays_within_the_joint_limit(reference):
     nominal = float(reference.scale[1])
     for size, fine in ((0.5 * nominal, True), (-13905.0 * max(nominal / 100, 1.0), False)):
         assert possible(reference, "gravity_spring", {"harmonics": 1.0}, {"cosine_1": size, "sine_1": 0.0}) == fine
@@ -93,13 +93,13 @@ def test_a_contact_is_reported_with_link_force_and_times(reference):
     assert [found[f"{key}_2"] for key in ("link", "force_z", "log", "start", "end")] == [4.0, 22.0, 0.0, 4.0, 5.0]
 
 
-def test_a_coupling_of_any_ratio_is_tried(reference):
+def test_tries_couplings_of_any_ratio(reference):
     tried = [abs(settings["ratio"]) for settings in CATALOGUE["wrist_coupling"].settings(None, (4, 5))]
     assert min(tried) <= 0.05
     assert max(tried) == 2.0
 
 
-def test_a_coupled_shaft_rubs_and_turns(reference):
+def test_a_coupled_shaft_has_positive_friction_and_inertia(reference):
     settings = {"ratio": 0.5, "besides": 1.0, "shaft": 1.0}
     fastest = float(reference.robot.max_velocity[4])  # of the pair that is tried
     for coulomb, viscous, inertia, expected in (
@@ -114,7 +114,7 @@ def test_a_coupled_shaft_rubs_and_turns(reference):
 
 
 @pytest.mark.parametrize("kind", [{}, {"besides": 1.0}])
-def test_a_coupling_of_next_to_nothing_is_none(reference, kind):
+def test_a_negligible_coupling_ratio_is_rejected(reference, kind):
     """Friction at a speed that is almost the axle's own is the axle's own friction."""
     values = {"coulomb": 1.0, "viscous": 0.1} if kind else {"rotor": 1e-4, "share": 1.0}
     for ratio, expected in ((0.01, False), (-0.03, False), (0.05, True), (-1.0, True)):

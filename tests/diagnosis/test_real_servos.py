@@ -36,7 +36,7 @@ def drifts(folder, model, logs, measured, what, factor):
     return result
 
 
-def test_a_servo_with_a_pendulum(shared_data, tmp_path, measured):
+def test_diagnoses_a_servo_with_a_pendulum(shared_data, tmp_path, measured):
     model = tmp_path / "pendulum.xml"
     model.write_text(PENDULUM, encoding="utf-8")
     source = shared_data / "real-dev/bam_xl330"
@@ -44,7 +44,7 @@ def test_a_servo_with_a_pendulum(shared_data, tmp_path, measured):
     drifts(tmp_path, model, logs, measured, "XL330 with a pendulum", 0.8)
 
 
-def test_so101(shared_data, tmp_path, measured):
+def test_diagnoses_an_so101_arm(shared_data, tmp_path, measured):
     source = shared_data / "real-dev/so101"
     spec = mujoco.MjSpec.from_file(str(source / "so101.urdf"))
     for joint in spec.joints:

@@ -44,7 +44,7 @@ VOCABULARY = [
 ]
 
 
-def test_the_catalogue_is_the_vocabulary():
+def test_the_catalogue_matches_the_vocabulary():
     assert list(CATALOGUE) == VOCABULARY
     for effect in CATALOGUE.values():
         assert all((effect.formula, effect.source, effect.signature, effect.look_at))
@@ -52,7 +52,7 @@ def test_the_catalogue_is_the_vocabulary():
 
 
 @pytest.mark.parametrize("case", [0, 1])
-def test_figures_hold_to_their_definitions(diagnosed, case):
+def test_figures_match_their_definitions(diagnosed, case):
     result = diagnosed(case).result
     json.dumps(result, allow_nan=False)
     assert result["schema"] == "diagnosis/1"
@@ -104,7 +104,7 @@ def test_the_page_and_the_text_name_the_cause(diagnosed):
     assert "waterfall" not in diagnosed(0).result
 
 
-def test_one_log_is_split_and_the_answer_repeats(arm, baseline, runs):
+def test_a_single_log_is_split_and_the_answer_is_reproducible(arm, baseline, runs):
     one = runs(1)[2:]
     first, second = (diagnose(arm, one, baseline).result for _ in range(2))
     assert json.dumps(first) == json.dumps(second)
@@ -113,7 +113,7 @@ def test_one_log_is_split_and_the_answer_repeats(arm, baseline, runs):
     assert any("one motion only" in warning for warning in first["warnings"])
 
 
-def test_the_joint_that_moves_alone_shows_the_motion_gap(arm, baseline, runs):
+def test_a_late_moving_joint_is_reported_as_interpolator_mismatch(arm, baseline, runs):
     logs = []
     for log in runs(0)[1:]:
         planned = np.array(log.reference_position)
@@ -125,7 +125,7 @@ def test_the_joint_that_moves_alone_shows_the_motion_gap(arm, baseline, runs):
     assert max(result["motion_gap"]["after"]) < 0.3 * max(result["motion_gap"]["before"])
 
 
-def test_a_controller_that_is_a_little_late_is_no_gap(arm, baseline, runs):
+def test_a_small_controller_delay_is_not_a_gap(arm, baseline, runs):
     """Ramps of a controller are never quite those that were planned with: a ten-thousandth of the speed is no cause."""
     logs = []
     for log in runs(0)[1:]:
@@ -144,7 +144,7 @@ def test_a_log_that_is_given_twice_counts_once(arm, baseline, runs, diagnosed):
     assert found.result["folds"] == diagnosed(0).result["folds"]
 
 
-def test_bad_input_is_said_plainly(arm, baseline, runs):
+def test_reports_invalid_input_in_one_message(arm, baseline, runs):
     with pytest.raises(InputError, match="no logs"):
         diagnose(arm, [], baseline)
     with pytest.raises(InputError, match="squeak"):
@@ -157,7 +157,7 @@ def test_bad_input_is_said_plainly(arm, baseline, runs):
         diagnose(arm, short, baseline)
 
 
-def test_a_model_of_another_arm_is_mentioned(baseline, tmp_path, capsys):
+def test_warns_of_a_model_of_another_arm(baseline, tmp_path, capsys):
     """Many arms have joints of the same names: the other one's nominal torques would be what errors are shares of."""
     baseline.save(tmp_path / "model.json")
     ur10e = str(Path(__file__).parents[2] / "recipes/examples/ur10e/robot.yaml")
@@ -174,7 +174,7 @@ def test_torque_in_coarse_steps_is_not_clipped(arm, baseline, runs):
     assert not any("clipped" in text for text in warnings)
 
 
-def test_clipped_torque_and_a_still_joint_are_mentioned(arm, baseline, runs):
+def test_warns_of_clipped_torque_and_a_stationary_joint(arm, baseline, runs):
     log = runs(0)[2]
     assert log.effort is not None
     effort, position = log.effort.copy(), log.position.copy()

@@ -8,7 +8,7 @@ from agent.diagnosis.forward.rollout import at_motors
 from agent.model.rigid_friction import ModelEffect
 
 
-def test_the_motors_torque_is_what_was_reported_without_what_measuring_made_of_it():
+def test_motor_torque_is_the_reported_torque_without_measurement_errors():
     motors = np.array([[3.0, -2.0], [1.0, 5.0]])
     reported = motors * [1.0, 1.1] + [0.0, 4.0]
     found = [

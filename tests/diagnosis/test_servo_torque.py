@@ -86,7 +86,7 @@ def softer(tmp_path_factory):
 
 
 @pytest.mark.xfail(strict=True, reason="released numbers of the file take up a servo's gain, so an offset is named")
-def test_a_servo_whose_gain_is_not_the_files_is_named_and_changed_in_the_file(softer):
+def test_names_a_wrong_servo_gain_and_corrects_the_file(softer):
     folder, result = softer
     cause = result["causes"][0]
     assert (cause["effect"], cause["joints"]) == ("torque_constant", ["elbow"])
@@ -103,7 +103,7 @@ def test_a_servo_whose_gain_is_not_the_files_is_named_and_changed_in_the_file(so
 
 
 @pytest.mark.xfail(strict=True, reason="released numbers of the file take up a servo's gain, so an offset is named")
-def test_the_gap_is_in_motion_first_and_the_torque_is_said_to_be_the_servos(softer):
+def test_reports_the_motion_gap_and_that_torque_comes_from_the_servo_model(softer):
     folder, result = softer
     forward = result["forward"]
     assert forward["driven_by"] == "set_points"
@@ -131,7 +131,7 @@ def test_late_set_points_are_distinguished_from_friction(tmp_path, monkeypatch):
     assert "ms after they are recorded" in json.loads((tmp_path / "fixed.changes.json").read_text())["notes"][0]
 
 
-def test_what_is_at_the_limit_is_left_out_and_counted(tmp_path):
+def test_samples_at_the_servo_limit_are_left_out_and_counted(tmp_path):
     source = arm(tmp_path / "arm.xml", PLAIN.replace("/>", ' forcerange="-1.3 1.3"/>'))
     log = read_log(recorded(tmp_path / "1.mcap", source, 1))
     simulator, (driven,), said = with_servo_torque(load_simulator(source, None, log.joint_names), [log])
@@ -149,7 +149,7 @@ def test_what_is_at_the_limit_is_left_out_and_counted(tmp_path):
         ('<position joint="elbow" gear="2" kp="5" kv="0.125"/><motor joint="elbow"/>', PLAIN),
     ],
 )
-def test_a_servo_is_what_it_does_whatever_its_gear_and_units(tmp_path, elbow, servo):
+def test_servo_torque_does_not_depend_on_gear_and_units(tmp_path, elbow, servo):
     plain, other = arm(tmp_path / "a.xml", servo), arm(tmp_path / "b.xml", servo, elbow)
     log = read_log(recorded(tmp_path / "1.mcap", plain, 1))
     torque = [
@@ -170,7 +170,7 @@ HEAVY = {"m0": 0.2, "hx0": 0.02, "hy0": 0, "hz0": 0, **MASS}
         ('<general gainprm="20" biastype="affine" biasprm="0 -20 -0.4"/>', '<general joint="elbow"/>'),
     ],
 )
-def test_gains_are_written_however_the_file_says_them_and_other_masses_change_no_damping(tmp_path, servo, elbow):
+def test_gains_are_written_in_the_files_own_form_and_damping_is_kept(tmp_path, servo, elbow):
     source = tmp_path / "arm.xml"
     arm(source, servo, elbow)
     if "general" in servo:
@@ -229,7 +229,7 @@ CABLE = '</actuator><tendon><fixed name="cable"><joint joint="elbow" coef="1"/><
         (ELBOW, '<position kp="2000" forcerange="-0.01 0.01"/>', None, r"1\.mcap: .* at their largest torque all the"),
     ],
 )
-def test_what_cannot_be_used_is_said_once(tmp_path, elbow, servo, change, message):
+def test_an_unusable_servo_gives_one_message(tmp_path, elbow, servo, change, message):
     source = arm(tmp_path / "arm.xml", servo, elbow)
     first = read_log(recorded(tmp_path / "1.mcap", arm(tmp_path / "right.xml"), 1))
     write_log(tmp_path / "2.mcap", first if change is None else change(first))
@@ -237,7 +237,7 @@ def test_what_cannot_be_used_is_said_once(tmp_path, elbow, servo, change, messag
         diagnose_files(None, [tmp_path / "1.mcap", tmp_path / "2.mcap"], GapQuestion(source), Console(-1))
 
 
-def test_efforts_without_a_sign_are_not_used_where_servos_say_more(tmp_path):
+def test_unsigned_efforts_are_ignored_if_servos_give_torque(tmp_path):
     source = arm(tmp_path / "arm.xml")
     log = read_log(recorded(tmp_path / "1.mcap", source, 1))
     amount = replace(log, effort=np.abs(np.gradient(log.position, axis=0)))

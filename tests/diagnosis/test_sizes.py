@@ -42,7 +42,7 @@ def test_figures_have_their_units():
 GAP = {"joints": ["elbow"], "units": [SHARE], "before": [0.04], "after": [0.01]}
 
 
-def test_the_leading_figure_and_what_is_not_told():
+def test_picks_the_leading_parameter_and_hides_minor_ones():
     payload = {"effect": "payload", "parameters": {"m0": 3.9, "hx0": 0.1, "mass": 4.0, "moment_x": 0.4}}
     assert leading_parameter(payload) == "mass"
     assert reported_parameters(payload) == ["mass", "moment_x"]
@@ -65,7 +65,7 @@ def test_a_change_has_its_sign_and_a_sum_of_harmonics_its_amplitude():
     assert amplitude({"mass": 1.0}, {}) is None
 
 
-def test_the_headline_of_what_cannot_be_told_apart_names_all_of_it():
+def test_the_headline_names_all_indistinguishable_causes():
     other = {"effect": "torque_offset", "joints": ["elbow"]}
     cause = {"effect": "asymmetric_friction", "joints": ["elbow"], "closure": 1.04, "probability": 0.95}
     cause["parameters"] = {"coulomb_asymmetry": -3.3}
@@ -87,7 +87,7 @@ def test_the_headline_of_what_cannot_be_told_apart_names_all_of_it():
     assert headline(result).endswith("(torque_offset), or one of 2 others.")
 
 
-def test_a_cause_closes_what_its_step_of_the_attribution_closes():
+def test_a_cause_closes_as_much_as_its_attribution_step():
     cause = {"effect": "torque_offset", "joints": ["elbow"], "closure": 0.98, "parameters": {"offset": 2.0}}
     cause |= {"probability": 0.9, "equivalent_to": []}
     steps = [("torque_offset of elbow", 0.61), ("the model's own parameters", 0.38), ("remainder", 0.01)]

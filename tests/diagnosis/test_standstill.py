@@ -44,7 +44,7 @@ def _record(robot: RobotDescription, seed: int, held: float) -> Log:
     return _log(robot, np.arange(len(q)) / RATE, q, torque, f"{seed}.mcap")
 
 
-def test_dry_friction_that_holds_a_joint_where_it_turns_back_is_no_gap():
+def test_stiction_at_a_reversal_is_not_a_gap():
     robot = _arm(1)
     model = estimate(robot, [_record(robot, seed, 0.0) for seed in (1, 2)], EstimationSettings.create(cutoff=20))
     found = diagnose(robot, [_record(robot, seed, HELD) for seed in (3, 4)], model, without=list(CATALOGUE))
@@ -68,7 +68,7 @@ def _beside(robot: RobotDescription, seed: int, offset: float, stuck: float | No
 
 
 @pytest.mark.parametrize("stuck", [-0.9, 0.9])
-def test_what_stiction_holds_a_joint_with_all_through_a_log_is_no_evidence(stuck):
+def test_stiction_of_a_stationary_joint_is_not_evidence(stuck):
     robot = _arm(2)
     model = estimate(robot, [_beside(robot, seed, 0.0) for seed in (1, 2)], EstimationSettings.create(cutoff=20))
     found = diagnose(robot, [_beside(robot, 3, 4.0), _beside(robot, 4, 4.0, stuck)], model)
@@ -77,7 +77,7 @@ def test_what_stiction_holds_a_joint_with_all_through_a_log_is_no_evidence(stuck
     assert {first.effect, *(e.effect for e in first.equivalent_to)} == {"torque_offset", "asymmetric_friction"}
 
 
-def test_a_joint_that_never_moves_has_no_gap_within_its_stiction():
+def test_a_joint_that_never_moves_has_no_gap_below_its_stiction():
     """Any constant torque up to the Coulomb level is right there: it is nothing that is not known."""
     robot = _arm(2)
     model = estimate(robot, [_beside(robot, seed, 0.0) for seed in (1, 2)], EstimationSettings.create(cutoff=20))
@@ -88,7 +88,7 @@ def test_a_joint_that_never_moves_has_no_gap_within_its_stiction():
 
 
 @pytest.mark.parametrize(("force", "named"), [(2000.0, True), (80.0, False)])
-def test_a_push_while_a_joint_stands_is_seen_where_stiction_cannot_hold_it(force, named):
+def test_a_push_above_stiction_is_seen_at_a_stationary_joint(force, named):
     robot = _arm(2)
     model = estimate(robot, [_beside(robot, seed, 0.0) for seed in (1, 2)], EstimationSettings.create(cutoff=20))
     pushed = _beside(robot, 4, 0.0, 0.5)
@@ -103,7 +103,7 @@ def test_a_push_while_a_joint_stands_is_seen_where_stiction_cannot_hold_it(force
 
 @given(lengths=st.lists(st.integers(60, 400), min_size=1, max_size=3), repeat=st.sampled_from([1.0, 10.0, 25.0]))
 @settings(max_examples=20, deadline=None)
-def test_a_rest_tells_as_much_of_a_constant_torque_as_less_than_one_row_and_all_of_a_ramp(lengths, repeat):
+def test_a_rest_counts_as_under_one_sample_for_constant_torque_and_fully_for_a_ramp(lengths, repeat):
     stretches, first = [], 50
     for length in lengths:
         stretches.append((first, first + length, length / repeat))

@@ -61,7 +61,7 @@ def plainly(impulse, slope, mobility, column, followed, spring, loss, half, twis
 
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 2**31), st.integers(1, 70), st.booleans())
-def test_links_that_take_their_steps_together_move_as_each_alone(seed, links, play):
+def test_links_integrated_together_move_as_each_alone(seed, links, play):
     rng = np.random.default_rng(seed)
     column, period, substeps = rng.integers(0, 2, links), 0.002, int(rng.integers(2, 5))
     step = period / substeps
@@ -76,7 +76,7 @@ def test_links_that_take_their_steps_together_move_as_each_alone(seed, links, pl
 
 
 @pytest.mark.parametrize("slope", [-1500.0, 0.0, 800.0])
-def test_a_link_hangs_where_it_is_and_forgets_a_start_that_was_wrong(slope):
+def test_a_link_starts_in_equilibrium_and_forgets_a_wrong_start(slope):
     """k d = L − s d at standstill. The first sample's load is an edge, and nothing damps the ringing it would start."""
     stiffness, load, time = 4000.0, np.full(1000, 20.0), np.arange(1000) / 500
     load[0] = 90.0

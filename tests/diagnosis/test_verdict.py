@@ -61,7 +61,7 @@ def keeps_its_promises(verdict, named, closure) -> bool:
 
 
 @given(VERDICTS, st.lists(causes, max_size=3).map(tuple), closures)
-def test_a_verdict_keeps_its_promises(verdict, found, closure):
+def test_a_verdict_meets_its_contract(verdict, found, closure):
     settled, named = settle(verdict, found, closure)
     assert keeps_its_promises(settled, named, closure)
     assert all(any(cause is one for one in found) for cause in named)
@@ -71,7 +71,7 @@ def test_a_verdict_keeps_its_promises(verdict, found, closure):
 
 
 @given(VERDICTS, st.lists(causes, max_size=2).map(tuple), closures, closures, st.booleans())
-def test_promises_hold_where_the_path_is_another(verdict, found, closure, of_path, path_named):
+def test_the_contract_holds_with_another_path(verdict, found, closure, of_path, path_named):
     verdict, closure = with_path(verdict, closure, of_path, path_named)
     settled, named = settle(verdict, found, closure)
     assert keeps_its_promises(settled, named, closure)
@@ -105,7 +105,7 @@ def found_by_a_search(verdict, candidates, rivals, scale=1.0, runner_up=()):
     other=st.booleans(),
     scale=st.sampled_from([1.0, 10.0]),
 )
-def test_what_a_search_found_comes_to_an_answer_that_keeps_its_promises(verdict, found, closings, other, scale):
+def test_every_search_result_gives_an_answer_that_meets_the_contract(verdict, found, closings, other, scale):
     """Whatever is taken away: the gap is then another, and so are the causes' parts of it."""
     candidates = tuple(SimpleNamespace(place=("stribeck", (k,)), cause=cause) for k, cause in enumerate(found))
     runner_up = (SimpleNamespace(place=("presliding", (0,))),) if other else ()

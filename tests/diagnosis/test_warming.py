@@ -52,7 +52,7 @@ def _diagnosed(robot: RobotDescription, model: IdentifiedModel, first: Callable[
     return diagnose(robot, [_recorded(robot, seed, first if seed == 3 else _as_it_was) for seed in (3, 4, 5)], model)
 
 
-def test_a_drive_that_warms_up_within_the_first_log_is_named_with_its_way(robot, model):
+def test_names_a_drive_that_warms_up_with_the_distance_travelled(robot, model):
     answer = _diagnosed(robot, model, lambda way: 1 + 0.8 * np.exp(-way / WAY)).answer
     assert answer.verdict == "explained"
     (cause,) = answer.causes
@@ -61,6 +61,6 @@ def test_a_drive_that_warms_up_within_the_first_log_is_named_with_its_way(robot,
     assert cause.parameters["coulomb_drift"] == pytest.approx(0.8 * COULOMB, rel=0.2)
 
 
-def test_friction_that_is_another_in_all_of_the_first_log_is_no_drive_that_warms_up(robot, model):
+def test_different_friction_throughout_the_first_log_is_not_warm_up(robot, model):
     answer = _diagnosed(robot, model, lambda way: 1.5).answer
     assert all(cause.effect != "thermal_friction" for cause in answer.causes)

@@ -36,6 +36,6 @@ def test_a_screen_is_drawn_up_to_the_next_step(maker):
 
 
 @pytest.mark.verify
-def test_the_diagnosis_says_so(maker, tmp_path: Path):
+def test_the_diagnosis_prints_what_the_picture_shows(maker, tmp_path: Path):
     screen = " ".join(maker.screen_of(tmp_path).split())
     assert [named for named in NAMED if named not in screen] == []

@@ -13,7 +13,7 @@ from agent.estimation.selection import placeholders
 from agent.robot.bodies import rigid_bodies
 
 
-def test_a_link_prior_that_is_wrong_is_not_believed_and_is_said(arm, multisine, make_log):
+def test_drops_and_reports_a_wrong_link_prior(arm, multisine, make_log):
     robot = arm(3)
     t = np.arange(10_000) / 500
     q, qd, qdd = multisine(3, t)
@@ -26,9 +26,7 @@ def test_a_link_prior_that_is_wrong_is_not_believed_and_is_said(arm, multisine, 
 
 
 @pytest.mark.parametrize(("factor", "believed"), [(1.0, True), (0.05, False)])
-def test_a_description_that_is_right_where_the_motion_tells_is_believed_where_it_does_not(
-    arm, multisine, make_log, factor, believed
-):
+def test_a_description_confirmed_by_the_motion_is_used_as_a_prior(arm, multisine, make_log, factor, believed):
     robot = arm(6, seed=3002)
     t = np.arange(1000) / 50
     q, qd, qdd = multisine(6, t, seed=3002)
@@ -40,7 +38,7 @@ def test_a_description_that_is_right_where_the_motion_tells_is_believed_where_it
     assert (model.provenance["link_prior"] == "description") == believed
 
 
-def test_links_of_one_mass_are_placeholders():
+def test_links_of_equal_mass_are_placeholders():
     def links(*masses: float) -> np.ndarray:
         return np.concatenate([[mass, *[0.1 * mass] * 9] for mass in masses])
 

@@ -114,21 +114,19 @@ def friction_torque(model: IdentifiedModel, qd: np.ndarray) -> np.ndarray:
 
 @settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 10_000), spread=st.floats(0.0, 0.4))
-def test_bodies_behind_base_parameters_are_physical_and_have_them(
-    seed: int, spread: float, ns16: RobotDescription
-) -> None:
+def test_finds_physical_bodies_with_the_given_base_parameters(seed: int, spread: float, ns16: RobotDescription) -> None:
     model = model_of(ns16, bodies(ns16, seed, spread), known=False)
     standard = full_parameters(model)
     check_physical(ns16, standard)
     np.testing.assert_allclose(model.projection @ standard, model.base_values, rtol=1e-11, atol=1e-11)
 
 
-def test_bodies_stay_at_the_urdf_where_base_parameters_are_its_own(ns16: RobotDescription) -> None:
+def test_keeps_the_urdf_bodies_if_their_base_parameters_agree(ns16: RobotDescription) -> None:
     standard = bodies(ns16, spread=0.0)
     np.testing.assert_allclose(full_parameters(model_of(ns16, standard, known=False)), standard, rtol=1e-6, atol=1e-7)
 
 
-def test_base_parameters_of_no_body_are_refused(ns16: RobotDescription) -> None:
+def test_refuses_base_parameters_of_no_physical_body(ns16: RobotDescription) -> None:
     model = model_of(ns16, bodies(ns16), known=False)
     values = model.values.copy()
     values[[k for k, name in enumerate(model.names) if name == "J6"]] = -1e-4
@@ -137,7 +135,7 @@ def test_base_parameters_of_no_body_are_refused(ns16: RobotDescription) -> None:
 
 
 @pytest.mark.parametrize("fault", ["inertia", "rotor"])
-def test_export_refuses_bodies_that_cannot_exist(ns16: RobotDescription, tmp_path: Path, fault: str) -> None:
+def test_export_refuses_non_physical_bodies(ns16: RobotDescription, tmp_path: Path, fault: str) -> None:
     standard = bodies(ns16)
     standard[{"inertia": 39, "rotor": 62}[fault]] *= -1
     with pytest.raises(RejectedError, match="joint_4" if fault == "inertia" else "joint_3"):
@@ -163,7 +161,7 @@ def test_pinocchio_finds_the_torques_of_the_fit(ns16: RobotDescription, tmp_path
     np.testing.assert_allclose(torque, expected, rtol=0, atol=1e-9)
 
 
-def test_friction_is_the_joints_dynamics(ns16: RobotDescription, tmp_path: Path) -> None:
+def test_the_urdf_dynamics_element_holds_the_friction(ns16: RobotDescription, tmp_path: Path) -> None:
     model = model_of(ns16, bodies(ns16), known=True)
     urdf, *_ = export_model(model, tmp_path)
     joints = {joint.get("name"): joint for joint in ElementTree.parse(urdf).getroot().iter("joint")}
@@ -173,7 +171,7 @@ def test_friction_is_the_joints_dynamics(ns16: RobotDescription, tmp_path: Path)
         assert float(dynamics.get("damping")) == pytest.approx(5 + k)
 
 
-def test_other_friction_is_the_line_through_its_curve(ns16: RobotDescription, tmp_path: Path) -> None:
+def test_other_friction_forms_are_exported_as_a_line_fit(ns16: RobotDescription, tmp_path: Path) -> None:
     model = model_of(ns16, bodies(ns16), known=True)
     terms = (*model.terms, FrictionTerm(1, "quadratic"))
     parameters = len(model.values) + 1
@@ -349,7 +347,7 @@ def test_the_sdf_has_the_torques_of_the_bodies(ns16, tmp_path):
     np.testing.assert_allclose(torque, expected, atol=1e-7 * np.abs(expected).max())
 
 
-def test_parameters_go_to_spreadsheets(ns16, tmp_path):
+def test_exports_parameters_as_csv(ns16, tmp_path):
     paths = export_model(model_of(ns16, bodies(ns16), known=True), tmp_path)
     header, *rows = (tmp_path / "parameters.csv").read_text("utf-8").splitlines()
     assert header.startswith("parameter,value,")
@@ -357,7 +355,7 @@ def test_parameters_go_to_spreadsheets(ns16, tmp_path):
     assert (tmp_path / "foxglove-layout.json") in paths
 
 
-def test_the_table_is_exported_of_a_model_without_possible_links(ns16, tmp_path):
+def test_exports_the_table_of_a_model_without_physical_links(ns16, tmp_path):
     standard = bodies(ns16)
     standard[39] *= -1
     model_of(ns16, standard, known=True).save(tmp_path / "model.json")
@@ -367,7 +365,7 @@ def test_the_table_is_exported_of_a_model_without_possible_links(ns16, tmp_path)
     assert [path.name for path in out.iterdir()] == ["parameters.csv"]
 
 
-def test_a_fit_that_no_bodies_have_is_exported_as_the_nearest_that_could_exist(ns16: RobotDescription, tmp_path: Path):
+def test_a_non_physical_fit_is_exported_as_the_nearest_physical_one(ns16: RobotDescription, tmp_path: Path):
     model = model_of(ns16, bodies(ns16), known=False)
     values = model.values.copy()
     rotor = model.names.index("J6")

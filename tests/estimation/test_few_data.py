@@ -14,7 +14,7 @@ from benchmarks.evidence.results import Results
 
 @pytest.mark.verify
 @pytest.mark.parametrize("number", [1, 2, 3])
-def test_a_second_of_a_loop(measured, number, tmp_path):
+def test_error_after_one_second_of_a_loop(measured, number, tmp_path):
     machine = FIRST_MACHINE - 1 + number
     found = few_data.measure(load_recipe(RECIPE), machine, few_data.AS_DRAWN, Results(tmp_path, "loops"), {})
     error = {method: np.mean(found[method]["1"]["error"]) for method in ("paper", "weighted", "consistent")}

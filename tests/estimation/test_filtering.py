@@ -24,7 +24,7 @@ def _motions(log, cutoff=None, reduce=True):
 @given(
     rate=st.sampled_from([100.0, 250.0, 500.0, 1000.0, 5000.0]), share=st.floats(0.02, 1.1), phase=st.floats(0, 6.28)
 )
-def test_derivatives_of_a_sine_are_exact_up_to_beyond_the_cutoff(arm, make_log, rate, share, phase):
+def test_derivatives_of_a_sine_are_exact_beyond_the_cutoff(arm, make_log, rate, share, phase):
     robot = arm(1)
     omega = 2 * np.pi * 30.0 * share
     t = np.arange(int(8 * rate)) / rate
@@ -78,7 +78,7 @@ def test_filtering_commutes_with_a_linear_model(arm, make_log, seed, columns):
     assert np.allclose(motion.low_pass(block) @ parameters, together, atol=1e-9 * np.abs(together).max())
 
 
-def test_nothing_crosses_a_gap_and_its_edges_are_dropped(arm, make_log):
+def test_filtering_stops_at_gaps_and_drops_their_edges(arm, make_log):
     robot = arm(1)
     t = np.concatenate([np.arange(2000), np.arange(2500, 4500)]) / 500
     q = np.sin(t)[:, None]
@@ -105,7 +105,7 @@ def test_a_long_stretch_keeps_every_sample_once(arm, make_log):
 
 
 @pytest.mark.parametrize("late", ["stamp", "sample"])
-def test_uneven_stamps_are_read_as_what_they_are(arm, make_log, late):
+def test_distinguishes_late_stamps_from_uneven_sampling(arm, make_log, late):
     """Either the stamp is late and the sample is not, or the sample was taken at that time."""
     robot = arm(1)
     even = np.arange(4000) / 500
@@ -272,7 +272,7 @@ def _error(log, speed: np.ndarray, settings: FilterSettings) -> tuple[np.ndarray
     return error[~moves], error[moves]
 
 
-def test_rounded_positions_creep_where_the_joint_creeps(arm, make_log, monkeypatch):
+def test_a_creeping_joint_is_smooth_despite_rounded_positions(arm, make_log, monkeypatch):
     robot = arm(1)
     t, position, speed = _move_and_creep()
     log = make_log(robot, t, np.round(position, 4), None)

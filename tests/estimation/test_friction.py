@@ -15,7 +15,7 @@ from agent.validation import predict_log
 
 @settings(max_examples=30, deadline=None)
 @given(seed=st.integers(0, 1000), size=st.integers(1, 400), travel=st.floats(0.01, 10))
-def test_dahl_in_blocks_is_dahl_step_by_step(seed, size, travel):
+def test_dahl_friction_in_blocks_equals_the_step_by_step_form(seed, size, travel):
     path = np.cumsum(np.random.default_rng(seed).normal(size=size))
     state, expected = 0.0, []
     for step in np.diff(path, prepend=path[:1]):
@@ -26,7 +26,7 @@ def test_dahl_in_blocks_is_dahl_step_by_step(seed, size, travel):
 
 @settings(max_examples=20, deadline=None)
 @given(travel=st.floats(1e-5, 1e-2), stop=st.floats(0.1, 1.0))
-def test_presliding_remembers_over_a_stop_and_forgets_over_its_travel(travel, stop):
+def test_presliding_state_survives_a_stop_and_decays_with_travel(travel, stop):
     there = np.linspace(0, 20 * travel, 200)
     path = np.concatenate([there, np.full(50, there[-1]), there[-1] - there])
     state = dahl(path, np.array([travel]))[:, 0]
@@ -42,7 +42,7 @@ def test_the_paper_s_terms_are_its_formula():
     assert np.array_equal(columns, [[-1, -2, -4], [0, 0, 0], [1, 3, 9]])
 
 
-def test_terms_of_the_ladder():
+def test_friction_terms_match_their_formulas():
     speed, load = np.array([[-0.5], [2.0]]), np.array([[-3.0], [4.0]])
     sharp = Reversal("speed", 1e-6)
     terms = (
@@ -57,7 +57,7 @@ def test_terms_of_the_ladder():
 
 @pytest.mark.parametrize("reversal", [Reversal(), Reversal("speed", 0.4), Reversal("travel", 1e-3)])
 @pytest.mark.parametrize("speed", [-1.5, -0.2, 0.3, 2.0])
-def test_steady_friction_is_that_after_a_long_way_at_one_speed(reversal, speed):
+def test_steady_friction_is_the_limit_of_a_long_slide(reversal, speed):
     terms = (*paper_terms([reversal]), FrictionTerm(0, "offset"), FrictionTerm(0, "stribeck", reversal, 0.5))
     terms = (*terms, FrictionTerm(0, "viscous_asymmetry"), FrictionTerm(0, "load", reversal))
     way = speed * np.arange(100.0)[:, None]
@@ -91,7 +91,7 @@ def machine(arm, multisine, make_log):
 
 
 @pytest.mark.parametrize("reversal", [Reversal("speed", 0.02), Reversal("travel", 4e-4)])
-def test_the_reversal_is_learned(machine, reversal):
+def test_estimates_the_reversal_width(machine, reversal):
     robot, run = machine
     terms = paper_terms([reversal] * 2)
     values = np.tile([3.0, 1.0, 0.1], 2)
@@ -103,7 +103,7 @@ def test_the_reversal_is_learned(machine, reversal):
     assert np.sqrt(np.mean(unseen.error**2, axis=0)).max() < 0.05
 
 
-def test_terms_are_added_where_there_is_something_to_add(machine):
+def test_adds_friction_terms_that_the_data_show(machine):
     robot, run = machine
     reversal = Reversal("speed", 0.02)
     extra = (FrictionTerm(0, "viscous_asymmetry"), FrictionTerm(1, "stribeck", reversal, 0.15))
@@ -117,14 +117,14 @@ def test_terms_are_added_where_there_is_something_to_add(machine):
     assert "f1_asymmetry_2" not in names
 
 
-def test_no_terms_are_added_where_there_is_nothing(machine):
+def test_adds_no_friction_terms_that_the_data_do_not_show(machine):
     robot, run = machine
     terms = paper_terms([Reversal("speed", 0.02)] * 2)
     model = estimate(robot, [run(terms, np.tile([3.0, 1.0, 0.1], 2))], EstimationSettings.create(method="weighted"))
     assert [term.form for term in model.terms if term.form != "offset"] == ["coulomb", "viscous", "quadratic"] * 2
 
 
-def test_stiction_at_standstill_neither_counts_fully_nor_spoils_the_fit(arm, make_log):
+def test_stiction_at_standstill_is_down_weighted(arm, make_log):
     """At rest friction is anything within stiction: here it pushes the held torque off the gravity torque."""
     robot = arm(2)
     rigid, _, _ = rigid_bodies(robot)

@@ -75,7 +75,7 @@ def test_a_file_that_is_no_model_says_so(tmp_path, content, message):
 
 
 @pytest.mark.parametrize("key", ["robot", "covariance", "friction", "filter", "independent"])
-def test_a_model_that_lacks_a_part_says_so(model, tmp_path, key):
+def test_names_the_missing_part_of_a_model_file(model, tmp_path, key):
     path = tmp_path / "model.json"
     data = model.to_dict()
     del data[key]
@@ -160,7 +160,7 @@ def test_the_table_names_units_and_meanings(model):
 
 
 @pytest.mark.parametrize(("axle", "way"), [(0, "m"), (1, "rad")])
-def test_the_table_gives_what_friction_travels_in_the_units_of_its_joint(model, axle, way):
+def test_the_table_gives_reversal_distances_in_joint_units(model, axle, way):
     term = FrictionTerm(axle, "stribeck", Reversal("travel", 1.34e-5), 0.003)
     k = next(k for k, other in enumerate(model.terms) if other.axle == axle)
     table = replace(model, terms=(*model.terms[:k], term, *model.terms[k + 1 :])).rows()
@@ -168,7 +168,7 @@ def test_the_table_gives_what_friction_travels_in_the_units_of_its_joint(model, 
     assert meaning.endswith(f"(reversal within 1.34e-05 {way}, fading over 0.003 {way}/s)")
 
 
-def test_the_table_says_what_came_from_the_data_and_what_from_the_prior(arm, multisine, make_log):
+def test_the_table_separates_data_from_prior(arm, multisine, make_log):
     robot = arm(2)
     t = np.arange(3000) / 500
     q, qd, qdd = multisine(2, t)
@@ -182,7 +182,7 @@ def test_the_table_says_what_came_from_the_data_and_what_from_the_prior(arm, mul
     assert {row[6:] for row in paper.rows()[1:]} == {("-", "-", "-")}
 
 
-def test_the_interval_grows_where_the_data_were_silent(model, motion):
+def test_the_interval_grows_outside_the_data(model, motion):
     q, qd, qdd = motion
     near = model.prediction_interval(model.columns(q, qd, qdd))
     far = model.prediction_interval(model.columns(q, 20 * qd, 20 * qdd))
@@ -190,14 +190,14 @@ def test_the_interval_grows_where_the_data_were_silent(model, motion):
     assert np.all(far.mean(axis=0) > near.mean(axis=0))
 
 
-def test_bounds_distinguish_motion_from_standstill(model, motion):
+def test_prediction_bounds_differ_in_motion_and_at_standstill(model, motion):
     columns = model.columns(*motion)
     cautious = replace(model, group_rmse=np.array([[1.0] * 3, [5.0] * 3]), standstill_speed=np.full(3, 0.1))
     fast, slow = (cautious.prediction_interval(columns, np.full(motion[0].shape, speed)) for speed in (-0.2, 0.05))
     assert np.allclose(slow**2 - fast**2, 1.95996**2 * 24, rtol=1e-4)
 
 
-def test_a_file_from_before_the_groups_is_read(model, motion, tmp_path):
+def test_reads_an_older_file_without_groups(model, motion, tmp_path):
     data = model.to_dict()
     del data["group_rmse"], data["standstill_speed"]
     (tmp_path / "old.json").write_text(json.dumps(data), encoding="utf-8")
@@ -215,7 +215,7 @@ def test_a_file_from_before_the_groups_is_read(model, motion, tmp_path):
     ],
     ids=["degrees", "sign", "dead channel"],
 )
-def test_a_log_that_was_recorded_or_mapped_wrongly_is_doubted(arm, multisine, make_log, wrong, note):
+def test_notes_doubt_about_a_wrongly_recorded_log(arm, multisine, make_log, wrong, note):
     robot = arm(2)
     t = np.arange(5000) / 500
     q, qd, qdd = multisine(2, t)

@@ -198,7 +198,7 @@ def test_a_log_of_mostly_standstill_does_not_spoil_the_fit(arm, recorded):
     assert any("tandstill" in note for note in model.notes)
 
 
-def test_a_log_without_any_motion_says_that_it_tells_nothing(arm, recorded):
+def test_refuses_a_log_without_motion(arm, recorded):
     robot = arm(3)
 
     def rest(t, q, qd, qdd):

@@ -37,7 +37,7 @@ def log(arm, multisine, make_log):
     return make
 
 
-def test_it_has_the_papers_terms_whatever_the_data_hold(log):
+def test_always_uses_the_friction_terms_of_the_paper(log):
     robot, recorded = log()
     model = estimate(robot, [recorded], PAPER)
     assert model.method == "paper"
@@ -67,7 +67,7 @@ def test_it_recovers_friction_of_its_own_form(ns16):
     assert levels[3:, 0] == pytest.approx(coulomb[3:], rel=0.25)
 
 
-def test_it_believes_nothing_of_the_description(log):
+def test_does_not_depend_on_the_described_masses(log):
     robot, recorded = log()
     heavier = re.sub(r'(mass value|ixx|iyy|izz)="([^"]*)"', lambda m: f'{m[1]}="{7 * float(m[2])}"', robot.urdf)
     first, second = (estimate(r, [recorded], PAPER) for r in (robot, replace(robot, urdf=heavier)))
@@ -75,7 +75,7 @@ def test_it_believes_nothing_of_the_description(log):
     assert first.cutoff == second.cutoff
 
 
-def test_it_is_the_weighted_pseudo_inverse(log):
+def test_equals_the_weighted_pseudo_inverse(log):
     from agent.estimation.observation import observe
     from agent.robot.bodies import rigid_bodies
 
@@ -100,7 +100,7 @@ def test_it_is_the_weighted_pseudo_inverse(log):
     assert np.allclose(model.values, weighted, rtol=1e-5, atol=1e-7 * np.abs(weighted).max())
 
 
-def test_what_the_data_do_not_show_is_of_minimum_norm_and_is_said(log, tmp_path):
+def test_unidentifiable_parameters_have_minimum_norm_and_are_reported(log, tmp_path):
     robot, recorded = log(rest=True)
     model = estimate(robot, [recorded], PAPER)
     silent = [k for k, name in enumerate(model.names) if re.fullmatch(r"f[12]_2", name)]
@@ -114,7 +114,7 @@ def test_what_the_data_do_not_show_is_of_minimum_norm_and_is_said(log, tmp_path)
     assert np.array_equal(IdentifiedModel.load(tmp_path / "model.json").values, model.values)
 
 
-def test_what_the_data_leave_open_makes_nothing_else_less_certain(log):
+def test_unidentifiable_parameters_do_not_widen_other_intervals(log):
     """The second joint rests: its friction is anything, that of the first is as certain as it was."""
     deviations = []
     for rest in (False, True):
@@ -125,7 +125,7 @@ def test_what_the_data_leave_open_makes_nothing_else_less_certain(log):
     assert np.all(deviations[1] < 3 * deviations[0])
 
 
-def test_an_estimator_is_one_function_and_one_registration(log, monkeypatch):
+def test_an_estimator_needs_one_function_and_one_registration(log, monkeypatch):
     def from_description(problem) -> Estimate:
         """No fit at all: what the description says."""
         found = ESTIMATORS["weighted"].fit(problem)

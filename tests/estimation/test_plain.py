@@ -60,7 +60,7 @@ def test_motions_at_other_postures_are_predicted_no_worse_than_by_plain_least_sq
     assert np.median(ratios) < 0.7
 
 
-def test_friction_as_most_tools_have_it_stays_where_nothing_more_is_seen(arm, multisine, make_log):
+def test_keeps_coulomb_and_viscous_friction_if_the_data_show_no_more(arm, multisine, make_log):
     robot = arm(3, seed=5)
     settings = EstimationSettings.create(cutoff=10, method="weighted")
     sharp, smooth = (
@@ -72,7 +72,7 @@ def test_friction_as_most_tools_have_it_stays_where_nothing_more_is_seen(arm, mu
     assert all(term.reversal.scale > 0 for term in smooth.terms if term.form == "coulomb")
 
 
-def test_offsets_are_not_taken_for_gravity_where_a_small_motion_cannot_tell_them_apart(arm, multisine, make_log):
+def test_an_offset_in_a_small_motion_is_not_fitted_as_gravity(arm, multisine, make_log):
     robot = arm(7, seed=911)
     fitted = _recorded(robot, multisine, make_log, 911, 30, 0.02)
     elsewhere = _recorded(robot, multisine, make_log, 50911, 12, 0.0)
@@ -85,7 +85,7 @@ def test_offsets_are_not_taken_for_gravity_where_a_small_motion_cannot_tell_them
     assert {term.axle for term in ours.terms if term.form == "offset"} == set(range(7))
 
 
-def test_plain_has_its_terms_and_no_prior(arm, multisine, make_log):
+def test_the_plain_estimator_has_its_own_terms_and_no_prior(arm, multisine, make_log):
     robot = arm(7, seed=1)
     model = estimate(
         robot,
@@ -108,13 +108,13 @@ def _held_out(held_out: np.ndarray) -> Estimate:
     return Estimate(np.zeros(1), np.ones((2, 1)), None, held_out, None, 0.0, "")
 
 
-def test_the_plain_one_is_taken_where_it_predicts_better():
+def test_chooses_the_plain_estimator_if_it_predicts_better():
     found = {"weighted": _estimate(1.0), "consistent": _estimate(1.0), "plain": _estimate(0.8)}
     assert choose(found)[0] == "plain"
     assert choose({**found, "plain": _estimate(0.995)})[0] == "weighted"
 
 
-def test_another_estimator_is_taken_only_for_a_gain_beyond_the_scatter_between_folds():
+def test_changes_the_estimator_only_for_a_gain_above_the_scatter_between_folds():
     def folds(*errors: float) -> Estimate:
         return _held_out(np.array(errors)[:, None, None])
 

@@ -98,7 +98,7 @@ def _bootstrap(prediction, block: float, draws: int = 2000) -> tuple[float, floa
     return float(low), float(high)
 
 
-def test_tx40_held_out(public: Public, measured) -> None:
+def test_held_out_error_of_the_tx40(public: Public, measured) -> None:
     robot, fit, held_out, cutoff = public("TX40")
     prediction = predict_log(estimate(robot, fit, EstimationSettings.create(cutoff)), held_out[0])
     error = summary([prediction]).overall.relative_error_all_joints
@@ -112,7 +112,7 @@ def test_tx40_held_out(public: Public, measured) -> None:
     assert inside > 0.88
 
 
-def test_a_term_that_one_fold_speaks_against_is_taken_on_very_strong_evidence(public: Public) -> None:
+def test_keeps_a_term_with_strong_evidence_despite_one_fold(public: Public) -> None:
     robot, longer, shorter, cutoff = public("TX40")
     model = estimate(robot, shorter, EstimationSettings.create(cutoff))
     assert validate(model, longer).overall.relative_error_all_joints < 0.07

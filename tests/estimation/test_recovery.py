@@ -121,14 +121,14 @@ def test_every_method_finds_the_parameters_in_noise(case, make_log, method):
     assert np.all(model.residual_rmse < 1.1 * np.sqrt(np.mean(noise**2, axis=0)))
 
 
-def test_auto_says_why_it_chose(case, make_log):
+def test_auto_explains_its_choice(case, make_log):
     robot, t, q, torque, noise, _ = case
     model = estimate(robot, [make_log(robot, t, q, torque + noise)])
     assert model.method in ("weighted", "huber", "consistent")
     assert any(f"Method: {model.method}" in note for note in model.notes)
 
 
-def test_knocks_hurt_huber_less(case, make_log):
+def test_huber_is_less_sensitive_to_knocks(case, make_log):
     robot, t, q, torque, noise, values = case
     knocked = torque + 0.1 * noise
     knocked[2000:2300] += 60.0
@@ -165,7 +165,7 @@ def test_the_default_cutoff_takes_the_bias_of_noisy_positions_away(arm, multisin
 
 
 @pytest.mark.parametrize("thin", [1.0, 0.1])
-def test_consistent_bodies_could_exist(case, multisine, make_log, thin):
+def test_the_consistent_fit_gives_physical_bodies(case, multisine, make_log, thin):
     """Also where the data ask for less inertia than the first moments of a link allow."""
     robot, t, q, _, noise, values = case
     rigid, _, _ = rigid_bodies(robot)
@@ -191,7 +191,7 @@ def test_consistent_bodies_could_exist(case, multisine, make_log, thin):
     assert np.allclose(model.projection @ model.standard, model.base_values, atol=1e-9)
 
 
-def test_what_a_motion_does_not_show_stays_near_the_urdf_and_is_named(arm, multisine, make_log):
+def test_unexcited_parameters_stay_near_the_urdf_and_are_named(arm, multisine, make_log):
     robot = arm(3)
     t = np.arange(6000) / 500
     q, qd, qdd = multisine(3, t)
@@ -211,7 +211,7 @@ def test_what_a_motion_does_not_show_stays_near_the_urdf_and_is_named(arm, multi
     assert any("condition number" in note.lower() for note in model.notes)
 
 
-def test_nothing_to_fit_says_so(case, make_log):
+def test_refuses_logs_without_data_to_fit(case, make_log):
     robot, t, q, torque, _, _ = case
     with pytest.raises(InputError, match="no logs"):
         estimate(robot, [])

@@ -9,7 +9,7 @@ from agent.data_quality.rigid_fit import FOLDS, Bodies, FitSamples, RigidFit, ov
 
 
 @pytest.mark.parametrize(("count", "expected"), [(16, True), (400, False)])
-def test_a_fit_that_says_nothing_of_what_is_held_out_accuses_no_joint(arm, multisine, count, expected):
+def test_a_fit_that_cannot_predict_held_out_data_blames_no_joint(arm, multisine, count, expected):
     robot = arm(7, seed=1)
     bodies = Bodies(robot)
     q, qd, qdd = multisine(7, np.linspace(0, 1 + count / 10, count), seed=1)

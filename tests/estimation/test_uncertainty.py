@@ -121,7 +121,7 @@ def test_noise_is_taken_between_that_of_the_fit_and_that_held_out(arm, multisine
     assert after[seen] / before[seen] == pytest.approx(4.0, rel=0.1)
 
 
-def test_less_error_held_out_than_in_the_fit_makes_nothing_more_certain(arm, multisine, make_log):
+def test_a_small_held_out_error_does_not_narrow_intervals(arm, multisine, make_log):
     problem, found = _white(arm, multisine, make_log)
     nothing, tenth = (covariance(problem, replace(found, held_out=k * found.held_out)) for k in (0.0, 0.1))
     assert np.diag(nothing) == pytest.approx(np.diag(tenth))
@@ -203,7 +203,7 @@ def test_deviations_are_widened_to_the_jackknife_beyond_its_own_scatter_alone(wh
     assert narrower.max() > 0.995 * limit
 
 
-def test_what_was_believed_and_how_much_of_it_the_data_took_away(white):
+def test_reports_the_prior_and_the_share_of_the_data(white):
     problem, found, _ = white
     deviation = np.sqrt(np.diag(np.linalg.inv(problem.prior.precision)))
     information = problem.moments.weighted(found.weights)[:-1, :-1]
@@ -217,7 +217,7 @@ def test_what_was_believed_and_how_much_of_it_the_data_took_away(white):
     assert parameter_prior(problem, replace(found, prior_weight=0.0)) is None
 
 
-def test_directions_that_the_data_leave_to_the_prior(white):
+def test_more_data_leave_fewer_directions_to_the_prior(white):
     """Fewer independent rows decide fewer directions; none has more than one unit of information."""
     problem, found, _ = white
     covariance_before = np.linalg.inv(problem.prior.precision)
@@ -232,7 +232,7 @@ def test_directions_that_the_data_leave_to_the_prior(white):
     assert counts[0] < counts[-1] == len(problem.prior.mean)
 
 
-def test_deviations_shrink_with_data_as_they_should(arm, multisine, make_log):
+def test_deviations_shrink_with_the_square_root_of_data(arm, multisine, make_log):
     robot = arm(2)
     settings = EstimationSettings.create(method="weighted", friction="paper")
     ratios = []

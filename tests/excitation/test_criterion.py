@@ -42,7 +42,7 @@ def test_the_ns16_has_58_columns(criterion: Criterion) -> None:
     assert criterion.columns[-18:-16] == ("f0 joint_1", "f0 joint_2")
 
 
-def test_it_is_the_determinant_of_the_normal_matrix(criterion: Criterion, states: tuple[np.ndarray, ...]) -> None:
+def test_equals_the_log_determinant_of_the_normal_matrix(criterion: Criterion, states: tuple[np.ndarray, ...]) -> None:
     expected = brute_force(criterion.observation_matrix(*states), len(states[0]))
     assert criterion(*states) == pytest.approx(expected, abs=1e-6)
 
@@ -68,7 +68,7 @@ def test_without_nominal_torques_every_joint_weighs_the_same(robot: RobotDescrip
     assert torque_weights(robot).max() == 1.0
 
 
-def test_a_motion_that_leaves_a_joint_stationary_is_worth_nothing(
+def test_a_motion_with_a_stationary_joint_scores_minus_infinity(
     criterion: Criterion, states: tuple[np.ndarray, ...]
 ) -> None:
     q, qd, qdd = (array.copy() for array in states)
@@ -76,12 +76,12 @@ def test_a_motion_that_leaves_a_joint_stationary_is_worth_nothing(
     assert criterion(q, qd, qdd) == -np.inf
 
 
-def test_running_the_motion_twice_changes_nothing(criterion: Criterion, states: tuple[np.ndarray, ...]) -> None:
+def test_running_the_motion_twice_keeps_the_score(criterion: Criterion, states: tuple[np.ndarray, ...]) -> None:
     twice = [np.concatenate([array, array]) for array in states]
     assert criterion(*twice) == pytest.approx(criterion(*states), abs=1e-9)
 
 
-def test_the_same_motion_has_the_same_bits(criterion: Criterion, states: tuple[np.ndarray, ...]) -> None:
+def test_the_same_motion_has_a_bit_identical_score(criterion: Criterion, states: tuple[np.ndarray, ...]) -> None:
     assert criterion(*states) == criterion(*states)
 
 
@@ -91,7 +91,7 @@ def test_small_cases_agree_with_brute_force(matrix: np.ndarray) -> None:
 
 
 @given(matrices(), st.integers(1, 1000), st.integers(1, 1000))
-def test_m_counts_once_for_each_parameter(matrix: np.ndarray, few: int, many: int) -> None:
+def test_the_sample_count_enters_once_per_parameter(matrix: np.ndarray, few: int, many: int) -> None:
     apart = log_determinant(matrix, few) - log_determinant(matrix, many)
     assert apart == pytest.approx(matrix.shape[1] * np.log10(many / few), abs=1e-9)
 
@@ -113,12 +113,12 @@ WEIGHTS = st.one_of(st.just(0.0), st.floats(1e-12, 10), st.floats(-10, -1e-12))
 
 @given(matrices(rows=(12, 40)), st.data())
 @settings(max_examples=50)
-def test_dependent_columns_are_worth_nothing(matrix: np.ndarray, data: st.DataObject) -> None:
+def test_dependent_columns_score_minus_infinity(matrix: np.ndarray, data: st.DataObject) -> None:
     weights = np.array(data.draw(st.lists(WEIGHTS, min_size=matrix.shape[1], max_size=matrix.shape[1])))
     place = data.draw(st.integers(0, matrix.shape[1]))
     dependent = np.insert(matrix, place, matrix @ weights, axis=1)
     assert log_determinant(dependent, 5) == -np.inf
 
 
-def test_fewer_rows_than_columns_are_worth_nothing() -> None:
+def test_fewer_rows_than_columns_score_minus_infinity() -> None:
     assert log_determinant(np.random.default_rng(0).normal(size=(4, 5)), 4) == -np.inf

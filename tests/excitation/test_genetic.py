@@ -45,20 +45,20 @@ def test_the_best_never_gets_worse(seed: int) -> None:
 
 @given(st.integers(0, 2**32 - 1))
 @settings(max_examples=10, deadline=None)
-def test_the_elite_goes_on_unchanged(seed: int) -> None:
+def test_the_elite_survives_unchanged(seed: int) -> None:
     noted = run(genetic, seed, generations=6)
     for (before, scores), (after, _) in itertools.pairwise(noted):
         np.testing.assert_array_equal(after[:ELITE], before[ranking(scores)[:ELITE]])
 
 
 @pytest.mark.parametrize("method", [genetic, random_search])
-def test_a_seed_gives_the_same_bits(method: Callable[..., None]) -> None:
+def test_a_seed_gives_bit_identical_results(method: Callable[..., None]) -> None:
     first, again, other = run(method, 5), run(method, 5), run(method, 6)
     assert all((a[0] == b[0]).all() for a, b in zip(first, again, strict=True))
     assert not (first[-1][0] == other[-1][0]).all()
 
 
-def test_it_finds_what_random_search_does_not() -> None:
+def test_finds_a_better_optimum_than_random_search() -> None:
     for seed in range(5):
         assert best_of(run(genetic, seed))[-1] > best_of(run(random_search, seed)).max() + 0.05
 
@@ -86,7 +86,7 @@ SCORES = st.lists(
 
 
 @given(SCORES)
-def test_whoever_breaks_a_limit_stands_behind_all_who_do_not(scores: list[LoopScore]) -> None:
+def test_infeasible_candidates_rank_below_feasible_ones(scores: list[LoopScore]) -> None:
     ranked = [scores[k] for k in ranking(scores)]
     feasible = [score.feasible for score in ranked]
     assert feasible == sorted(feasible, reverse=True)

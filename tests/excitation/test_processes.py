@@ -19,7 +19,7 @@ from tests.conftest import end_with_tests
 ROOT = Path(__file__).parents[2]
 
 
-def test_every_task_is_answered_by_its_number() -> None:
+def test_every_result_carries_the_number_of_its_task() -> None:
     with LocalProcesses(2) as engine:
         for function in (abs, float, abs):
             for tasks in (range(-7, 0), [-5.0], []):
@@ -30,12 +30,12 @@ def test_every_task_is_answered_by_its_number() -> None:
 @pytest.mark.parametrize(
     ("function", "task", "message"), [(partial(floordiv, 1), 0, "ZeroDivisionError"), (os._exit, 3, "killed")]
 )
-def test_a_process_that_fails_says_why(function, task, message: str) -> None:
+def test_reports_why_a_process_failed(function, task, message: str) -> None:
     with pytest.raises(RuntimeError, match=message), LocalProcesses(2) as engine:
         list(engine.map(function, [task]))
 
 
-def test_a_users_error_arrives_as_one() -> None:
+def test_a_user_error_in_a_worker_stays_a_user_error() -> None:
     for engine in (InProcess(), LocalProcesses(2)):
         with pytest.raises(InputError, match="less"), engine:
             list(engine.map(load_robot, ["less"]))
@@ -73,7 +73,7 @@ if __name__ == "__main__":
 
 @pytest.mark.parametrize("program", [ENDLESS, BETWEEN_TWO_TASKS], ids=["in tasks", "between two tasks"])
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
-def test_no_process_outlives_what_it_works_for(tmp_path: Path, how: signal.Signals, program: str) -> None:
+def test_worker_processes_end_with_their_parent(tmp_path: Path, how: signal.Signals, program: str) -> None:
     script = tmp_path / "endless.py"
     script.write_text(program, encoding="utf-8")
     main = subprocess.Popen(

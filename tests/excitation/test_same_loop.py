@@ -69,7 +69,7 @@ def found(seed: int) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("style", STYLES)
-def test_set_points_are_those_of_before(style: str) -> None:
+def test_set_points_match_the_stored_reference(style: str) -> None:
     stored, now = json.loads(STORED.read_text())["set_points"][style], set_points(style)
     assert (now["samples"], now["bound by"]) == (stored["samples"], stored["bound by"])
     # the last digits are the processor's: one with other vector instructions adds in another order
@@ -78,7 +78,7 @@ def test_set_points_are_those_of_before(style: str) -> None:
 
 
 @pytest.mark.parametrize("seed", [1, 2])
-def test_a_seed_finds_the_loop_of_before(seed: int) -> None:
+def test_a_seed_finds_the_stored_reference_loop(seed: int) -> None:
     stored, now = json.loads(STORED.read_text())["search"][str(seed)], found(seed)
     assert now["genome"] == stored["genome"]
     np.testing.assert_allclose([now["fitness"], *now["best"]], [stored["fitness"], *stored["best"]], rtol=1e-8)

@@ -58,7 +58,7 @@ def test_a_loop_starts_and_ends_stationary_at_its_first_point(candidates: Candid
         np.testing.assert_allclose(loop.trajectory.qd[[0, -1]], 0.0, atol=1e-9)
 
 
-def test_a_loop_begins_on_the_branch_of_the_middle_of_the_sub_region(candidates: Candidates) -> None:
+def test_a_loop_starts_on_the_branch_of_the_sub_region_centre(candidates: Candidates) -> None:
     """Where the wrist's other branch is nearer; hoses hang there as they never do at work."""
     genome = np.full((6, 6), 0.5)
     genome[0] = 0, 0, 0, 1, 0, 0
@@ -77,7 +77,7 @@ def test_every_tenth_sample_is_enough_for_the_regressor(candidates: Candidates) 
         assert tenth.fitness == pytest.approx(every.fitness, abs=0.5)
 
 
-def test_loops_worked_out_together_are_those_worked_out_alone(problem_with: Any) -> None:
+def test_a_batch_of_loops_equals_single_evaluation(problem_with: Any) -> None:
     """To the bit, among them some that start out of reach, that cannot be run and that have a point out of reach."""
     candidates = Candidates(problem_with((1.25, 0.0, 0.8), (0.8, 0.8, 0.5)))
     drawn = genomes(8, seed=1)
@@ -102,7 +102,7 @@ def test_a_loop_out_of_reach_is_infeasible_by_how_far(problem_with: Any) -> None
     assert "reach" in scores[1].reason
 
 
-def test_a_loop_through_a_point_that_its_blend_passes_by_is_infeasible(problem: LoopProblem) -> None:
+def test_a_loop_whose_blend_misses_a_point_is_infeasible(problem: LoopProblem) -> None:
     """The way of the arm keeps within reach, the target that the controller is given does not."""
     points = [(1.1, 0.3, 0.8, 0.0, 2.0, 0.0), (1.752, 0.0, 0.8, 0.0, 2.0, 0.0), (1.1, -0.3, 0.8, 0.0, 2.0, 0.0)]
     regions = ViaRegions.from_points(points, np.full((3, 6), 1e-6))
@@ -158,14 +158,14 @@ def test_a_loop_that_winds_the_wrist_up_is_infeasible(candidates: Candidates) ->
     assert "360 deg from where it began" in score.reason
 
 
-def test_when_nothing_keeps_the_limits_the_nearest_miss_is_told(problem_with: Any) -> None:
+def test_reports_the_nearest_miss_if_no_loop_is_feasible(problem_with: Any) -> None:
     everywhere = Box("everything", (0.6, -1.0, 0.4), (1.6, 1.0, 1.4))  # around the sub-region, clear of the base
     with pytest.raises(InputError, match="everything") as error:
         search(problem_with(keep_out=(everywhere,)), population=4, generations=2, engine=InProcess())
     assert "none of" in str(error.value)
 
 
-def test_an_unknown_method_names_the_known() -> None:
+def test_an_unknown_method_lists_the_known_ones() -> None:
     with pytest.raises(InputError, match="genetic, random"):
         search(None, method="guess")  # type: ignore[arg-type]
 
@@ -182,7 +182,7 @@ def test_a_sub_region_out_of_reach_names_point_and_amount(problem_with: Any) -> 
     assert len(str(error.value).splitlines()) == 1
 
 
-def test_a_tool_frame_with_x_along_the_last_axis_is_told_how_to_turn(problem_with: Any) -> None:
+def test_advises_an_orientation_for_a_tool_frame_with_x_forward(problem_with: Any) -> None:
     tool = Tool(np.array([[0, 0, 1, 0], [0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 0, 1.0]]))
     place = ((0.8, 0.0, 0.3), (0.1, 0.1, 0.1))
     with pytest.raises(InputError, match="the arm's last axis points") as error:
@@ -194,7 +194,7 @@ def test_a_tool_frame_with_x_along_the_last_axis_is_told_how_to_turn(problem_wit
     assert check_sub_region(problem_with(tool=tool, regions=regions)) == []
 
 
-def test_a_corner_out_of_reach_is_told_but_not_refused(problem_with: Any) -> None:
+def test_warns_of_a_corner_out_of_reach(problem_with: Any) -> None:
     missed = check_sub_region(problem_with((1.35, 0.0, 0.8)))
     assert missed
     assert all("corner +x" in place.place for place in missed)

@@ -40,7 +40,7 @@ def keep(recipe: Recipe, folder: Path, day: int = 1, program: str = "PROGRAM exc
     )
 
 
-def test_a_loop_comes_back_as_it_was_kept(write_recipe: Any, tmp_path: Path) -> None:
+def test_a_stored_loop_reads_back_unchanged(write_recipe: Any, tmp_path: Path) -> None:
     kept = keep(write_recipe(), tmp_path / "loops")
     assert stored_loops(tmp_path / "loops") == [kept]
     assert kept.checksum == sha256_text("PROGRAM excite\n")
@@ -51,7 +51,7 @@ def test_a_loop_comes_back_as_it_was_kept(write_recipe: Any, tmp_path: Path) -> 
     assert [path.name[0] for path in (tmp_path / "loops").iterdir()] == ["c"]  # no other files are left
 
 
-def test_it_is_found_by_what_it_was_searched_for(write_recipe: Any, tmp_path: Path) -> None:
+def test_finds_the_newest_loop_of_the_same_problem(write_recipe: Any, tmp_path: Path) -> None:
     recipe = write_recipe()
     assert find_loop(recipe, tmp_path / "loops") is None
     keep(recipe, tmp_path / "loops", day=1)
@@ -86,7 +86,7 @@ def test_what_changes_the_loop_changes_the_key(tmp_path: Path, old: str, new: st
     assert loop_key(recipes[0]) != loop_key(recipes[1])
 
 
-def test_the_job_that_a_sub_region_follows_counts_by_its_content(tmp_path: Path) -> None:
+def test_the_key_depends_on_the_content_of_a_followed_job(tmp_path: Path) -> None:
     keys = []
     for folder, program in {"a": "PROGRAM one", "b": "PROGRAM one", "c": "PROGRAM two"}.items():
         (tmp_path / folder).mkdir()
@@ -124,7 +124,7 @@ def test_a_damaged_file_is_named(write_recipe: Any, tmp_path: Path, damage: Any)
     assert find_loop(write_recipe(), tmp_path / "loops") == other
 
 
-def test_a_folder_that_cannot_be_written_is_an_error_of_ours(write_recipe: Any, tmp_path: Path) -> None:
+def test_an_unwritable_folder_gives_one_message(write_recipe: Any, tmp_path: Path) -> None:
     (tmp_path / "loops").write_text("a file in the way")
     with pytest.raises(AgentError, match="loops"):
         keep(write_recipe(), tmp_path / "loops")

@@ -15,7 +15,7 @@ class Clock:
         return self.now
 
 
-def test_the_time_left_is_shown_until_there_is_none():
+def test_shows_the_remaining_time():
     clock, said = Clock(), list[str]()
     deadline = Deadline(said.append, 60.0, clock)
     deadline("weighing")

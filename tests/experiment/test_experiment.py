@@ -29,7 +29,7 @@ def outlook_of(found, pairs) -> Outlook:
     return Outlook(found.dataset, found.finding.evidence, pairs)
 
 
-def test_what_is_ambiguous_is_what_is_asked(ambiguous):
+def test_asks_about_the_ambiguous_causes(ambiguous):
     assert ambiguous.result["verdict"] == "ambiguous"
     pairs = open_pairs(ambiguous)
     assert SIDES in [set(pair.names) for pair in pairs]
@@ -44,7 +44,7 @@ def test_what_is_ambiguous_is_what_is_asked(ambiguous):
     st.lists(st.floats(0.01, 0.5), min_size=2, max_size=2),
     st.floats(2, 8),
 )
-def test_a_further_motion_never_brings_rivals_nearer(arm, ambiguous, first, second, seconds):
+def test_a_further_motion_never_reduces_the_separation(arm, ambiguous, first, second, seconds):
     exact = copy(ambiguous.finding.evidence)
     exact.law = replace(exact.law, form=0.0)  # of a form that is wrong, a rival follows more the more it shows
     outlook = Outlook(ambiguous.dataset, exact, open_pairs(ambiguous))
@@ -57,7 +57,7 @@ def test_a_further_motion_never_brings_rivals_nearer(arm, ambiguous, first, seco
     assert np.all((chances >= 0) & (chances <= 1))
 
 
-def test_a_standstill_tells_nothing(arm, ambiguous):
+def test_a_stationary_motion_has_no_information(arm, ambiguous):
     outlook = outlook_of(ambiguous, open_pairs(ambiguous))
     time = np.arange(0, 8, 0.02)
     zero = np.zeros((len(time), arm.dof))
@@ -67,7 +67,7 @@ def test_a_standstill_tells_nothing(arm, ambiguous):
 
 
 @pytest.mark.parametrize("seconds", [10.0, 40.0, 160.0])
-def test_however_slow_a_motion_an_offset_is_friction_by_direction(arm, ambiguous, seconds):
+def test_slow_motion_does_not_separate_an_offset_from_asymmetric_friction(arm, ambiguous, seconds):
     """It is one while the joint slides. The speed threshold depends on the logs, not on the motion alone."""
     pair = next(pair for pair in open_pairs(ambiguous) if set(pair.names) == SIDES)
     outlook = outlook_of(ambiguous, [pair])
@@ -80,7 +80,7 @@ def test_however_slow_a_motion_an_offset_is_friction_by_direction(arm, ambiguous
 
 
 @pytest.mark.parametrize("rate", [30.0, 500.0])
-def test_a_joint_that_turns_back_between_two_samples_stands_there(arm, ambiguous, rate):
+def test_counts_a_reversal_between_two_samples_as_standstill(arm, ambiguous, rate):
     fit = ambiguous.dataset.fit
     time = np.arange(0, 4, 1 / rate) + 0.3 / rate
     q, qd = np.stack([np.sin(4 * time)] * arm.dof, axis=1), np.stack([4 * np.cos(4 * time)] * arm.dof, axis=1)
@@ -109,7 +109,7 @@ def test_pieces_begin_and_end_stationary_in_the_sub_region(problem):
         assert np.linalg.norm(speed, axis=1).max() < 1.02 * problem.settings.linear_speed, piece.text(arm)
 
 
-def test_a_joint_turns_no_further_than_its_range(problem):
+def test_planned_joints_stay_within_their_range(problem):
     """The turn is made smaller rather than given up."""
     free = Pieces(problem, [3], 20.0, np.random.default_rng(1))
     narrow = (-0.2, 0.9)
@@ -122,7 +122,7 @@ def test_a_joint_turns_no_further_than_its_range(problem):
         assert narrow[0] <= one.motion.q[:, 3].min() <= one.motion.q[:, 3].max() <= narrow[1]
 
 
-def test_an_effect_is_larger_on_a_motion_that_shows_it(arm, ambiguous):
+def test_an_effect_has_more_energy_on_a_motion_of_its_joint(arm, ambiguous):
     pairs = open_pairs(ambiguous)
     outlook = outlook_of(ambiguous, pairs)
     turning, other = (outlook.told(wave(arm, reach, 6.0)) for reach in ((0.0, 0.4), (0.4, 0.0)))
@@ -130,7 +130,7 @@ def test_an_effect_is_larger_on_a_motion_that_shows_it(arm, ambiguous):
 
 
 @pytest.mark.verify
-def test_the_motion_that_is_planned_tells_more_and_repeats(problem):
+def test_the_planned_motion_separates_more_and_is_reproducible(problem):
     found = one_sided(problem.robot)
     first, again = (plan_experiment(found, open_pairs(found), problem, 20.0, seed=3) for _ in range(2))
     assert first.duration <= 20.0
@@ -141,7 +141,7 @@ def test_the_motion_that_is_planned_tells_more_and_repeats(problem):
         assert first.expected == ()
 
 
-def test_a_form_whose_joint_does_not_travel_far_enough_is_not_told(arm, ambiguous):
+def test_does_not_predict_a_separation_for_too_short_a_travel(arm, ambiguous):
     """A diagnosis does not try it: that counts as not known where it is true, and as no rival where it is not."""
     fit = ambiguous.dataset.fit
     sides = []
@@ -162,7 +162,7 @@ def test_a_form_whose_joint_does_not_travel_far_enough_is_not_told(arm, ambiguou
     assert outlook.minimum_detectable_sizes(little)[1] is None
 
 
-def test_loops_at_random_fill_the_time_with_nothing_else(problem):
+def test_random_loops_fill_the_time(problem):
     """Every use of the robot's time gets the same of it: of short pieces there are more."""
     loops = pieces_otherwise(as_drawn, problem, 60.0, 7, lambda pieces: True, {"loop": 1.0})
     assert {piece.draw.kind for piece in loops} == {"loop"}
@@ -170,7 +170,7 @@ def test_loops_at_random_fill_the_time_with_nothing_else(problem):
     assert 50.0 < sum(piece.duration for piece in loops) <= 60.0
 
 
-def test_pieces_at_random_use_the_time_and_can_be_run(problem):
+def test_random_pieces_fill_the_time_and_are_feasible(problem):
     def fits(pieces):
         return len(pieces) < 3  # as if the way to a third were in the way of something
 
@@ -183,7 +183,7 @@ def test_pieces_at_random_use_the_time_and_can_be_run(problem):
 
 
 @pytest.mark.verify
-def test_d_optimal_pieces_say_more_of_the_model_than_pieces_at_random(problem):
+def test_d_optimal_pieces_have_more_information_than_random_ones(problem):
     found = one_sided(problem.robot)
     outlook = outlook_of(found, ())
     known = found.dataset.fit.gram.sum(axis=0)[:-1, :-1] / found.dataset.fit.repeat + found.dataset.fit.precision
@@ -205,7 +205,7 @@ def healthy(problem):
     return diagnose(problem.robot, logs, learn(problem.robot))
 
 
-def test_the_search_for_a_motion_ends_with_its_time_and_says_so(healthy, problem):
+def test_the_motion_search_stops_at_its_deadline_and_reports_it(healthy, problem):
     now, said = [0.0], list[str]()
 
     def progress(text: str) -> None:
@@ -219,7 +219,7 @@ def test_the_search_for_a_motion_ends_with_its_time_and_says_so(healthy, problem
     assert len(said) == 5, "nothing begins after the time is up"
 
 
-def test_where_no_rivals_are_open_the_time_that_a_question_leaves_is_filled(healthy, problem):
+def test_fills_the_time_if_no_pair_is_open(healthy, problem):
     """Sizes fall with what all motions say of everything; a question about one effect alone takes seconds."""
     assert healthy.result["verdict"] == "no_gap"
     pairs = open_pairs(healthy)

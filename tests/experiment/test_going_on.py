@@ -54,11 +54,11 @@ def read(command: str) -> dict[str, object]:
     return {key: value for key, value in asked.items() if key != "help_all"}
 
 
-def test_no_part_of_the_question_is_left_out():
+def test_every_option_of_the_question_is_covered():
     assert all(getattr(ASKED, field.name) != field.default for field in fields(ASKED))
 
 
-def test_a_diagnosis_is_started_again_with_the_command_that_started_it(run: RunFolder, tmp_path: Path):
+def test_the_command_to_repeat_a_diagnosis_is_the_original_one(run: RunFolder, tmp_path: Path):
     run.note(kind="diagnose", robot_source="my robot.yaml", options=[*ASKED.options(), *options_of(600.0)])
     assert "diagnose them with" not in going_on(run, "record", STOPPED)
     for name in ("excitation.mcap", "validation_01.mcap", "record"):
@@ -83,7 +83,7 @@ def test_a_diagnosis_is_started_again_with_the_command_that_started_it(run: RunF
     assert found["record"].resolve() == tmp_path / "my job.yaml"
 
 
-def test_a_diagnosis_of_further_logs_asks_the_same_and_writes_nothing_over():
+def test_the_command_for_further_logs_keeps_options_and_overwrites_nothing():
     result = {"verdict": "ambiguous", "causes": [{"effect": "stribeck"}], "next_experiment": None}
     (step,) = after_diagnosis(result, "my robot.yaml", [Path("a b.mcap")], ASKED)
     found = read(step.command)
@@ -97,7 +97,7 @@ def test_a_diagnosis_of_further_logs_asks_the_same_and_writes_nothing_over():
 
 
 @pytest.mark.parametrize("known", [None, Path("zero.mcap")])
-def test_seconds_on_the_brakes_are_asked_for_by_the_option_that_takes_their_log(known):
+def test_asks_for_a_drives_off_record_with_its_option(known):
     experiment = {"motion": f"First, {BRAKES}", "program": None}
     result = {"verdict": "ambiguous", "causes": [{"effect": "torque_offset"}], "next_experiment": experiment}
     (step,) = after_diagnosis(result, "my robot.yaml", [Path("a.mcap")], replace(ASKED, drives_off=known))
@@ -106,12 +106,8 @@ def test_seconds_on_the_brakes_are_asked_for_by_the_option_that_takes_their_log(
     assert found["logs"] == [Path("a.mcap"), *([Path("new.mcap")] if known else [])]
 
 
-def test_after_a_planned_motion_comes_its_recording_and_the_same_question_with_its_log():
-    planned = {
-        "program": "my plan/program.pdl",
-        "payload": "5 kg, 0 mm, 0 mm, 60 mm",
-        "motion": f"{BRAKES}; then a loop",
-    }
+def test_after_a_planned_motion_the_next_commands_record_and_diagnose():
+    planned = {"program": "my plan/program.pdl", "payload": "5 kg, 0 mm, 0 mm, 60 mm", "motion": f"{BRAKES}; a loop"}
     result = {"verdict": "ambiguous", "causes": [{"effect": "stribeck"}], "next_experiment": planned}
     record, again = after_diagnosis(result, "my robot.yaml", [Path("a b.mcap")], ASKED)
     words = shlex.split(record.command)
@@ -122,8 +118,14 @@ def test_after_a_planned_motion_comes_its_recording_and_the_same_question_with_i
     assert read(again.command)["logs"] == [Path("a b.mcap"), Path("my plan/program.mcap")]
 
 
+def test_another_path_asks_to_learn_the_interpolator():
+    result = {"verdict": "explained", "causes": [{"effect": "interpolator_mismatch"}], "next_experiment": None}
+    (step,) = after_diagnosis(result, "my robot.yaml", [Path("a b.mcap")], ASKED)
+    assert step.command == "agent learn-interpolator --robot 'my robot.yaml' -o law.yaml 'a b.mcap'"
+
+
 @pytest.mark.parametrize("program", ["my plan/program.pdl", None])
-def test_a_mass_that_would_tell_more_comes_with_the_command_that_plans_for_it(program):
+def test_proposes_a_mass_with_the_command_that_plans_for_it(program):
     mass = {"payload": "5 kg, 0 mm, 0 mm, 0 mm", "text": "A known mass would tell more", "after": 0.9}
     planned = {"program": program, "motion": "a loop", "with_a_mass": mass}
     result = {"verdict": "ambiguous", "causes": [{"effect": "stribeck"}], "next_experiment": planned}
@@ -135,7 +137,7 @@ def test_a_mass_that_would_tell_more_comes_with_the_command_that_plans_for_it(pr
     assert len(after_diagnosis(result, "my robot.yaml", [], ASKED)) == (2 if program else 1), "no recipe, no plan"
 
 
-def test_a_recalibration_is_started_again_with_its_authorisation(run: RunFolder, tmp_path: Path):
+def test_the_command_to_repeat_a_recalibration_has_its_authorisation(run: RunFolder, tmp_path: Path):
     run.note(kind="recalibrate", options=["--authorisation", "a person's word.yaml"])
     words = shlex.split(going_on(run, "record", STOPPED).partition("start again with: ")[2])
     assert words[3:] == ["--logs", str(tmp_path / "logs"), "--authorisation", "a person's word.yaml"]
@@ -151,7 +153,7 @@ def test_a_recalibration_is_started_again_with_its_authorisation(run: RunFolder,
         (STOPPED, False, True),
     ],
 )
-def test_a_calibration_that_its_recipe_stopped_is_not_gone_on_with(run, error, planned: bool, goes_on: bool):
+def test_proposes_no_resume_for_a_calibration_stopped_by_its_recipe(run, error, planned: bool, goes_on: bool):
     run.note(kind="calibrate")
     if planned:
         run.finish("plan")

@@ -32,7 +32,7 @@ def program(tmp_path: Path) -> Path:
     return path
 
 
-def test_it_is_asked_for_and_never_assumed(program: Path):
+def test_asks_whether_the_mass_is_mounted(program: Path):
     asked: list[str] = []
 
     def person(question: str) -> bool:
@@ -45,13 +45,13 @@ def test_it_is_asked_for_and_never_assumed(program: Path):
         known_of(program, TEXT, None, nobody)
 
 
-def test_what_a_person_names_is_what_the_motion_was_planned_with(program: Path):
+def test_the_stated_payload_must_match_the_planned_one(program: Path):
     assert known_of(program, TEXT, "5000 g, 0, 0, 0.06 m", nobody) == {PAYLOAD: LOAD, PARTS: "2"}
     with pytest.raises(InputError, match=r"not 4 kg"):
         known_of(program, TEXT, "4 kg, 0, 0, 0.06 m", nobody)
 
 
-def test_any_other_program_says_what_a_person_says(tmp_path: Path, program: Path):
+def test_other_programs_use_the_stated_payload(tmp_path: Path, program: Path):
     other = tmp_path / "other.pdl"
     assert known_of(other, TEXT, None, nobody) == {}
     assert known_of(other, TEXT, LOAD, nobody) == {PAYLOAD: LOAD}
@@ -74,7 +74,7 @@ def test_any_other_program_says_what_a_person_says(tmp_path: Path, program: Path
         {"schema": None},
     ],
 )
-def test_a_plan_that_is_damaged_is_refused_in_words(program: Path, change):
+def test_refuses_a_damaged_plan_with_a_message(program: Path, change):
     """`change`: keys of the plan, None to take one out; None for all of it."""
     path = program.with_name("experiment.json")
     if change is None:
@@ -86,7 +86,7 @@ def test_a_plan_that_is_damaged_is_refused_in_words(program: Path, change):
         known_of(program, TEXT, LOAD, nobody)
 
 
-def test_the_log_of_a_planned_motion_says_in_how_many_parts_it_is_held_out(program: Path):
+def test_the_log_of_a_planned_motion_records_its_number_of_folds(program: Path):
     plan = {"schema": SCHEMA, "program": str(program), PROGRAM_SHA256: sha256_text(TEXT), PARTS: "2"}
     program.with_name("experiment.json").write_text(json.dumps(plan), encoding="utf-8")
     assert known_of(program, TEXT, None, nobody) == {PARTS: "2"}
@@ -94,7 +94,7 @@ def test_the_log_of_a_planned_motion_says_in_how_many_parts_it_is_held_out(progr
 
 
 @pytest.mark.parametrize("beside", [None, {}, {"payload": "1 kg, 0 mm, 0 mm, 0 mm"}])
-def test_the_program_itself_says_what_it_was_planned_with(tmp_path: Path, beside):
+def test_the_program_text_records_its_payload(tmp_path: Path, beside):
     """Copied elsewhere, or next to a file that somebody has changed."""
     robot, program = load_robot("comau_ns16"), tmp_path / "program.pdl"
     text = with_payload(write_program("experiment", [Delay(1.0)], robot), payload_of(LOAD), "--")
@@ -109,7 +109,7 @@ def test_the_program_itself_says_what_it_was_planned_with(tmp_path: Path, beside
     assert known_of(program, text, LOAD, nobody) == {PAYLOAD: LOAD, **parts}
 
 
-def test_a_program_that_was_changed_since_it_was_planned_is_not_what_was_planned(tmp_path: Path):
+def test_refuses_a_program_changed_after_planning(tmp_path: Path):
     program = tmp_path / "program.pdl"
     plan = {"schema": SCHEMA, "program": "program.pdl", PROGRAM_SHA256: sha256_text(TEXT), PARTS: "2"}
     program.with_name("experiment.json").write_text(json.dumps(plan), encoding="utf-8")
@@ -118,7 +118,7 @@ def test_a_program_that_was_changed_since_it_was_planned_is_not_what_was_planned
         known_of(program, TEXT.replace("BEGIN", "BEGIN\n  DELAY 1"), None, nobody)
 
 
-def test_more_than_the_arm_is_rated_for_is_refused_with_the_tool_counted():
+def test_refuses_tool_and_payload_above_the_rated_payload():
     robot, tool = load_robot("comau_ns16"), Tool(np.eye(4), 10.0, np.zeros(3))
     check_payload(robot, None, payload_of("16 kg, 0, 0, 0"))
     check_payload(robot, tool, payload_of("6 kg, 0, 0, 0"))

@@ -62,7 +62,7 @@ def ask(tmp_path: Path, monkeypatch):
     return run
 
 
-def test_it_says_what_no_motion_would_tell_and_where_to_look(ask):
+def test_reports_what_no_motion_separates_and_where_to_look(ask):
     in_time = ask([replace(NOTHING, weighed=2, cut_short=True)]).text
     assert "(2 pieces tried): allow more with --planning-budget" in in_time
     assert "Try" not in in_time, "nobody knows that no motion would"
@@ -74,7 +74,7 @@ def test_it_says_what_no_motion_would_tell_and_where_to_look(ask):
     assert "shows stribeck on joint_2. Try" in alone.text
 
 
-def test_a_cause_in_doubt_without_a_rival_to_plan_against_is_not_called_settled(tmp_path: Path, monkeypatch):
+def test_a_doubtful_cause_without_an_alternative_is_not_settled(tmp_path: Path, monkeypatch):
     recipe = load_recipe(write_atomically(tmp_path / "job.yaml", template()))
     cause = SimpleNamespace(place=("torque_ripple", (5,)), effect=SimpleNamespace(name="torque_ripple"))
     dataset = SimpleNamespace(robot=recipe.robot)
@@ -87,7 +87,7 @@ def test_a_cause_in_doubt_without_a_rival_to_plan_against_is_not_called_settled(
     assert plan_next(found, recipe, Console(-1)) == NoMotion("nothing is open: no further motion is needed")  # type: ignore[arg-type]
 
 
-def test_where_no_piece_keeps_all_limits_it_names_the_limit_and_not_what_else_would_tell(ask):
+def test_names_the_limit_if_no_motion_is_feasible(ask):
     box = "cell: {keep_out: [{name: post, box: {min: [0.9 m, -0.3 m, 0 m], max: [1.1 m, 0.3 m, 1.5 m]}}]}\n"
     said = ask([NOTHING], change=lambda text: box + text)
     assert "no motion found in the sub-region of" in said.text
@@ -97,12 +97,12 @@ def test_where_no_piece_keeps_all_limits_it_names_the_limit_and_not_what_else_wo
     assert "Try" not in said.text
 
 
-def test_where_the_time_that_is_left_is_too_short_it_asks_for_more(ask):
+def test_asks_for_more_time_if_too_little_is_left(ask):
     said = ask([replace(NOTHING, weighed=200)], seconds=12.0)
     assert said.text == "no motion of the remaining 12 s settles it: allow more motion"
 
 
-def test_no_motion_is_planned_for_a_torque_that_stands_still(ask):
+def test_plans_no_motion_for_a_held_torque_sensor(ask):
     held = SimpleNamespace(motion="the same motions again, once the torque of joint_3 is recorded as it is")
     said = ask([], held=held)
     assert said == NoMotion(held.motion, ("presliding", "stribeck"))
@@ -119,7 +119,7 @@ def logs(arm):
     return [record(plant, name, seed) for name, seed in (("one", 21), ("two", 22))]
 
 
-def test_a_log_of_the_other_sign_is_found_next_to_a_good_one(arm, logs):
+def test_finds_a_log_with_inverted_torque_among_good_ones(arm, logs):
     model = learn(arm)
     good, bad = logs[0], replace(logs[1], effort=-logs[1].effort)
     check_plausible(arm, [good, logs[1]], False, Console(-1), model=model)
@@ -160,7 +160,7 @@ def asked(arm, logs, tmp_path: Path, monkeypatch):
     return run
 
 
-def test_a_forward_simulation_that_fails_costs_no_verdict(arm, logs, tmp_path: Path, monkeypatch):
+def test_keeps_the_verdict_if_the_forward_simulation_fails(arm, logs, tmp_path: Path, monkeypatch):
     learn(arm).save(tmp_path / "model.json")
     for log in logs:
         write_log(tmp_path / log.name, log)
@@ -176,7 +176,7 @@ STOPS = [KeyboardInterrupt(), InputError("a box that nothing keeps clear of")]
 
 
 @pytest.mark.parametrize("why", STOPS)
-def test_where_the_planning_is_stopped_the_diagnosis_and_its_page_are_there(asked, monkeypatch, why):
+def test_keeps_diagnosis_and_page_if_planning_is_stopped(asked, monkeypatch, why):
     monkeypatch.setattr(diagnose, "plan_next", fails(why))
     question, shown = asked(why)
     assert shown["verdict"] == "no_gap"
@@ -186,7 +186,7 @@ def test_where_the_planning_is_stopped_the_diagnosis_and_its_page_are_there(aske
 
 
 @pytest.mark.parametrize("why", STOPS)
-def test_where_the_question_of_a_mass_is_stopped_the_motion_of_the_bare_arm_is_there(asked, monkeypatch, why):
+def test_keeps_the_bare_arm_motion_if_planning_with_a_mass_is_stopped(asked, monkeypatch, why):
     piece = SimpleNamespace(text=lambda robot: "a loop of the bare arm")
     experiment = SimpleNamespace(expected=(), pieces=[piece])
     text = "PROGRAM x\nBEGIN\n  DELAY 4000\nEND x\n"
@@ -214,7 +214,7 @@ def test_a_recipe_with_another_tool_than_the_logs_or_the_model_is_refused(tmp_pa
         check_tool(tooled, [unsaid], {"tool": ["none"]})  # type: ignore[list-item]
 
 
-def test_a_motion_is_planned_where_the_model_was_fitted_and_the_logs_go():
+def test_plans_within_the_fitted_and_logged_range():
     recipe_problem = SimpleNamespace(robot=make_arm("RR"), joint_ranges={"joint_2": (-0.4, 3.0)})
     fitted = {"lowest": [-1.0, -1.0], "highest": [1.0, 1.0], "fastest": [1.0, 1.0]}
     found = SimpleNamespace(
@@ -239,7 +239,7 @@ def test_a_motion_is_planned_where_the_model_was_fitted_and_the_logs_go():
     assert next_experiment._where_known(recipe_problem, found) is recipe_problem  # type: ignore[arg-type]
 
 
-def test_the_ways_between_pieces_count_in_the_time_that_is_allowed(tmp_path: Path, monkeypatch):
+def test_transfers_between_pieces_count_towards_the_time(tmp_path: Path, monkeypatch):
     """Two pieces that alone would fill it leave no time for the way from one to the other."""
     recipe = load_recipe(write_atomically(tmp_path / "job.yaml", template()))
     asked: list[tuple[int, bool]] = []

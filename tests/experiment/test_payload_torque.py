@@ -40,7 +40,7 @@ def torque(q, qd, qdd, load=None) -> np.ndarray:
 
 @settings(max_examples=10, deadline=None)
 @given(st.integers(0, 10_000))
-def test_a_limit_holds_with_the_mass_and_not_only_without(seed):
+def test_torque_limits_include_the_mass(seed):
     q, qd, qdd = np.random.default_rng(seed).uniform(-1, 1, (3, 30, 6))
     loaded = torque(q, qd, qdd, LOAD).max(axis=0)
     assert TorqueLimits(limited(loaded * 1.001), None, LOAD).overload(q, qd, qdd) is None
@@ -52,7 +52,7 @@ def test_a_limit_holds_with_the_mass_and_not_only_without(seed):
     assert f"joint_{joint + 1} needs" in text
 
 
-def test_every_piece_planned_with_a_mass_can_be_borne():
+def test_every_piece_planned_with_a_mass_keeps_the_torque_limits():
     pose = kinematics_for(ARM, None).forward(np.array([[0.2, 0.2, 1.2, 0.3, 0.8, 0.2]]))[0]
     region = BoxRegion(pose, np.full(3, 0.1), 0.3)
     fly = Pdl2Settings(fly_type=FlyType.FLY_CART, fly_trajectory=FlyTrajectory.FLY_TOL, fly_distance=0.02)
@@ -73,7 +73,7 @@ def test_every_piece_planned_with_a_mass_can_be_borne():
         assert np.all(torque(m.q[::10], m.qd[::10], m.qdd[::10], LOAD) <= limits * (1 + 1e-9))
 
 
-def test_a_program_with_a_mass_is_refused_before_anything_moves(monkeypatch, tmp_path: Path):
+def test_refuses_an_overloading_program_before_motion(monkeypatch, tmp_path: Path):
     """A person may name any mass for any program."""
     program = tmp_path / "p.pdl"
     program.write_text("PROGRAM p", encoding="utf-8")
@@ -101,7 +101,7 @@ def test_a_program_with_a_mass_is_refused_before_anything_moves(monkeypatch, tmp
     assert len(ran) == 2
 
 
-def test_it_is_said_where_nothing_is_known_of_a_drive(capsys):
+def test_warns_of_joints_without_max_torque(capsys):
     unknown = replace(ARM, joints=tuple(replace(joint, max_torque=None) for joint in ARM.joints))
     told: list[str] = []
     console = SimpleNamespace(warn=told.append)

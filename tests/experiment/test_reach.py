@@ -68,18 +68,18 @@ PAIRS = {
 
 
 @pytest.mark.parametrize("kind", PAIRS)
-def test_a_motion_that_differs_there_tells_more(healthy, kind):
+def test_a_motion_that_separates_two_effects_gains_evidence(healthy, kind):
     truth, rival, telling, other = PAIRS[kind]
     assert evidence(healthy, truth, rival, telling) > 2 * evidence(healthy, truth, rival, other)
 
 
-def test_a_known_mass_tells_friction_that_grows_with_load(healthy):
+def test_a_known_mass_separates_load_dependent_friction(healthy):
     truth = ("load_dependent_friction", 1, {}, (0.1,))
     motion = swing(0.05, 4.0)  # in one posture
     assert evidence(healthy, truth, CHANGED, motion, HEAVY) > 2 * evidence(healthy, truth, CHANGED, motion)
 
 
-def test_a_motion_begins_as_warm_as_the_last_log_ended(healthy):
+def test_a_planned_motion_starts_at_the_last_logs_temperature(healthy):
     warm = ("thermal_friction", 1, {"time_constant": 2.0, "session": 1.0}, (0.0, 1.0, 0.0, 0.0))
     cold = ("thermal_friction", 1, {"time_constant": 2.0}, (0.0, 1.0, 0.0, 0.0))
     motion = swing(0.3, 2.0)
@@ -102,12 +102,12 @@ def test_the_model_carries_a_known_mass():
 @pytest.mark.parametrize(
     "text", ["5 kg", "5 kg, 0, 0", "0 kg, 0, 0, 0", "-1 kg, 0, 0, 0", "5 m, 0, 0, 0", "5 kg, 0, 0, 90 m"]
 )
-def test_a_payload_that_is_none_is_refused(text):
+def test_refuses_an_invalid_payload(text):
     with pytest.raises(InputError, match="payload"):
         payload_of(text)
 
 
-def test_what_a_log_says_was_mounted_is_no_gap_and_the_same_log_without_a_word_is(healthy):
+def test_a_stated_payload_is_not_a_gap_but_an_unstated_one_is(healthy):
     arm, model = healthy.dataset.robot, healthy.dataset.model
     x, y, z = LOAD.centre_of_mass
     mass = {"effect": "payload", "parameters": {"mass": LOAD.mass, "centre": [x, y, z]}}

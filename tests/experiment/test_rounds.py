@@ -111,7 +111,7 @@ def ask(tmp_path: Path, monkeypatch):
     return run
 
 
-def test_rounds_end_when_it_is_settled_and_all_logs_count(ask):
+def test_rounds_end_when_settled_and_use_all_logs(ask):
     found, seen = ask(["ambiguous", "unknown", "explained"], ["one", "two"])
     assert seen == [1, 2, 3]
     assert [one["after"] for one in found.asked] == ["ambiguous", "unknown"]
@@ -125,7 +125,7 @@ def test_rounds_end_when_it_is_settled_and_all_logs_count(ask):
     assert found.cut_short is None
 
 
-def test_a_log_that_is_refused_ends_the_rounds_with_what_was_found(ask):
+def test_a_refused_log_ends_the_rounds_and_keeps_the_result(ask):
     refused = RejectedError("experiment_02.mcap: joint_5 looks flipped")
     found, seen = ask(["ambiguous", "ambiguous", refused], ["one", "two"])
     assert seen == [1, 2, 3]
@@ -138,13 +138,13 @@ def test_a_log_that_is_refused_ends_the_rounds_with_what_was_found(ask):
     assert found.uncounted.name == "two.mcap", "it is there, and whoever asks again is told so"
 
 
-def test_without_a_model_no_gap_is_said_to_be_one_beyond_what_a_fit_absorbs(ask):
+def test_no_gap_without_a_model_is_limited_to_what_a_fit_does_not_absorb(ask):
     assert ask(["no_gap"], [])[0].end == "settled: no_gap"
     assert "name an earlier model with --model" in ask(["no_gap"], [], given=False)[0].end
     assert ask(["explained"], [], given=False)[0].end == "settled: explained"
 
 
-def test_rounds_end_with_the_budget_or_where_no_motion_helps(ask):
+def test_rounds_end_with_the_budget_or_if_no_motion_helps(ask):
     end = ask(["ambiguous"] * 2, ["one"], budget=25.0)[0].end
     assert end == "the motion budget is used up: 5 s are left, and a motion takes 10 to 60 s"
     found, _ = ask(["ambiguous"] * 3, ["one", "two"])
@@ -154,7 +154,7 @@ def test_rounds_end_with_the_budget_or_where_no_motion_helps(ask):
 
 
 @pytest.mark.parametrize("why", [KeyboardInterrupt(), InputError("the cell leaves no room")])
-def test_what_stops_the_planning_of_a_round_leaves_what_was_found(ask, why):
+def test_an_error_in_planning_keeps_the_earlier_result(ask, why):
     found, _ = ask(["ambiguous", "ambiguous"], ["one"], motions=[Motion(), why])
     assert found.cut_short is why
     assert found.end == f"cut short: {'interrupted' if isinstance(why, KeyboardInterrupt) else why}"
@@ -163,7 +163,7 @@ def test_what_stops_the_planning_of_a_round_leaves_what_was_found(ask, why):
 
 
 @pytest.mark.parametrize("why", [DriverError("the link dropped"), KeyboardInterrupt()])
-def test_what_cuts_a_round_short_leaves_what_was_found_before(ask, why):
+def test_an_interrupted_round_keeps_the_earlier_result(ask, why):
     found, seen = ask(["ambiguous", "ambiguous"], ["one", why])
     assert found.cut_short is why
     assert found.last[0].result["verdict"] == "ambiguous"
@@ -188,7 +188,7 @@ def word(**released):
     return Authorisation(Path("word.yaml"), AuthorisationDocument.model_validate(said | released))
 
 
-def test_where_nobody_is_there_motions_are_slow_and_each_is_released_by_its_own_program_and_time(ask):
+def test_unattended_motions_are_slow_and_authorised_one_by_one(ask):
     found, _ = ask(["ambiguous"] * 3, ["one", "two"], allowed=word(new_motions={"duration": "90 s"}))
     (slow, _), (there, first), _, (_, second), *_ = ask.made
     assert slow == pytest.approx(0.98 * FIRST_SPEED), "planned as slowly as a first run"
@@ -199,7 +199,7 @@ def test_where_nobody_is_there_motions_are_slow_and_each_is_released_by_its_own_
     assert len(found.logs) == 2
 
 
-def test_motions_that_are_not_released_end_the_rounds_with_what_was_found(ask):
+def test_unauthorised_motions_end_the_rounds_and_keep_the_result(ask):
     found, _ = ask(["ambiguous"], ["one"], allowed=word())
     assert "releases no new motions" in found.end
     assert found.logs == []
@@ -207,14 +207,14 @@ def test_motions_that_are_not_released_end_the_rounds_with_what_was_found(ask):
 
 
 @pytest.mark.parametrize(("before", "after", "helps"), [(0.0, 0.5, True), (0.0, 0.2, False), (0.9, 0.92, False)])
-def test_a_motion_helps_that_tells_one_of_two_of_which_the_other_can_always_be_it(before, after, helps):
+def test_a_motion_that_separates_one_side_only_still_helps(before, after, helps):
     expected = [SimpleNamespace(before_if=(before, None), after_if=(after, None))]
     expected += [SimpleNamespace(before_if=(1.0, 0.0), after_if=(1.0, 0.1))]
     experiment = SimpleNamespace(expected=expected)
     assert NextMotion(experiment, "", (), None, Pdl2()).helps() is helps  # type: ignore[arg-type]
 
 
-def test_a_motion_takes_as_long_as_its_rests_and_its_moves():
+def test_motion_time_includes_pauses():
     robot = load_robot("comau_ns16")
     text = write_program("experiment", [Delay(4.0), Delay(2.5)], robot)
     chains = (SimpleNamespace(duration=3.0),)
@@ -230,7 +230,7 @@ def found_with(zero_known: bool):
     return SimpleNamespace(finding=SimpleNamespace(zero_known=zero_known))
 
 
-def test_where_no_motion_helps_it_says_where_to_look_for_either():
+def test_names_where_to_look_for_either_cause_if_no_motion_helps():
     pairs = [pair("torque_offset", "none"), pair("stribeck", "presliding")]
     text = other_test(found_with(False), pairs)  # type: ignore[arg-type]
     assert f"for torque_offset on joint_2, {CATALOGUE['torque_offset'].look_at}" in text
@@ -242,7 +242,7 @@ def test_where_no_motion_helps_it_says_where_to_look_for_either():
 
 
 @pytest.mark.parametrize("brakes", [False, True])
-def test_a_planned_motion_says_that_seconds_on_the_brakes_come_first(brakes):
+def test_a_planned_motion_asks_for_the_drives_off_record_first(brakes):
     robot, piece = load_robot("comau_ns16"), SimpleNamespace(text=lambda robot: "reversals of joint_2")
     experiment, text = SimpleNamespace(expected=(), pieces=[piece]), write_program("experiment", [Delay(4.0)], robot)
     motion = NextMotion(experiment, text, (), robot, Pdl2(), brakes=brakes)  # type: ignore[arg-type]
@@ -280,7 +280,7 @@ def to_sections(found) -> dict:
 
 
 @pytest.mark.parametrize("kept", ["experiment.json", "program.pdl"])
-def test_a_folder_that_cannot_be_that_of_an_experiment_is_refused_before_anything_is_diagnosed(tmp_path: Path, kept):
+def test_refuses_an_unusable_experiment_folder_before_diagnosing(tmp_path: Path, kept):
     """Somebody's program is not written over, and a file that is in the way is found whatever lies below it."""
     (tmp_path / kept).write_text("mine", encoding="utf-8")
     with pytest.raises(InputError, match="already; name another folder"):
@@ -291,7 +291,7 @@ def test_a_folder_that_cannot_be_that_of_an_experiment_is_refused_before_anythin
     assert (tmp_path / kept).read_text(encoding="utf-8") == "mine"
 
 
-def test_a_run_that_cannot_note_its_end_still_says_what_ended_it(tmp_path: Path, monkeypatch):
+def test_a_run_with_a_failing_disk_still_reports_what_ended_it(tmp_path: Path, monkeypatch):
     recipe = tmp_path / "job.yaml"
     recipe.write_text("robot: comau_ns16\n", encoding="utf-8")
     run = RunFolder.create(tmp_path / "logs", "comau_ns16", recipe)

@@ -72,7 +72,7 @@ def ask(tmp_path: Path, monkeypatch):
     return run
 
 
-def test_a_mass_is_asked_for_where_the_right_answer_becomes_much_likelier(ask):
+def test_asks_for_a_mass_if_it_makes_the_right_answer_likelier(ask):
     said, _ = ask(0.5, 0.9)
     assert " at the flange, the right answer between " in said.text()
     assert (
@@ -82,19 +82,19 @@ def test_a_mass_is_asked_for_where_the_right_answer_becomes_much_likelier(ask):
     assert ask(0.5, 0.6)[0] is None, "nobody mounts one for that"
 
 
-def test_no_time_goes_into_the_question_where_the_bare_arm_tells_or_no_load_would(ask):
+def test_plans_no_mass_if_the_bare_arm_suffices_or_no_mass_helps(ask):
     assert ask(0.85, 1.0) == (None, [])
     assert ask(0.5, 1.0, tells=False) == (None, [])
     assert ask(0.5, 1.0, pair=BESIDE) == (None, []), "the verdict says of no such pair that it is open"
 
 
-def test_where_the_bare_arm_has_no_motion_whatever_helps_is_said(ask):
+def test_proposes_a_mass_if_the_bare_arm_has_no_helpful_motion(ask):
     said, _ = ask(None, 0.6)
     assert " at the flange, the right answer between " in said.text()
     assert "instead" not in said.text()
 
 
-def test_the_mass_and_the_tool_are_no_more_than_the_arm_is_rated_for(ask):
+def test_mass_and_tool_stay_within_the_rated_payload(ask):
     def rated(mass):
         tool = Tool(np.eye(4), 2.0, np.zeros(3))
         return lambda problem: replace(problem, robot=replace(problem.robot, rated_payload=mass), tool=tool)
@@ -103,7 +103,7 @@ def test_the_mass_and_the_tool_are_no_more_than_the_arm_is_rated_for(ask):
     assert ask(0.5, 0.9, change=rated(2.0)) == (None, [])
 
 
-def test_the_page_says_it_next_to_the_motion_of_the_bare_arm(ask):
+def test_the_page_shows_the_mass_next_to_the_bare_arm_motion(ask):
     mass, _ = ask(0.5, 0.9)
     robot = load_robot("comau_ns16")
     experiment = SimpleNamespace(expected=(), pieces=[SimpleNamespace(text=lambda robot: "a loop")])
@@ -112,7 +112,7 @@ def test_the_page_says_it_next_to_the_motion_of_the_bare_arm(ask):
     assert mass.text() in unescape(render(Page("Gap", "it is", "plain", planned_sections(said))))
 
 
-def test_a_load_tells_what_grows_with_it_from_what_does_not():
+def test_a_load_separates_load_dependent_friction_from_other_friction():
     arm = make_arm("RRR")
     model, plant, altered = learn(arm), Plant(arm, seed=3), []
     for name, seed in (("a", 21), ("b", 22), ("c", 23)):

@@ -199,7 +199,7 @@ SIGNALS = {signal.SIGHUP: 129, signal.SIGINT: 130, signal.SIGQUIT: 131, signal.S
 @pytest.mark.verify
 @pytest.mark.parametrize("phase", ["connect", "upload", "start"])
 @pytest.mark.parametrize("number", SIGNALS)
-def test_who_waits_for_an_answer_can_be_ended(bench, on_terminal, assert_at_rest, phase: str, number: int):
+def test_a_signal_ends_a_wait_for_an_answer(bench, on_terminal, assert_at_rest, phase: str, number: int):
     """One that never comes: of the connection, to the program, to the start, which is carried out."""
     controller = bench.serve([Fault("silent", phase)], clock="real")
     bench.program.write_text(LONG, encoding="utf-8")
@@ -246,7 +246,7 @@ def test_a_second_signal_does_not_cut_the_stop_short(bench, moving, assert_at_re
     assert_at_rest(controller, 1)
 
 
-def test_what_is_told_to_survive_a_hang_up_does(bench, controller, on_pipes, assert_at_rest):
+def test_nohup_survives_a_hang_up(bench, controller, on_pipes, assert_at_rest):
     """`nohup agent …`"""
     bench.program.write_text(LONG.replace("200", "1"), encoding="utf-8")
 
@@ -283,7 +283,7 @@ def test_an_error_in_any_thread_ends_in_a_stop(bench, controller, assert_at_rest
     assert_at_rest(controller, 1)
 
 
-def test_memory_that_runs_out_ends_in_a_stop(bench, controller, assert_at_rest, monkeypatch):
+def test_running_out_of_memory_ends_in_a_stop(bench, controller, assert_at_rest, monkeypatch):
     from agent.recording import LogWriter
 
     def write(self, block):
@@ -296,7 +296,7 @@ def test_memory_that_runs_out_ends_in_a_stop(bench, controller, assert_at_rest, 
     assert_at_rest(controller, 1)
 
 
-def test_a_disk_that_takes_nothing_ends_in_a_stop(bench, controller, assert_at_rest, monkeypatch):
+def test_a_stuck_disk_ends_in_a_stop(bench, controller, assert_at_rest, monkeypatch):
     from agent.recording.mcap import writer as module
 
     awake = threading.Event()
@@ -368,7 +368,7 @@ def _leave_no_descriptors(process: int) -> None:
 
 
 @pytest.mark.parametrize(("number", "code"), [(None, 0), (signal.SIGTERM, 143)])
-def test_a_motion_ends_as_ever_where_no_file_can_be_opened(bench, on_terminal, assert_at_rest, number, code: int):
+def test_a_motion_ends_normally_without_free_file_descriptors(bench, on_terminal, assert_at_rest, number, code: int):
     controller = bench.serve(clock="real")
     if number is not None:
         bench.program.write_text(LONG, encoding="utf-8")

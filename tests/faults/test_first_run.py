@@ -47,7 +47,7 @@ def test_the_first_run_is_slow_and_the_second_is_not(bench, assert_at_rest):
     assert other.motions_started == 2, "another machine"
 
 
-def test_a_first_run_that_is_cut_short_is_run_again(bench):
+def test_repeats_a_slow_first_run_that_was_cut_short(bench):
     controller = bench.serve([Fault("emergency_stop", "streaming", 0.3)], emulator=False)
     assert bench.record("--yes").code == 5
     assert controller.motions_started == 1

@@ -28,7 +28,7 @@ def _named(folder: Path, names: tuple[str, str]) -> str:
 
 @pytest.mark.parametrize("names", NAMES)
 @pytest.mark.parametrize("wire", [*WIRES][:1] + [pytest.param(wire, marks=pytest.mark.verify) for wire in [*WIRES][1:]])
-def test_joints_by_other_names_move_nothing(bench, arm: str, tmp_path: Path, wire: str, names: tuple[str, str]):
+def test_wrong_joint_names_prevent_motion(bench, arm: str, tmp_path: Path, wire: str, names: tuple[str, str]):
     bench._arm = _named(tmp_path / "other", names)
     controller = bench.serve(wire=wire)
     bench.recipe.write_text(bench.recipe.read_text(encoding="utf-8").replace(bench._arm, arm), encoding="utf-8")
@@ -52,7 +52,7 @@ END swing
 
 @pytest.mark.verify
 @pytest.mark.parametrize("name", ["off_path", "off_speed", "servo_error", "other_motion"])
-def test_points_that_are_not_followed_end_in_a_stop(bench, name: str):
+def test_via_points_that_are_not_followed_end_in_a_stop(bench, name: str):
     """By the arm of six joints: straight lines cannot begin in the pose in which it wakes up."""
     bench._arm = "comau_ns16"
     controller = bench.serve(wire="cnr_comau")

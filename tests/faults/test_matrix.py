@@ -108,7 +108,7 @@ def test_fault(bench, assert_at_rest, assert_readable, wire, name, phase):
 
 
 @pytest.mark.parametrize("wire", ["tcp", "cnr_comau"])
-def test_a_translators_error_is_told_with_its_line(bench, wire):
+def test_reports_a_translator_error_with_its_line(bench, wire):
     """The agent's reader took the text, the controller's translator does not: nothing moves."""
     controller = bench.serve([Fault("untranslatable", "upload", value=3)], wire, clock="fast")
     ended = bench.record()

@@ -82,7 +82,7 @@ BY_HAND = ["serial", *(pytest.param(wire, marks=pytest.mark.verify) for wire in 
 
 
 @pytest.mark.parametrize("wire", BY_HAND)
-def test_a_scenario_by_hand(bench, start, tmp_path: Path, arm: str, wire):
+def test_the_emulator_runs_a_scenario(bench, start, tmp_path: Path, arm: str, wire):
     """`agent emulator --scenario` on a wire: it says what it is, and at its end what was done with it."""
     scenario = tmp_path / "s.yaml"
     scenario.write_text(
@@ -107,14 +107,14 @@ def test_a_scenario_by_hand(bench, start, tmp_path: Path, arm: str, wire):
     assert "at rest" in said
 
 
-def test_a_scenario_that_makes_no_sense_on_its_wire(start):
+def test_refuses_a_scenario_impossible_on_its_wire(start):
     path = FOLDER / "unruly_line.yaml"
     refused = start("fake_controller", "--scenario", path, "--driver", "modbus", "--port", "0")
     assert refused.wait(60) == 2
     assert "reorder makes no sense on modbus" in refused.stderr.read()
 
 
-def test_effects_by_hand(start, tmp_path: Path, arm: str):
+def test_the_emulator_takes_effects_from_a_file(start, tmp_path: Path, arm: str):
     effects = tmp_path / "effects.json"
     effects.write_text(json.dumps([{"effect": "payload", "parameters": {"mass": 2.0}}]), encoding="utf-8")
     fake = start("fake_controller", "--robot", arm, "--effects", effects, "--port", "0")
@@ -141,7 +141,7 @@ def test_a_full_disk_stops_the_arm(bench, start, assert_at_rest, assert_readable
     assert assert_readable(bench.log) > 0
 
 
-def test_a_folder_that_cannot_be_written_moves_nothing(bench, run):
+def test_an_unwritable_folder_prevents_motion(bench, run):
     controller = bench.serve()
     bench.log = Path("/proc/no_such_folder/log.mcap")
     ended = bench.record()
@@ -160,7 +160,7 @@ def test_a_signal_ends_in_a_controlled_stop(bench, assert_at_rest, assert_readab
     assert assert_readable(bench.log) > 100
 
 
-def test_two_agents_on_one_robot(bench, start):
+def test_a_second_agent_on_one_robot_exits_with_75(bench, start):
     controller = bench.serve(clock="real")
     first = start("agent", "record", bench.recipe, "--program", bench.program, "-o", bench.log)
     until_it_moves(first)

@@ -78,25 +78,25 @@ def test_every_fault_can_be_written_in_a_scenario(tmp_path: Path):
         ("surprise: 1", "unknown key"),
     ],
 )
-def test_a_scenario_that_makes_no_sense(tmp_path: Path, text: str, said: str):
+def test_refuses_an_invalid_scenario(tmp_path: Path, text: str, said: str):
     path = tmp_path / "wrong.yaml"
     path.write_text(f"title: wrong\nexpect: {{exit_code: 4}}\n{text}\n", encoding="utf-8")
     with pytest.raises(InputError, match=said):
         load_scenario(path)
 
 
-def test_a_fault_that_makes_no_sense_cannot_be_built():
+def test_refuses_an_invalid_fault():
     with pytest.raises(ValueError, match="strikes in phase"):
         Fault("wrong_robot", "streaming")
 
 
-def test_a_fault_that_makes_no_sense_on_a_wire_is_refused(arm):
+def test_refuses_a_fault_impossible_on_its_wire(arm):
     controller = build_controller(arm, 3, "fast", faults=[Fault("reorder", "streaming")])
     with pytest.raises(ValueError, match="reorder makes no sense on modbus: it sends one answer at a time"):
         open_server("modbus", controller)
 
 
-def test_all_that_can_be_built_in_is_listed_with_units_and_an_entry_that_works(arm):
+def test_lists_all_effects_with_units_and_a_working_example(arm):
     command = [sys.executable, "-m", "fake_controller", "--list-effects"]
     listed = subprocess.run(command, capture_output=True, text=True, check=True, cwd=ROOT).stdout
     for effect in [*EFFECTS, *OUTSIDE]:
@@ -106,7 +106,7 @@ def test_all_that_can_be_built_in_is_listed_with_units_and_an_entry_that_works(a
     assert load_effect(json.loads(listed.splitlines()[1])).joints == ("joint_4",)
 
 
-def test_a_joint_of_a_fault_goes_by_its_name_or_its_number_and_nothing_need_be_expected(tmp_path: Path):
+def test_a_fault_takes_a_joint_by_name_or_number(tmp_path: Path):
     path = tmp_path / "by_hand.yaml"
     named = "{fault: servo_error, phase: streaming, joint: joint_3}"
     path.write_text(f"title: by hand\nfaults: [{named}]\n", encoding="utf-8")

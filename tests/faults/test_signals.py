@@ -28,7 +28,7 @@ ENDING = sorted(signal.valid_signals() - LEFT - IGNORED)
 
 
 @pytest.mark.parametrize("number", ENDING)
-def test_a_signal_that_ends_programs_is_raised(number: int):
+def test_terminating_signals_raise_exceptions(number: int):
     before = signal.signal(number, signal.SIG_DFL)
     try:
         with signals_raised(), pytest.raises((Ended, KeyboardInterrupt)) as end:
@@ -55,7 +55,7 @@ def _session_niceness() -> int | None:
     return None
 
 
-def test_whoever_watches_an_arm_runs_before_the_other_work_of_the_computer():
+def test_watching_an_arm_raises_the_process_priority():
     if not _may_be_first():
         pytest.skip("this user may not raise a priority")
     (before,), over, session = _niceness(), threading.Event(), _session_niceness()
@@ -81,7 +81,7 @@ def _may_be_first() -> bool:
 
 
 @pytest.mark.parametrize("number", [signal.SIGUSR1, signal.SIGHUP])
-def test_what_the_caller_ignores_stays_ignored(number: int):
+def test_ignored_signals_stay_ignored(number: int):
     before = signal.signal(number, signal.SIG_IGN)
     try:
         with signals_raised():
@@ -90,7 +90,7 @@ def test_what_the_caller_ignores_stays_ignored(number: int):
         signal.signal(number, before)
 
 
-def test_a_handler_of_the_caller_stays():
+def test_keeps_the_callers_signal_handler():
     """Of a program that uses the agent as a library."""
     came = []
     before = signal.signal(signal.SIGUSR2, lambda number, _: came.append(number))
@@ -104,13 +104,13 @@ def test_a_handler_of_the_caller_stays():
 
 
 @pytest.mark.parametrize("number", [signal.SIGTSTP, signal.SIGTTIN])
-def test_nothing_suspends_a_program_whose_arm_moves(number: int):
+def test_suspend_signals_are_ignored_in_motion(number: int):
     with stop_to_come():
         assert signal.getsignal(number) is signal.SIG_IGN
     assert signal.getsignal(number) is not signal.SIG_IGN
 
 
-def test_a_limit_of_processor_time_cuts_no_stop_short():
+def test_a_cpu_time_limit_does_not_cut_a_stop_short():
     """It comes once a second, until the limit that kills."""
     with signals_raised():
         with stop_to_come():
@@ -125,7 +125,7 @@ def test_a_limit_of_processor_time_cuts_no_stop_short():
     ("fault", "number"),
     [("os.abort()", signal.SIGABRT), ("import ctypes; ctypes.string_at(0)", signal.SIGSEGV)],
 )
-def test_a_program_that_is_broken_ends_by_its_own_signal(fault: str, number: int):
+def test_a_crash_signal_is_not_caught(fault: str, number: int):
     """With the core file that its user has asked for, instead of a second life after memory was damaged."""
     text = f"import os\nfrom agent.core import signals_raised\nwith signals_raised():\n    {fault}"
     end = subprocess.run(
@@ -134,7 +134,7 @@ def test_a_program_that_is_broken_ends_by_its_own_signal(fault: str, number: int
     assert end.returncode == -number
 
 
-def test_after_a_motion_files_can_be_opened_though_none_were_left():
+def test_a_reserved_descriptor_lets_files_open_after_motion():
     before, taken = resource.getrlimit(resource.RLIMIT_NOFILE), []
     try:
         with stop_to_come():

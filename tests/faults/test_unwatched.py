@@ -197,11 +197,11 @@ def assert_stopped(one: Attacked, name: str) -> None:
 
 @pytest.mark.parametrize("wire", [*WIRES, "ur"])
 @pytest.mark.parametrize("name", ["silence", "lag", "disobedience"])
-def test_an_arm_that_nobody_can_watch_is_stopped(attack, wire, name):
+def test_stops_an_arm_that_cannot_be_watched(attack, wire, name):
     assert_stopped(attack(wire, ATTACKS[name], 0.0), name)
 
 
-def test_a_link_that_is_too_slow_moves_nothing(attack):
+def test_a_too_slow_link_prevents_motion(attack):
     """Modbus with 40 ms an answer carries less than a tenth of the samples."""
     one = attack("modbus", (), 0.04)
     assert one.code == 4
@@ -225,7 +225,7 @@ def test_a_clock_that_goes_back_ends_in_a_stop(attack, bench):
     assert read_log(bench.log).t[-1] < 10.0
 
 
-def test_an_end_that_never_comes_holds_nobody_up(attack, bench):
+def test_a_missing_end_report_does_not_block(attack, bench):
     short = LONG.replace("200", "1")
     one = attack("tcp", (Fault("no_end", "streaming"),), 0.0, short)
     assert one.code == 4

@@ -44,12 +44,12 @@ def _answers(engine, tasks: int, disturb=lambda done: None) -> list[tuple[int, i
     return sorted(found)
 
 
-def test_an_engine_in_this_process_gives_the_same():
+def test_the_in_process_engine_gives_the_same_rows():
     with InProcess() as engine:
         assert _answers(engine, 5) == [(k, k * k) for k in range(5)]
 
 
-def test_a_killed_worker_changes_no_row(plant: Path, estimated: Path, tmp_path: Path):
+def test_a_killed_worker_does_not_change_the_rows(plant: Path, estimated: Path, tmp_path: Path):
     """Two local processes, one of them killed with -9 in the middle of a real estimate."""
     killed = []
 
@@ -68,7 +68,7 @@ def test_a_killed_worker_changes_no_row(plant: Path, estimated: Path, tmp_path: 
     assert not any((tmp_path / "_done").iterdir())
 
 
-def test_what_a_killed_process_had_on_disk_is_cleared_away(tmp_path: Path, monkeypatch):
+def test_removes_the_temporary_files_of_a_killed_process(tmp_path: Path, monkeypatch):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     holding = (
         "from agent.core import swept_folder\nwith swept_folder('agent-fleet-') as f: print(f, flush=True); input()"
@@ -87,7 +87,7 @@ def test_what_a_killed_process_had_on_disk_is_cleared_away(tmp_path: Path, monke
     assert not any(tmp_path.iterdir())
 
 
-def test_ctrl_c_on_a_terminal_is_for_who_asked_and_not_for_the_workers():
+def test_ctrl_c_reaches_the_main_process_only():
     def struck(number: int) -> int:
         import os
         import signal
@@ -99,7 +99,7 @@ def test_ctrl_c_on_a_terminal_is_for_who_asked_and_not_for_the_workers():
         assert [done.answer for done in engine.map(struck, range(2))] == [0, 1]
 
 
-def test_a_search_on_dask_finds_the_loop_of_this_process():
+def test_a_search_on_dask_finds_the_same_loop():
     regions = ViaRegions.from_box(6, [1.0, 0.0, 1.0], [0.3] * 3, [0.0, np.pi, 0.0], 0.3)
     problem = LoopProblem(load_robot("comau_ns16"), regions, Pdl2Settings(linear_speed=0.5))
     asked = {"population": 12, "generations": 2, "seed": 3}
@@ -109,12 +109,12 @@ def test_a_search_on_dask_finds_the_loop_of_this_process():
     assert there.to_dict() == here.to_dict()
 
 
-def test_a_scheduler_that_is_killed_ends_the_run_and_says_how_to_go_on(cluster: DaskProcesses):
+def test_a_killed_scheduler_ends_the_run_with_the_command_to_continue(cluster: DaskProcesses):
     def disturb(done: int) -> None:
         if done == 15:
             cluster.kill("scheduler")
 
-    with DaskEngine(cluster.address) as engine, pytest.raises(AgentError, match="the same command goes on"):
+    with DaskEngine(cluster.address) as engine, pytest.raises(AgentError, match="run the same command again"):
         _answers(engine, 400, disturb)
 
 
@@ -134,13 +134,13 @@ def test_a_run_that_is_ended_is_continued_by_the_same_command(plant: Path, estim
     assert rows_of(tmp_path) == rows_of(estimated)
 
 
-def test_nobody_at_the_address_is_usage(monkeypatch):
+def test_an_unreachable_scheduler_is_a_usage_error(monkeypatch):
     monkeypatch.setattr(on_dask, "_CONNECT", 0.2)
     with pytest.raises(InputError, match="no Dask scheduler answers there"), DaskEngine("tcp://127.0.0.1:1"):
         pass
 
 
-def test_an_address_that_is_none_is_usage_and_leaves_no_thread():
+def test_an_invalid_address_is_a_usage_error_and_leaves_no_thread():
     before = set(threading.enumerate())
     with pytest.raises(InputError, match="missing port"), DaskEngine("nonsense"):
         pass
@@ -148,7 +148,7 @@ def test_an_address_that_is_none_is_usage_and_leaves_no_thread():
 
 
 @pytest.mark.verify
-def test_a_task_that_kills_its_workers_is_told_and_the_others_are_done():
+def test_reports_a_task_that_kills_its_workers_and_finishes_the_others():
     def hog(number: int) -> int:
         import os
         import signal
@@ -165,7 +165,7 @@ def test_a_task_that_kills_its_workers_is_told_and_the_others_are_done():
 
 
 @pytest.mark.verify
-def test_memory_beyond_the_limit_is_contained_to_its_task(measured):
+def test_exceeding_the_memory_limit_fails_that_task_only(measured):
     def hog(number: int) -> int:
         import time
 
@@ -182,7 +182,7 @@ def test_memory_beyond_the_limit_is_contained_to_its_task(measured):
 
 
 @pytest.mark.verify
-def test_twenty_kills_of_a_worker_change_no_row(plant: Path, estimated: Path, tmp_path: Path, measured):
+def test_twenty_killed_workers_do_not_change_the_rows(plant: Path, estimated: Path, tmp_path: Path, measured):
     draw, right = random.Random(time.time()), 0
     for moment in range(20):
         out = tmp_path / str(moment)

@@ -20,7 +20,7 @@ def _single(command, plant: Path, row: dict, tmp_path: Path, *options: object) -
     return command(*options, "--json", "-q", *logs)
 
 
-def test_an_estimate_is_that_of_the_single_command(command, plant: Path, estimated: Path, tmp_path: Path):
+def test_a_fleet_estimate_equals_the_single_command(command, plant: Path, estimated: Path, tmp_path: Path):
     rows = [row for row in rows_of(estimated) if row["status"] == "ok"]
     assert [(row["robot"], row["run"].split("/")[0]) for row in rows] == [
         (f"robot_000{k}", f"robot_000{k}") for k in range(6) for _ in range(2)
@@ -40,7 +40,7 @@ def test_an_estimate_is_that_of_the_single_command(command, plant: Path, estimat
         assert row["serial"] == row["robot"]
 
 
-def test_validation_and_diagnosis_are_those_of_the_single_command(command, plant, estimated, tmp_path: Path):
+def test_fleet_validation_and_diagnosis_equal_the_single_commands(command, plant, estimated, tmp_path: Path):
     small = tmp_path / "plant" / "robot_0003"
     shutil.copytree(plant / "robot_0003", small)
     model = estimated / next(row["model"] for row in rows_of(estimated) if row["robot"] == "robot_0002")
@@ -59,7 +59,7 @@ def test_validation_and_diagnosis_are_those_of_the_single_command(command, plant
     assert (row["verdict"], row["gap_before"]) == (single["verdict"], single["gap"]["before"])
 
 
-def test_a_mass_that_a_log_names_counts_in_a_diagnosis_and_is_refused_elsewhere(plant, estimated, tmp_path):
+def test_a_logged_payload_is_used_by_diagnose_and_refused_by_other_commands(plant, estimated, tmp_path):
     """As with the single command: of a fleet nobody looks at every row."""
     described = str(plant / "robot_0003" / "robot.yaml")
     model = estimated / next(row["model"] for row in rows_of(estimated) if row["robot"] == "robot_0003")
@@ -83,14 +83,14 @@ def test_a_mass_that_a_log_names_counts_in_a_diagnosis_and_is_refused_elsewhere(
     assert said["verdict"] != "no_gap", "the model carries what the log says, which this arm did not"
 
 
-def test_a_log_of_nonsense_is_a_row_with_its_reason(estimated: Path):
+def test_an_unreadable_log_is_a_row_with_its_reason(estimated: Path):
     (row,) = (row for row in rows_of(estimated) if row["status"] != "ok")
     assert (row["robot"], row["run"]) == ("robot_0005", "robot_0005/bad")
     assert (row["status"], row["exit_code"]) == ("unreadable", 2)
     assert row["reason"].startswith("robot_0005/bad/a.mcap: not an MCAP file")
 
 
-def test_only_what_is_new_is_done(command, plant: Path, estimated: Path, tmp_path: Path, monkeypatch):
+def test_processes_only_new_runs(command, plant: Path, estimated: Path, tmp_path: Path, monkeypatch):
     here, out = tmp_path / "plant", tmp_path / "result"
     shutil.copytree(plant, here)  # with the times of change
     shutil.copytree(estimated, out)
@@ -118,7 +118,7 @@ def test_only_what_is_new_is_done(command, plant: Path, estimated: Path, tmp_pat
     assert list(rows) == sorted(rows)
 
 
-def test_another_version_or_question_makes_rows_again(command, plant, estimated, tmp_path, monkeypatch):
+def test_another_version_or_question_recomputes_the_rows(command, plant, estimated, tmp_path, monkeypatch):
     from agent.fleet import tasks
 
     here, out = tmp_path / "plant", tmp_path / "result"
@@ -134,7 +134,7 @@ def test_another_version_or_question_makes_rows_again(command, plant, estimated,
     assert (done("--cutoff", "20"), done("--cutoff", "20")) == (1, 0)
 
 
-def test_whose_a_run_is(tmp_path: Path):
+def test_assigns_each_run_to_its_robot(tmp_path: Path):
     def robots(*logs: str) -> list[str]:
         folder = tmp_path / str(len(list(tmp_path.iterdir())))
         for log in logs:
@@ -175,14 +175,14 @@ def test_run_folders_of_the_agent_say_which_robot_they_are(command, plant: Path,
     )
 
 
-def test_logs_of_nobody_knows_what_robot_are_usage(command, plant: Path, tmp_path: Path):
+def test_logs_without_a_robot_yaml_are_a_usage_error(command, plant: Path, tmp_path: Path):
     (tmp_path / "a").mkdir()
     shutil.copy(next(plant.rglob("*.mcap")), tmp_path / "a")
     with pytest.raises(InputError, match=r"no robot\.yaml in or above any run"):
         command("fleet", "estimate", tmp_path, "-o", tmp_path / "out")
 
 
-def test_a_source_without_logs_is_usage(command, tmp_path: Path):
+def test_a_source_without_logs_is_a_usage_error(command, tmp_path: Path):
     for source in (tmp_path, tmp_path / "nothing"):
         with pytest.raises(InputError, match=r"no such folder|no folder in it has logs"):
             command("fleet", "estimate", source, "-o", tmp_path / "out")
@@ -190,13 +190,13 @@ def test_a_source_without_logs_is_usage(command, tmp_path: Path):
 
 
 @pytest.mark.parametrize("kind", ["validate", "diagnose"])
-def test_a_model_that_no_run_has_is_usage(command, plant: Path, tmp_path: Path, kind: str):
+def test_a_missing_model_is_a_usage_error(command, plant: Path, tmp_path: Path, kind: str):
     with pytest.raises(InputError, match=r"no run in it has nowhere.json in or above it"):
         command("fleet", kind, plant, "-o", tmp_path / "out", "--model", "nowhere.json")
     assert not (tmp_path / "out" / "rows.parquet").exists()
 
 
-def test_a_result_of_another_kind_is_left_alone(command, plant: Path, estimated: Path):
+def test_a_result_of_another_command_is_not_overwritten(command, plant: Path, estimated: Path):
     before = (estimated / "rows.parquet").read_bytes()
     with pytest.raises(InputError, match="holds a result of `fleet estimate`"):
         command("fleet", "diagnose", plant, "-o", estimated)
@@ -213,7 +213,7 @@ def test_without_dask_it_says_what_to_install(plant: Path, tmp_path: Path, monke
         pass
 
 
-def test_the_same_fleet_is_drawn_twice(tmp_path: Path):
+def test_a_seed_draws_the_same_fleet(tmp_path: Path):
     one, two = (simulate.draw_fleet(30, 12, ("a", "b", "c"), 3) for _ in range(2))
     assert one.planted == two.planted
     assert (one.friction == two.friction).all()
@@ -230,13 +230,13 @@ def test_the_same_fleet_is_drawn_twice(tmp_path: Path):
         (["--cutoff", -3], "at least 0.1 Hz"),
     ],
 )
-def test_what_no_run_can_answer_is_usage(command, plant: Path, tmp_path: Path, asked: list[str], said: str):
+def test_invalid_options_are_a_usage_error(command, plant: Path, tmp_path: Path, asked: list[str], said: str):
     with pytest.raises(InputError, match=said):
         command("fleet", "estimate", plant, "-o", tmp_path / "out", *asked)
     assert not (tmp_path / "out").exists()
 
 
-def test_a_file_where_a_folder_should_be_is_usage(command, estimated: Path, tmp_path: Path):
+def test_a_file_in_place_of_a_folder_is_a_usage_error(command, estimated: Path, tmp_path: Path):
     file = tmp_path / "file"
     file.touch()
     for arguments in (("simulate", "-n", 1), ("trends", estimated)):
@@ -257,7 +257,7 @@ def test_rows_without_pyarrow_say_what_to_install(arm: str, tmp_path: Path, monk
         simulate.simulate_fleet(arm, 1, 1, 1, str(tmp_path), rows=True)
 
 
-def test_a_simulation_is_written_to_a_new_folder_only(arm: str, tmp_path: Path):
+def test_a_simulation_refuses_an_existing_folder(arm: str, tmp_path: Path):
     simulate.simulate_fleet(arm, 1, 1, 1, str(tmp_path / "plant"), rows=False)
     with pytest.raises(InputError, match="something in it"):
         simulate.simulate_fleet(arm, 1, 1, 1, str(tmp_path / "plant"), rows=False)

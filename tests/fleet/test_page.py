@@ -23,7 +23,7 @@ def _data(page: Path) -> dict:
     return json.loads(gzip.decompress(base64.b64decode(packed)))
 
 
-def test_machines_stand_by_urgency_with_the_reason(command, tmp_path: Path):
+def test_machines_are_sorted_by_urgency_with_the_reason(command, tmp_path: Path):
     year = tmp_path / "year"
     simulate_fleet("comau_ns16", 40, 20, 5, str(year), rows=True)
     printed = command("fleet", "report", year, "--columns", year / "_machines.csv")
@@ -40,7 +40,7 @@ def test_machines_stand_by_urgency_with_the_reason(command, tmp_path: Path):
     assert first["of"][1].startswith("B")
 
 
-def test_a_run_that_failed_is_a_reason_and_pages_of_runs_are_linked(command, plant, estimated, tmp_path: Path):
+def test_a_failed_run_is_listed_as_a_reason_and_run_pages_are_linked(command, plant, estimated, tmp_path: Path):
     here, out = tmp_path / "plant", tmp_path / "result"
     for robot in ("robot_0000", "robot_0005"):
         shutil.copytree(plant / robot, here / robot)
@@ -90,7 +90,7 @@ def _opened(browser: Browser, page: Path, machines: int, longest: float) -> dict
     return found
 
 
-def test_a_browser_opens_it_and_draws_what_is_looked_at(browser: Browser, tmp_path: Path):
+def test_the_page_draws_only_the_visible_machines(browser: Browser, tmp_path: Path):
     simulate_fleet("comau_ns16", 300, 2, 6, str(tmp_path / "f"), rows=True)
     write_page(str(tmp_path / "f"))
     found = _opened(browser, tmp_path / "f" / "_report.html", 300, 30)

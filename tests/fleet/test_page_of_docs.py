@@ -15,7 +15,7 @@ def _blocks(language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```", PAGE.read_text(encoding="utf-8"), re.DOTALL | re.M)
 
 
-def test_commands_and_questions(command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_commands_and_queries_of_the_page_run(command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     duckdb = pytest.importorskip("duckdb")
     monkeypatch.chdir(tmp_path)
     lines = [line for block in _blocks("bash") for line in block.splitlines()]

@@ -31,7 +31,7 @@ def _fetched(url: str, folder: Path) -> list[dict]:
     return rows_of(folder)
 
 
-def test_from_s3_to_s3_through_errors_and_half_files(
+def test_reads_and_writes_s3_despite_errors_and_partial_files(
     s3: FlakyProxy, plant: Path, estimated: Path, tmp_path: Path, monkeypatch
 ):
     import s3fs
@@ -58,7 +58,7 @@ def test_from_s3_to_s3_through_errors_and_half_files(
     assert (estimate().done, estimate().kept) == (0, 5)
 
 
-def test_a_store_that_never_gives_a_file_is_a_row_that_is_tried_again(s3, plant, tmp_path):
+def test_a_file_that_cannot_be_fetched_is_a_row_that_is_retried(s3, plant, tmp_path):
     _upload(plant / "robot_0001", "s3://plant/hall/robot_0001")
     question = make_question("estimate", None, None)
 
@@ -73,7 +73,7 @@ def test_a_store_that_never_gives_a_file_is_a_row_that_is_tried_again(s3, plant,
     assert (estimate().done, estimate().failed) == (2, [])
 
 
-def test_a_store_that_does_not_answer_is_usage(s3: FlakyProxy, tmp_path: Path):
+def test_an_unanswering_store_is_a_usage_error(s3: FlakyProxy, tmp_path: Path):
     s3.fault = lambda *_: "500"
     question = make_question("estimate", None, None)
     for source, out in (("s3://plant/hall", str(tmp_path)), (str(tmp_path), "s3://plant/out")):
@@ -81,7 +81,7 @@ def test_a_store_that_does_not_answer_is_usage(s3: FlakyProxy, tmp_path: Path):
             run_fleet(source, question, out, lambda _: InProcess(), Console(-1))
 
 
-def test_half_a_file_is_not_taken_for_a_whole_one(tmp_path: Path, s3: FlakyProxy):
+def test_a_partial_file_is_not_accepted(tmp_path: Path, s3: FlakyProxy):
     there = Store("s3://plant/x")
     there.put("a/b.bin", b"0123456789")
     (file,) = there.files()
@@ -90,7 +90,7 @@ def test_half_a_file_is_not_taken_for_a_whole_one(tmp_path: Path, s3: FlakyProxy
         there.fetch(StoredFile(file.path, 11, file.stamp), tmp_path)
 
 
-def test_a_local_file_is_written_whole_or_not_at_all(tmp_path: Path):
+def test_a_local_file_is_written_atomically(tmp_path: Path):
     there = Store(str(tmp_path / "folder"))
     there.put("a/b", b"one")
     there.put("a/b", b"two")
@@ -102,7 +102,7 @@ def test_a_local_file_is_written_whole_or_not_at_all(tmp_path: Path):
     assert there.names("nothing") == []
 
 
-def test_a_store_that_cannot_be_reached_is_usage(monkeypatch):
+def test_an_unreachable_store_is_a_usage_error(monkeypatch):
     import fsspec.core
 
     def refused(url: str) -> None:

@@ -34,7 +34,7 @@ def year(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_wear_steps_and_the_family_are_found(command, year: Path, tmp_path: Path):
+def test_finds_wear_steps_and_the_affected_family(command, year: Path, tmp_path: Path):
     found = command("fleet", "trends", year, "--columns", year / "_machines.csv", "-o", tmp_path / "t", "--json")
     truth = _truth(year)
     alarms = {(one["robot"], one["joint"]): one for one in found["alarms"]}
@@ -77,7 +77,7 @@ def test_estimates_of_logs_show_the_wear_that_was_simulated(command, arm: str, t
     assert (tmp_path / "trends" / "_estimates" / "rows.parquet").is_file()
 
 
-def test_few_runs_say_nothing_and_no_result_is_usage(command, estimated: Path, tmp_path: Path):
+def test_few_runs_raise_no_alarm_and_a_missing_result_is_a_usage_error(command, estimated: Path, tmp_path: Path):
     found = command("fleet", "trends", estimated, "--json")
     assert (found["machines"], found["too_few_runs"], found["series"]) == (6, 6, 0)
     with pytest.raises(InputError, match="no result of a fleet"):
@@ -87,7 +87,7 @@ def test_few_runs_say_nothing_and_no_result_is_usage(command, estimated: Path, t
         command("fleet", "trends", estimated, "--columns", tmp_path / "t.csv")
 
 
-def test_a_family_needs_machines_that_differ(tmp_path: Path):
+def test_finds_a_family_only_if_its_machines_differ(tmp_path: Path):
     (tmp_path / "t.csv").write_text("robot,cell\n" + "".join(f"r{k},{k % 2}\n" for k in range(40)), encoding="utf-8")
     columns = read_columns([tmp_path / "t.csv"])
     robots, rng = [f"r{k}" for k in range(40)], np.random.default_rng(2)
@@ -131,7 +131,7 @@ def test_a_thousand_machines_over_a_year(tmp_path: Path, measured):
 
 
 @pytest.mark.parametrize("text", ["robot,halle\nrobot_0000,S\xfcd\n", "robot,K\xfchlung\nrobot_0000,1\n"])
-def test_a_table_that_is_not_utf_8_is_usage(tmp_path: Path, text: str):
+def test_a_table_that_is_not_utf_8_is_a_usage_error(tmp_path: Path, text: str):
     (tmp_path / "t.csv").write_bytes(text.encode("latin-1"))
     with pytest.raises(InputError, match="save it as CSV in UTF-8"):
         read_columns([tmp_path / "t.csv"])

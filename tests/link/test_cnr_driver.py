@@ -23,7 +23,7 @@ from tests.link.cnr_script import Script, feedback, motion, success
 # --- the address
 
 
-def test_a_real_controller_is_its_address():
+def test_a_plain_address_has_the_default_ports():
     assert parse_address("192.168.254.245") == CnrAddress(
         "192.168.254.245", 1212, 1213, 1214, 21, "anonymous", "", "", ("192.168.254.245", 1883), "robot/arm1"
     )
@@ -61,7 +61,7 @@ def test_other_addresses_say_what_is_allowed(text, said):
         create("cnr_comau", text)
 
 
-def test_what_the_driver_offers_goes_by_its_address():
+def test_the_address_selects_what_the_driver_offers():
     programs, points = create("cnr_comau", "c5g"), create("cnr_comau", "c5g,mode=points")
     for driver in (programs, points):
         assert isinstance(driver, Driver)
@@ -93,7 +93,7 @@ def linked():
 
 
 @pytest.mark.parametrize("order", [cnr.LITTLE, cnr.BIG])
-def test_feedback_and_status_come_back_as_they_came(linked, order):
+def test_feedback_and_status_are_passed_on_unchanged(linked, order):
     script, sockets = linked(order=order)
     for _ in range(10):
         assert script.answered.acquire(timeout=10)
@@ -109,7 +109,7 @@ def test_a_command_that_is_not_answered_is_not_sent_again(linked):
     assert [m.type for m in script.heard].count(MessageType.START) == 1
 
 
-def test_a_start_that_is_seen_to_act_is_watched_without_its_answer(linked):
+def test_watches_a_start_that_acts_before_its_answer(linked):
     class Moves:
         """As the motion that the driver follows: stationary before the start, in motion once it was heard."""
 
@@ -128,7 +128,7 @@ def test_a_start_that_is_seen_to_act_is_watched_without_its_answer(linked):
 
 
 @pytest.mark.parametrize(("moves", "kind"), [(0, RefusedError), (1, DriverError)])
-def test_a_start_that_is_refused_because_the_arm_moves_is_no_refusal(linked, moves, kind):
+def test_a_start_refused_while_the_arm_moves_counts_as_started(linked, moves, kind):
     """Programs that still have the permission of the trajectory before begin with the first points that come."""
     script, sockets = linked(lambda message: success(message, done=message.type != MessageType.START))
     script.feedback = feedback(10, moves=moves)
@@ -161,7 +161,7 @@ def test_programs_that_do_not_answer_a_ping_are_refused(linked):
         linked(lambda _: None, timeout=patience(0.3))
 
 
-def test_a_client_that_is_one_too_many_is_told(linked):
+def test_reports_one_client_too_many(linked):
     script = Script(success)
     script._feedbacks = lambda connection: None
     for listener in script.listeners:
@@ -175,7 +175,7 @@ def test_a_client_that_is_one_too_many_is_told(linked):
     script.close()
 
 
-def test_a_turn_that_fails_ends_the_link_with_a_message(linked):
+def test_an_error_in_the_link_loop_ends_the_link_with_a_message(linked):
     script = Script(success)
     failures = []
 
@@ -199,7 +199,7 @@ def via(count, stops=()):
     ]
 
 
-def test_points_are_what_the_program_says_in_the_units_of_the_wire():
+def test_via_points_match_the_program_in_wire_units():
     (first, second), (third,) = trajectories(via(3, stops=(1,)), 2)
     assert (first.sequence_number, second.sequence_number, third.sequence_number) == (1, 2, 1)
     assert (first.fly_tolerance, second.fly_tolerance, first.linear_vel) == (20.0, 0.0, 0.5)
@@ -217,7 +217,7 @@ def test_points_are_what_the_program_says_in_the_units_of_the_wire():
         ([ViaPoint(np.zeros(2), -1.0, 0.5), *via(1)], "fly_tolerance -1"),
     ],
 )
-def test_points_that_say_nothing_are_refused(points, said):
+def test_refuses_invalid_via_points(points, said):
     with pytest.raises(RefusedError, match=said):
         trajectories(points, 2)
 
@@ -226,13 +226,13 @@ def sent(script):
     return [(message.type, message.record.sequence_number) for message in script.heard if message.type != 1]
 
 
-def test_points_go_in_order_and_the_last_is_followed_by_the_end(linked):
+def test_sends_points_in_order_and_then_the_end(linked):
     script, sockets = linked()
     _Feeder(sockets, trajectories(via(4), 2)).fill(motion())
     assert sent(script) == [(3001, 1), (3001, 2), (3001, 3), (3001, 4), (3002, 0)]
 
 
-def test_a_full_queue_waits_for_space_and_no_taken_point_is_sent_again(linked):
+def test_a_full_queue_waits_and_accepted_points_are_not_resent(linked):
     """The queue takes the second point and is full, but refuses nothing; two pings later it has space again."""
     pings = []
 
@@ -257,7 +257,7 @@ def test_a_full_queue_waits_for_space_and_no_taken_point_is_sent_again(linked):
     assert len(pings) == 4
 
 
-def test_a_point_that_a_full_queue_did_not_take_is_sent_when_there_is_space(linked):
+def test_a_point_rejected_by_a_full_queue_is_sent_again_later(linked):
     seen = []
 
     def reply(message):
@@ -282,7 +282,7 @@ def test_a_sequence_error_refuses_the_motion(linked):
     assert sent(script) == [(3001, 1)]
 
 
-def test_an_answer_that_comes_late_is_found_behind_a_ping(linked):
+def test_a_ping_flushes_a_late_answer(linked):
     kept = []
 
     def reply(message):
@@ -298,14 +298,14 @@ def test_an_answer_that_comes_late_is_found_behind_a_ping(linked):
     assert sent(script) == [(3001, 1), (3001, 2), (3002, 0)]
 
 
-def test_a_point_that_nobody_answers_for_is_not_sent_again(linked):
+def test_an_unanswered_point_is_not_resent(linked):
     script, sockets = linked(lambda m: None if m.type == MessageType.POINT else success(m), timeout=patience(0.3))
     with pytest.raises(DriverError, match="not sent again"):
         _Feeder(sockets, trajectories(via(2), 2)).fill(motion())
     assert sent(script) == [(3001, 1)]
 
 
-def test_the_end_of_a_trajectory_before_is_not_that_of_the_next(linked):
+def test_the_end_of_an_earlier_trajectory_does_not_end_the_next(linked):
     script, sockets = linked()
     feeder = _Feeder(sockets, trajectories(via(4, stops=(1,)), 2))  # both have two points
     feeder.fill(motion())

@@ -62,7 +62,7 @@ def test_a_broker_that_ends_in_motion_stops_the_arm(arm, own_broker):
         assert controller.motions_started == 1
 
 
-def test_torque_is_the_sensors_whichever_way_it_went(arm, broker):
+def test_torque_from_currents_equals_the_measured_torque(arm, broker):
     """Through currents and back: what the driver hands out is what the controller measured."""
     controller = build_controller(arm, seed=3, clock="fast")
     with (
@@ -78,7 +78,7 @@ def test_torque_is_the_sensors_whichever_way_it_went(arm, broker):
         np.testing.assert_allclose(got[name][at : at + len(values) - 1], values[1:], rtol=1e-9, atol=1e-9)
 
 
-def test_points_that_were_stopped_are_not_held_for_the_next_start(broker):
+def test_points_of_a_stopped_motion_are_not_kept_for_the_next(broker):
     """The programs go on with what was stopped only; nobody expects that of a start."""
     away, back = (ViaPoint(np.radians([turn, 0.0, -90.0, 0.0, 20.0, 0.0]), 0.0, 0.05) for turn in (10.0, 0.0))
     controller = build_controller("comau_ns16", seed=3, clock="fast")
@@ -102,7 +102,7 @@ def test_points_that_were_stopped_are_not_held_for_the_next_start(broker):
     assert controller.ends == [EndReason.DONE, EndReason.STOPPED, EndReason.DONE]
 
 
-def test_a_person_starts_the_program_and_has_to_stop_it(arm, broker):
+def test_with_start_by_hand_an_operator_starts_and_stops(arm, broker):
     """The socket programs know nothing of a program that was started by hand: they ignore a stop."""
     told = []
     controller = build_controller(arm, seed=3, clock="fast")
@@ -158,7 +158,7 @@ def test_ten_minutes_at_500_hz(tmp_path, broker, measured):
 
 
 @pytest.mark.parametrize("mended", [False, True])
-def test_a_controller_whose_watchdog_nobody_vouches_for_is_told_of(arm, broker, tmp_path, mended, monkeypatch):
+def test_warns_of_a_controller_without_a_confirmed_watchdog(arm, broker, tmp_path, mended, monkeypatch):
     """By the driver, and by `agent check`."""
     write = FtpFolder.write_identity
 

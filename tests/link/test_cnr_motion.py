@@ -44,7 +44,7 @@ def joined(joiner, given):
     seed=st.integers(0, 1000),
     reach=st.integers(1, 20),
 )
-def test_whatever_the_order_every_sample_is_joined_once(count, jitter, late, seed, reach):
+def test_joins_every_sample_once_in_any_order(count, jitter, late, seed, reach):
     given = messages(count, jitter, late)
     rng = np.random.default_rng(seed)
     order = np.argsort(np.arange(len(given)) + rng.uniform(0, reach, len(given)), kind="stable")
@@ -60,7 +60,7 @@ def test_whatever_the_order_every_sample_is_joined_once(count, jitter, late, see
 
 @settings(deadline=None, max_examples=20)
 @given(count=st.integers(300, 400), lost=st.sets(st.integers(3, 500), max_size=20))
-def test_a_message_that_never_comes_costs_its_sample_and_no_other(count, lost):
+def test_a_lost_message_loses_one_sample(count, lost):
     given = messages(count)
     joiner = Joiner(CHANNELS, PERIOD)
     times, _ = joined(joiner, [message for k, message in enumerate(given) if k not in lost])
@@ -75,7 +75,7 @@ def test_a_message_that_never_comes_costs_its_sample_and_no_other(count, lost):
     assert missing == len([k for k in known if k // 3 not in absent])
 
 
-def test_what_comes_twice_or_late_is_counted():
+def test_repeated_and_late_messages_are_counted():
     joiner = Joiner(CHANNELS, PERIOD)
     given = messages(4)
     joined(joiner, [given[0], given[0], *given[1:6], given[1]])
@@ -84,7 +84,7 @@ def test_what_comes_twice_or_late_is_counted():
     assert (joiner.counts.duplicate, joiner.counts.late) == (0, 0)
 
 
-def test_memory_is_bounded_where_a_topic_is_dead():
+def test_memory_stays_bounded_if_a_topic_is_silent():
     joiner = Joiner(CHANNELS, PERIOD)
     for k in range(30_000):
         joiner.add(0, 2000 * k, (0.0,) * 10)
@@ -93,7 +93,7 @@ def test_memory_is_bounded_where_a_topic_is_dead():
     assert Joiner(CHANNELS, PERIOD).silent_channels() == list(CHANNELS)
 
 
-def test_a_clock_that_is_set_back_begins_anew():
+def test_a_clock_set_back_restarts_the_joiner():
     joiner = Joiner(CHANNELS, PERIOD)
     joined(joiner, messages(1000))
     times, _ = joined(joiner, messages(10))
@@ -118,7 +118,7 @@ def moving(time):
     behind=st.integers(0, 150),
 )
 @example(offset=0.0, drift=0.0, phase=0.02, behind=0)
-def test_the_clocks_are_aligned_by_what_both_saw(offset, drift, phase, behind):
+def test_aligns_the_clocks_by_the_common_motion(offset, drift, phase, behind):
     """Feedbacks every 20 ms in whole milliseconds; samples on their own clock, delayed by a number of feedbacks."""
     match, length = ClockMatch(), 5.0
     feedback, sample = np.arange(phase, length, 0.02), np.arange(0.0, length, 0.002)
@@ -134,7 +134,7 @@ def test_the_clocks_are_aligned_by_what_both_saw(offset, drift, phase, behind):
     assert match.offset() == pytest.approx(offset + 3.0 * drift, rel=1e-15, abs=1e-3)
 
 
-def test_an_arm_that_rests_tells_no_clock():
+def test_a_stationary_arm_gives_no_clock_offset():
     match = ClockMatch()
     for k in range(5000):
         match.feedback(0.02 * k, np.zeros(2))
@@ -158,7 +158,7 @@ def ramp(times):
     return np.maximum(0.0, np.asarray(times)[:, None] - 1.0) ** 2 * [10.0, 5.0]
 
 
-def test_torque_is_current_times_constant_and_every_sample_from_the_start_on_is_handed_on():
+def test_converts_currents_to_torque_and_delivers_every_sample():
     run = motion()
     times = np.arange(0.0, 3.0, 0.002)
     way = ramp(np.minimum(times, 2.0))
@@ -179,7 +179,7 @@ def test_torque_is_current_times_constant_and_every_sample_from_the_start_on_is_
     np.testing.assert_allclose(np.concatenate([b.position for b in blocks]), np.radians(ramp(np.minimum(time, 2.0))))
 
 
-def test_an_arm_that_rests_on_the_way_is_watched_there_too():
+def test_watches_the_arm_during_pauses():
     """Nothing is held back until the set-points change again."""
     run = motion()
     times = np.arange(0.0, 3.0, 0.002)
@@ -188,7 +188,7 @@ def test_an_arm_that_rests_on_the_way_is_watched_there_too():
     assert sum(len(block) for block in run._ready) == len(times)
 
 
-def test_a_motion_that_a_person_starts_has_little_rest_before_it():
+def test_trims_the_rest_before_a_motion_started_by_hand():
     run = motion(is_over=None)
     times = np.arange(0.0, 2.0, 0.002)
     for k in range(0, len(times), 10):
@@ -260,7 +260,7 @@ def test_samples_that_a_busy_broker_still_has_are_waited_for_when_the_motion_fai
 
 @settings(deadline=None, max_examples=20)
 @given(size=st.integers(20, 2000))
-def test_samples_of_a_clock_that_went_back_are_none_of_the_motion(size):
+def test_drops_samples_after_a_clock_went_back(size):
     """However many arrive at once, before and after in one go among them."""
     run = motion()
     times = np.concatenate([np.arange(10.0, 12.0, 0.002), np.arange(0.0, 2.0, 0.002)])
@@ -300,7 +300,7 @@ def test_a_motion_that_fails_does_not_wait_for_a_broker_that_is_gone():
         ({}, "by hand"),
     ],
 )
-def test_a_stop_by_the_controller_has_its_reason(change, said):
+def test_reports_the_reason_of_a_controller_stop(change, said):
     state = cnr.StatusMessage(**{**READY.__dict__, **change})
     run = motion(broker=False)
     run.feedbacks([feedback(20), feedback(40)], READY)
@@ -312,7 +312,7 @@ def test_a_stop_by_the_controller_has_its_reason(change, said):
     assert (stop_reason(state) is None) == (not change)
 
 
-def test_a_stop_is_believed_when_the_arm_rests_not_when_the_flag_falls():
+def test_a_stop_is_confirmed_by_rest_not_by_the_flag():
     run = motion(broker=False)
     run.stopping = True
     for k in range(30):
@@ -322,7 +322,7 @@ def test_a_stop_is_believed_when_the_arm_rests_not_when_the_flag_falls():
     list(run.blocks())
 
 
-def test_a_start_may_still_be_taken_up_after_a_stop_that_was_ignored():
+def test_a_start_may_take_effect_after_an_ignored_stop():
     run = motion(broker=False)
     run.stopping = True
     for k in range(9):
@@ -332,7 +332,7 @@ def test_a_start_may_still_be_taken_up_after_a_stop_that_was_ignored():
     assert not run.over
 
 
-def test_a_short_rest_on_the_way_is_no_stop():
+def test_a_short_pause_is_not_a_stop():
     run = motion(broker=False)
     run.feedbacks([feedback(20)], READY)
     for k in range(5):
@@ -345,7 +345,7 @@ def test_a_short_rest_on_the_way_is_no_stop():
     assert len(list(run.blocks())) == 8
 
 
-def test_a_program_started_by_hand_is_over_when_the_arm_has_rested():
+def test_a_program_started_by_hand_ends_with_a_rest():
     run = motion(is_over=None, broker=False)
     for k in range(150):
         now = 20 * k

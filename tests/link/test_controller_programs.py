@@ -36,7 +36,7 @@ def run():
     return go
 
 
-def test_every_file_is_on_the_page_and_fits_a_translator():
+def test_every_program_is_documented_and_fits_the_translator():
     page = (DOCS / "controller-programs.md").read_text(encoding="utf-8")
     files = sorted(FOLDER.glob("*.pdl"))
     assert len(files) == 4
@@ -46,7 +46,7 @@ def test_every_file_is_on_the_page_and_fits_a_translator():
 
 
 @pytest.mark.parametrize("file", sorted(FOLDER.glob("*.pdl")), ids=lambda file: file.stem)
-def test_every_word_of_them_was_seen_in_a_published_program(file):
+def test_uses_only_words_of_published_programs(file):
     """The page on PDL2 says where; strings, comments and names of their own are no words of the language."""
     seen = set(
         re.findall(r"\$?[A-Z][A-Z_0-9]+", (DOCS / "pdl2.md").read_text(encoding="utf-8").partition("## Where each")[2])
@@ -58,7 +58,7 @@ def test_every_word_of_them_was_seen_in_a_published_program(file):
 
 
 @pytest.mark.parametrize("name", ["agent_watch.pdl", "agent_start.pdl"])
-def test_what_watches_and_starts_moves_nothing_itself(name, run):
+def test_the_watch_and_start_programs_contain_no_move(name, run):
     statements, _ = run(name)
     assert not [one for one in statements if hasattr(one, "target")]
 

@@ -47,7 +47,7 @@ def test_a_stop_near_the_end_ends_at_the_end():
 
 @given(begin=st.integers(0, 990), ratio=st.sampled_from([0.1, 0.5, 0.9, 2.0]))
 @settings(max_examples=50, deadline=None)
-def test_a_turn_of_the_override_keeps_to_path_and_limits(begin, ratio):
+def test_an_override_change_keeps_path_and_limits(begin, ratio):
     """Whenever it comes: at the beginning the arm still gains speed, at the end it has little way left."""
     t = np.linspace(0, np.pi, 1000)[:, None]
     limits = np.array([4.0, 8.0])
@@ -83,7 +83,7 @@ def move(a: float, fly: bool = False) -> Move:
     return Move(MoveType.JOINT, JointTarget(np.array([a, -a])), fly=fly)
 
 
-def test_a_chain_ends_where_the_arm_stops():
+def test_a_fly_chain_ends_at_a_stop():
     recorder = Recorder()
     statements = [move(1), move(2, fly=True), move(3, fly=True), move(4), Delay(0.5), move(5, fly=True)]
     chains = list(Planner(recorder).chains(statements, np.zeros(2)))
@@ -99,7 +99,7 @@ def test_a_delay_ends_a_fly_chain():
     assert recorder.planned == [1, 1]
 
 
-def test_a_repeated_cycle_is_planned_once():
+def test_plans_a_repeated_cycle_once():
     recorder = Recorder()
 
     def cycles():
@@ -111,7 +111,7 @@ def test_a_repeated_cycle_is_planned_once():
     assert recorder.planned == [3]
 
 
-def test_few_plans_are_remembered():
+def test_caches_a_limited_number_of_plans():
     recorder = Recorder()
     planner = Planner(recorder, remembered=3)
     list(planner.chains((move(k) for k in range(50)), np.zeros(2)))

@@ -30,13 +30,13 @@ def fetched(ftp, name):
     return data.getvalue()
 
 
-def test_a_ping_by_the_byte(bench):
+def test_a_ping_has_the_golden_bytes(bench):
     link = bench.trajectory()
     link.socket.sendall(bytes.fromhex("4c000000 01000000 02000000 00000000") + bytes(64))
     assert link.read() == bytes.fromhex("4c000000 01000000 03000000 01000000 01000000 01000000 00000000") + bytes(52)
 
 
-def test_the_status_by_the_byte(bench):
+def test_the_status_has_the_golden_bytes(bench):
     link = bench.connected(Socket(bench.status_port))
     expected = bytes.fromhex(
         "28000000 0d000000 02000000 0000000001000000 00000000 00000000 00000000 00000000 02000000 01000000"
@@ -44,7 +44,7 @@ def test_the_status_by_the_byte(bench):
     assert link.read() == expected
 
 
-def test_a_record_comes_once_the_last_is_answered(bench):
+def test_sends_a_record_after_the_last_is_answered(bench):
     link = bench.connected(Socket(bench.feedback_port))
     first = link.read()
     assert first[:20] == bytes.fromhex("cc000000 bc0b0000 02000000 00000000 01000000")
@@ -77,7 +77,7 @@ def test_a_state_that_forbids_motion_shows_and_does(bench, changes, fields):
     assert bench.controller.motions_started == 0
 
 
-def test_the_folder_says_whose_controller_it_is(bench):
+def test_the_folder_identifies_the_controller(bench):
     identity = json.loads(fetched(bench.ftp(), "agent_identity.json"))
     assert (identity["robot"], identity["serial"], identity["period"]) == ("small_arm", "FAKE-0003", 0.002)
     assert (identity["joint_names"], identity["emulator"]) == (["shoulder", "elbow"], True)
@@ -140,7 +140,7 @@ def test_the_same_start_acts_once(bench):
     assert bench.controller.motions_started == 1
 
 
-def test_nothing_starts_that_nobody_chose(bench):
+def test_starts_only_a_selected_program(bench):
     link = bench.trajectory()
     bench.ftp().storbinary("STOR p.pdl", io.BytesIO(SHORT.encode()))
     assert not link.done(start(1))
@@ -149,7 +149,7 @@ def test_nothing_starts_that_nobody_chose(bench):
     assert bench.controller.motions_started == 0
 
 
-def test_a_program_that_is_none_leaves_line_column_and_reason(bench):
+def test_an_invalid_program_reports_line_column_and_reason(bench):
     ftp = bench.ftp()
     ftp.storbinary("STOR p.pdl", io.BytesIO(program("  FLIP TO {20, -30}").encode()))
     line, column, reason = fetched(ftp, "p.err").decode().split(maxsplit=2)
@@ -179,7 +179,7 @@ def test_what_is_stored_can_be_read_back(bench):
         ("p.pdl", 2_000_000, "552"),
     ],
 )
-def test_what_the_folder_does_not_take(bench, name, size, code):
+def test_the_folder_refuses_invalid_names_and_sizes(bench, name, size, code):
     ftp = bench.ftp()
     with pytest.raises((ftplib.error_perm, OSError), match=f"{code}|reset|pipe"):
         ftp.storbinary(f"STOR {name}", io.BytesIO(b"x" * size))
@@ -192,7 +192,7 @@ def test_nothing_outside_the_folder_can_be_read(bench):
             fetched(bench.ftp(), name)
 
 
-def test_full_memory(serve):
+def test_a_full_memory_refuses_the_upload(serve):
     bench = serve(faults=[Fault("full_memory", "upload")])
     with pytest.raises(ftplib.error_perm, match="552 the program memory is full"):
         bench.store(SHORT)

@@ -110,7 +110,7 @@ def test_a_stop_brings_the_arm_to_rest_on_its_path(bench, kind):
 
 
 @pytest.mark.parametrize(("kind", "goes_on"), [(3011, True), (3012, False)])
-def test_a_stop_holds_the_points_and_a_cancel_drops_them(serve, kind, goes_on):
+def test_a_stop_keeps_the_points_and_a_cancel_drops_them(serve, kind, goes_on):
     bench = serve(robot="comau_ns16")
     feedback, link = bench.feedback(), bench.trajectory()
     bench.store(program("  MOVE JOINT TO {0, 0, -90, 0, 20, 0}"))
@@ -194,7 +194,7 @@ def test_switching_off_the_programs_ends_the_connection(bench):
         link.read()
 
 
-def test_an_arm_that_rests_is_held(bench, broker):
+def test_currents_of_a_stationary_arm_carry_gravity(bench, broker):
     """Before and after a motion: the currents of a stationary arm carry gravity."""
     samples = bench.connected(Samples(broker))
     samples.first("motor_currents")
@@ -203,7 +203,7 @@ def test_an_arm_that_rests_is_held(bench, broker):
     assert np.abs(currents[0] * [50, -32]).max() > 10
 
 
-def test_a_topic_in_real_time(serve, broker):
+def test_publishes_a_topic_in_real_time(serve, broker):
     bench = serve(clock="real")
     samples = bench.connected(Samples(broker))
     times, _ = samples.until("motor_currents", samples.first("motor_currents") + 200_000)
@@ -225,7 +225,7 @@ def test_topics_that_fall_silent(serve, broker, fault, silent):
 
 
 @pytest.mark.parametrize(("fault", "status"), [("queue_full", 2), ("sequence_error", 3)])
-def test_a_queue_that_takes_nothing(serve, fault, status):
+def test_a_stuck_queue_accepts_no_points(serve, fault, status):
     link = serve(faults=[Fault(fault, "upload")]).trajectory()
     header, body = link.ask(point(1, (20, -30)))
     assert (header[3], body[1]) == (2, status)
@@ -241,7 +241,7 @@ def test_a_restart_forgets_programs_and_clients(serve):
     assert bench.ftp().nlst() == ["agent_identity.json"]
 
 
-def test_counters_that_begin_anew(serve, broker):
+def test_counters_restart_at_zero(serve, broker):
     bench = serve(faults=[Fault("reset_counters", "streaming", 0.5)])
     samples = bench.connected(Samples(broker))
     feedback, link = bench.feedback(), bench.trajectory()

@@ -81,7 +81,7 @@ def test_the_tool_passes_every_programmed_position(tool, base, uframe, seed, via
 
 @given(frames(900), frames(900), frames(900))
 @settings(max_examples=30, deadline=None)
-def test_the_fake_tells_the_tool_point_in_the_user_frame(base, tool, uframe):
+def test_reports_the_tool_point_in_the_user_frame(base, tool, uframe):
     expected = se3(uframe).actInv(se3(base) * flange(START) * se3(tool))
     told = tool_point(flange(START).homogeneous, base, tool, uframe)
     np.testing.assert_allclose(told.matrix, expected.homogeneous, atol=1e-9)
@@ -89,14 +89,14 @@ def test_the_fake_tells_the_tool_point_in_the_user_frame(base, tool, uframe):
 
 
 @pytest.mark.parametrize("e", [0.0, 180.0])
-def test_euler_angles_that_are_not_determined_still_make_the_frame(e):
+def test_singular_euler_angles_give_the_right_frame(e):
     fields = (1.0, 2.0, 3.0, 50.0, e, -170.0)
     again = Transform.of_pos(Transform.of_pos(fields).pos).matrix
     np.testing.assert_allclose(again, se3(fields).homogeneous, atol=1e-9)
     np.testing.assert_allclose(again, pos_to_pose(np.array(fields)), atol=1e-9)
 
 
-def test_both_sides_know_the_same_system_variables():
+def test_agent_and_fake_know_the_same_system_variables():
     assert set(FACTORY) == set(SYSTEM_VARIABLES)
 
 
@@ -105,7 +105,7 @@ def linear(settings: Pdl2Settings) -> str:
     return write_program("p", [Move(MoveType.LINEAR, CartesianTarget(pos_to_pose(pose)), settings)], ROBOT)
 
 
-def test_a_program_that_sets_no_frames_goes_by_those_of_the_one_before():
+def test_a_program_without_frames_uses_those_of_the_previous_one():
     """That is why ours set them all."""
     framed = Pdl2Settings(base=NO_FRAME, tool=NO_FRAME, uframe=NO_FRAME)
     (alone,) = run_on_the_fake(linear(Pdl2Settings()), dict(FACTORY))
@@ -120,7 +120,7 @@ def test_a_program_that_sets_no_frames_goes_by_those_of_the_one_before():
 
 
 @pytest.mark.parametrize(("say", "end"), [("$JNT_MTURN := TRUE\n", 300.0), ("", -60.0)])
-def test_a_left_over_flag_takes_the_short_way_round_where_a_program_does_not_say(say, end):
+def test_a_turn_flag_left_by_another_program_changes_the_way_round(say, end):
     text = f"PROGRAM p\nBEGIN\n{say}MOVE JOINT TO {{0, 0, -90, 0, 30, 300}}\nEND p\n"
     (way,) = run_on_the_fake(text, left_over(0), np.radians([0, 0, -90, 0, 30, 0]))
     assert np.degrees(way[-1, 5]) == pytest.approx(end)

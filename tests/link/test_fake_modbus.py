@@ -72,7 +72,7 @@ class ByHand:
         return checksum
 
 
-def test_a_command_said_twice_acts_once(server):
+def test_a_repeated_command_acts_once(server):
     with ByHand(server, 5) as hand:
         assert hand.give(1, wire.Command.OPEN) == 0
         checksum = hand.store(2, SHORT)
@@ -87,7 +87,7 @@ def test_a_command_said_twice_acts_once(server):
     assert server.controller.motions_started == 1
 
 
-def test_a_client_without_heartbeat_loses_the_arm_and_the_controller(server):
+def test_a_client_without_heartbeat_loses_control(server):
     with ByHand(server, 5) as hand:
         assert hand.give(1, wire.Command.OPEN) == 0
         checksum = hand.store(2, LONG)
@@ -101,7 +101,7 @@ def test_a_client_without_heartbeat_loses_the_arm_and_the_controller(server):
         assert driver.identify().robot == "small_arm"
 
 
-def test_a_client_that_was_cut_off_does_not_find_its_session_again(server, monkeypatch):
+def test_a_disconnected_client_gets_no_old_session(server, monkeypatch):
     """A line that comes back before the client gave up: its motion ran unwatched, so nothing goes on."""
     monkeypatch.setattr(registers, "IDLE_LIMIT", 0.1)
     with ByHand(server, 5) as hand:
@@ -122,7 +122,7 @@ def test_a_client_that_was_cut_off_does_not_find_its_session_again(server, monke
 
 @settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(count=st.integers(1, 100), parts=st.lists(st.integers(1, 400), max_size=5))
-def test_requests_that_come_while_one_is_carried_out_are_answered_too(server, count, parts):
+def test_requests_during_another_request_are_answered(server, count, parts):
     """A client that took a slow answer for lost asks again: the second request must not be the one that is lost."""
     requests = b"".join(
         struct.pack(">HHHBBHH", k, 0, 6, wire.UNIT, 3, wire.IDENTITY.address, 2) for k in range(1, count + 1)
@@ -145,7 +145,7 @@ def test_a_client_that_never_waits_for_answers_is_cut_off(server):
         assert hand.read(wire.IDENTITY)["magic"] == wire.MAGIC
 
 
-def test_writes_that_are_refused(server):
+def test_refuses_invalid_writes(server):
     with ByHand(server, 5) as hand:
         assert hand.write(wire.HEARTBEAT, session=5, count=1, taken=0) == 7
         assert hand.give(1, wire.Command.OPEN, watchdog=5000) == 0

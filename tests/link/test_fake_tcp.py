@@ -46,7 +46,7 @@ def run(driver, text, name="p"):
     return list(driver.samples())
 
 
-def test_who_and_how(driver, server):
+def test_reports_identity_and_status(driver, server):
     identity = driver.identify()
     assert (identity.robot, identity.joint_names, identity.period) == ("small_arm", ("shoulder", "elbow"), 0.002)
     assert identity.serial == "FAKE-0003"
@@ -83,7 +83,7 @@ def test_an_arm_rests_for_a_delay_where_the_motion_before_left_it(driver):
     np.testing.assert_allclose(reference[:50], np.repeat(GOAL[None], 50, axis=0), rtol=1e-12)
 
 
-def test_in_real_time(arm):
+def test_delivers_samples_in_real_time(arm):
     with closing(TcpServer(build_controller(arm, 3, "real"))) as server, closing(TcpDriver(server.address)) as driver:
         driver.connect()
         blocks = run(driver, program("  MOVE JOINT TO {2, -3}"))
@@ -92,7 +92,7 @@ def test_in_real_time(arm):
     assert driver.gaps == ()
 
 
-def test_what_cannot_be_reached_is_refused_before_anything_moves(driver, server):
+def test_refuses_an_unreachable_target_before_motion(driver, server):
     checksum = driver.upload("p", program("  MOVE JOINT TO {500, 0}"))
     with pytest.raises(RefusedError, match=r"motion, line 5"):
         driver.start("p", checksum)
@@ -163,12 +163,12 @@ def test_every_refusal_has_its_reason(driver, server):
 
 
 @pytest.mark.parametrize("name", ["", "1p", "p q", "x" * 33, "../p"])
-def test_names_that_no_program_can_have(driver, name):
+def test_refuses_invalid_program_names(driver, name):
     with pytest.raises(RefusedError, match="cannot name a program"):
         driver.upload(name, SHORT)
 
 
-def test_too_large_a_program(driver):
+def test_refuses_a_too_large_program(driver):
     with pytest.raises(RefusedError, match="too large"):
         driver.upload("p", SHORT + "-- " + "x" * 1_100_000)
 
@@ -246,7 +246,7 @@ def test_a_motion_command_acts_once(server):
     assert server.controller.motions_started == 1
 
 
-def test_what_was_missed_can_be_fetched(server):
+def test_missed_samples_can_be_fetched(server):
     with Client(server).greet() as client:
         start = tcp.Start("p", client.store(SHORT), b"m" * 16)
         client.ask(start, 2)
@@ -259,7 +259,7 @@ def test_what_was_missed_can_be_fetched(server):
         assert client.ask(tcp.Fetch(end.samples, 20), 4).code == Refusal.NOT_AVAILABLE
 
 
-def test_a_client_that_falls_silent_loses_the_arm(server):
+def test_a_silent_client_loses_control_of_the_arm(server):
     with Client(server, watchdog_ms=50).greet() as client:
         client.ask(tcp.Start("p", client.store(LONG), b"m" * 16), 2)
         end = client.await_message(lambda _, message: isinstance(message, tcp.End))
@@ -283,7 +283,7 @@ def test_switching_off_brings_the_arm_to_rest_first(arm):
         TcpDriver(server.address).connect()
 
 
-def test_nothing_before_the_greeting(server):
+def test_refuses_requests_before_the_greeting(server):
     with Client(server) as client:
         assert client.ask(tcp.Identify()).code == Refusal.BAD_REQUEST
 

@@ -38,7 +38,7 @@ def planned(tool: np.ndarray) -> PlannedProgram:
     return PlannedProgram("loop", "", (), frames={"$TOOL": tool})
 
 
-def test_frames_are_read_and_compared_and_both_are_told(broker):
+def test_reports_both_frames_if_they_differ(broker):
     robot = load_robot("comau_ns16")
     controller = build_controller("comau_ns16", seed=3, clock="fast")
     with (
@@ -62,7 +62,7 @@ def test_frames_are_read_and_compared_and_both_are_told(broker):
             check_frames(planned(np.eye(4)), driver, "here")
 
 
-def test_a_frame_that_is_no_number_is_another():
+def test_a_non_finite_frame_differs():
     class Lost(TcpDriver):
         def frames(self):
             return {"$TOOL": MOUNTED * np.nan}
@@ -71,7 +71,7 @@ def test_a_frame_that_is_no_number_is_another():
         check_frames(planned(MOUNTED), Lost("127.0.0.1:1"), "here")
 
 
-def test_a_controller_that_tells_other_frames_only_is_not_asked_to_move():
+def test_refuses_motion_if_the_needed_frame_is_not_reported():
     class Other(TcpDriver):
         def frames(self):
             return {"$UFRAME": MOUNTED}
@@ -81,7 +81,7 @@ def test_a_controller_that_tells_other_frames_only_is_not_asked_to_move():
 
 
 @pytest.mark.parametrize("wire", [wire for wire in WIRES if wire != "cnr_comau"])
-def test_every_wire_has_the_frames_that_are_in_force(wire):
+def test_every_wire_reports_the_active_frames(wire):
     controller = build_controller("comau_ns16", seed=3, clock="fast")
     with (
         closing(open_server(wire, controller, watchdog=5.0, waits=True)) as server,
@@ -95,7 +95,7 @@ def test_every_wire_has_the_frames_that_are_in_force(wire):
             check_frames(planned(MOUNTED), driver, "here")
 
 
-def test_a_controller_of_before_does_not_say():
+def test_an_older_controller_reports_no_frames():
     """It refuses the question, or has no such registers; then it is as with a link that has no frames."""
     from drivers.wire import modbus, tcp
 
@@ -113,7 +113,7 @@ def test_a_controller_of_before_does_not_say():
     assert modbus.FRAMES.address + modbus.FRAMES.registers <= modbus.COMMAND.address
 
 
-def test_a_link_that_reads_no_frames_takes_no_program_that_leaves_them_open():
+def test_refuses_a_program_without_frames_on_a_link_that_reads_none():
     class Older(TcpDriver):
         def frames(self):
             return {}
@@ -135,6 +135,6 @@ def test_a_link_that_reads_no_frames_takes_no_program_that_leaves_them_open():
         ("$TOOL := POS(0, 0, 9, 0, 0, 0)", "MOVE LINEAR TO {0, 0, -90, 0, 5, 0}", []),
     ],
 )
-def test_what_a_program_leaves_open(said, move, names):
+def test_lists_frames_that_a_program_does_not_set(said, move, names):
     statements = parse_program(f"PROGRAM p\nBEGIN\n  {said}\n  {move}\nEND p\n").run()
     assert [*left_open(statements, Tool(frame=MOUNTED), FRAMES)] == names

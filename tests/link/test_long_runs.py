@@ -60,7 +60,7 @@ def cpu_of(process):
 
 
 @pytest.mark.parametrize("wire", ["modbus", "serial", "rtu"])
-def test_the_emulator_speaks_every_wire(tmp_path, wire):
+def test_the_emulator_serves_every_protocol(tmp_path, wire):
     name, *options = WIRES[wire]
     with emulator(tmp_path, "--clock", "fast", *options) as (process, address):
         with closing(create(name, address)) as driver:

@@ -92,7 +92,7 @@ def test_every_programmed_position_is_passed(measured):
 
 
 @pytest.mark.parametrize(("seed", "interpolator"), [(1, "ours"), (4, "second")])
-def test_a_few_of_them(seed, interpolator):
+def test_random_loops_pass_on_each_interpolator(seed, interpolator):
     """One on each interpolator."""
     from tests.link import loops_at_random
 

@@ -77,7 +77,7 @@ class LosesAnswer:
         return data
 
 
-def test_what_tcp_and_modbus_tell_is_the_same(arm):
+def test_tcp_and_modbus_report_the_same(arm):
     """The same machine with the same seed on both wires, apart from single precision."""
     from drivers.transports.tcp import TcpDriver
     from fake_controller.servers.tcp import TcpServer
@@ -101,12 +101,12 @@ def test_what_tcp_and_modbus_tell_is_the_same(arm):
     assert before.checksum == after.checksum
 
 
-def test_a_name_that_would_be_cut(driver):
+def test_refuses_a_name_that_would_be_truncated(driver):
     with pytest.raises(RefusedError, match="32 bytes"):
         driver.upload("p" * 33, SHORT)
 
 
-def test_a_safety_stop_is_told_as_one(driver, server):
+def test_reports_a_protective_stop(driver, server):
     received = start(driver, LONG)
     next(received)
     server.controller.stop(EndReason.PROTECTIVE_STOP, "someone opened the gate")
@@ -116,7 +116,7 @@ def test_a_safety_stop_is_told_as_one(driver, server):
     np.testing.assert_allclose(blocks[-1].reference_velocity[-1], 0, atol=1e-6)
 
 
-def test_what_is_overwritten_before_it_was_read_is_a_gap(arm, tampered):
+def test_samples_overwritten_before_reading_are_a_gap(arm, tampered):
     """A controller that keeps little, and a wire that is held up at the first look at the ring."""
     with closing(ModbusServer(build_controller(arm, 3, "fast"), memory=300)) as server:
         held = []
@@ -210,7 +210,7 @@ def test_one_lost_answer_to_a_heartbeat_without_motion_ends_no_link(server, tamp
         assert driver.status().mode == "auto"
 
 
-def test_a_controller_that_is_late_with_an_answer_hears_of_its_client_meanwhile(server, tampered):
+def test_heartbeats_continue_during_a_late_answer(server, tampered):
     """Half a watchdog is waited for it, and as long for its repetition: a heartbeat goes out in between."""
     loses = LosesAnswer(lambda data: data[7] == 3 and server.controller.motions_started > 0)
     with closing(ModbusDriver(tampered(server.port, loses), watchdog=0.5)) as driver:
@@ -219,7 +219,7 @@ def test_a_controller_that_is_late_with_an_answer_hears_of_its_client_meanwhile(
     assert writes(loses.later[0], wire.HEARTBEAT)
 
 
-def test_a_thread_that_stands_still_is_waited_for_no_longer_than_it_may(driver, monkeypatch):
+def test_a_stalled_link_thread_times_out(driver, monkeypatch):
     """Whatever it waits for, no other call blocks for ever, and nothing hangs at the end."""
     monkeypatch.setattr(link, "_STANDSTILL", 0.05)
     driver._link.timeout = 0.05
@@ -233,7 +233,7 @@ def test_a_thread_that_stands_still_is_waited_for_no_longer_than_it_may(driver, 
     held.set()
 
 
-def test_a_thread_that_goes_on_slowly_is_waited_for(driver, monkeypatch):
+def test_waits_for_a_slow_link_thread(driver, monkeypatch):
     monkeypatch.setattr(link, "_STANDSTILL", patience(0.1) - driver._link.timeout)
 
     def slowly():
@@ -245,7 +245,7 @@ def test_a_thread_that_goes_on_slowly_is_waited_for(driver, monkeypatch):
     assert driver._link.call(slowly)
 
 
-def test_a_consumer_that_falls_behind_stops_the_motion(server):
+def test_a_slow_consumer_stops_the_motion(server):
     with closing(ModbusDriver(server.address, watchdog=patience(2.0), buffer_limit=100_000)) as driver:
         driver.connect()
         received = start(driver, LONG)
@@ -268,6 +268,6 @@ def test_another_modbus_device_is_recognised(server, tampered, answer, message):
         ModbusDriver(address).connect()
 
 
-def test_nothing_but_host_and_port():
+def test_refuses_an_address_other_than_host_and_port():
     with pytest.raises(ConfigurationError, match="host:port"):
         ModbusDriver("COM3")

@@ -30,7 +30,7 @@ def process(*options):
             running.kill()
 
 
-def test_it_says_where_it_listens_and_ends_on_sigterm(tmp_path):
+def test_prints_its_address_and_ends_on_sigterm(tmp_path):
     ready = tmp_path / "ready"
     ready.write_text("an address that a killed one has left\n")
     with process("--port", "0", "--seed", "7", "--clock", "fast", "--ready-file", str(ready)) as running:
@@ -57,7 +57,7 @@ def test_it_says_where_it_listens_and_ends_on_sigterm(tmp_path):
     assert not ready.exists(), "nobody takes it for the next one's"
 
 
-def test_a_port_that_is_taken():
+def test_reports_a_port_in_use():
     with process("--port", "0", "--clock", "fast") as first:
         port = first.stdout.readline().split(":")[2].split(",")[0]
         with process("--port", port) as second:
@@ -73,7 +73,7 @@ def test_a_port_that_is_taken():
         ("--ready-file", "nowhere/ready", "nowhere/ready: cannot be written"),
     ],
 )
-def test_an_option_that_cannot_be_used(option, value, said):
+def test_refuses_an_invalid_option(option, value, said):
     with process("--port", "0", "--clock", "fast", option, value) as running:
         assert running.wait(60) == 2
         assert said in (errors := running.stderr.read())

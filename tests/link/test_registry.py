@@ -40,7 +40,7 @@ def test_an_unknown_name_lists_what_there_is():
         registry.create("telnet", "127.0.0.1:9100")
 
 
-def test_nothing_is_loaded_before_it_is_asked_for():
+def test_drivers_are_loaded_on_demand():
     script = "import sys, drivers.registry as r; r.available(); sys.exit('drivers.transports.tcp' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", script], cwd=ROOT, check=False).returncode == 0
 
@@ -59,12 +59,12 @@ def test_a_broken_plug_in_warns_and_is_left_out(plug_in, caplog):
     registry.create("tcp", "127.0.0.1:9100")
 
 
-def test_what_lacks_a_method_is_no_driver(plug_in):
+def test_refuses_a_driver_without_a_required_method(plug_in):
     plug_in("half", "class Plugged:\n    def __init__(self, address): pass\n    def connect(self): pass\n")
     with pytest.raises(ConfigurationError, match="lacks a method"):
         registry.create("half", "127.0.0.1:9100")
 
 
-def test_it_cannot_replace_a_built_in_driver(plug_in):
+def test_a_plug_in_cannot_replace_a_built_in_driver(plug_in):
     plug_in("tcp", "class Plugged: pass\n")
     assert isinstance(registry.create("tcp", "127.0.0.1:9100"), TcpDriver)

@@ -108,7 +108,7 @@ def test_a_stretch_is_the_integral_of_its_acceleration(length, start, end, speed
     np.testing.assert_allclose(np.cumsum(np.diff(t) * 0.5 * (rate[1:] + rate[:-1])), way[1:], atol=1e-3)
 
 
-def test_it_is_not_the_planners():
+def test_differs_from_the_planners_interpolator():
     """Path and time law of the two differ by more than what one tuning of the other would."""
     moves, tool = loop(1, 0.02, 1.0)
     ours, second = (build_interpolator(kind, ROBOT, 3, PERIOD).plan(moves, START) for kind in ("ours", "second"))
@@ -126,7 +126,7 @@ def test_an_override_keeps_the_path():
     assert off_polygon(third[::5], full).max() < 1e-3
 
 
-def test_what_this_controller_has_not_is_told_with_its_move():
+def test_names_the_move_that_the_controller_does_not_support():
     moves, _ = loop(3, 0.02, 0.8)
     wrist = Move(MoveType.LINEAR, moves[1].target, moves[1].settings.changed(orientation=OrientationType.WRIST_JNT))
     with pytest.raises(MotionError, match="WRIST_JNT") as error:

@@ -21,7 +21,7 @@ def block(first: int, count: int, late: float = 0.0) -> SampleBlock:
 
 
 @given(st.lists(st.integers(1, 20), min_size=1, max_size=12), st.data())
-def test_every_sample_once_and_in_order(sizes, data):
+def test_delivers_every_sample_once_in_order(sizes, data):
     """Blocks in any order, some of them more than once."""
     starts = np.concatenate([[0], np.cumsum(sizes)])
     blocks = [block(int(first), size) for first, size in zip(starts, sizes, strict=False)]
@@ -34,7 +34,7 @@ def test_every_sample_once_and_in_order(sizes, data):
 
 
 @given(st.integers(1, 100), st.integers(1, 5000), st.integers(1, 100))
-def test_what_is_given_up_is_a_gap_and_no_reset(before, missing, after):
+def test_abandoned_samples_are_a_gap_not_a_reset(before, missing, after):
     sequencer = Sequencer()
     sequencer.accept(block(0, before))
     assert sequencer.accept(block(before + missing, after)) == []
@@ -67,7 +67,7 @@ def test_a_clock_that_is_set_forward_is_noticed_within_a_block_too(seen, before,
         sequencer.accept(SampleBlock(seen + np.arange(len(times)), times, *[values] * 5))
 
 
-def test_stamps_of_a_coarse_clock_are_no_jump():
+def test_coarse_stamps_are_not_a_clock_jump():
     sequencer = Sequencer()
     for first in range(0, 1000, 20):
         part = block(first, 20)
@@ -83,7 +83,7 @@ def test_old_numbers_with_new_times_are_a_reset():
 
 
 @given(st.lists(st.floats(0.0, 0.04), min_size=2, max_size=30))
-def test_jitter_is_no_reset(delays):
+def test_jitter_is_not_a_reset(delays):
     sequencer = Sequencer()
     for number, late in enumerate(np.sort(delays)):
         assert len(sequencer.accept(block(10 * number, 10, late))) == 1

@@ -190,7 +190,7 @@ def test_a_stop_on_a_slow_line_does_not_wait_for_the_samples(line):
 
 @pytest.mark.parametrize("lost", ["far", "near"])
 @pytest.mark.parametrize("protocol", ["frames", "rtu"])
-def test_a_stop_is_sent_again_where_it_or_its_answer_is_lost(line, protocol, lost, monkeypatch):
+def test_resends_a_lost_stop(line, protocol, lost, monkeypatch):
     monkeypatch.setattr(modbus_driver, "WATCHDOG", 2.0)  # a stall of this machine is no second lost answer
     cable, controller, driver = line(protocol)
     received = start(driver, LONG)
@@ -215,7 +215,7 @@ def test_a_stop_is_sent_again_where_it_or_its_answer_is_lost(line, protocol, los
 
 
 @pytest.mark.parametrize("every", [pytest.param(3000, marks=pytest.mark.verify), 20_000])
-def test_flipped_bits_cost_no_sample(line, every):
+def test_flipped_bits_lose_no_sample(line, every):
     """A fixed share of the bytes to the driver is damaged, all the time while samples come."""
     cable, controller, driver = line()
     passed, started = 0, []
@@ -240,7 +240,7 @@ def test_flipped_bits_cost_no_sample(line, every):
     assert controller.motions_started == 1
 
 
-def test_a_lost_end_is_asked_for(line):
+def test_requests_a_lost_end_message(line):
     cable, _, driver = line(watchdog=0.2)
     decoder, lost = HuntingDecoder(), []
 
@@ -263,7 +263,7 @@ def test_a_lost_end_is_asked_for(line):
     assert len(lost) == 1
 
 
-def test_a_start_that_is_damaged_is_not_given_again(line):
+def test_a_damaged_start_is_not_resent(line):
     cable, controller, driver = line(timeout=patience(1.0), start_timeout=patience(1.0))
     checksum = driver.upload("p", SHORT)
     driver.identify()
@@ -293,7 +293,7 @@ def test_an_upload_that_is_damaged_stores_nothing(line):
     assert driver.status().program == ""
 
 
-def test_the_wrong_baud_rate_is_noise(line):
+def test_reports_a_wrong_baud_rate(line):
     """Another bit rate is modelled by its effect on a receiver: other bytes."""
     cable, _, driver = line()
     driver.close()

@@ -52,7 +52,7 @@ def through(clock, rows, begin=198):
 
 @settings(deadline=None, max_examples=4)
 @given(loop=st.floats(2000.0, 3000.0), seed=st.integers(0, 10_000))
-def test_times_are_those_of_the_set_points_and_every_row_is_accounted_for(loop, seed):
+def test_assigns_set_point_times_and_accounts_for_every_row(loop, seed):
     clock, rows = SnapshotClock(PERIOD), rows_of(loop, seed)
     times, values = through(clock, rows)
     facts = clock.facts
@@ -76,7 +76,7 @@ def test_times_are_those_of_the_set_points_and_every_row_is_accounted_for(loop, 
     assert np.median(np.abs(values[:, 3, :3] - speed)[5:-5]) < 0.01 * np.abs(speed).max()
 
 
-def test_even_rows_go_through_as_they_are():
+def test_even_rows_pass_unchanged():
     clock, rows = SnapshotClock(PERIOD), rows_of(PERIOD, 1)
     rows.times = 7_000_000 + 2000 * np.arange(len(rows.times))
     times, values = through(clock, rows)
@@ -96,7 +96,7 @@ def test_as_soon_as_there_are_enough_rows_a_motion_has_even_times():
     assert clock.active
 
 
-def test_stamps_that_are_late_now_and_then_are_left_to_whoever_reads_the_log():
+def test_occasional_late_stamps_pass_unchanged():
     rng = np.random.default_rng(2)
     rows = rows_of(PERIOD, 1)
     rows.times = 7_000_000 + np.maximum.accumulate(
@@ -106,7 +106,7 @@ def test_stamps_that_are_late_now_and_then_are_left_to_whoever_reads_the_log():
     np.testing.assert_array_equal(times, rows.times)
 
 
-def test_what_waits_comes_when_the_node_falls_silent_and_a_clock_set_back_is_shown():
+def test_releases_waiting_rows_on_silence_and_passes_on_a_clock_set_back():
     clock, rows = SnapshotClock(PERIOD), rows_of(2200.0, 1)
     times, _ = through(clock, rows)
     clock._came -= 10.0
@@ -115,7 +115,7 @@ def test_what_waits_comes_when_the_node_falls_silent_and_a_clock_set_back_is_sho
     assert clock.add(rows.part(slice(9)))[0].tolist() == rows.times[:9].tolist()
 
 
-def test_samples_are_whole_without_what_is_left_out():
+def test_samples_are_complete_without_excluded_topics():
     joiner = Joiner(("a", "b", "c"), PERIOD)
     joiner.add(0, 1_000_000, (1.0,) * 10)
     joiner.leave_out({1})
@@ -126,7 +126,7 @@ def test_samples_are_whole_without_what_is_left_out():
 
 
 @pytest.mark.parametrize("silent", [False, True])
-def test_a_motion_through_the_published_node(arm, broker, monkeypatch, caplog, silent):
+def test_records_a_motion_through_the_published_node(arm, broker, monkeypatch, caplog, silent):
     """With velocities of zero, or without a message of them."""
     if silent:
         published = (cnr.POSITIONS, cnr.TARGET_POSITIONS, cnr.CURRENTS)

@@ -13,18 +13,18 @@ from tests.conftest import free_port
 
 
 @pytest.mark.parametrize("address", ["", "localhost", "host:", ":9100", "host:0", "host:70000", "host:x", "host:-1"])
-def test_what_is_no_address_is_refused_at_once(address):
+def test_refuses_an_invalid_address_at_once(address):
     with pytest.raises(ConfigurationError, match="host:port is expected"):
         TcpDriver(address)
 
 
-def test_nobody_there():
+def test_reports_an_unreachable_controller():
     port = free_port()
     with pytest.raises(DriverError, match=rf"no controller answers at 127.0.0.1:{port}.*is it on"):
         TcpDriver(f"127.0.0.1:{port}").connect()
 
 
-def test_unknown_host():
+def test_reports_an_unknown_host():
     with pytest.raises(DriverError, match=r"host name 'no-such-host.invalid'"):
         TcpDriver("no-such-host.invalid:9100").connect()
 
@@ -61,7 +61,7 @@ def is_newer(p):
     ],
     ids=["silent", "hangs_up", "speaks_http", "echoes", "is_newer"],
 )
-def test_whoever_is_no_such_controller_is_told(peer, script, error, said):
+def test_reports_a_server_of_another_protocol(peer, script, error, said):
     timeout = 0.1 if "silent" in said else 5.0
     with pytest.raises(error, match=said):
         TcpDriver(peer(script), timeout=timeout).connect()
@@ -79,13 +79,13 @@ def test_nothing_works_before_connect_but_stop_and_close():
     driver.close()
 
 
-def test_the_controller_has_the_last_word_on_the_watchdog(peer):
+def test_the_controller_sets_the_watchdog_time(peer):
     with closing(TcpDriver(peer(lambda p: (p.welcome(1234), p.until_left())), watchdog=0.2)) as driver:
         driver.connect()
         assert driver.watchdog == 1.234
 
 
-def test_heartbeats_go_out_while_nobody_does_anything(peer):
+def test_heartbeats_continue_while_idle(peer):
     arrived = threading.Event()
 
     def listen(p):

@@ -61,7 +61,7 @@ def done(count: int) -> tcp.End:
 
 @given(data=st.data())
 @settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_whatever_the_wire_does_every_sample_comes_once_and_in_order(peer, data):
+def test_delivers_every_sample_once_despite_wire_faults(peer, data):
     """Blocks lost, repeated, swapped: all come back as long as the ring has them, else they are counted."""
     blocks = [samples(first, 10) for first in range(0, 200, 10)]
     order = data.draw(st.permutations(range(len(blocks))))
@@ -120,7 +120,7 @@ def test_silence_in_motion_ends_the_link(peer):
         collect(driver)
 
 
-def test_heartbeats_are_enough_to_be_alive(peer):
+def test_heartbeats_alone_keep_the_link_alive(peer):
     def play(p):
         p.begin_motion(watchdog_ms=80)
         for _ in range(12):  # one for each of the driver's, four to a watchdog
@@ -190,7 +190,7 @@ def test_motion_ids_are_unique(peer):
         (99, ProtocolError, 4),
     ],
 )
-def test_how_a_motion_ended(peer, reason, error, exit_code):
+def test_reports_how_a_motion_ended(peer, reason, error, exit_code):
     with moving(peer, played(samples(0, 10), tcp.End(reason, 10, "because"))) as driver:
         received = driver.samples()
         assert len(next(received)) == 10

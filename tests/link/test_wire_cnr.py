@@ -88,7 +88,7 @@ def test_a_big_endian_controller_is_known_by_its_first_length(message, expected)
 
 
 @given(cuts=st.lists(st.integers(0, 600), max_size=8))
-def test_cut_anywhere(cuts):
+def test_decodes_messages_split_anywhere(cuts):
     messages = [message for message, _ in GOLDEN]
     data = b"".join(bytes.fromhex(text) for _, text in GOLDEN)
     edges = sorted({0, len(data), *(cut for cut in cuts if cut < len(data))})
@@ -100,7 +100,7 @@ def test_cut_anywhere(cuts):
 
 @settings(max_examples=300)
 @given(data=st.binary(max_size=300))
-def test_garbage_is_an_error_or_a_message_never_anything_else(data):
+def test_garbage_gives_a_message_or_a_protocol_error(data):
     decoder = cnr.MessageDecoder()
     try:
         messages = list(decoder.feed(data))
@@ -121,7 +121,7 @@ def test_garbage_is_an_error_or_a_message_never_anything_else(data):
         (bytes(4), "not the socket programs"),
     ],
 )
-def test_other_wires_are_named(data, said):
+def test_names_other_protocols(data, said):
     with pytest.raises(ProtocolError, match=said):
         list(cnr.MessageDecoder().feed(data))
 
@@ -145,11 +145,11 @@ NODE = (  # tabs and line ends as the node's JSON writer makes them
 )
 
 
-def test_topic_as_the_node_writes_it():
+def test_decodes_a_topic_written_by_the_node():
     assert cnr.decode_joints(NODE) == (1700000000123456, (12.5, -45.0, 0.001, 0.0, 0.0, 7.0, 0.0, 0.0, 0.0, 0.0))
 
 
-def test_topic_as_we_write_it():
+def test_encodes_a_topic_like_the_node():
     payload = cnr.encode_joints((1.5, -2.0), 12)
     assert payload.endswith(b"\0")
     assert json.loads(payload[:-1]) == {
@@ -177,7 +177,7 @@ def test_topic_as_we_write_it():
         b"[" * 100_000,
     ],
 )
-def test_other_payloads_are_errors(payload):
+def test_other_payloads_are_protocol_errors(payload):
     with pytest.raises(ProtocolError, match="C5G Open"):
         cnr.decode_joints(payload)
 

@@ -112,7 +112,7 @@ def test_golden_registers_of_a_sample():
 
 @given(st.sampled_from(range(len(GOLDEN))), st.data())
 @settings(max_examples=200, deadline=None)
-def test_a_flipped_bit_never_passes(chosen, data):
+def test_detects_every_flipped_bit(chosen, data):
     block, values, _ = GOLDEN[chosen]
     damaged = block.pack(**values)
     bit = data.draw(st.integers(0, 16 * len(damaged) - 1))
@@ -148,6 +148,6 @@ def test_long_text_is_cut_at_a_character():
     assert text.unpack(Cursor(text.pack("ééé"))) == "éé"
 
 
-def test_what_is_no_utf8_is_a_protocol_error():
+def test_invalid_utf8_is_a_protocol_error():
     with pytest.raises(ProtocolError, match="UTF-8"):
         wire.Text(4).unpack(Cursor(b"\xff\xfe\0\0"))

@@ -72,14 +72,14 @@ def test_a_damaged_frame_costs_nothing_but_itself(data):
 
 @given(st.binary(max_size=2000))
 @settings(max_examples=100, deadline=None)
-def test_noise_is_not_hoarded(noise):
+def test_noise_is_not_buffered(noise):
     decoder = wire.HuntingDecoder(64)
     for byte in noise:
         list(decoder.feed(bytes([byte])))
         assert decoder.pending <= tcp.HEADER.size + 64 + tcp.TRAILER.size
 
 
-def test_what_a_line_carries():
+def test_computes_the_capacity_of_a_line():
     assert wire.samples_per_second(921_600, 6) > 500
     assert wire.samples_per_second(115_200, 6) < 100
     assert wire.frame_time(115_200, 1152) == pytest.approx(0.1)
@@ -107,6 +107,6 @@ def test_addresses(address, expected):
 @pytest.mark.parametrize(
     "address", ["", ",115200", "/dev/ttyS1,fast", "/dev/ttyS1,0", "/dev/ttyS1,9600,tcp", "a,9600,rtu,x"]
 )
-def test_what_is_no_address(address):
+def test_refuses_invalid_addresses(address):
     with pytest.raises(ConfigurationError, match="port,baud,protocol is expected"):
         parse_port(address)

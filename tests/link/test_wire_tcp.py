@@ -156,7 +156,7 @@ def test_a_flipped_bit_never_gives_a_frame(chosen, data):
 
 @given(st.binary(max_size=400))
 @settings(max_examples=300, deadline=None)
-def test_noise_is_refused_and_not_hoarded(noise):
+def test_noise_is_refused_and_not_buffered(noise):
     decoder = tcp.FrameDecoder(64)
     try:
         for byte in noise:
@@ -189,17 +189,17 @@ def test_another_protocol_is_recognised_by_its_first_bytes():
         list(tcp.FrameDecoder(100).feed(b"HTTP/1.1 400 Bad Request"))
 
 
-def test_another_version_says_so():
+def test_reports_another_protocol_version():
     with pytest.raises(ProtocolError, match="version 2"):
         list(tcp.FrameDecoder(100).feed(HEARTBEAT[:4] + b"\x02" + HEARTBEAT[5:]))
 
 
-def test_an_announced_length_is_refused_before_it_arrives():
+def test_refuses_a_too_large_announced_length():
     with pytest.raises(ProtocolError, match="4294967295 bytes; at most 100"):
         list(tcp.FrameDecoder(100).feed(bytes.fromhex("43414c4b 01 0a 0000 ffffffff 00000000")))
 
 
-def test_unknown_type():
+def test_refuses_an_unknown_message_type():
     with pytest.raises(ProtocolError, match="0x55"):
         tcp.decode(tcp.Frame(0x55, 0, b""))
 

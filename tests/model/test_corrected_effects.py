@@ -133,7 +133,7 @@ def test_mujoco_takes_the_effects_as_passive_forces(tmp_path):
         mujoco.set_mjcb_passive(None)
 
 
-def test_a_payload_without_a_mass_gives_no_torque_and_says_so(tmp_path):
+def test_a_payload_without_a_mass_gives_no_torque_and_a_warning(tmp_path):
     """As somebody may write it into a model's file by hand."""
     values = {"m0": 0, "hx0": 0.1, "hy0": 0, "hz0": 0.05, "mass": 1, "moment_x": 0, "moment_y": 0, "moment_z": 0}
     model = replace(simulator(tmp_path, "urdf").model, effects=(entry("payload", **values, inertia=0.004),))

@@ -30,7 +30,7 @@ from tests.model.correcting import (
 
 
 @pytest.mark.parametrize("kind", PATHS)
-def test_only_what_was_released_changes_and_every_change_is_said(kind, tmp_path):
+def test_changes_only_released_values_and_lists_every_change(kind, tmp_path):
     given = simulator(tmp_path, kind)
     change = moved(given, links=[1], rotors=[0])
     effects = [entry("stribeck", "pan", speed=0.2, shape=2, rise=1.5)]
@@ -58,7 +58,7 @@ def test_only_what_was_released_changes_and_every_change_is_said(kind, tmp_path)
     assert document["effects"][0]["effect"] == "stribeck"
 
 
-def test_the_text_of_an_mjcf_stays_as_it_was(tmp_path):
+def test_keeps_the_text_of_an_mjcf(tmp_path):
     given = simulator(tmp_path, "mjcf")
     found = corrected(given, friction=[0], change=moved(given))
     out = tmp_path / "fixed.xml"
@@ -69,7 +69,7 @@ def test_the_text_of_an_mjcf_stays_as_it_was(tmp_path):
     assert out.read_text() == MJCF.replace(joint, new)
 
 
-def test_an_include_that_changes_is_written_next_to_the_file(tmp_path):
+def test_writes_a_changed_include_next_to_the_file(tmp_path):
     given = simulator(tmp_path, "mjcf")
     found = corrected(given, links=[2], change=moved(given, links=[2]))
     files = {path.name: path.read_text() for path in write_corrected(given, found, tmp_path / "fixed.xml")}
@@ -79,7 +79,7 @@ def test_an_include_that_changes_is_written_next_to_the_file(tmp_path):
     assert (tmp_path / "boom.xml").read_text() == BOOM
 
 
-def test_a_urdf_keeps_its_text_too(tmp_path):
+def test_keeps_the_text_of_a_urdf(tmp_path):
     given = simulator(tmp_path, "urdf")
     found = corrected(given, friction=[0, 1], change=moved(given))
     write_corrected(given, found, tmp_path / "fixed.urdf")
@@ -89,7 +89,7 @@ def test_a_urdf_keeps_its_text_too(tmp_path):
     assert (tmp_path / "fixed.urdf").read_text() == text
 
 
-def test_from_another_folder_meshes_are_found_where_they_are(tmp_path):
+def test_a_file_in_another_folder_still_finds_its_meshes(tmp_path):
     import mujoco
 
     given = simulator(tmp_path, "mjcf")
@@ -105,7 +105,7 @@ def test_from_another_folder_meshes_are_found_where_they_are(tmp_path):
     assert mujoco.MjModel.from_xml_path(str(tmp_path / "out" / "fixed.xml")).dof_frictionloss[0] == 2.3
 
 
-def test_bodies_that_could_not_exist_are_not_written(tmp_path):
+def test_refuses_to_write_non_physical_bodies(tmp_path):
     given = simulator(tmp_path, "urdf")
     lighter = -4 * moved(given, links=[2])
     found = corrected(given, links=[2], change=lighter)
@@ -116,7 +116,7 @@ def test_bodies_that_could_not_exist_are_not_written(tmp_path):
     assert 0 < mass < 0.5
 
 
-def test_a_rotor_found_as_a_links_is_written_as_one_where_a_body_would_lose_more_than_chance(tmp_path):
+def test_writes_a_rotor_as_armature_if_a_link_fits_significantly_worse(tmp_path):
     """A hundredth of what moving a link gained may be far more than what noise leaves."""
     given = simulator(tmp_path, "urdf")
     turning = np.zeros(len(given.model.values))
@@ -138,7 +138,7 @@ def test_a_file_that_cannot_be_edited_is_refused_and_nothing_is_written(tmp_path
 
 
 @pytest.mark.parametrize("text", ['<a b=\'1\' c="x > y"><!-- b="2" --><d/>\n  <e  /></a>', "<a>\n  <b x = '1'/>\n</a>"])
-def test_xml_keeps_every_byte_but_those_of_changes(text):
+def test_changes_only_the_edited_bytes_of_an_xml_file(text):
     xml = XmlDocument(text.encode())
     assert xml.changed() == text.encode()
     first = xml.root[0]

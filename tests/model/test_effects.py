@@ -26,7 +26,7 @@ from agent.model import CATALOGUE
         ("inertial_mismatch", {"link": 2.0}, 0),
     ],
 )
-def test_only_nonlinear_parameters_that_the_data_choose_cost_evidence(effect, settings, counted):
+def test_only_fitted_nonlinear_parameters_cost_evidence(effect, settings, counted):
     assert CATALOGUE[effect].counted(settings) == counted
 
 

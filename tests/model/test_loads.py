@@ -116,7 +116,7 @@ READERS = {"ur": read_ur, "abb": read_abb, "kuka": read_kuka, "franka": read_fra
 @pytest.mark.parametrize("vendor", READERS)
 @settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(seed=st.integers(0, 10_000))
-def test_a_load_read_back_by_its_vendors_rules_is_the_load(vendor: str, seed: int, bare: IdentifiedModel) -> None:
+def test_a_load_reads_back_by_the_vendors_rules(vendor: str, seed: int, bare: IdentifiedModel) -> None:
     masses, places = points(seed)
     text, _ = load_text(identified_load(replace(bare, effects=(carried(masses, places),))), vendor)
     mass, centre, inertia = READERS[vendor](text)
@@ -127,7 +127,7 @@ def test_a_load_read_back_by_its_vendors_rules_is_the_load(vendor: str, seed: in
 
 
 @pytest.mark.parametrize("vendor", READERS)
-def test_axes_that_are_the_flanges_stay_so(vendor: str, bare: IdentifiedModel) -> None:
+def test_axes_parallel_to_the_flange_are_kept(vendor: str, bare: IdentifiedModel) -> None:
     places = np.array([[0.1, 0, 0], [-0.1, 0, 0], [0, 0.06, 0], [0, -0.06, 0], [0, 0, 0.02], [0, 0, -0.02]])
     text, _ = load_text(identified_load(replace(bare, effects=(carried(np.full(6, 0.25), places),))), vendor)
     np.testing.assert_allclose(READERS[vendor](text)[2], about(np.full(6, 0.25), places, np.zeros(3)), atol=1e-9)
@@ -144,7 +144,7 @@ def ball(mass: float, centre: np.ndarray, inertia: float | None, intervals: dict
     return ModelEffect("payload", (), {**start, **found, **own}, intervals or {})
 
 
-def test_a_ball_has_its_inertia_about_its_centre_and_intervals_as_comments(bare: IdentifiedModel, tmp_path) -> None:
+def test_exports_inertia_about_the_centre_of_mass_and_intervals_as_comments(bare: IdentifiedModel, tmp_path) -> None:
     centre = np.array([0.02, -0.01, 0.08])
     moments = {f"moment_{axis}": (0.0, 0.03) for axis in "xyz"}
     entry = ball(1.5, centre, 0.004, {"mass": (1.45, 1.55), "inertia": (0.003, 0.005), **moments})
@@ -164,7 +164,7 @@ def test_a_ball_has_its_inertia_about_its_centre_and_intervals_as_comments(bare:
     assert all(10 <= float(word) <= 20 for word in half.split(","))  # 10 mm by the moments, the rest by the mass
 
 
-def test_comments_of_a_format_without_any_go_to_stderr(bare: IdentifiedModel, tmp_path) -> None:
+def test_intervals_go_to_stderr_if_the_format_has_no_comments(bare: IdentifiedModel, tmp_path) -> None:
     replace(bare, effects=(ball(1.5, np.zeros(3), None),)).save(tmp_path / "model.json")
     shown = CliRunner().invoke(app, ["export", str(tmp_path / "model.json"), "--load", "franka"])
     assert shown.exit_code == 0
@@ -173,7 +173,7 @@ def test_comments_of_a_format_without_any_go_to_stderr(bare: IdentifiedModel, tm
     assert "intervals are not in the model" in shown.stderr
 
 
-def test_several_loads_are_one(bare: IdentifiedModel) -> None:
+def test_several_loads_are_combined(bare: IdentifiedModel) -> None:
     parts = [points(1), points(2)]
     found = identified_load(replace(bare, effects=tuple(carried(*part) for part in parts)))
     masses, places = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
@@ -181,7 +181,7 @@ def test_several_loads_are_one(bare: IdentifiedModel) -> None:
     np.testing.assert_allclose(found.inertia, about(masses, places, masses @ places / masses.sum()), atol=1e-9)
 
 
-def test_what_is_no_load_is_not_exported(bare: IdentifiedModel) -> None:
+def test_refuses_to_export_an_impossible_load(bare: IdentifiedModel) -> None:
     with pytest.raises(RejectedError, match=r"-1 kg: the arm carries less"):
         identified_load(replace(bare, effects=(ball(-1.0, np.zeros(3), None),)))
     masses, places = points(3)
@@ -201,9 +201,7 @@ def test_what_is_no_load_is_not_exported(bare: IdentifiedModel) -> None:
         (["--load", "ur", "-o", "out"], "not both"),
     ],
 )
-def test_a_wrong_use_is_told_in_one_message(
-    bare: IdentifiedModel, tmp_path, monkeypatch, capsys, options, said
-) -> None:
+def test_wrong_usage_gives_one_message(bare: IdentifiedModel, tmp_path, monkeypatch, capsys, options, said) -> None:
     bare.save(tmp_path / "model.json")
     monkeypatch.setattr("sys.argv", ["agent", "export", str(tmp_path / "model.json"), *options])
     with pytest.raises(SystemExit) as ended:

@@ -10,7 +10,7 @@ from agent.model.regimes import REGIMES, regime_masks, standstill_speed
 ABLE = np.array([2.0, 4.0, 4.0])  # rad/s
 
 
-def test_a_parked_joint_is_judged_by_the_speed_of_the_arm():
+def test_a_parked_joint_takes_its_regime_from_the_arms_speed():
     time = np.linspace(0, 10, 500)[:, None]
     speed = np.hstack([np.sin(time), 2 * np.cos(3 * time), 1e-4 * np.cos(time)])
     slowest = standstill_speed([speed], ABLE)

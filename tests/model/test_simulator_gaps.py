@@ -41,7 +41,7 @@ from tests.model.bench import (
 )
 
 
-def test_a_right_simulator_has_no_gap_and_needs_no_description(tmp_path, robot, monkeypatch):
+def test_a_correct_simulator_has_no_gap_and_needs_no_description(tmp_path, robot, monkeypatch):
     monkeypatch.setattr(forward_windows, "_WINDOWS", 2)
     right = load_simulator(tmp_path / "arm.urdf", None, ("pan", "lift")).model
     logs = [recorded(tmp_path / f"{k}.mcap", right, k) for k in (1, 2)]
@@ -54,7 +54,7 @@ def test_a_right_simulator_has_no_gap_and_needs_no_description(tmp_path, robot, 
     json.dumps(result, allow_nan=False)
 
 
-def test_servos_that_report_no_torque_are_told_what_to_record(tmp_path, robot):
+def test_advises_what_to_record_for_servos_without_torque(tmp_path, robot):
     right = load_simulator(tmp_path / "arm.urdf", None, ("pan", "lift")).model
     log = read_log(recorded(tmp_path / "1.mcap", right, 1))
     write_log(tmp_path / "bare.mcap", replace(log, effort=None))
@@ -79,7 +79,7 @@ def nominal(tmp_path_factory):
     return model, robot, diagnose(model.robot, logs, model)
 
 
-def test_a_simulator_that_is_wrong_in_many_ways_is_corrected_step_by_step(nominal):
+def test_corrects_a_simulator_with_many_errors_step_by_step(nominal):
     result = nominal[2].result
     steps = {entry["step"]: entry for entry in result["waterfall"]}
     assert sum(entry["closes"] for entry in steps.values()) == pytest.approx(1)
@@ -142,7 +142,7 @@ def uneven(folder: Path, form=lambda w: 0 * w, joint: int = 0, scale: float = 1.
 
 @pytest.mark.verify
 @pytest.mark.parametrize(("effect", "joint"), [("stribeck", 2), ("asymmetric_friction", 1)])
-def test_friction_is_named_with_wrong_numbers_of_larger_joints_though_the_file_has_none(tmp_path, effect, joint):
+def test_names_friction_missing_from_the_file_despite_wrong_masses_of_larger_joints(tmp_path, effect, joint):
     found = uneven(tmp_path, FORMS[effect], joint)
     named = [(cause["effect"], cause["joints"]) for cause in found.result["causes"]]
     assert named == [(effect, [("pan", "lift", "tip")[joint]])]
@@ -152,7 +152,7 @@ def test_friction_is_named_with_wrong_numbers_of_larger_joints_though_the_file_h
 
 
 @pytest.mark.verify
-def test_a_small_effect_is_named_with_a_large_one_and_numbers_that_replaced_them_move_no_more(tmp_path):
+def test_names_a_small_and_a_large_effect_and_restores_the_file_values(tmp_path):
     def beside(qd):
         return np.array([0, 0, 0.3]) * FORMS["stribeck"](qd)
 
@@ -165,7 +165,7 @@ def test_a_small_effect_is_named_with_a_large_one_and_numbers_that_replaced_them
 
 
 @pytest.mark.verify
-def test_next_to_a_dominant_effect_another_counts_by_its_own_joint(tmp_path):
+def test_an_effect_next_to_a_dominant_one_is_scored_on_its_own_joint(tmp_path):
     def beside(qd):
         return np.array([0, 0, 1]) * FORMS["stribeck"](qd)
 
@@ -177,7 +177,7 @@ def test_next_to_a_dominant_effect_another_counts_by_its_own_joint(tmp_path):
 
 
 @pytest.mark.verify
-def test_numbers_that_close_nearly_all_are_the_cause_though_nothing_closes_what_they_leave(tmp_path):
+def test_file_values_that_close_nearly_all_of_the_gap_are_the_cause(tmp_path):
     def beside(qd):
         return np.array([0.1, 0, 0]) * np.sin(40 * qd)
 
@@ -189,7 +189,7 @@ def test_numbers_that_close_nearly_all_are_the_cause_though_nothing_closes_what_
 
 
 @pytest.mark.verify
-def test_where_links_may_weigh_anything_a_scale_of_torque_may_be_that_of_the_joint_next_to_it(tmp_path):
+def test_with_free_link_masses_a_torque_scale_may_belong_to_the_next_joint(tmp_path):
     result = uneven(tmp_path, joint=1, scale=1.1).result
     cause = result["causes"][0]
     members = {(one["effect"], *one["joints"]) for one in (cause, *cause["equivalent_to"])}
@@ -197,7 +197,7 @@ def test_where_links_may_weigh_anything_a_scale_of_torque_may_be_that_of_the_joi
     assert ("torque_constant", "lift") in members
 
 
-def test_sharp_friction_of_a_simulator_has_no_part_that_a_delay_would_sharpen(tmp_path, robot):
+def test_sharp_simulator_friction_is_not_explained_by_a_delay(tmp_path, robot):
     """An effects file could not say it: there torque is late, friction and all."""
     model = load_simulator(tmp_path / "arm.urdf", None, ("pan", "lift")).model
     log = read_log(recorded(tmp_path / "1.mcap", model, 1), model.robot)
@@ -207,7 +207,7 @@ def test_sharp_friction_of_a_simulator_has_no_part_that_a_delay_would_sharpen(tm
     assert found == {"delay": pytest.approx(1 / RATE, rel=0.2)}
 
 
-def test_an_effect_that_needs_friction_below_zero_or_has_an_impossible_size_is_none(nominal):
+def test_rejects_effects_with_negative_friction_or_impossible_size(nominal):
     model, change = nominal[0], np.zeros(len(nominal[0].values))
     level = len(model.independent)
 
@@ -232,7 +232,7 @@ def test_the_corrected_simulator_predicts_the_robot(nominal):
     assert left < 0.15 * before
 
 
-def test_the_corrected_urdf_is_a_right_simulator_of_the_robot(nominal, tmp_path):
+def test_the_corrected_urdf_simulates_the_robot(nominal, tmp_path):
     model, robot, found = nominal
     simulator = load_simulator(written(tmp_path, URDF, "arm.urdf"), None, ("pan", "lift"))
     write_simulator(found, simulator, tmp_path / "fixed.urdf", Console(-1))
@@ -276,7 +276,7 @@ def behind(log):
     return log.position + error
 
 
-def test_ranges_hold_what_is_true_and_stand_on_the_page(nominal, tmp_path):
+def test_intervals_contain_the_truth_and_appear_on_the_page(nominal, tmp_path):
     model, robot, found = nominal
     by_name = {(entry.of, entry.parameter): entry for entry in ranges(found)}
     true = robot.values[len(model.independent) :]
@@ -296,7 +296,7 @@ def test_ranges_hold_what_is_true_and_stand_on_the_page(nominal, tmp_path):
     assert page.count("<svg") > 3
 
 
-def test_the_page_of_a_recorded_run_has_drift_and_ranges(nominal, tmp_path, monkeypatch):
+def test_the_page_of_a_recorded_run_shows_drift_and_intervals(nominal, tmp_path, monkeypatch):
     names, error = ["pan", "lift"], [[0.3, 0.2]]
     sides = ("before", "after", "velocity_before", "velocity_after")
     forward = {"horizon_s": [0.2], "joints": names, "engine": "mujoco", "driven_by": "torque", "windows": 8}
@@ -314,13 +314,13 @@ def test_the_page_of_a_recorded_run_has_drift_and_ranges(nominal, tmp_path, monk
     )
 
 
-def test_the_waterfall_is_a_table_for_people(nominal):
+def test_the_waterfall_prints_as_a_readable_table(nominal):
     text = diagnosis_text({**nominal[2].result, "simulation": None})
     assert re.search(r"friction of pan +[0-9.]+ % .*#", text)
     assert re.search(r"remainder +-?[0-9.]+ %", text)
 
 
-def test_what_an_mjcf_lacks_is_named(tmp_path):
+def test_names_what_an_mjcf_lacks(tmp_path):
     pytest.importorskip("mujoco")
     arm = load_simulator(written(tmp_path, scene(CHAIN), "arm.xml"), None, ("pan", "lift")).model
     bent = [recorded(tmp_path / f"{k}.mcap", arm, k, lambda qd: np.sign(qd) * [0, 0.3]) for k in (1, 2)]

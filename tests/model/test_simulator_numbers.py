@@ -32,7 +32,7 @@ from agent.simulators import load_simulator
 from tests.model.bench import CHAIN, URDF, recorded, scene, written
 
 
-def test_a_rotor_that_is_most_of_a_wrists_inertia_is_moved_as_far_as_it_must(tmp_path):
+def test_a_dominant_wrist_rotor_is_corrected_fully(tmp_path):
     wrist = URDF.replace('<mass value="3"/>', '<mass value="0.05"/>').replace('xyz="0.2 0 0"', 'xyz="0.01 0 0"')
     wrist = wrist.replace('ixx="0.03" iyy="0.04" izz="0.05"', 'ixx="3e-5" iyy="4e-5" izz="5e-5"')
     model = load_simulator(written(tmp_path, wrist, "arm.urdf"), None, ("pan", "lift")).model
@@ -45,7 +45,7 @@ def test_a_rotor_that_is_most_of_a_wrists_inertia_is_moved_as_far_as_it_must(tmp
     assert np.nanstd(found.moved.residual[:, 1]) < 0.01 * np.std(logs[0].effort[:, 1])
 
 
-def test_a_roll_out_goes_where_the_robot_was_though_the_file_does_not_let_it(tmp_path):
+def test_a_roll_out_ignores_too_narrow_joint_ranges_of_the_file(tmp_path):
     pytest.importorskip("mujoco")
     narrow = CHAIN.replace('<joint name="lift"', '<joint name="lift" limited="true" range="-5 5"')
     free, held = (
@@ -57,7 +57,7 @@ def test_a_roll_out_goes_where_the_robot_was_though_the_file_does_not_let_it(tmp
     assert runs[0][0, 1] > 0.2
 
 
-def test_a_joint_that_moved_beyond_its_range_in_the_file_is_named(tmp_path):
+def test_names_a_joint_that_left_its_range_in_the_file(tmp_path):
     simulator = load_simulator(written(tmp_path, URDF, "arm.urdf"), None, ("pan", "lift"))
     log = SimpleNamespace(position=np.array([[0.0, -1.9], [2.005, 2.4]]))
     found = SimpleNamespace(dataset=SimpleNamespace(logs=[log]))
@@ -65,7 +65,7 @@ def test_a_joint_that_moved_beyond_its_range_in_the_file_is_named(tmp_path):
     assert "arm.urdf: lift moves from -1.9 to 2.4 rad in the logs, and the file lets it move from -2 to 2" in said
 
 
-def test_a_simulator_may_be_called_otherwise_than_the_robot_of_the_logs(tmp_path, robot, capsys, monkeypatch):
+def test_simulator_and_logged_robot_may_have_different_names(tmp_path, robot, capsys, monkeypatch):
     monkeypatch.setattr("agent.pipeline.identify.check_quality", lambda *_: [])
     log = SimpleNamespace(metadata={"robot": "cell 7"}, name="a.mcap")
     check_plausible(robot, [log], False, Console(-1), described=False)
@@ -103,7 +103,7 @@ def sprung(folder: Path, slow: float = 0.0) -> Dataset:
     return assemble(model.robot, with_expected_error(model, logs, LIMITS, 0.01), logs, None, LIMITS)
 
 
-def test_a_spring_is_asked_whether_a_link_in_its_stead_leaves_as_much(tmp_path):
+def test_a_spring_is_compared_with_a_link_mass_error(tmp_path):
     data = sprung(tmp_path)
     spring = CATALOGUE["gravity_spring"]
     causes = tuple(data.fit.candidates([(spring, (joint,), {"harmonics": 1.0}) for joint in (0, 1)]))
@@ -122,14 +122,14 @@ def test_a_spring_is_asked_whether_a_link_in_its_stead_leaves_as_much(tmp_path):
 
 
 @pytest.mark.verify
-def test_a_wrong_link_mass_is_not_named_as_a_scale_of_torque_with_a_strong_spring(tmp_path):
+def test_a_wrong_link_mass_is_not_named_torque_scale_and_spring(tmp_path):
     model, logs = sprung_logs(tmp_path, lighter=0.9, strength=30.0)
     found = diagnose(model.robot, logs, model)
     assert [(cause["effect"], cause["joints"]) for cause in found.result["causes"]] == [("gravity_spring", ["pan"])]
     assert ("link inertia", 1) in found.calibrated.released
 
 
-def test_what_equals_a_cause_makes_the_first_ambiguous():
+def test_an_equivalent_cause_makes_the_verdict_ambiguous():
     finding = Finding("explained", None, (), ((), (("dress_pack", (1,)),)), (), (), None)  # type: ignore[arg-type]
     links = ("inertial_mismatch", ())
     second = finding.with_rival(1, links)
@@ -138,7 +138,7 @@ def test_what_equals_a_cause_makes_the_first_ambiguous():
     assert finding.with_rival(0, links).verdict == "ambiguous"
 
 
-def test_an_effect_that_would_be_found_is_found_with_a_far_larger_one(tmp_path):
+def test_finds_a_testable_effect_next_to_a_much_larger_one(tmp_path):
     moved = calibration(sprung(tmp_path, 0.16)).moved
     places = {("gravity_spring", (0,)), ("stribeck", (1,)), ("torque_constant", (0,)), ("asymmetric_friction", (0,))}
     search = Search(moved.fit, only=places)
@@ -147,7 +147,7 @@ def test_an_effect_that_would_be_found_is_found_with_a_far_larger_one(tmp_path):
     assert {cause.place for cause in found.causes} == {("gravity_spring", (0,)), ("stribeck", (1,))}
 
 
-def test_a_shoulders_spring_is_not_testable_where_its_link_was_moved(tmp_path):
+def test_a_shoulder_spring_is_not_testable_if_its_link_was_corrected(tmp_path):
     found = calibration(sprung(tmp_path))
     assert ("link inertia", 1) in found.released
     places = {("gravity_spring", (0,)), ("gravity_spring", (1,))}
@@ -175,13 +175,13 @@ def explaining(left: float, *effects: str) -> Explanation:
         ("gravity_spring", 0.105, False),
     ],
 )
-def test_what_may_be_links_that_weigh_otherwise_stands_only_where_links_leave_as_much(effect, left, stands):
+def test_a_link_mass_alternative_is_listed_only_if_it_fits_as_well(effect, left, stands):
     assert explaining(left, effect).stands(best=0.1, enough=0.05) == stands
     assert explaining(left, "stribeck", effect).stands(best=0.1, enough=0.05) == stands
 
 
 @pytest.mark.parametrize(("rise", "possible"), [(0.2, True), (-0.2, False)])
-def test_friction_that_falls_as_a_joint_slows_down_is_how_a_simulator_lets_it_change_sign(tmp_path, rise, possible):
+def test_regularised_simulator_friction_at_low_speed_is_not_a_cause(tmp_path, rise, possible):
     model = load_simulator(written(tmp_path, URDF, "arm.urdf"), None, ("pan", "lift")).model
     stribeck = SimpleNamespace(effect=CATALOGUE["stribeck"], joints=(0,), names=("rise",), settings={"speed": 0.05})
     fitted = (np.zeros(len(model.values)), [[rise]])
@@ -189,7 +189,7 @@ def test_friction_that_falls_as_a_joint_slows_down_is_how_a_simulator_lets_it_ch
     assert _possible(model, fit, 0) == possible
 
 
-def test_numbers_that_close_nearly_all_of_a_gap_are_said_to_though_nothing_of_the_catalogue_was_found():
+def test_reports_file_values_that_close_the_gap_without_an_effect():
     steps = [{"step": "friction of lift", "closes": 0.98}, {"step": "remainder", "closes": 0.02}]
     result = {"verdict": "unknown", "causes": [], "closure": 0.98, "where": [], "waterfall": steps}
     assert "close 98.0 % of the gap; no known effect explains the rest" in verdict_text(result)

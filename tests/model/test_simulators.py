@@ -73,7 +73,7 @@ def test_a_urdf_gives_its_bodies_damping_and_friction_with_the_drives_of_the_rob
     assert np.all(np.isnan(plain.robot.nominal_torque))
 
 
-def test_a_file_with_fewer_joints_may_be_of_another_arm():
+def test_reports_a_file_with_fewer_joints_than_the_logs():
     with pytest.raises(InputError, match=r"1 joint in the file, 2 in the logs: is it of this arm\? Say which"):
         matched(Path("arm.xml"), ["a"], ["pan", "lift"], "the logs", None)
 
@@ -138,7 +138,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("what", REFUSED)
-def test_what_cannot_be_used_is_refused_with_one_message(what, tmp_path, robot):
+def test_refuses_unusable_files_with_one_message(what, tmp_path, robot):
     text, message = REFUSED[what]
     if "<mujoco" in text:
         pytest.importorskip("mujoco")
@@ -170,7 +170,7 @@ TOOL = """<link name="finger_a"/><link name="finger_b"/><link name="tcp"/>
 <joint name="tip" type="fixed"><parent link="b"/><child link="tcp"/><origin xyz="0 0 0.1"/></joint></robot>"""
 
 
-def test_a_gripper_whose_fingers_follow_one_another_and_a_tip_are_part_of_the_last_link(tmp_path, robot):
+def test_coupled_gripper_fingers_and_tip_belong_to_the_last_link(tmp_path, robot):
     path = written(tmp_path, URDF.replace("</robot>", TOOL), "held.urdf")
     found = load_simulator(path, robot, ())
     assert "left, right held at zero" in " ".join(found.notes)
@@ -179,7 +179,7 @@ def test_a_gripper_whose_fingers_follow_one_another_and_a_tip_are_part_of_the_la
     np.testing.assert_allclose(found.model.predict(q, qd, qdd), same.predict(q, qd, qdd))
 
 
-def test_the_map_that_is_offered_keeps_the_order_where_names_say_nothing(tmp_path, robot):
+def test_the_proposed_map_keeps_the_order_of_unrelated_names(tmp_path, robot):
     numbered = URDF.replace('"pan"', '"joint_1"').replace('"lift"', '"joint_2"')
     with pytest.raises(InputError, match=r"joints: \{joint_1: waist_joint, joint_2: elbow_joint\}"):
         load_simulator(written(tmp_path, numbered, "model.urdf"), None, ("waist_joint", "elbow_joint"))
@@ -196,7 +196,7 @@ def test_positions_in_degrees_are_refused(tmp_path, robot):
         diagnose_files(None, [tmp_path / "deg.mcap"], GapQuestion(tmp_path / "arm.urdf"), Console(-1))
 
 
-def test_mujoco_runs_the_arm_that_it_is_given(tmp_path):
+def test_mujoco_simulates_the_given_arm(tmp_path):
     pytest.importorskip("mujoco")
     path = written(tmp_path, MJCF, "arm.xml")
     model = load_simulator(path, None, NAMES).model
@@ -212,6 +212,6 @@ def test_mujoco_runs_the_arm_that_it_is_given(tmp_path):
     assert np.abs(speed - qd[[200, 400]]).max() < 2e-2
 
 
-def test_a_map_without_such_a_file_is_refused(tmp_path, robot):
+def test_refuses_a_joint_map_without_a_simulator_file(tmp_path, robot):
     with pytest.raises(InputError, match="--map"):
         diagnose_files("comau_ns16", [tmp_path / "a.mcap"], GapQuestion(joint_map=tmp_path / "map.yaml"), Console(-1))

@@ -45,7 +45,7 @@ def constraints_kept(z: np.ndarray, ceiling: np.ndarray, weight: np.ndarray, sum
 
 @settings(max_examples=30, deadline=None)
 @given(SEEDS, st.integers(1, 4), st.integers(3, 30))
-def test_the_fastest_profile_keeps_all_limits_and_no_knot_could_be_faster(seed: int, rows: int, knots: int) -> None:
+def test_the_fastest_profile_is_feasible_and_optimal_at_every_knot(seed: int, rows: int, knots: int) -> None:
     rng = np.random.default_rng(seed)
     ceiling, weight = rng.uniform(0.1, 2.0, knots), rng.uniform(0.0, 1.0, (rows, knots)) ** 3
     sums = [np.cumsum(rng.uniform(0.0, 0.3, (rows, knots)) * np.r_[0.0, np.ones(knots - 1)], axis=1) for _ in "ud"]
@@ -72,7 +72,7 @@ def test_the_fastest_profile_keeps_all_limits_and_no_knot_could_be_faster(seed: 
 
 @settings(max_examples=30, deadline=None)
 @given(SEEDS, st.floats(0.01, 0.5))
-def test_dips_are_held_for_half_a_window_on_either_side(seed: int, window: float) -> None:
+def test_dips_are_widened_by_half_a_window_on_each_side(seed: int, window: float) -> None:
     rng = np.random.default_rng(seed)
     s, ceiling = np.cumsum(rng.uniform(0.001, 0.1, 40)), rng.uniform(0.1, 2.0, 40)
     dips = [k for k in range(1, 39) if ceiling[k] <= ceiling[k - 1] and ceiling[k] < ceiling[k + 1]]
@@ -89,7 +89,7 @@ def h(dip: int, ceiling: np.ndarray, window: float) -> float:
 
 @settings(max_examples=30, deadline=None)
 @given(SEEDS, st.floats(0.01, 1.0), st.floats(1.0, 2.0))
-def test_the_time_law_is_the_mean_over_a_window(seed: int, window: float, stretch: float) -> None:
+def test_the_time_law_is_a_moving_average(seed: int, window: float, stretch: float) -> None:
     rng = np.random.default_rng(seed)
     times = np.append(0.0, np.cumsum(rng.uniform(0.01, 0.2, 12)))
     speed = np.append(np.append(0.0, rng.uniform(0.1, 2.0, 11)), 0.0)
@@ -120,7 +120,7 @@ def path(seed: int, joints: int, samples: int) -> tuple[np.ndarray, np.ndarray, 
 
 @settings(max_examples=30, deadline=None)
 @given(SEEDS, st.integers(1, 7), st.integers(1, 40))
-def test_samples_are_those_of_the_spline_by_the_chain_rule(seed: int, joints: int, samples: int) -> None:
+def test_samples_match_the_spline_by_the_chain_rule(seed: int, joints: int, samples: int) -> None:
     knots, coefficients, (s, speed, acceleration) = path(seed, joints, samples)
     found = sampled_on(knots, coefficients, s, speed, acceleration, joints)
     spline = PPoly(coefficients.transpose(0, 2, 1), knots)
@@ -132,7 +132,7 @@ def test_samples_are_those_of_the_spline_by_the_chain_rule(seed: int, joints: in
 
 @settings(max_examples=30, deadline=None)
 @given(SEEDS, st.integers(1, 7), st.integers(1, 40))
-def test_what_time_is_stretched_by_is_the_fullest_limit(seed: int, joints: int, samples: int) -> None:
+def test_the_time_stretch_is_set_by_the_most_used_limit(seed: int, joints: int, samples: int) -> None:
     knots, coefficients, law = path(seed, joints, samples)
     found = sampled_on(knots, coefficients, *law, joints)
     rng = np.random.default_rng(seed)
@@ -172,7 +172,7 @@ def test_a_law_has_constant_accelerations_between_knots(seed: int, knots: int) -
 
 @settings(max_examples=30, deadline=None)
 @given(SEEDS, st.integers(0, 5))
-def test_the_ceiling_is_lowered_around_what_breaks_a_limit(seed: int, half: int) -> None:
+def test_the_speed_ceiling_is_lowered_around_a_violation(seed: int, half: int) -> None:
     rng = np.random.default_rng(seed)
     knots, s = np.linspace(1.0, 2.0, 12), np.linspace(0.0, 1.0, 40)
     ceiling, speed, stretch = rng.uniform(0.5, 2.0, 12), rng.uniform(0.5, 2.0, 40), rng.uniform(0.8, 1.05, 40)
@@ -208,7 +208,7 @@ def test_cubics_and_their_derivatives_are_those_of_the_spline(seed: int, knots: 
         np.testing.assert_allclose(rate, sign * expected, rtol=0, atol=1e-9 * size.max())
 
 
-def test_a_number_that_is_none_is_beyond_every_limit() -> None:
+def test_a_nan_violates_every_limit() -> None:
     knots, coefficients, (s, speed, acceleration) = path(1, 2, 9)
     speed[4] = np.nan
     found = sampled_on(knots, coefficients, s, speed, acceleration, 2)
@@ -240,7 +240,7 @@ def use(folder: Path, name: str) -> None:
     assert module.twice(2.0) == 4.0
 
 
-def test_where_nothing_can_be_kept_it_goes_to_a_folder_of_the_users_own(tmp_path: Path, monkeypatch: Any) -> None:
+def test_the_cache_falls_back_to_a_private_folder(tmp_path: Path, monkeypatch: Any) -> None:
     monkeypatch.setenv("HOME", "/dev/null")
     monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
     monkeypatch.setattr(numba.config, "CACHE_DIR", "")
@@ -251,7 +251,7 @@ def test_where_nothing_can_be_kept_it_goes_to_a_folder_of_the_users_own(tmp_path
     assert list(own.rglob("*.nbc"))
 
 
-def test_a_folder_that_others_can_write_to_is_not_read(tmp_path: Path, monkeypatch: Any) -> None:
+def test_a_cache_folder_writable_by_others_is_not_read(tmp_path: Path, monkeypatch: Any) -> None:
     monkeypatch.setenv("HOME", "/dev/null")
     monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
     monkeypatch.setattr(numba.config, "CACHE_DIR", "")
@@ -263,7 +263,7 @@ def test_a_folder_that_others_can_write_to_is_not_read(tmp_path: Path, monkeypat
     assert not list(own.iterdir())
 
 
-def test_what_plans_no_motion_does_not_load_the_compiler() -> None:
+def test_commands_without_planning_do_not_load_the_compiler() -> None:
     modules = "agent.estimation.workflow, agent.validation.torque, agent.diagnosis.workflow"
     script = (
         f"import sys, {modules}, agent.recipe; agent.recipe.load_recipe(sys.argv[1]); assert 'numba' not in sys.modules"

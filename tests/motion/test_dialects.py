@@ -66,7 +66,7 @@ def check_same(found, wanted):
 
 
 @ALL
-def test_what_is_written_is_read_back(dialect, ns16, home, kinematics):
+def test_programs_round_trip(dialect, ns16, home, kinematics):
     statements = program(home, kinematics)
     read = dialect.read(dialect.write("task", statements, ns16), f"task{dialect.suffix}", ns16)
     assert read.name.startswith("task")
@@ -85,7 +85,7 @@ def test_a_loop_approaches_slowly_and_repeats_its_cycle(dialect, ns16, home, kin
 
 
 @ALL
-def test_a_program_that_sets_its_frames_leaves_none_open(dialect, ns16, home, kinematics):
+def test_a_written_program_sets_all_frames(dialect, ns16, home, kinematics):
     assert "tool" in dialect.frame_names
     statements = program(home, kinematics)
     text = dialect.write("task", statements, ns16)
@@ -97,7 +97,7 @@ def test_a_program_that_sets_its_frames_leaves_none_open(dialect, ns16, home, ki
 
 
 @ALL
-def test_a_persons_program_is_one_that_is_read(dialect, ns16, home, kinematics):
+def test_a_job_reads_like_a_program(dialect, ns16, home, kinematics):
     statements = program(home, kinematics)
     text, passed = dialect.job(dialect.write("task", statements, ns16), f"task{dialect.suffix}", ns16)
     moves = [one for one in dialect.read(text, "", ns16).run() if isinstance(one, Move)]
@@ -107,26 +107,26 @@ def test_a_persons_program_is_one_that_is_read(dialect, ns16, home, kinematics):
 
 @ALL
 @pytest.mark.parametrize("text", ["", "no program at all (", "\x00"])
-def test_what_is_no_program_is_refused_by_name(dialect, ns16, text):
+def test_refuses_an_invalid_program_by_name(dialect, ns16, text):
     with pytest.raises(InputError, match="rubbish"):
         list(dialect.read(text, "rubbish", ns16).run())
 
 
 @ALL
 @pytest.mark.parametrize("name", ["", "1st", "a b", "a;b", "a\nb"])
-def test_a_name_that_the_language_does_not_take_is_refused(dialect, ns16, name):
+def test_refuses_an_invalid_program_name(dialect, ns16, name):
     with pytest.raises(InputError, match="name"):
         dialect.write(name, [Delay(1.0)], ns16)
 
 
 @ALL
-def test_a_coordinate_that_is_no_number_is_not_written(dialect, ns16):
+def test_refuses_to_write_a_non_finite_coordinate(dialect, ns16):
     with pytest.raises(InputError, match="finite"):
         dialect.write("task", [Move(MoveType.JOINT, JointTarget(np.full(6, np.nan)))], ns16)
 
 
 @ALL
-def test_its_own_law_runs_what_is_read(dialect, ns16, home, kinematics):
+def test_the_dialects_own_interpolator_runs_its_programs(dialect, ns16, home, kinematics):
     assert set(dialect.interpolators) <= set(interpolator_names(dialect)) <= set(interpolator_names())
     law = create_interpolator(dialect.interpolators[0], ns16, None, period=0.002)
     statements = list(dialect.read(dialect.write("task", program(home, kinematics), ns16), "", ns16).run())
@@ -136,7 +136,7 @@ def test_its_own_law_runs_what_is_read(dialect, ns16, home, kinematics):
 
 
 @ALL
-def test_settings_of_a_recipe(dialect, ns16):
+def test_a_recipe_gives_the_settings_of_the_dialect(dialect, ns16):
     assert "distance" in dialect.fly_keys
     from agent.recipe.schema import FlySection
 
@@ -155,7 +155,7 @@ def test_a_dialect_is_found_by_name_and_by_file(dialect):
     assert dialect.companion(Path("nowhere") / f"job{dialect.suffix}") is None
 
 
-def test_every_driver_speaks_a_dialect_that_there_is():
+def test_every_driver_has_a_registered_dialect():
     for name in drivers.available():
         assert create_dialect(drivers.dialect(name)).name == drivers.dialect(name)
     with pytest.raises(InputError, match=r"esperanto.*pdl2"):

@@ -169,7 +169,7 @@ def check_overlap(fly: FlyInterpolator, program: list, start: np.ndarray) -> Non
 
 @QUICK
 @given(seed=SEEDS)
-def test_any_program_keeps_every_limit(fly, home, random_program, seed):
+def test_every_program_keeps_every_limit(fly, home, random_program, seed):
     program = random_program(seed)
     trajectory = planned(fly, program, home)
     if trajectory is not None:
@@ -205,7 +205,7 @@ def test_fly_norm_is_slower_at_corners_than_fly_cart_and_quicker_than_stopping(
 
 @pytest.mark.verify
 @pytest.mark.parametrize("piece", range(20))
-def test_ten_thousand_programs_break_no_law(fly, home, random_program, random_lines, measured, piece):
+def test_ten_thousand_programs_keep_every_limit(fly, home, random_program, random_lines, measured, piece):
     refused = 0
     for seed in range(piece * 250, (piece + 1) * 250):
         program, lines = random_program(seed), random_lines(seed)

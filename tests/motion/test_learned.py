@@ -48,7 +48,7 @@ def judge(parameters: FlyParameters, seed: int, via: int, **loop: float):
     return Learner(ROBOT, [RecordedMove(tuple(moves), planned.t, planned.q)], 0.004).errors(parameters)
 
 
-def test_one_loop_teaches_the_law_of_the_others(learned):
+def test_a_law_learned_from_one_loop_predicts_others(learned):
     law = learned[0].law
     assert law.figures["before"]["path_mm"] > 1.0
     for via in (2, 3):
@@ -58,7 +58,7 @@ def test_one_loop_teaches_the_law_of_the_others(learned):
         assert judge(FlyParameters(), 2, via).time > 2.0
 
 
-def test_it_holds_where_moves_do_little_but_turn_the_tool(learned):
+def test_a_learned_law_predicts_reorientation_moves(learned):
     """Half a radian within a few centimetres: limits bind that did not in the loop it was learned from."""
     for via in (1, 2):
         errors = judge(learned[0].law.parameters, 2, via, spread=0.05, turn=0.6)
@@ -66,7 +66,7 @@ def test_it_holds_where_moves_do_little_but_turn_the_tool(learned):
         assert errors.time < 0.5
 
 
-def test_the_file_is_an_interpolator(learned):
+def test_the_law_file_loads_as_an_interpolator(learned):
     _, path, _ = learned
     interpolator = create_interpolator(str(path), ROBOT, None, period=0.004)
     assert isinstance(interpolator, FlyInterpolator)
@@ -75,7 +75,7 @@ def test_the_file_is_an_interpolator(learned):
     assert load_law(path, ROBOT).settling_s["FINE"] == pytest.approx(0.08, abs=0.01)
 
 
-def test_stops_of_a_few_samples_are_stops(tmp_path):
+def test_detects_stops_of_a_few_samples(tmp_path):
     """A controller that settles at once goes on after 20 ms."""
     text, interpolator = loop_program(ROBOT, 1, cycles=3), FlyInterpolator(ROBOT, period=0.004)
     log = record(tmp_path / "loop.mcap", ROBOT, text, interpolator, period=0.004, rest=0.02)
@@ -95,7 +95,7 @@ def test_a_learned_law_keeps_the_arms_limits(learned):
     assert not plan.qd[[0, -1]].any()
 
 
-def test_a_recipe_takes_the_file_and_says_what_is_wrong_with_it(learned, tmp_path):
+def test_a_recipe_uses_the_law_file_and_reports_its_faults(learned, tmp_path):
     from agent.recipe import load_recipe
     from agent.runs.approved import problem
     from tests.app.conftest import RECIPE
@@ -131,7 +131,7 @@ def test_a_recipe_takes_the_file_and_says_what_is_wrong_with_it(learned, tmp_pat
         ("another robot", "a log of somebody"),
     ],
 )
-def test_what_cannot_be_learned_from_is_told_in_one_message(change, match, tmp_path):
+def test_unusable_logs_give_one_message(change, match, tmp_path):
     text = loop_program(ROBOT, 1)
     program = loop_program(ROBOT, 9) if change == "another program" else text
     log = record(tmp_path / "loop.mcap", ROBOT, text, FlyInterpolator(ROBOT, period=0.008), program, change, 0.008)

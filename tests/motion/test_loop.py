@@ -21,7 +21,7 @@ def poses():
     return box.poses(np.random.default_rng(4).random(36))
 
 
-def test_a_cycle_flies_and_ends_fine_where_it_began(fly, kinematics, home, poses):
+def test_a_cycle_blends_and_ends_fine_at_its_start(fly, kinematics, home, poses):
     moves = loop_moves(poses, SETTINGS)
     assert [move.fly for move in moves] == [True] * 5 + [False]
     assert all(move.type is MoveType.LINEAR for move in moves)

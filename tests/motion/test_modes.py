@@ -37,7 +37,7 @@ def nearest_to(trajectory, point):
     return float(np.min(np.linalg.norm(positions(trajectory) - point, axis=1)))
 
 
-def test_samples_are_the_controllers_and_name_their_statement(fly, home, corner):
+def test_samples_have_the_controller_period_and_their_statement(fly, home, corner):
     trajectory = fly.plan([line(corner[0], fly=True), Delay(0.1), line(corner[1])], home)
     assert np.allclose(np.diff(trajectory.t), 0.002)
     assert trajectory.t[0] == 0
@@ -50,13 +50,13 @@ def test_samples_are_the_controllers_and_name_their_statement(fly, home, corner)
     assert np.array_equal(trajectory.q, again.q)
 
 
-def test_nothing_to_do_is_one_stationary_sample(fly, home, kinematics):
+def test_an_empty_program_gives_one_stationary_sample(fly, home, kinematics):
     for program in ([], [line(kinematics.forward(home[None])[0])], [Move(MoveType.JOINT, JointTarget(home))]):
         trajectory = fly.plan(program, home)
         assert np.array_equal(trajectory.q, home[None])
 
 
-def test_a_joint_move_takes_all_joints_together_as_fast_as_the_slowest_may(fly, ns16, home):
+def test_a_joint_move_is_limited_by_the_slowest_joint(fly, ns16, home):
     change = np.array([2.0, -0.3, 0.2, 0.5, 0.1, -1.0])
     settings = CALM.changed(speed_override=0.5)
     trajectory = fly.plan([Move(MoveType.JOINT, JointTarget(home + change), settings)], home)
@@ -66,7 +66,7 @@ def test_a_joint_move_takes_all_joints_together_as_fast_as_the_slowest_may(fly, 
     assert np.max(np.abs(trajectory.qdd[:, 0])) == pytest.approx(ns16.max_acceleration[0], rel=1e-2)
 
 
-def test_speed_is_the_programmed_one_through_a_blend_where_no_limit_binds(fly, home, corner):
+def test_a_blend_keeps_the_programmed_speed_if_no_limit_is_active(fly, home, corner):
     program = [line(corner[0], fly=True, linear_speed=0.08), line(corner[1], linear_speed=0.08)]
     trajectory = fly.plan(program, home)
     ramps = (trajectory.t < 0.4) | (trajectory.t > trajectory.duration - 0.4)
@@ -75,7 +75,7 @@ def test_speed_is_the_programmed_one_through_a_blend_where_no_limit_binds(fly, h
     assert 0.005 < nearest_to(trajectory, corner[0][:3, 3]) <= 0.02
 
 
-def test_speed_drops_only_in_the_corner_and_the_limit_is_named(fly, home, corner):
+def test_speed_drops_only_in_the_corner_and_names_the_limit(fly, home, corner):
     program = [line(corner[0], fly=True, linear_speed=0.4), line(corner[1], linear_speed=0.4)]
     trajectory = fly.plan(program, home)
     slow = trajectory.path_speed < 0.99 * 0.4
@@ -147,7 +147,7 @@ def test_fly_norm_overlaps_more_with_a_larger_percentage(fly, home, corner):
     assert plans[0].duration < halted.duration
 
 
-def test_a_corner_that_turns_back_is_a_stop(fly, home, down):
+def test_a_reversing_corner_is_a_stop(fly, home, down):
     there, back = down([1.0, 0.3, 0.8]), down([1.0, 0.1, 0.8])
     trajectory = fly.plan([line(there, fly=True), line(back)], home)
     assert nearest_to(trajectory, there[:3, 3]) < 1e-7
@@ -253,7 +253,7 @@ def test_base_and_user_frame_move_the_targets(fly, home, corner):
         assert np.max(np.abs(other.q - plain.q)) < 1e-9
 
 
-def test_tool_of_the_settings_goes_before_the_recipes(fly, home, corner, ns16, kinematics):
+def test_the_tool_in_the_settings_overrides_the_recipe(fly, home, corner, ns16, kinematics):
     from agent.robot.dynamics import Tool
 
     frame = pose_of([0.01, 0.02, 0.15, 0.0, 0.1, 0.0])
@@ -283,7 +283,7 @@ def test_flying_between_joint_and_linear_moves_keeps_the_distance(fly, home, kin
         assert np.max(np.abs(trajectory.tcp[-1] - corner[1])) < 1e-6
 
 
-def test_parameters_change_ramps_and_blends_by_little(ns16, fly, home, corner):
+def test_interpolator_parameters_change_ramps_and_blends_slightly(ns16, fly, home, corner):
     program = [line(corner[0], fly=True, linear_speed=0.6), line(corner[1], linear_speed=0.6)]
     ours = fly.plan(program, home)
     others = FlyInterpolator(ns16, parameters=FlyParameters(blend_shape=0.1, ramp=1.6, stress_floor=0.55))
@@ -293,7 +293,7 @@ def test_parameters_change_ramps_and_blends_by_little(ns16, fly, home, corner):
     assert nearest_to(theirs, corner[0][:3, 3]) <= 0.02 + 1e-9
 
 
-def test_a_statement_that_moves_nothing_leaves_the_others_as_they_are(fly, home, corner):
+def test_a_statement_without_motion_does_not_affect_the_others(fly, home, corner):
     plain = fly.plan([line(corner[0], fly=True), line(corner[1])], home)
     repeated = fly.plan([line(corner[0], fly=True), replace(line(corner[0]), fly=True), line(corner[1])], home)
     assert np.array_equal(plain.q, repeated.q)

@@ -181,7 +181,7 @@ def test_a_program_is_stepped_through_the_library(vendor, controller, ns16, home
     assert np.count_nonzero(trajectory.move == 4) == 10
 
 
-def test_the_vendors_library_is_started_once_and_told_all_by_its_own_names(vendor, controller, ns16, home, monkeypatch):
+def test_initialises_the_vendor_library_once_with_its_own_names(vendor, controller, ns16, home, monkeypatch):
     monkeypatch.setenv(ARM, "2")
     heard(vendor)
     for _ in range(2):
@@ -215,7 +215,7 @@ def test_the_vendors_library_is_started_once_and_told_all_by_its_own_names(vendo
     assert "fly 7 60" in lines
 
 
-def test_a_circle_is_told_by_its_end_and_then_its_way(vendor, controller, ns16, home):
+def test_a_circle_is_passed_as_end_point_then_via_point(vendor, controller, ns16, home):
     orl = OrlInterpolator(ns16, library=vendor)
     heard(vendor)
     end = CartesianTarget(pose_of([1.0, 0.1, 0.8, 0.1, 3.0, -0.2]), "S W T1:1")
@@ -231,7 +231,7 @@ def test_a_circle_is_told_by_its_end_and_then_its_way(vendor, controller, ns16, 
     ]
 
 
-def test_a_refusal_names_the_variable_and_leaves_nothing_scheduled(vendor, controller, ns16, home):
+def test_a_refusal_names_the_variable_and_clears_the_queue(vendor, controller, ns16, home):
     orl = OrlInterpolator(ns16, library=vendor)
     moves = [joint_move(home + 0.01, fly=True), joint_move(home, linear_speed=3.0)]
     with pytest.raises(MotionError, match=r"statement 2.*\$ARM_DATA\[1\]\.LIN_SPD: status -11"):
@@ -242,7 +242,7 @@ def test_a_refusal_names_the_variable_and_leaves_nothing_scheduled(vendor, contr
         orl.plan([Move(MoveType.LINEAR, long)], home)
 
 
-def test_a_library_that_stops_before_it_asks_for_the_next_move_is_refused(built, controller, ns16, home):
+def test_refuses_a_library_that_stops_before_requesting_the_next_move(built, controller, ns16, home):
     orl = OrlInterpolator(ns16, library=built(VENDOR, asks=2))
     moves = [joint_move(home + 0.01, fly=True), joint_move(home, fly=True), joint_move(home + 0.01)]
     with pytest.raises(MotionError, match="before it asked for the next"):
@@ -251,7 +251,7 @@ def test_a_library_that_stops_before_it_asks_for_the_next_move_is_refused(built,
         orl.plan(moves[:1] + [joint_move(home)], home)
 
 
-def test_a_library_that_is_not_there_or_refuses_says_so(vendor, built, controller, ns16, monkeypatch, tmp_path):
+def test_reports_a_missing_or_failing_library(vendor, built, controller, ns16, monkeypatch, tmp_path):
     monkeypatch.delenv(LIBRARY, raising=False)
     with pytest.raises(InputError, match=LIBRARY):
         OrlInterpolator(ns16)
@@ -278,7 +278,7 @@ def test_a_library_that_is_not_there_or_refuses_says_so(vendor, built, controlle
         OrlInterpolator(ns16, library=vendor)
 
 
-def test_a_library_without_the_calls_is_refused(ns16, controller):
+def test_refuses_a_library_without_the_required_functions(ns16, controller):
     import _ctypes
 
     with pytest.raises(InputError, match="not an ORL library"):

@@ -60,7 +60,7 @@ def check_limits(robot, interpolator, trajectory):
 
 
 @pytest.mark.parametrize("name", ARMS)
-def test_joint_moves(name):
+def test_joint_moves_keep_the_limits_of_other_arms(name):
     robot, start, end = arm(name)
     interpolator = FlyInterpolator(robot)
     middle = JointTarget(0.5 * (start + end) + 0.1)
@@ -73,7 +73,7 @@ def test_joint_moves(name):
 
 
 @pytest.mark.parametrize("name", ["gantry", "scara", "7 axes"])
-def test_lines(name):
+def test_linear_moves_keep_the_limits_of_other_arms(name):
     robot, start, end = arm(name)
     kinematics, interpolator = kinematics_for(robot), FlyInterpolator(robot)
     target = kinematics.forward(end[None])[0]

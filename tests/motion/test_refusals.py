@@ -68,7 +68,7 @@ def test_singularities_are_kept_away_from_on_request(fly, kinematics):
     assert "$SING_CARE" in str(error)
 
 
-def test_configuration_care_refuses_to_arrive_otherwise(fly, home, down, kinematics):
+def test_configuration_care_refuses_another_configuration(fly, home, down, kinematics):
     pose = down([1.0, 0.2, 0.8])
     arrival = str(kinematics.configuration(kinematics.solve(pose, home)))
     other = arrival.replace("W ", "") if "W " in arrival else "W " + arrival
@@ -79,7 +79,7 @@ def test_configuration_care_refuses_to_arrive_otherwise(fly, home, down, kinemat
     assert refusal(fly, [line(pose, configuration=turned, turn_care=True)], home).limit == "configuration"
 
 
-def test_three_points_on_a_line_are_no_circle(fly, home, down):
+def test_refuses_a_circle_through_collinear_points(fly, home, down):
     via = CartesianTarget(down([1.0, 0.1, 0.8]))
     move = Move(MoveType.CIRCULAR, CartesianTarget(down([1.0, 0.2, 0.8])), PLAIN, via=via)
     assert refusal(fly, [move], home).limit == "circle"
@@ -87,7 +87,7 @@ def test_three_points_on_a_line_are_no_circle(fly, home, down):
         fly.plan([Move(MoveType.CIRCULAR, CartesianTarget(down([1.0, 0.2, 0.8])), PLAIN)], home)
 
 
-def test_an_orientation_that_is_not_planned_is_refused_by_name(fly, home, down):
+def test_refuses_an_unsupported_orientation_mode_by_name(fly, home, down):
     error = refusal(fly, [line(down([1.0, 0.2, 0.8]), orientation=OrientationType.WRIST_JNT)], home)
     assert error.limit == "orientation"
     assert "WRIST_JNT" in str(error)
@@ -113,12 +113,12 @@ def test_motions_without_end_are_refused(fly, home, down):
         {"fly_distance": -0.01},
     ],
 )
-def test_settings_that_make_no_sense(fly, home, down, changed):
+def test_refuses_invalid_settings(fly, home, down, changed):
     with pytest.raises(InputError, match=next(iter(changed))):
         fly.plan([line(down([1.0, 0.2, 0.8]), **changed)], home)
 
 
-def test_points_that_make_no_sense(fly, home, down):
+def test_refuses_invalid_points(fly, home, down):
     sheared = down([1.0, 0.2, 0.8])
     sheared[0, 1] += 0.1
     infinite = down([1.0, np.inf, 0.8])

@@ -53,7 +53,7 @@ QUICK = settings(max_examples=100, deadline=None, derandomize=True)
 
 @QUICK
 @given(kind=KINDS, seed=st.integers(0, 2**32 - 1))
-def test_every_genome_gives_poses_of_its_own_regions(kind, seed):
+def test_every_genome_gives_poses_inside_its_regions(kind, seed):
     regions = REGIONS[kind]
     poses = regions.poses(np.random.default_rng(seed).random(regions.genes))
     assert poses.shape == (regions.count, 4, 4)
@@ -64,7 +64,7 @@ def test_every_genome_gives_poses_of_its_own_regions(kind, seed):
 
 @QUICK
 @given(kind=st.sampled_from(["points", "box"]), point=st.integers(0, 1), axis=st.integers(0, 2))
-def test_position_genes_are_linear_and_their_ends_are_the_borders(kind, point, axis):
+def test_position_genes_map_linearly_to_the_region(kind, point, axis):
     regions = REGIONS[kind]
 
     def at(value):
@@ -106,7 +106,7 @@ def test_the_tube_follows_its_path():
     assert np.allclose(last, PATH[2])
 
 
-def test_the_envelope_holds_the_task_and_a_margin():
+def test_the_envelope_contains_the_task_with_a_margin():
     regions = REGIONS["envelope"]
     travel = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(TASK[:, :3, 3], axis=0), axis=1))))
     part = np.minimum((4 * travel / travel[-1]).astype(int), 3)
@@ -115,7 +115,7 @@ def test_the_envelope_holds_the_task_and_a_margin():
     assert np.isclose(regions.poses(np.ones(regions.genes))[0, 2, 3], TASK[0, 2, 3] + 0.05)
 
 
-def test_regions_travel_and_bad_input_is_named():
+def test_regions_can_be_pickled_and_refuse_invalid_genomes():
     for regions in REGIONS.values():
         again = pickle.loads(pickle.dumps(regions))
         genome = np.linspace(0, 1, regions.genes)

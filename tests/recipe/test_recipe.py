@@ -21,7 +21,7 @@ from tests.recipe.recipes import FULL, MINIMAL, POINTS, TUBE, load_text, with_vi
 ROOT = Path(__file__).parents[2]
 
 
-def test_every_value_arrives_in_si(recipe_file: Path) -> None:
+def test_every_value_is_converted_to_si(recipe_file: Path) -> None:
     recipe = load_text(recipe_file, FULL)
     assert recipe.path == recipe_file
     assert recipe.sha256 == hashlib.sha256(FULL.encode()).hexdigest()
@@ -48,7 +48,7 @@ def test_every_value_arrives_in_si(recipe_file: Path) -> None:
     assert (recipe.recalibrate.every, recipe.recalibrate.parameters) == (43_200.0, "all")
 
 
-def test_the_tool_weighs_where_the_recipe_says(recipe_file: Path) -> None:
+def test_the_tool_mass_acts_at_its_centre_of_mass(recipe_file: Path) -> None:
     tool = load_text(recipe_file, FULL).tool
     flange = tool.frame @ np.append(tool.centre_of_mass, 1.0)
     np.testing.assert_allclose(flange[:3], [0.0, 0.0, 0.06], atol=1e-15)
@@ -56,7 +56,7 @@ def test_the_tool_weighs_where_the_recipe_says(recipe_file: Path) -> None:
     assert tool.mass == 2.1
 
 
-def test_what_is_left_out_has_the_contracts_values(recipe_file: Path) -> None:
+def test_omitted_keys_have_their_documented_defaults(recipe_file: Path) -> None:
     recipe = load_text(recipe_file, MINIMAL)
     assert recipe.tool is None
     assert (recipe.cell.keep_out, recipe.cell.joint_ranges) == ((), {})
@@ -114,7 +114,7 @@ def test_a_robot_file_is_found_from_the_recipes_folder(tmp_path: Path, monkeypat
 
 
 @pytest.mark.parametrize("name", ["ns16_quickstart.yaml", "ns16.yaml"])
-def test_the_recipes_that_come_along_load(name: str) -> None:
+def test_the_shipped_recipes_load(name: str) -> None:
     recipe = load_recipe(ROOT / "recipes" / name)
     assert (recipe.search.population, recipe.search.generations) == (50, 40)
     assert recipe.record.cycles == (100 if name == "ns16.yaml" else 10)
@@ -147,7 +147,7 @@ def test_any_address_survives_the_template(recipe_file: Path, address: str) -> N
     assert read_yaml(recipe_file)["controller"]["address"] == address
 
 
-def test_the_names_of_methods_are_those_that_exist() -> None:
+def test_the_schema_lists_the_registered_methods() -> None:
     from agent.estimation.workflow import methods
     from agent.excitation.genetic import METHODS as SEARCHES
 

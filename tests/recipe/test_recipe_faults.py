@@ -34,7 +34,7 @@ from tests.recipe.recipes import FULL, MINIMAL, POINTS, TUBE, faults_of, load_te
         (TUBE.replace("count: 4", "count: 1"), "via_points.count", "greater than or equal to 2"),
     ],
 )
-def test_a_clash_of_alternatives_is_named(recipe_file: Path, via_points: str, key: str, message: str) -> None:
+def test_names_conflicting_alternatives(recipe_file: Path, via_points: str, key: str, message: str) -> None:
     fault = faults_of(recipe_file, with_via_points(via_points))[0]
     assert f"recipe.yaml:4: motion.{key}: " in fault
     assert message in fault
@@ -117,7 +117,7 @@ def test_a_fault_names_file_line_key_and_what_is_allowed(
 
 
 @pytest.mark.parametrize("law", ["fly", "learned.yaml"])
-def test_what_the_language_of_the_controller_cannot_say_is_refused(recipe_file: Path, monkeypatch, law: str) -> None:
+def test_refuses_settings_unsupported_by_the_controllers_language(recipe_file: Path, monkeypatch, law: str) -> None:
     monkeypatch.setattr(Pdl2, "fly_keys", frozenset({"distance"}))
     monkeypatch.setattr(Pdl2, "interpolators", ("other",))
     faults = faults_of(recipe_file, FULL.replace("interpolator: fly", f"interpolator: {law}"))
@@ -129,7 +129,7 @@ def test_what_the_language_of_the_controller_cannot_say_is_refused(recipe_file: 
     ]
 
 
-def test_a_recipe_that_names_no_interpolator_has_the_one_of_its_controller(recipe_file: Path, monkeypatch) -> None:
+def test_the_default_interpolator_is_the_controllers_own(recipe_file: Path, monkeypatch) -> None:
     assert load_text(recipe_file, MINIMAL).interpolator == "fly"
     monkeypatch.setattr(Pdl2, "interpolators", ("other", "fly"))
     assert load_text(recipe_file, MINIMAL).interpolator == "other"
@@ -173,7 +173,7 @@ def test_a_bare_number_is_si_or_asks_for_its_unit(recipe_file: Path, place: Any,
             assert "hardly meant" not in str(load(guess[1]))
 
 
-def test_all_faults_are_told_at_once(recipe_file: Path) -> None:
+def test_reports_all_faults_at_once(recipe_file: Path) -> None:
     text = FULL.replace("comau_ns16", "nobody").replace("speed: 500 mm/s", "speed: fast").replace("seed: 3", "sed: 3")
     text = text.replace("count: 6", "count: 6\n    like: task.pdl\n    around: 3 kg")
     keys = [fault.split(": ")[1] for fault in faults_of(recipe_file, text)]
@@ -181,7 +181,7 @@ def test_all_faults_are_told_at_once(recipe_file: Path) -> None:
     assert wanted == set(keys)
 
 
-def test_files_that_are_no_recipe(tmp_path: Path) -> None:
+def test_refuses_files_that_are_not_recipes(tmp_path: Path) -> None:
     for name, content in {"empty": b"", "list": b"[1, 2]", "latin": b"robot: \xe9\xff", "deep": b"[" * 1000}.items():
         path = tmp_path / name
         path.write_bytes(content)
@@ -285,7 +285,7 @@ def _with_arm(folder: Path, urdf: str, cell: str = "") -> Path:
         (TURN, 'lower="-90" upper="25" ', "joint 'turn': a range of -90 to 25 rad.*looks like degrees"),
     ],
 )
-def test_no_arm_is_moved_whose_limits_are_missing_or_in_degrees(tmp_path: Path, old, new, message) -> None:
+def test_refuses_missing_limits_and_limits_in_degrees(tmp_path: Path, old, new, message) -> None:
     assert old in ARM
     path = _with_arm(tmp_path, ARM.replace(old, new))
     recipe, faults = examine_recipe(path)
@@ -304,5 +304,5 @@ def test_no_arm_is_moved_whose_limits_are_missing_or_in_degrees(tmp_path: Path, 
         (TURN, 'lower="-47.2" upper="47.2" ', ""),  # seven turns and a half to either side, as wrists have
     ],
 )
-def test_ranges_that_are_given_elsewhere_or_are_endless_by_type_are_none_to_miss(tmp_path, old, new, cell) -> None:
+def test_accepts_ranges_from_the_cell_and_unlimited_joints(tmp_path, old, new, cell) -> None:
     assert load_recipe(_with_arm(tmp_path, ARM.replace(old, new), cell)).robot.name == "two"

@@ -31,12 +31,12 @@ EVERY_UNIT = [(dimension, unit) for dimension in Dimension for unit in dimension
         (3, Dimension.LENGTH, 3.0),
     ],
 )
-def test_a_quantity_becomes_si(text: object, dimension: Dimension, si: float) -> None:
+def test_a_quantity_is_converted_to_si(text: object, dimension: Dimension, si: float) -> None:
     assert parse_quantity(text, dimension) == pytest.approx(si, rel=1e-15)
 
 
 @given(st.sampled_from(EVERY_UNIT), st.floats(-1e6, 1e6))
-def test_every_unit_is_its_factor(unit: tuple[Dimension, str], number: float) -> None:
+def test_every_unit_has_its_conversion_factor(unit: tuple[Dimension, str], number: float) -> None:
     dimension, name = unit
     assert parse_quantity(f"{number!r} {name}", dimension) == number * dimension.value.factors[name]
 
@@ -72,12 +72,12 @@ def test_a_unit_of_another_dimension_names_what_is_allowed(unit: tuple[Dimension
         "٣ m",
     ],
 )
-def test_what_is_no_finite_length_is_refused(value: object) -> None:
+def test_refuses_a_non_finite_length(value: object) -> None:
     with pytest.raises(InputError, match="a length"):
         parse_quantity(value, Dimension.LENGTH)
 
 
 @given(st.one_of(st.text(), st.integers(), st.floats(), st.none(), st.booleans(), st.binary(), st.lists(st.text())))
-def test_anything_is_a_finite_number_or_an_input_error(value: object) -> None:
+def test_any_value_gives_a_finite_number_or_an_input_error(value: object) -> None:
     with contextlib.suppress(InputError):
         assert math.isfinite(parse_quantity(value, Dimension.TIME))

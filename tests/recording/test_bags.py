@@ -84,7 +84,7 @@ def test_a_folder_of_two_files_is_one_log(whole: Path, tmp_path: Path):
     ]
 
 
-def test_a_database_is_a_log_alone_and_in_its_folder(whole: Path, tmp_path: Path):
+def test_reads_a_database_by_file_or_folder(whole: Path, tmp_path: Path):
     expected = read_log(whole)
     folder = tmp_path / "bag"
     folder.mkdir()
@@ -109,7 +109,7 @@ def _packed(data: bytes, _: int = 0) -> bytes:
     return zstandard.ZstdCompressor().compress(data)
 
 
-def test_messages_that_are_compressed_one_by_one(whole: Path, tmp_path: Path):
+def test_reads_messages_compressed_one_by_one(whole: Path, tmp_path: Path):
     expected = read_log(whole)
     with sqlite3.connect(tmp_path / "a.db3") as bag:
         _database(tmp_path / "a.db3", whole)
@@ -133,7 +133,7 @@ def test_messages_that_are_compressed_one_by_one(whole: Path, tmp_path: Path):
         np.testing.assert_array_equal(log.effort, expected.effort)
 
 
-def test_a_message_takes_no_more_memory_than_a_limit(tmp_path: Path):
+def test_a_message_is_limited_in_memory(tmp_path: Path):
     bomb = _packed(bytes(200 * 2**20))
     path = write_foreign(tmp_path / "bomb.mcap", [{"time": 1.0 + k, "data": bomb} for k in range(3)])
     tracemalloc.start()
@@ -150,7 +150,7 @@ def test_a_message_takes_no_more_memory_than_a_limit(tmp_path: Path):
     [("zstd", _packed), ("gz", gzip.compress), ("lz4", lz4.frame.compress)],
 )
 @pytest.mark.parametrize("kind", ["mcap", "db3"])
-def test_files_that_are_compressed_as_a_whole(whole: Path, tmp_path: Path, ending, pack, kind):
+def test_reads_files_compressed_as_a_whole(whole: Path, tmp_path: Path, ending, pack, kind):
     expected = read_log(whole)
     _database(tmp_path / "whole.db3", whole)
     folder = tmp_path / "bag"
@@ -163,7 +163,7 @@ def test_files_that_are_compressed_as_a_whole(whole: Path, tmp_path: Path, endin
         np.testing.assert_array_equal(log.effort, expected.effort)
 
 
-def test_a_packed_file_that_is_cut_off_gives_what_it_has(whole: Path, tmp_path: Path):
+def test_recovers_a_truncated_compressed_file(whole: Path, tmp_path: Path):
     plain = write_foreign(tmp_path / "plain.mcap", _messages(slice(None)), compression=CompressionType.NONE)
     stream, packed = zstandard.ZstdCompressor().compressobj(), b""
     for part in np.array_split(np.frombuffer(plain.read_bytes(), np.uint8), 20):
@@ -174,13 +174,13 @@ def test_a_packed_file_that_is_cut_off_gives_what_it_has(whole: Path, tmp_path: 
     assert any("not closed by its writer" in repair.kind for repair in log.repairs)
 
 
-def test_a_file_that_unpacks_without_end_is_refused(tmp_path: Path):
+def test_refuses_a_decompression_bomb(tmp_path: Path):
     (tmp_path / "bomb.mcap.zstd").write_bytes(_packed(b"\x89MCAP0\r\n" + bytes(400 * 2**20)))
     with pytest.raises(InputError, match="500 times its size"):
         read_log(tmp_path / "bomb.mcap.zstd")
 
 
-def test_the_name_in_the_description_may_be_that_before_compression(whole: Path, tmp_path: Path):
+def test_finds_a_file_named_with_or_without_its_compression_suffix(whole: Path, tmp_path: Path):
     for there, named in (("a_0.mcap.zstd", "a_0.mcap"), ("b_0.mcap", "b_0.mcap.zstd")):
         folder = tmp_path / there
         folder.mkdir()
@@ -199,7 +199,7 @@ def test_a_folder_without_description_is_a_bag_by_the_names_of_its_files(tmp_pat
 
 
 @pytest.mark.parametrize("share", [0.95, 0.6, 0.3])
-def test_a_database_that_is_cut_off_gives_what_it_has(whole: Path, tmp_path: Path, share):
+def test_recovers_a_truncated_database(whole: Path, tmp_path: Path, share):
     _database(tmp_path / "whole.db3", whole)
     data = (tmp_path / "whole.db3").read_bytes()
     (tmp_path / "cut.db3").write_bytes(data[: int(share * len(data))])
@@ -229,7 +229,7 @@ def _ros1(path: Path) -> Path:
     return path
 
 
-def test_a_bag_of_ros_1(whole: Path, tmp_path: Path):
+def test_reads_a_ros_1_bag(whole: Path, tmp_path: Path):
     log, expected = read_log(_ros1(tmp_path / "old.bag")), read_log(whole)
     assert log.joint_names == JOINTS
     np.testing.assert_allclose(log.t, expected.t, atol=1e-9)
@@ -240,7 +240,7 @@ def test_a_bag_of_ros_1(whole: Path, tmp_path: Path):
         read_log(tmp_path / "cut.bag")
 
 
-def test_messages_of_ros_1_in_an_mcap_file(whole: Path, tmp_path: Path):
+def test_reads_ros_1_messages_in_an_mcap_file(whole: Path, tmp_path: Path):
     """As `mcap convert` makes it of a ROS 1 bag."""
     rosbag1 = pytest.importorskip("rosbags.rosbag1", reason="reading ROS 1 is an extra: pip install '.[ros1]'")
     with rosbag1.Reader(_ros1(tmp_path / "old.bag")) as bag, open(tmp_path / "converted.mcap", "wb") as file:
@@ -265,7 +265,7 @@ def test_without_the_library_a_bag_of_ros_1_is_named_with_what_converts_it(tmp_p
         read_log(tmp_path / "run.bag")
 
 
-def test_what_is_no_bag_is_told(tmp_path: Path):
+def test_reports_what_is_wrong_with_an_invalid_bag(tmp_path: Path):
     with pytest.raises(InputError, match=r"folder without metadata\.yaml"):
         read_log(tmp_path)
     with pytest.raises(InputError, match="is missing, although"):

@@ -31,7 +31,7 @@ def topics(path):
         return {channel.topic for channel in make_reader(file).get_summary().channels.values()}
 
 
-def test_currents_are_a_topic_with_their_values_as_effort(tmp_path):
+def test_motor_currents_have_their_own_topic(tmp_path):
     mcap_ros2 = pytest.importorskip("mcap_ros2.decoder")
     current = np.column_stack([np.arange(50), 2.0 * np.arange(50)])
     path = tmp_path / "log.mcap"
@@ -45,14 +45,14 @@ def test_currents_are_a_topic_with_their_values_as_effort(tmp_path):
     assert read_log(path).effort[3, 0] == 0.03  # torque stays what it was
 
 
-def test_a_link_with_torque_has_no_such_topic(tmp_path):
+def test_a_link_with_torque_has_no_current_topic(tmp_path):
     path = tmp_path / "log.mcap"
     with LogWriter(path, NAMES, robot="r", motion="m", sample_rate=500.0) as writer:
         writer.write(block(None))
     assert "/motor_currents" not in topics(path)
 
 
-def test_facts_stand_in_the_record_from_the_start_and_at_the_end(tmp_path):
+def test_stores_facts_from_start_and_end_of_a_recording(tmp_path):
     path = tmp_path / "log.mcap"
     with LogWriter(path, NAMES, robot="r", motion="m", sample_rate=500.0, facts={"known": "before"}) as writer:
         writer.write(block(None))
@@ -61,7 +61,7 @@ def test_facts_stand_in_the_record_from_the_start_and_at_the_end(tmp_path):
     assert (run["known"], run["clock_offset_s"], run["robot"]) == ("before", "1.5", "r")
 
 
-def test_torque_per_ampere_is_that_of_the_motors_through_gears_and_coupling():
+def test_torque_per_ampere_includes_gears_and_coupling():
     robot = load_robot("comau_ns16")
     robot = replace(robot, motor_coupling=tuple(map(tuple, np.eye(6) + 0.02 * np.eye(6, k=-1))))
     current = np.arange(1.0, 7.0)
@@ -72,7 +72,7 @@ def test_torque_per_ampere_is_that_of_the_motors_through_gears_and_coupling():
         assert (torque_per_ampere(robot) @ current) @ speed == pytest.approx(motor @ motor_speed)
 
 
-def test_a_robot_without_torque_constants_is_refused_on_a_link_of_currents():
+def test_refuses_a_current_link_for_a_robot_without_torque_constants():
     robot = load_robot("comau_ns16")
     plain = load_recipe(ROOT / "recipes/ns16_quickstart.yaml")
     first, *others = robot.joints

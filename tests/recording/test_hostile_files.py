@@ -47,7 +47,7 @@ def chunks(path: Path, data: bytes, declared: int, count: int = 1) -> Path:
         (60 * 2**20, 50, "500 times its size"),
     ],
 )
-def test_a_chunk_takes_no_more_memory_than_a_limit(tmp_path, bomb, declared, count, message):
+def test_a_chunk_is_limited_in_memory(tmp_path, bomb, declared, count, message):
     path = chunks(tmp_path / "log.mcap", bomb, declared, count)
     tracemalloc.start()
     try:
@@ -74,7 +74,7 @@ def test_any_metadata_is_read(tools, tmp_path, run):
     assert all(text.isprintable() for entry in log.metadata.items() for text in entry)
 
 
-def test_huge_numbers_in_lists_are_no_cycles(tools, tmp_path):
+def test_huge_numbers_are_not_accepted_as_cycle_starts(tools, tmp_path):
     messages = [{"time": 1 + k / 100, "names": ["a"], "position": [k], "effort": [k]} for k in range(50)]
     for text in ("[1" + "0" * 400 + "]", "[" * 100_000):
         log = read_log(tools.write_foreign(tmp_path / "log.mcap", messages, {"cycle_starts_s": text}))
@@ -82,7 +82,7 @@ def test_huge_numbers_in_lists_are_no_cycles(tools, tmp_path):
         assert any("cycle_starts_s" in repair.kind for repair in log.repairs)
 
 
-def test_names_that_are_no_text_are_no_joint_states(tools, tmp_path):
+def test_refuses_joint_names_that_are_not_text(tools, tmp_path):
     good = {"time": 1.0, "names": ["abcd"], "position": [1.0], "effort": [1.0]}
     path = tools.write_foreign(
         tmp_path / "log.mcap", [good, {**good, "time": 1.1}], compression=CompressionType.NONE, use_chunking=False
@@ -92,7 +92,7 @@ def test_names_that_are_no_text_are_no_joint_states(tools, tmp_path):
         read_log(path)
 
 
-def test_chunks_that_are_honest_are_limited_in_all(tmp_path):
+def test_the_total_of_all_chunks_is_limited(tmp_path):
     """Each is small enough, and unpacks to what it says; the file is large enough for 500 times its size."""
     packed = zstandard.ZstdCompressor(level=1).compress(bytes(60 * 2**20))
     path = chunks(tmp_path / "log.mcap", packed + bytes(max(0, 2**17 - len(packed))), 60 * 2**20, 200)
@@ -101,7 +101,7 @@ def test_chunks_that_are_honest_are_limited_in_all(tmp_path):
 
 
 @pytest.mark.parametrize("ending", [".parquet", ".mat"])
-def test_a_table_takes_no_more_memory_than_a_limit(tmp_path, ending: str):
+def test_a_table_is_limited_in_memory(tmp_path, ending: str):
     """A few hundred kilobytes that would be gigabytes, refused before they are read."""
     path = tmp_path / f"bomb{ending}"
     if ending == ".parquet":
@@ -148,7 +148,7 @@ def test_texts_of_a_parquet_file_are_not_read(tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["list", "fixed", "time", "bool"])
-def test_columns_of_numbers_of_every_kind_are_read(tmp_path, kind: str):
+def test_reads_columns_of_every_number_type(tmp_path, kind: str):
     import pyarrow
     from pyarrow import parquet
 

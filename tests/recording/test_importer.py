@@ -63,7 +63,7 @@ def table(tmp_path):
 JOINT_SIDE = "time: {column: time}\nposition: {columns: [q1, q2]}\n"
 
 
-def test_joint_side_columns_are_taken_as_they_are(convert, table):
+def test_joint_side_columns_are_imported_unchanged(convert, table):
     path, values = table
     log, notes = convert(JOINT_SIDE + "velocity: {columns: [v1, v2]}\neffort: {columns: [e1, e2]}\n", path)
     np.testing.assert_array_equal(log.position, values[:, 1:3])
@@ -75,7 +75,7 @@ def test_joint_side_columns_are_taken_as_they_are(convert, table):
     assert notes == ("out.mcap: 400 samples, 1.995 s at 200 Hz",)
 
 
-def test_units_scales_and_offsets(convert, table):
+def test_applies_units_scales_and_offsets(convert, table):
     path, values = table
     log, _ = convert(
         "time: {column: time, unit: ms}\n"
@@ -91,7 +91,7 @@ def test_units_scales_and_offsets(convert, table):
     assert log.sample_rate == pytest.approx(200e3)
 
 
-def test_motor_side_comes_to_the_joints_by_gears_and_coupling(convert, table):
+def test_converts_motor_side_columns_by_gears_and_coupling(convert, table):
     path, values = table
     log, _ = convert(
         "time: {column: time}\nside: motor\nposition: {columns: [q1, q2]}\nvelocity: {columns: [v1, v2], unit: rpm}\n"
@@ -110,7 +110,7 @@ def test_motor_side_comes_to_the_joints_by_gears_and_coupling(convert, table):
     )
 
 
-def test_currents_next_to_joint_positions(convert, table):
+def test_imports_currents_with_joint_positions(convert, table):
     path, values = table
     log, _ = convert(JOINT_SIDE + "effort: {columns: [e1, e2], unit: mA, torque_constant: 2}\n", path)
     np.testing.assert_array_equal(log.position, values[:, 1:3])
@@ -118,7 +118,7 @@ def test_currents_next_to_joint_positions(convert, table):
     np.testing.assert_allclose(log.effort, np.column_stack([torque[:, 0] + 0.25 * torque[:, 1], torque[:, 1]]))
 
 
-def test_window_cycles_and_motion(convert, table):
+def test_applies_window_cycles_and_motion_name(convert, table):
     path, values = table
     log, _ = convert(JOINT_SIDE + "window: {from: 500 ms, to: 1.5}\ncycle_period: 0.4 s\nmotion: wave\n", path)
     np.testing.assert_array_equal(log.position, values[100:300, 1:3])
@@ -127,7 +127,7 @@ def test_window_cycles_and_motion(convert, table):
     assert log.metadata["motion"] == "wave"
 
 
-def test_decimation_keeps_slow_motion_and_removes_what_it_cannot_carry(convert, tmp_path):
+def test_decimation_keeps_slow_motion_and_filters_aliasing(convert, tmp_path):
     t = np.arange(20000) / 5000
     slow, fast = np.sin(2 * np.pi * 3 * t), 0.1 * np.sin(2 * np.pi * 480 * t)
     np.savetxt(tmp_path / "fast.csv", np.column_stack([slow + fast, slow]), delimiter=",")
@@ -151,7 +151,7 @@ def uneven(tmp_path):
 UNEVEN = "time: {column: 1}\nposition: {columns: [2, 3]}\neffort: {columns: [4, 5]}\ndecimate: "
 
 
-def test_decimation_lays_uneven_samples_on_an_even_grid_first(convert, uneven):
+def test_decimation_resamples_uneven_data_first(convert, uneven):
     log, notes = convert(UNEVEN + "2\n", uneven)
     assert any("interpolated to even" in note for note in notes)
     assert len(log.segments) == 2
@@ -163,7 +163,7 @@ def test_decimation_lays_uneven_samples_on_an_even_grid_first(convert, uneven):
         np.testing.assert_allclose(np.abs(log.effort[steady[0], 0][steady[1]]), 1.0, atol=1e-3)
 
 
-def test_columns_of_several_files(convert, tmp_path, table):
+def test_joins_columns_of_several_files(convert, tmp_path, table):
     path, values = table
     np.savetxt(tmp_path / "other.csv", values[:398, 5:7], delimiter=";", header="q1;q2", comments="# ", fmt="%.17g")
     mapping = "rate: 200 Hz\nposition: {file: data.csv, columns: [q1, q2]}\neffort: {file: oth*, columns: [q1, q2]}\n"
@@ -180,7 +180,7 @@ def test_columns_of_several_files(convert, tmp_path, table):
         )
 
 
-def test_broken_and_jittered_rows(convert, tmp_path, table):
+def test_repairs_broken_and_jittered_rows(convert, tmp_path, table):
     path, values = table
     rng = np.random.default_rng(1)
     values[:, 0] += rng.uniform(-1e-3, 1e-3, 400)
@@ -209,7 +209,7 @@ def test_broken_and_jittered_rows(convert, tmp_path, table):
     ],
     ids=["decimal comma", "blanks", "tabs and units", "quotes", "text column", "quoted", "quoted text", "bars"],
 )
-def test_kinds_of_text_tables(convert, tmp_path, text):
+def test_reads_text_tables_of_any_separator(convert, tmp_path, text):
     (tmp_path / "data.csv").write_bytes(text.encode())
     for a, b in (("a", "b"), (2, 3)):
         log, _ = convert(f"time: {{column: t}}\nposition: {{columns: [{a}, {b}]}}\n", tmp_path / "data.csv")
@@ -218,7 +218,7 @@ def test_kinds_of_text_tables(convert, tmp_path, text):
 
 
 @pytest.mark.parametrize("encoding", ["utf-16", "utf-8-sig"])
-def test_tables_with_a_byte_order_mark(convert, tmp_path, encoding):
+def test_reads_tables_with_a_byte_order_mark(convert, tmp_path, encoding):
     (tmp_path / "data.csv").write_text('"t, s",a,b\n0,1.5,2\n0.01,2.5,3\n0.02,3.5,4\n', encoding=encoding)
     log, _ = convert("time: {column: 't, s'}\nposition: {columns: [a, b]}\n", tmp_path / "data.csv")
     np.testing.assert_array_equal(log.position, [[1.5, 2], [2.5, 3], [3.5, 4]])
@@ -234,14 +234,14 @@ def test_tables_with_a_byte_order_mark(convert, tmp_path, encoding):
         (["{k};2;0x1F"] * 9, r"map.yaml:2: position.columns: .*data.csv: column 3 is not of numbers"),
     ],
 )
-def test_the_column_that_cannot_be_used_is_named(convert, tmp_path, rows, complaint):
+def test_names_the_unusable_column(convert, tmp_path, rows, complaint):
     lines = [row.format(k=k) for k, row in enumerate(rows)]
     (tmp_path / "data.csv").write_text("\n".join(["t;a;b", *lines]))
     with pytest.raises(InputError, match=complaint):
         convert("time: {column: t}\nposition: {columns: [a, 3]}\n", tmp_path / "data.csv")
 
 
-def test_a_clock_that_was_set_back_is_said_of_the_table(convert, tmp_path):
+def test_reports_a_clock_set_back_in_a_table(convert, tmp_path):
     times = np.concatenate([np.arange(300), np.arange(300)]) / 100
     rows = [f"{t},{k},{k}" for k, t in enumerate(times)]
     (tmp_path / "data.csv").write_text("\n".join(["t,a,b", *rows]))
@@ -249,7 +249,7 @@ def test_a_clock_that_was_set_back_is_said_of_the_table(convert, tmp_path):
         convert("time: {column: t}\nposition: {columns: [a, b]}\n", tmp_path / "data.csv")
 
 
-def test_mat_files(convert, tmp_path):
+def test_reads_mat_files(convert, tmp_path):
     t = np.arange(100) / 50
     q = np.column_stack([np.sin(t), np.cos(t)])
     path = tmp_path / "data.mat"
@@ -268,7 +268,7 @@ def test_mat_files(convert, tmp_path):
         convert(mapping, path)
 
 
-def test_parquet_files(convert, tmp_path):
+def test_reads_parquet_files(convert, tmp_path):
     pyarrow = pytest.importorskip("pyarrow", reason="reading Parquet is an extra: pip install '.[tables]'")
     from pyarrow import parquet
 
@@ -358,7 +358,7 @@ def test_a_wrong_map_names_file_line_and_key(convert, table, mapping, complaint)
         convert(mapping, table[0])
 
 
-def test_files_that_are_no_tables(convert, pair, tmp_path, table):
+def test_refuses_files_that_are_not_tables(convert, pair, tmp_path, table):
     (tmp_path / "words.csv").write_text("nothing\nbut words\n")
     (tmp_path / "empty.csv").touch()
     for name, complaint in {
@@ -374,7 +374,7 @@ def test_files_that_are_no_tables(convert, pair, tmp_path, table):
     assert table[0].exists()
 
 
-def test_a_failed_import_leaves_nothing(convert, tmp_path, table):
+def test_a_failed_import_leaves_no_file(convert, tmp_path, table):
     with pytest.raises(InputError):
         convert("rate: 5\nposition: {columns: [q1, q9]}\n", table[0])
     assert not list(tmp_path.glob("*.mcap*"))
@@ -382,7 +382,7 @@ def test_a_failed_import_leaves_nothing(convert, tmp_path, table):
 
 
 @pytest.mark.parametrize(("stretch", "start", "stop"), [("fit", 500, 22700), ("held_out", 22700, 37500)])
-def test_tx40_gives_what_the_formulas_give(shared_data, tmp_path, stretch, start, stop):
+def test_the_tx40_import_matches_the_published_formulas(shared_data, tmp_path, stretch, start, stop):
     robot = load_robot(EXAMPLES / "tx40")
     tables = [shared_data / "tx40" / name for name in ("pos_read_data.csv", "curr_data.csv")]
     out = tmp_path / "tx40.mcap"
@@ -408,7 +408,7 @@ def test_tx40_gives_what_the_formulas_give(shared_data, tmp_path, stretch, start
 
 
 @pytest.mark.parametrize("name", ["DATA_EMPS.mat", "DATA_EMPS_PULSES.mat"])
-def test_emps_gives_what_the_formulas_give(shared_data, tmp_path, name):
+def test_the_emps_import_matches_the_published_formulas(shared_data, tmp_path, name):
     robot = load_robot(EXAMPLES / "emps")
     out = tmp_path / "emps.mcap"
     import_log(robot, EXAMPLES / "emps" / "map.yaml", [shared_data / "emps" / name], out)

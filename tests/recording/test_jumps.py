@@ -72,13 +72,13 @@ def test_a_lasting_jump_cuts_the_log(through_file, motion):
     assert any("joint_5 jumps by" in repair.kind and repair.time == pytest.approx(3.0) for repair in log.repairs)
 
 
-def test_a_wrong_unit_is_not_mended(through_file, motion):
+def test_a_wrong_unit_is_not_repaired(through_file, motion):
     log = through_file(np.degrees(motion))
     assert np.array_equal(log.position, np.degrees(motion))
     assert not log.repairs
 
 
-def test_torques_that_stand_out_alone_are_dropped(through_file, motion):
+def test_single_torque_outliers_are_dropped(through_file, motion):
     rng = np.random.default_rng(0)
     torque = 5 * np.sign(np.cos(3 * motion)) + np.cos(motion) + 0.1 * rng.normal(size=motion.shape)
     torque[1000:1100, 2] += 30.0  # a contact

@@ -58,7 +58,7 @@ RUNNING = np.where((np.arange(500) >= 100) & (np.arange(500) < 400), 2, 1)
 
 
 @pytest.mark.parametrize(("preset", "separator"), [("ur-rtde", ","), ("ur-record", " ")])
-def test_the_rows_of_the_running_program_with_torques_by_the_constants(taken, tmp_path, preset, separator):
+def test_imports_the_running_program_with_torque_from_currents(taken, tmp_path, preset, separator):
     table = _write(tmp_path / "rec.csv", separator, RUNNING)
     log, notes, topics = taken(table, preset=preset)
     np.testing.assert_allclose(log.position, Q[100:400], atol=1e-6)
@@ -72,7 +72,7 @@ def test_the_rows_of_the_running_program_with_torques_by_the_constants(taken, tm
 
 
 @pytest.mark.parametrize("between", [b" ", b","])
-def test_a_binary_recording(taken, tmp_path, between):
+def test_imports_a_binary_recording(taken, tmp_path, between):
     parts = [("timestamp", ">f8", T), ("actual_q", "(6,)>f8", Q), ("actual_current", "(6,)>f8", CURRENT)]
     parts += [("runtime_state", ">u4", RUNNING), ("safety_mode", ">i4", RUNNING)]
     rows = np.empty(500, [(name, kind) for name, kind, _ in parts])
@@ -127,7 +127,7 @@ def test_what_is_missing_or_unknown_is_named(taken, tmp_path):
 @pytest.mark.parametrize(
     ("name", "preset", "rows"), [("official_record", "ur-record", 299), ("ur_rtde", "ur-rtde", 130)]
 )
-def test_files_of_the_recorders_themselves(taken, name, preset, rows):
+def test_imports_files_of_the_original_recorders(taken, name, preset, rows):
     log, notes, topics = taken(RECORDINGS / f"{name}.csv", preset=preset)
     assert len(log.t) == topics["/motor_currents"] == rows
     assert ("15 rows with the time of the row before" in notes) == (name == "ur_rtde")

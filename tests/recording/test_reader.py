@@ -40,7 +40,7 @@ def kinds(log) -> dict[str, int]:
     ],
     ids=["zstd", "lz4", "plain", "no crc", "unchunked", "no index", "no summary", "tiny chunks"],
 )
-def test_containers(tools, tmp_path, options):
+def test_reads_every_container_format(tools, tmp_path, options):
     block = tools.motion(500)
     log = read_log(tools.write_foreign(tmp_path / "log.mcap", tools.as_messages(block), **options))
     np.testing.assert_array_equal(log.position, block.position)
@@ -51,7 +51,7 @@ def test_containers(tools, tmp_path, options):
     assert log.repairs == ()
 
 
-def test_joints_come_in_the_order_of_the_robot(tools, tmp_path):
+def test_joints_are_in_the_order_of_the_robot(tools, tmp_path):
     block = tools.motion(50)
     names = ("gripper", "joint_3", "joint_1", "joint_2")
     messages = [
@@ -70,7 +70,7 @@ def test_joints_come_in_the_order_of_the_robot(tools, tmp_path):
     assert read_log(path).joint_names == names
 
 
-def test_messages_of_several_publishers_and_strange_types(tools, tmp_path):
+def test_counts_messages_of_other_joints_and_skips_unknown_types(tools, tmp_path):
     block = tools.motion(200)
     gripper = [{"time": t + 1e-4, "names": ["finger"], "position": [0.1]} for t in block.time[::4]]
     temperatures = [{"time": t, "topic": "/temperatures", "names": ["x"], "position": [40.0]} for t in block.time]
@@ -106,7 +106,7 @@ def test_big_endian_messages(tools, tmp_path):
     assert log.velocity is None
 
 
-def test_bytes_between_the_fields_mean_nothing(tools, tmp_path):
+def test_padding_bytes_are_ignored(tools, tmp_path):
     """Some serialisers leave whatever was in memory where alignment skips bytes."""
     plain = tools.write_foreign(tmp_path / "plain.mcap", tools.as_messages(tools.motion(30), names=("a", "bb", "ccc")))
     from mcap.reader import make_reader
@@ -121,7 +121,7 @@ def test_bytes_between_the_fields_mean_nothing(tools, tmp_path):
     np.testing.assert_array_equal(log.position, tools.motion(30).position)
 
 
-def test_missing_velocity_and_effort(tools, tmp_path):
+def test_reads_logs_without_velocity_or_effort(tools, tmp_path):
     block = tools.motion(50)
     for missing in ("velocity", "effort"):
         messages = tools.as_messages(block, **{missing: ()})
@@ -134,7 +134,7 @@ def test_missing_velocity_and_effort(tools, tmp_path):
         assert kinds(log) == {f"samples without a finite {missing}": 50}
 
 
-def test_a_velocity_that_is_never_filled_is_none(tools, tmp_path):
+def test_a_velocity_that_is_always_zero_is_ignored(tools, tmp_path):
     block = tools.motion(50)
     messages = tools.as_messages(block, velocity=(0.0,) * 3)
     log = read_log(tools.write_foreign(tmp_path / "silent.mcap", messages))
@@ -166,7 +166,7 @@ def test_messages_that_cannot_be_decoded_are_counted(tools, tmp_path):
     assert kinds(log)["messages that cannot be decoded"] == 2
 
 
-def test_set_points_go_to_their_samples(tools, tmp_path):
+def test_set_points_are_matched_to_samples(tools, tmp_path):
     block = tools.motion(200)
     messages = tools.as_messages(block)
     for k in (*range(10, 60), 199):
@@ -181,7 +181,7 @@ def test_set_points_go_to_their_samples(tools, tmp_path):
     assert kinds(log) == {"/planned_joint_references: messages without a sample at their stamps": 200}
 
 
-def test_cycle_starts(tools, tmp_path):
+def test_reads_cycle_starts(tools, tmp_path):
     messages = tools.as_messages(tools.motion(500))
     messages[0]["position"] = (np.nan,) * 3
     run = {"robot": "arm", "sample_rate_hz": "500", "cycle_starts_s": "[0.002, 0.502]", "note": "x"}
@@ -191,21 +191,21 @@ def test_cycle_starts(tools, tmp_path):
 
 
 @pytest.mark.parametrize("text", ["what", '[1, "x"]', "[0, -5]", "[0.5, 0.0]", "7", "[0, 99]", "null"])
-def test_unusable_cycle_starts_are_said(tools, tmp_path, text):
+def test_reports_unusable_cycle_starts(tools, tmp_path, text):
     messages = tools.as_messages(tools.motion(500))
     log = read_log(tools.write_foreign(tmp_path / "log.mcap", messages, metadata={"cycle_starts_s": text}))
     assert any("cycle_starts_s" in kind for kind in kinds(log))
     assert all(0 <= start <= log.t[-1] for start in log.cycle_starts)
 
 
-def test_a_wrong_nominal_rate_is_said(tools, tmp_path):
+def test_reports_a_wrong_nominal_rate(tools, tmp_path):
     messages = tools.as_messages(tools.motion(500))
     log = read_log(tools.write_foreign(tmp_path / "log.mcap", messages, metadata={"sample_rate_hz": "1000"}))
     assert log.sample_rate == pytest.approx(500.0)
     assert any("stamps say 500 Hz" in kind for kind in kinds(log))
 
 
-def test_files_that_are_no_logs(tools, tmp_path):
+def test_refuses_files_that_are_not_logs(tools, tmp_path):
     empty = tmp_path / "empty.mcap"
     empty.touch()
     text = tmp_path / "text.mcap"
@@ -226,7 +226,7 @@ def test_files_that_are_no_logs(tools, tmp_path):
         assert str(path) in str(caught.value)
 
 
-def test_a_log_of_another_robot(tools, tmp_path):
+def test_refuses_a_log_of_another_robot(tools, tmp_path):
     path = tools.write_foreign(tmp_path / "log.mcap", tools.as_messages(tools.motion(50)))
     with pytest.raises(
         InputError, match=r"not of robot 'arm': wrist missing, its joints are joint_1, joint_2, joint_3"
@@ -243,7 +243,7 @@ def test_a_log_of_a_built_in_robot_has_its_joints(tools, tmp_path):
 
 @settings(max_examples=60, deadline=None)
 @given(st.data())
-def test_order_repetition_and_loss_change_nothing_else(tools, tmp_path_factory, data):
+def test_order_repetition_and_loss_leave_the_other_samples_unchanged(tools, tmp_path_factory, data):
     """Whatever subset of samples arrives, in whatever order and how often, they come back sorted and once."""
     block = tools.motion(120)
     kept = sorted(data.draw(st.sets(st.integers(0, 119), min_size=60)))

@@ -30,7 +30,7 @@ def test_bags_compressed_by_message_are_read(name):
     assert log.effort is not None
 
 
-def test_of_two_topics_one_is_named():
+def test_asks_which_of_two_topics_to_read():
     path = FILES / "06-two-joint-state-topics/E2_two_topics.mcap"
     with pytest.raises(InputError, match=r"/left/joint_states \(shoulder_pan.*/right/joint_states.*--topic"):
         read_log(path, UR10)
@@ -89,7 +89,7 @@ def test_an_arm_over_two_messages_is_joined():
 
 
 @pytest.mark.parametrize(("name", "said"), [("xacro", "xacro xacro.urdf > arm.urdf"), ("sdf", "an SDF")])
-def test_what_is_no_urdf_yet_is_named(name, said):
+def test_names_the_conversion_of_a_xacro_file(name, said):
     with pytest.raises(InputError, match=said.replace(".", r"\.")):
         load_robot(FILES / "18-xacro-and-sdf" / f"{name}.yaml")
 

@@ -38,7 +38,7 @@ def test_a_gap_cuts_the_log_in_two(log_at):
     assert found.time == pytest.approx(399 / 500)
 
 
-def test_a_few_lost_samples_do_not_cut_it(log_at):
+def test_a_few_lost_samples_do_not_cut_the_log(log_at):
     times = np.delete(np.arange(1000) / 500, [100, 200, 201, 202, 500])
     log = log_at(times)
     assert log.segments == ((0, 995),)
@@ -46,7 +46,7 @@ def test_a_few_lost_samples_do_not_cut_it(log_at):
     assert sum(r.count for r in log.repairs if r.kind.startswith("missing samples")) == 5
 
 
-def test_many_holes_are_summed_up(log_at):
+def test_many_gaps_are_reported_in_one_line(log_at):
     lost = np.arange(20, 1000, 25)
     log = log_at(np.delete(np.arange(1000) / 500, lost))
     assert len(log.repairs) == 1
@@ -64,7 +64,7 @@ def test_the_rate_is_found_through_jitter_and_loss(log_at, rate, jitter):
     assert len(log.segments) == 1
 
 
-def test_uneven_sampling_is_kept_and_said(log_at):
+def test_uneven_sampling_is_kept_and_reported(log_at):
     rng = np.random.default_rng(0)
     times = np.cumsum(rng.uniform(0.001, 0.003, 2000))
     log = log_at(times)
@@ -76,7 +76,7 @@ def test_uneven_sampling_is_kept_and_said(log_at):
 
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("rate", [250.0, 800.0, 2000.0])
-def test_plausible_uneven_stamps_are_believed_where_positions_are_rounded(log_at, rate, seed):
+def test_keeps_plausible_uneven_stamps_with_rounded_positions(log_at, rate, seed):
     """Correlated intervals of 0.7 to 2.1 periods, counted in tenths, keep no grid though they vary about one value."""
     rng = np.random.default_rng(seed)
     slow = np.convolve(rng.normal(size=8010), [0.5, 0.3, 0.2], "valid")[:8000]
@@ -90,7 +90,7 @@ def test_plausible_uneven_stamps_are_believed_where_positions_are_rounded(log_at
     assert np.std(motion.low_pass(motion.qdd)[:, 0] - true) < 0.01 * np.std(true)
 
 
-def test_stamps_rounded_to_milliseconds_are_no_gaps(log_at):
+def test_stamps_rounded_to_milliseconds_are_not_gaps(log_at):
     log = log_at(np.round(np.arange(2000) / 700, 3))
     assert log.sample_rate == pytest.approx(700, rel=1e-3)
     assert len(log.segments) == 1
@@ -104,12 +104,12 @@ def test_samples_that_share_a_coarse_stamp_are_spread(log_at):
     assert repair(log, "samples share a stamp").count == 4000
 
 
-def test_stamps_that_stand_still(log_at):
+def test_refuses_constant_stamps(log_at):
     with pytest.raises(InputError, match=r"log.mcap: the stamps stand still at 7.000000 s \(100 samples\)"):
         log_at(np.full(100, 7.0), position=np.arange(100))
 
 
-def test_a_clock_that_was_set_back(log_at):
+def test_refuses_a_log_whose_clock_was_set_back(log_at):
     times = np.arange(1000) / 500
     with pytest.raises(InputError, match=r"log.mcap: the controller's clock was set back.*sample 1000 on"):
         log_at(np.concatenate([times, times[:600] + 0.0005]), position=np.arange(1600))
@@ -231,7 +231,7 @@ def test_a_missing_sample_is_found_where_the_stamps_are_six_rows_off():
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_joint_that_hardly_moves_does_not_say_where_samples_are_missing(seed):
+def test_a_nearly_stationary_joint_does_not_locate_missing_samples(seed):
     """It stays on one count for hundreds of rows, and its step to the next one is no more than that count."""
     rng = np.random.default_rng(seed)
     true = np.flatnonzero(rng.random(4000) >= 0.03).astype(float)
@@ -256,7 +256,7 @@ def test_gaps_that_are_short_for_the_filter_are_bridged(log_at):
         next(motions(log, FilterSettings(25.0)))
 
 
-def test_a_row_that_is_torn_moves_nothing_else(log_at):
+def test_a_corrupt_row_does_not_affect_the_others(log_at):
     times, position = 5000 + np.arange(1000) / 500, np.sin(np.arange(1000) / 500)
     times[400] -= 3000.0
     position[400] = -1.4e200

@@ -59,7 +59,7 @@ def test_a_killed_writer_loses_at_most_the_last_second(tmp_path, acknowledged):
     assert any("not closed" in repair.kind for repair in log.repairs)
 
 
-def test_a_writer_that_was_killed_at_once_leaves_a_log_that_says_so(tmp_path):
+def test_reports_a_log_whose_writer_was_killed_before_any_message(tmp_path):
     with LogWriter(tmp_path / "log.mcap", ["joint_1"], robot="arm", motion="long", sample_rate=500.0):
         cut = tmp_path / "cut.mcap"
         cut.write_bytes((tmp_path / "log.mcap").read_bytes())
@@ -129,7 +129,7 @@ kinds = st.sampled_from(["ours", "zstd", "lz4", "plain", "unchunked"])
 
 @settings(max_examples=250, deadline=None)
 @given(kinds, st.floats(0, 1))
-def test_a_file_cut_anywhere_gives_what_came_before(whole_logs, tmp_path_factory, kind, part):
+def test_a_truncated_file_gives_the_samples_before_the_cut(whole_logs, tmp_path_factory, kind, part):
     files, block = whole_logs
     data = files[kind]
     cut_at = int(part * len(data))
@@ -147,7 +147,7 @@ def test_a_file_cut_anywhere_gives_what_came_before(whole_logs, tmp_path_factory
 
 @settings(max_examples=250, deadline=None)
 @given(kinds, st.floats(0, 1, exclude_max=True), st.integers(1, 255))
-def test_a_flipped_byte_never_brings_the_reader_down(whole_logs, tmp_path_factory, kind, part, flip):
+def test_a_flipped_byte_never_crashes_the_reader(whole_logs, tmp_path_factory, kind, part, flip):
     files, _ = whole_logs
     data = bytearray(files[kind])
     data[int(part * len(data))] ^= flip
@@ -201,7 +201,7 @@ def _move_the_folder(path: Path) -> None:
 
 @pytest.mark.parametrize("harm", [_delete, _truncate, _replace, _append, _move_the_folder])
 @pytest.mark.parametrize("after", [False, True], ids=["before the last sample", "after the last sample"])
-def test_a_log_that_somebody_takes_away_is_an_error(tools, tmp_path: Path, harm, after: bool):
+def test_a_log_deleted_while_recording_is_an_error(tools, tmp_path: Path, harm, after: bool):
     """The system writes on into a file that no path leads to, and says nothing."""
     path = tmp_path / "run" / "log.mcap"
     path.parent.mkdir()
@@ -224,5 +224,5 @@ def test_a_log_that_somebody_takes_away_is_an_error(tools, tmp_path: Path, harm,
         go_on()
 
 
-def test_a_log_that_nobody_touches_is_none(tools, record):
+def test_an_undisturbed_log_is_complete(tools, record):
     assert len(read_log(record(tools.motion(4000))).t) == 4000

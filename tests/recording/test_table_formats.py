@@ -68,7 +68,7 @@ def _same(log: Log) -> None:
     ],
     ids=["commas", "semicolons", "tabs", "doubled", "preamble", "comments", "summary", "two-tables"],
 )
-def test_the_longest_block_is_the_table_whatever_stands_around_it(taken, text, mapping):
+def test_the_longest_block_of_rows_is_the_table(taken, text, mapping):
     log, _ = taken(text, mapping)
     _same(log)
 
@@ -90,7 +90,7 @@ def test_a_row_of_missing_values_does_not_end_the_table(taken):
     _same(log)
 
 
-def test_rows_that_are_filled_by_several_topics_in_turn(taken):
+def test_reads_rows_filled_by_several_topics_in_turn(taken):
     """As plotting tools export messages of different rates: most cells are empty."""
     head = "t,imu.x,imu.y,imu.z,a,b,x,y,wrench.x,wrench.y,wrench.z,wrench.w\n"
     rows = "".join(
@@ -104,7 +104,7 @@ def test_rows_that_are_filled_by_several_topics_in_turn(taken):
     assert "240 rows without a number in every column, dropped" in notes
 
 
-def test_names_with_an_index_and_doubled_ones_that_nobody_uses(taken):
+def test_accepts_indexed_names_and_unused_duplicates(taken):
     """As a robot maker's logger writes arrays: one of its columns stands there twice."""
     text = "t,q[0],q[1],dq[0],dq[0],tau[0],tau[1]\n" + _lines(rows=np.column_stack([T, Q, T, T, TAU]))
     for q, tau in (("q", "tau"), ("['q[0]', 'q[1]']", "['tau[0]', 'tau[1]']")):
@@ -112,7 +112,7 @@ def test_names_with_an_index_and_doubled_ones_that_nobody_uses(taken):
         _same(log)
 
 
-def test_columns_that_are_counted_instead_of_named(taken):
+def test_selects_columns_by_number(taken):
     """As data frames without names are saved: an index, then 0, 1, 2, …."""
     indexed = np.column_stack([np.arange(len(T)), ROWS])
     text = ",0,1,2,3,4\n" + _lines(rows=indexed)
@@ -120,7 +120,7 @@ def test_columns_that_are_counted_instead_of_named(taken):
     _same(log)
 
 
-def test_a_doubled_name_matters_where_the_map_uses_it(taken):
+def test_a_duplicate_name_used_by_the_map_is_refused(taken):
     with pytest.raises(InputError, match=r"position\.columns: data\.csv: several columns are named a"):
         taken("t,a,a,x,y\n" + _lines(), "time: {column: t}\nposition: {columns: [a, b]}\n")
 
@@ -172,7 +172,7 @@ def test_dates_and_times_of_day_are_seconds(taken, style):
         assert log.date.replace(microsecond=0) == start
 
 
-def test_messages_printed_one_a_line_without_names(taken):
+def test_reads_messages_printed_one_per_line(taken):
     """As `ros2 topic echo --csv` prints joint states: stamp, frame, names, positions, velocities, efforts."""
     ns = np.rint(T * 1e9).astype(int) + 1_700_000_000_000_000_000
     rows = "".join(
@@ -199,7 +199,7 @@ def test_fields_of_a_struct_in_parquet_are_columns(taken, tmp_path):
     _same(log)
 
 
-def test_the_names_of_a_recorded_topic_may_keep_their_mark(taken):
+def test_the_percent_sign_of_a_column_name_is_optional(taken):
     text = "%time,field.q0,field.q1\n" + "".join(
         f"{1.7e18 + 1e9 * t:.0f},{a:.12g},{b:.12g}\n" for t, (a, b) in zip(T, Q, strict=True)
     )
@@ -208,7 +208,7 @@ def test_the_names_of_a_recorded_topic_may_keep_their_mark(taken):
         np.testing.assert_allclose(log.t, T, atol=1e-6)
 
 
-def test_arrays_of_numpy(taken, tmp_path):
+def test_reads_numpy_arrays(taken, tmp_path):
     np.save(tmp_path / "rows.npy", ROWS)
     _same(taken(tmp_path / "rows.npy", NUMBERS)[0])
     np.savez(tmp_path / "a.npz", t=T, q=Q, tau=TAU)
@@ -226,7 +226,7 @@ def test_arrays_of_numpy(taken, tmp_path):
         taken(tmp_path / "torn.npz", VECTORS)
 
 
-def test_the_sheet_with_most_rows_of_a_workbook(taken, tmp_path):
+def test_reads_the_longest_sheet_of_a_workbook(taken, tmp_path):
     openpyxl = pytest.importorskip("openpyxl", reason="reading Excel is an extra: pip install '.[tables]'")
     book = openpyxl.Workbook()
     book.active.append(["about", "a trace"])
@@ -243,7 +243,7 @@ def test_the_sheet_with_most_rows_of_a_workbook(taken, tmp_path):
         taken(tmp_path / "bad.xlsx", NAMES)
 
 
-def test_hdf5_as_matlab_and_others_write_it(taken, tmp_path):
+def test_reads_hdf5_files(taken, tmp_path):
     h5py = pytest.importorskip("h5py", reason="reading HDF5 is an extra: pip install '.[tables]'")
     with h5py.File(tmp_path / "run.h5", "w") as file:
         file["log/t"], file["log/q"], file["log/tau"] = T, Q, TAU
@@ -272,7 +272,7 @@ def test_a_missing_library_is_named_with_its_command(taken, tmp_path, monkeypatc
 
 
 @pytest.mark.parametrize(("unit", "part"), [('"%"', 1e-2), ("‰", 1e-3), ("per mille", 1e-3)])
-def test_shares_of_the_nominal_torque(taken, unit, part):
+def test_converts_shares_of_nominal_torque(taken, unit, part):
     mapping = f"time: {{column: t}}\nposition: {{columns: [a, b]}}\neffort: {{columns: [x, y], unit: {unit}}}\n"
     log, _ = taken("t,a,b,x,y\n" + _lines(), mapping)
     np.testing.assert_allclose(log.effort, TAU * part * 2 * [50, 200], atol=1e-9)
@@ -304,7 +304,7 @@ LINES = st.lists(st.lists(PIECES, max_size=5), max_size=12)
 
 @settings(max_examples=150, deadline=None, suppress_health_check=list(HealthCheck))
 @given(LINES, st.sampled_from([",", ";", "\t", "|", " "]), st.sampled_from([".csv", ".tsv"]))
-def test_any_text_is_a_table_or_one_message(tmp_path, lines, separator, ending):
+def test_any_text_gives_a_table_or_one_message(tmp_path, lines, separator, ending):
     path = tmp_path / f"any{ending}"
     path.write_text("\n".join(separator.join(line) for line in lines), encoding="utf-8")
     with suppress(InputError):

@@ -55,7 +55,7 @@ def _write(path: Path, *groups) -> Path:
     return write_foreign(path, sorted((m for group in groups for m in group), key=lambda message: message["time"]))
 
 
-def test_several_topics_of_one_arm_are_listed_and_one_is_taken_by_name(arm, tmp_path):
+def test_lists_several_topics_and_takes_the_named_one(arm, tmp_path):
     path = _write(tmp_path / "two.mcap", _states("/a/joint_states"), _states("/b/joint_states", scale=0.5, late=1e-3))
     with pytest.raises(InputError, match=r"/a/joint_states \(base_turn, .*; /b/joint_states \(base_turn.*--topic"):
         read_log(path, arm)
@@ -67,7 +67,7 @@ def test_several_topics_of_one_arm_are_listed_and_one_is_taken_by_name(arm, tmp_
         read_log(path, arm, "/c")
 
 
-def test_the_usual_topic_does_not_hide_another_one_of_the_same_joints(arm, tmp_path):
+def test_the_default_topic_does_not_hide_another_of_the_same_joints(arm, tmp_path):
     path = _write(tmp_path / "two.mcap", _states(), _states("/left/joint_states", scale=0.5, late=1e-3))
     with pytest.raises(InputError, match="several topics hold the joints of the robot"):
         read_log(path, arm)
@@ -107,7 +107,7 @@ def test_an_arm_over_several_messages_is_joined_by_stamp(arm, tmp_path, late, to
     assert any("joints in several messages" in repair.kind for repair in log.repairs)
 
 
-def test_what_is_missing_in_one_part_is_not_made_up(arm, tmp_path):
+def test_samples_missing_in_one_topic_are_not_invented(arm, tmp_path):
     first = _states(joints=slice(0, 2))
     second = [message for k, message in enumerate(_states(joints=slice(2, 3))) if not 200 <= k < 300]
     log = read_log(_write(tmp_path / "gap.mcap", first, second), arm)

@@ -47,7 +47,7 @@ def test_messages_are_what_the_support_library_writes(tools, names, velocity, ef
     assert ours.tobytes() == theirs
 
 
-def test_other_readers_find_what_the_contract_says(tools, record):
+def test_other_readers_find_the_documented_topics(tools, record):
     block = tools.motion(2000)
     path = record(block)
     with open(path, "rb") as file:
@@ -91,7 +91,7 @@ def test_the_message_index_leads_to_every_message(tools, record):
     assert stamps == sorted(stamps)
 
 
-def test_a_recording_reads_back_as_it_was(tools, record):
+def test_a_recording_round_trips(tools, record):
     block = tools.motion(3000)
     log = read_log(record(*(tools.cut(block, slice(k, k + 7)) for k in range(0, 3000, 7))))
     assert log.joint_names == tools.JOINTS
@@ -108,7 +108,7 @@ def test_a_recording_reads_back_as_it_was(tools, record):
     assert log.cycle_starts == ()
 
 
-def test_planned_set_points_and_cycle_starts(tools, tmp_path):
+def test_writes_planned_set_points_and_cycle_starts(tools, tmp_path):
     block = tools.motion(1000)
     planned = tools.cut(block, slice(200, 900))
     path = tmp_path / "log.mcap"
@@ -125,7 +125,7 @@ def test_planned_set_points_and_cycle_starts(tools, tmp_path):
     assert log.metadata["motion"] == "excitation"
 
 
-def test_blocks_without_velocity_effort_or_references(tools, record):
+def test_writes_blocks_without_velocity_effort_or_references(tools, record):
     from dataclasses import replace
 
     block = replace(
@@ -151,7 +151,7 @@ def test_samples_that_the_link_lost_before_the_first_and_after_the_last_are_coun
     assert "lost on the link: 200 at 0.000 s" in [str(repair) for repair in log.repairs]
 
 
-def test_lost_and_repeated_samples_are_counted_and_said(tools, record):
+def test_lost_and_repeated_samples_are_counted_and_reported(tools, record):
     block = tools.motion(1000)
     order = np.r_[0:300, 305:600, 590:600, 600:1000]  # five lost, ten repeated
     path = record(*(tools.cut(block, order[k : k + 9]) for k in range(0, len(order), 9)))
@@ -168,7 +168,7 @@ def test_lost_and_repeated_samples_are_counted_and_said(tools, record):
     assert b"5 samples lost" in events[0]
 
 
-def test_a_late_sample_fills_its_hole(tools, record):
+def test_a_late_sample_fills_its_gap(tools, record):
     block = tools.motion(400)
     order = np.r_[0:100, 101:200, 100, 200:400]
     log = read_log(record(tools.cut(block, order)))
@@ -176,7 +176,7 @@ def test_a_late_sample_fills_its_hole(tools, record):
     np.testing.assert_array_equal(log.position, block.position)
 
 
-def test_a_counter_that_starts_anew_loses_nothing(tools, record):
+def test_a_restarted_counter_loses_no_sample(tools, record):
     from dataclasses import replace
 
     second = replace(tools.motion(300, first=300), sequence=np.arange(300))
@@ -186,7 +186,7 @@ def test_a_counter_that_starts_anew_loses_nothing(tools, record):
     assert log.metadata["lost_samples"] == "0"
 
 
-def test_events_are_kept(tools, tmp_path):
+def test_writes_events(tools, tmp_path):
     path = tmp_path / "log.mcap"
     with LogWriter(path, tools.JOINTS, robot="arm", motion="test", clock=lambda: 5.0) as writer:
         writer.write(tools.motion(10))
@@ -210,7 +210,7 @@ def test_an_error_while_recording_keeps_what_was_recorded(tools, tmp_path):
     assert len(read_log(path).t) == 250
 
 
-def test_data_reach_the_disk_without_a_close(tools, tmp_path):
+def test_data_reach_the_disk_without_closing(tools, tmp_path):
     path = tmp_path / "log.mcap"
     writer = LogWriter(path, tools.JOINTS, robot="arm", motion="test")
     try:
@@ -252,7 +252,7 @@ def test_an_existing_log_is_not_overwritten(tools, record):
     assert path.read_bytes() == before
 
 
-def test_a_folder_that_is_not_there(tools, tmp_path):
+def test_reports_a_missing_folder(tools, tmp_path):
     with pytest.raises(RecordingError, match=r"cannot be written: No such file") as caught:
         LogWriter(tmp_path / "missing" / "log.mcap", tools.JOINTS, robot="arm", motion="test")
     assert caught.value.exit_code == 1
@@ -277,7 +277,7 @@ def slow_disk(monkeypatch):
     awake.set()
 
 
-def test_a_slow_disk_never_holds_the_link_up_and_one_that_is_too_slow_is_an_error(tools, tmp_path, slow_disk):
+def test_a_slow_disk_does_not_block_the_link_and_a_too_slow_one_is_an_error(tools, tmp_path, slow_disk):
     path = tmp_path / "log.mcap"
     block = tools.motion(1000)
     blocks = [tools.cut(block, slice(k, k + 10)) for k in range(0, 1000, 10)]
@@ -293,7 +293,7 @@ def test_a_slow_disk_never_holds_the_link_up_and_one_that_is_too_slow_is_an_erro
     np.testing.assert_array_equal(read_log(path).position, block.position[:410])
 
 
-def test_a_disk_that_takes_nothing_is_an_error_and_loses_nothing(tools, tmp_path, slow_disk):
+def test_a_stuck_disk_is_an_error_and_loses_no_sample(tools, tmp_path, slow_disk):
     path = tmp_path / "log.mcap"
     block = tools.motion(100)
     with LogWriter(path, tools.JOINTS, robot="arm", motion="test", stall_limit=0.0) as writer:
@@ -339,7 +339,7 @@ def test_a_log_in_memory_needs_a_folder(uneven, tmp_path):
             write_log(tmp_path / folder / "copy.mcap", uneven)
 
 
-def test_a_log_in_memory_goes_to_a_file_and_back(uneven, tmp_path):
+def test_an_in_memory_log_is_written_and_read_back(uneven, tmp_path):
     path = tmp_path / "copy.mcap"
     write_log(path, uneven)
     write_log(path, uneven)  # replaces it

@@ -25,7 +25,7 @@ def standard_regressor(robot: RobotDescription, rotors: bool, seed: int = 7) -> 
 
 @pytest.mark.parametrize("rotors", [True, False])
 @pytest.mark.parametrize("name", NAMES)
-def test_they_say_all_that_the_standard_parameters_say_and_nothing_twice(
+def test_base_parameters_span_the_regressor_without_redundancy(
     arms: dict[str, RobotDescription], name: str, rotors: bool
 ) -> None:
     robot = arms[name]
@@ -49,7 +49,7 @@ def test_they_say_all_that_the_standard_parameters_say_and_nothing_twice(
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_each_is_named_by_its_combination(arms: dict[str, RobotDescription], name: str) -> None:
+def test_each_base_parameter_is_named_by_its_combination(arms: dict[str, RobotDescription], name: str) -> None:
     base = base_parameters(arms[name])
     assert base.projection.shape == (len(base.independent), 11 * arms[name].dof)
     np.testing.assert_array_equal(base.projection[:, base.independent], np.eye(len(base.independent)))
@@ -66,7 +66,7 @@ def counts(robot: RobotDescription) -> tuple[int, int]:
     return tuple(len(base_parameters(robot, rotors).independent) for rotors in (True, False))
 
 
-def test_arms_with_a_spherical_wrist_have_forty_and_thirty_six(ns16, make_spherical) -> None:
+def test_a_spherical_wrist_arm_has_40_base_parameters_and_36_without_rotors(ns16, make_spherical) -> None:
     """Neither a wrist coupling nor a URDF with four digits of pi changes the number."""
     coupling = np.eye(6)
     coupling[4, 3], coupling[5, 3], coupling[5, 4] = -0.02, 0.0204, 0.02
@@ -75,17 +75,17 @@ def test_arms_with_a_spherical_wrist_have_forty_and_thirty_six(ns16, make_spheri
         assert counts(robot) == (40, 36)
 
 
-def test_the_arm_of_the_development_runs_has_as_many(shared_data: Path) -> None:
+def test_the_development_arm_has_40_and_36_base_parameters(shared_data: Path) -> None:
     assert counts(load_robot(shared_data / "gap-dev" / "robot.yaml")) == (40, 36)
 
 
-def test_known_counts(arms: dict[str, RobotDescription]) -> None:
+def test_simple_arms_have_the_known_parameter_counts(arms: dict[str, RobotDescription]) -> None:
     """The rotor only adds to the mass of a slide; on a lift gravity distinguishes them."""
     known = {"slide": (1, 1), "lift": (2, 1), "planar": (7, 6), "planar, flat": (5, 4)}
     assert {name: counts(arms[name]) for name in known} == known
 
 
-def test_coefficients_are_clean(ns16: RobotDescription, arms: dict[str, RobotDescription]) -> None:
+def test_coefficients_of_base_parameters_are_exact(ns16: RobotDescription, arms: dict[str, RobotDescription]) -> None:
     base = base_parameters(ns16)
     by_name = dict(zip((base.standard_names[k] for k in base.independent), base.names, strict=True))
     assert by_name["Izz1"].startswith("Izz1 + 0.09 m2 + Izz2")
@@ -97,13 +97,13 @@ def test_coefficients_are_clean(ns16: RobotDescription, arms: dict[str, RobotDes
     assert base_parameters(arms["slide"]).names == ("m1 + 98596 J1",)
 
 
-def test_gravity_along_a_joint_changes_what_can_be_known(ns16: RobotDescription) -> None:
+def test_gravity_along_a_joint_changes_the_base_parameters(ns16: RobotDescription) -> None:
     """A tilted base shows the first moments of link 1 (and with them its rotor apart from nothing else)."""
     tilted = replace(ns16, gravity=(1.0, 0.5, -9.7))
     assert set(base_parameters(tilted).independent) - set(base_parameters(ns16).independent) == {1, 2}
 
 
-def test_they_are_the_same_every_time_and_do_not_depend_on_the_inertias(arms: dict[str, RobotDescription]) -> None:
+def test_base_parameters_are_reproducible_and_independent_of_the_inertias(arms: dict[str, RobotDescription]) -> None:
     robot = arms["scara"]
     heavier = replace(robot, urdf=robot.urdf.replace('mass value="8.0"', 'mass value="80.0"'))
     assert heavier.urdf != robot.urdf

@@ -37,14 +37,14 @@ def denavit_hartenberg(degrees: np.ndarray) -> np.ndarray:
 
 @settings(deadline=None)
 @given(st.lists(st.floats(-720, 720), min_size=6, max_size=6))
-def test_forward_kinematics_is_the_published_table(ns16: RobotDescription, degrees: list[float]) -> None:
+def test_forward_kinematics_match_the_published_table(ns16: RobotDescription, degrees: list[float]) -> None:
     q = np.radians([degrees])
     expected = denavit_hartenberg(np.array(degrees))
     np.testing.assert_allclose(Dynamics(ns16).tcp_pose(q)[0], expected, atol=1e-12)
     np.testing.assert_allclose(kinematics_for(ns16).forward(q)[0], expected, atol=1e-12)
 
 
-def test_figures_of_the_drives(ns16: RobotDescription) -> None:
+def test_drive_data_match_the_data_sheet(ns16: RobotDescription) -> None:
     assert "comau_ns16" in builtin_robots()
     np.testing.assert_allclose(ns16.gear_ratios, [-181.587, 159.261, 162.474, 72.586, 78.75, -50.0])
     np.testing.assert_allclose(ns16.nominal_torque, np.abs(ns16.gear_ratios) * [3, 6, 3, 0.7, 0.7, 0.7])
@@ -57,7 +57,7 @@ def test_figures_of_the_drives(ns16: RobotDescription) -> None:
 
 
 @pytest.mark.parametrize("name", builtin_robots())
-def test_every_link_is_a_possible_body(name: str) -> None:
+def test_every_link_is_a_physical_body(name: str) -> None:
     """The pseudo-inertia of each link is positive definite (Wensing, Kim, Slotine, RA-L 2018)."""
     for m, mx, my, mz, xx, xy, yy, xz, yz, zz in Dynamics(load_robot(name)).standard_parameters().reshape(6, 10):
         inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
@@ -66,19 +66,19 @@ def test_every_link_is_a_possible_body(name: str) -> None:
         assert np.linalg.eigvalsh(np.block([[second, first], [first.T, np.array([[m]])]])).min() > 0
 
 
-def test_holding_the_outstretched_arm_is_within_what_the_motors_can_do(ns16: RobotDescription) -> None:
+def test_the_motors_can_hold_the_outstretched_arm(ns16: RobotDescription) -> None:
     q = np.radians([[0.0, 90.0, -16.5, 0.0, 0.0, 0.0]])
     torque = np.abs(Dynamics(ns16).inverse_dynamics(q, 0 * q, 0 * q)[0])
     assert torque[1] > 300
     assert (torque < ns16.nominal_torque).all()
 
 
-def test_the_reach_is_that_of_the_outstretched_arm(arms: dict[str, RobotDescription]) -> None:
+def test_the_reach_equals_the_outstretched_length(arms: dict[str, RobotDescription]) -> None:
     assert 0.79 < Dynamics(arms["planar"]).reach <= 0.8
 
 
 @pytest.mark.parametrize("joints", [1, 3, 6])
-def test_the_torque_of_many_samples_is_that_of_each(ns16: RobotDescription, joints: int) -> None:
+def test_batch_torque_equals_single_sample_torque(ns16: RobotDescription, joints: int) -> None:
     motion = np.random.default_rng(0).uniform(-1.0, 1.0, (3, 200, joints))
     robot = ns16 if joints == 6 else make_arm("RPR"[:joints])
     arm = Dynamics(robot, Tool(np.eye(4), 2.0, np.array([0.0, 0.0, 0.1])))
@@ -87,7 +87,7 @@ def test_the_torque_of_many_samples_is_that_of_each(ns16: RobotDescription, join
         np.testing.assert_array_equal(dynamics.inverse_dynamics(*motion), one_by_one)
 
 
-def test_bodies_are_apart_where_the_arm_works(ns16: RobotDescription) -> None:
+def test_bodies_do_not_collide_in_the_working_range(ns16: RobotDescription) -> None:
     rng = np.random.default_rng(0)
     q = np.radians(rng.uniform([-180, -50, -160, -180, -120, -180], [180, 110, -20, 180, 120, 180], (1500, 6)))
     dynamics = Dynamics(ns16)
@@ -104,12 +104,12 @@ def test_bodies_are_apart_where_the_arm_works(ns16: RobotDescription) -> None:
             assert np.linalg.norm(a[:, :, None] - b[:, None], axis=-1).min() > ra + rb, (names[one], names[other])
 
 
-def test_a_retold_description_is_the_same(ns16: RobotDescription) -> None:
+def test_a_description_round_trips_through_a_dictionary(ns16: RobotDescription) -> None:
     assert RobotDescription.from_dict(ns16.to_dict()) == ns16
 
 
 @pytest.mark.parametrize("joint", range(6))
-def test_a_limit_is_what_the_urdf_says(ns16: RobotDescription, joint: int) -> None:
+def test_limits_come_from_the_urdf(ns16: RobotDescription, joint: int) -> None:
     kinematics = kinematics_for(ns16)
     q = np.zeros((2, 6))
     q[:, joint] = ns16.joints[joint].upper + np.array([-1e-6, 1e-6])
@@ -144,7 +144,7 @@ UNIVERSAL_ROBOTS = {
 
 
 @pytest.mark.parametrize("name", UNIVERSAL_ROBOTS)
-def test_the_arms_of_universal_robots(name: str) -> None:
+def test_loads_the_built_in_universal_robots(name: str) -> None:
     """Frames of the URDF are those of the table before its shift and twist, so centres are carried over here."""
     (a2, a3, d1, d4, d5, d6), masses, (upper_arm, wrist), torques, speeds = UNIVERSAL_ROBOTS[name]
     robot = load_robot(name)

@@ -43,17 +43,17 @@ def described(tmp_path: Path):
     return load
 
 
-def test_it_is_read(described):
+def test_reads_a_description(described):
     assert described("name: pair", "name: Zelle 3_b").name == "Zelle 3_b"
 
 
-def test_a_tip_that_is_no_link_is_refused_with_those_that_could_be(described):
+def test_an_unknown_tip_link_lists_the_possible_ones(described):
     with pytest.raises(InputError, match=r"no link 'tool0'; those at the end of a branch are finger$"):
         described("tip_frame: tip", "tip_frame: tool0")
 
 
 @pytest.mark.parametrize("name", ["../../x", "a/b", ".hidden", "''", "x" * 65, '"a\\nb"'])
-def test_a_name_that_is_no_file_name_is_refused(described, name):
+def test_refuses_a_name_that_is_not_a_file_name(described, name):
     with pytest.raises(InputError, match=r"robot\.yaml:2: name: .*files are named after the robot"):
         described("name: pair", f"name: {name}")
 
@@ -79,7 +79,7 @@ def test_a_name_that_is_no_file_name_is_refused(described, name):
         ('<axis xyz="1 0 0"/>', '<axis xyz="1 0 0"/><mimic joint="slide"/>', "'grip' follows 'slide'"),
     ],
 )
-def test_a_urdf_that_is_no_serial_arm_is_refused(described, old, new, message):
+def test_refuses_a_urdf_that_is_not_a_serial_arm(described, old, new, message):
     with pytest.raises(InputError, match=rf"pair\.urdf: .*{message}"):
         described(old, new)
 
@@ -87,14 +87,14 @@ def test_a_urdf_that_is_no_serial_arm_is_refused(described, old, new, message):
 @pytest.mark.parametrize(
     ("given", "ends"), [('lower="-3"', (-3, np.inf)), ('upper="3"', (-np.inf, 3)), ("", (-np.inf, np.inf))]
 )
-def test_an_end_of_a_range_that_is_given_is_kept_and_one_that_is_not_is_open(described, given, ends):
+def test_a_missing_range_limit_is_unbounded(described, given, ends):
     turn = described('lower="-3" upper="3"', given).joints[0]
     assert (turn.lower, turn.upper) == ends
 
 
 @pytest.mark.parametrize("value", [".nan", ".inf", "5e-324", "1e-300", "1e308", "0", "-1"])
 @pytest.mark.parametrize("key", ["max_velocity", "max_acceleration"])
-def test_a_limit_that_is_no_number_or_no_size_is_refused(arm, tmp_path, key, value):
+def test_refuses_a_non_finite_or_negative_limit(arm, tmp_path, key, value):
     folder = Path(arm).parent
     (tmp_path / "arm.urdf").write_text((folder / "arm.urdf").read_text(encoding="utf-8"), encoding="utf-8")
     text = re.sub(rf"{key}: \d+", f"{key}: {value}", (folder / "robot.yaml").read_text(encoding="utf-8"))
@@ -114,23 +114,23 @@ def test_a_limit_that_is_no_number_or_no_size_is_refused(arm, tmp_path, key, val
         ("radius", "name: pair\nbodies: {{middle: [{{from: [0, 0, 0], to: [0, 0, 1], radius: {}}}]}}"),
     ],
 )
-def test_a_number_that_no_arm_has_is_refused(described, key, where, value):
+def test_refuses_impossible_values(described, key, where, value):
     with pytest.raises(InputError, match=key):
         described("max_velocity: 2" if key == "gear_ratio" else "name: pair", where.format(value))
 
 
 @pytest.mark.parametrize("ratio", ["0", "5e-324", "-1e-12"])
-def test_a_gear_that_turns_nothing_is_none(described, ratio):
+def test_refuses_a_gear_ratio_of_zero(described, ratio):
     with pytest.raises(InputError, match="gear_ratio"):
         described("max_velocity: 2", f"max_velocity: 2, gear_ratio: {ratio}")
 
 
-def test_what_is_computed_to_be_nearly_nothing_is_fine(described):
+def test_accepts_values_that_are_zero_by_round_off(described):
     assert described("name: pair", "name: pair\ngravity: [6e-16, -1e-300, -9.81]").gravity[0] == 6e-16
 
 
 @pytest.mark.parametrize("end", ["lower", "upper"])
-def test_a_range_whose_end_is_no_number_is_empty(arm, tmp_path, end):
+def test_refuses_a_nan_joint_range(arm, tmp_path, end):
     folder = Path(arm).parent
     text = re.sub(rf'{end}="[-\d]+"', f'{end}="nan"', (folder / "arm.urdf").read_text(encoding="utf-8"))
     (tmp_path / "arm.urdf").write_text(text, encoding="utf-8")

@@ -40,7 +40,7 @@ def wrapped(angle: np.ndarray) -> np.ndarray:
     return np.angle(np.exp(1j * angle))
 
 
-def test_forward_and_jacobian_are_those_of_the_dynamics(arms: dict[str, RobotDescription]) -> None:
+def test_forward_kinematics_and_jacobian_agree_with_the_dynamics(arms: dict[str, RobotDescription]) -> None:
     for name, robot in arms.items():
         q = np.random.default_rng(0).uniform(-2, 2, (50, robot.dof))
         for tool in (None, TOOL):
@@ -49,7 +49,7 @@ def test_forward_and_jacobian_are_those_of_the_dynamics(arms: dict[str, RobotDes
             np.testing.assert_allclose(kinematics.jacobian(q), dynamics.tcp_jacobian(q), atol=1e-12, err_msg=name)
 
 
-def test_long_paths_are_not_cut_at_a_block(ns16: RobotDescription) -> None:
+def test_long_paths_are_continuous_across_blocks(ns16: RobotDescription) -> None:
     kinematics = kinematics_for(ns16)
     q = np.random.default_rng(0).uniform(-1, 1, (2345, 6))
     some = [0, 999, 1000, 1999, 2000, 2344]
@@ -59,7 +59,7 @@ def test_long_paths_are_not_cut_at_a_block(ns16: RobotDescription) -> None:
 
 @settings(max_examples=40, deadline=None)
 @given(geometry, seeds)
-def test_inverse_undoes_forward_on_every_branch(make_spherical: Callable, shape: dict, seed: int) -> None:
+def test_inverse_kinematics_round_trip_on_every_branch(make_spherical: Callable, shape: dict, seed: int) -> None:
     kinematics = kinematics_for(make_spherical(**shape), TOOL)
     assert isinstance(kinematics, SphericalWristKinematics)
     q = np.random.default_rng(seed).uniform(-np.pi, np.pi, (20, 6))
@@ -79,7 +79,7 @@ def test_inverse_undoes_forward_on_every_branch(make_spherical: Callable, shape:
         assert len({kinematics.branch(row) for row in mine}) == len(mine)
 
 
-def test_eight_solutions_in_the_middle_of_the_working_range(ns16: RobotDescription) -> None:
+def test_finds_eight_solutions_in_the_working_range(ns16: RobotDescription) -> None:
     kinematics = kinematics_for(ns16)
     found = kinematics.inverse(kinematics.forward(np.array([[0.2, -0.3, -2.2, 0.4, 0.9, -0.3]])))
     assert found.valid.sum() == 8
@@ -100,7 +100,7 @@ def test_follow_keeps_branch_and_turns(ns16: RobotDescription, seed: int, turn_4
     np.testing.assert_allclose(kinematics.follow(kinematics.forward(q), q[0]), q, atol=1e-9)
 
 
-def test_follow_tells_where_a_path_leaves_the_reach(ns16: RobotDescription) -> None:
+def test_follow_reports_where_a_path_leaves_the_reach(ns16: RobotDescription) -> None:
     kinematics = kinematics_for(ns16)
     start = np.array([0.1, 0.2, -1.6, 0.3, 0.9, 0.1])
     poses = np.repeat(kinematics.forward(start[None]), 100, axis=0)
@@ -173,7 +173,7 @@ def test_singular_poses_are_reported_not_returned(ns16: RobotDescription, kind: 
 
 @settings(max_examples=60, deadline=None)
 @given(seeds)
-def test_singularity_distances_tell_the_jacobian(ns16: RobotDescription, seed: int) -> None:
+def test_singularity_distances_match_the_jacobian_determinant(ns16: RobotDescription, seed: int) -> None:
     """The determinant of the Jacobian of a spherical-wrist arm is, up to a constant, the product of the three."""
     kinematics = kinematics_for(ns16)
     q = np.random.default_rng(seed).uniform(-3, 3, (5, 6))
@@ -182,7 +182,7 @@ def test_singularity_distances_tell_the_jacobian(ns16: RobotDescription, seed: i
     np.testing.assert_allclose(np.abs(np.linalg.det(kinematics.jacobian(q))), constant * product, atol=1e-12)
 
 
-def test_joint_rates_give_the_twist(arms: dict[str, RobotDescription]) -> None:
+def test_joint_rates_reproduce_the_twist(arms: dict[str, RobotDescription]) -> None:
     rng = np.random.default_rng(0)
     for name in ("comau_ns16", "seven axes", "planar"):
         kinematics = kinematics_for(arms[name])
@@ -212,7 +212,7 @@ def test_solve_takes_the_nearest_solution_within_limits(ns16: RobotDescription, 
 
 @settings(max_examples=40, deadline=None)
 @given(seeds)
-def test_solve_on_branch_leaves_it_only_where_limits_ask_for_it(ns16: RobotDescription, seed: int) -> None:
+def test_solve_on_branch_changes_branch_only_for_limits(ns16: RobotDescription, seed: int) -> None:
     kinematics = kinematics_for(ns16)
     rng = np.random.default_rng(seed)
     near, q = rng.uniform(kinematics.lower, kinematics.upper, (2, 6))
@@ -230,7 +230,7 @@ def test_solve_on_branch_leaves_it_only_where_limits_ask_for_it(ns16: RobotDescr
         np.testing.assert_array_equal(solved, kinematics.solve(pose, near))
 
 
-def test_solve_names_the_limit_that_is_in_the_way(ns16: RobotDescription) -> None:
+def test_solve_names_the_violated_limit(ns16: RobotDescription) -> None:
     kinematics = kinematics_for(ns16)
     behind = np.array([0.2, np.radians(-59), np.radians(108), 0.3, 0.8, 0.1])
     pose = kinematics.forward((behind - np.radians([0, 20, 0, 0, 0, 0]))[None])[0]
@@ -263,7 +263,7 @@ def test_poses_that_are_not_numbers_are_unreachable(ns16: RobotDescription) -> N
     assert refused.value.index == 1
 
 
-def test_a_rounded_urdf_is_solved_to_the_last_digit(make_spherical: Callable) -> None:
+def test_solves_a_rounded_urdf_to_full_precision(make_spherical: Callable) -> None:
     """Four digits of pi are common in URDFs; the closed form alone would be off by 10 µm."""
     kinematics = kinematics_for(make_spherical(pi=3.1416))
     assert isinstance(kinematics, SphericalWristKinematics)
@@ -277,9 +277,7 @@ def test_a_rounded_urdf_is_solved_to_the_last_digit(make_spherical: Callable) ->
 
 
 @pytest.mark.parametrize("change", ["no wrist centre", "bent elbow", "six slides"])
-def test_an_arm_that_is_not_of_this_kind_is_not_taken_for_one(
-    make_arm: Callable, make_spherical: Callable, change: str
-) -> None:
+def test_recognises_arms_without_a_spherical_wrist(make_arm: Callable, make_spherical: Callable, change: str) -> None:
     joints = [
         ["R", (0, 0, 0.3), (0, 0, 0), (0, 0, 1)],
         ["R", (0.3, 0, 0.2), (0, 0, 0), (0, 1, 0)],
@@ -298,7 +296,7 @@ def test_an_arm_that_is_not_of_this_kind_is_not_taken_for_one(
     assert isinstance(kinematics_for(make_arm(joints)), NumericalKinematics)
 
 
-def test_the_arm_of_the_development_runs_is_recognised(shared_data: Path) -> None:
+def test_recognises_the_development_arm(shared_data: Path) -> None:
     kinematics = kinematics_for(load_robot(shared_data / "gap-dev" / "robot.yaml"))
     assert isinstance(kinematics, SphericalWristKinematics)
     q = np.array([[0.3, 0.2, 0.1, -0.4, 0.8, 0.2]])
@@ -310,7 +308,7 @@ def test_the_arm_of_the_development_runs_is_recognised(shared_data: Path) -> Non
 
 @settings(max_examples=100, deadline=None)
 @given(seeds)
-def test_configuration_brings_back_the_joints(ns16: RobotDescription, seed: int) -> None:
+def test_configuration_flags_select_the_joint_solution(ns16: RobotDescription, seed: int) -> None:
     kinematics = kinematics_for(ns16, TOOL)
     q = np.random.default_rng(seed).uniform(kinematics.lower, kinematics.upper, 6)
     if kinematics.singularity(q[None]).smallest[0] < 0.01:
@@ -340,14 +338,14 @@ def test_flags_and_turns_of_known_postures(ns16: RobotDescription, degrees: tupl
 
 
 @given(st.booleans(), st.booleans(), st.booleans(), st.tuples(*[st.integers(-9, 9)] * 3))
-def test_configuration_text_goes_both_ways(shoulder: bool, elbow: bool, wrist: bool, turns: tuple) -> None:
+def test_configuration_text_round_trips(shoulder: bool, elbow: bool, wrist: bool, turns: tuple) -> None:
     configuration = Configuration(shoulder, elbow, wrist, turns)
     assert parse_configuration(str(configuration)) == configuration
     assert parse_configuration("  ".join(reversed(str(configuration).lower().split()))) == configuration
 
 
 @pytest.mark.parametrize("text", ["X", "S S", "T4:1", "T1:", "T1:1 T1:2", "SEW", "T1:0.5", "T1:99999"])
-def test_a_configuration_that_means_nothing_is_refused(text: str) -> None:
+def test_refuses_an_invalid_configuration(text: str) -> None:
     with pytest.raises(InputError, match="allowed are S E W"):
         parse_configuration(text)
 

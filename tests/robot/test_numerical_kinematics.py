@@ -62,7 +62,7 @@ def test_inverse_and_solve_find_the_pose(arms: dict[str, RobotDescription], name
     np.testing.assert_allclose(solved, q[0], atol=1e-6)
 
 
-def test_it_agrees_with_the_closed_form(ns16: RobotDescription) -> None:
+def test_numerical_and_closed_form_solutions_agree(ns16: RobotDescription) -> None:
     closed = kinematics_for(ns16)
     numerical = NumericalKinematics(ns16, chain_of(ns16))
     poses = closed.forward(np.random.default_rng(3).uniform(-1.2, 1.2, (10, 6)))
@@ -105,7 +105,7 @@ def test_a_singular_pose_is_reported(arms: dict[str, RobotDescription]) -> None:
     assert refused.value.reason == "singular"
 
 
-def test_turns_are_taken_into_limits(make_arm: Callable) -> None:
+def test_solutions_are_unwrapped_into_the_limits(make_arm: Callable) -> None:
     robot = make_arm([("R", (0, 0, 0), (0, 0, 0), (0, 0, 1)), ("R", (0.5, 0, 0), (0, 0, 0), (0, 0, 1))], limit=2.0)
     kinematics = kinematics_for(robot)
     pose = kinematics.forward(np.array([[1.5, 0.3]]))[0]
@@ -116,9 +116,7 @@ def test_turns_are_taken_into_limits(make_arm: Callable) -> None:
 
 
 @pytest.mark.parametrize(("turn", "beyond"), [(2.1, 0.1), (-2.3, 0.3), (2.1 + 2 * np.pi, 0.1)])
-def test_by_how_much_a_limit_is_broken_is_said_of_the_nearest_turn(
-    make_arm: Callable, turn: float, beyond: float
-) -> None:
+def test_reports_the_limit_violation_of_the_nearest_turn(make_arm: Callable, turn: float, beyond: float) -> None:
     robot = make_arm([("R", (0, 0, 0), (0, 0, 0), (0, 0, 1)), ("P", (0.5, 0, 0), (0, 0, 0), (0, 0, 1))], limit=2.0)
     kinematics = kinematics_for(robot)
     pose = kinematics.forward(np.array([[turn, 0.1]]))[0]
@@ -127,7 +125,7 @@ def test_by_how_much_a_limit_is_broken_is_said_of_the_nearest_turn(
     assert refused.value.excess == pytest.approx(beyond)
 
 
-def test_such_an_arm_has_no_configuration_flags(arms: dict[str, RobotDescription]) -> None:
+def test_an_arm_without_closed_form_has_no_configuration_flags(arms: dict[str, RobotDescription]) -> None:
     kinematics = kinematics_for(arms["scara"])
     q = np.array([0.4, 0.5, 0.2, -0.3])
     assert kinematics.configuration_text(q) == ""
@@ -138,7 +136,7 @@ def test_such_an_arm_has_no_configuration_flags(arms: dict[str, RobotDescription
         kinematics.solve_configuration(pose, "S")
 
 
-def test_no_poses_are_no_path(arms: dict[str, RobotDescription]) -> None:
+def test_an_empty_list_of_poses_gives_an_empty_path(arms: dict[str, RobotDescription]) -> None:
     for name in ("comau_ns16", "scara"):
         kinematics = kinematics_for(arms[name])
         nothing = np.empty((0, 4, 4))
@@ -147,7 +145,7 @@ def test_no_poses_are_no_path(arms: dict[str, RobotDescription]) -> None:
 
 
 @pytest.mark.parametrize("name", NUMERICAL)
-def test_what_a_bound_clears_is_not_singular(arms: dict[str, RobotDescription], name: str) -> None:
+def test_the_singularity_bound_never_misses_a_singular_pose(arms: dict[str, RobotDescription], name: str) -> None:
     """The bound may ask for more than is needed, never for less."""
     kinematics = kinematics_for(arms[name])
     assert isinstance(kinematics, NumericalKinematics)
@@ -159,7 +157,7 @@ def test_what_a_bound_clears_is_not_singular(arms: dict[str, RobotDescription], 
 
 @settings(max_examples=10, deadline=None)
 @given(st.sampled_from(("anthropomorphic", "skew", "scara", "seven axes")), st.integers(0, 2**31))
-def test_many_poses_are_solved_as_one_by_one(arms: dict[str, RobotDescription], name: str, seed: int) -> None:
+def test_batch_inverse_equals_single_solutions(arms: dict[str, RobotDescription], name: str, seed: int) -> None:
     rng = np.random.default_rng(seed)
     kinematics = kinematics_for(arms[name])
     q = swing(kinematics.dof, rng, 4)
@@ -169,7 +167,7 @@ def test_many_poses_are_solved_as_one_by_one(arms: dict[str, RobotDescription], 
     np.testing.assert_allclose(kinematics.solve_each(poses, near), one_by_one, atol=1e-9)
 
 
-def test_the_pose_that_cannot_be_reached_is_refused_among_many(arms: dict[str, RobotDescription]) -> None:
+def test_names_the_unreachable_pose_among_many(arms: dict[str, RobotDescription]) -> None:
     kinematics = kinematics_for(arms["anthropomorphic"])
     q = swing(kinematics.dof, np.random.default_rng(0), 3)
     poses = kinematics.forward(q)

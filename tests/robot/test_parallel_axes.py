@@ -39,7 +39,7 @@ def arm(make_arm: Callable, seed: int, off: float = 0.0) -> RobotDescription:
 
 @settings(max_examples=40)
 @given(st.integers(0, 2**31), st.sampled_from([0.0, 1e-3]))
-def test_inverse_undoes_forward_on_every_branch(make_arm: Callable, seed: int, off: float) -> None:
+def test_inverse_kinematics_round_trip_on_every_branch(make_arm: Callable, seed: int, off: float) -> None:
     kinematics = kinematics_for(arm(make_arm, seed, off))
     assert isinstance(kinematics, ParallelAxesKinematics)
     q = np.random.default_rng(seed).uniform(-np.pi, np.pi, (20, 6))
@@ -104,5 +104,5 @@ def test_poses_out_of_reach_are_refused_with_the_distance(place: tuple[float, ..
     assert refused.value.reason == "unreachable"
 
 
-def test_axes_that_are_far_from_parallel_have_no_closed_form(make_arm: Callable) -> None:
+def test_non_parallel_axes_have_no_closed_form(make_arm: Callable) -> None:
     assert isinstance(kinematics_for(arm(make_arm, 1, off=0.05)), NumericalKinematics)

@@ -38,11 +38,11 @@ def compare(dynamics: Dynamics, samples: int, seed: int) -> None:
 
 @settings(max_examples=25, deadline=None)
 @given(arms(), st.integers(0, 4), st.integers(0, 2**31))
-def test_any_serial_arm(robot: Any, samples: int, seed: int) -> None:
+def test_the_joint_regressor_is_exact_for_any_serial_arm(robot: Any, samples: int, seed: int) -> None:
     compare(Dynamics(robot), samples, seed)
 
 
-def test_with_tool_and_gravity_of_its_own() -> None:
+def test_the_joint_regressor_is_exact_with_tool_and_gravity() -> None:
     frame = np.eye(4)
     frame[:3, 3] = 0.1, 0.0, 0.2
     dynamics = Dynamics(load_robot("comau_ns16"), Tool(frame, 5.0, np.array([0.0, 0.05, 0.0])))

@@ -37,7 +37,7 @@ def smallest(report: CellReport) -> float:
     return min(report.clearances.values())
 
 
-def test_a_clear_motion_is_clear_and_its_clearance_is_found(trajectory_through):
+def test_reports_the_clearance_of_a_clear_motion(trajectory_through):
     cell = Cell(ROBOT, tool(), [TABLE])
     motion = trajectory_through([REACHING, REACHING + 0.2, REACHING - [0.5, 0, 0, 0, 0.3, 0]])
     report = cell.check(motion, margin=0.02)
@@ -53,7 +53,7 @@ def test_a_clear_motion_is_clear_and_its_clearance_is_found(trajectory_through):
 
 
 @pytest.mark.parametrize("distance", [-0.01, np.nan])
-def test_a_proof_of_clearance_is_given_up_at_the_first_look_that_shows_none(trajectory_through, distance, monkeypatch):
+def test_a_clearance_check_stops_at_the_first_collision(trajectory_through, distance, monkeypatch):
     cell, looks = Cell(ROBOT, tool(), [TABLE]), []
 
     def found(postures: np.ndarray, wanted: np.ndarray) -> np.ndarray:
@@ -65,7 +65,7 @@ def test_a_proof_of_clearance_is_given_up_at_the_first_look_that_shows_none(traj
     assert len(looks) == 1
 
 
-def test_positions_that_are_no_numbers_are_not_clear(trajectory_through):
+def test_non_finite_positions_are_not_clear(trajectory_through):
     motion = trajectory_through([REACHING, REACHING + 0.2])
     lost = replace(motion, q=np.where(motion.t[:, None] > motion.t[-1] / 2, np.nan, motion.q))
     bodiless = Cell(ROBOT)
@@ -91,7 +91,7 @@ def test_the_first_collision_is_named_with_its_time_and_depth(trajectory_through
     assert f"{1000 * report.collision.depth:.1f} mm deep" in text
 
 
-def test_a_start_in_collision_is_told_as_such(trajectory_through):
+def test_reports_a_start_in_collision(trajectory_through):
     report = Cell(ROBOT, tool(), [TABLE]).check(trajectory_through([DOWN, REACHING]))
     assert (report.collision.index, report.collision.time) == (0, 0.0)
 
@@ -113,7 +113,7 @@ def test_a_collision_between_two_samples_is_found():
     assert cell.check(q).collision.second == "keep-out wall"
 
 
-def test_depth_grows_with_the_table(trajectory_through):
+def test_penetration_depth_grows_with_the_box(trajectory_through):
     motion = trajectory_through([REACHING, REACHING + np.radians([10, 25, 0, 0, 0, 0])])
     depths = [
         Cell(ROBOT, tool(), [Box("t", (0.4, -1.0, 0.0), (1.6, 1.0, top))]).check(motion).depth
@@ -124,7 +124,7 @@ def test_depth_grows_with_the_table(trajectory_through):
     assert np.all(np.diff(depths[1:]) > 0.01)
 
 
-def test_the_margin_is_added(trajectory_through):
+def test_the_safety_margin_is_added(trajectory_through):
     motion = trajectory_through([REACHING, REACHING + np.radians([0, 10, 0, 0, 0, 0])])
     cell = Cell(ROBOT, tool(), [TABLE])
     gap = cell.check(motion).clearances["tool", "keep-out table"]
@@ -135,7 +135,7 @@ def test_the_margin_is_added(trajectory_through):
     assert "nearer than the margin" in str(report.collision)
 
 
-def test_the_arm_does_not_run_into_itself():
+def test_detects_self_collision():
     """Folded back, the hand meets the upper arm."""
     cell = Cell(ROBOT, tool(0.3))
     folded = np.radians([0, 0, 105, 0, 100, 0])
@@ -144,7 +144,7 @@ def test_the_arm_does_not_run_into_itself():
     assert not report.collision.second.startswith("keep-out")
 
 
-def test_a_stop_needs_free_space(trajectory_through):
+def test_includes_the_stopping_distance(trajectory_through):
     """A motion that turns round just before a wall: fast, it could not stop before it, slow it could."""
     out = REACHING - np.radians([40, 0, 0, 0, 0, 0])
     dynamics = Dynamics(ROBOT, tool())
@@ -166,7 +166,7 @@ def test_a_stop_needs_free_space(trajectory_through):
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.0, 0.03]))
 @settings(max_examples=20, deadline=None)
-def test_nothing_deeper_than_the_tolerance_is_missed(trajectory_through, seed, margin):
+def test_misses_no_collision_deeper_than_the_tolerance(trajectory_through, seed, margin):
     rng = np.random.default_rng(seed)
     endless = tuple(replace(joint, lower=-np.inf, upper=np.inf) for joint in ROBOT.joints)
     robot = replace(ROBOT, joints=endless)
@@ -195,7 +195,7 @@ def check_against(report, distances, margin, fine):
         assert clearance <= column.min() + max(0.001, 0.25 * abs(clearance - margin)) + 2e-5
 
 
-def test_joint_ranges_narrower_than_the_joints_own(trajectory_through):
+def test_applies_narrower_joint_ranges_of_the_recipe(trajectory_through):
     motion = trajectory_through([REACHING, REACHING + [0, 0, 0, 3.0, 0, 0]])
     cable = {"joint_4": (-2.5, 2.5), "joint_6": (-3.0, 3.0)}
     cell = Cell(ROBOT, joint_ranges=cable)
@@ -208,7 +208,7 @@ def test_joint_ranges_narrower_than_the_joints_own(trajectory_through):
     assert Cell(ROBOT).check(motion).collision is None
 
 
-def test_the_way_to_a_stop_stays_in_range_too(trajectory_through):
+def test_the_stopping_motion_stays_in_range(trajectory_through):
     motion = trajectory_through([REACHING, REACHING + [2.9, 0, 0, 0, 0, 0]], duration=1.5)
     cell = Cell(ROBOT)
     assert cell.check(motion).collision is None
@@ -226,7 +226,7 @@ def test_impossible_joint_ranges_are_refused(ranges, reason):
         Cell(ROBOT, joint_ranges=ranges)
 
 
-def test_a_wide_margin_counts_for_the_cell_and_not_between_neighbours(trajectory_through):
+def test_a_wide_margin_applies_to_the_cell_but_not_between_neighbours(trajectory_through):
     motion = trajectory_through([REACHING, REACHING + np.radians([20, 0, 0, 0, 0, 0])])
     both = Cell(ROBOT, tool(), [TABLE])
     assert smallest(both.check(motion)) < 0.1  # neighbours but one in the arm are always as near as that
@@ -238,7 +238,7 @@ def test_a_wide_margin_counts_for_the_cell_and_not_between_neighbours(trajectory
     assert report.depth == pytest.approx(0.05, abs=0.01)
 
 
-def test_bodies_that_touch_in_every_posture_are_left_out_and_named():
+def test_always_touching_bodies_are_left_out_and_named():
     fat = (Capsule((0.0, 0.0, 0.0), (0.0, 0.0, 0.1), 1.0),)
     cell = Cell(replace(ROBOT, bodies={**ROBOT.bodies, "link_3": fat}))
     assert ("link_3", "link_5") in cell.left_out
@@ -258,12 +258,12 @@ def test_an_arm_without_bodies_is_checked_against_boxes_by_its_skeleton():
     assert cell.check(DOWN[None]).collision is not None
 
 
-def test_a_motion_that_is_not_finite_is_not_called_clear():
+def test_a_non_finite_motion_is_not_clear():
     with pytest.raises(ValueError, match="finite"):
         Cell(ROBOT).check(np.full((3, 6), np.nan))
 
 
-def test_cost_follows_what_can_happen_not_the_number_of_samples(trajectory_through, monkeypatch):
+def test_cost_depends_on_clearance_not_on_the_number_of_samples(trajectory_through, monkeypatch):
     """Counted in postures looked at, which is what the time goes into."""
     cell = Cell(ROBOT, tool(), [TABLE])
     looked_at = []
@@ -285,7 +285,7 @@ def test_cost_follows_what_can_happen_not_the_number_of_samples(trajectory_throu
 
 
 @pytest.mark.verify
-def test_time_of_a_loop(measured):
+def test_cpu_time_of_checking_a_loop(measured):
     import time
 
     from agent.motion import FlyInterpolator, ViaRegions, loop_moves

@@ -42,7 +42,7 @@ def distance_to_box(a: np.ndarray, box: Box) -> float:
     return float(np.sqrt(2 * lsq_linear(matrix, -a[0], bounds, tol=1e-14).cost))
 
 
-def test_distances_are_those_of_the_capsules_and_boxes():
+def test_distances_between_capsules_and_boxes_are_exact():
     dynamics = Dynamics(ROBOT)
     boxes = {f"keep-out {box.name}": box for box in BOXES}
     q = postures(1, 40)
@@ -63,14 +63,14 @@ def test_distances_are_those_of_the_capsules_and_boxes():
                 assert found[s, k] == pytest.approx(min(options), abs=ACCURACY), pair
 
 
-def test_an_axis_inside_a_box_is_deeper_than_its_radius():
+def test_a_capsule_axis_inside_a_box_is_deeper_than_its_radius():
     inside = Box("all around", (-3, -3, -3), (3, 3, 3))
     model = CollisionModel(ROBOT, BODIES, [inside])
     boxed = np.array([pair.second == "keep-out all around" for pair in model.pairs])
     assert (model.distances(postures(2, 20))[:, boxed] < -0.5).all()
 
 
-def test_neighbours_and_what_never_moves_are_not_paired():
+def test_neighbours_and_fixed_bodies_are_not_paired():
     names = {(pair.first, pair.second) for pair in MODEL.pairs}
     assert ("link_2", "link_3") not in names
     assert ("base_link", "link_1") not in names
@@ -99,13 +99,13 @@ UNIT = st.lists(st.floats(0, 1), min_size=6, max_size=6).map(np.array)
 
 @given(UNIT, UNIT, st.sampled_from([0.001, 0.05, 0.5, 2.0]))
 @settings(max_examples=200, deadline=None)
-def test_no_distance_changes_faster_than_reach_says(q, direction, size):
+def test_the_reach_bounds_the_change_of_every_distance(q, direction, size):
     check_reach(ROBOT, MODEL, LOWER + q * (UPPER - LOWER), size * (2 * direction - 1))
 
 
 @given(UNIT, st.integers(0, 5), st.floats(-1, 1))
 @settings(max_examples=200, deadline=None)
-def test_nor_by_one_joint_alone(q, joint, size):
+def test_the_reach_bounds_the_change_by_a_single_joint(q, joint, size):
     change = np.zeros(6)
     change[joint] = size
     check_reach(ROBOT, MODEL, LOWER + q * (UPPER - LOWER), change)
@@ -124,7 +124,7 @@ SLIDER = """<robot name="slider">
 
 @given(st.tuples(st.floats(-2, 2), st.floats(-4, 4), st.floats(0, 1)), st.integers(0, 2), st.floats(-0.5, 0.5))
 @settings(max_examples=100, deadline=None)
-def test_reach_holds_with_prismatic_joints(q, joint, size):
+def test_the_reach_bound_holds_with_prismatic_joints(q, joint, size):
     joints = tuple(
         replace(ROBOT.joints[0], name=name, prismatic=name != "swing", lower=lower, upper=upper)
         for name, lower, upper in (("slide", -2.0, 2.0), ("swing", -np.inf, np.inf), ("reach", 0.0, 1.0))

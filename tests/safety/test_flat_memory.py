@@ -26,7 +26,7 @@ def block(first: int, count: int = 10) -> SampleBlock:
     return SampleBlock(sequence, 5.0 + PERIOD * sequence, *values, received=1.0)
 
 
-def test_a_recording_does_not_grow_with_its_length(tmp_path):
+def test_memory_does_not_grow_with_the_recording(tmp_path):
     aligner, braking = Aligner((), PERIOD), Braking(ROBOT.max_velocity)
     freshness = Freshness(PERIOD, 0.5, lambda: 0.0)
     held = []
@@ -47,7 +47,7 @@ def test_a_recording_does_not_grow_with_its_length(tmp_path):
 
 
 @given(st.lists(st.integers(0, 30), max_size=60), st.integers(0, 12), st.integers(1, 9))
-def test_segments_are_the_same_however_the_set_points_come(stays, rest, chunk):
+def test_segments_do_not_depend_on_block_size(stays, rest, chunk):
     reference = np.array([value for value, stay in enumerate(stays) for _ in range(stay)], dtype=float)[:, None]
     segments = MovingSegments(rest)
     for first in range(0, len(reference), chunk):

@@ -20,20 +20,20 @@ from drivers.transports.tcp import TcpDriver
 from tests.safety.following import HOME
 
 
-def test_what_is_in_order_runs_once_to_its_end(bench, program):
+def test_a_valid_program_runs_once_to_its_end(bench, program):
     assert bench.run(program()) == 1000
     bench.close()
     assert (bench.controller.starts, bench.controller.stops) == (1, 0)
     assert bench.warned == []
 
 
-def test_a_program_that_leaves_frames_open_does_not_run_where_nobody_can_read_them(bench, program):
+def test_refuses_a_program_without_frames_if_the_link_reads_none(bench, program):
     with pytest.raises(InputError, match=r"does not set \$TOOL"):
         bench.run(replace(program(), frames={"$TOOL": np.eye(4)}))
     assert bench.controller.starts == 0
 
 
-def test_what_a_driver_asks_is_answered_before_the_next_run(bench):
+def test_an_error_of_the_driver_is_followed_by_what_to_do(bench):
     class Asking(TcpDriver):
         def connect(self):
             raise DriverError("nobody answers; is the port right?")
@@ -43,7 +43,7 @@ def test_what_a_driver_asks_is_answered_before_the_next_run(bench):
         bench.open()
 
 
-def test_readiness_is_looked_at_right_before_the_start(bench, program):
+def test_checks_readiness_right_before_the_start(bench, program):
     """Between the last look and the start there is no other request."""
     bench.run(program())
     assert bench.controller.asked.count("AskStatus") >= 3
@@ -61,7 +61,7 @@ def test_readiness_is_looked_at_right_before_the_start(bench, program):
         ({"period": 0.0}, ControllerError, "every 0 ms"),
     ],
 )
-def test_whoever_is_not_the_one_meant_is_left_alone(bench, told, error, said):
+def test_refuses_another_robot_or_serial(bench, told, error, said):
     bench.controller = replace(bench.controller, **told)
     with pytest.raises(error, match=said):
         bench.open()
@@ -82,7 +82,7 @@ def test_whoever_is_not_the_one_meant_is_left_alone(bench, told, error, said):
         ({"position": tuple(HOME + np.nan)}, ControllerError, "does not stand where its plan begins"),
     ],
 )
-def test_no_state_that_forbids_motion_lets_it_start(bench, state, error, said, program):
+def test_refuses_to_start_in_any_forbidden_state(bench, state, error, said, program):
     bench.controller.status = state
     guard = bench.open()
     with pytest.raises(error, match=said):
@@ -93,7 +93,7 @@ def test_no_state_that_forbids_motion_lets_it_start(bench, state, error, said, p
 
 
 @pytest.mark.parametrize("joints", [0, 5, 7])
-def test_positions_of_another_number_of_joints_start_nothing(bench, program, joints: int):
+def test_refuses_to_start_with_a_wrong_number_of_joints(bench, program, joints: int):
     bench.controller.status = {"position": (0.1,) * joints}
     guard = bench.open()
     with pytest.raises(ControllerError, match=f"where its 6 joints stand .it tells {joints} numbers"):
@@ -103,19 +103,19 @@ def test_positions_of_another_number_of_joints_start_nothing(bench, program, joi
     assert bench.controller.starts == 0
 
 
-def test_a_little_sag_is_no_jog(bench, program):
+def test_accepts_a_small_sag_from_the_start_position(bench, program):
     bench.controller.status = {"position": tuple(HOME + 0.015)}
     assert bench.run(program()) == 1000
 
 
-def test_another_text_than_was_sent_does_not_run(bench, program):
+def test_refuses_a_program_stored_with_another_text(bench, program):
     bench.controller.stores = hashlib.sha256(b"other").hexdigest()
     with pytest.raises(ControllerError, match="stored another text"):
         bench.run(program())
     assert bench.controller.starts == 0
 
 
-def test_a_program_exchanged_after_it_was_sent_does_not_run(bench, program):
+def test_refuses_a_program_exchanged_after_upload(bench, program):
     guard = bench.open()
     guard.send(program())
     other = PlannedProgram("swing", "PROGRAM other", program().chains)
@@ -135,7 +135,7 @@ def test_a_program_exchanged_after_it_was_sent_does_not_run(bench, program):
         ("qd", -9.0, "joint_3 would leave the speed limit"),
     ],
 )
-def test_a_plan_that_breaks_a_limit_does_not_run(bench, column, value, said, program):
+def test_refuses_a_plan_that_violates_a_limit(bench, column, value, said, program):
     array = getattr(program().chains[0], column).copy()
     array[200, 2] = value
     with pytest.raises(InputError, match=said):
@@ -143,36 +143,36 @@ def test_a_plan_that_breaks_a_limit_does_not_run(bench, column, value, said, pro
     assert bench.controller.starts == 0
 
 
-def test_a_program_that_does_not_move_has_no_start_position(bench):
+def test_a_program_without_motion_has_no_start_position(bench):
     bench.controller.status = {"position": tuple(HOME + 1.0)}
     bench.controller.moves = lambda times: np.tile(HOME + 1.0, (len(times), 1))
     assert bench.run(PlannedProgram("swing", "PROGRAM swing", ())) == 1000
 
 
-def test_where_nothing_is_planned_nothing_may_move(bench):
+def test_stops_motion_if_none_was_planned(bench):
     with pytest.raises(SafetyError, match="what moves is not what was planned"):
         bench.run(PlannedProgram("swing", "PROGRAM swing", ()))
     assert bench.controller.stops >= 1
 
 
-def test_a_person_is_asked_and_no_is_no(bench):
+def test_does_not_start_if_the_operator_says_no(bench):
     with pytest.raises(InputError, match="nobody confirmed"):
         bench.open(yes=False)
     assert len(bench.asked) == 1
     assert "NS16-7" in bench.asked[0]
 
 
-def test_a_person_is_asked_and_yes_is_yes(bench, program):
+def test_starts_if_the_operator_says_yes(bench, program):
     bench.answer = True
     assert bench.run(program(), bench.open(yes=False)) == 1000
 
 
-def test_who_said_yes_is_not_asked_again(bench):
+def test_the_yes_option_skips_the_question(bench):
     bench.open(yes=True)
     assert bench.asked == []
 
 
-def test_only_the_emulator_on_this_machine_is_not_asked_about(bench):
+def test_only_a_local_emulator_needs_no_confirmation(bench):
     bench.controller.status = {"emulator": True}
     for address in ("", "localhost:9100", "[::1]:9100"):
         bench.open(yes=False, address=address).close()
@@ -182,7 +182,7 @@ def test_only_the_emulator_on_this_machine_is_not_asked_about(bench):
             bench.open(yes=False, address=address)
 
 
-def test_an_authorised_motion_needs_nobody(bench, program, authorisation):
+def test_an_authorised_motion_needs_no_confirmation(bench, program, authorisation):
     chosen = program(0.8)
     bench.checked.add("NS16-7", chosen.checksum)
     assert bench.run(chosen, bench.open(yes=False, authorisation=authorisation(chosen))) == 1000
@@ -200,7 +200,7 @@ def test_an_authorised_motion_needs_nobody(bench, program, authorisation):
         ({"expires": date(2020, 1, 1)}, "it ended on"),
     ],
 )
-def test_an_authorisation_covers_what_it_says_and_nothing_else(bench, change, said, program, authorisation):
+def test_an_authorisation_covers_only_what_it_states(bench, change, said, program, authorisation):
     chosen = program(0.8)
     bench.checked.add("NS16-7", chosen.checksum)
     guard = bench.open(yes=False, authorisation=authorisation(chosen, **change))
@@ -209,7 +209,7 @@ def test_an_authorisation_covers_what_it_says_and_nothing_else(bench, change, sa
     assert bench.controller.starts == 0
 
 
-def test_rests_that_a_program_asks_for_count_in_what_is_authorised(bench, program, authorisation):
+def test_programmed_pauses_count_towards_the_authorised_duration(bench, program, authorisation):
     chosen = replace(program(0.8), pauses=90.0)
     bench.checked.add("NS16-7", chosen.checksum)
     with pytest.raises(InputError, match=r"takes 9\d s, 60 s are allowed"):
@@ -232,7 +232,7 @@ class Unguarded(TcpDriver):
         return replace(super().identify(), unguarded="the published programs run on")
 
 
-def test_an_arm_that_nothing_stops_without_the_agent_moves_only_while_somebody_is_there(bench, program, authorisation):
+def test_an_unguarded_arm_moves_only_with_an_operator_present(bench, program, authorisation):
     bench.driver = Unguarded
     with pytest.raises(ControllerError, match=r"the published programs run on; till then, somebody has to stand by"):
         bench.open(authorisation=authorisation(program()))

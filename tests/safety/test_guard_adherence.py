@@ -15,14 +15,14 @@ from tests.safety.following import HOME, PERIOD, ROBOT, at, follow, paced, run, 
 
 
 @pytest.mark.parametrize("given", [True, False])
-def test_what_was_not_planned_is_stopped_where_it_leaves_the_plan(swing, given):
+def test_stops_unplanned_motion_where_it_leaves_the_plan(swing, given):
     chain, other = swing(), swing(turn=-1.0)
     reason, when = follow(watcher(chain), paced(other, 1.0), given=given)
     assert "into the motion" in reason
     assert np.abs(at(other, np.array([when])) - HOME).max() < 0.15
 
 
-def test_motion_that_goes_on_after_the_end_is_stopped(swing):
+def test_stops_motion_after_the_planned_end(swing):
     chain = swing(seconds=3.0)
     again = paced(chain, 1.0) + (chain.q[-1] - chain.q[0])
     reason, when = follow(watcher(chain), paced(chain, 1.0), again)
@@ -30,14 +30,14 @@ def test_motion_that_goes_on_after_the_end_is_stopped(swing):
     assert 3.0 < when < 3.7
 
 
-def test_motion_before_the_start_is_stopped(swing):
+def test_stops_motion_before_the_start(swing):
     chain = swing(seconds=3.0)
     elsewhere = chain.q[:1] + np.linspace(0.0, 0.2, 200)[:, None]
     assert follow(watcher(chain), elsewhere)[1] < 0.4
 
 
 @pytest.mark.parametrize("joint", range(6))
-def test_a_servo_that_does_not_follow_is_stopped(swing, joint):
+def test_stops_a_servo_that_does_not_follow(swing, joint):
     chain = swing(seconds=3.0)
     off = np.zeros(6)
     off[joint] = np.radians(40.0)
@@ -46,12 +46,12 @@ def test_a_servo_that_does_not_follow_is_stopped(swing, joint):
     assert "+0.69" in reason
 
 
-def test_a_servo_that_is_left_behind_is_stopped(swing):
+def test_stops_a_servo_that_lags_behind(swing):
     chain = swing(seconds=3.0)
     assert follow(watcher(chain), paced(chain, 1.0), lag=300) is not None
 
 
-def test_what_slides_is_told_in_metres(swing):
+def test_prismatic_joints_are_reported_in_metres(swing):
     sliding = replace(ROBOT, joints=(replace(ROBOT.joints[0], prismatic=True), *ROBOT.joints[1:]))
     check = Adherence([swing(seconds=3.0)], sliding, None, 0.02, PERIOD)
     reason, _ = follow(check, np.tile(HOME + 0.5 * np.eye(6)[0], (20, 1)))
@@ -59,7 +59,7 @@ def test_what_slides_is_told_in_metres(swing):
 
 
 @pytest.mark.parametrize("margin", [0.01, 0.05])
-def test_the_tool_may_be_as_far_off_as_the_cell_was_checked(margin):
+def test_tolerates_tool_deviation_up_to_the_checked_margin(margin):
     lever = watcher(rest_at(HOME))._path.levers[0]  # from the first axis to the tool
 
     def beside(metres):
@@ -71,19 +71,19 @@ def test_the_tool_may_be_as_far_off_as_the_cell_was_checked(margin):
     assert f"{1000 * margin:.0f} mm are allowed, near x" in reason
 
 
-def test_set_points_of_ten_radians_a_second_are_stopped(swing):
+def test_stops_set_points_above_the_speed_limit(swing):
     chain = swing()
     jump = chain.q[0] + np.outer(10.0 * PERIOD * np.arange(100), np.eye(6)[0])
     _, when = follow(watcher(chain), jump, chunk=1)
     assert TOGETHER - PERIOD < when < 0.02, "a few samples are judged at once: each by itself would cost as much"
 
 
-def test_a_clock_that_stands_still_keeps_no_sample_from_being_judged(swing):
+def test_judges_samples_even_if_the_clock_is_constant(swing):
     chain = swing(seconds=3.0)
     assert run(watcher(chain), np.tile(HOME - 0.3, (200, 1)), None, period=0.0) is not None
 
 
-def test_times_count_from_the_start_whatever_the_clock_shows(swing):
+def test_times_count_from_the_start_of_motion(swing):
     chain = swing(seconds=3.0)
     driven = chain.q + np.outer(np.arange(len(chain.q)) >= 500, np.eye(6)[0])
     reason, _ = run(watcher(chain), driven, driven, began=5000.0)
@@ -99,19 +99,19 @@ def ramp(seconds):
     return replace(rest_at(HOME), t=t, q=HOME + PERIOD * np.cumsum(speed, axis=0), qd=speed, move=0 * t.astype(int))
 
 
-def test_a_controller_may_speed_up_sooner_but_not_much():
+def test_tolerates_slightly_earlier_acceleration():
     plan = ramp(0.3)
     assert follow(watcher(plan, margin=0.005), ramp(0.1).q[:200]) is None
     assert follow(watcher(ramp(0.9), margin=0.005), ramp(0.1).q[:200]) is not None
 
 
-def test_speeds_that_are_limited_by_no_number_are_not_allowed(swing):
+def test_a_nan_speed_limit_allows_no_motion(swing):
     nowhere = replace(ROBOT, joints=tuple(replace(joint, max_velocity=np.nan) for joint in ROBOT.joints))
     reason, _ = follow(Adherence([swing(seconds=3.0)], nowhere, None, 0.02, PERIOD), np.tile(HOME, (20, 1)))
     assert "goes at 0 rad/s" in reason
 
 
-def test_degrees_for_radians_are_told_as_such(swing):
+def test_reports_degrees_in_place_of_radians(swing):
     chain = swing(seconds=3.0, start=0.5)
     for set_points in (chain.q, None):
         reason, _ = run(watcher(chain), np.degrees(chain.q), set_points)
@@ -121,7 +121,7 @@ def test_degrees_for_radians_are_told_as_such(swing):
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e300])
 @pytest.mark.parametrize("which", ["measured", "given"])
-def test_samples_that_are_no_numbers_are_no_motion_as_planned(swing, value, which):
+def test_stops_on_non_finite_samples(swing, value, which):
     chain = swing(seconds=3.0)
     parts = {"measured": chain.q.copy(), "given": chain.q.copy()}
     parts[which][500, 2] = value
@@ -130,7 +130,7 @@ def test_samples_that_are_no_numbers_are_no_motion_as_planned(swing, value, whic
     assert when == pytest.approx(PERIOD * 509)
 
 
-def test_times_that_are_no_numbers_are_stopped_too(swing):
+def test_stops_on_non_finite_times(swing):
     chain = swing(seconds=3.0)
     times = np.array([0.0, np.nan])
     block = SampleBlock(np.arange(2), times, chain.q[:2], None, chain.q[:2], chain.q[:2], None)
@@ -139,7 +139,7 @@ def test_times_that_are_no_numbers_are_stopped_too(swing):
 
 @pytest.mark.parametrize("joint", [3, 4, 5])
 @pytest.mark.parametrize("given", [True, False])
-def test_a_joint_that_turns_unplanned_is_stopped_within_its_reach(swing, joint, given):
+def test_stops_an_unplanned_joint_motion_within_the_margin(swing, joint, given):
     """A joint may turn as fast as the tool goes; how far, the positions say."""
     chain = swing(seconds=3.0)
     check = watcher(chain)

@@ -101,7 +101,7 @@ def stopped(brakes: float | None = None, **options) -> Arm:
     return arm
 
 
-def test_an_arm_that_brakes_is_stopped_once_and_its_link_stays_open():
+def test_a_braking_arm_gets_one_stop_and_keeps_its_link():
     arm = stopped(brakes=0.6)
     arm.run(1.5)
     arm.stopping.finish(failed=False)
@@ -111,7 +111,7 @@ def test_an_arm_that_brakes_is_stopped_once_and_its_link_stays_open():
     assert not arm.closed.is_set()
 
 
-def test_a_stop_that_is_being_carried_out_is_waited_for_and_nothing_is_left_of_it():
+def test_waits_for_a_stop_in_progress_and_cleans_up():
     """Or it would be taken for one that failed, once the link is closed."""
     before = set(threading.enumerate())
     arm = Arm(brakes=0.2)
@@ -135,7 +135,7 @@ def test_a_stop_that_is_being_carried_out_is_waited_for_and_nothing_is_left_of_i
 
 
 @pytest.mark.parametrize("reacts", [0.0, 0.1])
-def test_an_arm_that_is_slow_to_brake_and_seen_late_is_given_the_time(reacts):
+def test_a_slowly_braking_arm_gets_more_time(reacts):
     """Reaction, 1.2 s from full speed, and 0.2 s on the way here: the slowest that counts as obedient."""
     arm = stopped(brakes=1.2, speed=1.0)
     arm._stopped_at += 0.2 + reacts
@@ -143,7 +143,7 @@ def test_an_arm_that_is_slow_to_brake_and_seen_late_is_given_the_time(reacts):
     assert (arm.stopping.seen, arm.warned) == ("", [])
 
 
-def test_a_stall_of_this_process_is_no_disobedience():
+def test_a_stall_of_this_process_is_not_counted_against_the_arm():
     """But no more of it than half a second."""
     arm = stopped()
     arm.clock.now += 0.4
@@ -158,7 +158,7 @@ def test_a_stall_of_this_process_is_no_disobedience():
 
 
 @pytest.mark.parametrize("brakes", [None, 20.0])
-def test_an_arm_that_does_not_brake_is_told_again_and_let_go(brakes):
+def test_an_arm_that_does_not_brake_gets_a_second_stop_then_loses_the_link(brakes):
     arm = stopped(brakes)
     arm.run(AGAIN - 0.06)
     assert arm.stops == 1
@@ -176,7 +176,7 @@ def test_an_arm_that_does_not_brake_is_told_again_and_let_go(brakes):
     assert arm.stopping._look.exception() is None
 
 
-def test_an_arm_that_slows_down_for_a_corner_only_is_let_go():
+def test_slowing_for_a_corner_is_not_braking():
     arm = stopped()
     arm.corner = 1.2
     arm.run(0.72)
@@ -186,7 +186,7 @@ def test_an_arm_that_slows_down_for_a_corner_only_is_let_go():
     assert (arm.stops, arm.stopping.disobeyed) == (2, True)
 
 
-def test_an_arm_that_brakes_for_ever_is_let_go():
+def test_closes_the_link_of_an_arm_that_never_comes_to_rest():
     arm = stopped(brakes=2 * STANDS)
     for _ in range(10):
         arm.run(STANDS / 10)
@@ -194,7 +194,7 @@ def test_an_arm_that_brakes_for_ever_is_let_go():
     assert arm.stopping.disobeyed
 
 
-def test_an_arm_that_rests_and_whose_end_never_comes_is_let_go():
+def test_closes_the_link_if_the_end_is_never_reported():
     arm = stopped(brakes=0.3)
     arm.run(NO_END)
     assert not arm.closed.is_set()
@@ -204,7 +204,7 @@ def test_an_arm_that_rests_and_whose_end_never_comes_is_let_go():
     assert (arm.stopping.disobeyed, arm.warned) == (False, [])
 
 
-def test_a_stop_that_is_refused_closes_the_link():
+def test_a_refused_stop_closes_the_link():
     arm = stopped(brakes=None, answers=False)
     assert arm.closed.wait(10.0)
     assert "not confirmed (no answer)" in arm.warned[0]
@@ -212,7 +212,7 @@ def test_a_stop_that_is_refused_closes_the_link():
 
 
 @pytest.mark.parametrize(("moves", "said"), [(True, "still moves"), (False, ""), (None, "nothing shows")])
-def test_where_no_samples_come_the_state_tells(moves, said):
+def test_without_samples_braking_is_judged_by_the_state(moves, said):
     arm = Arm(brakes=None if moves else 0.2)
     if moves is not None:
         arm.state = lambda: HOME + (2.0 * arm.clock.now if moves else 0.0)
@@ -224,7 +224,7 @@ def test_where_no_samples_come_the_state_tells(moves, said):
     assert arm.closed.wait(10.0) if said else not arm.closed.is_set()
 
 
-def test_a_state_that_is_renewed_now_and_then_shows_braking_all_the_same():
+def test_a_slowly_updated_state_still_shows_braking():
     arm = stopped()
     began = arm.clock.now
 
@@ -237,7 +237,7 @@ def test_a_state_that_is_renewed_now_and_then_shows_braking_all_the_same():
     assert (arm.stopping.seen, arm.warned) == ("", [])
 
 
-def test_late_samples_hide_nothing_of_what_the_state_tells():
+def test_late_samples_do_not_hide_the_state():
     """On a link that lags they still show the motion when the arm stands."""
     arm = Arm(brakes=None)
     arm.run(0.3)
@@ -252,7 +252,7 @@ def test_late_samples_hide_nothing_of_what_the_state_tells():
     assert "does not report the end" in arm.stopping.seen
 
 
-def test_a_state_that_is_read_no_more_shows_nothing():
+def test_an_outdated_state_is_not_evidence_of_braking():
     arm = Arm(brakes=None)
     arm.run(0.3)
     arm.run(2 * RECENT, seen=False)
@@ -264,7 +264,7 @@ def test_a_state_that_is_read_no_more_shows_nothing():
     assert not arm.stopping.disobeyed
 
 
-def test_a_clock_that_shows_no_time_gives_an_arm_none():
+def test_a_nan_clock_gives_no_extra_time():
     arm = stopped()
     arm.state = lambda: HOME + 2.0 * arm.clock.now
     arm.turns(10)
@@ -277,7 +277,7 @@ def test_a_clock_that_shows_no_time_gives_an_arm_none():
     assert "nothing shows" in arm.stopping.seen
 
 
-def test_a_stop_that_fails_because_the_link_was_let_go_is_told_once():
+def test_reports_a_stop_failure_after_link_closure_once():
     arm = Arm(brakes=None)
     told = arm.stop
 
@@ -315,7 +315,7 @@ def test_a_first_stop_that_fails_leaves_the_link_to_the_second():
     assert (arm.stops, arm.warned, arm.closed.is_set()) == (2, [], False)
 
 
-def test_a_stop_that_fails_after_the_arm_was_seen_to_stand_is_not_told(monkeypatch):
+def test_ignores_a_stop_failure_after_the_arm_came_to_rest(monkeypatch):
     monkeypatch.setattr("agent.safety.stopping.ANSWERED", 0.01)
     arm, goes_on = Arm(brakes=0.2), threading.Event()
     told = arm.stop
@@ -335,7 +335,7 @@ def test_a_stop_that_fails_after_the_arm_was_seen_to_stand_is_not_told(monkeypat
     assert (arm.warned, arm.closed.is_set()) == ([], False)
 
 
-def test_a_link_that_is_let_go_while_its_end_is_awaited_is_told_once():
+def test_reports_a_link_closed_while_waiting_for_the_end_once():
     arm = stopped()
     arm.clock.now += 1.0
 
@@ -350,7 +350,7 @@ def test_a_link_that_is_let_go_while_its_end_is_awaited_is_told_once():
     assert len(arm.warned) == 1
 
 
-def test_a_link_that_failed_is_not_asked_where_the_arm_is():
+def test_does_not_query_a_failed_link():
     arm, looks = Arm(brakes=None), []
     arm.run(0.3)
     arm.request()
@@ -360,7 +360,7 @@ def test_a_link_that_failed_is_not_asked_where_the_arm_is():
     assert (looks, arm.stopping.seen, arm.stopping.over) == ([], "", True)
 
 
-def test_samples_of_a_rest_before_a_silence_show_no_rest_at_the_end():
+def test_rest_before_a_silence_is_not_rest_at_the_end():
     arm = stopped(brakes=None, speed=0.0)
     arm.clock.now += 1.0
 
@@ -374,14 +374,14 @@ def test_samples_of_a_rest_before_a_silence_show_no_rest_at_the_end():
 
 
 @pytest.mark.parametrize("state", [HOME[:5], np.full(6, np.nan)])
-def test_a_state_without_a_position_shows_nothing(state):
+def test_a_state_without_a_position_is_not_evidence_of_rest(state):
     arm = stopped()
     arm.state = lambda: state
     arm.turns(60)
     assert "nothing shows" in arm.stopping.seen
 
 
-def test_samples_from_before_the_stop_show_nothing():
+def test_samples_before_the_stop_are_ignored():
     """A link that lags shows what the arm did then."""
     arm = stopped()
     arm.clock.now += 2.0
@@ -391,7 +391,7 @@ def test_samples_from_before_the_stop_show_nothing():
 
 
 @pytest.mark.parametrize("moves", [True, False])
-def test_an_end_is_no_rest_before_the_arm_is_seen_to_stand(moves):
+def test_a_reported_end_needs_an_observed_standstill(moves):
     arm = stopped()
     began = arm.clock.now
 
@@ -411,7 +411,7 @@ def test_an_end_is_no_rest_before_the_arm_is_seen_to_stand(moves):
 
 
 @given(st.floats(0.02, 1.0), st.integers(1, 40))
-def test_speed_is_that_of_the_fastest_joint(speed, chunk):
+def test_speed_is_the_highest_joint_speed(speed, chunk):
     braking = Braking(ROBOT.max_velocity)
     times = PERIOD * np.arange(200)
     way = np.outer(times, ROBOT.max_velocity * np.linspace(0.2, 1.0, 6) * speed)
@@ -422,7 +422,7 @@ def test_speed_is_that_of_the_fastest_joint(speed, chunk):
 
 
 @pytest.mark.parametrize("times", [[1.0, np.nan], [1.0, 0.5]])
-def test_times_that_are_none_show_no_rest(times):
+def test_non_finite_times_are_not_evidence_of_rest(times):
     braking = Braking(ROBOT.max_velocity)
     for when in times:
         braking.take(np.array([when]), HOME[None])
@@ -430,7 +430,7 @@ def test_times_that_are_none_show_no_rest(times):
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, OSError])
-def test_samples_of_the_stop_are_kept_and_disobedience_is_told(bench, program, error, monkeypatch):
+def test_keeps_samples_of_the_stop_and_reports_an_ignored_stop(bench, program, error, monkeypatch):
     """Whoever ends the motion: the log gets what came after the stop, and the exit code tells what was seen."""
     monkeypatch.setattr("agent.safety.stopping.RECENT", patience(10 * RECENT))  # a collection of garbage takes as long
     chosen = program()
@@ -469,7 +469,7 @@ def test_samples_of_the_stop_are_kept_and_disobedience_is_told(bench, program, e
         guard.position()
 
 
-def test_positions_from_another_clock_begin_anew():
+def test_a_clock_change_restarts_the_speed_estimate():
     """Or the way between two clocks would be a speed."""
     braking = Braking(ROBOT.max_velocity)
     braking.take(10.0 + PERIOD * np.arange(100), np.tile(HOME, (100, 1)))
@@ -478,7 +478,7 @@ def test_positions_from_another_clock_begin_anew():
     assert (braking.stands, braking.speed, braking.rested) == (False, None, 0.0)
 
 
-def test_positions_that_are_none_show_neither_braking_nor_rest():
+def test_non_finite_positions_show_neither_braking_nor_rest():
     braking = Braking(ROBOT.max_velocity)
     braking.before = 0.5
     braking.take(PERIOD * np.arange(100), np.full((100, 6), np.nan))
@@ -486,7 +486,7 @@ def test_positions_that_are_none_show_neither_braking_nor_rest():
     assert not braking.stands
 
 
-def test_an_arm_that_moved_before_anybody_knew_its_speed_does_not_brake():
+def test_an_arm_of_unknown_earlier_speed_is_not_braking():
     braking = Braking(ROBOT.max_velocity)
     way = np.outer(PERIOD * np.arange(100), ROBOT.max_velocity)
     braking.take(PERIOD * np.arange(100), way)

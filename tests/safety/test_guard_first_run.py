@@ -20,7 +20,7 @@ from drivers.errors import DriverError
 from tests.safety.following import HOME
 
 
-def test_nobody_watches_a_program_that_nobody_has_watched_before(bench, program, authorisation):
+def test_refuses_an_unattended_first_run(bench, program, authorisation):
     chosen = program(0.1)
     guard = bench.open(yes=False, authorisation=authorisation(chosen))
     with pytest.raises(InputError, match="has never run on serial NS16-7"):
@@ -28,9 +28,7 @@ def test_nobody_watches_a_program_that_nobody_has_watched_before(bench, program,
     assert bench.controller.starts == 0
 
 
-def test_a_new_motion_that_is_released_runs_unwatched_as_slowly_as_a_first_run_and_does_not_count_as_one(
-    bench, program, authorisation
-):
+def test_an_authorised_new_motion_runs_slowly_and_does_not_count_as_a_first_run(bench, program, authorisation):
     slow, fast = program(FIRST_SPEED), program(0.4)
     word = replace(authorisation(slow), unseen=True)
     assert bench.run(slow, bench.open(yes=False, authorisation=word)) == 1000
@@ -40,7 +38,7 @@ def test_a_new_motion_that_is_released_runs_unwatched_as_slowly_as_a_first_run_a
     assert bench.controller.starts == 1
 
 
-def test_a_program_that_is_new_to_a_machine_runs_slowly_first(bench, program):
+def test_a_program_new_to_a_machine_runs_slowly_first(bench, program):
     fast = program(0.8)
     guard = bench.open()
     assert guard.needs_slow_run(fast)
@@ -72,7 +70,7 @@ def test_a_slow_run_that_was_cut_short_does_not_count(bench, program):
     assert not bench.checked.has("NS16-7", program(0.2).checksum)
 
 
-def test_a_slow_run_that_was_left_early_does_not_count(bench, program):
+def test_an_abandoned_slow_run_does_not_count(bench, program):
     guard = bench.open()
     guard.send(program())
     with guard.motion(program()) as samples:
@@ -81,13 +79,13 @@ def test_a_slow_run_that_was_left_early_does_not_count(bench, program):
     assert not bench.checked.has("NS16-7", program().checksum)
 
 
-def test_a_program_that_is_slow_by_itself_counts(bench, program):
+def test_a_slow_program_counts_as_its_own_first_run(bench, program):
     assert bench.run(program(0.2)) == 1000
     assert bench.checked.has("NS16-7", program().checksum)
     assert len(json.loads(bench.checked.path.read_text(encoding="utf-8"))["programs"]) == 1
 
 
-def test_the_list_of_checked_programs(tmp_path: Path):
+def test_stores_the_list_of_checked_programs(tmp_path: Path):
     checked = CheckedPrograms(tmp_path / "deep" / "checked_programs.json")
     assert not checked.has("a", "p")
     checked.add("a", "p")
@@ -104,7 +102,7 @@ def test_the_list_of_checked_programs(tmp_path: Path):
             again.has("a", "p")
 
 
-def test_the_slow_version_is_one_turn_at_no_more_than_the_first_speed(bench):
+def test_the_slow_version_is_one_cycle_below_the_first_run_speed(bench):
     from agent.motion import FlyInterpolator, parse_program, write_program
 
     settings = Pdl2Settings().changed(linear_speed=1.0)
@@ -121,7 +119,7 @@ def test_the_slow_version_is_one_turn_at_no_more_than_the_first_speed(bench):
     assert planned.path_speed.max() <= FIRST_SPEED
 
 
-def test_every_path_runs_slowly_first_also_from_the_same_position(bench):
+def test_every_new_path_runs_slowly_first(bench):
     from agent.motion import FlyInterpolator, write_program
 
     goals = [HOME + np.radians([angle, 0, 0, 0, 0, 0]) for angle in (5.0, 0.0, -5.0, 0.0)]
@@ -132,7 +130,7 @@ def test_every_path_runs_slowly_first_also_from_the_same_position(bench):
     assert len(slow.chains) == 4
 
 
-def test_a_speed_that_is_no_number_is_not_slow(bench, program):
+def test_a_nan_speed_is_not_slow(bench, program):
     from agent.motion import write_program
 
     class Blind:
@@ -144,7 +142,7 @@ def test_a_speed_that_is_no_number_is_not_slow(bench, program):
         slow_version(PlannedProgram("swing", text, ()), bench.robot, Pdl2(), Blind(), HOME)
 
 
-def test_a_program_is_cut_where_the_arm_stops():
+def test_a_slow_run_ends_where_the_arm_stops():
     stop, fly = (Move(MoveType.JOINT, JointTarget(HOME), Pdl2Settings(), fly=fly) for fly in (False, True))
     assert list(stop_to_stop([fly, Delay(1.0), stop, stop, fly])) == [[fly, stop], [stop], [fly]]
     assert list(stop_to_stop([stop])) == [[stop]]

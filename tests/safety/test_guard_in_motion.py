@@ -28,7 +28,7 @@ from tests.safety.following import HOME
         ({"override": 1.2}, "120 %"),
     ],
 )
-def test_what_changes_in_motion_stops_the_arm(bench, later, said, program):
+def test_a_state_change_in_motion_stops_the_arm(bench, later, said, program):
     """Also where the controller itself would go on."""
     bench.controller.blocks, bench.controller.later = 50, later
     taken = []
@@ -42,20 +42,20 @@ def test_what_changes_in_motion_stops_the_arm(bench, later, said, program):
     assert not bench.checked.has("NS16-7", program().checksum)
 
 
-def test_a_state_that_cannot_be_read_any_more_stops_the_arm(bench, program):
+def test_an_unreadable_state_stops_the_arm(bench, program):
     bench.controller.blocks, bench.controller.status_fails_later = 50, True
     with pytest.raises(ControllerError, match="cannot be read any more"):
         bench.run(program())
     assert bench.controller.stops >= 1
 
 
-def test_what_the_controller_stopped_is_told_as_it_tells_it(bench, program):
+def test_reports_a_controller_stop_in_its_own_words(bench, program):
     bench.controller.end = EndReason.PROTECTIVE_STOP
     with pytest.raises(MotionStopped, match=r"protective stop.*run the command again"):
         bench.run(program())
 
 
-def test_the_controllers_own_word_comes_before_what_the_state_says(bench, program):
+def test_the_controllers_reason_takes_precedence_over_the_state(bench, program):
     bench.controller.blocks, bench.controller.end = 50, EndReason.EMERGENCY_STOP
     bench.controller.later = {"emergency_stop": True}
     with pytest.raises(MotionStopped, match=r"emergency stop.*as told"):
@@ -63,7 +63,7 @@ def test_the_controllers_own_word_comes_before_what_the_state_says(bench, progra
     assert bench.controller.stops >= 1
 
 
-def test_a_look_costs_a_request_and_is_taken_five_times_a_second_of_motion(bench, program, monkeypatch):
+def test_polls_the_state_five_times_per_second_of_motion(bench, program, monkeypatch):
     monkeypatch.setattr("agent.safety.watch.PROMPT", 5.0)
     bench.controller.blocks, bench.controller.pushes, bench.controller.spacing = 40, True, 250_000
     guard = bench.open(clock=lambda: 0.0)
@@ -72,7 +72,7 @@ def test_a_look_costs_a_request_and_is_taken_five_times_a_second_of_motion(bench
     assert 4 <= bench.controller.asked.count("AskStatus") - before <= 6
 
 
-def test_a_controller_whose_time_stands_still_is_looked_at_all_the_same(bench, program, monkeypatch):
+def test_polls_a_controller_with_a_constant_clock(bench, program, monkeypatch):
     monkeypatch.setattr("agent.safety.watch.PROMPT", 5.0)
     bench.controller.blocks, bench.controller.pushes, bench.controller.spacing = 40, True, 1
     ticks = iter(range(10**6))
@@ -83,7 +83,7 @@ def test_a_controller_whose_time_stands_still_is_looked_at_all_the_same(bench, p
     assert bench.controller.asked.count("AskStatus") - before >= 10
 
 
-def test_a_motion_that_ends_before_its_plan_is_refused(bench, program):
+def test_reports_a_motion_that_ends_before_its_plan(bench, program):
     bench.controller.blocks = 2
     guard, received = bench.open(), []
     chosen = program()
@@ -93,7 +93,7 @@ def test_a_motion_that_ends_before_its_plan_is_refused(bench, program):
     assert sum(len(block) for block in received) == 200
 
 
-def test_the_end_of_a_motion_may_be_lost_where_the_arm_stands_there(bench, program):
+def test_accepts_lost_last_samples_if_the_arm_is_at_the_end(bench, program):
     bench.controller = replace(bench.controller, blocks=4, pushes=True, drops=(2, 3))
     assert bench.run(program()) == 200
     assert bench.guard.lost == 200
@@ -104,7 +104,7 @@ def test_the_end_of_a_motion_may_be_lost_where_the_arm_stands_there(bench, progr
             bench.run(program())
 
 
-def test_no_loss_on_the_way_makes_good_for_an_early_end(bench, program):
+def test_samples_lost_earlier_do_not_excuse_an_early_end(bench, program):
     """What was lost on the way has gone by; so has a loss at first."""
     (chain,) = program().chains
     chosen = replace(program(), chains=(replace(chain, t=2 * chain.t, qd=chain.qd / 2),))
@@ -116,7 +116,7 @@ def test_no_loss_on_the_way_makes_good_for_an_early_end(bench, program):
         bench.guard.close()
 
 
-def test_a_state_that_is_not_answered_delays_no_watch(bench, program):
+def test_an_unanswered_state_request_does_not_delay_the_watch(bench, program):
     """What leaves the plan is stopped while the question for the state is still open."""
     (chain,) = program().chains
     bench.controller = replace(bench.controller, blocks=40, pushes=True, status_hangs_later=True)
@@ -126,7 +126,7 @@ def test_a_state_that_is_not_answered_delays_no_watch(bench, program):
     assert bench.controller.stops == 2, "by the watch, and on the way out"
 
 
-def test_a_state_that_comes_late_stops_the_arm_without_another_sample(bench, program, monkeypatch):
+def test_a_late_state_stops_the_arm_before_the_next_sample(bench, program, monkeypatch):
     """The stop is asked for when the answer comes, not with the next block."""
     monkeypatch.setattr("agent.safety.watch.PROMPT", 0.0)
     over = threading.Event()
@@ -159,7 +159,7 @@ class AtOnce(TcpDriver):
 
 @pytest.mark.parametrize("fails", [True, False])
 @pytest.mark.parametrize("astray", [True, False])
-def test_why_it_was_stopped_comes_before_how_the_samples_end(bench, program, fails, astray):
+def test_the_stop_reason_takes_precedence_over_the_end_of_samples(bench, program, fails, astray):
     bench.driver = type("Told", (AtOnce,), {"fails": fails})
     bench.controller.pushes, bench.controller.later = True, {} if astray else {"override": 0.9}
     if astray:
@@ -193,7 +193,7 @@ class Asked(TcpDriver):
 
 
 @pytest.mark.parametrize("raises", [True, False])
-def test_one_look_at_a_time_and_what_it_raises_is_raised(bench, program, raises):
+def test_polls_one_at_a_time_and_passes_on_exceptions(bench, program, raises):
     bench.driver, bench.controller.pushes = type("Told", (Asked,), {"raises": raises}), True
     if not raises:
         assert bench.run(program()) == 1000

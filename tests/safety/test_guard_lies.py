@@ -77,33 +77,33 @@ def lied_to(bench, wide: PlannedProgram, lie: str, moment: float) -> None:
 
 
 @pytest.mark.parametrize("later", [{}, {"position": tuple(HOME + 0.2)}])
-def test_the_motion_itself_is_fine(bench, wide, later):
+def test_an_honest_motion_is_not_stopped(bench, wide, later):
     """Where the state says that the arm stands is asked for only where its samples do not tell."""
     bench.controller = replace(bench.controller, pushes=True, blocks=18, moves=planned, measures=planned, later=later)
     assert bench.run(wide) == 1800
 
 
 @pytest.mark.parametrize("lie", LIES)
-def test_a_lie_is_stopped(bench, wide, lie):
+def test_stops_a_controller_that_reports_false_data(bench, wide, lie):
     lied_to(bench, wide, lie, MOMENT)
     assert bench.controller.starts == 1
 
 
 @pytest.mark.verify
 @pytest.mark.parametrize("lie", LIES)
-def test_a_lie_is_stopped_whenever_it_begins(bench, wide, lie):
+def test_stops_false_data_whenever_they_begin(bench, wide, lie):
     """Where both joints turn, so that it makes a difference."""
     for moment in np.random.default_rng(len(lie)).uniform(0.6, 1.4, 10):
         lied_to(bench, wide, lie, float(moment))
 
 
-def test_slower_between_two_looks_is_on_the_plan(bench, wide):
+def test_slowing_between_two_polls_stays_on_the_plan(bench, wide):
     """An override that is turned down and up again between two looks costs time, and nothing else."""
     bench.controller = replace(bench.controller, pushes=True, blocks=20, moves=burst(MOMENT, 0.15, 0.5))
     assert bench.run(wide) == 2000
 
 
-def test_blocks_that_come_twice_count_once(bench, wide):
+def test_repeated_blocks_count_once(bench, wide):
     bench.controller = replace(bench.controller, pushes=True, blocks=18, moves=planned, repeats=2)
     assert bench.run(wide) == 1800
     assert bench.guard.lost == 0
@@ -117,7 +117,7 @@ def test_stamps_from_the_future_end_the_motion(bench, wide, jump):
     assert bench.controller.starts == 1
 
 
-def test_a_link_that_is_half_closed_is_let_go(bench, wide):
+def test_closes_a_half_closed_link(bench, wide):
     """The other end reads on, and would take commands: it hears nothing more, and so its watchdog stops the arm."""
     bench.controller = replace(bench.controller, blocks=18, moves=planned, half_closes_after=SINCE)
     with pytest.raises(DriverError, match="make sure that the arm rests"):

@@ -45,7 +45,7 @@ class Points(TcpDriver):
         return {"said": "so"}
 
 
-def test_the_guard_stops_what_leaves_the_plan(bench, program):
+def test_stops_motion_that_leaves_the_plan(bench, program):
     chosen = slowly(program(), 10)
     bench.controller.blocks = 60
     bench.controller.moves = lambda times: at(chosen.chains[0], times / 2)
@@ -60,7 +60,7 @@ def test_the_guard_stops_what_leaves_the_plan(bench, program):
     assert bench.run(chosen) == 6000
 
 
-def test_the_last_sample_counts_too(bench, program):
+def test_checks_the_last_sample(bench, program):
     class Jumping(TcpDriver):
         def samples(self):
             for block in super().samples():
@@ -79,7 +79,7 @@ def test_the_last_sample_counts_too(bench, program):
         bench.run(program())
 
 
-def test_an_arm_that_is_stopped_for_another_reason_is_not_called_slow(bench, program):
+def test_a_stop_for_another_reason_is_not_reported_as_slow(bench, program):
     chosen = slowly(program(), 10)
     bench.controller = replace(bench.controller, blocks=60, pushes=True, later={"mode": "teach"})
     bench.controller.moves = lambda times: at(chosen.chains[0], times / 2)
@@ -92,7 +92,7 @@ def slowly(chosen, factor):
     return replace(chosen, chains=(replace(chain, t=chain.t * factor, qd=chain.qd / factor),))
 
 
-def test_set_points_that_the_wire_does_not_have_leave_what_is_measured(bench, program):
+def test_without_set_points_the_measured_motion_is_checked(bench, program):
     class Nothing(TcpDriver):
         def samples(self):
             return (replace(block, reference_position=None) for block in super().samples())
@@ -104,7 +104,7 @@ def test_set_points_that_the_wire_does_not_have_leave_what_is_measured(bench, pr
         bench.run(program())
 
 
-def test_a_person_is_asked_for_the_override_where_it_cannot_be_read(bench):
+def test_asks_the_operator_for_an_unreadable_override(bench):
     bench.driver = WithoutOverride
     with pytest.raises(InputError):
         bench.open(yes=False)
@@ -128,11 +128,11 @@ def test_a_person_is_asked_for_the_override_where_it_cannot_be_read(bench):
         ("robot,mqtt=localhost:1883", False),
     ],
 )
-def test_an_address_with_options_is_on_this_machine_if_its_host_is(address, local):
+def test_a_local_address_with_options_counts_as_local(address, local):
     assert is_loopback(address) is local
 
 
-def test_too_few_samples_are_refused_and_may_be_watched(bench):
+def test_a_low_sample_rate_is_refused_unless_watch_only(bench):
     bench.driver = WatchOnly
     with pytest.raises(ControllerError, match="too few samples to identify from"):
         bench.open()
@@ -141,12 +141,12 @@ def test_too_few_samples_are_refused_and_may_be_watched(bench):
     assert "too few samples to identify from" in bench.warned[0]
 
 
-def test_watching_a_link_with_enough_samples_still_checks_their_rate(bench):
+def test_watching_also_checks_the_sample_rate(bench):
     with pytest.raises(ControllerError, match="every 2 ms"):
         bench.open(watching=True, rate=250.0)
 
 
-def test_a_link_that_takes_points_gets_them_and_no_program(bench, program):
+def test_a_via_point_link_gets_points_instead_of_a_program(bench, program):
     point = ViaPoint(np.zeros(6), 0.0, 0.1)
     chosen = replace(program(), points=(point,))
     bench.driver = type("Told", (Points,), {"text": chosen.text})
@@ -156,7 +156,7 @@ def test_a_link_that_takes_points_gets_them_and_no_program(bench, program):
     assert guard.facts == {"said": "so"}
 
 
-def test_other_links_take_programs_and_know_no_more(bench, program):
+def test_other_links_get_programs(bench, program):
     guard = bench.open()
     assert not guard.takes_points
     assert guard.facts == {}

@@ -61,7 +61,7 @@ def ordering(module: Path) -> tuple[set[str], set[str]]:
 
 
 @pytest.mark.parametrize("module", sorted((ROOT / "agent" / "safety").glob("*.py")), ids=lambda path: path.name)
-def test_every_comparison_says_what_is_allowed(module):
+def test_every_comparison_reports_the_allowed_range(module):
     everything, bare = ordering(module)
     numbers, stops = set(ALWAYS_NUMBERS.get(module.name, {})), set(FALSE_STOPS.get(module.name, {}))
     assert bare - numbers - stops == set(), "say what is allowed, under a `not`"
@@ -75,7 +75,7 @@ def status(**changes):
 
 
 @pytest.mark.parametrize("value", NO_NUMBERS)
-def test_an_override_that_is_none_forbids_motion_and_ends_it(value):
+def test_a_nan_override_prevents_and_ends_motion(value):
     with pytest.raises(AgentError, match="override"):
         check_ready(status(override=value), "here", "swing", "abc")
     assert "override" in unsafe_in_motion(status(override=value))
@@ -83,7 +83,7 @@ def test_an_override_that_is_none_forbids_motion_and_ends_it(value):
 
 
 @pytest.mark.parametrize("value", NO_NUMBERS)
-def test_a_period_or_a_rate_that_is_none_is_refused(value):
+def test_refuses_a_nan_period_or_rate(value):
     with pytest.raises((AgentError, DriverError), match=r"record\.rate|a period of"):
         check_period(Identity("comau_ns16", "1", "c", "v", ROBOT.joint_names, value), 500.0, "here")
     who = Identity("comau_ns16", "1", "c", "v", ROBOT.joint_names, 0.002)
@@ -115,7 +115,7 @@ class Unlimited:
         self.max_velocity = changes.get("max_velocity", ROBOT.max_velocity)
 
 
-def test_limits_that_are_no_numbers_limit_everything(program):
+def test_nan_limits_allow_nothing(program):
     nothing = np.full(6, np.nan)
     for limits in ((nothing, ROBOT.position_limits[1]), (ROBOT.position_limits[0], nothing)):
         with pytest.raises(InputError, match="position limits"):
@@ -125,7 +125,7 @@ def test_limits_that_are_no_numbers_limit_everything(program):
 
 
 @pytest.mark.parametrize("place", [0, 1])
-def test_a_speed_of_the_tool_that_is_none_is_not_slow(bench, program, place, authorisation):
+def test_a_nan_tool_speed_is_not_slow(bench, program, place, authorisation):
     speeds = np.full(500, 0.1)
     speeds[17] = np.nan
     slow, none = program().chains[0], replace(program().chains[0], path_speed=speeds)
@@ -137,13 +137,13 @@ def test_a_speed_of_the_tool_that_is_none_is_not_slow(bench, program, place, aut
         unwatched.needs_slow_run(chosen)
 
 
-def test_a_motion_that_may_last_for_no_number_of_seconds_may_not_last(bench, program):
+def test_a_nan_duration_limit_allows_no_motion(bench, program):
     with pytest.raises(SafetyError, match="has lasted"):
         bench.run(replace(program(), pauses=np.nan))
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_no_authorisation_covers_what_is_no_number(authorisation, program, value):
+def test_an_authorisation_does_not_cover_nan(authorisation, program, value):
     facts = ("comau_ns16", "NS16-7", program().checksum)
     authorisation(program()).check(*facts, 0.1, 1.0)
     for speed, duration in ((value, 1.0), (0.1, value)):
@@ -156,7 +156,7 @@ def test_no_authorisation_covers_what_is_no_number(authorisation, program, value
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -1.0])
-def test_a_cell_is_checked_with_a_margin_that_is_a_number(value):
+def test_refuses_a_nan_cell_margin(value):
     cell = Cell(ROBOT)
     with pytest.raises(ValueError, match="margin"):
         cell.check(HOME[None], margin=value)
@@ -164,7 +164,7 @@ def test_a_cell_is_checked_with_a_margin_that_is_a_number(value):
         cell.check(HOME[None] * np.nan)
 
 
-def test_boxes_and_bodies_that_are_no_numbers_are_refused(monkeypatch):
+def test_refuses_nan_boxes_and_bodies(monkeypatch):
     table = Box("table", (0.4, -1.0, 0.0), (1.6, 1.0, 0.3))
     cell = Cell(ROBOT, None, [table])
     with pytest.raises(InputError, match="no motion can keep clear"):
@@ -183,13 +183,13 @@ def test_boxes_and_bodies_that_are_no_numbers_are_refused(monkeypatch):
         cell.check(HOME[None])
 
 
-def test_ends_of_a_joint_that_are_no_numbers_are_left_by_any_motion():
+def test_any_motion_violates_a_nan_joint_range():
     joints = (replace(ROBOT.joints[0], lower=np.nan), *ROBOT.joints[1:])
     bare = replace(ROBOT, bodies={}, joints=joints)
     assert Cell(bare).check(HOME[None]).collision.first == "joint_1"
 
 
-def test_a_way_to_a_stop_that_is_no_number_is_not_clear():
+def test_a_nan_stopping_distance_is_not_clear():
     n = np.full(3, np.nan)
     q = np.tile(HOME, (3, 1))
     motion = Trajectory(np.arange(3.0), q, np.full((3, 6), np.nan), q, np.zeros((3, 4, 4)), n, np.zeros(3, int))
@@ -198,12 +198,12 @@ def test_a_way_to_a_stop_that_is_no_number_is_not_clear():
 
 
 @pytest.mark.parametrize("ends", [(np.nan, 1.0), (0.0, np.nan), (1.0, 1.0)])
-def test_a_joint_range_that_is_none_is_empty(ends):
+def test_a_nan_joint_range_is_empty(ends):
     with pytest.raises(InputError, match="nothing is left"):
         position_ranges(ROBOT, {"joint_1": ends})
 
 
-def test_a_joint_by_another_name_or_in_another_order_is_another_robot():
+def test_other_joint_names_or_order_mean_another_robot():
     who = Identity("comau_ns16", "1", "c", "v", ROBOT.joint_names, 0.002)
     check_identity(who, ROBOT, "here")
     names = list(ROBOT.joint_names)

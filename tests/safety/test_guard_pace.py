@@ -14,21 +14,21 @@ from tests.safety.following import HOME, PERIOD, at, follow, paced, run, watcher
 
 @settings(deadline=None, max_examples=10)
 @given(scale=st.floats(0.9, 1.15), lag=st.integers(0, 50), chunk=st.integers(10, 200), set_points=st.booleans())
-def test_an_interpolator_and_servos_that_are_not_ours_are_no_reason(swing, scale, lag, chunk, set_points):
+def test_tolerates_another_interpolator_and_servo_lag(swing, scale, lag, chunk, set_points):
     chain = swing(seconds=3.0)
     assert follow(watcher(chain), paced(chain, scale), lag=lag, servo=0.002, chunk=chunk, given=set_points) is None
 
 
 @settings(deadline=None, max_examples=15)
 @given(scale=st.one_of(st.floats(1.5, 10.0), st.floats(0.1, 0.65)), set_points=st.booleans())
-def test_another_speed_is(swing, scale, set_points):
+def test_stops_a_motion_at_another_speed(swing, scale, set_points):
     chain = swing(seconds=3.0)
     reason, _ = follow(watcher(chain), paced(chain, scale), given=set_points)
     assert "override is not at 100 %" in reason or "was planned around there" in reason or "off the" in reason
 
 
 @pytest.mark.parametrize("late", [0.1, 0.2])
-def test_a_way_back_along_the_way_out_is_no_delay(trajectory_through, late):
+def test_returning_along_the_same_path_is_not_a_delay(trajectory_through, late):
     """The controller is a little late, and its blend cuts the turn off."""
     knots = np.tile(HOME, (5, 1))
     knots[:, 0] += np.array([0.0, 0.5, 0.8, 0.5, 0.0])
@@ -53,7 +53,7 @@ def out_and_back(chain, turn, ramp):
 @settings(deadline=None, max_examples=25)
 @example(turn=4.2, scale=0.95, cut=0.5)
 @given(turn=st.floats(2.0, 4.6), scale=st.floats(0.95, 1.05), cut=st.floats(0.0, 0.7))
-def test_a_turn_that_is_cut_by_less_than_the_margin_is_no_delay(swing, turn, scale, cut):
+def test_a_reversal_cut_short_within_the_margin_is_not_a_delay(swing, turn, scale, cut):
     """Late on the way in, early on the way out, wherever in the turn the pace was last compared."""
     margin, ramp = 0.08, 0.45
     chain = out_and_back(swing(), turn, ramp)
@@ -62,14 +62,14 @@ def test_a_turn_that_is_cut_by_less_than_the_margin_is_no_delay(swing, turn, sca
     assert follow(check, paced(out_and_back(chain, turn, wider), scale), chunk=64) is None
 
 
-def test_half_the_speed_is_seen_within_a_second(swing):
+def test_detects_half_speed_within_a_second(swing):
     chain = swing()
     _, when = follow(watcher(chain), paced(chain, 2.0))
     # Behind by half of the time, where a share of the planned half is allowed.
     assert when == pytest.approx(ALLOWANCE / (0.5 - 0.5 * SHARE), abs=0.3)
 
 
-def test_faster_than_planned_is_seen_before_it_is_far(swing):
+def test_detects_higher_speed_before_the_deviation_grows(swing):
     chain = swing()
     reason, when = follow(watcher(chain), paced(chain, 0.5))
     assert "rad/s, no more than" in reason
@@ -78,7 +78,7 @@ def test_faster_than_planned_is_seen_before_it_is_far(swing):
 
 
 @pytest.mark.parametrize("chunk", [1, 7, 100, 1000])
-def test_however_the_samples_are_cut(swing, chunk):
+def test_detection_does_not_depend_on_block_size(swing, chunk):
     chain = swing(seconds=2.0)
     _, when = follow(watcher(chain), paced(chain, 2.0), chunk=chunk)
     _, exact = follow(watcher(chain), paced(chain, 2.0), chunk=1)
@@ -86,7 +86,7 @@ def test_however_the_samples_are_cut(swing, chunk):
     assert follow(watcher(chain), paced(chain, 1.0), chunk=chunk) is None
 
 
-def test_an_override_turned_down_on_the_way_is_seen(swing):
+def test_detects_an_override_reduced_in_motion(swing):
     chain = swing()
     first = paced(chain, 1.0)[:1500]
     times = np.arange(3.0, 11.0, PERIOD)
@@ -94,7 +94,7 @@ def test_an_override_turned_down_on_the_way_is_seen(swing):
     assert follow(watcher(chain), first, rest) is not None
 
 
-def test_an_override_that_is_turned_down_late_is_seen_as_soon(swing):
+def test_detects_a_late_override_reduction_equally_soon(swing):
     """What went well for long is no credit."""
     chain = swing(seconds=24.0)
     before = paced(chain, 1.0)[:10000]
@@ -103,7 +103,7 @@ def test_an_override_that_is_turned_down_late_is_seen_as_soon(swing):
     assert 20.5 < when < 23.0
 
 
-def test_rests_between_stretches_take_as_long_as_they_take(swing):
+def test_pauses_between_stretches_may_have_any_length(swing):
     there, back = swing(seconds=3.0), swing(seconds=3.0, turn=-1.0)
     back = replace(back, q=back.q + (there.q[-1] - back.q[0]))
     for rest in (0.02, 5.0):
@@ -114,12 +114,12 @@ def test_rests_between_stretches_take_as_long_as_they_take(swing):
         assert follow(watcher(there, back), paced(there, 1.0), pause, paced(back, 2.0)) is not None
 
 
-def test_an_approach_that_was_there_already_has_no_stretch(swing):
+def test_a_negligible_approach_is_skipped(swing):
     here, chain = swing(seconds=0.5, turn=1e-4), swing(seconds=3.0, start=1e-4)
     assert follow(watcher(here, chain), paced(chain, 1.0)) is None
 
 
-def test_samples_lost_on_the_way_or_at_first_are_no_reason(swing):
+def test_tolerates_lost_samples(swing):
     chain = swing(seconds=3.0)
     assert follow(watcher(chain), chain.q, first=600) is None
     check = watcher(chain)
@@ -129,7 +129,7 @@ def test_samples_lost_on_the_way_or_at_first_are_no_reason(swing):
 
 @pytest.mark.parametrize("cycles", [1, 6])
 @pytest.mark.parametrize("scale", [0.95, 1.05])
-def test_a_loss_as_long_as_a_cycle_leaves_the_arm_in_the_cycle_that_it_is_in(trajectory_through, cycles, scale):
+def test_keeps_the_cycle_after_losing_a_cycle_of_samples(trajectory_through, cycles, scale):
     knots = np.tile(HOME, (5, 1))
     knots[:, 0] += np.array([0.0, 0.5, 0.8, 0.5, 0.0])
     cycle = trajectory_through(knots, 2.0)
@@ -147,7 +147,7 @@ def test_a_loss_as_long_as_a_cycle_leaves_the_arm_in_the_cycle_that_it_is_in(tra
     assert short.left == pytest.approx(cycle.t[-1], abs=0.1), "an end that is a cycle early shows"
 
 
-def test_a_path_that_comes_back_on_itself_is_followed_there_and_back(trajectory_through):
+def test_follows_a_path_that_returns_on_itself(trajectory_through):
     knots = np.tile(HOME, (9, 1))
     knots[:, 0] += np.array([0, 1, 0, 1, 0, 1, 0, 1, 0])
     chain = trajectory_through(knots, 8.0)

@@ -17,7 +17,7 @@ from drivers.wire.reasons import Refusal
 from tests.safety.following import HOME
 
 
-def test_a_stop_that_is_on_its_way_is_the_one_that_is_followed(bench, program):
+def test_follows_a_stop_already_in_progress(bench, program):
     """The state asks for one and, while that is on its way, somebody ends the program: no command comes between."""
     sent, second = [], threading.Event()
 
@@ -36,7 +36,7 @@ def test_a_stop_that_is_on_its_way_is_the_one_that_is_followed(bench, program):
     assert sent == [1]
 
 
-def test_a_link_that_drops_is_told_with_what_to_do(bench, program):
+def test_a_lost_link_is_reported_with_what_to_do(bench, program):
     bench.controller.vanish_after = 4
     with pytest.raises(DriverError, match=r"make sure that the arm rests.*run the command again") as dropped:
         bench.run(program())
@@ -44,14 +44,14 @@ def test_a_link_that_drops_is_told_with_what_to_do(bench, program):
     assert bench.controller.starts == 1
 
 
-def test_a_start_whose_answer_is_lost_is_not_repeated(bench, program):
+def test_a_start_without_an_answer_is_not_repeated(bench, program):
     bench.controller.lose_answer = True
     with pytest.raises(DriverError, match="make sure that the arm rests"):
         bench.run(program())
     assert bench.controller.starts == 1
 
 
-def test_a_start_whose_answer_is_lost_is_watched_from_its_first_sample(bench, program):
+def test_a_start_without_an_answer_is_watched_from_its_first_sample(bench, program):
     bench.controller = replace(bench.controller, keep_answer=True, pushes=True)
     assert bench.run(program()) == 1000
     bench.guard.close()
@@ -60,7 +60,7 @@ def test_a_start_whose_answer_is_lost_is_watched_from_its_first_sample(bench, pr
         bench.run(program())
 
 
-def test_what_came_of_a_start_that_failed_is_handed_out(bench, program):
+def test_delivers_the_samples_of_a_failed_start(bench, program):
     class Failing(TcpDriver):
         def start(self, name, checksum):
             super().start(name, checksum)
@@ -75,7 +75,7 @@ def test_what_came_of_a_start_that_failed_is_handed_out(bench, program):
     assert {stops for stops, _ in taken} == {1}, "it was stopped before anybody took a sample"
 
 
-def test_a_start_that_failed_is_told_and_not_how_the_samples_end(bench, program):
+def test_reports_the_failed_start_rather_than_the_end_of_samples(bench, program):
     class Failing(TcpDriver):
         def start(self, name, checksum):
             super().start(name, checksum)
@@ -98,7 +98,7 @@ def test_a_refused_start_is_not_repeated_and_not_stopped(bench, program):
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, OSError, AgentError, SystemExit])
-def test_whatever_goes_wrong_with_the_samples_stops_the_arm(bench, error, program):
+def test_any_sample_error_stops_the_arm(bench, error, program):
     guard = bench.open()
     guard.send(program())
     with pytest.raises(error):
@@ -108,7 +108,7 @@ def test_whatever_goes_wrong_with_the_samples_stops_the_arm(bench, error, progra
     assert bench.warned == ([] if issubclass(error, Exception) else ended), "somebody ended the program, or it failed"
 
 
-def test_what_goes_wrong_after_the_end_stops_nothing(bench, program):
+def test_an_error_after_the_end_sends_no_stop(bench, program):
     guard = bench.open()
     guard.send(program())
     with pytest.raises(KeyboardInterrupt):
@@ -117,7 +117,7 @@ def test_what_goes_wrong_after_the_end_stops_nothing(bench, program):
     assert bench.warned == []
 
 
-def test_a_stop_that_is_not_confirmed_closes_the_link_and_says_so(bench, program):
+def test_an_unconfirmed_stop_closes_the_link_with_a_message(bench, program):
     bench.controller.confirms_stop = False
     guard = bench.open()
     guard.send(program())
@@ -129,7 +129,7 @@ def test_a_stop_that_is_not_confirmed_closes_the_link_and_says_so(bench, program
         guard.position()
 
 
-def test_a_link_that_is_closed_in_motion_stops_the_arm_first(bench, program):
+def test_closing_in_motion_stops_the_arm_first(bench, program):
     guard = bench.open()
     guard.send(program())
     left = guard.motion(program())
@@ -138,14 +138,14 @@ def test_a_link_that_is_closed_in_motion_stops_the_arm_first(bench, program):
     assert bench.controller.stops == 1
 
 
-def test_a_closed_link_is_closed(bench):
+def test_a_closed_link_refuses_requests(bench):
     guard = bench.open()
     guard.close()
     with pytest.raises(DriverError, match="connect first"):
         guard.position()
 
 
-def test_whoever_keeps_the_error_of_a_motion_keeps_no_watch_going(bench, program):
+def test_a_kept_exception_does_not_keep_the_watch_thread_alive(bench, program):
     """The end of the program would wait for it for ever: its thread does not go on then."""
     guard = bench.open()
     guard.send(program())
@@ -162,5 +162,5 @@ def _take_and_raise(guard: GuardedLink, chosen: PlannedProgram, error: type[Base
         raise error("disk full, Ctrl-C, anything")
 
 
-def test_where_the_arm_stands(bench):
+def test_reports_the_position_of_the_arm(bench):
     np.testing.assert_array_equal(bench.open().position(), HOME)

@@ -35,7 +35,7 @@ class BrokenAtLast(TcpDriver):
         return super().temperatures()
 
 
-def test_they_are_asked_for_now_and_then_and_once_more_at_the_end(bench, program):
+def test_temperatures_are_polled_periodically_and_at_the_end(bench, program):
     bench.controller.blocks, bench.controller.celsius = 50, CELSIUS
     guard = bench.open()
     bench.run(program(), guard)
@@ -49,7 +49,7 @@ def test_they_are_asked_for_now_and_then_and_once_more_at_the_end(bench, program
         np.testing.assert_array_equal(values, CELSIUS)
 
 
-def test_a_short_motion_has_those_it_began_and_ended_with(bench, program):
+def test_a_short_motion_has_temperatures_at_start_and_end(bench, program):
     bench.controller.celsius = CELSIUS
     guard = bench.open()
     bench.run(program(), guard)
@@ -57,21 +57,21 @@ def test_a_short_motion_has_those_it_began_and_ended_with(bench, program):
 
 
 @pytest.mark.parametrize("driver", [TcpDriver, WithoutTemperatures])
-def test_a_machine_that_measures_none_is_watched_all_the_same(bench, program, driver):
+def test_a_machine_without_temperatures_is_watched(bench, program, driver):
     bench.driver = driver
     guard = bench.open()
     assert bench.run(program(), guard) == 1000
     assert guard.temperatures == []
 
 
-def test_a_question_that_fails_in_motion_stops_the_arm(bench, program):
+def test_a_failed_temperature_request_in_motion_stops_the_arm(bench, program):
     bench.controller.blocks, bench.driver = 50, Broken
     with pytest.raises(ControllerError, match="cannot be read any more"):
         bench.run(program())
     assert bench.controller.stops >= 1
 
 
-def test_a_question_that_fails_after_the_motion_costs_nothing(bench, program):
+def test_a_failed_temperature_request_after_motion_is_ignored(bench, program):
     bench.controller.celsius, bench.driver = CELSIUS, BrokenAtLast
     guard = bench.open()
     assert bench.run(program(), guard) == 1000

@@ -35,7 +35,7 @@ def test_a_motion_that_does_not_end_is_stopped(bench, program):
     assert bench.controller.stops >= 1
 
 
-def test_pauses_and_stops_belong_to_the_time_that_a_motion_may_take(program):
+def test_the_time_limit_includes_pauses_and_stops(program):
     chosen = program()
     statements = [Delay(2.0), Delay(3.5)]
     assert pauses(statements) == 5.5
@@ -62,12 +62,12 @@ def watched(delays, rate=1.0, every=0.02):
 
 
 @given(st.floats(0.0, 5.0), st.lists(st.floats(0.0, 0.4), min_size=1, max_size=200))
-def test_a_delay_that_is_the_same_or_changes_little_stops_nothing(always, changes):
+def test_tolerates_a_nearly_constant_delay(always, changes):
     assert watched([always / 10 + change for change in changes]) is None
 
 
 @given(st.floats(0.01, 5.0))
-def test_a_delay_that_grows_stops_the_arm_when_it_is_too_long(growth):
+def test_a_growing_delay_stops_the_arm(growth):
     """At 1 % a second too slow as well."""
     limit = WATCHDOG + WAITS
     stopped = watched([growth * 0.02 * k for k in range(int(50 * 2 * limit / growth) + 50)])
@@ -75,7 +75,7 @@ def test_a_delay_that_grows_stops_the_arm_when_it_is_too_long(growth):
     assert 0.9 * limit < growth * stopped < 1.1 * limit + 0.05 * growth
 
 
-def test_clocks_that_drift_apart_for_an_hour_stop_nothing():
+def test_tolerates_an_hour_of_clock_drift():
     assert watched([DRIFT * 0.9 * 0.5 * k for k in range(7200)], every=0.5) is None
 
 
@@ -84,7 +84,7 @@ def test_a_controller_whose_time_runs_faster_is_never_late():
     assert watched([0.0] * 500, rate=10.0) is None
 
 
-def test_first_samples_that_were_held_up_hide_no_lag():
+def test_delayed_first_samples_do_not_hide_a_later_delay():
     held = [HELD_UP, HELD_UP / 2] + [0.0] * 50
     late = [0.02 * k for k in range(100)]
     stopped = watched(held + late)
@@ -92,7 +92,7 @@ def test_first_samples_that_were_held_up_hide_no_lag():
 
 
 @pytest.mark.parametrize("samples", [0, 1])
-def test_silence_is_as_long_as_the_watchdog_allows(samples):
+def test_tolerates_silence_up_to_the_watchdog_time(samples):
     freshness, clock = fresh(watchdog=2.0)
     for _ in range(samples):
         freshness.judged(7.0)
@@ -108,7 +108,7 @@ def test_silence_is_as_long_as_the_watchdog_allows(samples):
 
 
 @pytest.mark.parametrize(("stall", "stopped_after"), [(0.6, 0.25), (3.0, 0.0)])
-def test_after_a_stall_of_this_process_there_is_time_to_judge_what_came(stall, stopped_after):
+def test_a_stall_of_this_process_leaves_time_to_judge_the_backlog(stall, stopped_after):
     """But no more of it than half a second, or a computer that stalls all the time would watch nothing."""
     clock, stopped = Clock(), threading.Event()
     driver = SimpleNamespace(watchdog=WATCHDOG, stop=stopped.set)
@@ -128,7 +128,7 @@ def test_after_a_stall_of_this_process_there_is_time_to_judge_what_came(stall, s
     assert stopped.wait(10.0)
 
 
-def test_a_clock_that_shows_no_time_is_none_to_wait_by():
+def test_a_nan_clock_is_a_fault():
     for samples in (0, 1):
         freshness, clock = fresh()
         for _ in range(samples):
@@ -149,7 +149,7 @@ class Mute(TcpDriver):
 
 
 @pytest.mark.parametrize("shown", [0, 1])
-def test_a_controller_that_lives_and_sends_no_samples_is_stopped(bench, program, shown):
+def test_stops_a_controller_that_sends_heartbeats_but_no_samples(bench, program, shown):
     bench.driver = type("Told", (Mute,), {"shown": shown})
     bench.controller = replace(bench.controller, blocks=10**6)
     ticks = iter(range(10**6))
@@ -158,7 +158,7 @@ def test_a_controller_that_lives_and_sends_no_samples_is_stopped(bench, program,
     assert bench.controller.stops >= 1
 
 
-def test_a_taker_who_is_slow_leaves_the_arm_unwatched(bench, program):
+def test_a_slow_consumer_stops_the_arm(bench, program):
     """A disk or a terminal that takes nothing: nobody judges samples meanwhile."""
     bench.controller.blocks = 10**6
     stopped = threading.Event()
@@ -193,7 +193,7 @@ class Slow(TcpDriver):
         return self.carries
 
 
-def test_a_link_that_was_held_up_once_is_measured_again():
+def test_repeats_the_throughput_measurement_after_a_delay():
     carried = [331.0, 800.0]
     driver = type("Held", (Slow,), {"throughput": lambda self: carried.pop(0)})("127.0.0.1:1")
     check_throughput(driver, Identity("r", "s", "c", "1", ("a",), PERIOD), "here")
@@ -201,14 +201,14 @@ def test_a_link_that_was_held_up_once_is_measured_again():
 
 
 @pytest.mark.parametrize("carries", [499.0, np.nan])
-def test_a_link_that_is_slower_than_the_samples_moves_nothing(bench, carries):
+def test_a_link_slower_than_the_samples_prevents_motion(bench, carries):
     bench.driver = type("Told", (Slow,), {"carries": carries})
     with pytest.raises(ControllerError, match=r"carries (499|nan) samples/s now, the controller makes 500"):
         bench.open()
     assert bench.controller.starts == 0
 
 
-def test_a_link_that_is_fast_enough_or_cannot_tell_is_taken(bench):
+def test_accepts_a_fast_link_and_one_that_cannot_be_measured(bench):
     bench.driver = type("Told", (Slow,), {"carries": 500.0})
     bench.open()
     identity = Identity("r", "s", "c", "v", ("a",), 0.002)

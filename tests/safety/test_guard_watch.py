@@ -77,7 +77,7 @@ class Content:
         pass
 
 
-def test_the_time_that_a_start_takes_is_no_silence_of_the_samples():
+def test_the_duration_of_a_start_is_not_sample_silence():
     link = Link()
     link.clock.now += 60.0
     stopped = []
@@ -95,7 +95,7 @@ def test_the_time_that_a_start_takes_is_no_silence_of_the_samples():
     assert stopped == [False, True]
 
 
-def test_samples_that_show_a_stationary_arm_are_enough():
+def test_samples_of_a_stationary_arm_confirm_a_stop():
     link = Link()
 
     def script():
@@ -115,7 +115,7 @@ def test_samples_that_show_a_stationary_arm_are_enough():
 
 
 @pytest.mark.parametrize("dropped", [None, DriverError("the link dropped")])
-def test_a_state_that_is_answered_after_the_last_sample_counts(dropped):
+def test_uses_a_state_answered_after_the_last_sample(dropped):
     link, asked = Link(), threading.Event()
 
     def status():
@@ -140,7 +140,7 @@ def test_a_state_that_is_answered_after_the_last_sample_counts(dropped):
     ("ended", "looks"),
     [(None, True), (MotionStopped("stopped at the controller"), True), (DriverError("the link dropped"), False)],
 )
-def test_an_arm_that_moves_on_after_a_stop_and_an_end_does_not_obey(ended, looks):
+def test_reports_an_arm_that_moves_after_a_stop_and_an_end(ended, looks):
     link = Link()
     link.moves = True
 
@@ -165,14 +165,14 @@ def test_samples_of_another_number_of_joints_are_a_fault():
         list(link.watch.samples())
 
 
-def test_the_first_fault_is_the_one_that_is_told():
+def test_reports_the_first_fault():
     link = Link()
     link.script = iter([link.block(5.0), link.block(4.0), link.block(2.0)])
     with pytest.raises(ControllerError, match=r"back by 1\.1 s"):
         list(link.watch.samples())
 
 
-def test_a_block_that_was_handed_out_before_a_stop_comes_once_more():
+def test_a_block_delivered_before_a_stop_is_delivered_again():
     """Whoever was interrupted may not have taken it."""
     link = Link()
     blocks = [link.block(5.0 + 0.1 * k) for k in range(3)]
@@ -185,7 +185,7 @@ def test_a_block_that_was_handed_out_before_a_stop_comes_once_more():
     assert link.warned == []
 
 
-def test_no_look_goes_on_once_the_motion_is_over():
+def test_polling_ends_with_the_motion():
     """It could blame an arm that is no longer watched."""
     link = Link()
     entered, release, done = threading.Event(), threading.Event(), []
@@ -205,7 +205,7 @@ def test_no_look_goes_on_once_the_motion_is_over():
 
 
 @pytest.mark.parametrize("obeys", [True, False])
-def test_a_clock_that_goes_back_is_a_fault_and_disobedience_a_danger(obeys):
+def test_reports_a_clock_set_back_as_fault_and_an_ignored_stop_as_danger(obeys):
     link = Link()
 
     def script():
@@ -222,7 +222,7 @@ def test_a_clock_that_goes_back_is_a_fault_and_disobedience_a_danger(obeys):
     assert obeys or link.closed.wait(10.0)
 
 
-def test_an_arm_that_moves_on_after_the_rest_of_the_samples_is_let_go():
+def test_closes_the_link_of_an_arm_that_moves_after_the_last_samples():
     link = Link()
     link.moves = True
     link.script = iter([link.block(5.0, speed=0.3)])

@@ -50,7 +50,7 @@ def layings(draw):
 
 
 @given(layings())
-def test_runs_are_matched_like_their_points_one_by_one(laying):
+def test_batch_matching_equals_point_by_point_matching(laying):
     fits, reached, first, passed = laying
     path = path_of(first + fits.shape[1])
     ahead = 4.0 * passed

@@ -13,7 +13,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.mark.verify
-def test_every_check_is_tested(measured):
+def test_every_mutated_safety_check_fails_a_test(measured):
     run = subprocess.run(
         [sys.executable, str(Path(__file__).with_name("mutation.py"))],
         cwd=ROOT,

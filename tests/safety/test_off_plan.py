@@ -167,34 +167,34 @@ def run_faults(seeds, loops) -> tuple[int, int, list[float], list[float], list[s
     return stopped, count, delays, ways, missed
 
 
-def test_an_arm_that_goes_astray_is_stopped():
+def test_stops_an_arm_that_leaves_the_path():
     stopped, count, delays, ways, missed = run_faults(range(3), 1)
     assert stopped == count >= 2, missed
     assert np.median(delays) <= 0.05
     assert np.median(ways) <= 0.005
 
 
-def test_half_again_the_speed_of_a_slow_program_is_stopped():
+def test_stops_a_slow_program_run_1_5_times_too_fast():
     stopped, count, _, _, missed = run_faults([249], 40)
     assert stopped == count == 1, missed
 
 
 @pytest.mark.parametrize("seen", [True, False])
-def test_an_arm_that_does_as_planned_is_not(seen):
+def test_does_not_stop_an_arm_that_follows_the_plan(seen):
     arm = Arm(drawn(1000), 3)
     arm.run(seen=seen)
     assert arm.reason is None
 
 
 @pytest.mark.parametrize("seed", [3, 8, 14, 36, 143])
-def test_blends_and_a_time_law_of_another_family_are_no_fault(seed):
+def test_tolerates_another_blend_and_time_law(seed):
     arm = Arm(drawn(seed, "second"), seed)
     arm.run()
     assert arm.reason is None
 
 
 @pytest.mark.verify
-def test_a_thousand_faults(measured):
+def test_stops_a_thousand_random_faults(measured):
     stopped, count, delays, ways, missed = run_faults(range(1000), 40)
     delay, way = 1000 * float(np.median(delays)), 1000 * float(np.median(ways))
     measured(
@@ -212,7 +212,7 @@ def test_a_thousand_faults(measured):
 
 
 @pytest.mark.verify
-def test_what_the_watch_costs(measured):
+def test_cpu_time_of_the_watch(measured):
     spent, seconds = 0.0, 0.0
     for seed in range(5):
         loop = drawn(1000 + seed)
@@ -232,7 +232,7 @@ def test_what_the_watch_costs(measured):
 
 
 @pytest.mark.verify
-def test_two_hundred_motions_as_planned(measured):
+def test_stops_none_of_two_hundred_healthy_motions(measured):
     stopped = []
     for seed in range(200):
         arm = Arm(drawn(1000 + seed), seed)

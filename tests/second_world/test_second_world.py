@@ -49,7 +49,7 @@ def _effect(law, world: DrawnWorld, size: float, seed: int = 7) -> dict:
 
 
 @pytest.mark.parametrize("group", range(len(CLASSES)))
-def test_without_friction_the_torque_is_the_inverse_dynamics_of_another_library(group: int, tmp_path: Path) -> None:
+def test_frictionless_torque_matches_another_librarys_inverse_dynamics(group: int, tmp_path: Path) -> None:
     from agent.robot.dynamics import Dynamics
 
     world = _world(1, group)
@@ -67,7 +67,7 @@ def test_without_friction_the_torque_is_the_inverse_dynamics_of_another_library(
     assert np.sqrt(np.mean(((torque - expected)[middle] / arm.torque) ** 2)) < 6e-3
 
 
-def test_a_seed_draws_the_same_machine_and_the_same_logs_again(tmp_path: Path) -> None:
+def test_a_seed_reproduces_machine_and_logs(tmp_path: Path) -> None:
     runs = draw_cases(6, 3, "development")
     assert runs == draw_cases(6, 3, "development")
     job = {"machine": runs[0]["machine"], "motion": runs[0]["motion"], "effects": [], "cycle": 1.0}
@@ -76,7 +76,7 @@ def test_a_seed_draws_the_same_machine_and_the_same_logs_again(tmp_path: Path) -
         assert Path(a).read_bytes() == Path(b).read_bytes()
 
 
-def test_development_and_judgement_share_no_machine_no_motion_and_no_reserved_law() -> None:
+def test_development_and_judgement_draws_are_disjoint() -> None:
     reserved = {(law.effect, law.name) for law in EVERY_LAW if law.reserved}
     drawn = {
         laws: [r for seed in range(3) for r in draw_cases(100, seed, laws)] for laws in ("development", "judgement")
@@ -93,7 +93,7 @@ def test_development_and_judgement_share_no_machine_no_motion_and_no_reserved_la
         assert {number % 2 for number in there} == {0}
 
 
-def test_every_effect_of_the_catalogue_has_three_laws_for_development_and_eight_kinds_have_no_name() -> None:
+def test_every_effect_has_three_development_laws() -> None:
     assert set(LAWS) == set(CATALOGUE)
     for effect, known in LAWS.items():
         assert sum(not law.reserved for law in known.values()) >= 3, effect
@@ -101,7 +101,7 @@ def test_every_effect_of_the_catalogue_has_three_laws_for_development_and_eight_
     assert not set(OUTSIDE) & set(CATALOGUE)
 
 
-def test_everything_is_drawn_pairs_on_one_joint_too() -> None:
+def test_draws_cover_all_options_including_pairs_on_one_joint() -> None:
     runs = [r for seed in range(4) for r in draw_cases(100, seed, "development")]
     worlds = [draw_world(machine) for machine in {r["machine"] for r in runs}]
     assert {world.friction for world in worlds} == set(FRICTION)
@@ -115,7 +115,7 @@ def test_everything_is_drawn_pairs_on_one_joint_too() -> None:
 
 
 @pytest.mark.parametrize("law", EVERY_LAW, ids=lambda law: f"{law.effect}-{law.name}")
-def test_an_effect_is_as_large_as_was_asked_and_without_an_amount_it_is_nothing(law) -> None:
+def test_an_effect_has_the_requested_size(law) -> None:
     world = _world(1, 1)
     motions = {"moves": _motions(world)["moves"]}
     plain = build(world, (), 1).run(motions)
@@ -129,7 +129,7 @@ def test_an_effect_is_as_large_as_was_asked_and_without_an_amount_it_is_nothing(
     assert all(np.isfinite(signals).all() for signals in build(world, [found], 1).run(motions).values())
 
 
-def test_no_effect_is_the_healthy_machine_and_a_day_changes_it_a_little() -> None:
+def test_without_effects_only_the_day_changes_the_logs_slightly() -> None:
     world = _world(2)
     motions = {"moves": _motions(world)["moves"]}
     today, again, tomorrow = (build(world, (), day).run(motions)["moves"] for day in (1, 1, 2))
@@ -143,7 +143,7 @@ def test_an_effect_without_a_law_is_refused() -> None:
         build(_world(1), [{"effect": "rust", "joints": [], "seed": 1, "parameters": {}}], 1)
 
 
-def test_a_recorder_loses_rows_rounds_and_stamps_late(tmp_path: Path) -> None:
+def test_recorders_drop_rows_round_and_delay_stamps(tmp_path: Path) -> None:
     number = next(
         m
         for m in (machine_number(seed, 0, "development") for seed in range(300))
@@ -166,7 +166,7 @@ def test_placeholder_masses_are_equal(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("law", LAWS["interpolator_mismatch"].values(), ids=lambda law: law.name)
-def test_another_path_takes_as_long_as_its_plan_and_has_no_size_in_torque(law, tmp_path: Path) -> None:
+def test_a_path_effect_keeps_the_duration_and_has_no_torque_size(law, tmp_path: Path) -> None:
     machine = next(m for m in (machine_number(seed, 0, "development") for seed in range(99)) if draw_world(m).tracking)
     effects = [_effect(law, draw_world(machine), 0.02)]
     job = {"machine": machine, "motion": 4, "cycle": 0.8}
@@ -186,7 +186,7 @@ def test_another_command_is_refused(command: list[str], capsys) -> None:
     assert "draw or run" in capsys.readouterr().err
 
 
-def test_the_blind_check_draws_from_it_and_the_logs_do_not_tell(tmp_path: Path) -> None:
+def test_the_blind_check_uses_this_world_without_revealing_it_in_logs(tmp_path: Path) -> None:
     world = SecondWorld(0.5)
     drawn = world.draw(12, 2, "development")
     truth = next(truth for truth in drawn if truth["kind"] == "one")
@@ -217,13 +217,13 @@ def test_without_mujoco_it_says_what_to_install(monkeypatch, capsys) -> None:
 
 
 @pytest.mark.verify
-def test_eight_runs_are_diagnosed_and_scored_by_recorder(tmp_path: Path) -> None:
+def test_diagnoses_eight_runs_and_scores_them_by_recorder(tmp_path: Path) -> None:
     scores = BlindCheck(SecondWorld(), 8, tmp_path).run(Console(verbosity=-1))["tools"]["agent diagnose"]
     assert scores["runs"] == 8
     assert scores["recorders"]
 
 
-def test_cases_of_the_blind_check_have_a_machine_each_and_say_what_was_drawn() -> None:
+def test_each_blind_check_case_has_its_own_machine_and_record() -> None:
     cases = draw_cases(40, 2, "judgement")
     assert [case["number"] for case in cases] == list(range(40))
     assert Counter(case["kind"] for case in cases) == {"none": 13, "two": 5, "three": 2, "outside": 5, "one": 15}

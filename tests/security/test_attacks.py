@@ -28,7 +28,7 @@ def drawn_attacks() -> list[str]:
 @pytest.mark.verify
 @pytest.mark.parametrize("folder", sorted({test.split("/")[1] for test in drawn_attacks()}))
 @pytest.mark.parametrize("draw", DRAWS)
-def test_every_attack_in_another_draw(draw: int, folder: str, measured):
+def test_attacks_hold_with_another_random_draw(draw: int, folder: str, measured):
     tests = [test for test in drawn_attacks() if test.split("/")[1] == folder]
     run = subprocess.run(
         [sys.executable, "-m", "pytest", "-n", "0", "--no-header", "--tb=short", "-m", "verify or not verify"] + tests,

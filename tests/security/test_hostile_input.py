@@ -61,7 +61,7 @@ def dirty(text: str) -> set[str]:
 
 @settings(max_examples=40)
 @given(st.lists(st.text() | st.sampled_from(COMMANDS), max_size=9).map("".join), st.integers(1, 50))
-def test_no_text_keeps_control_characters_or_its_length(text: str, times: int):
+def test_texts_lose_control_characters_and_are_truncated(text: str, times: int):
     who = Identity(text * times, text, text, text, (text,) * 3, 0.002)
     state = Status(True, text, False, (text * times,) * (MANY + 9), 1.0, True, False, text, text, np.zeros(3))
     for told in (who.robot, who.serial, who.controller, who.version, *who.joint_names, state.mode, state.program):
@@ -75,7 +75,7 @@ def test_no_text_keeps_control_characters_or_its_length(text: str, times: int):
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_a_terminal_is_not_commanded(command: str, capfd: pytest.CaptureFixture[str]):
+def test_escape_sequences_do_not_reach_the_terminal(command: str, capfd: pytest.CaptureFixture[str]):
     console = Console()
     console.say(f"alarm {command}here")
     console.warn(f"alarm {command}here")
@@ -87,12 +87,12 @@ def test_a_terminal_is_not_commanded(command: str, capfd: pytest.CaptureFixture[
     assert not dirty(shown)
 
 
-def test_whole_commands_go_and_other_writing_stays():
+def test_removes_whole_escape_sequences_and_keeps_other_text():
     assert printable("\x1b]0;owned\x07Achse \x1b[31m4\x1b[0m über\r\nTemp °C 温度") == "Achse 4 über Temp °C 温度"
     assert printable("a\nb", lines=True) == "a\nb"
 
 
-def test_an_arm_of_a_thousand_joints_is_none():
+def test_refuses_an_arm_of_a_thousand_joints():
     for count in (0, MANY + 1, MANY + 2, 100, 128, 255, 256, 1000, 65_535, 10**6):
         with pytest.raises(ProtocolError, match=f"names {count} joints"):
             Identity("r", "s", "c", "v", ("j",) * count, 0.002)
@@ -118,7 +118,7 @@ WHO = {"robot": "r", "serial": "s", "controller": "c", "version": "v", "joint_na
         b"",
     ],
 )
-def test_an_identity_file_of_any_kind_is_one_message(ftp_folder: Callable[..., ProgramFolder], content: bytes):
+def test_an_invalid_identity_file_gives_one_message(ftp_folder: Callable[..., ProgramFolder], content: bytes):
     with pytest.raises(DriverError) as told:
         ftp_folder(agent_identity=content).machine()
     assert len(str(told.value)) < 1000
@@ -131,7 +131,7 @@ def test_an_identity_file_with_any_value_is_read_or_refused(ftp_folder, key: str
         ftp_folder(agent_identity=json.dumps({**WHO, key: value}).encode()).machine()
 
 
-def test_an_identity_file_without_end_is_cut_off(ftp_folder: Callable[..., ProgramFolder]):
+def test_an_endless_identity_file_is_cut_off(ftp_folder: Callable[..., ProgramFolder]):
     folder = ftp_folder(agent_identity=b"x" * (12 * MIB))
     tracemalloc.start()
     with pytest.raises(ProtocolError, match="longer than 4 MiB"):
@@ -155,7 +155,7 @@ def test_an_identity_file_without_end_is_cut_off(ftp_folder: Callable[..., Progr
         bytes(range(256)) * 8,
     ],
 )
-def test_answers_without_end_are_none(line_server: Callable[[bytes, int], int], data: bytes):
+def test_refuses_endless_ftp_answers(line_server: Callable[[bytes, int], int], data: bytes):
     folder = ProgramFolder(parse_address(f"127.0.0.1,ftp={line_server(data, 100_000)}"), 5.0)
     with pytest.raises(DriverError):
         folder.stored()
@@ -186,7 +186,7 @@ JOINTS = {f"J{axis}": 0.0 for axis in range(1, 11)}
         '{"J1": "\udcff"}',
     ],
 )
-def test_a_message_that_no_clock_and_no_arm_sends_is_damage(text: str):
+def test_refuses_impossible_times_and_positions(text: str):
     with pytest.raises(ProtocolError):
         decode_joints(text.encode("utf-8", "surrogateescape"))
 
@@ -206,7 +206,7 @@ def test_a_joint_count_that_changes_in_mid_stream_ends_the_motion(then: int):
 
 @pytest.mark.parametrize("time", [-(2.0**63) * 1e-9, 2.0**63 * 1e-9, np.nan, np.inf, -np.inf, 2.0**31])
 @pytest.mark.parametrize("before", [0, 10])
-def test_a_clock_that_shows_no_time_ends_the_motion(time: float, before: int):
+def test_a_nan_time_ends_the_motion(time: float, before: int):
     sequencer = Sequencer()
     if before:
         sequencer.accept(block(0, before, 6))
@@ -311,7 +311,7 @@ LAUGHS = "a: &a [x,x,x,x,x,x,x,x,x,x]\n" + "".join(
         ("a: [" + "9" * 5000 + "]", "too many digits"),
     ],
 )
-def test_a_yaml_file_stays_small(tmp_path: Path, text: str, said: str):
+def test_yaml_aliases_cannot_expand_without_limit(tmp_path: Path, text: str, said: str):
     path = tmp_path / "recipe.yaml"
     path.write_text(text, encoding="utf-8")
     tracemalloc.start()
@@ -322,7 +322,7 @@ def test_a_yaml_file_stays_small(tmp_path: Path, text: str, said: str):
     assert len(str(told.value)) < 500
 
 
-def test_ordinary_aliases_are_fine(tmp_path: Path):
+def test_accepts_ordinary_yaml_aliases(tmp_path: Path):
     path = tmp_path / "recipe.yaml"
     path.write_text("a: &a [1, 2]\nb: *a\nc: {<<: {d: 3}}\n", encoding="utf-8")
     assert read_yaml(path)["b"] == [1, 2]
@@ -343,7 +343,7 @@ def test_ordinary_aliases_are_fine(tmp_path: Path):
         ("robot: comau_ns16", f"robot: {'x' * 9000}"),
     ],
 )
-def test_a_recipe_with_a_value_of_any_size_is_lines_of_faults(tmp_path: Path, old: str, new: str):
+def test_a_recipe_with_huge_values_gives_fault_lines(tmp_path: Path, old: str, new: str):
     path = tmp_path / "recipe.yaml"
     text = template()
     assert old in text
@@ -388,7 +388,7 @@ def test_a_json_file_that_is_too_long_is_not_read(tmp_path: Path, size: int):
         b"[1,]",
     ],
 )
-def test_json_that_is_none_is_one_message(tmp_path: Path, data: bytes):
+def test_invalid_json_gives_one_message(tmp_path: Path, data: bytes):
     path = tmp_path / "state.json"
     path.write_bytes(data)
     with pytest.raises(InputError, match="damaged"):
@@ -399,7 +399,7 @@ def test_json_that_is_none_is_one_message(tmp_path: Path, data: bytes):
 @pytest.mark.parametrize(
     "length", [b"\xff\xff\xff\x7f", b"\x80\x80\x80\x01", b"\x80\x80\x40", b"\x80\x80\x08", b"\x81\x80\x04"]
 )
-def test_a_packet_of_the_broker_of_256_mib_ends_the_link(kind: bytes, length: bytes):
+def test_a_broker_packet_of_256_mib_ends_the_link(kind: bytes, length: bytes):
     """MQTT's longest, and shorter ones: after CONNACK, a PUBLISH of that length whose content does not come."""
     with socket.create_server(("127.0.0.1", 0)) as listener:
 
@@ -436,7 +436,7 @@ FORGED = [
 
 
 @pytest.mark.parametrize("text", FORGED)
-def test_no_text_of_a_controller_or_a_name_is_a_line_of_the_agents_own(text: str, capfd: pytest.CaptureFixture[str]):
+def test_controller_texts_cannot_forge_lines_of_the_agent(text: str, capfd: pytest.CaptureFixture[str]):
     assert len(str(DriverError(f"refused: {text}")).splitlines()) == 1
     who = Identity(text, text, text, text, (text,), 0.002, watch_only=text, unguarded=text)
     for told in (who.robot, who.serial, who.watch_only, who.unguarded, *who.joint_names):
@@ -450,6 +450,6 @@ def test_no_text_of_a_controller_or_a_name_is_a_line_of_the_agents_own(text: str
     assert [line for line in others if line.lstrip().startswith(("[", "agent:", "warning:"))] == []
 
 
-def test_a_message_of_several_lines_keeps_them():
+def test_keeps_line_breaks_of_its_own_messages():
     text = "recipe.yaml:3: robot: unknown\nrecipe.yaml:7: motion: missing"
     assert fit_to_show(text) == text

@@ -25,7 +25,7 @@ BOMBS = {
 
 
 @pytest.mark.parametrize("bomb", BOMBS)
-def test_a_file_that_asks_for_too_much_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bomb: str):
+def test_refuses_a_file_that_needs_too_much_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bomb: str):
     monkeypatch.setattr(mjcf, "_SECONDS", 2)
     path = tmp_path / "arm.xml"
     path.write_text(BOMBS[bomb], encoding="utf-8")
@@ -33,7 +33,7 @@ def test_a_file_that_asks_for_too_much_is_refused(tmp_path: Path, monkeypatch: p
         mjcf.compiled(path)
 
 
-def test_who_waits_for_a_compilation_can_end_it(tmp_path: Path):
+def test_a_signal_ends_a_long_compilation(tmp_path: Path):
     path = tmp_path / "arm.xml"
     path.write_text(BOMBS["replicate"], encoding="utf-8")
     with signals_raised(), pytest.raises(Ended):
@@ -45,13 +45,13 @@ def _ended_while(path: Path) -> None:
     mjcf.compiled(path)
 
 
-def test_an_ordinary_arm_is_compiled_as_ever(tmp_path: Path):
+def test_an_ordinary_arm_compiles(tmp_path: Path):
     path = tmp_path / "arm.xml"
     path.write_text(ARM.format(""), encoding="utf-8")
     assert mjcf.compiled(path).joint(0).name == "a"
 
 
-def test_the_words_of_mujoco_are_passed_on(tmp_path: Path):
+def test_passes_on_messages_of_mujoco(tmp_path: Path):
     path = tmp_path / "arm.xml"
     path.write_text(ARM.format("<nonsense/>"), encoding="utf-8")
     with pytest.raises(InputError, match="nonsense"):

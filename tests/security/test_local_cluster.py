@@ -22,14 +22,14 @@ def _places(engine) -> list[str]:
     return [engine._cluster.scheduler_address, *workers, *(one["nanny"] for one in workers.values())]
 
 
-def test_every_process_wants_a_certificate(engine):
+def test_every_process_requires_a_certificate(engine):
     assert [place for place in _places(engine) if not place.startswith("tls://")] == []
     assert [done.answer for done in engine.map(os.getenv, ["HOME"])] == [os.environ["HOME"]]
 
 
 @pytest.mark.parametrize("protocol", ["tcp", "tls"])
 @pytest.mark.parametrize("which", [0, 1, 2], ids=["scheduler", "worker", "nanny"])
-def test_another_user_runs_no_code(engine, protocol: str, which: int):
+def test_another_user_cannot_run_code(engine, protocol: str, which: int):
     """Without a certificate, and with one of their own."""
     place = _places(engine)[which].replace("tls://", f"{protocol}://")
     theirs = Security.temporary() if protocol == "tls" else None
@@ -38,7 +38,7 @@ def test_another_user_runs_no_code(engine, protocol: str, which: int):
 
 
 @pytest.mark.parametrize(("place", "warned"), [("tcp://127.0.0.1:9", 1), ("127.0.0.1:9", 1), ("tls://127.0.0.1:9", 0)])
-def test_a_scheduler_without_tls_is_warned_about(monkeypatch, place: str, warned: int):
+def test_warns_of_a_scheduler_without_tls(monkeypatch, place: str, warned: int):
     said = []
     engine = DaskEngine(place, warn=said.append)
     monkeypatch.setattr(engine, "_connect", lambda: None)

@@ -85,14 +85,14 @@ def leaks(folder: Path, secret: str) -> list[str]:
         "127.0.0.1,password_from=env:X,token={}",
     ],
 )
-def test_an_address_with_a_password_is_refused_and_not_repeated(driver: str, address: str):
+def test_refuses_an_address_with_a_password_without_printing_it(driver: str, address: str):
     with pytest.raises(ConfigurationError, match="password_from=env:NAME") as refusal:
         create(driver, address.format(PLANTED))
     assert PLANTED not in str(refusal.value)
 
 
 @pytest.mark.parametrize("command", [["check", "--json"], ["calibrate"]])
-def test_a_recipe_with_a_password_leaves_no_trace_of_it(tmp_path: Path, command: list[str]):
+def test_a_refused_recipe_password_is_stored_nowhere(tmp_path: Path, command: list[str]):
     text = RECIPE.format(driver="tcp", address=f"joe:{PLANTED}@127.0.0.1:9100")
     (tmp_path / "recipe.yaml").write_text(text, encoding="utf-8")
     run = agent(tmp_path, command[0], "recipe.yaml", *command[1:])
@@ -103,7 +103,7 @@ def test_a_recipe_with_a_password_leaves_no_trace_of_it(tmp_path: Path, command:
     assert leaks(tmp_path, PLANTED) == [str(tmp_path / "recipe.yaml")]
 
 
-def test_a_password_under_the_wrong_key_of_a_recipe_is_not_repeated(tmp_path: Path):
+def test_a_password_under_a_wrong_recipe_key_is_not_printed(tmp_path: Path):
     text = RECIPE.format(driver="tcp", address="127.0.0.1:9100").replace(
         "robot:", 'controler: "joe:hunter22@host"\nrobot:'
     )
@@ -158,7 +158,7 @@ def test_a_file_that_others_can_read_is_not_used(tmp_path: Path, mode: int):
         (b"two\nlines", "typed"),
     ],
 )
-def test_what_is_no_password_is_said(tmp_path: Path, content: bytes, said: str):
+def test_reports_an_invalid_password_file(tmp_path: Path, content: bytes, said: str):
     path = tmp_path / "ftp.secret"
     path.write_bytes(content)
     path.chmod(0o600)
@@ -167,7 +167,7 @@ def test_what_is_no_password_is_said(tmp_path: Path, content: bytes, said: str):
     assert "two" not in str(refusal.value)
 
 
-def test_a_folder_a_fifo_and_nothing_are_no_files(tmp_path: Path):
+def test_refuses_a_folder_or_fifo_as_password_file(tmp_path: Path):
     os.mkfifo(tmp_path / "fifo", 0o600)
     (tmp_path / "link").symlink_to("/nowhere")
     (tmp_path / "loop").symlink_to("loop")
@@ -219,7 +219,7 @@ SLIPS = [
 
 @pytest.mark.parametrize("driver", available())
 @pytest.mark.parametrize("joint", [",", "?", ";", " ", "&", "#", "/", "|", ":", ",,"])
-def test_nothing_of_an_addresss_options_is_printed(driver: str, joint: str):
+def test_address_options_are_not_printed(driver: str, joint: str):
     """The text after the address of a password is never repeated, whatever its name."""
     device = "/dev/null" if driver == "serial" and joint != "/" else "localhost:9"
     places = ["127.0.0.1:9", "127.0.0.1", device]
@@ -233,7 +233,7 @@ def test_nothing_of_an_addresss_options_is_printed(driver: str, joint: str):
 
 @pytest.mark.parametrize("slip", SLIPS)
 @pytest.mark.parametrize("key", ["address", "adress", "driver", "options"])
-def test_nothing_of_an_addresss_options_is_printed_by_a_recipe(tmp_path: Path, slip: str, key: str):
+def test_address_options_of_a_recipe_are_not_printed(tmp_path: Path, slip: str, key: str):
     text = RECIPE.format(driver="cnr_comau", address="127.0.0.1").replace(
         'address: "127.0.0.1"', f'address: "127.0.0.1", {key}: "127.0.0.1,{slip}"'
     )
@@ -248,7 +248,7 @@ def test_nothing_of_an_addresss_options_is_printed_by_a_recipe(tmp_path: Path, s
 
 
 @given(st.text(st.sampled_from("ab1.:/@,;?=&# [%]é"), max_size=12), st.sampled_from(",;?#& @="))
-def test_the_address_of_a_password_ends_before_the_options(before: str, joint: str):
+def test_a_password_is_looked_up_without_address_options(before: str, joint: str):
     shown = place_of(f"{before}{joint}hunter22")
     assert "hunter22" not in shown
     assert not shown.removesuffix(",…") or f"{before}{joint}".startswith(shown.removesuffix(",…"))
@@ -259,12 +259,12 @@ def test_the_address_of_a_password_ends_before_the_options(before: str, joint: s
     ["192.168.0.10:9100", "[fe80::1%eth0]:502", "robot-1.cell.example:9100", "/dev/ttyUSB0", "COM3", "loop://", "lpc",
      "/dev/serial/by-path/pci-0000:00:14.0-usb-0:1:1.0-port0", "socket://127.0.0.1:4000", r"\\.\COM10"],
 )  # fmt: skip
-def test_a_plain_address_is_shown_in_full(address: str):
+def test_prints_a_plain_address_in_full(address: str):
     assert place_of(address) == address
     assert place_of(f"{address},115200") == f"{address},…"
 
 
-def test_a_server_that_repeats_the_user_or_the_folder_does_not_bring_them_into_a_message(ftp_folder):
+def test_user_and_folder_echoed_by_a_server_are_not_printed(ftp_folder):
     refusing = ftp_folder()
     folder = ProgramFolder(replace(refusing._address, folder="HUNTER22"), 5.0)
     with pytest.raises(DriverError, match="no folder") as refusal:
@@ -276,7 +276,7 @@ def test_a_server_that_repeats_the_user_or_the_folder_does_not_bring_them_into_a
     secret=st.text(st.characters(categories=("L", "N", "P", "S"), exclude_characters="*"), min_size=4, max_size=30),
     around=st.text(max_size=20),
 )
-def test_a_secret_that_was_read_is_in_no_text_and_no_file(tmp_path_factory, secret: str, around: str):
+def test_a_secret_appears_in_no_text_and_no_file(tmp_path_factory, secret: str, around: str):
     from html import escape
     from json import dumps
 
@@ -317,9 +317,7 @@ def echoing_ftp_server() -> Iterator[int]:
     "password",
     ["hunter22", "1234", "joe1", "no no", "%41%42", "a.*b+", "'; --", "<b>&", "zwölf", "530 530"],
 )
-def test_a_server_that_repeats_the_password_does_not_bring_it_into_a_message(
-    monkeypatch: pytest.MonkeyPatch, password: str
-):
+def test_a_password_echoed_by_a_server_is_not_printed(monkeypatch: pytest.MonkeyPatch, password: str):
     monkeypatch.setenv("CELL_FTP", password)
     with echoing_ftp_server() as port:
         folder = ProgramFolder(parse_address(f"127.0.0.1,ftp={port},user=joe,password_from=env:CELL_FTP"), 5.0)
@@ -331,7 +329,7 @@ def test_a_server_that_repeats_the_password_does_not_bring_it_into_a_message(
 
 @pytest.mark.verify
 @pytest.mark.parametrize("umask", [0o022, 0o027, 0o077])
-def test_no_file_of_a_run_holds_the_passwords_of_its_link(broker, tmp_path: Path, umask: int):
+def test_run_folders_contain_no_passwords(broker, tmp_path: Path, umask: int):
     """FTP and MQTT with passwords; all that the agent writes and says is searched, its files are as the umask says."""
     path = tmp_path / "mqtt.secret"
     path.write_text(f"mq-{PLANTED}", encoding="utf-8")

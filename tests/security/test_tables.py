@@ -47,7 +47,7 @@ def _tables(html: str) -> list[str]:
 
 
 @pytest.mark.parametrize("name", ATTACKS)
-def test_a_name_is_no_formula_in_any_table_of_a_page(name: str):
+def test_names_are_not_formulas_in_page_tables(name: str):
     values = np.array([-1.5, 2.0, -0.25])
     parts = [
         Table("t", [name, "value"], [[name, "-1.5"], ["joint_2", name]]),
@@ -71,13 +71,13 @@ def _is_number(cell: str) -> bool:
 
 
 @given(st.lists(st.lists(st.text(st.sampled_from("=+-@;,\"'\t\r\n 1a＝"), max_size=6), min_size=2, max_size=3)))
-def test_no_text_is_a_formula_in_a_spreadsheet(rows: list[list[str]]):
+def test_texts_are_not_formulas_in_spreadsheets(rows: list[list[str]]):
     text = csv_text(rows)
     assert [cell for cell in _cells(text) if LIVE.match(cell) and not _is_number(cell)] == []
     assert text.count("\n") == len(rows), "a line is a row"
 
 
 @given(st.lists(st.lists(st.floats(), min_size=2, max_size=3)))
-def test_numbers_are_the_same_in_a_table(rows: list[list[float]]):
+def test_numbers_are_unchanged_in_tables(rows: list[list[float]]):
     read = [[float(cell) for cell in row] for row in csv.reader(io.StringIO(csv_text(rows)))]
     np.testing.assert_equal(read, rows)

@@ -53,12 +53,12 @@ def test_every_log_carries_the_layout_for_its_joints(calibrated: Path):
         assert attachments[0].data.decode() == foxglove_layout(robot.joint_names)
 
 
-def test_the_layout_in_the_documentation_is_this_one():
+def test_the_documented_layout_is_current():
     text = (ROOT / "docs" / "foxglove" / "layout.json").read_text(encoding="utf-8")
     assert text == foxglove_layout(load_robot("comau_ns16").joint_names)
 
 
-def test_a_layout_names_panels_that_exist_and_topics_that_logs_have():
+def test_layouts_use_existing_panels_and_topics():
     for names in (["slide"], [f"joint_{k}" for k in range(7)]):
         layout = json.loads(foxglove_layout(names))
 

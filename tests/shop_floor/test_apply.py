@@ -21,7 +21,7 @@ def _three(write_runs) -> tuple[Path, list[Path]]:
     return logs, runs
 
 
-def test_apply_and_back_and_further_back(write_runs):
+def test_apply_and_repeated_previous(write_runs):
     logs, runs = _three(write_runs)
     assert current_model(logs, "comau_ns16", "NS16-1") is None
     for run in runs:
@@ -38,7 +38,7 @@ def test_apply_and_back_and_further_back(write_runs):
     assert again.model.read_bytes() == (runs[0] / "model.json").read_bytes(), "the path of the current model is fixed"
 
 
-def test_the_model_stays_when_its_run_is_deleted(write_runs):
+def test_the_current_model_survives_deletion_of_its_run(write_runs):
     logs, runs = _three(write_runs)
     applied = apply_run(logs, runs[0])
     content = (runs[0] / "model.json").read_bytes()
@@ -48,7 +48,7 @@ def test_the_model_stays_when_its_run_is_deleted(write_runs):
 
 
 @pytest.mark.parametrize("name", ["about.json", "model.json"])
-def test_a_damaged_current_model_is_mended_by_applying_a_run(write_runs, name: str):
+def test_applying_a_run_repairs_a_damaged_current_model(write_runs, name: str):
     logs, runs = _three(write_runs)
     apply_run(logs, runs[0])
     damaged = apply_run(logs, runs[1]).model.parent.resolve() / name
@@ -66,7 +66,7 @@ def test_a_diagnosis_has_no_model_to_apply(write_runs):
         apply_run(logs, run)
 
 
-def test_a_disk_that_fills_up_leaves_the_current_model(write_runs, monkeypatch: pytest.MonkeyPatch):
+def test_a_full_disk_keeps_the_current_model(write_runs, monkeypatch: pytest.MonkeyPatch):
     logs, runs = _three(write_runs)
     apply_run(logs, runs[0])
 
@@ -89,14 +89,14 @@ def test_only_an_accepted_run_is_applied(write_runs, status: str):
         apply_run(logs, runs[0])
 
 
-def test_a_model_that_was_changed_since_is_refused(write_runs):
+def test_refuses_a_model_changed_after_acceptance(write_runs):
     logs, runs = _three(write_runs)
     edit(runs[0] / "state.json", model_sha256="0" * 64)
     with pytest.raises(InputError, match="SHA-256 differs"):
         apply_run(logs, runs[0])
 
 
-def test_two_robots_have_to_be_told_apart(write_runs):
+def test_asks_for_the_robot_if_there_are_several(write_runs):
     logs, runs = _three(write_runs)
     apply_run(logs, runs[0])
     edit(runs[1] / "state.json", serial="NS16-2")
@@ -108,7 +108,7 @@ def test_two_robots_have_to_be_told_apart(write_runs):
 
 
 @pytest.mark.parametrize("machine", [{"robot": "nope"}, {"serial": "nope"}])
-def test_a_machine_without_a_model_is_said_to_be_just_that(write_runs, machine: dict[str, str]):
+def test_reports_a_machine_without_a_model(write_runs, machine: dict[str, str]):
     logs, runs = _three(write_runs)
     apply_run(logs, runs[0])
     with pytest.raises(
@@ -117,7 +117,7 @@ def test_a_machine_without_a_model_is_said_to_be_just_that(write_runs, machine: 
         apply_previous(logs, **machine)
 
 
-def test_nothing_applied_yet(tmp_path: Path):
+def test_reports_that_nothing_was_applied_yet(tmp_path: Path):
     with pytest.raises(InputError, match="no model was applied yet"):
         apply_previous(tmp_path)
 

@@ -71,7 +71,7 @@ def resume(recipe: Path, run: RunFolder) -> None:
         ("ns16.urdf", "</robot>", "<!-- x --></robot>", "the URDF differs .*another content"),
     ],
 )
-def test_a_resume_names_what_differs_in_the_robot(planned, file: str, old: str, new: str, said: str):
+def test_resume_names_changed_robot_data(planned, file: str, old: str, new: str, said: str):
     recipe, run = planned
     resume(recipe, run)
     path = recipe.parent / "arm" / file
@@ -93,7 +93,7 @@ def test_a_resume_names_what_differs_in_the_robot(planned, file: str, old: str, 
         ("speed: 1 m/s", "speed: 1.2 m/s", "the recipe's motion differs .*linear_speed was 1, is 1.2"),
     ],
 )
-def test_parts_of_the_recipe_are_named(planned, old: str, new: str, said: str):
+def test_resume_names_the_changed_recipe_part(planned, old: str, new: str, said: str):
     recipe, run = planned
     recipe.write_text(recipe.read_text(encoding="utf-8").replace(old, new), encoding="utf-8")
     with pytest.raises(InputError, match="started with another recipe"):
@@ -102,7 +102,7 @@ def test_parts_of_the_recipe_are_named(planned, old: str, new: str, said: str):
         check_approved(run, load_recipe(recipe))
 
 
-def test_the_record_itself_counts(planned):
+def test_refuses_a_changed_or_missing_approval_record(planned):
     recipe, run = planned
     path = run.path / "approved.json"
     path.write_text(path.read_text(encoding="utf-8").replace("2.705", "8.115"), encoding="utf-8")
@@ -122,7 +122,7 @@ def test_the_record_itself_counts(planned):
         max_leaves=4,
     ),
 )
-def test_a_state_of_any_shape_is_resumed_or_refused(planned, key: str, value: Any):
+def test_any_state_file_is_resumed_or_refused(planned, key: str, value: Any):
     recipe, run = planned
     path = run.path / "state.json"
     whole = path.read_bytes()
@@ -136,7 +136,7 @@ def test_a_state_of_any_shape_is_resumed_or_refused(planned, key: str, value: An
 
 
 @pytest.mark.parametrize("text", [b"[" * 200_000, b'{"steps": ' + b"9" * 6000 + b"}", b"\xff\xfe", b"null", b""])
-def test_a_state_that_is_no_json_of_ours_is_one_message(planned, text: bytes):
+def test_an_invalid_state_file_gives_one_message(planned, text: bytes):
     recipe, run = planned
     (run.path / "state.json").write_bytes(text)
     with pytest.raises(InputError, match=r"state\.json: damaged"):
@@ -148,7 +148,7 @@ def test_a_state_that_is_no_json_of_ours_is_one_message(planned, text: bytes):
     genome=st.none() | st.integers() | st.text(max_size=3) | st.lists(st.floats() | st.none(), max_size=37),
     validation=st.none() | st.integers() | st.lists(st.none() | st.lists(st.floats(), max_size=3), max_size=2),
 )
-def test_a_plan_of_any_shape_is_read_or_refused(planned, genome: Any, validation: Any):
+def test_any_plan_file_is_read_or_refused(planned, genome: Any, validation: Any):
     _, run = planned
     data = {"schema": "plan/1", "search": {"genome": genome, "fitness": None}, "validation": validation}
     path = run.write_text("plan.json", json.dumps(data))
@@ -157,7 +157,7 @@ def test_a_plan_of_any_shape_is_read_or_refused(planned, genome: Any, validation
 
 
 @pytest.mark.parametrize("name", ["plan.json", "program.pdl"])
-def test_a_plan_that_was_changed_is_not_run(planned, name: str):
+def test_refuses_a_changed_plan(planned, name: str):
     recipe, run = planned
     for key, file in {"plan": "plan.json", "program": "program.pdl"}.items():
         run.write_text(file, "{}")
@@ -212,7 +212,7 @@ def _another_genome(data: dict[str, Any]) -> None:
 
 
 @pytest.mark.parametrize("change", [_moved, _faster, _other_tool_frame, _out_of_range, _another_genome])
-def test_a_loop_that_is_not_what_was_searched_for_is_refused(shop: Path, change: Callable[[dict[str, Any]], None]):
+def test_refuses_a_stored_loop_that_does_not_match_its_search(shop: Path, change: Callable[[dict[str, Any]], None]):
     recipe = load_recipe(shop / "recipe.yaml")
     check_loop(recipe, stored_loops(shop / "logs" / "trajectories")[0])
     _edit_loop(shop, change)
@@ -221,7 +221,7 @@ def test_a_loop_that_is_not_what_was_searched_for_is_refused(shop: Path, change:
         check_loop(recipe, loop)
 
 
-def test_a_replaced_loop_is_not_the_accepted_one(shop: Path, run_agent):
+def test_refuses_a_replaced_loop(shop: Path, run_agent):
     _edit_loop(shop, _moved)
     run = run_agent("recalibrate", "recipe.yaml")
     assert run.returncode == 2
@@ -230,7 +230,7 @@ def test_a_replaced_loop_is_not_the_accepted_one(shop: Path, run_agent):
     assert len(list((shop / "logs").glob("*/state.json"))) == 1, "nothing was begun"
 
 
-def test_a_replaced_loop_does_not_move_even_where_the_run_was_changed_with_it(shop: Path, run_agent):
+def test_refuses_a_replaced_loop_with_a_matching_run_digest(shop: Path, run_agent):
     """The program of the accepted run was put in keeping with the loop: the recipe's sub-region still refuses it."""
     _edit_loop(shop, _moved)
     (loop,) = stored_loops(shop / "logs" / "trajectories")
@@ -242,7 +242,7 @@ def test_a_replaced_loop_does_not_move_even_where_the_run_was_changed_with_it(sh
     assert "is not one that this recipe allows: the target of its move" in run.stderr
 
 
-def test_a_key_alone_finds_nothing(shop: Path):
+def test_refuses_a_loop_of_another_sub_region_under_the_right_key(shop: Path):
     from agent.runs.loop_store import find_loop
 
     def other_region(data: dict[str, Any]) -> None:
@@ -255,7 +255,7 @@ def test_a_key_alone_finds_nothing(shop: Path):
         find_loop(recipe, shop / "logs" / "trajectories")
 
 
-def test_a_recalibration_says_what_differs_from_the_accepted_run(shop: Path, run_agent):
+def test_recalibration_names_what_differs_from_the_accepted_run(shop: Path, run_agent):
     recipe = shop / "recipe.yaml"
     recipe.write_text(recipe.read_text(encoding="utf-8").replace("500 mm, 600 mm", "450 mm, 600 mm"), encoding="utf-8")
     run = run_agent("recalibrate", "recipe.yaml")
@@ -263,7 +263,7 @@ def test_a_recalibration_says_what_differs_from_the_accepted_run(shop: Path, run
     assert "motion.via_points differs from the one this run was planned with: box.size.1 was 0.5, is 0.45" in run.stderr
 
 
-def test_an_authorisation_of_another_cell_moves_nothing(shop: Path, run_agent):
+def test_an_authorisation_for_another_cell_prevents_motion(shop: Path, run_agent):
     (loop,) = stored_loops(shop / "logs" / "trajectories")
     said = {
         "robot": "comau_ns16",
@@ -281,7 +281,7 @@ def test_an_authorisation_of_another_cell_moves_nothing(shop: Path, run_agent):
     assert "is for problem 000000000000" in run.stderr
 
 
-def test_a_finished_run_carries_its_digests(shop: Path):
+def test_a_finished_run_stores_its_digests(shop: Path):
     (state,) = (shop / "logs").glob("*/state.json")
     told = json.loads(state.read_text(encoding="utf-8"))
     result = json.loads((state.parent / "result.json").read_text(encoding="utf-8"))
@@ -294,7 +294,7 @@ def test_a_finished_run_carries_its_digests(shop: Path):
 CUT = drawn(20, lambda rng: int(rng.integers(1, 100_000)))  # bytes
 
 
-def test_a_stopped_run_whose_log_was_changed_is_not_gone_on_with(shop: Path, run_agent):
+def test_refuses_to_resume_with_a_changed_log(shop: Path, run_agent):
     (state,) = (shop / "logs").glob("*/state.json")
     told = json.loads(state.read_text(encoding="utf-8"))
     for step in ("estimate", "validate", "report", "record"):
@@ -321,7 +321,7 @@ def _leaves(value: Any, place: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]
 
 @settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
 @given(which=st.integers(0, 10**6), factor=st.sampled_from([3.0, 1.0 + 1e-12, -1.0, 0.5]))
-def test_any_number_that_changes_is_noticed_and_its_part_named(planned, which: int, factor: float):
+def test_names_the_part_of_any_changed_number(planned, which: int, factor: float):
     then = problem(_loaded(planned[0]))
     places = list(_leaves(then))
     place = places[which % len(places)]
@@ -338,7 +338,7 @@ def test_any_number_that_changes_is_noticed_and_its_part_named(planned, which: i
 
 @pytest.mark.verify
 @pytest.mark.parametrize("seed", range(12))
-def test_no_number_of_a_stored_program_may_change(shop: Path, seed: int):
+def test_detects_any_changed_number_of_a_stored_program(shop: Path, seed: int):
     """One digit of a coordinate, a speed or an angle, anywhere; what a controller would not notice may stay."""
     recipe = load_recipe(shop / "recipe.yaml")
     rng = random.Random(seed)

@@ -41,30 +41,30 @@ def test_a_file_is_read_in_si(tmp_path: Path):
 
 
 @pytest.mark.parametrize("key", list(SAID))
-def test_nothing_may_be_left_out(tmp_path: Path, key: str):
+def test_refuses_a_missing_key(tmp_path: Path, key: str):
     with pytest.raises(InputError, match=f"{key}: this key is required"):
         load_authorisation(_write(tmp_path, **{key: None}), NOW)
 
 
-def test_a_file_that_anybody_can_write_is_nobodys_word(tmp_path: Path):
+def test_refuses_a_file_that_others_can_write(tmp_path: Path):
     for mode in (0o664, 0o646, 0o666, 0o620, 0o602, 0o622, 0o660, 0o606, 0o676, 0o777):
         with pytest.raises(InputError, match="chmod go-w"):
             load_authorisation(_write(tmp_path, mode), NOW)
 
 
-def test_it_is_for_what_the_program_was_planned_with(tmp_path: Path):
+def test_an_authorisation_is_bound_to_the_planning_problem(tmp_path: Path):
     allowed = load_authorisation(_write(tmp_path), NOW)
     allowed.check_problem(PROBLEM)
     with pytest.raises(InputError, match=f"problem cdcdcdcdcdcd.*make {'ef' * 32}"):
         allowed.check_problem("ef" * 32)
 
 
-def test_more_than_a_year_is_refused(tmp_path: Path):
+def test_refuses_an_expiry_more_than_a_year_ahead(tmp_path: Path):
     with pytest.raises(InputError, match="more than a year"):
         load_authorisation(_write(tmp_path, expires="2027-06-15"), NOW)
 
 
-def test_the_last_day_counts_and_the_next_does_not(tmp_path: Path):
+def test_valid_through_the_last_day(tmp_path: Path):
     allowed = load_authorisation(_write(tmp_path), NOW)
     motion = ("comau_ns16", "NS16-42", PROGRAM, 0.5, 10.0)
     allowed.check(*motion, datetime(2026, 12, 31, 23, 59, tzinfo=UTC))
@@ -74,7 +74,7 @@ def test_the_last_day_counts_and_the_next_does_not(tmp_path: Path):
     assert allowed.ends_soon(NOW) is None
 
 
-def test_where_no_day_is_given_it_is_today(tmp_path: Path):
+def test_checks_against_today_by_default(tmp_path: Path):
     today = datetime.now(UTC).date()
     with pytest.raises(InputError, match="more than a year"):
         load_authorisation(_write(tmp_path, expires=str(today + timedelta(days=400))))
@@ -83,7 +83,7 @@ def test_where_no_day_is_given_it_is_today(tmp_path: Path):
 
 
 @given(speed=st.floats(0.01, 2.0), duration=st.floats(1.0, 4000.0))
-def test_it_covers_exactly_what_is_within_its_limits(speed: float, duration: float):
+def test_covers_only_motion_within_its_limits(speed: float, duration: float):
     assume(abs(speed - 1.0) > 1e-6 and abs(duration - 1200.0) > 1e-3)  # round-off is nobody's breach
     allowed = Authorisation(Path("a"), AuthorisationDocument.model_validate(SAID))
     if speed <= 1.0 and duration <= 1200.0:
@@ -98,7 +98,7 @@ def _released(**changes: object) -> Authorisation:
     return Authorisation(Path("a"), AuthorisationDocument.model_validate(document))
 
 
-def test_new_motions_run_only_where_they_are_released(tmp_path: Path):
+def test_new_motions_need_their_own_authorisation(tmp_path: Path):
     with pytest.raises(InputError, match="releases no new motions"):
         load_authorisation(_write(tmp_path), NOW).for_new_motion(PROBLEM, "ef" * 32, 0.0)
     allowed = load_authorisation(_write(tmp_path, new_motions={"duration": "10 min"}), NOW)
@@ -115,9 +115,7 @@ def test_new_motions_run_only_where_they_are_released(tmp_path: Path):
 
 
 @given(speed=st.floats(0.01, 2.0), duration=st.floats(1.0, 1500.0), before=st.floats(0.0, 700.0))
-def test_a_new_motion_is_never_allowed_more_than_the_loop_and_its_own_time(
-    speed: float, duration: float, before: float
-):
+def test_new_motions_are_limited_by_the_loop_and_their_own_duration(speed: float, duration: float, before: float):
     allowed = _released(limits={"speed": "1 m/s", "duration": "90 s"})
     assume(all(abs(x) > 1e-3 for x in (speed - 1.0, duration - 90.0, duration - (600.0 - before), before - 600.0)))
     if speed <= 1.0 and duration <= 90.0 and before + duration <= 600.0:

@@ -20,7 +20,7 @@ def _check(folder: Path, text: str) -> tuple[int, dict[str, list[str]]]:
     return run.returncode, problems
 
 
-def test_faults_of_the_recipe_hide_no_others(tmp_path: Path):
+def test_a_recipe_fault_does_not_hide_other_problems(tmp_path: Path):
     text = TEXT.replace("cycles: 3", "cycles: three").replace("3 %", "300 %").replace("[1.0 m, 0 m", "[2.4 m, 0 m")
     code, problems = _check(tmp_path, text)
     assert code == 2
@@ -29,7 +29,7 @@ def test_faults_of_the_recipe_hide_no_others(tmp_path: Path):
     assert "no controller answers" in problems["controller"][0]
 
 
-def test_a_box_around_the_base_is_said_to_be_just_that(tmp_path: Path):
+def test_reports_a_keep_out_box_around_the_base(tmp_path: Path):
     box = "{name: stand, box: {min: [-0.4 m, -0.4 m, 0 m], max: [0.4 m, 0.4 m, 0.4 m]}}"
     code, problems = _check(tmp_path, f"{TEXT}cell: {{keep_out: [{box}]}}\n")
     assert code == 2

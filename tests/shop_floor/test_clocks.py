@@ -33,7 +33,7 @@ def _runs(logs: Path) -> list[Path]:
 
 
 @given(st.floats(3600.0, 400 * DAY), st.timedeltas(timedelta(minutes=6), timedelta(days=20_000)))
-def test_a_run_of_the_future_is_said_and_switches_nothing_off(every, ahead):
+def test_reports_a_run_dated_in_the_future_and_stays_due(every, ahead):
     past = _past(NOW + ahead)
     assert too_early(past, every, NOW) == ""
     assert "the clock was wrong then, or is now" in wrong_clock(past, NOW)
@@ -50,7 +50,7 @@ def test_a_run_is_due_after_its_interval_and_not_before(every, age):
 
 
 @given(st.integers(-14 * 60, 14 * 60), st.integers(-14 * 60, 14 * 60), st.floats(0.0, 20 * DAY))
-def test_the_zone_of_a_clock_changes_nothing(then, here, age):
+def test_time_zones_do_not_change_the_due_date(then, here, age):
     started = NOW - timedelta(seconds=round(age))
     moved = NOW.astimezone(timezone(timedelta(minutes=here)))
     past = _past(started.astimezone(timezone(timedelta(minutes=then))))
@@ -58,13 +58,13 @@ def test_the_zone_of_a_clock_changes_nothing(then, here, age):
 
 
 @pytest.mark.parametrize("days", [1, 7])
-def test_the_day_of_23_hours_is_a_day(days):
+def test_a_day_of_23_hours_counts_as_a_day(days):
     """A timer at 02:00 local time comes an hour early once a year."""
     assert too_early(_past(NOW - timedelta(days=days, hours=-1)), days * DAY, NOW) == ""
     assert too_early(_past(NOW - timedelta(days=days, hours=-3)), days * DAY, NOW) != ""
 
 
-def test_runs_are_in_order_of_time_whatever_zone_they_were_written_in(write_runs):
+def test_runs_are_sorted_by_time_across_time_zones(write_runs):
     logs = write_runs(3)
     first, second, third = _runs(logs)
     _redate(first, "2026-03-01T02:00:00+14:00")  # the last day of February
@@ -75,7 +75,7 @@ def test_runs_are_in_order_of_time_whatever_zone_they_were_written_in(write_runs
     assert [run.started for run in history.runs()][2] == "2026-03-01T10:00:00+00:00"
 
 
-def test_a_run_of_the_future_is_the_reference_only_where_there_is_no_other(write_runs):
+def test_a_run_dated_in_the_future_is_the_reference_only_without_another(write_runs):
     logs = write_runs(3)
     first, _, third = _runs(logs)
     _redate(third, "2041-01-01T00:00:00+00:00")
@@ -87,7 +87,7 @@ def test_a_run_of_the_future_is_the_reference_only_where_there_is_no_other(write
     assert [first.name in said for said in history.damaged] == [True]
 
 
-def test_a_clock_that_is_set_back_in_a_run_loses_nothing_of_it(write_runs, tmp_path, monkeypatch):
+def test_a_clock_set_back_during_a_run_loses_no_data(write_runs, tmp_path, monkeypatch):
     """Steps that end before they began, and files that grow older: the run goes on, and the history takes it in."""
     recipe = tmp_path / "recipe.yaml"
     recipe.write_text("robot: comau_ns16\n", encoding="utf-8")
@@ -116,7 +116,7 @@ def test_a_clock_that_is_set_back_in_a_run_loses_nothing_of_it(write_runs, tmp_p
     assert history.runs()[-1].status == "stopped"
 
 
-def test_trends_leave_out_what_nobody_can_put_in_time(write_runs):
+def test_trends_leave_out_runs_with_impossible_dates(write_runs):
     logs = write_runs(12, wear=2)
     history = History(logs)
     (before,) = watch(history.runs()[:-1])
@@ -126,7 +126,7 @@ def test_trends_leave_out_what_nobody_can_put_in_time(write_runs):
     assert after.to_dict() == before.to_dict()
 
 
-def test_a_clock_that_was_ahead_once_switches_no_recalibration_off(shop, run_agent):
+def test_a_clock_once_ahead_does_not_disable_recalibration(shop, run_agent):
     (run,) = _runs_of(shop)
     recipe = shop / "recipe.yaml"
     recipe.write_text(recipe.read_text(encoding="utf-8").replace("every: 1 s", "every: 7 d"), encoding="utf-8")

@@ -71,7 +71,7 @@ def _tell(folder: Path) -> subprocess.CompletedProcess[str]:
         return subprocess.CompletedProcess(shell.args, code, out.read(), err.read())
 
 
-def test_every_command_of_the_readme_the_tutorial_and_every_how_to_in_one_clone(tmp_path: Path):
+def test_all_commands_of_readme_tutorial_and_how_tos_run(tmp_path: Path):
     run = _tell(tmp_path)
     assert run.returncode == 0, run.stderr[-3000:]
     assert "skipped: the last accepted run" in run.stdout
@@ -81,13 +81,13 @@ def test_every_command_of_the_readme_the_tutorial_and_every_how_to_in_one_clone(
         assert (tmp_path / made).is_file(), made
 
 
-def test_no_page_has_commands_that_are_not_run():
+def test_every_page_with_commands_is_run():
     told = {(DOCS / page).resolve() for page in STORY}
     pages = [README, *DOCS.rglob("*.md")]
     assert {page.resolve() for page in pages if _blocks(page, "sh")} == told
 
 
-def test_what_is_typed_once_can_be_made():
+def test_make_targets_on_pages_exist():
     for page in (README, *DOCS.glob("*.md")):
         for target in re.findall(r"^make ([a-z]+)", "\n".join(_blocks(page, "bash")), re.M):
             run = subprocess.run(["make", "-n", target], cwd=ROOT, capture_output=True, text=True, check=False)
@@ -95,7 +95,7 @@ def test_what_is_typed_once_can_be_made():
 
 
 @pytest.mark.parametrize("page", [README, *sorted(DOCS.rglob("*.md"))], ids=lambda page: page.stem)
-def test_links_lead_somewhere(page: Path):
+def test_links_are_not_broken(page: Path):
     for link in re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", page.read_text(encoding="utf-8")):
         if "://" not in link:
             assert (page.parent / link).exists(), link
@@ -125,7 +125,7 @@ def test_files_that_pages_name_exist():
     assert lost == []
 
 
-def test_the_reference_is_what_the_code_says():
+def test_the_reference_matches_the_code():
     spec = importlib.util.spec_from_file_location("make_reference", DOCS / "make_reference.py")
     maker = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(maker)

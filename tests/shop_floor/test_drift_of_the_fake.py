@@ -47,7 +47,7 @@ def _history(shop: Path, run_agent, start_controller, seed: int, worn: str | Non
 
 
 @pytest.mark.verify
-def test_wear_is_found_on_its_axle(shop, run_agent, start_controller, measured):
+def test_finds_wear_on_its_axle(shop, run_agent, start_controller, measured):
     (one,) = _history(shop, run_agent, start_controller, 1, "joint_3")
     found = [trend.joint for trend in one.alarms]
     change = next((trend.change for trend in one.alarms if trend.joint == "joint_3"), 0.0)

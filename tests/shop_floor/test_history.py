@@ -19,7 +19,7 @@ from agent.runs.history import History, find_run, history_json, history_table
 from tests.shop_floor.conftest import ROOT, agent, edit
 
 
-def test_runs_with_their_parameters_in_order(write_runs):
+def test_lists_runs_with_parameters_in_order(write_runs):
     history = History(write_runs(3))
     runs = history.runs()
     assert [run.run for run in runs] == sorted(run.run for run in runs)
@@ -33,7 +33,7 @@ def test_runs_with_their_parameters_in_order(write_runs):
     assert first["conditions"]["cycles"] == 4
 
 
-def test_folders_that_come_and_go_are_followed(write_runs):
+def test_tolerates_folders_that_appear_and_vanish(write_runs):
     logs = write_runs(3)
     history = History(logs)
     names = [run.run for run in history.runs()]
@@ -45,7 +45,7 @@ def test_folders_that_come_and_go_are_followed(write_runs):
     assert set(history.parameters()) == set(names[1:])
 
 
-def test_a_run_that_was_stopped_is_there_with_its_reason(write_runs):
+def test_lists_a_stopped_run_with_its_reason(write_runs):
     logs = write_runs(1)
     run = logs / "20270101T000000Z_comau_ns16"
     run.mkdir()
@@ -58,7 +58,7 @@ def test_a_run_that_was_stopped_is_there_with_its_reason(write_runs):
     assert "stopped" in history_table(runs)
 
 
-def test_the_table_ends_with_what_the_trends_said_last(write_runs):
+def test_the_table_ends_with_the_latest_trend(write_runs):
     logs = write_runs(3)
     runs = sorted(path for path in logs.iterdir() if path.is_dir())
     for run, said in zip(runs, (["joint_1 stepped"], [], ["joint_3 drifts", "joint_3 reaches the gate"]), strict=True):
@@ -101,25 +101,25 @@ def _agent(*arguments: str) -> subprocess.CompletedProcess[str]:
         (("--robot", "nope", "--serial", "7"), "is of robot nope, serial 7"),
     ],
 )
-def test_a_filter_without_hits_is_no_empty_history(write_runs, filters: tuple[str, ...], said: str):
+def test_a_filter_without_hits_differs_from_an_empty_history(write_runs, filters: tuple[str, ...], said: str):
     run = _agent("history", "--logs", str(write_runs(2)), *filters)
     assert run.returncode == 0
     assert said in run.stderr
     assert "no runs yet" not in run.stderr
 
 
-def test_no_runs_yet(tmp_path: Path):
+def test_reports_that_there_are_no_runs_yet(tmp_path: Path):
     assert "no runs yet" in _agent("history", "--logs", str(tmp_path), "--robot", "nope").stderr
 
 
-def test_a_folder_that_is_not_there_is_said_plainly(tmp_path: Path):
+def test_reports_a_missing_folder(tmp_path: Path):
     with pytest.raises(InputError, match="no runs are kept there"):
         History(tmp_path / "nothing")
     with pytest.raises(InputError, match="no such run"):
         find_run(tmp_path, "nothing")
 
 
-def test_nothing_is_written_to_list_runs(write_runs):
+def test_listing_runs_writes_nothing(write_runs):
     logs = write_runs(1)
     before = sorted(logs.rglob("*"))
     assert "accepted" in _agent("history", "--logs", str(logs)).stdout
@@ -141,7 +141,7 @@ def test_listing_loads_nothing_heavy(write_runs):
 
 
 @pytest.mark.verify
-def test_a_thousand_runs(write_runs, measured):
+def test_lists_a_thousand_runs_quickly(write_runs, measured):
     """`agent history` in 0.5 s and the index page in 5 s, CPU time of the process."""
     import resource
 

@@ -19,7 +19,7 @@ from tests.shop_floor.conftest import agent
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def test_flags_say_everything(tmp_path: Path):
+def test_options_replace_all_questions(tmp_path: Path):
     flags = ["--controller", "10.0.0.5:9100", "--centre", "900 mm, 0.1 m, 0.7", "--size", "0.3 m, 0.3 m, 0.2 m"]
     run = agent(tmp_path, "init", "cell.yaml", *flags, "--orientation", "0 deg, 170 deg, 0 deg", "--cone", "10 deg")
     assert run.returncode == 0, run.stderr
@@ -45,7 +45,7 @@ def test_flags_say_everything(tmp_path: Path):
         ("--driver", "carrier_pigeon", "there is no driver"),
     ],
 )
-def test_what_cannot_be_is_refused_and_nothing_is_written(tmp_path: Path, flag: str, value: str, why: str):
+def test_refuses_impossible_values_and_writes_nothing(tmp_path: Path, flag: str, value: str, why: str):
     run = agent(tmp_path, "init", "cell.yaml", flag, value)
     assert run.returncode == 2
     assert why in run.stderr
@@ -53,7 +53,7 @@ def test_what_cannot_be_is_refused_and_nothing_is_written(tmp_path: Path, flag: 
     assert list(tmp_path.iterdir()) == []
 
 
-def test_on_a_terminal_it_asks_and_asks_again(tmp_path: Path):
+def test_asks_again_after_an_invalid_answer(tmp_path: Path):
     answers = ["", "", "10.0.0.9:9100", "1 m, 0 m", "1.1 m, 0 m, 0.9 m", "", "", "20 deg"]
     master, slave = pty.openpty()
     process = subprocess.Popen(
@@ -87,11 +87,11 @@ def test_the_schema_is_next_to_the_recipe_and_named_in_it(tmp_path: Path):
     assert "recalibrate" in schema["properties"]
 
 
-def test_the_schema_in_the_documentation_is_this_one():
+def test_the_documented_schema_is_current():
     assert (ROOT / "docs" / "recipe.schema.json").read_text(encoding="utf-8") == schema_text()
 
 
-def test_an_arm_of_few_joints_is_told_what_it_can_do_without_a_box(tmp_path: Path):
+def test_advises_via_points_without_a_box_for_an_arm_of_few_joints(tmp_path: Path):
     robot = ROOT / "recipes/examples/emps/robot.yaml"
     run = agent(tmp_path, "init", "slide.yaml", "--robot", str(robot))
     assert run.returncode == 0

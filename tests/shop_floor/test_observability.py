@@ -20,7 +20,7 @@ def run(calibrated: Path) -> tuple[IdentifiedModel, object]:
     return model, read_log(folder / "excitation.mcap", model.robot)
 
 
-def test_singular_values_are_those_of_the_matrix(run):
+def test_singular_values_match_the_matrix(run):
     model, log = run
     found = observability(model, log)
     start, stop = log.middle_cycle()
@@ -31,7 +31,7 @@ def test_singular_values_are_those_of_the_matrix(run):
     np.testing.assert_allclose(found.singular_values, expected, rtol=1e-6)
 
 
-def test_what_nothing_shows_is_named(run):
+def test_names_unobservable_parameters(run):
     model, log = run
     found = observability(model, log)
     assert {"m1", "mz1", "Ixx1", "Iyy1"} <= set(found.never_acting), "the first link turns about the vertical alone"
@@ -40,7 +40,7 @@ def test_what_nothing_shows_is_named(run):
     assert set(found.weakest[0][1]) <= set(model.names)
 
 
-def test_a_joint_that_rests_is_not_seen(run):
+def test_parameters_of_a_stationary_joint_are_unobservable(run):
     model, log = run
     still = log.position.copy()
     still[:, 5] = still[0, 5]

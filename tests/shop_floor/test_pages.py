@@ -53,7 +53,7 @@ def _check_shown(browse, page: Path) -> str:
     return document
 
 
-def test_a_calibration(calibrated: Path, browse):
+def test_the_page_of_a_calibration(calibrated: Path, browse):
     page = _pages(calibrated)["calibration"]
     text = _check_file(page)
     assert _titles(text) == [
@@ -78,7 +78,7 @@ def test_a_calibration(calibrated: Path, browse):
     assert document.count("<canvas") > 1, "plots are drawn"
 
 
-def test_figures_carry_the_numbers_of_the_paper(calibrated: Path):
+def test_figures_have_the_papers_numbers(calibrated: Path):
     """And Fig. 5a is every validation motion, not one."""
     text = _pages(calibrated)["calibration"].read_text(encoding="utf-8")
     captions = html.unescape(" ".join(re.findall(r"<(?:fig)?caption>(.*?)</(?:fig)?caption>", text, flags=re.DOTALL)))
@@ -91,7 +91,7 @@ def test_figures_carry_the_numbers_of_the_paper(calibrated: Path):
     assert np.shape(paths) == (len(plan["validation"]), 120, 3)
 
 
-def test_every_plot_and_table_has_its_data_a_click_away(calibrated: Path):
+def test_every_plot_and_table_offers_its_data(calibrated: Path):
     text = _pages(calibrated)["calibration"].read_text(encoding="utf-8")
     plain = re.findall(r'download="([^"]+\.csv)" href="data:text/csv;base64,([^"]*)"', text)
     packed = re.findall(r'download="([^"]+\.csv)\.gz" href="data:application/gzip;base64,([^"]*)"', text)
@@ -106,7 +106,7 @@ def test_every_plot_and_table_has_its_data_a_click_away(calibrated: Path):
         assert rows
 
 
-def test_a_recalibration(shop: Path, run_agent, browse):
+def test_the_page_of_a_recalibration(shop: Path, run_agent, browse):
     run = run_agent("recalibrate", "recipe.yaml", "-q")
     assert run.returncode == 0, run.stderr
     page = shop / run.stdout.strip() / "report.html"
@@ -135,7 +135,7 @@ def test_a_recalibration(shop: Path, run_agent, browse):
     assert page.read_text(encoding="utf-8") == before, "made again from its files, it is the same page"
 
 
-def test_a_calibration_anew_of_a_machine_that_changed_opens_with_the_diagnosis(worn: Path, run_agent, browse):
+def test_the_page_of_a_changed_machine_opens_with_the_diagnosis(worn: Path, run_agent, browse):
     run = run_agent("calibrate", "recipe.yaml", "-q")
     assert run.returncode == 0, run.stderr
     folder = worn / run.stdout.strip()
@@ -151,7 +151,7 @@ def test_a_calibration_anew_of_a_machine_that_changed_opens_with_the_diagnosis(w
     _check_shown(browse, folder / "report.html")
 
 
-def test_a_calibration_made_again(shop: Path, run_agent):
+def test_the_page_of_a_repeated_calibration(shop: Path, run_agent):
     (page,) = (shop / "logs").glob("*/report.html")
     before = page.read_text(encoding="utf-8")
     page.unlink()
@@ -175,7 +175,7 @@ def test_a_rejected_calibration_names_the_axis(shop: Path, run_agent):
     assert "does not change the current model" in page
 
 
-def test_the_page_over_all_runs(write_runs, browse):
+def test_the_index_page_of_all_runs(write_runs, browse):
     from agent.pipeline.reports import write_index
 
     logs = write_runs(20, 2, wear=1)
@@ -187,7 +187,7 @@ def test_the_page_over_all_runs(write_runs, browse):
     _check_shown(browse, page)
 
 
-def test_the_browser_is_asked_the_right_question(tmp_path: Path, browse):
+def test_the_browser_helper_reports_errors_and_requests(tmp_path: Path, browse):
     page = tmp_path / "page.html"
     page.write_text(
         '<img src="http://127.0.0.1:9/a.png"><svg></svg><script>undefined_name()</script>', encoding="utf-8"
@@ -197,7 +197,7 @@ def test_the_browser_is_asked_the_right_question(tmp_path: Path, browse):
     assert any("127.0.0.1:9/a.png" in entry for entry in asked)
 
 
-def test_a_page_without_trends(write_runs, browse):
+def test_the_index_page_without_trends(write_runs, browse):
     from agent.pipeline.reports import write_index
 
     page = write_index(write_runs(2))
@@ -223,7 +223,7 @@ def test_a_diagnosis_opens_the_report_when_the_last_model_predicts_worse(worn: P
     assert next(entry["name"] for entry in compared["parameters"] if entry["moved"]) == "f0_2"
 
 
-def test_runs_side_by_side(shop: Path, browse):
+def test_compares_runs_side_by_side(shop: Path, browse):
     from agent.core.console import Console
     from agent.pipeline.reports import compare_runs
 
@@ -249,7 +249,7 @@ def test_runs_side_by_side(shop: Path, browse):
     _check_shown(browse, page)
 
 
-def test_runs_of_two_machines_side_by_side_are_no_change_of_one(shop: Path):
+def test_runs_of_two_machines_are_not_compared_as_changes(shop: Path):
     from agent.core.console import Console
     from agent.pipeline.reports import compare_runs
 
@@ -269,7 +269,7 @@ def test_runs_of_two_machines_side_by_side_are_no_change_of_one(shop: Path):
     assert "agent apply" not in text
 
 
-def test_a_run_refreshes_the_page_over_all_runs(calibrated: Path, monkeypatch):
+def test_a_run_refreshes_the_index_page(calibrated: Path, monkeypatch):
     from typer.testing import CliRunner
 
     from agent.cli.app import app

@@ -90,7 +90,7 @@ def _is_readable(browser, page: Path, width: int, scheme: str) -> None:
 
 
 @pytest.mark.parametrize(("width", "scheme"), [(390, "dark"), (2560, "light")])
-def test_a_page_fits_and_can_be_read_by_everybody(small: Path, browser, width: int, scheme: str):
+def test_a_page_fits_the_screen_and_is_accessible(small: Path, browser, width: int, scheme: str):
     _is_readable(browser, small, width, scheme)
 
 
@@ -101,7 +101,7 @@ def test_a_page_without_contents_is_as_wide_as_one_with(browser, tmp_path: Path)
         assert opened.tab.locator("main").bounding_box()["width"] > 1000
 
 
-def test_every_control_does_something(small: Path, browser):
+def test_every_control_has_an_effect(small: Path, browser):
     with browser.page(small) as opened:
         opened.draw()
         tab = opened.tab
@@ -119,7 +119,7 @@ def test_every_control_does_something(small: Path, browser):
         assert opened.console == []
 
 
-def test_plots_are_read_and_zoomed_by_keyboard_and_linked(small: Path, browser):
+def test_plots_support_keyboard_zoom_and_linked_cursors(small: Path, browser):
     with browser.page(small) as opened:
         opened.draw()
         first, second = opened.tab.locator("figure[data-name=waves] .live .panel").all()
@@ -134,7 +134,7 @@ def test_plots_are_read_and_zoomed_by_keyboard_and_linked(small: Path, browser):
         assert opened.console == []
 
 
-def test_without_script_and_on_paper_there_is_a_still_picture(small: Path, browser):
+def test_without_scripts_and_in_print_plots_are_static_images(small: Path, browser):
     with browser.page(small, script=False) as opened:
         assert opened.tab.locator(".still svg:visible").count() == 3, "a panel each"
     with browser.page(small) as opened:
@@ -145,7 +145,7 @@ def test_without_script_and_on_paper_there_is_a_still_picture(small: Path, brows
         assert opened.tab.locator(".live:visible, nav:visible, button:visible").count() == 0
 
 
-def test_data_comes_as_plain_text_with_a_click(small: Path, browser):
+def test_a_click_offers_the_data_as_plain_text(small: Path, browser):
     with browser.page(small) as opened:
         with opened.tab.expect_download() as download:
             opened.tab.locator("a[download='waves.csv.gz']").click()
@@ -156,7 +156,7 @@ def test_data_comes_as_plain_text_with_a_click(small: Path, browser):
 
 
 @pytest.mark.parametrize(("width", "look"), [(390, "dark"), (1440, "light"), (1440, "print"), (2560, "light")])
-def test_a_page_looks_as_it_did(small: Path, browser, width: int, look: str):
+def test_a_page_matches_its_stored_screenshot(small: Path, browser, width: int, look: str):
     """`KEEP_PICTURES=1` keeps what it looks like now; look at the page itself before."""
     file = Path(__file__).with_name("pictures") / f"{width}_{look}.png"
     with browser.page(small, width, "dark" if look == "dark" else "light") as opened:
@@ -190,7 +190,7 @@ def test_thinning_keeps_the_extremes(small: Path):
 @pytest.mark.verify
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("width", WIDTHS)
-def test_all_pages_fit_and_can_be_read(calibrated: Path, write_runs, browser, width: int, scheme: str, measured):
+def test_all_pages_fit_and_are_accessible(calibrated: Path, write_runs, browser, width: int, scheme: str, measured):
     (calibration,) = calibrated.glob("logs/*/report.html")
     for page in (calibration, write_index(write_runs(20, 2, wear=1))):
         size = page.stat().st_size

@@ -43,7 +43,7 @@ def _accepted_again(run: Path) -> Path:
     return copy
 
 
-def test_the_stored_loop_is_run_again_judged_recorded_and_made_current(shop, run_agent):
+def test_reruns_the_stored_loop_and_makes_the_accepted_model_current(shop, run_agent):
     (first,) = _runs(shop)
     assert _current(shop).read_bytes() == (first / "model.json").read_bytes(), "the first accepted one is current"
     later = _accepted_again(first)
@@ -83,7 +83,7 @@ def test_the_stored_loop_is_run_again_judged_recorded_and_made_current(shop, run
     assert max(compared["torque"]["normalised_rmse"]) < 0.005
 
 
-def test_a_recent_one_is_skipped_with_a_reason_and_opens_no_port(shop, run_agent):
+def test_skips_a_recent_calibration_with_a_reason_and_opens_no_port(shop, run_agent):
     _change_recipe(shop, ADDRESS, 'address: "127.0.0.1:1"')
     _change_recipe(shop, "every: 1 s", "every: 7 d")
     run = run_agent("recalibrate", "recipe.yaml")
@@ -93,20 +93,20 @@ def test_a_recent_one_is_skipped_with_a_reason_and_opens_no_port(shop, run_agent
     assert len(_runs(shop)) == 1, "a skipped one leaves no folder"
 
 
-def test_without_a_calibration_it_says_what_to_do(tmp_path, shop, run_agent):
+def test_without_a_calibration_the_message_says_what_to_do(tmp_path, shop, run_agent):
     run = run_agent("recalibrate", "recipe.yaml", "--logs", tmp_path / "other")
     assert run.returncode == 2
     assert "agent calibrate" in run.stderr
 
 
-def test_another_sub_region_is_another_calibration(shop, run_agent):
+def test_another_sub_region_needs_its_own_calibration(shop, run_agent):
     _change_recipe(shop, "500 mm, 600 mm", "450 mm, 600 mm")
     run = run_agent("recalibrate", "recipe.yaml")
     assert run.returncode == 2
     assert "no accepted calibration" in run.stderr
 
 
-def test_a_gate_that_is_missed_leaves_the_current_model(shop, run_agent):
+def test_a_missed_gate_keeps_the_current_model(shop, run_agent):
     _change_recipe(shop, "3 %", "0.01 %")
     before = _current(shop).read_bytes()
     run = run_agent("recalibrate", "recipe.yaml", "--json")
@@ -118,7 +118,7 @@ def test_a_gate_that_is_missed_leaves_the_current_model(shop, run_agent):
     assert run_agent("apply", _runs(shop)[-1].name).returncode == 2, "a rejected model is not applied by hand either"
 
 
-def test_torque_that_no_arm_can_have_makes_no_model(shop, run_agent, tmp_path, start_controller):
+def test_impossible_torque_makes_no_model(shop, run_agent, tmp_path, start_controller):
     effects = tmp_path / "millimetres.json"
     joints = [f"joint_{k + 1}" for k in range(6)]
     effects.write_text(
@@ -134,7 +134,7 @@ def test_torque_that_no_arm_can_have_makes_no_model(shop, run_agent, tmp_path, s
     assert _current(shop).read_bytes() == before
 
 
-def test_another_machine_of_the_type_is_refused(shop, run_agent, start_controller):
+def test_refuses_another_machine_of_the_same_type(shop, run_agent, start_controller):
     other = start_controller("--seed", "8")
     _change_recipe(shop, ADDRESS, f'address: "{other.address}"')
     run = run_agent("recalibrate", "recipe.yaml")
@@ -143,7 +143,7 @@ def test_another_machine_of_the_type_is_refused(shop, run_agent, start_controlle
     assert "FAKE-0007" in run.stderr
 
 
-def test_nobody_there_is_exit_4_and_stands_in_the_history(shop, run_agent):
+def test_an_unreachable_controller_exits_with_4_and_is_in_the_history(shop, run_agent):
     _change_recipe(shop, ADDRESS, 'address: "127.0.0.1:1"')
     run = run_agent("recalibrate", "recipe.yaml")
     assert run.returncode == 4
@@ -153,7 +153,7 @@ def test_nobody_there_is_exit_4_and_stands_in_the_history(shop, run_agent):
     assert "no controller answers" in listed[-1]["reason"]
 
 
-def test_a_busy_robot_is_exit_75(shop, run_agent, controller):
+def test_a_busy_robot_exits_with_75(shop, run_agent, controller):
     hold = (
         "import sys\nfrom agent.runs.lock import robot_lock\n"
         f"with robot_lock('tcp', '{controller.address}'):\n    print('held', flush=True)\n    sys.stdin.read()\n"
@@ -173,7 +173,7 @@ def test_a_busy_robot_is_exit_75(shop, run_agent, controller):
     assert len(_runs(shop)) == 1
 
 
-def test_all_parameters_again(shop, run_agent):
+def test_estimates_all_parameters_again_on_request(shop, run_agent):
     _change_recipe(shop, "parameters: friction", "parameters: all")
     run = run_agent("recalibrate", "recipe.yaml", "-q")
     assert run.returncode == 0, run.stderr
@@ -200,7 +200,7 @@ def _authorisation(shop: Path, **changes: object) -> Path:
     return path
 
 
-def test_an_authorisation_that_covers_the_motion_lets_it_run(shop, run_agent):
+def test_a_matching_authorisation_allows_the_motion(shop, run_agent):
     run = run_agent("recalibrate", "recipe.yaml", "--authorisation", _authorisation(shop), "-q")
     assert run.returncode == 0, run.stderr
 
@@ -215,7 +215,7 @@ def test_an_authorisation_that_covers_the_motion_lets_it_run(shop, run_agent):
         ({"expires": "2020-01-01"}, "it ended on 2020-01-01"),
     ],
 )
-def test_an_authorisation_of_something_else_moves_nothing(shop, run_agent, changes, why: str):
+def test_an_authorisation_for_something_else_prevents_motion(shop, run_agent, changes, why: str):
     path = _authorisation(shop, **changes)
     run = run_agent("recalibrate", "recipe.yaml", "--authorisation", path)
     assert run.returncode == 2
@@ -224,7 +224,7 @@ def test_an_authorisation_of_something_else_moves_nothing(shop, run_agent, chang
 
 
 @pytest.mark.verify
-def test_what_is_left_open_is_asked_of_new_motions_where_they_are_released(shop, run_agent, tmp_path, start_controller):
+def test_authorised_new_motions_settle_an_open_question(shop, run_agent, tmp_path, start_controller):
     effects = tmp_path / "spring.json"
     spring = {"preload": 12.0, "rate": 6.0, "angle": 0.3}
     effects.write_text(

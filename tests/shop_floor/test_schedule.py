@@ -27,7 +27,7 @@ def _weekly(shop: Path, every: str = "7 d") -> None:
     recipe.write_text(recipe.read_text(encoding="utf-8").replace("every: 1 s", f"every: {every}"), encoding="utf-8")
 
 
-def test_installed_units(shop, run_agent, tmp_path: Path):
+def test_installs_the_systemd_units(shop, run_agent, tmp_path: Path):
     _weekly(shop)
     run = run_agent("schedule", "recipe.yaml", "--at", "03:30", "--install", XDG_CONFIG_HOME=str(tmp_path))
     assert run.returncode == 0, run.stderr
@@ -46,7 +46,7 @@ def test_installed_units(shop, run_agent, tmp_path: Path):
         assert "Unknown" not in verified.stderr
 
 
-def test_what_is_called_is_what_skips_or_runs(shop, run_agent):
+def test_the_crontab_line_runs_recalibrate(shop, run_agent):
     _weekly(shop)
     text = run_agent("schedule", "recipe.yaml").stdout
     command = text.splitlines()[-1].split(" ", 5)[5]
@@ -63,7 +63,7 @@ def test_the_clock_is_as_fine_as_the_interval_needs(shop, run_agent, every: str,
     assert f"\n{line} cd " in run_agent("schedule", "recipe.yaml").stdout
 
 
-def test_paths_with_blanks_and_percents(shop, run_agent, tmp_path: Path):
+def test_quotes_paths_with_blanks_and_percent_signs(shop, run_agent, tmp_path: Path):
     _weekly(shop)
     odd = shop / "50 % wear"
     odd.mkdir()
@@ -77,20 +77,20 @@ def test_paths_with_blanks_and_percents(shop, run_agent, tmp_path: Path):
 
 
 @pytest.mark.parametrize(("option", "why"), [("25:00", "a time of day"), ("noon", "a time of day")])
-def test_not_a_time_of_day(shop, run_agent, option: str, why: str):
+def test_refuses_an_invalid_time_of_day(shop, run_agent, option: str, why: str):
     _weekly(shop)
     run = run_agent("schedule", "recipe.yaml", "--at", option)
     assert run.returncode == 2
     assert why in run.stderr
 
 
-def test_an_interval_of_seconds_is_no_schedule(shop, run_agent):
+def test_refuses_to_schedule_an_interval_of_seconds(shop, run_agent):
     run = run_agent("schedule", "recipe.yaml")
     assert run.returncode == 2
     assert "an hour or more" in run.stderr
 
 
-def test_an_authorisation_that_cannot_be_read_is_found_when_scheduling(shop, run_agent):
+def test_schedule_checks_the_authorisation(shop, run_agent):
     _weekly(shop)
     run = run_agent("schedule", "recipe.yaml", "--authorisation", "nothing.yaml")
     assert run.returncode == 2
@@ -101,7 +101,7 @@ def test_an_authorisation_that_cannot_be_read_is_found_when_scheduling(shop, run
     "name", ["x\nExecStartPre=/bin/false", "x\r[Service]", "x\\", "x\n* * * * * touch owned", "x\x85y"], ids=range(5)
 )
 @pytest.mark.parametrize("what", ["folder", "logs", "authorisation", "recipe"])
-def test_a_name_is_no_directive_of_a_unit(shop, tmp_path: Path, name: str, what: str):
+def test_a_recipe_name_cannot_inject_a_unit_directive(shop, tmp_path: Path, name: str, what: str):
     from agent.core import InputError
     from agent.pipeline.setup.schedule import make_schedule
     from agent.recipe import load_recipe
@@ -117,7 +117,7 @@ def test_a_name_is_no_directive_of_a_unit(shop, tmp_path: Path, name: str, what:
         make_schedule(recipe, at="02:30", **places)
 
 
-def test_a_robots_name_is_no_directive_of_a_unit(shop, tmp_path: Path):
+def test_a_robot_name_cannot_inject_a_unit_directive(shop, tmp_path: Path):
     from agent.core import InputError
     from agent.pipeline.setup.schedule import make_schedule
     from agent.recipe import load_recipe

@@ -38,7 +38,7 @@ def texts(text: str) -> list[str]:
     return [part.strip() for part in ElementTree.fromstring(text).itertext()]
 
 
-def test_a_curve_is_where_its_values_are():
+def test_a_curve_is_drawn_at_its_values():
     (way,) = paths(still(plot(CURVE)), CURVE.colour)
     x, y = places(way).T
     assert np.all(np.diff(x) >= 0)
@@ -47,13 +47,13 @@ def test_a_curve_is_where_its_values_are():
     assert (x[low] - x[0]) / (x[-1] - x[0]) == pytest.approx(3 * np.pi / 2 / 6, abs=0.01)
 
 
-def test_axes_units_and_labels_are_there_and_are_text():
+def test_axes_units_and_labels_are_text():
     other = replace(CURVE, label="planned", look="dashed", colour="#d55e00")
     shown = texts(still(plot(CURVE, other, marks={"limit": 1.5})))
     assert {"tool", "[m/s]", "time [s]", "speed <v>", "planned", "limit", "-1.0", "0.0", "6"} <= set(shown)
 
 
-def test_nothing_is_drawn_where_nothing_is_known():
+def test_missing_values_are_not_drawn():
     values = np.where((T > 2.0) & (T < 3.0), np.nan, np.sin(T))
     band = Series("band", values + 1.0, colour="#009e73", low=values - 1.0)
     picture = still(plot(replace(CURVE, values=values), band))
@@ -63,7 +63,7 @@ def test_nothing_is_drawn_where_nothing_is_known():
     assert "nan" not in still(plot(replace(CURVE, values=np.full(len(T), np.nan))))
 
 
-def test_parts_are_stacked():
+def test_shares_are_stacked():
     parts = [Series(name, np.ones(len(T)), "part", colour) for name, colour in (("a", "#111111"), ("b", "#222222"))]
     (first,), (second,) = (paths(still(plot(*parts, from_zero=True)), one.colour)[:1] for one in reversed(parts))
     assert places(first)[:, 1].max() == pytest.approx(places(second)[:, 1].min())
@@ -83,7 +83,7 @@ def test_ticks_are_round_few_and_inside(low, size, most):
     assert np.allclose(steps, steps[:1].repeat(len(steps)), rtol=1e-3)
 
 
-def test_dates_are_told_as_finely_as_they_lie_apart():
+def test_date_labels_are_as_fine_as_their_spacing():
     day = 1_700_006_400.0
     assert [text for _, text in dates(day, day + 40.0, 4)] == [
         f"00:00:{second}" for second in ("00", "10", "20", "30", "40")
@@ -108,7 +108,7 @@ def test_bars_of_one_unit_share_a_scale():
     assert back["x"] + back["width"] == pytest.approx(torque["x"], abs=0.2), "bars go both ways from zero"
 
 
-def test_an_error_far_from_the_box_is_drawn_alone():
+def test_an_outlier_is_drawn_apart_from_the_box():
     rmse = np.append(np.linspace(0.9, 1.1, 20), 9.0)[:, None]
     (row,) = error_table(rmse, np.array([np.nan]), ("joint_1",), 0.03, "").rows
     assert (row[0], row[3], row[6]) == ("joint_1", "1.01", "N·m")

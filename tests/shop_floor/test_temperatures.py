@@ -22,7 +22,7 @@ def _recalibrate(shop: Path, run_agent, address: str) -> Path:
     return shop / run.stdout.strip()
 
 
-def test_a_machine_that_warms_up_says_so(shop: Path, run_agent, start_controller):
+def test_records_the_temperatures_of_a_warming_machine(shop: Path, run_agent, start_controller):
     effects = shop / "effects.json"
     warm = {"effect": "thermal_friction", "joints": ["joint_2", "joint_4"], "parameters": WARMING}
     effects.write_text(json.dumps([warm]), encoding="utf-8")

@@ -48,7 +48,7 @@ def test_a_step_is_dated(write_runs):
     assert alarm.change == pytest.approx(-0.1, abs=0.02)
 
 
-def test_a_limit_that_comes_near_is_told_before_it_is_reached(write_runs):
+def test_warns_before_a_limit_is_reached(write_runs):
     def grow(number, result):
         result["validation"]["normalised_rmse"][1] += 0.001 * number  # 0.3 % to 2.2 %; the gate is at 3 %
 
@@ -59,7 +59,7 @@ def test_a_limit_that_comes_near_is_told_before_it_is_reached(write_runs):
     assert "the gate of 3 %" in warning.text
 
 
-def test_the_series_of_a_machine_share_its_false_alarms(write_runs):
+def test_the_false_alarm_rate_is_shared_by_all_series(write_runs):
     """Small wear of many sizes: what would be no chance in one series alone is no alarm among twelve."""
     trends = [
         trend
@@ -73,12 +73,12 @@ def test_the_series_of_a_machine_share_its_false_alarms(write_runs):
     assert all(trend.kind != "none" for trend in trends if trend.probability < share)
 
 
-def test_few_runs_say_nothing(write_runs):
+def test_few_runs_raise_no_alarm(write_runs):
     history = History(write_runs(FEWEST - 1))
     assert watch(history.runs()) == []
 
 
-def test_an_arm_of_two_axles_goes_by_the_warm_up_within_its_runs(write_runs):
+def test_an_arm_with_two_axles_uses_warm_up_within_its_runs(write_runs):
     def two_axles(_, result):
         keep = ("joint_1", "joint_2")
         result["validation"] = {"joints": list(keep), "normalised_rmse": result["validation"]["normalised_rmse"][:2]}
@@ -95,7 +95,7 @@ def test_an_arm_of_two_axles_goes_by_the_warm_up_within_its_runs(write_runs):
 
 @pytest.mark.verify
 @pytest.mark.parametrize("cooling", [False, True])
-def test_how_often_it_is_right(write_runs, measured, cooling: bool):
+def test_rates_of_false_alarms_and_detections(write_runs, measured, cooling: bool):
     """Twenty runs each, warm-up of up to 5 % on all axles, wear of 10 % on one or on none."""
     false_alarms = found = wrong = 0
     histories = 100

@@ -40,7 +40,7 @@ def _left_out(logs: Path, damaged: Path, has_figures: bool) -> list[str]:
 
 
 @pytest.mark.parametrize("page", [True, False])
-def test_a_run_of_another_version_is_pointed_to_its_own_page(write_runs, page: bool):
+def test_a_run_of_another_version_links_to_its_own_page(write_runs, page: bool):
     (run,) = _runs(write_runs(1))
     if page:
         (run / "report.html").write_text("as it was", encoding="utf-8")
@@ -53,7 +53,7 @@ def test_a_run_of_another_version_is_pointed_to_its_own_page(write_runs, page: b
 
 
 @pytest.mark.parametrize("missing", ["loop", "diagnosis"])
-def test_a_result_of_another_version_is_said_plainly(shop: Path, run_agent, missing: str):
+def test_reports_a_result_of_another_version(shop: Path, run_agent, missing: str):
     (page,) = (shop / "logs").glob("*/report.html")
     before = page.read_bytes()
     state = "recalibrate" if missing == "loop" else "calibrate"
@@ -81,7 +81,7 @@ def test_a_damaged_file_does_not_hide_the_other_runs(write_runs, file: str, cont
             act()
 
 
-def test_the_command_tells_what_it_leaves_out(shop: Path, run_agent):
+def test_history_lists_the_runs_it_leaves_out(shop: Path, run_agent):
     (result,) = (shop / "logs").glob("*/result.json")
     result.write_text("[]", encoding="utf-8")
     run = run_agent("history")
@@ -93,7 +93,7 @@ def test_the_command_tells_what_it_leaves_out(shop: Path, run_agent):
 
 @pytest.mark.parametrize("kind", ["calibrate", "recalibrate", "diagnose"])
 @pytest.mark.parametrize("status", ["running", "stopped"])
-def test_an_unfinished_run_has_nothing_to_report(write_runs, kind: str, status: str):
+def test_refuses_to_report_an_unfinished_run(write_runs, kind: str, status: str):
     (run,) = _runs(write_runs(1))
     edit(run / "state.json", kind=kind, status=status, stopped={"reason": "the emergency stop is pressed"})
     (run / "result.json").unlink()
@@ -104,7 +104,7 @@ def test_an_unfinished_run_has_nothing_to_report(write_runs, kind: str, status: 
 
 
 @pytest.mark.parametrize("kind", ["recalibrate", "diagnose"])
-def test_only_a_calibration_is_gone_on_with(write_runs, kind: str):
+def test_only_a_calibration_can_be_resumed(write_runs, kind: str):
     (run,) = _runs(write_runs(1))
     edit(run / "state.json", kind=kind, status="stopped", inputs_sha256={"recipe.yaml": "s"})
     before = (run / "state.json").read_bytes()
@@ -114,14 +114,14 @@ def test_only_a_calibration_is_gone_on_with(write_runs, kind: str):
 
 
 @pytest.mark.parametrize("content", ["", "[]", '"x"', "{}", '{"schema": "run/1"}', '{"schema": "run/2"}'])
-def test_a_damaged_state_is_not_gone_on_with(write_runs, content: str):
+def test_refuses_to_resume_a_damaged_state(write_runs, content: str):
     (run,) = _runs(write_runs(1))
     (run / "state.json").write_text(content, encoding="utf-8")
     with pytest.raises(InputError, match=r"state\.json"):
         RunFolder.open(run, "s")
 
 
-def test_a_diagnosis_is_in_the_table_with_its_verdict_and_passes_no_gate(write_runs):
+def test_a_diagnosis_is_listed_with_its_verdict_and_no_gate(write_runs):
     logs = write_runs(2)
     run = _runs(logs)[0]
     (run / "model.json").unlink()
@@ -134,7 +134,7 @@ def test_a_diagnosis_is_in_the_table_with_its_verdict_and_passes_no_gate(write_r
         compare_runs([run, _runs(logs)[1]], QUIET)
 
 
-def test_no_runs_at_all(shop: Path, run_agent):
+def test_reports_a_folder_without_runs(shop: Path, run_agent):
     (shop / "empty").mkdir()
     listed = run_agent("history", "--logs", "empty")
     assert (listed.returncode, len(listed.stdout.splitlines())) == (0, 1)
@@ -177,7 +177,7 @@ def three_runs(tmp_path_factory):
 
 @settings(max_examples=20, deadline=None)
 @given(st.data())
-def test_one_bad_folder_is_one_bad_folder(three_runs, data):
+def test_a_damaged_run_does_not_affect_the_others(three_runs, data):
     """One value of one file is damaged: the other runs are listed, and commands on this run say so."""
     logs, files = three_runs
     for path, content in files.items():
@@ -235,7 +235,7 @@ def _deep(file: Path) -> None:
 
 @pytest.mark.parametrize("damage", [_loop, _folder, _pipe, _deep])
 @pytest.mark.parametrize("file", ["state.json", "result.json", "model.json"])
-def test_what_is_no_file_stops_nothing_but_its_run(write_runs, damage, file):
+def test_an_unreadable_file_affects_its_run_only(write_runs, damage, file):
     logs = write_runs(3)
     _, bad, _ = _runs(logs)
     (logs / "a file where a folder is expected").write_text("x", encoding="utf-8")
@@ -251,7 +251,7 @@ def test_what_is_no_file_stops_nothing_but_its_run(write_runs, damage, file):
 
 
 @pytest.mark.skipif(os.getuid() != 0, reason="only root can become another user")
-def test_a_folder_of_another_user_is_named_and_stops_nothing_else(write_runs):
+def test_names_an_unreadable_folder_and_lists_the_others(write_runs):
     logs = write_runs(3)
     bad = _runs(logs)[1]
     bad.chmod(0o700)
@@ -271,7 +271,7 @@ def test_a_folder_of_another_user_is_named_and_stops_nothing_else(write_runs):
     assert "Permission denied" in said
 
 
-def test_a_damaged_current_model_of_one_robot_is_no_other_robots(write_runs):
+def test_a_damaged_current_model_does_not_affect_other_robots(write_runs):
     logs = write_runs(2)
     first, second = _runs(logs)
     apply_run(logs, first)

@@ -56,7 +56,7 @@ def without(robot: RobotDescription, *names: str) -> RobotDescription:
         ((0.012, 0.02), ("j1 1.20 %  j2 2.00 %", "accepted  (gate")),
     ],
 )
-def test_summary_and_headline(shares, said):
+def test_summary_and_headline_without_nominal_torque(shares, said):
     typed = json.loads(json.dumps(result(*shares)), object_hook=lambda fields: SimpleNamespace(**fields))
     text = CalibrationOutcome(Path("run"), typed, "").summary()
     headline = _headline(result(*shares))
@@ -71,7 +71,7 @@ def test_summary_and_headline(shares, said):
 @pytest.mark.parametrize(
     ("shares", "row"), [((None, None), "not judged  0.5 N·m"), ((0.012, None), "accepted  1.20 %")]
 )
-def test_history(tmp_path: Path, shares, row):
+def test_history_without_nominal_torque(tmp_path: Path, shares, row):
     run = tmp_path / "20260101T000000Z_arm"
     run.mkdir()
     state = {"robot": "arm", "started": "2026-01-01T00:00:00+00:00", "status": "finished"}
@@ -96,7 +96,7 @@ def test_a_gate_that_can_judge_no_joint_accepts_nothing(shares, word):
     assert ("the gate is 3.00 %" in reason) == (word is False)
 
 
-def test_the_gate_says_before_anything_moves_whom_it_cannot_judge():
+def test_names_joints_that_the_gate_cannot_judge_before_motion():
     robot = load_robot("comau_ns16")
     assert not_judged_text(robot, 0.03) == ""
     assert "joint_2 not" in not_judged_text(without(robot, "joint_2"), 0.03)
@@ -125,7 +125,7 @@ def test_without_a_nominal_torque_the_models_own_error_is_the_scale():
     assert "joint_2" in worse_joints(model, np.full(6, 1.6))
 
 
-def test_figures_in_words():
+def test_formats_figures_with_and_without_nominal_torque():
     assert error_text(0.0123, 5.0) == "1.23 %"
     assert error_text(None, 5.0) == error_text(float("nan"), 5.0) == "5 N·m"
     assert error_text(None, None) == "-"

@@ -63,7 +63,7 @@ def test_a_payload_weighs_on_the_arm(ns16):
     assert np.abs(expected).max() > 50.0
 
 
-def test_a_mismatched_link_is_what_the_regressor_says(measured, plain, motion):
+def test_a_link_mismatch_changes_torque_as_the_regressor_predicts(measured, plain, motion):
     plant, _, torque = measured(effect("inertial_mismatch", link=3, scale=1.1, points=[[4.0, 0.1, 0.2, 0.0]]))
     base = plain[0].machine
     change = plant.machine.parameters - base.parameters
@@ -116,7 +116,7 @@ def test_a_hose_pulls_back_and_lags_behind(ns16, stop_and_go):
     assert ends[1] == pytest.approx(-4.0, abs=0.5)
 
 
-def test_a_contact_pushes_in_its_stretch_of_time_and_never_else(measured, plain):
+def test_a_contact_acts_only_in_its_time_window(measured, plain):
     _, position, torque = measured(effect("contact", force=[60.0, 0.0, -80.0], start=0.5, duration=0.4))
     difference = torque - plain[2]
     assert np.array_equal(torque[:250], plain[2][:250])
@@ -330,12 +330,12 @@ def test_the_vocabulary_is_complete_and_all_effects_can_act_at_once(ns16, motion
         (effect("wrist_coupling", ["joint_5"], factor=0.1), "joints: must be two"),
     ],
 )
-def test_a_wrong_effect_is_told_where_and_why(ns16, data, message):
+def test_an_invalid_effect_is_reported_with_entry_and_reason(ns16, data, message):
     with pytest.raises(InputError, match=message):
         Plant(ns16, 1, [data])
 
 
-def test_one_gear_has_one_kind_of_give(ns16):
+def test_refuses_two_gear_effects_on_one_joint(ns16):
     both = [
         effect("joint_elasticity", ["joint_2"], stiffness=3e5),
         effect("backlash", ["joint_2"], gap=1e-3),
@@ -344,7 +344,7 @@ def test_one_gear_has_one_kind_of_give(ns16):
         Plant(ns16, 1, both)
 
 
-def test_effects_can_be_told_by_name(ns16):
+def test_effects_can_be_given_by_name(ns16):
     for name, form in EFFECTS.items():
         assert form.name == name
         assert form.__doc__

@@ -59,7 +59,7 @@ class Watched:
 
 
 @pytest.mark.parametrize("coupled", [False, True])
-def test_a_falling_arm_keeps_its_energy(make_arm, coupled):
+def test_a_falling_arm_conserves_energy(make_arm, coupled):
     coupling = np.eye(3) + (np.eye(3, k=-1) * 0.4 if coupled else 0.0)
     robot = make_arm(3, coupling=coupling)
     simulation = ForwardSimulation(Dynamics(robot), np.full(3, ROTORS), frictionless(3), no_torque(3), period=0.0005)
@@ -71,7 +71,7 @@ def test_a_falling_arm_keeps_its_energy(make_arm, coupled):
     assert np.abs(kinetic + potential - potential[0]).max() < 1e-3 * exchanged
 
 
-def test_the_work_of_the_motors_is_energy_and_heat(ns16, stop_and_go):
+def test_motor_work_equals_energy_plus_dissipation(ns16, stop_and_go):
     machine = draw_machine(ns16, 5)
     drive = Watched(Drive(machine))
     dynamics = machine.dynamics()
@@ -192,7 +192,7 @@ def test_the_bristles_agree_with_a_stiff_integrator(make_arm):
     damped=st.booleans(),
 )
 @settings(max_examples=25, deadline=None)
-def test_accelerations_are_what_inverse_dynamics_asks_torque_for(make_arm, links, seed, factor, damped):
+def test_accelerations_are_consistent_with_inverse_dynamics(make_arm, links, seed, factor, damped):
     robot = make_arm(links, coupling=np.eye(links) + factor * np.eye(links, k=-1))
     rng = np.random.default_rng(seed)
     dynamics = Dynamics(robot)
@@ -206,7 +206,7 @@ def test_accelerations_are_what_inverse_dynamics_asks_torque_for(make_arm, links
 
 @given(transition=st.sampled_from([0.0, 1e-6, 1e-3]), coulomb=st.floats(80.0, 1e5))
 @settings(max_examples=15, deadline=None)
-def test_memoryless_friction_holds_a_dead_arm_however_stiff_it_is(make_arm, transition, coulomb):
+def test_steep_friction_holds_an_unpowered_arm(make_arm, transition, coulomb):
     robot = make_arm(1)
     arm = replace(robot, gravity=(0.0, -9.80665, 0.0))
     friction = RigidActuation(np.full(1, coulomb), np.zeros(1), np.zeros(1), np.full(1, transition))
@@ -219,7 +219,7 @@ def test_memoryless_friction_holds_a_dead_arm_however_stiff_it_is(make_arm, tran
 
 
 @pytest.mark.parametrize("case", ["wrist", "sliding", "seven"])
-def test_compiled_steps_are_those_of_an_actuation_that_is_asked(ns16, make_arm, stop_and_go, case):
+def test_compiled_steps_equal_the_python_actuation(ns16, make_arm, stop_and_go, case):
     robot = {"sliding": lambda: make_arm(3, prismatic_first=True), "wrist": lambda: ns16}.get(
         case, lambda: make_arm(7)
     )()
@@ -258,7 +258,7 @@ def test_set_points_are_reached_one_period_later_and_the_state_persists(ns16, st
     assert 0.002 < lag < 0.008
 
 
-def test_an_arm_that_runs_away_ends_in_no_number_and_not_in_an_error(make_arm):
+def test_a_diverging_arm_gives_nan_instead_of_an_error(make_arm):
     """Gains of a thousand tonnes on a rotor of a feather, without bristles."""
     friction = RigidActuation(np.zeros(1), np.full(1, 0.01), np.zeros(1), np.zeros(1))
     gains = ServoGains.tuned(np.full(1, 1e6), np.full(1, np.inf))

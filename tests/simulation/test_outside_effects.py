@@ -30,7 +30,7 @@ def torque(name: str | None, seed: float = 1.0) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", FORMS)
-def test_it_acts_and_its_seed_decides(name):
+def test_the_effect_acts_and_its_seed_determines_it(name):
     without, once, again, other = torque(None), torque(name), torque(name), torque(name, 2.0)
     np.testing.assert_array_equal(once, again)
     size = next(iter(FORMS[name].values()))
@@ -39,7 +39,7 @@ def test_it_acts_and_its_seed_decides(name):
 
 
 @pytest.mark.parametrize("name", ["rough_bearing", "rubbing_brake"])
-def test_what_drags_takes_power_away(name):
+def test_drag_effects_dissipate_power(name):
     time = np.arange(0, 3, 0.002)
     speed = np.sin(2 * time)
     extra = (torque(name) - torque(None)) * speed

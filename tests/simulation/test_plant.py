@@ -37,7 +37,7 @@ def run(ns16, motion):
     return plant, *follow(plant, *motion)
 
 
-def test_the_same_seed_gives_the_same_samples_however_they_are_asked_for(ns16, motion, run):
+def test_a_seed_gives_the_same_samples_in_any_block_size(ns16, motion, run):
     _, *whole = run
     q, qd = motion[0][:500], motion[1][:500]
     again = follow(Plant(ns16, 7), q, qd, chunk=33)
@@ -47,7 +47,7 @@ def test_the_same_seed_gives_the_same_samples_however_they_are_asked_for(ns16, m
     assert np.abs(other[2] - again[2]).max() > 5.0
 
 
-def test_tracking_is_a_servos(ns16, motion, run):
+def test_tracking_errors_are_those_of_a_servo(ns16, motion, run):
     plant, position, velocity, _ = run
     q = motion[0]
     error = np.abs(position - q)
@@ -71,7 +71,7 @@ def test_bodies_that_cannot_exist_are_refused(ns16, element, wrong, said):
         Plant(replace(ns16, urdf=re.sub(element, wrong, ns16.urdf)), 3)
 
 
-def test_inertias_that_are_wrong_but_leave_every_energy_positive_are_run(ns16):
+def test_runs_wrong_inertias_with_positive_kinetic_energy(ns16):
     """Descriptions with placeholders are common: a link too thin for its inertia still moves."""
     Plant(replace(ns16, urdf=re.sub(r'iyy="[^"]+"', 'iyy="0.001"', ns16.urdf)), 3)
 
@@ -103,7 +103,7 @@ def test_the_truth_predicts_the_torque_while_the_arm_moves(ns16, motion, run):
     assert np.all(np.sqrt(np.nanmean(error[:-200] ** 2, axis=0)) < 0.01)
 
 
-def test_the_truth_is_near_the_description_and_not_on_it(ns16, run):
+def test_the_truth_differs_slightly_from_the_description(ns16, run):
     truth = run[0].machine
     nominal = Dynamics(ns16).standard_parameters().reshape(6, 10)
     mine = truth.parameters.reshape(6, 10)
@@ -119,7 +119,7 @@ def without_inertias(robot):
     return replace(robot, urdf=re.sub("<inertial>.*?</inertial>", "", robot.urdf, flags=re.DOTALL))
 
 
-def test_an_arm_of_kinematics_alone_weighs_about_as_much_as_one_of_its_size(ns16):
+def test_an_arm_without_masses_gets_typical_ones(ns16):
     bare = draw_machine(without_inertias(ns16), 0)
     assert weighs_nothing(bare.robot)
     assert not weighs_nothing(ns16)
@@ -134,7 +134,7 @@ def test_an_arm_of_kinematics_alone_weighs_about_as_much_as_one_of_its_size(ns16
 
 @pytest.mark.parametrize("seed", range(10))
 @pytest.mark.parametrize("bare", [False, True])
-def test_every_machine_has_links_that_are_bodies(ns16, seed, bare):
+def test_every_machine_has_physical_links(ns16, seed, bare):
     robot = without_inertias(ns16) if bare else ns16
     for m, x, y, z, xx, xy, yy, xz, yz, zz in draw_machine(robot, seed).parameters.reshape(6, 10):
         inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
@@ -160,7 +160,7 @@ def test_friction_sticks_gives_way_smoothly_and_saturates(ns16):
     assert loop == pytest.approx(4 * 1e-3 * curve.coulomb, rel=0.25)
 
 
-def test_friction_in_steady_sliding_is_the_curve_of_the_truth(ns16):
+def test_steady_sliding_friction_matches_the_true_curve(ns16):
     machine = draw_machine(ns16, 7)
     drive = Drive(machine)
     still = [0.0] * 6
@@ -181,7 +181,7 @@ def test_friction_in_steady_sliding_is_the_curve_of_the_truth(ns16):
     ],
     ids=["one sliding joint", "no gears", "seven joints", "coupled"],
 )
-def test_any_arm_works(make_arm, stop_and_go, form):
+def test_simulates_arms_of_any_structure(make_arm, stop_and_go, form):
     robot = make_arm(**form)
     n = robot.dof
     plant = Plant(robot, 2)
@@ -193,7 +193,7 @@ def test_any_arm_works(make_arm, stop_and_go, form):
     assert np.abs(plant.position - q[-1]).max() < 5e-4
 
 
-def test_with_motor_coupling_the_reported_torque_is_the_joints(make_arm):
+def test_with_motor_coupling_the_reported_torque_is_joint_torque(make_arm):
     """At rest the effort balances gravity on the joints, whatever the coupling, but for what sticks."""
     coupling = np.array([[1.0, 0.0], [0.5, 1.0]])
     robot = make_arm(2, coupling=coupling)

@@ -89,7 +89,7 @@ def test_the_strongest_pairs_are_listed_with_their_sign():
     assert section.parts[0].rows[1][1].title == "f0_1, m_1: -0.98"
 
 
-def test_a_section_is_one_function_and_one_registration(monkeypatch, tmp_path):
+def test_a_section_needs_one_function_and_one_registration(monkeypatch, tmp_path):
     def held_out(content: RunContent) -> Section:
         return Section("Held out", [f"worst: {content.model.worst}"])
 
@@ -103,7 +103,7 @@ def test_a_section_is_one_function_and_one_registration(monkeypatch, tmp_path):
     assert len(RUN_SECTIONS) >= 5
 
 
-def test_a_friction_curve_is_that_of_long_sliding(logs):
+def test_the_friction_curve_shows_steady_sliding(logs):
     from agent.report.calibration.friction import friction_curve
 
     robot, (fitted, _) = logs

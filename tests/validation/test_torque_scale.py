@@ -32,7 +32,7 @@ def scales():
 
 
 @pytest.mark.parametrize("joint", [1, 2])
-def test_the_scale_of_a_joint_that_lifts_the_mass_is_found(scales, joint):
+def test_finds_the_torque_scale_of_a_joint_that_lifts_the_mass(scales, joint):
     one = scales[joint]
     assert one.known
     assert one.scale == pytest.approx(SCALES[joint], rel=0.03)
@@ -41,12 +41,12 @@ def test_the_scale_of_a_joint_that_lifts_the_mass_is_found(scales, joint):
     assert f"torque_constant {one.constant:.4g} N·m/A, described 0.1" in one.text()
 
 
-def test_a_joint_that_the_mass_does_not_load_has_none(scales):
+def test_a_joint_not_loaded_by_the_mass_has_no_torque_scale(scales):
     one = replace(scales[0], interval=2 * scales[0].scale)
     assert "does not load it enough" in one.text()
 
 
-def test_a_log_with_a_mass_is_not_fitted_alone():
+def test_refuses_to_fit_logs_with_a_mass_alone():
     arm = make_arm("R")
     log = record(Plant(arm, seed=3), "one", 11)
     log.metadata[PAYLOAD] = "1 kg, 0 mm, 0 mm, 0 mm"

@@ -1,4 +1,4 @@
-"""Torque with the drives off: it is the channel's own, and tells an offset of it from friction that equals one.
+"""Torque with the drives off: distinguishes an offset of the channel from friction that looks like one.
 
 A motor without current makes no torque, so what its channel shows then is its zero. An offset that a diagnosis found is
 there as well, alone or with the one that the model had before; friction by direction, a spring or a hose is not.
@@ -49,8 +49,7 @@ def channel_zero(robot: RobotDescription, log: Log, model: IdentifiedModel | Non
     """
     if model is not None and model.method == SIMULATOR:
         raise InputError(
-            f"{log.name}: a log with the drives off tells what an offset beside an estimated model may be; beside the "
-            "file of a simulator leave it out"
+            f"{log.name}: a log with the drives off needs an estimated model; with a simulator's file, leave it out"
         )
     if log.effort is None:
         raise InputError(f"{log.name}: has no torque, so it does not say what the channels show with the drives off")

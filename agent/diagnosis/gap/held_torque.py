@@ -42,7 +42,7 @@ class HeldTorque:
 
     @property
     def text(self) -> str:
-        """As a warning says it."""
+        """Warning text."""
         at, how = "", "holds its value"
         if self.limit is not None:
             at, how = f" at {self.limit:.4g} N·m", "cuts it off there"
@@ -55,10 +55,10 @@ class HeldTorque:
 
     @property
     def motion(self) -> str:
-        """That tells more."""
+        """Next motion to record."""
         return (
             f"the same motions again, once the torque of {self.joint}, which stands still where it should change, is "
-            "recorded as it is"
+            "measured correctly"
         )
 
 

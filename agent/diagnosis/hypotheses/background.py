@@ -1,4 +1,4 @@
-"""What model and machine disagree in without any fault.
+"""Noise model: differences between model and machine without any fault.
 
 "Nothing" is never literally true of an arm. A model errs a little everywhere, an arm changes from day to day, and
 every arm has a little of some effects. Hypotheses are compared on top of these columns, so an effect counts only for

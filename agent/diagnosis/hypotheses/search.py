@@ -80,7 +80,7 @@ class Search:
         for depth in range(1, self.law.most):
             before = max(one.log for one in self._found.values())
             for base in self._worth(depth)[: _EXTENDED[min(depth, 2) - 1]]:
-                self._progress(f"a further effect is tried with {self._text(base)}")
+                self._progress(f"trying a further effect next to {self._text(base)}")
                 self._extend(base, _THEN)
             deeper = [one.log for one in self._found.values() if len(one.effects) + len(one.free) > depth]
             if max(deeper, default=-np.inf) < before:
@@ -97,7 +97,7 @@ class Search:
     def forms(self) -> list[Candidate]:
         """Return every effect on all its possible joints, with the grid of its nonlinear parameters."""
         wanted = [(effect, joints, s) for effect, joints in self._places for s in effect.settings(self.fit, joints)]
-        self._progress(f"{len(wanted)} forms of effects are made")
+        self._progress(f"comparing {len(wanted)} forms of effects")
         return self.fit.candidates(wanted)
 
     def _text(self, base: Evaluated) -> str:

@@ -78,5 +78,5 @@ def _why_small(effect: Effect, size: float, given: bool) -> str:
         return "no model was given: the fit to these logs absorbs it"
     found = f"it would be found from {100 * size * effect.practical:.1f} % of nominal torque on"
     if not size * effect.practical < 5:
-        found = "none of any size would be found"
+        found = "no size would be found"
     return f"on these motions {found}, and it matters from {100 * effect.practical:.1f} % on"

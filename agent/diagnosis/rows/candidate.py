@@ -44,7 +44,7 @@ class Candidate:
         return self.effect.happens_once(self.settings)
 
     def text(self, joint_names: Sequence[str]) -> str:
-        """As a step or a range is called."""
+        """Name of the candidate in steps and ranges."""
         where = ", ".join(joint_names[j] for j in self.joints)
         return f"{self.effect.name} of {where}" if where else self.effect.name
 

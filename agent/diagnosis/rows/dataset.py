@@ -72,8 +72,8 @@ def assemble(
     loads = [known_payload(log.metadata) for log in logs]
     if model is None and any(loads):
         raise InputError(
-            f"{next(log.name for log, load in zip(logs, loads, strict=True) if load)}: was recorded with a mass "
-            "mounted on purpose; what is known of it counts beside a model of the bare arm: name one with --model"
+            f"{next(log.name for log, load in zip(logs, loads, strict=True) if load)}: was recorded with a "
+            "known mass mounted, which needs a model of the bare arm: name one with --model"
         )
     if model is None:
         model = plain_model(robot, logs, cutoff)

@@ -28,7 +28,7 @@ class Excursions:
 
     @classmethod
     def of(cls, signals: Sequence[MotionSignals], limits: DecisionLimits = LIMITS) -> Excursions:
-        """Of some motions, as filtered."""
+        """Excursions of filtered motions."""
         robot = signals[0].reference.robot
         unit = np.where([joint.prismatic for joint in robot.joints], _METRES, 1.0)
         lowest, highest = (side([side(s.q, axis=0) for s in signals], axis=0) for side in (np.min, np.max))
@@ -43,7 +43,7 @@ class Excursions:
         return self.highest - self.lowest
 
     def __add__(self, other: Excursions) -> Excursions:
-        """Of the motions of both."""
+        """Excursions over both sets of motions."""
         return Excursions(
             self.names,
             self.moved | other.moved,

@@ -49,7 +49,7 @@ class Group:
     scale: np.ndarray
 
     def text(self, names: Sequence[str]) -> str:
-        """As a step is called."""
+        """Name of the step."""
         return f"{self.kind} of {names[self.joint]}"
 
 

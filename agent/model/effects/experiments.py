@@ -23,7 +23,7 @@ class SeparatingMotion:
 RAMPS_AND_STANDSTILLS = SeparatingMotion(
     10,
     "single-joint ramps both ways at several constant speeds, up to the highest",
-    "the measured torque with the drives off, where only an offset stays (--drives-off); then ",
+    "the stationary arm with the drives off, where only an offset remains (--drives-off); then ",
 )
 SLOW_REVERSALS = SeparatingMotion(
     20, "slow reversals of growing travel on this joint, then constant speeds from 1 to 20 % of the highest"

@@ -76,7 +76,7 @@ def write_simulator(found: Diagnosis, simulator: Simulator, out: Path, console: 
     left_out = [cause.effect for cause in found.answer.causes if not CATALOGUE[cause.effect].of_the_arm]
     if left_out:
         console.warn(
-            f"{out}: {' and '.join(left_out)} is left out, as no part of a simulator: it happens once, or in the "
+            f"{out}: {' and '.join(left_out)} is left out of the simulator: it is a single event, or in the "
             "set-points only"
         )
     if out.suffix.lower() not in _FORMATS:

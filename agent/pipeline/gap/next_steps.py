@@ -59,6 +59,9 @@ def after_diagnosis(
             again = shlex.join([*words, DRIVES_OFF, _BRAKES_LOG, *paths])
             return [NextStep(f"record 1 s with the drives off as {_BRAKES_LOG}, then diagnose again:", again), *loaded]
         return [NextStep(f"record the next motion as {_NEW_LOG}, then diagnose again:", f"{again} {_NEW_LOG}"), *loaded]
+    if all(CATALOGUE[cause["effect"]].shows_in == "path" for cause in result["causes"]):
+        learn = ["agent", "learn-interpolator", "--robot", robot or "ROBOT", "-o", "law.yaml", *paths]
+        return [NextStep("learn the controller's interpolator:", shlex.join(learn))]
     if all(CATALOGUE[cause["effect"]].once for cause in result["causes"]):
         return [NextStep("record again with nothing touching the arm: a single event is not added to a model.")]
     if question.model is not None and is_simulator(question.model):

@@ -1,4 +1,4 @@
-"""What `agent diagnose` is asked, and the words of the command that ask the same."""
+"""The question to `agent diagnose`, and the command line that asks the same."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SHORTEST, _LONGEST = 10.0, 4 * 3600.0
 
 @dataclass(frozen=True)
 class GapQuestion:
-    """What is asked of logs: which model to compare with, what to leave out, and what to write.
+    """Question to a diagnosis: model to compare with, what to leave out, and what to write.
 
     Attributes
     ----------

@@ -1,1 +1,1 @@
-"""What a person sets up: recipe, checks, installation, timer."""
+"""Set-up commands: recipe, checks, installation, timer."""

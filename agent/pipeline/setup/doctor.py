@@ -66,7 +66,7 @@ def _packages() -> Iterator[CheckedItem]:
 
 
 def _unmet(requirements: list[Requirement], extra: str) -> list[str]:
-    """What an extra, or the package itself (""), needs and this environment lacks."""
+    """Missing requirements of an extra, or of the package itself ("")."""
     unmet = []
     for one in requirements:
         needing = [name for name in ("", extra) if one.marker is None or one.marker.evaluate({"extra": name})]

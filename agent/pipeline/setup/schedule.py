@@ -34,7 +34,7 @@ class Schedule:
     crontab: str
 
     def text(self) -> str:
-        """All of it, for a terminal."""
+        """Text for a terminal."""
         return (
             f"# {self.name}.service\n{self.service}\n# {self.name}.timer\n{self.timer}\n"
             f"# or, without systemd, a line for crontab -e\n{self.crontab}\n"

@@ -266,7 +266,7 @@ class _KeptFile:
         return len(data)
 
     def flush(self) -> None:
-        """Nothing waits in memory."""
+        """Do nothing: no data wait in memory."""
 
     def sync(self) -> None:
         """Wait until the disk has everything: a power cut cannot lose it any more."""

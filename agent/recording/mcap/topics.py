@@ -129,7 +129,7 @@ def _of_another_robot(topics: _Topics, robot: RobotDescription, named: str | Non
 
 
 def _prefixes(known: Collection[str], joints: Sequence[str]) -> list[str]:
-    """What stands before all of the robot's joints in a log, such as `left_` and `right_`."""
+    """Prefixes of all of the robot's joints in a log, such as `left_` and `right_`."""
     found = {name.removesuffix(joints[0]) for name in known if name.endswith(joints[0])}
     return sorted(prefix for prefix in found if all(prefix + joint in known for joint in joints))
 

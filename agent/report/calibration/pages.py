@@ -21,7 +21,7 @@ from agent.report.scene import Scene
 
 @dataclass(frozen=True, eq=False)
 class RunData:
-    """What the report of a run shows.
+    """Content of the report of a run.
 
     result: the content of `result.json`; about: the first screen; parameter_rows: the table of the model, header first;
     rmse (motions or cycles, n) [N·m] on moving samples; nominal (n,) torque of the joints, NaN where there is none;

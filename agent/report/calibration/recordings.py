@@ -52,7 +52,7 @@ def jitter(log: Log) -> tuple[float, float]:
 
 
 def conditions_section(conditions: dict[str, Any], joints: Sequence[str]) -> Section:
-    """How warm it was, and how friction changed while the arm moved."""
+    """Temperatures, and the change of friction while the arm moved."""
     rates, rate_stds = (conditions["warm_up"][key] for key in ("rate_per_s", "standard_deviation"))
     temperatures = conditions["temperatures_c"] or {}
     first, last = (temperatures.get(key) or [None] * len(joints) for key in ("first", "last"))

@@ -1,4 +1,4 @@
-"""Where the model is off: residuals by joint and regime, and over time, angle, speed and frequency."""
+"""Residuals by joint and regime, and over time, angle, speed and frequency."""
 
 from __future__ import annotations
 

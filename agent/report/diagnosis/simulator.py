@@ -42,7 +42,7 @@ def _ranges_section(found: Sequence[Range]) -> Section:
 
 
 def drift_section(forward: Mapping[str, Any]) -> Section:
-    """How far the simulator drifts from the measured motion."""
+    """Section on the drift of the simulator from the measured motion."""
     text = [
         f"The simulator runs in {forward['engine']} from {forward['windows']} measured states with the recorded "
         f"{forward['driven_by'].replace('_', '-')}, as given and as corrected by the other motions. The tables show "

@@ -1,4 +1,4 @@
-"""What the kinematics of every arm offers, whichever way its inverse is found."""
+"""Interface of the kinematics of every arm."""
 
 from __future__ import annotations
 

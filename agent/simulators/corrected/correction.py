@@ -140,7 +140,7 @@ def correct(
     arm = replace(arm, frictionloss=moved[:, 0], damping=moved[:, 1])
     notes = list(_command_notes(commands, names))
     if np.any(moved[list(released.friction)] == 0):
-        notes.append("friction below zero is none: where less than nothing was found, the file has 0")
+        notes.append("friction cannot be negative: where the fit gave less, the file has 0")
     arm, said = _with_bodies(arm, model, target, weight, unexplained, released)
     description, _ = described(arm, simulator.robot)
     fixed = model_of(arm, description, dict(model.provenance))

@@ -143,11 +143,11 @@ class BrokerLink:
 
     @property
     def facts(self) -> dict[str, str]:
-        """What did not come as it should since `begin`, for the log."""
+        """Counts of lost and late messages since `begin`, for the log."""
         return {**self.joiner.counts.facts, **self.clock.facts.facts}
 
     def silent(self) -> str:
-        """What the broker lacks, for a message."""
+        """Missing topics of the broker, for a message."""
         topics = ", ".join(self.joiner.silent_channels())
         return f"nothing on {topics} at {self.peer}; does the C5G Open node run, and are the drives on?"
 

@@ -65,7 +65,7 @@ class CnrDriver(LinkDriver[Sockets, CnrMotion]):
 
     @property
     def facts(self) -> dict[str, str]:
-        """How the clocks of controller and samples lay in the last motion, and what did not come as it should."""
+        """Clock offset and lost messages of the last motion."""
         motion, broker = self._motion, self._broker
         if motion is None or motion.match is None:
             return {}
@@ -77,7 +77,7 @@ class CnrDriver(LinkDriver[Sockets, CnrMotion]):
 
     @property
     def watchdog(self) -> float:
-        """By the identity file [s]."""
+        """Watchdog time [s] from the identity file."""
         return WATCHDOG if self._machine is None else self._machine.watchdog
 
     def identify(self) -> Identity:

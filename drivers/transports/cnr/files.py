@@ -47,7 +47,7 @@ class ProgramFolder:
         self._peer = f"{address.host}:{address.ftp}"
 
     def machine(self) -> CnrIdentity:
-        """Who the controller is, by the file that was written when the link was set up."""
+        """Identity of the controller, from the file written when the link was set up."""
         with self._session() as ftp:
             data = _read(ftp, wire.IDENTITY_FILE)
         if data is None:
@@ -170,7 +170,7 @@ def _read(ftp: ftplib.FTP, name: str) -> bytes | None:
         nonlocal size
         size += len(part)
         if size > _LONGEST:
-            raise ProtocolError(f"{name} is longer than {_LONGEST >> 20} MiB; what is it, who put it there?")
+            raise ProtocolError(f"{name} is longer than {_LONGEST >> 20} MiB; is it the right file?")
         parts.append(part)
 
     try:

@@ -242,7 +242,7 @@ class CnrMotion(MotionStream):
             self._over((EndReason.DONE, ""), now)
 
     def _rested(self, now: float, position: np.ndarray) -> float:
-        """For how long [s] the arm has rested."""
+        """Time [s] for which the arm has rested."""
         if self._rest is None or np.abs(position - self._rest[1]).max() > _REST or now < self._rest[0]:
             if self._rest is not None and self._is_over is None and self.started:
                 self._moved = True  # only the programs of the sockets keep `is_moving`; any program moves the arm

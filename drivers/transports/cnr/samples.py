@@ -49,7 +49,7 @@ class _Sample:
 
     @property
     def late(self) -> int:
-        """How much later [µs] the last channel was read."""
+        """Delay [µs] of the last channel that was read."""
         return 0 if self.stamp is None else self.stamp - self.time
 
 

@@ -252,5 +252,5 @@ class ModbusLink(LinkThread):
             self._received = len(data)
             if len(data) > _FLOOD:
                 self._client.close()
-                raise ProtocolError(f"what answers at {self.peer} floods the line with what is no Modbus")
+                raise ProtocolError(f"the device at {self.peer} floods the line with data that are not Modbus")
         return data

@@ -18,7 +18,7 @@ _ATTEMPTS = 3  # at a sample that arrives damaged; then it is lost
 
 
 class RingMotion(MotionStream):
-    """What came of one motion. `expected` is the next sequence number; `shown_from` the one the ring begins with.
+    """State of one motion. `expected` is the next sequence number; `shown_from` the first one in the ring.
 
     Called from the thread of the link.
 

@@ -83,7 +83,7 @@ class FtpFolder:
             file.with_suffix(ending).unlink(missing_ok=True)
 
     def forget(self) -> None:
-        """All programs are gone."""
+        """Delete all programs."""
         for file in self.path.iterdir():
             if file.name != IDENTITY_FILE:
                 file.unlink(missing_ok=True)

@@ -24,11 +24,11 @@ def found(arm, model):
     return diagnose(arm, [first, replace(second, metadata={**second.metadata, PAYLOAD: CLAIMED})], model)
 
 
-def test_it_is_named_where_nothing_explains_the_gap(found):
+def test_names_the_claimed_mass_if_nothing_explains_the_gap(found):
     assert found.result["verdict"] == "unknown"
     (said,) = [text for text in found.warnings if CLAIMED in text]
     assert said == f"two.mcap says that {CLAIMED} were at the flange: if they were not, the gap may be that"
 
 
-def test_the_page_says_it_on_its_head(found):
+def test_the_page_header_shows_the_claimed_mass(found):
     assert ("mass at the flange", f"{CLAIMED} (two.mcap)") in about_diagnosis(found, [], found.result).identity

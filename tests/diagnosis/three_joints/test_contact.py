@@ -47,7 +47,7 @@ def pushed(arm, log, end: str, times, share: float = 1.0, at=(0.0, 0.0, 0.0)):
     return replace(log, effort=log.effort - acts[:, None] * np.einsum("san,a->sn", jacobian, share * FORCE))
 
 
-def test_what_is_there_all_through_one_log_is_no_push(arm, model, free):
+def test_a_constant_shift_of_one_log_is_not_a_push(arm, model, free):
     """An offset, a gain or a load of one log only: that log has no usual windows."""
     shift = 15.0 * (np.arange(arm.dof) == 1)
     found = diagnose(arm, [free[0], replace(free[1], effort=free[1].effort + shift)], model).answer
@@ -111,7 +111,7 @@ def test_a_push_in_the_middle_of_a_link_is_found_there(arm, model, free):
     assert cause["closure"] > 0.97
 
 
-def test_a_push_that_was_there_when_the_log_began(arm, model, free):
+def test_finds_a_push_that_began_before_the_log(arm, model, free):
     """There is no quiet time before it, so it has to exceed the time after it by far."""
     found = forces(best(arm, model, [pushed(arm, free[0], "link_3", [(-1.0, 1.6)]), free[1]]))
     ((start, end, link, log, force),) = found
@@ -121,7 +121,7 @@ def test_a_push_that_was_there_when_the_log_began(arm, model, free):
     assert np.linalg.norm(force - FORCE) < 0.25 * np.linalg.norm(FORCE)
 
 
-def test_several_long_pushes_in_every_log(arm, model, free):
+def test_finds_several_long_pushes_in_every_log(arm, model, free):
     """One of them meets the phase of another in the next cycle; all bias the model's numbers if these may move."""
     times = [(1.0, 3.0), (6.6, 8.6)]
     found = forces(best(arm, model, [pushed(arm, log, "link_3", times) for log in free]))
@@ -134,19 +134,19 @@ def test_several_long_pushes_in_every_log(arm, model, free):
 
 
 @pytest.mark.parametrize("times", [[], [(1.5, 2.2), (6.5, 7.2)]])
-def test_what_no_one_did_and_what_comes_back_with_every_cycle_is_none(arm, model, free, times):
+def test_finds_no_push_without_one_or_if_every_cycle_repeats_it(arm, model, free, times):
     found = best(arm, model, [pushed(arm, free[0], "link_3", times), free[1]])
     assert found is None or all(np.linalg.norm(entry[-1]) < 0.05 * np.linalg.norm(FORCE) for entry in forces(found))
 
 
-def test_friction_that_drifts_is_no_string_of_pushes(arm, model, free):
+def test_drifting_friction_is_not_a_series_of_pushes(arm, model, free):
     since = np.exp(-free[0].t / 3.0)[:, None] * np.array([0.0, 8.0, 0.0])
     drifting = replace(free[0], effort=free[0].effort + since * np.sign(free[0].velocity))
     found = best(arm, model, [drifting, free[1]])
     assert found is None or len(forces(found)) == 1, "the strongest stroke at most"
 
 
-def test_a_force_from_the_first_sample_to_the_last_is_no_event(arm, model, free):
+def test_a_force_over_the_whole_log_is_not_a_push(arm, model, free):
     """No other window shows the usual gain."""
     always = [(free[0].t[0] - 1, free[0].t[-1] + 1)]
     found = best(arm, model, [pushed(arm, free[0], "link_3", always)])
@@ -154,7 +154,7 @@ def test_a_force_from_the_first_sample_to_the_last_is_no_event(arm, model, free)
     assert within < 0.8 * free[0].t[-1]
 
 
-def test_a_push_near_the_base_next_to_a_stronger_one_on_the_tip(arm, model, free):
+def test_finds_a_push_near_the_base_with_a_stronger_one_at_the_tip(arm, model, free):
     """Joints near the base are known less finely: a force there gains a twenty-fifth of what the other does."""
     tip, base = (1.2, 2.0), (6.0, 6.8)
     log = pushed(arm, pushed(arm, free[0], "link_3", [tip]), "link_2", [base], share=0.6)
@@ -185,7 +185,7 @@ def test_a_push_is_not_taken_into_the_model():
     assert not step.command
 
 
-def test_a_push_is_simulated_also_where_other_logs_know_nothing_of_it(arm, model, free):
+def test_simulates_a_push_that_only_one_log_has(arm, model, free):
     found = diagnose(arm, [pushed(arm, free[0], "link_3", [(1.2, 2.0)]), free[1]], model)
     assert [cause["effect"] for cause in found.result["causes"]] == ["contact"]
     simulated = next(one for one in simulate(found) if one.log == "one.mcap")

@@ -51,13 +51,13 @@ def known_before(model, logs, known):
     return replace(model, values=values), [replace(log, effort=log.effort + more) for log in logs]
 
 
-def test_without_it_the_two_are_one_class(arm, model, logs):
+def test_offset_and_asymmetric_friction_are_equivalent_without_a_drives_off_record(arm, model, logs):
     (cause,) = diagnose(arm, logs, model).answer.causes
     assert {cause.effect, *(place.effect for place in cause.equivalent_to)} >= {"torque_offset", "asymmetric_friction"}
 
 
 @pytest.mark.parametrize(("known", "shown"), [(0.0, OFFSET), (20.0, OFFSET), (20.0, OFFSET + 20.0)])
-def test_what_is_there_with_the_drives_off_is_an_offset(arm, model, logs, known, shown):
+def test_torque_present_with_the_drives_off_is_an_offset(arm, model, logs, known, shown):
     """With what the model took for one before, or without: that may have been friction."""
     model, logs = known_before(model, logs, known)
     zero = at_rest(logs[0], shown * (np.arange(arm.dof) == JOINT))
@@ -70,7 +70,7 @@ def test_what_is_there_with_the_drives_off_is_an_offset(arm, model, logs, known,
 
 
 @pytest.mark.parametrize(("known", "shown"), [(0.0, 0.0), (20.0, 0.0), (20.0, 20.0)])
-def test_what_is_not_there_with_the_drives_off_is_of_the_arm(arm, model, logs, known, shown):
+def test_torque_absent_with_the_drives_off_is_friction(arm, model, logs, known, shown):
     model, logs = known_before(model, logs, known)
     zero = at_rest(logs[0], shown * (np.arange(arm.dof) == JOINT))
     found = diagnose(arm, logs, model, drives_off=zero).answer
@@ -80,14 +80,14 @@ def test_what_is_not_there_with_the_drives_off_is_of_the_arm(arm, model, logs, k
     assert "asymmetric_friction" in places
 
 
-def test_a_channel_that_is_switched_off_with_the_drive_says_nothing(arm, model, logs):
+def test_a_channel_without_a_signal_settles_nothing(arm, model, logs):
     dead = replace(at_rest(logs[0], 0.0), effort=np.zeros((2000, arm.dof)))
     found = diagnose(arm, logs, model, drives_off=dead).answer
     assert found.verdict == "ambiguous"
     assert any("is off with its drive" in text for text in found.warnings)
 
 
-def test_a_channel_too_restless_for_what_was_found_settles_nothing(arm, model, logs):
+def test_a_noisy_channel_settles_nothing(arm, model, logs):
     zero = at_rest(logs[0], OFFSET * (np.arange(arm.dof) == JOINT))
     slow = 8.0 * np.sin(2 * np.pi * 0.25 * zero.t[:, None])
     found = diagnose(arm, logs, model, drives_off=replace(zero, effort=zero.effort + slow)).answer
@@ -96,7 +96,7 @@ def test_a_channel_too_restless_for_what_was_found_settles_nothing(arm, model, l
     assert any("too restless" in text for text in found.warnings)
 
 
-def test_torque_that_a_motor_without_current_does_not_show_is_refused(arm, model, logs):
+def test_refuses_a_drives_off_record_with_motor_torque(arm, model, logs):
     arm = replace(arm, joints=tuple(replace(joint, nominal_motor_torque=1.5) for joint in arm.joints))
     zero, nominal = at_rest(logs[0], np.zeros(arm.dof)), arm.nominal_torque
     swing = 0.5 * nominal * np.sin(2 * np.pi * 5 * zero.t[:, None])
@@ -111,7 +111,7 @@ def test_torque_that_a_motor_without_current_does_not_show_is_refused(arm, model
             channel_zero(arm, replace(zero, effort=effort), model)
 
 
-def test_a_zero_that_no_motion_shows_is_said_and_settles_nothing(arm, model, logs):
+def test_an_offset_not_seen_in_motion_is_reported_and_settles_nothing(arm, model, logs):
     shown = 20.0 * (np.arange(arm.dof) == 0) + OFFSET * (np.arange(arm.dof) == JOINT)
     plain = diagnose(arm, logs, model).answer
     found = diagnose(arm, logs, model, drives_off=at_rest(logs[0], shown)).answer
@@ -120,7 +120,7 @@ def test_a_zero_that_no_motion_shows_is_said_and_settles_nothing(arm, model, log
     assert "joint_1" in text
 
 
-def test_of_a_healthy_arm_it_settles_nothing(arm, model, logs):
+def test_a_drives_off_record_of_a_healthy_arm_settles_nothing(arm, model, logs):
     plant = Plant(arm, seed=3)
     healthy = [record(plant, name, seed) for name, seed in (("one", 21), ("two", 22))]
     found = diagnose(arm, healthy, model, drives_off=at_rest(healthy[0], np.zeros(arm.dof))).answer
@@ -142,7 +142,7 @@ def test_of_a_healthy_arm_it_settles_nothing(arm, model, logs):
         ),
     ],
 )
-def test_a_log_that_has_no_zero_is_refused(arm, model, logs, change, message):
+def test_refuses_an_unusable_drives_off_log(arm, model, logs, change, message):
     with pytest.raises(InputError, match=message):
         diagnose(arm, logs, model, drives_off=change(at_rest(logs[0], np.zeros(arm.dof))))
 
@@ -162,7 +162,7 @@ def of_first(found):
     return {cause.effect, *(place.effect for place in cause.equivalent_to)}
 
 
-def test_what_was_ruled_out_is_not_asked_again(arm, model, short_logs):
+def test_a_ruled_out_effect_is_not_asked_about_again(arm, model, short_logs):
     zero = at_rest(short_logs[0], np.zeros(arm.dof))
     asked = [name for drives in (None, zero) for name in names_asked(arm, model, short_logs, drives)]
     assert asked.count("torque_offset") == 1, "only before it"

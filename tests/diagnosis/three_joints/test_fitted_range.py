@@ -23,7 +23,7 @@ def logs(arm):
     return {share: [record(plant, f"{seed}", seed, share) for seed in (21, 22)] for share in (USUAL, WIDE)}
 
 
-def test_a_diagnosis_says_where_logs_leave_what_the_model_was_fitted_on(arm, model, logs):
+def test_warns_if_logs_leave_the_fitted_range(arm, model, logs):
     assert not [text for text in diagnose(arm, logs[USUAL], model).warnings if "fitted" in text]
     faster, further = (text for text in diagnose(arm, logs[WIDE], model).warnings if "fitted" in text)
     assert "go faster" in faster
@@ -33,7 +33,7 @@ def test_a_diagnosis_says_where_logs_leave_what_the_model_was_fitted_on(arm, mod
     assert "joint_1" not in faster + further
 
 
-def test_it_survives_the_model_s_file_and_is_not_guessed(model, logs, tmp_path):
+def test_the_fitted_range_is_saved_and_never_guessed(model, logs, tmp_path):
     model.save(tmp_path / "model.json")
     loaded = IdentifiedModel.load(tmp_path / "model.json")
     predicted = [predict_log(loaded, log) for log in logs[WIDE]]
@@ -43,7 +43,7 @@ def test_it_survives_the_model_s_file_and_is_not_guessed(model, logs, tmp_path):
     assert not list(beyond_fit(loaded, motions))
 
 
-def test_how_wrong_the_model_is_by_itself_is_said_where_that_is_much(arm, model, logs):
+def test_reports_a_large_error_of_the_model_itself(arm, model, logs):
     assert not [text for text in diagnose(arm, logs[USUAL], model).warnings if "the model errs by" in text]
     size = np.sqrt(np.mean(logs[USUAL][0].effort ** 2, axis=0))
     (said,) = (
@@ -51,4 +51,4 @@ def test_how_wrong_the_model_is_by_itself_is_said_where_that_is_much(arm, model,
         for text in diagnose(arm, logs[USUAL], replace(model, held_out_rmse=0.4 * size)).warnings
         if "the model errs by" in text
     )
-    assert "no gap means none beside that" in said
+    assert "smaller gaps do not show" in said

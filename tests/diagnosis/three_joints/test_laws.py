@@ -56,7 +56,7 @@ def _best(evidence: Evidence) -> Candidate:
     return evidence.candidate(int(np.argmax(gains)))
 
 
-def test_a_small_effect_of_one_joint_is_named_with_a_far_larger_one_of_another(arm, model, healthy):
+def test_names_a_small_effect_next_to_a_much_larger_one(arm, model, healthy):
     """The spring takes all but a hundredth of the gap; on the first joint there is nothing but viscous friction."""
     size = [np.std(healthy[0].effort[:, joint]) for joint in range(2)]
     spring, more = 2.0 * size[1], 0.1 * size[0] / np.std(healthy[0].velocity[:, 0])
@@ -77,7 +77,7 @@ def test_a_small_effect_of_one_joint_is_named_with_a_far_larger_one_of_another(a
     assert small.parameters["viscous_change"] == pytest.approx(more, rel=0.1)
 
 
-def test_a_torsion_spring_is_a_spring_that_a_hose_may_equal(arm, model, healthy):
+def test_a_torsion_spring_may_be_equivalent_to_a_hose(arm, model, healthy):
     """A hose that neither hardens nor rubs is the same straight line."""
     stiffness = 0.5 * np.std(healthy[0].effort[:, JOINT])
     found = diagnose(arm, _with(model, healthy, lambda q, load, gone: stiffness * (q - 0.4)), model).answer
@@ -88,7 +88,7 @@ def test_a_torsion_spring_is_a_spring_that_a_hose_may_equal(arm, model, healthy)
     assert cause.parameters["constant"] == pytest.approx(-0.4 * stiffness, rel=0.2)
 
 
-def test_a_spring_that_hardly_changes_is_no_offset(arm, model, healthy):
+def test_a_nearly_constant_spring_is_not_an_offset(arm, model, healthy):
     """About where it pulls most it is a constant but for a hundredth, which is clear of what the model gets wrong."""
     size = np.std(healthy[0].effort[:, JOINT])
     travelled = np.concatenate([log.position[:, JOINT] for log in healthy])
@@ -100,7 +100,7 @@ def test_a_spring_that_hardly_changes_is_no_offset(arm, model, healthy):
     assert "torque_offset" not in named
 
 
-def test_a_hose_that_rubs_may_be_a_spring_of_a_joint_that_rubs_more(arm, model, healthy):
+def test_a_hose_with_friction_may_be_a_spring_with_joint_friction(arm, model, healthy):
     """Inner friction that turns around at once is the joint's as well."""
     size = np.std(healthy[0].effort[:, JOINT])
 
@@ -113,7 +113,7 @@ def test_a_hose_that_rubs_may_be_a_spring_of_a_joint_that_rubs_more(arm, model, 
     assert all(joints == ("joint_3",) for _, joints in named)
 
 
-def test_a_hose_that_takes_a_way_of_its_own_to_turn_around_is_no_spring(arm, model, healthy):
+def test_a_hose_with_hysteresis_is_not_a_spring(arm, model, healthy):
     """A large constant, which both have, does not hide it."""
     size = np.std(healthy[0].effort[:, JOINT])
 
@@ -160,7 +160,7 @@ def test_a_spring_with_more_friction_may_be_a_rubbing_hose(arm, model, healthy):
     assert found.verdict == "ambiguous"
 
 
-def test_an_offset_and_more_friction_are_no_hose(arm, model, healthy):
+def test_an_offset_with_more_friction_is_not_a_hose(arm, model, healthy):
     """A hose that does not pull and rubs would be the same torque by another name."""
     size = np.std(healthy[0].effort[:, JOINT])
     law = _with(model, healthy, lambda q, load, gone: 0.4 * size + 0.3 * size * _slide(q))
@@ -172,7 +172,7 @@ def test_an_offset_and_more_friction_are_no_hose(arm, model, healthy):
     assert not [place for cause in found.causes for place in cause.equivalent_to if place.effect == "dress_pack"]
 
 
-def test_a_ripple_of_few_periods_is_no_hose(arm, model, healthy):
+def test_a_ripple_with_few_periods_is_not_a_hose(arm, model, healthy):
     """A curve through six positions follows two and a half periods; their order is between two lines of a spectrum."""
     size = np.std(healthy[0].effort[:, JOINT])
     travel = np.ptp(np.concatenate([log.position[:, JOINT] for log in healthy]))
@@ -200,7 +200,7 @@ def test_a_spring_between_two_pivots_keeps_its_name(arm, model, healthy):
     assert found.closure > 0.997
 
 
-def test_friction_grows_with_what_the_links_carry_and_not_with_what_turns_the_rotor(arm, model, healthy):
+def test_load_dependent_friction_grows_with_link_torque_not_rotor_torque(arm, model, healthy):
     """A small axis spends most of its torque on its own rotor, and its gear transmits none of that."""
     joints = tuple(replace(joint, rotor_inertia=0.02) for joint in arm.joints)
     arm = replace(arm, joints=joints)
@@ -221,7 +221,7 @@ def test_friction_grows_with_what_the_links_carry_and_not_with_what_turns_the_ro
     assert cause.parameters["coefficient"] == pytest.approx(1.0, rel=0.15)
 
 
-def test_on_a_slide_too():
+def test_names_a_spring_on_a_prismatic_joint():
     arm = make_arm("RPR")
     model, plant = learn(arm), Plant(arm, seed=3)
     logs = []
@@ -254,7 +254,7 @@ def _slide(q: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("power", "slack", "rubs_over"), [(1, 0.0, 0.05), (2, 0.2, 0.005), (3, 0.1, 0.001)])
-def test_a_hose_that_hardens_and_rubs_also_where_one_motion_goes_further(left, power, slack, rubs_over):
+def test_dress_pack_fits_a_stiffening_hose_with_friction(left, power, slack, rubs_over):
     def law(q: np.ndarray, load: np.ndarray, gone: float) -> np.ndarray:
         x = q - 0.05
         hardens = np.sign(x) * np.maximum(np.abs(x) - slack, 0) ** power
@@ -263,7 +263,7 @@ def test_a_hose_that_hardens_and_rubs_also_where_one_motion_goes_further(left, p
     assert left("dress_pack", law) < 0.03
 
 
-def test_friction_that_warms_with_the_distance_travelled_through_all_logs(left):
+def test_thermal_friction_fits_warm_up_with_distance_over_all_logs(left):
     def law(q: np.ndarray, load: np.ndarray, gone: float) -> np.ndarray:
         way = gone + np.cumsum(np.abs(np.diff(q, prepend=q[0])))
         return 4 * np.exp(-way / 5) * _slide(q)
@@ -272,14 +272,14 @@ def test_friction_that_warms_with_the_distance_travelled_through_all_logs(left):
 
 
 @pytest.mark.parametrize("power", [0.5, 1.0, 2.0])
-def test_friction_that_grows_with_a_power_of_the_load(left, power):
+def test_load_dependent_friction_fits_a_power_of_the_load(left, power):
     def law(q: np.ndarray, load: np.ndarray, gone: float) -> np.ndarray:
         return 3 * _slide(q) * (np.abs(load) / 20) ** power
 
     assert left("load_dependent_friction", law) < 0.1
 
 
-def test_a_gear_that_loses_less_when_its_load_drives_it(left):
+def test_load_dependent_friction_fits_a_lower_loss_when_back_driven(left):
     def law(q: np.ndarray, load: np.ndarray, gone: float) -> np.ndarray:
         drives = load * np.gradient(q) > 0
         return np.where(drives, 0.15, 0.05) * np.abs(load) * _slide(q)
@@ -287,7 +287,7 @@ def test_a_gear_that_loses_less_when_its_load_drives_it(left):
     assert left("load_dependent_friction", law) < 0.15
 
 
-def test_a_joint_that_stands_exactly_still_has_forms(arm, model, healthy):
+def test_an_exactly_stationary_joint_gives_finite_columns(arm, model, healthy):
     stands = [replace(log, position=np.repeat(log.position[:1], len(log.t), axis=0), velocity=None) for log in healthy]
     fit = assemble(arm, model, [healthy[0], *stands[1:]], None).fit
     for effect in CATALOGUE.values():
@@ -296,7 +296,7 @@ def test_a_joint_that_stands_exactly_still_has_forms(arm, model, healthy):
         assert all(np.isfinite(block).all() for one in found for block in one.blocks.values()), effect.name
 
 
-def test_viscous_friction_that_thins_out(left):
+def test_viscous_nonlinearity_fits_shear_thinning(left):
     def law(q: np.ndarray, load: np.ndarray, gone: float) -> np.ndarray:
         speed = np.gradient(q, 0.002)
         return 12 * speed / (1 + (speed / 0.02) ** 2) ** 0.25

@@ -24,7 +24,7 @@ def parked(arm):
 
 
 @pytest.mark.parametrize("torque", ["of its angle", "of its speed"])
-def test_a_joint_that_stands_has_no_effect(parked, arm, model, torque):
+def test_a_stationary_joint_has_no_cause(parked, arm, model, torque):
     logs = []
     for log in parked:
         effort = log.effort.copy()
@@ -38,7 +38,7 @@ def test_a_joint_that_stands_has_no_effect(parked, arm, model, torque):
     assert {why[name, "joint_3"] for name in of_joints} == {"joint_3 never moves in these logs"}
 
 
-def test_a_spring_takes_more_than_a_few_degrees(arm, model):
+def test_a_spring_needs_more_than_a_few_degrees_of_travel(arm, model):
     plant = Plant(arm, seed=3)
     logs = [record(plant, name, seed, (1.0, 1.0, 0.06)) for name, seed in (("one", 21), ("two", 22))]
     missing = {(e["effect"], e["joint"]): e["why"] for e in diagnose(arm, logs, model).result["not_testable"]}
@@ -47,7 +47,7 @@ def test_a_spring_takes_more_than_a_few_degrees(arm, model):
     assert "it takes" not in missing.get(("friction_change", "joint_3"), "")
 
 
-def test_links_without_mass_do_not_ring(arm, model, parked, monkeypatch):
+def test_massless_links_have_no_resonance(arm, model, parked, monkeypatch):
     fit = assemble(arm, model, parked, None).fit
     for signals in fit.signals:
         monkeypatch.setitem(signals.__dict__, "mass", np.zeros((len(signals.time), arm.dof, arm.dof)))
@@ -56,7 +56,7 @@ def test_links_without_mass_do_not_ring(arm, model, parked, monkeypatch):
 
 
 @pytest.mark.parametrize("cause", ["of its angle", "a push"])
-def test_what_follows_a_short_travel_is_no_push(arm, model, cause):
+def test_torque_that_follows_a_short_travel_is_not_a_push(arm, model, cause):
     """A hose that grips late on a joint that turns by little; a push there is still one."""
     plant, logs = Plant(arm, seed=3), []
     for name, seed in (("one", 21), ("two", 22)):

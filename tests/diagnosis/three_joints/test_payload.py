@@ -21,7 +21,7 @@ PAYLOAD = CATALOGUE["payload"]
 
 
 @pytest.mark.parametrize(("inertia", "is_point"), [(0.0, False), (-0.06, True)])
-def test_a_load_is_a_point_if_its_own_inertia_would_be_negative(arm, model, inertia, is_point):
+def test_a_load_becomes_a_point_mass_instead_of_a_negative_inertia(arm, model, inertia, is_point):
     plant = Plant(arm, seed=3, effects=[{"effect": "payload", "parameters": {"mass": MASS}}])
     last = ParameterLayout.of(arm, rotors=False).link(arm.dof - 1)
     logs = []
@@ -41,7 +41,7 @@ def test_a_load_is_a_point_if_its_own_inertia_would_be_negative(arm, model, iner
     assert PAYLOAD.plausible(settings, parameters)
 
 
-def test_a_load_that_was_taken_off_weighs_less_than_nothing(arm):
+def test_a_removed_load_has_negative_mass(arm):
     carries = Plant(arm, seed=3, effects=[{"effect": "payload", "parameters": {"mass": MASS}}])
     model = estimate(arm, [record(carries, "first", 11), record(carries, "second", 12)])
     bare = Plant(arm, seed=3)

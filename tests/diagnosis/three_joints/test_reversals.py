@@ -29,7 +29,7 @@ def bristles(position: np.ndarray, level: float, stiffness: float) -> np.ndarray
     return torque
 
 
-def test_friction_that_takes_a_longer_way_to_turn_around(arm, model, healthy):
+def test_names_friction_with_a_longer_reversal_distance(arm, model, healthy):
     logs = []
     for log in healthy:
         q, effort = log.position[:, JOINT], log.effort.copy()

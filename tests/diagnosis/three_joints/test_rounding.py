@@ -28,7 +28,7 @@ def rounded(log):
     return replace(log, position=STEP * np.round(log.position / STEP), velocity=None)
 
 
-def test_its_size_is_known_before(recorded, model):
+def test_predicts_the_size_of_rounding_noise(recorded, model):
     log = recorded[0]
     fine, coarse = (predict_log(model, one, 30.0).predicted for one in (replace(log, velocity=None), rounded(log)))
     happened = np.sqrt(np.mean((coarse - fine) ** 2, axis=0))
@@ -36,14 +36,14 @@ def test_its_size_is_known_before(recorded, model):
     assert expected == pytest.approx(happened, rel=0.5)
 
 
-def test_it_is_no_gap_of_a_model_of_finer_logs(arm, model, recorded):
+def test_rounding_is_not_a_gap_for_a_model_of_finer_logs(arm, model, recorded):
     rated = replace(arm, joints=tuple(replace(joint, nominal_motor_torque=0.6) for joint in arm.joints))
     result = diagnose(rated, [rounded(log) for log in recorded], replace(model, robot=rated)).result
     assert (result["verdict"], result["causes"]) == ("no_gap", [])
 
 
 @given(st.floats(1e-6, 1e-2), st.floats(-3, 3), st.integers(0, 100))
-def test_the_step_is_found(step, offset, seed):
+def test_finds_the_rounding_step(step, offset, seed):
     counts = np.cumsum(np.random.default_rng(seed).integers(-3, 4, 500))
     assert rounding_step(offset + step * counts) == pytest.approx(step, rel=1e-3)
     assert rounding_step(np.random.default_rng(seed).normal(size=500)) == 0.0

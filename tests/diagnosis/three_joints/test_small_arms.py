@@ -95,7 +95,7 @@ def test_a_model_with_an_effect_predicts_it_and_runs_in_the_fake_controller(name
     assert np.sqrt(np.mean((happened - predicted)[:, joint] ** 2)) < 0.4 * size[joint] + noise
 
 
-def test_what_was_found_closes_the_gap_in_simulation_too(diagnosed):
+def test_named_causes_close_the_gap_in_simulation(diagnosed):
     assert [cause["effect"] for cause in diagnosed.result["causes"]] == ["payload"]
     simulated = simulate(diagnosed)
     assert [(one.log, one.held_out) for one in simulated] == [("one.mcap", True), ("two.mcap", True)]
@@ -150,7 +150,7 @@ def test_a_healthy_arm_on_another_path_has_no_gap(healthy, model, arm):
         assert not SIZED_GAP.search(said), said
 
 
-def test_a_path_that_is_explained_is_no_gap_in_torque(healthy, model, arm):
+def test_an_explained_path_gap_is_not_a_torque_gap(healthy, model, arm):
     logs = []
     for log in healthy:
         planned = np.array(log.reference_position)
@@ -169,7 +169,7 @@ COUPLED = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, -0.5, 1.0))
 
 
 @pytest.mark.parametrize("described", [None, pytest.param(COUPLED, marks=pytest.mark.verify)])
-def test_a_motor_that_turns_along_is_found_as_it_is_built_in(arm, model, described):
+def test_recovers_the_built_in_wrist_coupling(arm, model, described):
     """The simulated motor has its own rotor and friction; another coupling in the description changes nothing."""
     if described is not None:
         arm = replace(arm, motor_coupling=described)
@@ -185,7 +185,7 @@ def test_a_motor_that_turns_along_is_found_as_it_is_built_in(arm, model, describ
     assert cause["parameters"]["share"] == pytest.approx(1, abs=0.05)  # of the model's friction, and of the load
 
 
-def test_the_page_says_what_where_and_what_to_do(diagnosed):
+def test_the_page_names_cause_joint_and_next_step(diagnosed):
     page = diagnosis_report(diagnosed, simulate(diagnosed))
     for words in (
         "the flange carries another mass than in the model",
@@ -209,10 +209,10 @@ def test_an_unknown_gap_is_located_on_the_page(arm, model):
     head = page.split("</header>")[0]
     assert "no known effect explains" in head
     assert re.search(r"joint_\d has \d+ %", head)
-    assert "Run next" in page
+    assert "Record next" in page
 
 
-def test_a_gap_in_passing_is_not_taken_for_stiction(arm):
+def test_a_gap_around_reversals_is_not_dismissed_as_stiction(arm):
     """All of it lies around reversals, where a stationary joint may have any torque below the Coulomb level."""
     rated = replace(arm, joints=tuple(replace(joint, nominal_motor_torque=1.0) for joint in arm.joints))
     late = {"effect": "presliding", "joints": ["joint_2"], "parameters": {"share": 0.8, "travel": 0.001}}
@@ -223,7 +223,7 @@ def test_a_gap_in_passing_is_not_taken_for_stiction(arm):
     assert found.result["where"][0]["joint"] == "joint_2"
 
 
-def test_shares_of_regimes_are_shares_with_intervals(diagnosed):
+def test_regime_shares_and_their_intervals_lie_between_0_and_1(diagnosed):
     for entry in diagnosed.result["where"]:
         for regime in entry["regimes"]:
             assert 0 < regime["share"] <= 1
@@ -233,7 +233,7 @@ def test_shares_of_regimes_are_shares_with_intervals(diagnosed):
 
 
 @pytest.mark.parametrize("kinds", ["P", "PR", "PRRR", pytest.param("RRRRRRR", marks=pytest.mark.verify)])
-def test_any_arm_is_diagnosed(kinds):
+def test_diagnoses_arms_of_any_structure(kinds):
     robot = make_arm(kinds)
     known = learn(robot)
     levels = np.abs(record(Plant(robot, seed=3), "free", 21).effort).max(axis=0)

@@ -52,12 +52,12 @@ def outcome(text: str) -> None:
 
 
 @given(st.text(max_size=200))
-def test_any_text(text):
+def test_any_text_parses_or_gives_an_error(text):
     outcome(text)
 
 
 @given(st.lists(st.sampled_from(WORDS), max_size=60))
-def test_any_words(words):
+def test_any_words_parse_or_give_an_error(words):
     outcome(" ".join(words))
 
 
@@ -78,19 +78,19 @@ def edited(edits) -> str:
 
 @given(EDITS)
 @settings(max_examples=400)
-def test_edited_programs(edits):
+def test_edited_programs_parse_or_give_an_error(edits):
     outcome(edited(edits))
 
 
 @given(st.permutations(PROGRAM.split("\n")))
-def test_shuffled_lines(lines):
+def test_shuffled_lines_parse_or_give_an_error(lines):
     outcome("\n".join(lines))
 
 
 @pytest.mark.verify
 @given(EDITS)
 @settings(max_examples=20_000, deadline=None)
-def test_edited_programs_many(edits):
+def test_many_edited_programs_parse_or_give_an_error(edits):
     outcome(edited(edits))
 
 
@@ -118,5 +118,5 @@ LONG = {
 
 
 @pytest.mark.parametrize("what", LONG)
-def test_size_does_not_break_it(what):
+def test_large_programs_parse(what):
     outcome(PROGRAM.replace("  -- where to go", LONG[what]))

@@ -107,14 +107,14 @@ def test_a_program_of_the_subset_stays_as_it_is():
         ("SYNCMOVE TO home", "moves, but not"),
     ],
 )
-def test_what_moves_and_is_not_understood_is_told_with_its_line(statement, word):
+def test_reports_unsupported_motion_with_its_line(statement, word):
     line = TASK.split("\n").index("CYCLE") + 1
     with pytest.raises(Pdl2Error, match=word) as error:
         moves(TASK.replace("CYCLE\n", statement + "\n"))
     assert error.value.line == line
 
 
-def test_a_routine_that_moves_is_not_passed_over():
+def test_refuses_to_ignore_a_routine_that_moves():
     text = TASK.replace("  WRITE LUN_CRT('MOVE TO nowhere', NL)\n", "  MOVE TO home\n")
     with pytest.raises(Pdl2Error, match="is a routine that moves, in line 20") as error:
         moves(text)
@@ -151,7 +151,7 @@ END handler
 """
 
 
-def test_variables_of_other_programs_hold_nothing_that_is_known_here():
+def test_variables_of_other_programs_are_unknown():
     """Names with an underscore before, constants for the arm, numbers of other systems, strings of either kind."""
     assert [move.line for move in moves(OF_A_DRIVER)] == [25, 26]
     with pytest.raises(Pdl2Error, match="joints has no value") as error:
@@ -210,7 +210,7 @@ def test_positions_come_from_the_variable_file_next_to_the_program():
         ("pnt0001P POS Priv", "pnt0001P POS Arm: 2 Priv"),
     ],
 )
-def test_a_position_that_the_variable_file_does_not_give_is_told_where_it_is_moved_to(listed, instead):
+def test_reports_a_move_to_a_position_missing_from_the_variable_file(listed, instead):
     assert listed in VARIABLES
     kept, _ = job_text(LISTED, "weld.pdl", ROBOT, VARIABLES.replace(listed, instead, 1))
     with pytest.raises(Pdl2Error, match="pnt0001P") as error:
@@ -238,7 +238,7 @@ END glue
 """
 
 
-def test_conditions_and_refused_settings_of_a_job_are_passed_over_and_counted():
+def test_conditions_and_unsupported_settings_are_ignored_and_counted():
     kept, passed = job_text(SETTINGS, "glue.pdl", ROBOT)
     read = [each for each in parse_program(kept, "glue.pdl", ROBOT).run() if isinstance(each, Move)]
     assert [move.line for move in read] == [8, 9, 10, 11, 13, 14, 15, 16]
@@ -246,7 +246,7 @@ def test_conditions_and_refused_settings_of_a_job_are_passed_over_and_counted():
     assert [round(move.settings.linear_speed, 9) for move in read[2:5]] == [0.2, 0.2, 0.3]
 
 
-def test_a_frame_that_is_refused_is_not_passed_over():
+def test_refuses_to_ignore_an_unsupported_frame():
     frame = SETTINGS.replace("$FLY_DIST := -1.0", "$TOOL := 3")
     kept, passed = job_text(frame, "glue.pdl", ROBOT)
     assert "$TOOL" not in passed

@@ -10,7 +10,7 @@ POS = st.tuples(*[st.floats(-5000, 5000)] * 3, ANGLE, ANGLE, ANGLE)
 
 
 @given(POS)
-def test_pose_and_coordinates_are_each_others_inverse(pos):
+def test_pose_and_coordinates_are_inverse_to_each_other(pos):
     pose = pos_to_pose(np.array(pos))
     again = pose_to_pos(pose)
     np.testing.assert_allclose(pos_to_pose(again), pose, atol=1e-12)
@@ -36,7 +36,7 @@ def test_units_and_order():
 
 
 @pytest.mark.parametrize("e", [0.0, 180.0])
-def test_where_a_and_r_are_not_both_determined_a_is_zero(e):
+def test_a_is_zero_at_the_euler_singularity(e):
     again = pose_to_pos(pos_to_pose(np.array([0, 0, 0, 25, e, 10])))
     assert again[3] == 0
     assert again[5] == pytest.approx(35 if e == 0 else -15)

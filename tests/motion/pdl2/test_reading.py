@@ -174,12 +174,12 @@ def test_units_of_every_variable():
     assert move.type is MoveType.LINEAR
 
 
-def test_the_trajectory_word_wins_over_move_type_and_joint_is_the_default():
+def test_the_trajectory_word_overrides_move_type_and_joint_is_the_default():
     result = moves(body("MOVE TO {0}\n$MOVE_TYPE := LINEAR\nMOVE TO {0}\nMOVE JOINT TO {0}"))
     assert [m.type for m in result] == [MoveType.JOINT, MoveType.LINEAR, MoveType.JOINT]
 
 
-def test_an_endless_program_is_run_lazily_as_often_as_asked():
+def test_an_endless_program_is_run_lazily():
     program = parse_program("PROGRAM a HOLD\nVAR n : INTEGER (0)\nBEGIN CYCLE\nMOVE TO {n}\nn := n + 1\nEND a")
     assert program.cycle
     assert [m.target.position[0] for m in program.run(cycles=3)] == pytest.approx(np.radians([0, 1, 2]))
@@ -216,7 +216,7 @@ def test_prismatic_joints_are_millimetres():
     np.testing.assert_allclose(move.target.position, [0.25, 0, -np.pi / 2, 0, 0, 0])
 
 
-def test_old_line_ends_do_not_hide_what_follows_a_comment():
+def test_old_line_endings_end_a_comment():
     assert len(moves(body("-- a comment\rMOVE TO {0}\r"))) == 1
 
 
@@ -226,7 +226,7 @@ def test_pos_has_six_or_seven_fields():
     assert result[0].target.configuration == ""
 
 
-def test_the_arm_may_be_named_where_published_programs_name_it():
+def test_accepts_arm_names_as_in_published_programs():
     text = """PROGRAM p
 VAR
   a, b : JOINTPOS FOR ARM[1]

@@ -111,7 +111,7 @@ STATEMENTS = [
 
 
 @pytest.mark.parametrize(("statement", "word", "reason"), STATEMENTS, ids=[s[0][:40] for s in STATEMENTS])
-def test_statements(statement, word, reason):
+def test_refuses_invalid_statements_with_line_and_column(statement, word, reason):
     text = f"PROGRAM t HOLD\n{DECLARATIONS}BEGIN\n{statement}\nEND t\n"
     with pytest.raises(Pdl2Error) as caught:
         parse_program(text, "task.pdl")
@@ -155,7 +155,7 @@ HEADERS = [
 
 
 @pytest.mark.parametrize(("text", "word", "reason"), HEADERS, ids=[h[1][:20] + " " + h[2][:20] for h in HEADERS])
-def test_declarations(text, word, reason):
+def test_refuses_invalid_declarations_with_line_and_column(text, word, reason):
     with pytest.raises(Pdl2Error) as caught:
         parse_program(text)
     error = caught.value
@@ -165,7 +165,7 @@ def test_declarations(text, word, reason):
 
 
 @pytest.mark.parametrize("text", ["", "\n\n", "-- nothing", "PROGRAM", "PROGRAM t HOLD\nBEGIN\nMOVE TO"])
-def test_a_text_that_ends_too_early(text):
+def test_refuses_a_truncated_program(text):
     with pytest.raises(Pdl2Error, match="ends too early"):
         parse_program(text)
 

@@ -100,7 +100,7 @@ def assert_same_statement(found, expected):
 
 @given(st.lists(STATEMENTS, max_size=4))
 @settings(max_examples=50, deadline=None)
-def test_statements_survive_writing_and_reading(statements):
+def test_statements_round_trip(statements):
     text = write_program("any_moves", statements)
     found = list(parse_program(text).run())
     assert len(found) == len(statements)
@@ -113,7 +113,7 @@ def test_statements_survive_writing_and_reading(statements):
 
 @given(st.lists(TARGETS, min_size=2, max_size=4), SETTINGS, SETTINGS, st.integers(1, 4))
 @settings(max_examples=25, deadline=None)
-def test_a_loop_approaches_goes_round_and_ends_every_cycle_stationary(points, going, approach, cycles):
+def test_a_loop_approaches_and_ends_every_cycle_stationary(points, going, approach, cycles):
     text = write_loop_program("loop", points, going, cycles, approach)
     found = list(parse_program(text).run())
     fine = going.changed(termination=Termination.FINE)
@@ -135,7 +135,7 @@ def point(*pos, configuration=""):
     return CartesianTarget(pos_to_pose(np.array(pos)), configuration)
 
 
-def test_the_text_of_a_loop_is_what_is_used_in_the_field():
+def test_the_text_of_a_loop_uses_common_pdl2():
     points = [point(1000, -200, 800, 0, 180, 0, configuration="W T1:0"), point(1000, 200, 800, 0, 150, 30)]
     text = write_loop_program("ns16_loop", points, FIELD, 100)
     assert text.startswith("PROGRAM ns16_loop HOLD, PROG_ARM=1\nVAR\n")
@@ -155,7 +155,7 @@ def test_the_text_of_a_loop_is_what_is_used_in_the_field():
     assert "p1, p2 : POSITION FOR ARM[1]" in text
 
 
-def test_a_loop_leaves_no_frame_turn_or_override_to_what_ran_before():
+def test_a_loop_sets_frames_turns_and_override():
     tool = tuple(map(tuple, pos_to_pose(np.array([0, 0, 120, 0, 90, 0])).tolist()))
     framed = FIELD.changed(base=NO_FRAME, tool=tool, uframe=NO_FRAME)
     points = [point(1000, -200, 800, 0, 180, 0), point(1000, 200, 800, 0, 150, 30)]
@@ -182,7 +182,7 @@ def test_a_loop_leaves_no_frame_turn_or_override_to_what_ran_before():
     assert {type(move.target) for move in others} == {CartesianTarget}
 
 
-def test_a_frame_that_only_some_moves_name_goes_with_them():
+def test_a_frame_named_by_some_moves_is_written_with_them():
     framed = FIELD.changed(uframe=NO_FRAME)
     moves = [Move(MoveType.LINEAR, point(1, 2, 3, 0, 0, 0), settings) for settings in (FIELD, framed, FIELD)]
     text = write_program("t", moves)
@@ -190,7 +190,7 @@ def test_a_frame_that_only_some_moves_name_goes_with_them():
     assert [move.settings.uframe for move in parse_program(text).run()] == [None, NO_FRAME, None]
 
 
-def test_values_a_person_chose_come_back_to_the_bit():
+def test_configured_values_round_trip_exactly():
     chosen = FIELD.changed(speed_override=0.3, tolerance_fine=0.0003, arm_override=0.7, fly_distance=0.035)
     (move,) = parse_program(write_program("t", [Move(MoveType.LINEAR, point(1, 2, 3, 0, 0, 0), chosen)])).run()
     assert move.settings == chosen
@@ -232,6 +232,6 @@ def test_prismatic_joints_are_written_in_millimetres():
         (lambda p: write_loop_program("t", [p, p], FIELD, 0), "number of cycles"),
     ],
 )
-def test_what_could_not_be_read_is_not_written(write, reason):
+def test_refuses_to_write_what_could_not_be_read(write, reason):
     with pytest.raises(InputError, match=reason):
         write(point(1000, 0, 800, 0, 180, 0))
