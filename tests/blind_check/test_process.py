@@ -14,6 +14,7 @@ import pytest
 from agent.blind_check import BlindCheck
 from agent.blind_check.check import hidden_from
 from agent.blind_check.key import Key
+from agent.blind_check.report import read_results
 from agent.blind_check.worlds import EmulatorWorld
 from agent.core import Console, InputError, LocalProcesses, available_cores
 from agent.recording import read_log
@@ -66,7 +67,7 @@ def check(tmp_path_factory) -> BlindCheck:
 def test_runs_are_recorded_diagnosed_and_scored(check):
     key = Key.load(check.key_file)
     assert (len(key.runs), key.not_recorded) == (5, [])
-    results = [json.loads(line) for line in (check.folder / "results.jsonl").read_text().splitlines()]
+    results = read_results(check.folder / "results.jsonl")
     assert {one["run"] for one in results} == {run["run"] for run in key.runs}
     assert all(one["outcome"] != "no answer" for one in results)
     assert all((one["withheld"] is not None) == (one["kind"] in ("one", "two")) for one in results)
