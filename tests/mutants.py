@@ -27,7 +27,10 @@ NARROW = {
     "agent/estimation/refitting.py": ["tests/estimation/test_refitting.py"],
     "agent/estimation/moments.py": ["tests/estimation/test_uncertainty.py", "tests/estimation/test_paper.py"],
     "agent/estimation/uncertainty.py": ["tests/estimation/test_uncertainty.py", "tests/estimation/test_paper.py"],
-    "agent/validation/torque.py": ["tests/validation", "tests/estimation/test_plausible.py"],
+    "agent/runs/changes.py": ["tests/shop_floor/test_trends.py"],
+    "agent/runs/trends.py": ["tests/shop_floor/test_trends.py"],
+    "agent/runs/warm_up.py": ["tests/shop_floor/test_trends.py"],
+    "agent/validation/torque.py": ["tests/validation/test_torque.py", "tests/validation/test_run_sections.py"],
 }
 #: Lines after a change that gives the same results, by module, and why; part of a line is enough.
 EQUIVALENT: dict[str, dict[str, str]] = {
