@@ -11,10 +11,12 @@ import pytest
 from agent.core.errors import InputError
 from agent.estimation import EstimationSettings, estimate
 from agent.estimation.filtering import FilterSettings, motions
+from agent.model import ModelEffect
 from agent.pipeline import validation_text
 from agent.recording.log import Log
 from agent.robot import load_robot
 from agent.validation import pooled_rmse, predict_log, summary, validate
+from agent.validation.torque import flipped_joints, predicts, same_scale
 
 
 def _log(robot, path, t, q, torque):
@@ -142,3 +144,105 @@ def test_logs_that_cannot_be_validated_say_why(case):
         validate(model, [replace(logs[0], joint_names=("a",))])
     with pytest.raises(InputError, match="cut-off of 400 Hz"):
         validate(model, logs, 400.0)
+
+
+def on_joint(log, joint, change):
+    """The log with the torque of one joint changed."""
+    effort = log.effort.copy()
+    effort[:, joint] = change(effort[:, joint])
+    return replace(log, effort=effort)
+
+
+def test_a_model_predicts_what_errs_little_as_its_torque_varies_or_as_the_model_usually_does(case):
+    """A constant error leaves the variation of the torque as it is."""
+    _, model, (log, _) = case
+    found = predict_log(model, log)
+    size = np.std(found.measured[:, 2])
+    usual, careless = (replace(model, held_out_rmse=np.full(6, part * size)) for part in (0.0, 0.25))
+    assert np.median(np.abs(found.error[:, 2])) < 0.07 * size
+    for model_of, share, expected in (
+        (usual, 0.28, True),
+        (usual, 0.42, False),
+        (careless, 0.42, True),
+        (careless, 0.57, False),
+    ):
+        wrong = on_joint(log, 2, lambda torque, share=share: torque + share * size)
+        assert predicts(model_of, [wrong]) is expected
+        assert predicts(model_of, [log, wrong, wrong]) is expected
+    assert not predicts(model, [replace(log, effort=None)])
+
+
+def test_what_a_joint_does_while_it_stands_says_nothing_of_its_channel(case):
+    robot, model, (log, resting) = case
+    late = resting.between(3.0, 8.0)
+    stuck = on_joint(late, 2, lambda torque: torque + 1000.0 * (late.t > 4.0))
+    assert predicts(model, [stuck])
+    assert not predicts(model, [on_joint(late, 2, lambda torque: torque + 1000.0)])
+    held = log.position.copy()
+    held[:, 2] = 0.1
+    still = on_joint(replace(log, position=held), 2, lambda torque: 0 * torque - 1000.0)
+    others = [joint for k, joint in enumerate(robot.joint_names) if k != 2]
+    assert not set(flipped_joints(model, on_joint(still, 0, np.negative))) - set(others)
+    everything = replace(log, position=0 * log.position)
+    assert not predicts(model, [everything])
+    assert flipped_joints(model, replace(everything, effort=-log.effort)) == []
+
+
+@pytest.mark.parametrize("joint", range(6))
+def test_a_joint_whose_torque_is_of_the_other_sign_is_named(case, joint):
+    robot, model, (log, _) = case
+    assert flipped_joints(model, log) == []
+    assert flipped_joints(model, on_joint(log, joint, np.negative)) == [robot.joint_names[joint]]
+    assert flipped_joints(model, on_joint(log, joint, lambda torque: -5 * torque)) == []
+    assert flipped_joints(model, replace(log, effort=None)) == []
+    nothing = replace(model, values=0 * model.values)
+    spikes = on_joint(log, joint, lambda torque: 1e3 * (np.arange(len(torque)) % 500 < 50))
+    assert robot.joint_names[joint] not in flipped_joints(nothing, spikes)
+
+
+def test_torque_is_of_another_unit_from_a_factor_of_four_where_most_is_carried(case):
+    _, model, (log, _) = case
+    most = int(np.argmax(np.median(np.abs(predict_log(model, log).predicted), axis=0)))
+    for factor in (3.5, 4.5):
+        for scale in (factor, 1 / factor):
+            assert same_scale(model, [on_joint(log, most, lambda torque, scale=scale: scale * torque)]) is (factor < 4)
+    assert same_scale(model, [on_joint(log, (most + 1) % 6, lambda torque: 100 * torque)])
+    assert not same_scale(model, [replace(log, effort=None)])
+
+
+def test_a_prediction_has_the_motion_and_what_gravity_acceleration_and_speed_take_of_it(case):
+    _, model, (log, _) = case
+    effect = ModelEffect("torque_offset", ("joint_2",), {"offset": 7.0})
+    found = predict_log(replace(model, effects=(effect,)), log)
+    q, qd, qdd = found.position, found.velocity, found.acceleration
+    rows = np.rint(found.time * log.sample_rate).astype(int)
+    assert q == pytest.approx(log.position[rows], abs=2e-3)
+    assert qd == pytest.approx(np.gradient(log.position, log.t, axis=0)[rows], abs=0.02)
+    assert qdd == pytest.approx(np.gradient(qd, found.time, axis=0), abs=0.3)
+    torque, still = model.rigid.torque, np.zeros_like(q)
+    gravity = torque(q, still, still, model.base_values)
+    expected = {
+        "gravity": gravity,
+        "inertia": torque(q, still, qdd, model.base_values) - gravity,
+        "Coriolis": torque(q, qd, still, model.base_values) - gravity,
+        "effects": np.tile([0, 7.0, 0, 0, 0, 0], (len(q), 1)),
+    }
+    inside = slice(200, -200)
+    for name, part in expected.items():
+        size = np.sqrt(np.mean(part**2, axis=0)).max()
+        assert found.parts[name][inside] == pytest.approx(part[inside], abs=0.05 * size), name
+    assert np.sum(list(found.parts.values()), axis=0) == pytest.approx(found.predicted, rel=1e-6, abs=1e-6)
+    bare = predict_log(model, log)
+    again = bare.by(found.model)
+    assert again.predicted == pytest.approx(found.predicted)
+    assert (again.model, again.half_width.shape) == (found.model, found.half_width.shape)
+    assert again.friction == pytest.approx(bare.friction)
+    assert np.array_equal(again.measured, bare.measured)
+
+
+def test_bounds_are_those_of_the_model_along_the_filtered_motion(case):
+    """Twice the deviations of everything are twice the width."""
+    _, model, (log, _) = case
+    wider = replace(model, covariance=4 * model.covariance, group_rmse=2 * model.group_rmse)
+    one, other = (predict_log(each, log).half_width for each in (model, wider))
+    assert other == pytest.approx(2 * one, rel=1e-6)
