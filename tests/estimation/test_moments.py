@@ -6,23 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 from scipy.stats import multivariate_normal
 
+import agent.estimation.moments as sums
 from agent.estimation.filtering import FilterSettings
-from agent.estimation.moments import (
-    autocorrelation_time,
-    clear_gain,
-    clearly_better,
-    collect,
-    inverse,
-    iterate_weights,
-    log_evidence,
-    pseudo_inverse,
-    reweight,
-    scaled_rank,
-    solve_sum,
-    standstill,
-)
 from agent.estimation.observation import observe, partition
 from agent.estimation.prior import Prior
 from agent.estimation.problem import Problem
@@ -52,7 +40,7 @@ def rows(problem):
     (segment,), (friction,), (still,) = (
         problem.observation.segments,
         problem.friction(),
-        standstill(problem.observation),
+        sums.standstill(problem.observation),
     )
     found = []
     for joint, (index, block) in enumerate(problem.observation.joint_rows(segment, problem.terms, friction)):
@@ -107,7 +95,7 @@ def test_some_parameters_have_the_sums_of_their_columns_in_the_order_given(probl
 
 def test_rows_may_be_trusted_in_part(problem, rows):
     trusted = np.random.default_rng(2).uniform(size=(len(rows[0][0]), 2))
-    found = collect(problem.observation, problem.partition, problem.terms, problem.friction(), [trusted])
+    found = sums.collect(problem.observation, problem.partition, problem.terms, problem.friction(), [trusted])
     np.testing.assert_allclose(found.weighted(WEIGHTS), summed(rows, trusted=trusted), rtol=1e-9, atol=1e-6)
 
 
@@ -116,14 +104,14 @@ def test_weights_are_inverse_variances_and_no_less_certain_in_motion(problem):
     variance = moments.energy(values) / moments.rows.sum(axis=0)
     expected = np.where(moments.rows.sum(axis=0) > 0, variance, variance[::-1])
     expected[1] = np.maximum(expected[1], expected[0])
-    np.testing.assert_allclose(1 / reweight(moments, values), expected)
+    np.testing.assert_allclose(1 / sums.reweight(moments, values), expected)
     only = replace(moments, rows=moments.rows * [[[0], [1]]])
-    np.testing.assert_allclose(*reweight(only, values))
-    settled = iterate_weights(moments, problem.prior, 2.0)
-    again = reweight(moments, solve_sum(moments.weighted(settled), problem.prior, 2.0))
+    np.testing.assert_allclose(*sums.reweight(only, values))
+    settled = sums.iterate_weights(moments, problem.prior, 2.0)
+    again = sums.reweight(moments, sums.solve_sum(moments.weighted(settled), problem.prior, 2.0))
     np.testing.assert_allclose(again, settled, rtol=0.02)
     perfect = replace(moments, sums=tuple(0 * part for part in moments.sums), _totals={})
-    assert np.all(np.isfinite(reweight(perfect, values)))
+    assert np.all(np.isfinite(sums.reweight(perfect, values)))
 
 
 @pytest.mark.parametrize("units", [np.ones(3), np.array([1e-4, 1.0, 1e4])])
@@ -136,26 +124,20 @@ def test_estimate_and_evidence_are_those_of_normal_distributions(units):
     ]
     y = x @ (rng.normal(size=3) * units) + rng.normal(size=30)
     total = np.column_stack([x, y]).T @ np.column_stack([x, y])
-    found = solve_sum(total, priors[0], k)
+    found = sums.solve_sum(total, priors[0], k)
     pull = x.T @ (y - x @ found) - k * priors[0].precision @ (found - priors[0].mean)
     np.testing.assert_allclose(pull * units, 0, atol=1e-8)
-    said, true = (
-        [one(prior) for prior in priors]
-        for one in (
-            lambda prior: log_evidence(total, prior, k),
-            lambda prior: multivariate_normal.logpdf(
-                y, x @ prior.mean, k * np.eye(30) + x @ np.linalg.inv(prior.precision) @ x.T
-            ),
-        )
-    )
+    said = [sums.log_evidence(total, prior, k) for prior in priors]
+    spreads = [k * np.eye(30) + x @ np.linalg.inv(prior.precision) @ x.T for prior in priors]
+    true = [multivariate_normal.logpdf(y, x @ p.mean, spread) for p, spread in zip(priors, spreads, strict=True)]
     assert said[0] - said[1] == pytest.approx(true[0] - true[1], rel=1e-6)
     normal = x.T @ x
     scale = np.outer(units, units)
-    np.testing.assert_allclose(inverse(normal) / scale, np.linalg.inv(normal * scale), rtol=1e-8)
-    np.testing.assert_allclose(pseudo_inverse(normal) / scale, np.linalg.inv(normal * scale), rtol=1e-8)
+    np.testing.assert_allclose(sums.inverse(normal) / scale, np.linalg.inv(normal * scale), rtol=1e-8)
+    np.testing.assert_allclose(sums.pseudo_inverse(normal) / scale, np.linalg.inv(normal * scale), rtol=1e-8)
     twice = np.column_stack([x, x[:, 0] * 1e3, 0 * x[:, 0]])
-    assert (scaled_rank(normal), scaled_rank(twice.T @ twice)) == (3, 3)
-    again = pseudo_inverse(twice.T @ twice)
+    assert (sums.scaled_rank(normal), sums.scaled_rank(twice.T @ twice)) == (3, 3)
+    again = sums.pseudo_inverse(twice.T @ twice)
     together = twice @ again @ twice.T
     np.testing.assert_allclose(together @ together, together, atol=1e-8)
     assert np.trace(together) == pytest.approx(3)
@@ -163,10 +145,10 @@ def test_estimate_and_evidence_are_those_of_normal_distributions(units):
 
 def test_a_gain_is_clear_beyond_its_scatter_between_folds():
     gains = np.array([[1.0, 1.0], [2.0, -2.0], [3.0, 1.0]])
-    assert clear_gain(gains).tolist() == [True, False]
+    assert sums.clear_gain(gains).tolist() == [True, False]
     spread = np.std([1.0, 2.0, 3.0], ddof=1) * np.sqrt(3)
     for shift, expected in ((-0.01, False), (0.01, True)):
-        assert clear_gain(np.array([-1.0, 0.0, 1.0]) + spread / 3 + shift) == expected
+        assert sums.clear_gain(np.array([-1.0, 0.0, 1.0]) + spread / 3 + shift) == expected
 
 
 def test_errors_are_clearly_better_by_a_share_and_by_two_standard_errors():
@@ -180,15 +162,15 @@ def test_errors_are_clearly_better_by_a_share_and_by_two_standard_errors():
         ([0.5, 0.5, 0.0, 0.0], 0.05, True),
         ([1.2, 1.2, 1.2, 1.2], 0.05, False),
     ):
-        assert clearly_better(before, np.array(after), least) is expected
-    assert not clearly_better(np.array([0.0, 0.0, 1.0]), np.full(3, 0.5), 0.0)
+        assert sums.clearly_better(before, np.array(after), least) is expected
+    assert not sums.clearly_better(np.array([0.0, 0.0, 1.0]), np.full(3, 0.5), 0.0)
 
 
-def test_independent_and_constant_residuals_count_fully():
-    rng = np.random.default_rng(4)
-    white = [rng.normal(size=(size, 2)) * [1.0, 0.0] for size in (4000, 2500)]
-    times = autocorrelation_time(white)
-    assert times[1] == 1.0
-    assert 1.0 <= times[0] < 1.2
-    slow = [np.repeat(part, 5, axis=0) + 7.0 for part in white]
-    assert autocorrelation_time(slow)[0] == pytest.approx(5.0, rel=0.15)
+@pytest.mark.parametrize("memory", [0.0, 0.9, 0.98])
+def test_autocorrelation_time(memory):
+    """Of the noise, whatever it is about, also in parts; rows that never change count as one each."""
+    rows = lfilter([np.sqrt(1 - memory**2)], [1, -memory], np.random.default_rng(0).normal(size=(100_000, 1)), axis=0)
+    rows = np.column_stack([3 * rows + 7, 0 * rows])
+    for parts in ([rows], [rows[:60_000], rows[60_000:]]):
+        expected = [(1 + memory) / (1 - memory), 1.0]
+        assert sums.autocorrelation_time(parts) == pytest.approx(expected, rel=0.15)
