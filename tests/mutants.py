@@ -27,7 +27,7 @@ NARROW = {
     "agent/estimation/refitting.py": ["tests/estimation/test_refitting.py"],
     "agent/estimation/moments.py": ["tests/estimation/test_moments.py"],
     "agent/estimation/uncertainty.py": ["tests/estimation/test_uncertainty.py", "tests/estimation/test_paper.py"],
-    "agent/runs/changes.py": ["tests/shop_floor/test_trends.py"],
+    "agent/runs/changes.py": ["tests/shop_floor/test_changes.py"],
     "agent/runs/trends.py": ["tests/shop_floor/test_trends.py"],
     "agent/runs/warm_up.py": ["tests/shop_floor/test_trends.py"],
     "agent/validation/torque.py": ["tests/validation/test_torque.py", "tests/validation/test_run_sections.py"],
