@@ -23,10 +23,21 @@ PACKAGES = {
 }
 #: The same for single modules whose package has many tests that say little of them.
 NARROW = {
+    "agent/diagnosis/forward/interval.py": ["tests/diagnosis/test_forward.py"],
+    "agent/diagnosis/gap/held_torque.py": ["tests/diagnosis/test_held_torque.py"],
+    "agent/diagnosis/gap/motion_gap.py": ["tests/diagnosis/test_motion_gap.py"],
+    "agent/diagnosis/gap/torque_gap.py": ["tests/diagnosis/test_gap.py"],
+    "agent/diagnosis/hypotheses/evidence.py": ["tests/diagnosis/test_evidence.py"],
+    "agent/diagnosis/rows/standstill.py": ["tests/diagnosis/test_standstill.py"],
+    "agent/diagnosis/sizes.py": ["tests/diagnosis/test_sizes.py"],
+    "agent/diagnosis/structure.py": ["tests/diagnosis/test_structure.py"],
+    "agent/diagnosis/verdict.py": ["tests/diagnosis/test_verdict.py"],
+    "agent/estimation/moments.py": ["tests/estimation/test_moments.py"],
     "agent/estimation/observation.py": ["tests/estimation/test_uncertainty.py"],
     "agent/estimation/refitting.py": ["tests/estimation/test_refitting.py"],
-    "agent/estimation/moments.py": ["tests/estimation/test_moments.py"],
     "agent/estimation/uncertainty.py": ["tests/estimation/test_uncertainty.py", "tests/estimation/test_paper.py"],
+    "agent/report/calibration/parameters.py": ["tests/validation/test_run_sections.py"],
+    "agent/report/calibration/sections.py": ["tests/validation/test_run_sections.py"],
     "agent/runs/changes.py": ["tests/shop_floor/test_changes.py"],
     "agent/runs/trends.py": ["tests/shop_floor/test_trends.py"],
     "agent/runs/warm_up.py": ["tests/shop_floor/test_trends.py"],
@@ -67,6 +78,7 @@ pytest_add_cli_args = ["-m", "not verify", "-p", "no:cacheprovider"]
 pytest_add_cli_args_test_selection = {tests}
 do_not_mutate_patterns = ["raise ", "errstate", "strict=True"]
 use_git_change_detection = false
+timeout_multiplier = 300  # a machine with other work is no endless loop
 """
 _NOTICED = (1, 3, 24, 36, 152, 255, -24)  # exit codes: a test failed, or took far too long
 _DIFFERENCES = """
