@@ -53,7 +53,7 @@ EQUIVALENT: dict[str, dict[str, tuple[str, ...]]] = {
             "bare.predict(m.q, m.qd, m.qdd, None)",
             "bare.predict(m.q, m.qd, m.qdd, )",
         ),
-        "the singular values are far from both sides": ("rcond=", "cross.T, )"),
+        "the singular values are far from both sides": ("rcond=None", "rcond=1.0", "cross.T, )"),
     },
     "agent/estimation/uncertainty.py": {
         "a motion has five clusters or more": ("if count <= 2:", "if count < 3:"),

@@ -222,6 +222,9 @@ def test_friction_is_the_least_squares_solution_with_a_prior_that_counts_as_rows
     assert times == pytest.approx(times[0], rel=0.3)
     counted = pull[base:] / (precision @ found.values[base:])
     assert counted == pytest.approx(np.median(times), rel=0.02)
+    follows = -np.linalg.solve(total[base:-1, base:-1] + np.median(times) * precision, total[base:-1, :base])
+    passed_on = follows @ model.covariance[:base, :base]
+    np.testing.assert_allclose(found.covariance[base:, :base], passed_on, atol=0.02 * np.abs(passed_on).max())
     stationary = np.linalg.inv(problem.moments.weighted(found.weights / times)[base:-1, base:-1] + precision)
     left = np.diag(conditional_covariance(found)) / np.diag(stationary)
     assert np.all(left > 1 - 1e-6)
