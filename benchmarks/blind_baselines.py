@@ -44,13 +44,18 @@ def main() -> None:
     parser.add_argument("runs", type=Path, help="folder of the export")
     parser.add_argument("-o", "--out", type=Path, required=True, help="answers to write")
     asked = parser.parse_args()
-    lines = []
-    for folder in sorted((asked.runs / "runs").iterdir()):
-        try:
-            lines.append(json.dumps({"run": folder.name, **METHODS[asked.method](Gap.of(folder))}) + "\n")
-        except AgentError as error:
-            print(f"run {folder.name}: {error}", file=sys.stderr)
-    asked.out.write_text("".join(lines), encoding="utf-8")
+    lines = [answer_of(folder, [asked.method]) for folder in sorted((asked.runs / "runs").iterdir())]
+    asked.out.write_text("".join(line for (line,) in lines), encoding="utf-8")
+
+
+def answer_of(folder: Path, methods: Sequence[str]) -> list[str]:
+    """Lines of answers to a run, by method; empty ones if its logs cannot be fitted."""
+    try:
+        gap = Gap.of(folder)
+        return [json.dumps({"run": folder.name, **METHODS[method](gap)}) + "\n" for method in methods]
+    except AgentError as error:
+        print(f"run {folder.name}: {error}", file=sys.stderr)
+        return [""] * len(methods)
 
 
 @dataclass(frozen=True)

@@ -193,8 +193,7 @@ def table(title: str, trees: dict[str, Path], values: Table) -> None:
 
 def write(path: Path, seconds: float, seed: int = 0, stribeck: float = 0.0) -> None:
     """A log of the emulated arm on a random loop, with Stribeck friction on joint 2 up to a level [N·m]."""
-    from agent.pipeline.planning import loop_problem
-
+    from agent.pipeline.plan import loop_problem
     from agent.recipe import load_recipe
     from agent.recording import write_log
     from benchmarks.evidence.emulation import repeated

@@ -4,7 +4,14 @@ from __future__ import annotations
 
 import pytest
 
-from tests.mutants import modules, survivors
+from tests.mutants import EQUIVALENT, NARROW, PACKAGES, ROOT, modules, survivors
+
+
+def test_modules_and_tests_that_are_named_exist():
+    assert {*EQUIVALENT, *NARROW} <= set(modules())
+    assert [
+        test for tests in (*PACKAGES.values(), *NARROW.values()) for test in tests if not (ROOT / test).exists()
+    ] == []
 
 
 @pytest.mark.verify

@@ -12,6 +12,9 @@ from agent.blind_check.scoring import OUTCOMES, PRACTICAL, Result, score
 from agent.core import AgentError, InputError, write_atomically
 
 RESULTS, PAGE = "results.jsonl", "blind_check.md"
+#: Values that a line of results leaves out.
+_USUAL = {"recorder": "", "effects": [], "size": None, "causes": [], "probability": None}
+_USUAL |= {"more_wrong": 0, "all_named": False, "joint": None, "withheld": None}
 
 _DEFINITIONS = f"""Every run is counted in one column.
 
@@ -56,7 +59,8 @@ def write_results(folder: Path, results: Sequence[Result]) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise AgentError(f"{folder}: cannot be made: {error.strerror}") from None
-    write_atomically(folder / RESULTS, "".join(json.dumps(one) + "\n" for one in results))
+    kept = ({name: value for name, value in one.items() if _USUAL.get(name, ...) != value} for one in results)
+    write_atomically(folder / RESULTS, "".join(json.dumps(one, separators=(",", ":")) + "\n" for one in kept))
     write_atomically(folder / PAGE, page(read_results(folder / RESULTS)))
 
 
@@ -67,7 +71,7 @@ def read_results(path: Path) -> list[dict[str, Any]]:
         InputError: the file is missing or damaged.
     """
     try:
-        return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+        return [_USUAL | json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: no results of a blind check: {error}") from None
 
@@ -127,11 +131,8 @@ def _power(scores: Mapping[str, Any]) -> Iterator[str]:
         if row["found"]["of"] and any(band[name]["count"] for band in one["power"] for name in ("right", "wrong"))
     ]
     if rows:
-        yield from (
-            "Runs with one effect by its size, of tools that named a cause:",
-            "",
-            *_table(["tool", "size, %", *columns], rows),
-        )
+        yield from ("Runs with one effect by its size, of tools that named a cause:", "")
+        yield from _table(["tool", "size, %", *columns], rows)
 
 
 def _band(row: Mapping[str, Any]) -> str:

@@ -100,7 +100,8 @@ def section(results: Results) -> PageSection:
     part.say(
         "The first seconds of the default's loop; one pass takes about 6 s. The emulator's links are within 13 % of "
         "the URDF, so the same logs are also fitted with URDFs that are wrong by up to the given percentage in mass "
-        "and inertia. Errors in percent, by estimator; `paper` has no prior and three friction terms:"
+        "and inertia. Errors in percent, by estimator; `paper` has no prior and three friction terms. The friction "
+        "here is of a form that `weighted` fits; on real arms [they differ less](../real-data.md):"
     )
     heads = _lengths(next(iter(kept.values())), "weighted")
     rows, short = [], []

@@ -14,10 +14,11 @@ import pytest
 from agent.blind_check import BlindCheck
 from agent.blind_check.check import hidden_from
 from agent.blind_check.key import Key
+from agent.blind_check.report import read_results
 from agent.blind_check.worlds import EmulatorWorld
-from agent.core import Console, InputError, LocalProcesses, available_cores
+from agent.core import Console, InProcess, InputError, LocalProcesses, available_cores
 from agent.recording import read_log
-from benchmarks import blind_baselines
+from benchmarks import blind_baselines, blind_results
 from tests import warm
 from tests.blind_check.tiny_world import TinyWorld
 
@@ -66,7 +67,7 @@ def check(tmp_path_factory) -> BlindCheck:
 def test_runs_are_recorded_diagnosed_and_scored(check):
     key = Key.load(check.key_file)
     assert (len(key.runs), key.not_recorded) == (5, [])
-    results = [json.loads(line) for line in (check.folder / "results.jsonl").read_text().splitlines()]
+    results = read_results(check.folder / "results.jsonl")
     assert {one["run"] for one in results} == {run["run"] for run in key.runs}
     assert all(one["outcome"] != "no answer" for one in results)
     assert all((one["withheld"] is not None) == (one["kind"] in ("one", "two")) for one in results)
@@ -129,25 +130,28 @@ def test_reports_a_failed_diagnosis_as_no_answer(tmp_path: Path, capfd):
     assert capfd.readouterr().err.count("agent: run ") >= 2
 
 
-@pytest.mark.parametrize("method", ["ranking", "refit"])
-def test_the_baselines_answer_the_same_runs(check, tmp_path: Path, method: str, monkeypatch):
-    monkeypatch.setattr(
-        sys, "argv", ["x", method, str(check.folder / "export"), "-o", str(tmp_path / f"{method}.jsonl")]
-    )
+def test_the_baselines_answer_the_same_runs(check, tmp_path: Path, monkeypatch):
+    answers = blind_results.scored(check, InProcess())
+    alone = tmp_path / "ranking.jsonl"
+    monkeypatch.setattr(sys, "argv", ["x", "ranking", str(check.folder / "export"), "-o", str(alone)])
     blind_baselines.main()
+    assert alone.read_text() == (answers / "ranking.jsonl").read_text()
+    files = [answers / f"{tool}.jsonl" for tool in ("agent_diagnose", "ranking", "refit")]
     run = warm.run(
-        "agent", "blind-check", "--score", check.key_file, check.folder / "answers.jsonl", tmp_path / f"{method}.jsonl",
-        "--json", "-o", tmp_path / "page", cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(ROOT)},
+        "agent", "blind-check", "--score", check.key_file, *files, "--json", "-o", tmp_path / "page",
+        cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(ROOT)},
     )  # fmt: skip
     assert run.returncode == 0, run.stderr
+    assert read_results(tmp_path / "page" / "results.jsonl") == read_results(answers / "results.jsonl")
     tools = json.loads(run.stdout)["tools"]
-    assert list(tools) == ["answers", method]
-    counted = tools[method]["outcomes"]
-    assert not any(row["no answer"] for row in counted.values())
-    assert counted["none"]["no gap"] >= 1
-    if method == "ranking":
-        assert all(row["named"] == row["in class"] == row["wrong name"] == 0 for row in counted.values())
-    assert f"| {method} |" in (tmp_path / "page" / "blind_check.md").read_text()
+    assert list(tools) == ["agent_diagnose", "ranking", "refit"]
+    for method in ("ranking", "refit"):
+        counted = tools[method]["outcomes"]
+        assert not any(row["no answer"] for row in counted.values())
+        assert counted["none"]["no gap"] >= 1
+        assert f"| {method} |" in (tmp_path / "page" / "blind_check.md").read_text()
+    named = [row["named"] + row["in class"] + row["wrong name"] for row in tools["ranking"]["outcomes"].values()]
+    assert not any(named)
 
 
 @pytest.mark.parametrize(

@@ -8,41 +8,47 @@ import numpy as np
 import pytest
 
 from agent.diagnosis.gap.torque_gap import held_out_gap
-from agent.diagnosis.rows.dataset import stiction
+from agent.diagnosis.rows.dataset import assemble, stiction
 from agent.model.effects import CATALOGUE
+from fake_controller.plant import Plant
+from tests.small_arms import learn, make_arm, record
+
+OFFSET = {"effect": "torque_offset", "joints": ["joint_2"], "parameters": {"offset": 6.0}}
 
 
 @pytest.fixture(scope="module")
-def dataset(diagnosed):
-    """The diagnosis of the run with an effect; its cause was found."""
-    found = diagnosed(1)
-    assert found.finding.causes
-    return found
+def case():
+    """Logs of a small arm with an effect against the model of the healthy one; and the fit with its cause."""
+    robot = make_arm("RR")
+    plant = Plant(robot, seed=3, effects=[OFFSET])
+    data = assemble(robot, learn(robot), [record(plant, f"judged_{seed}", seed) for seed in (21, 22)], None)
+    return data, with_offset(data, 1)
 
 
-def test_the_true_cause_closes_the_gap(dataset):
-    assert held_out_gap(dataset.dataset, dataset.finding.fit).closure > 0.75
+def with_offset(data, joint):
+    return data.fit.with_chosen([data.fit.candidate(CATALOGUE["torque_offset"], (joint,), {})])
 
 
-def test_a_cause_on_another_joint_does_not_close_the_gap(dataset):
-    fit = dataset.dataset.fit
-    (wrong,) = {c.joints for c in dataset.finding.causes}
-    other = tuple((joint + 1) % fit.reference.robot.dof for joint in wrong)
-    candidate = fit.candidate(CATALOGUE["torque_offset"], other, {})
-    chosen = fit.with_chosen([candidate])
-    gap = held_out_gap(dataset.dataset, chosen)
+def test_the_cause_that_is_there_takes_the_gap_away(case):
+    assert held_out_gap(*case).closure > 0.75
+
+
+def test_a_cause_on_another_joint_does_not(case):
+    data, _ = case
+    chosen = with_offset(data, 0)
+    gap = held_out_gap(data, chosen)
     alone = gap.closure_without(chosen.out_of_fold(chosen.once, 0))
     assert alone < 0.25
 
 
-def test_without_causes_no_gap_is_closed(dataset):
-    gap = held_out_gap(dataset.dataset, dataset.dataset.fit).unclosed
+def test_without_causes_nothing_is_gained(case):
+    gap = held_out_gap(case[0], case[0].fit).unclosed
     assert gap.closure == 0.0
 
 
-def test_repeatability_is_the_difference_between_cycles(dataset):
+def test_repeatability_is_the_difference_from_cycle_to_cycle(case):
     """Independent noise far above stiction is the repeatability; an error that repeats with every cycle is not."""
-    data, rng, size = dataset.dataset, np.random.default_rng(4), 1e5
+    (data, _), rng, size = case, np.random.default_rng(4), 1e5
     for repeats in (0.0, 5.0):
         noise = rng.normal(size=data.residual.shape) + repeats * np.sin(2 * np.pi * data.time / 5.0)[:, None]
         fit = data.fit.with_residual(size * noise / data.fit.sigma)
@@ -51,9 +57,9 @@ def test_repeatability_is_the_difference_between_cycles(dataset):
         assert gap.floor == pytest.approx(np.ones(data.robot.dof), rel=0.05)
 
 
-def test_stiction_of_either_sign_at_standstill_is_not_a_gap(dataset):
+def test_friction_that_holds_a_stationary_joint_the_other_way_is_no_gap(case):
     """Twice the level from what is predicted: other joints stand while one of them is turned to and fro."""
-    data, fit = dataset.dataset, dataset.dataset.fit
+    data, fit = case[0], case[0].fit
     level = stiction(fit.reference)
     assert np.all(level > 0)
     for part, most in ((1.9, 0.1), (4.0, 10.0)):
@@ -63,12 +69,12 @@ def test_stiction_of_either_sign_at_standstill_is_not_a_gap(dataset):
     assert np.any(gap.before * gap.unit > 0.5 * level), "beyond that it is one"
 
 
-def test_a_cause_is_scored_in_units_of_its_own_joint(dataset):
-    """A hundredth of the torque, and of the gap, where no nominal torque says what a joint is for."""
-    data, fit = dataset.dataset, dataset.finding.fit
+def test_in_units_of_each_joint_a_cause_counts_by_its_own_joint(case):
+    """Of joints with far larger units hardly anything counts, where no nominal torque says what a joint is for."""
+    data, fit = case
     (own,) = {joint for candidate in fit.chosen for joint in candidate.blocks}
     unit = np.full(data.robot.dof, 1.0)
-    unit[own] = 100.0
+    unit[own] = 1e4
     small, large = (held_out_gap(data, fit, one) for one in (unit, 1 / unit))
     assert large.closure > 0.9
     assert not small.closure, "what the other joints do not repeat is larger"

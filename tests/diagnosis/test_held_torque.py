@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -15,8 +16,7 @@ from agent.model import IdentifiedModel
 from agent.recording import read_log
 from agent.recording.log import Log
 from agent.robot import RobotDescription, load_robot
-from agent.robot.bodies import rigid_bodies
-from tests.estimation.conftest import _arm, _log, _multisine
+from tests.estimation.conftest import _arm, _links, _log, _multisine
 
 RATE = 250.0  # Hz
 NOISE = 0.4  # N·m
@@ -27,11 +27,9 @@ def _torque(
     robot: RobotDescription, seed: int, more: np.ndarray | float = 0.0, slower: float = 1.0
 ) -> tuple[np.ndarray, np.ndarray]:
     """Positions (S, 2) [rad] and joint torque (S, 2) [N·m] without noise; `more` is added to viscous friction."""
-    rigid, _, _ = rigid_bodies(robot)
     q, qd, qdd = _multisine(2, np.arange(0, 16, 1 / (slower * RATE)), seed)
     qd, qdd = qd / slower, qdd / slower**2
-    bodies = rigid.projection @ np.concatenate([rigid.dynamics.standard_parameters(), np.full(2, 1e-4)])
-    return q, rigid.torque(q, qd, qdd, bodies) + 5 * np.sign(qd) + (4 + more) * qd
+    return q, _links(robot, q, qd, qdd) + 5 * np.sign(qd) + (4 + more) * qd
 
 
 def _recorded(robot: RobotDescription, seed: int, q: np.ndarray, torque: np.ndarray) -> Log:
@@ -66,12 +64,14 @@ def _level(warning: str) -> float:
     return float(warning.split("stands still at ")[1].split(" N·m")[0])
 
 
-def test_reports_a_held_torque_sensor_and_names_no_cause(robot, model):
-    logs = []
-    for seed in MOVES:
-        q, torque = _torque(robot, seed)
-        logs.append(_recorded(robot, seed, q, _holding(torque, seed)))
-    found = diagnose(robot, logs, model)
+def _logs(robot: RobotDescription, change: Callable[[np.ndarray, int], np.ndarray]) -> list[Log]:
+    """Of all moves, each with its torque without noise changed, by the seed of the move."""
+    motions = {seed: _torque(robot, seed) for seed in MOVES}
+    return [_recorded(robot, seed, q, change(torque, seed)) for seed, (q, torque) in motions.items()]
+
+
+def test_a_sensor_that_holds_its_value_is_said_and_no_cause_named(robot, model):
+    found = diagnose(robot, _logs(robot, _holding), model)
     assert found.answer.verdict == "unknown"
     (warning,) = _said(found)
     assert warning.startswith(f"the torque of {robot.joint_names[0]} stands still")
@@ -79,33 +79,18 @@ def test_reports_a_held_torque_sensor_and_names_no_cause(robot, model):
     assert f"once the torque of {robot.joint_names[0]}, which stands still" in found.result["next_experiment"]["motion"]
 
 
-def test_reports_a_torque_that_is_nearly_always_clipped(robot, model):
-    logs = []
-    for seed in MOVES:
-        q, torque = _torque(robot, seed)
-        torque[:, 1] = np.clip(torque[:, 1], -8.0, 8.0)
-        logs.append(_recorded(robot, seed, q, torque))
-    found = diagnose(robot, logs, model)
-    assert found.answer.verdict == "unknown"
-    (warning,) = _said(found)
-    assert _level(warning) == pytest.approx(8.0, rel=0.02)
-
-
-def test_reports_clipped_torque_with_its_level(robot, model):
-    logs, level = [], 0.0
-    for seed in MOVES:
-        q, torque = _torque(robot, seed)
-        level = level or float(np.quantile(np.abs(torque[:, 1]), 0.8))
-        torque[:, 1] = np.clip(torque[:, 1], -level, level)
-        logs.append(_recorded(robot, seed, q, torque))
-    found = diagnose(robot, logs, model)
+@pytest.mark.parametrize("level", [8.0, None], ids=["nearly always", "a fifth of the time"])
+def test_a_torque_that_is_cut_off_is_said_with_the_level(robot, model, level):
+    level = level or float(np.quantile(np.abs(_torque(robot, MOVES[0])[1][:, 1]), 0.8))
+    cut = [np.inf, level]
+    found = diagnose(robot, _logs(robot, lambda torque, _: np.clip(torque, np.negative(cut), cut)), model)
     assert found.answer.verdict == "unknown"
     (warning,) = _said(found)
     assert _level(warning) == pytest.approx(level, rel=0.02)
     assert f"{robot.joint_names[1]} stands still at" in warning
 
 
-def test_friction_is_not_reported_as_a_held_sensor(robot, model):
+def test_what_the_arm_does_is_not_the_sensors(robot, model):
     """More friction, and torque held only where it hardly changes, which nothing tells from one that follows."""
     logs = [_recorded(robot, seed, *_torque(robot, seed, np.array([2.0, 0.0]))) for seed in MOVES]
     found = diagnose(robot, logs, model)
@@ -113,7 +98,7 @@ def test_friction_is_not_reported_as_a_held_sensor(robot, model):
     assert not _said(found)
 
 
-def test_nearly_constant_torque_is_not_reported_as_a_held_sensor(robot, model):
+def test_a_torque_that_hardly_changes_as_friction_is_gone_is_not_the_sensors(robot, model):
     """By the model it goes up and down with the friction; without any, on an upright axis, nothing is left of it."""
     logs = []
     for seed in MOVES:
@@ -125,14 +110,14 @@ def test_nearly_constant_torque_is_not_reported_as_a_held_sensor(robot, model):
     assert not _said(found)
 
 
-def test_a_run_without_a_gap_reports_no_held_sensor(robot, model):
-    found = diagnose(robot, [_recorded(robot, seed, *_torque(robot, seed)) for seed in MOVES], model)
+def test_without_a_gap_nothing_is_said(robot, model):
+    found = diagnose(robot, _logs(robot, lambda torque, _: torque), model)
     assert found.answer.verdict == "no_gap"
     assert not _said(found)
 
 
 @pytest.mark.parametrize("joint", [1, 5])
-def test_reports_a_held_torque_on_a_real_arm(shared_data, joint):
+def test_of_a_real_arm_a_torque_that_is_made_to_hold_is_said(shared_data, joint):
     """KR300, free motion: the torque of one joint is held for 0.2 to 0.8 s now and then; as recorded it is not."""
     folder = shared_data / "real-dev/kr300"
     arm = load_robot(folder / "robot_real.yaml")
@@ -152,11 +137,7 @@ def test_reports_a_held_torque_on_a_real_arm(shared_data, joint):
 
 def test_a_constant_torque_is_tolerated_if_no_joint_has_a_gap(robot, model):
     """Some rows have energy over the noise model, but no joint has any as a whole."""
-    logs = []
-    for seed in MOVES:
-        q, torque = _torque(robot, seed)
-        logs.append(_recorded(robot, seed, q, _holding(torque, seed)))
-    dataset = assemble(robot, model, logs, None)
+    dataset = assemble(robot, model, _logs(robot, _holding), None)
     assert held_torque(dataset, dataset.fit) is not None
     wide = dataset.fit.with_chosen(sigma=5 * dataset.fit.sigma)  # of a model that errs by 1 % of nominal everywhere
     some = np.where(np.abs(dataset.residual) > 10 * dataset.fit.sigma, 2.5, 0.0) * wide.sigma

@@ -18,14 +18,12 @@ from agent.robot.bodies import rigid_bodies
 
 def fitted(replacement):
     """A nominal model of a three-joint arm whose description has other inertials or none, and a motion of it."""
-    from tests.estimation.conftest import _arm, _log, _multisine
+    from tests.estimation.conftest import _arm, _links, _log, _multisine
 
     robot = _arm(3)
     t = np.arange(3000) / 250
     q, qd, qdd = _multisine(3, t)
-    rigid, _, _ = rigid_bodies(robot)
-    torque = rigid.torque(q, qd, qdd, rigid.projection @ np.append(rigid.dynamics.standard_parameters(), [1e-4] * 3))
-    torque = torque + 3 * np.tanh(qd / 0.01) + 0.5 * np.random.default_rng(1).normal(size=q.shape)
+    torque = _links(robot, q, qd, qdd) + 3 * np.tanh(qd / 0.01) + 0.5 * np.random.default_rng(1).normal(size=q.shape)
     bare = replace(robot, urdf=re.sub(r"<inertial>.*?</inertial>", replacement, robot.urdf))
     model = estimate(bare, [_log(bare, t, q, torque)], EstimationSettings.create(cutoff=10, method="weighted"))
     return NominalModel(model), MotionSignals(NominalModel(model), t, q, qd, qdd)

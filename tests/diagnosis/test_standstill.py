@@ -14,8 +14,7 @@ from agent.estimation import EstimationSettings, estimate
 from agent.model import CATALOGUE
 from agent.recording.log import Log
 from agent.robot import Dynamics, RobotDescription
-from agent.robot.bodies import rigid_bodies
-from tests.estimation.conftest import _arm, _log, _multisine
+from tests.estimation.conftest import _arm, _links, _log, _multisine
 
 COULOMB = 12.0  # N·m, of 100 nominal
 RATE = 250.0  # Hz
@@ -25,7 +24,6 @@ AWAY = 0.6  # rad, from where a joint that stands all through one log moves in a
 
 def _record(robot: RobotDescription, seed: int, held: float) -> Log:
     """A motion of one joint that is held for up to `held` [s] wherever it turns back."""
-    rigid, _, _ = rigid_bodies(robot)
     rng = np.random.default_rng(seed)
     time = np.arange(0, 12, 1 / RATE)
     moves = _multisine(1, time, seed)
@@ -39,8 +37,7 @@ def _record(robot: RobotDescription, seed: int, held: float) -> Log:
     for turn, pause in zip(turns, pauses, strict=True):
         stuck = np.flatnonzero((at == turn) & still)
         slides[stuck, 0] = np.linspace(*rng.uniform(-1, 1, 2), pause)
-    bodies = rigid.projection @ np.append(rigid.dynamics.standard_parameters(), 1e-4)
-    torque = rigid.torque(q, qd, qdd, bodies) + COULOMB * slides + 4 * qd + 0.1 * rng.normal(size=q.shape)
+    torque = _links(robot, q, qd, qdd) + COULOMB * slides + 4 * qd + 0.1 * rng.normal(size=q.shape)
     return _log(robot, np.arange(len(q)) / RATE, q, torque, f"{seed}.mcap")
 
 
@@ -54,16 +51,14 @@ def test_stiction_at_a_reversal_is_not_a_gap():
 
 def _beside(robot: RobotDescription, seed: int, offset: float, stuck: float | None = None) -> Log:
     """A motion of two joints, or of the second while stiction holds the first with `stuck` of its level."""
-    rigid, _, _ = rigid_bodies(robot)
     time = np.arange(0, 12, 1 / RATE)
     q, qd, qdd = _multisine(2, time, seed)
     friction = np.sign(qd)
     if stuck is not None:
         qd[:, 0] = qdd[:, 0] = 0.0
         q[:, 0], friction[:, 0] = q[:, 0].max() + AWAY, stuck
-    bodies = rigid.projection @ np.concatenate([rigid.dynamics.standard_parameters(), [1e-4] * 2])
     noise = 0.1 * np.random.default_rng(seed).normal(size=q.shape)
-    torque = rigid.torque(q, qd, qdd, bodies) + COULOMB * friction + 4 * qd + [offset, 0] + noise
+    torque = _links(robot, q, qd, qdd) + COULOMB * friction + 4 * qd + [offset, 0] + noise
     return _log(robot, time, q, torque, f"{seed}.mcap")
 
 

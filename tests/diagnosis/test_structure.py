@@ -7,9 +7,8 @@ import numpy as np
 from agent.diagnosis.structure import with_structure
 from agent.estimation import EstimationSettings, estimate
 from agent.model.identified import IdentifiedModel
-from agent.robot.bodies import rigid_bodies
 from agent.validation import validate
-from tests.estimation.conftest import _arm, _log, _multisine
+from tests.estimation.conftest import _arm, _links, _log, _multisine
 
 ROBOT = _arm(2)
 
@@ -18,9 +17,7 @@ def _recorded(seed: int, spring: float):
     """Ten seconds of two joints, the second with a torsion spring."""
     t = np.arange(1000) / 100
     q, qd, qdd = _multisine(2, t, seed=seed)
-    rigid, _, _ = rigid_bodies(ROBOT)
-    torque = rigid.torque(q, qd, qdd, rigid.projection @ np.append(rigid.dynamics.standard_parameters(), [1e-4] * 2))
-    torque = torque + 5 * np.tanh(qd / 0.01) + 2 * qd + spring * (q - 0.2) * [0, 1]
+    torque = _links(ROBOT, q, qd, qdd) + 5 * np.tanh(qd / 0.01) + 2 * qd + spring * (q - 0.2) * [0, 1]
     return _log(ROBOT, t, q, torque + 0.3 * np.random.default_rng(seed).normal(size=q.shape), name=f"{seed}.mcap")
 
 

@@ -98,6 +98,12 @@ def found_by_a_search(verdict, candidates, rivals, scale=1.0, runner_up=()):
     )  # type: ignore[arg-type]
 
 
+def judged_by(finding, gap_of, told):
+    """A finding as it is judged where fits have these gaps, and findings these causes."""
+    with patch.object(rules, "held_out_gap", gap_of), patch.object(rules, "causes_of", told):
+        return judge(SimpleNamespace(limits=LIMITS), finding, _Fit())  # type: ignore[arg-type]
+
+
 @given(
     verdict=st.sampled_from(["explained", "ambiguous"]),
     found=st.lists(causes, min_size=1, max_size=3),
@@ -116,22 +122,12 @@ def test_every_search_result_gives_an_answer_that_meets_the_contract(verdict, fo
         return SimpleNamespace(closure=closings[min(len(fit.chosen), len(closings) - 1)])
 
     def told(dataset, finding, gap):
-        return tuple(
-            Cause(
-                c.cause.effect,
-                c.cause.joints,
-                c.cause.closure,
-                c.cause.probability,
-                c.cause.parameters,
-                tuple(EffectPlace(name, ("joint_2",)) for name, _ in there),
-            )
-            for c, there in zip(finding.causes, finding.rivals, strict=True)
-        )
+        there = [tuple(EffectPlace(name, ("joint_2",)) for name, _ in rivals) for rivals in finding.rivals]
+        named = zip((c.cause for c in finding.causes), there, strict=True)
+        return tuple(replace(cause, equivalent_to=equal, closure_of_joints=None) for cause, equal in named)
 
-    dataset = SimpleNamespace(limits=LIMITS)
-    with patch.object(rules, "held_out_gap", gap_of), patch.object(rules, "causes_of", told):
-        judged, gap = judge(dataset, finding, _Fit())  # type: ignore[arg-type]
-        named = told(dataset, judged, gap)
+    judged, gap = judged_by(finding, gap_of, told)
+    named = told(None, judged, gap)
     assert keeps_its_promises(judged.verdict, named, gap.closure)
 
 
@@ -145,9 +141,7 @@ def test_causes_without_held_out_gain_leave_a_gap_only_beyond_the_noise_model(sc
     def told(dataset, finding, gap):
         return (cause,) * len(finding.causes)
 
-    gap = SimpleNamespace(closure=0.0)
-    with patch.object(rules, "held_out_gap", lambda *_: gap), patch.object(rules, "causes_of", told):
-        judged, _ = judge(SimpleNamespace(limits=LIMITS), finding, _Fit())  # type: ignore[arg-type]
+    judged, _ = judged_by(finding, lambda *_: SimpleNamespace(closure=0.0), told)
     assert judged.verdict == ("unknown" if scale >= LAW.exceeded else "no_gap")
     assert judged.causes == ()
 
@@ -161,10 +155,7 @@ def test_causes_that_close_too_little_are_named_with_the_runner_up():
         there = tuple(EffectPlace(name, ("joint_1",)) for name, _ in finding.rivals[0])
         return (replace(cause, equivalent_to=there),)
 
-    with patch.object(rules, "causes_of", told):
-        for closure, verdict in ((0.9, "explained"), (0.5, "ambiguous")):
-            gap = SimpleNamespace(closure=closure)
-            with patch.object(rules, "held_out_gap", lambda *_, gap=gap: gap):
-                judged, _ = judge(SimpleNamespace(limits=LIMITS), finding, _Fit())  # type: ignore[arg-type]
-            assert judged.verdict == verdict
-            assert judged.rivals[0] == (() if verdict == "explained" else (stribeck.place,))
+    for closure, verdict in ((0.9, "explained"), (0.5, "ambiguous")):
+        judged, _ = judged_by(finding, lambda *_, closure=closure: SimpleNamespace(closure=closure), told)
+        assert judged.verdict == verdict
+        assert judged.rivals[0] == (() if verdict == "explained" else (stribeck.place,))

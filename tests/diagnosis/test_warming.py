@@ -12,8 +12,7 @@ from agent.estimation import EstimationSettings, estimate
 from agent.model import IdentifiedModel
 from agent.recording.log import Log
 from agent.robot import RobotDescription
-from agent.robot.bodies import rigid_bodies
-from tests.estimation.conftest import _arm, _log, _multisine
+from tests.estimation.conftest import _arm, _links, _log, _multisine
 
 RATE = 250.0  # Hz
 COULOMB, VISCOUS = 5.0, 4.0  # N·m, N·m·s/rad
@@ -22,14 +21,12 @@ WAY = 3.0  # rad
 
 def _recorded(robot: RobotDescription, seed: int, factor: Callable[[np.ndarray], np.ndarray | float]) -> Log:
     """A motion in which the second joint's friction is larger by a factor of the way (S,) [rad] that it went."""
-    rigid, _, _ = rigid_bodies(robot)
     time = np.arange(0, 16, 1 / RATE)
     q, qd, qdd = _multisine(2, time, seed)
-    bodies = rigid.projection @ np.concatenate([rigid.dynamics.standard_parameters(), np.full(2, 1e-4)])
     rubs = COULOMB * np.sign(qd) + VISCOUS * qd
     rubs[:, 1] *= factor(np.cumsum(np.abs(qd[:, 1])) / RATE)
     noise = 0.1 * np.random.default_rng(seed).normal(size=q.shape)
-    return _log(robot, time, q, rigid.torque(q, qd, qdd, bodies) + rubs + noise, f"{seed}.mcap")
+    return _log(robot, time, q, _links(robot, q, qd, qdd) + rubs + noise, f"{seed}.mcap")
 
 
 def _as_it_was(way: np.ndarray) -> float:

@@ -10,6 +10,7 @@ import pytest
 
 from agent.recording.log import Log
 from agent.robot import RobotDescription
+from agent.robot.bodies import rigid_bodies
 from tests.arms import AXES, Bar, serial_arm
 
 
@@ -57,6 +58,13 @@ def _multisine(
         ramp, ramp1, ramp2 = 0.5 * (1 + erf(x)), bell, -2 * sign * x / 0.15 * bell
         w, w1, w2 = w * ramp, w1 * ramp + w * ramp1, w2 * ramp + 2 * w1 * ramp1 + w * ramp2
     return centre + w * s, w1 * s + w * s1, w2 * s + 2 * w1 * s1 + w * s2
+
+
+def _links(robot: RobotDescription, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
+    """(S, n) [N·m] of the described links, with rotors of 1e-4 kg·m²."""
+    rigid, _, _ = rigid_bodies(robot)
+    bodies = np.append(rigid.dynamics.standard_parameters(), np.full(robot.dof, 1e-4))
+    return rigid.torque(q, qd, qdd, rigid.projection @ bodies)
 
 
 def _log(

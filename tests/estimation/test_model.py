@@ -12,7 +12,7 @@ import pytest
 from agent.core.errors import InputError
 from agent.estimation import EstimationSettings, estimate
 from agent.model import FrictionTerm, IdentifiedModel, ModelEffect, Reversal
-from agent.robot.bodies import rigid_bodies
+from tests.estimation.conftest import _links
 
 
 @pytest.fixture(scope="module")
@@ -219,9 +219,7 @@ def test_notes_doubt_about_a_wrongly_recorded_log(arm, multisine, make_log, wron
     robot = arm(2)
     t = np.arange(5000) / 500
     q, qd, qdd = multisine(2, t)
-    rigid, _, _ = rigid_bodies(robot)
-    values = rigid.projection @ np.append(rigid.dynamics.standard_parameters(), [1e-4, 1e-4])
-    torque = rigid.torque(q, qd, qdd, values) + 5 * np.sign(qd) + 2 * qd
+    torque = _links(robot, q, qd, qdd) + 5 * np.sign(qd) + 2 * qd
     right, doubted = (estimate(robot, [make_log(robot, t, *data)]) for data in ((q, torque), wrong(q, torque)))
     assert re.search(note, "\n".join(doubted.notes))
     assert not re.search(note, "\n".join(right.notes))

@@ -13,6 +13,7 @@ from agent.estimation.problem import Estimate
 from agent.model import IdentifiedModel
 from agent.robot.bodies import rigid_bodies
 from fake_controller.plant import Plant
+from tests.estimation.conftest import _links
 from tests.small_arms import record
 
 PAPER = EstimationSettings.create(method="paper")
@@ -28,8 +29,7 @@ def log(arm, multisine, make_log):
         q, qd, qdd = multisine(2, t)
         if rest:
             q[:, 1], qd[:, 1], qdd[:, 1] = 0.3, 0.0, 0.0
-        rigid, _, _ = rigid_bodies(robot)
-        links = rigid.torque(q, qd, qdd, rigid.projection @ np.append(rigid.dynamics.standard_parameters(), [1e-4] * 2))
+        links = _links(robot, q, qd, qdd)
         friction = 5 * np.tanh(qd / 0.01) + 3 * qd + 4 * np.sign(qd) * np.exp(-np.abs(qd) / 0.1) + 2
         noisy = links + friction + noise * np.random.default_rng(1).normal(size=q.shape)
         return robot, make_log(robot, t, q, noisy)
@@ -77,7 +77,6 @@ def test_does_not_depend_on_the_described_masses(log):
 
 def test_equals_the_weighted_pseudo_inverse(log):
     from agent.estimation.observation import observe
-    from agent.robot.bodies import rigid_bodies
 
     robot, recorded = log()
     model = estimate(robot, [recorded], PAPER)

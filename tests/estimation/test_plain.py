@@ -9,8 +9,8 @@ import numpy as np
 from agent.estimation import EstimationSettings, estimate
 from agent.estimation.problem import Estimate
 from agent.estimation.selection import choose
-from agent.robot.bodies import rigid_bodies
 from agent.validation import validate
+from tests.estimation.conftest import _links
 
 FRICTION = np.array([40.0, 80.0, 50.0, 20.0, 12.0, 6.0, 3.0])  # N·m
 
@@ -20,11 +20,15 @@ def _recorded(robot, multisine, make_log, seed: int, seconds: float, noise: floa
     n = robot.dof
     t = np.arange(int(50 * seconds)) / 50
     q, qd, qdd = multisine(n, t, seed=seed)
-    rigid, _, _ = rigid_bodies(robot)
-    links = rigid.torque(q, qd, qdd, rigid.projection @ np.append(rigid.dynamics.standard_parameters(), [1e-4] * n))
-    friction = FRICTION[:n] * (0.15 * np.tanh(qd / width) + 0.1 * qd + 0.05)
-    torque = links + friction + noise * FRICTION[:n] * np.random.default_rng(seed).normal(size=q.shape)
+    relative = 0.15 * np.tanh(qd / width) + 0.1 * qd + 0.05 + noise * np.random.default_rng(seed).normal(size=q.shape)
+    torque = _links(robot, q, qd, qdd) + FRICTION[:n] * relative
     return make_log(robot, t, q, torque, name=f"{seed}.mcap")
+
+
+def _errors(robot, fitted, held_out, method=None):
+    """The model by a method and that by `plain`, and their errors on a log held out."""
+    models = [estimate(robot, [fitted], EstimationSettings.create(cutoff=10, method=one)) for one in (method, "plain")]
+    return models, [validate(model, [held_out], 10).overall.relative_error_all_joints for model in models]
 
 
 def test_a_seven_joint_arm_logged_slowly_and_briefly_is_predicted_as_well_as_by_plain_least_squares(
@@ -34,10 +38,7 @@ def test_a_seven_joint_arm_logged_slowly_and_briefly_is_predicted_as_well_as_by_
     fitted = _recorded(robot, multisine, make_log, 1, 8, 0.02)
     held_out = _recorded(robot, multisine, make_log, 101, 12, 0.0)
     unknown = replace(robot, urdf=robot.urdf.replace('mass value="', 'mass value="1'))  # its links say nothing true
-    ours, plain = (
-        estimate(unknown, [fitted], EstimationSettings.create(cutoff=10, method=method)) for method in (None, "plain")
-    )
-    errors = [validate(m, [held_out], 10).overall.relative_error_all_joints for m in (ours, plain)]
+    (ours, _), errors = _errors(unknown, fitted, held_out)
     assert errors[0] <= errors[1]
     assert any("plain " in note for note in ours.notes if note.startswith("Method"))  # it was compared
 
@@ -49,12 +50,7 @@ def test_motions_at_other_postures_are_predicted_no_worse_than_by_plain_least_sq
         robot = arm(3, seed=seed)
         fitted = _recorded(robot, multisine, make_log, seed, 8, 0.02, 1e-4 if seed % 2 else 0.01)
         elsewhere = _recorded(robot, multisine, make_log, 50_000 + seed, 8, 0.0, 1e-4 if seed % 2 else 0.01)
-        errors = [
-            validate(
-                estimate(robot, [fitted], EstimationSettings.create(cutoff=10, method=method)), [elsewhere], 10
-            ).overall.relative_error_all_joints
-            for method in (None, "plain")
-        ]
+        _, errors = _errors(robot, fitted, elsewhere)
         ratios.append(errors[0] / errors[1])
     assert sorted(ratios)[-3] < 1.03
     assert np.median(ratios) < 0.7
@@ -76,11 +72,7 @@ def test_an_offset_in_a_small_motion_is_not_fitted_as_gravity(arm, multisine, ma
     robot = arm(7, seed=911)
     fitted = _recorded(robot, multisine, make_log, 911, 30, 0.02)
     elsewhere = _recorded(robot, multisine, make_log, 50911, 12, 0.0)
-    ours, plain = (
-        estimate(robot, [fitted], EstimationSettings.create(cutoff=10, method=method))
-        for method in ("weighted", "plain")
-    )
-    errors = [validate(m, [elsewhere], 10).overall.relative_error_all_joints for m in (ours, plain)]
+    (ours, _), errors = _errors(robot, fitted, elsewhere, "weighted")
     assert errors[0] < errors[1]
     assert {term.axle for term in ours.terms if term.form == "offset"} == set(range(7))
 

@@ -10,7 +10,6 @@ import pytest
 from agent.estimation import EstimationSettings, estimate
 from agent.estimation.estimators import weighted
 from agent.estimation.filtering import FilterSettings
-from agent.estimation.moments import autocorrelation_time
 from agent.estimation.observation import observe, partition
 from agent.estimation.prior import link_prior
 from agent.estimation.problem import Problem
@@ -245,12 +244,6 @@ def test_deviations_shrink_with_the_square_root_of_data(arm, multisine, make_log
             deviations.append(estimate(robot, [make_log(robot, t, q, torque)], settings).standard_deviations)
         ratios.append(deviations[0] / deviations[1])
     assert np.median(ratios) == pytest.approx(2, rel=0.25)
-
-
-@pytest.mark.parametrize("memory", [0.0, 0.9, 0.98])
-def test_autocorrelation_time(memory):
-    rows = _correlated(np.random.default_rng(0), (100_000, 1), memory)
-    assert autocorrelation_time([rows])[0] == pytest.approx((1 + memory) / (1 - memory), rel=0.15)
 
 
 def test_held_out_error_is_larger_than_the_fit_s_where_data_are_few(arm, multisine, make_log):

@@ -68,7 +68,7 @@ def test_a_lasting_jump_cuts_the_log(through_file, motion):
     lost[500, 0] += 1.0
     lost[1500:, 4] += 0.4
     log = through_file(lost)
-    assert log.segments == ((0, 1499), (1499, 2999))
+    assert log.segments == log.bridged(1.0) == ((0, 1499), (1499, 2999))
     assert any("joint_5 jumps by" in repair.kind and repair.time == pytest.approx(3.0) for repair in log.repairs)
 
 

@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 
 from agent.estimation import EstimationSettings, estimate
-from agent.recording import Log
 from agent.report import RUN_SECTIONS, RunContent, further_sections
 from agent.report.calibration.parameters import correlation, correlation_section
 from agent.report.calibration.sections import paper_section
 from agent.report.page import Page, Section, render
 from agent.robot import load_robot
 from agent.validation import predict_log
+from tests.estimation.conftest import _log
 
 
 @pytest.fixture(scope="module")
-def logs(tmp_path_factory):
+def logs():
     """Two motions of the NS16's links with friction that also has a Stribeck term."""
     from agent.robot.dynamics import Dynamics
 
@@ -33,21 +33,7 @@ def logs(tmp_path_factory):
         qd, qdd = 0.25 * rate * np.cos(angle), -0.25 * rate**2 * np.sin(angle)
         friction = np.tanh(qd / 0.01) * (4 + 8 * np.exp(-np.abs(qd) / 0.2)) + 6 * qd
         torque = dynamics.inverse_dynamics(q, qd, qdd) + friction + rng.normal(size=q.shape)
-        made.append(
-            Log(
-                path=tmp_path_factory.mktemp("logs") / f"motion_{seed}.mcap",
-                joint_names=robot.joint_names,
-                t=t,
-                position=q,
-                velocity=None,
-                effort=torque,
-                reference_position=None,
-                planned_position=None,
-                sample_rate=500.0,
-                stamp=0.0,
-                segments=((0, len(t)),),
-            )
-        )
+        made.append(_log(robot, t, q, torque, f"motion_{seed}.mcap"))
     return robot, made
 
 

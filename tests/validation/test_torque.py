@@ -11,22 +11,19 @@ import pytest
 from agent.core.errors import InputError
 from agent.estimation import EstimationSettings, estimate
 from agent.estimation.filtering import FilterSettings, motions
+from agent.model import ModelEffect
 from agent.pipeline import validation_text
-from agent.recording.log import Log
 from agent.robot import load_robot
 from agent.validation import pooled_rmse, predict_log, summary, validate
-
-
-def _log(robot, path, t, q, torque):
-    return Log(path, robot.joint_names, t, q, None, torque, None, None, 500.0, 0.0, ((0, len(t)),))
+from agent.validation.torque import flipped_joints, predicts, same_scale
+from tests.estimation.conftest import _log
 
 
 @pytest.fixture(scope="module")
-def case(tmp_path_factory):
+def case():
     """The NS16, a rough model of it, and two logs: one moving, one stationary for half of the time."""
     robot = load_robot("comau_ns16")
     rng = np.random.default_rng(0)
-    folder = tmp_path_factory.mktemp("logs")
     t = np.arange(4000) / 500
     frequency, phase = rng.uniform(0.2, 0.8, (2, 1, 6)) * [[[1]], [[6]]]
     logs = []
@@ -35,11 +32,18 @@ def case(tmp_path_factory):
         q = 0.3 * np.sin(2 * np.pi * frequency * time + phase)
         qd = np.gradient(q, t, axis=0)
         torque = 300 * np.cos(q) + 40 * np.sign(np.round(qd, 9)) + 30 * np.gradient(qd, t, axis=0)
-        logs.append(_log(robot, folder / name, t, q, torque + rng.normal(size=q.shape)))
+        logs.append(_log(robot, t, q, torque + rng.normal(size=q.shape), name))
     return robot, estimate(robot, logs[:1], EstimationSettings.create(method="weighted")), logs
 
 
-def test_the_result_has_the_documented_keys(case):
+def on_joint(log, joint, change):
+    """The log with the torque of one joint changed."""
+    effort = log.effort.copy()
+    effort[:, joint] = change(effort[:, joint])
+    return replace(log, effort=effort)
+
+
+def test_the_result_is_the_contract_s(case):
     robot, model, logs = case
     result = json.loads(json.dumps(validate(model, logs, 20.0).to_dict(), allow_nan=False))
     assert set(result) == {"schema", "joints", "cutoff_hz", "logs", "overall"}
@@ -52,7 +56,7 @@ def test_the_result_has_the_documented_keys(case):
     assert set(result["overall"]) == figures
 
 
-def test_figures_are_computed_from_filtered_signals(case):
+def test_figures_are_those_of_the_filtered_signals(case):
     robot, model, logs = case
     result = validate(model, logs[1:])
     motion = next(motions(logs[1], FilterSettings(model.cutoff), reduce=False))
@@ -76,7 +80,7 @@ def test_every_sample_but_the_edges_counts_and_logs_are_pooled(case):
     assert summary([predict_log(model, log) for log in logs]) == result
 
 
-def test_moving_samples_exclude_standstill(case):
+def test_moving_samples_are_those_in_which_the_arm_moves(case):
     _, model, logs = case
     moving, resting = (predict_log(model, log) for log in logs)
     assert moving.moving.mean() > 0.99
@@ -105,36 +109,34 @@ def test_bounds_hold_most_of_an_unseen_motion(case):
     assert inside > 0.85
 
 
-def test_undefined_figures_are_null(case):
-    robot, model, logs = case
-    bare = replace(robot, joints=tuple(replace(joint, nominal_motor_torque=None) for joint in robot.joints))
-    effort = logs[0].effort.copy()
-    effort[:, 2] = 0.0
-    result = validate(replace(model, robot=bare), [replace(logs[0], effort=effort)])
-    assert result.overall.normalised_rmse == (None,) * 6
-    assert [value is None for value in result.overall.relative_error] == [joint == 2 for joint in range(6)]
-    assert np.all(np.isfinite(result.overall.rmse))
-
-
-def test_figures_of_zero_torque_are_null(case):
+@pytest.mark.parametrize("silent", [[2], [0, 1, 2, 3, 4, 5]])
+def test_figures_that_do_not_exist_are_null(case, silent):
+    """Without a nominal torque, or of joints without torque."""
     robot, model, logs = case
     bare = replace(robot, joints=tuple(replace(joint, nominal_motor_torque=None) for joint in robot.joints))
     prediction = predict_log(replace(model, robot=bare), logs[0])
-    result = summary([replace(prediction, measured=np.zeros_like(prediction.measured))])
+    measured = prediction.measured * ~np.isin(np.arange(6), silent)
+    result = summary([replace(prediction, measured=measured)])
     assert result.overall.normalised_rmse == (None,) * 6
-    assert result.overall.relative_error == (None,) * 6
-    assert result.overall.relative_error_all_joints is None
+    assert [value is None for value in result.overall.relative_error] == [joint in silent for joint in range(6)]
+    assert (result.overall.relative_error_all_joints is None) == ("all joints: - at" in validation_text(result))
+    assert (result.overall.relative_error_all_joints is None) == (len(silent) == 6)
     assert np.all(np.isfinite(result.overall.rmse))
-    assert "all joints: - at" in validation_text(result)
 
 
-def test_refuses_torque_that_is_always_zero(case):
+def test_torque_of_one_joint_that_is_zero_throughout_has_no_relative_error(case):
+    _, model, logs = case
+    found = validate(model, [on_joint(logs[0], 2, np.zeros_like)]).overall.relative_error
+    assert [value is None for value in found] == [joint == 2 for joint in range(6)]
+
+
+def test_torque_that_is_zero_throughout_is_refused(case):
     _, model, logs = case
     with pytest.raises(InputError, match="the torque is zero throughout"):
         validate(model, [replace(logs[0], effort=np.zeros_like(logs[0].effort))])
 
 
-def test_reports_why_a_log_cannot_be_validated(case):
+def test_logs_that_cannot_be_validated_say_why(case):
     _, model, logs = case
     with pytest.raises(InputError, match=r"moving\.mcap: no torque"):
         validate(model, [replace(logs[0], effort=None)])
@@ -142,3 +144,83 @@ def test_reports_why_a_log_cannot_be_validated(case):
         validate(model, [replace(logs[0], joint_names=("a",))])
     with pytest.raises(InputError, match="cut-off of 400 Hz"):
         validate(model, logs, 400.0)
+
+
+def test_a_model_predicts_what_errs_little_as_its_torque_varies_or_as_the_model_usually_does(case):
+    """A constant error leaves the variation of the torque as it is."""
+    _, model, (log, _) = case
+    found = predict_log(model, log)
+    size = np.std(found.measured[:, 2])
+    usual, careless = (replace(model, held_out_rmse=np.full(6, part * size)) for part in (0.0, 0.25))
+    assert np.median(np.abs(found.error[:, 2])) < 0.07 * size
+    for expects, good, bad in ((usual, 0.28, 0.42), (careless, 0.42, 0.57)):
+        little, much = (on_joint(log, 2, lambda torque, share=share: torque + share * size) for share in (good, bad))
+        told = [predicts(expects, logs) for logs in ([little], [log, little, little], [much], [log, much, much])]
+        assert told == [True, True, False, False]
+    assert not predicts(model, [replace(log, effort=None)])
+
+
+def test_what_a_joint_does_while_it_stands_says_nothing_of_its_channel(case):
+    robot, model, (log, resting) = case
+    late = resting.between(3.0, 8.0)
+    assert predicts(model, [on_joint(late, 2, lambda torque: torque + 1000.0 * (late.t > 4.0))])
+    assert not predicts(model, [on_joint(late, 2, lambda torque: torque + 1000.0)])
+    held = replace(log, position=np.where(np.arange(6) == 2, 0.1, log.position))
+    assert robot.joint_names[2] not in flipped_joints(model, replace(held, effort=-log.effort))
+    everything = replace(log, position=0 * log.position, effort=-log.effort)
+    assert not predicts(model, [everything])
+    assert flipped_joints(model, everything) == []
+
+
+def test_a_joint_whose_torque_is_of_the_other_sign_is_named(case):
+    robot, model, (log, _) = case
+    nothing, size = replace(model, values=0 * model.values), np.arange(len(log.t)) % 500 < 50
+    assert flipped_joints(model, log) == flipped_joints(model, replace(log, effort=None)) == []
+    for joint, name in ((1, robot.joint_names[1]), (4, robot.joint_names[4])):
+        assert flipped_joints(model, on_joint(log, joint, np.negative)) == [name]
+        assert flipped_joints(model, on_joint(log, joint, lambda torque: -5 * torque)) == []
+        assert name not in flipped_joints(nothing, on_joint(log, joint, lambda torque: 1e3 * size)), "rare spikes"
+
+
+def test_torque_is_of_another_unit_from_a_factor_of_four_where_most_is_carried(case):
+    _, model, (log, _) = case
+    most = int(np.argmax(np.median(np.abs(predict_log(model, log).predicted), axis=0)))
+    for factor in (3.5, 4.5):
+        for scale in (factor, 1 / factor):
+            assert same_scale(model, [on_joint(log, most, lambda torque, scale=scale: scale * torque)]) is (factor < 4)
+    assert same_scale(model, [on_joint(log, (most + 1) % 6, lambda torque: 100 * torque)])
+    assert not same_scale(model, [replace(log, effort=None)])
+
+
+def test_a_prediction_has_the_motion_and_what_gravity_acceleration_and_speed_take_of_it(case):
+    _, model, (log, _) = case
+    effect = ModelEffect("torque_offset", ("joint_2",), {"offset": 7.0})
+    found = predict_log(replace(model, effects=(effect,)), log)
+    q, qd, qdd = found.position, found.velocity, found.acceleration
+    rows = np.rint(found.time * log.sample_rate).astype(int)
+    close = np.testing.assert_allclose
+    close(q, log.position[rows], atol=2e-3)
+    close(qd, np.gradient(log.position, log.t, axis=0)[rows], atol=0.02)
+    close(qdd, np.gradient(qd, found.time, axis=0), atol=0.3)
+    still, base = np.zeros_like(q), model.base_values
+    gravity = model.rigid.torque(q, still, still, base)
+    expected = {"gravity": gravity, "effects": np.tile([0, 7.0, 0, 0, 0, 0], (len(q), 1))}
+    expected |= {"inertia": model.rigid.torque(q, still, qdd, base) - gravity}
+    expected |= {"Coriolis": model.rigid.torque(q, qd, still, base) - gravity}
+    for name, part in expected.items():
+        size = np.sqrt(np.mean(part**2, axis=0)).max()
+        close(found.parts[name][200:-200], part[200:-200], atol=0.05 * size, err_msg=name)
+    close(np.sum(list(found.parts.values()), axis=0), found.predicted, atol=1e-6)
+    bare = predict_log(model, log)
+    again = bare.by(found.model)
+    assert again.model is found.model
+    for name, other in (("predicted", found), ("half_width", found), ("friction", bare), ("measured", bare)):
+        close(getattr(again, name), getattr(other, name), atol=1e-9)
+
+
+def test_bounds_are_those_of_the_model_along_the_filtered_motion(case):
+    """Twice the deviations of everything are twice the width."""
+    _, model, (log, _) = case
+    wider = replace(model, covariance=4 * model.covariance, group_rmse=2 * model.group_rmse)
+    one, other = (predict_log(each, log).half_width for each in (model, wider))
+    np.testing.assert_allclose(other, 2 * one, rtol=1e-6)

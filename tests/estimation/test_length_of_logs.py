@@ -1,4 +1,4 @@
-"""Logs too short to tell a mistake in them from chance."""
+"""Logs too short to tell a mistake in them from chance, and logs of any length in bounded memory."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from agent.data_quality.rigid_fit import FOLDS, Bodies, FitSamples, RigidFit, overfitted
+from agent.estimation import EstimationSettings, estimate
+from agent.recording import read_log, scratch, write_log
 
 
 @pytest.mark.parametrize(("count", "expected"), [(16, True), (400, False)])
@@ -21,3 +23,18 @@ def test_a_fit_that_cannot_predict_held_out_data_blames_no_joint(arm, multisine,
     torque += 0.1 * np.std(torque, axis=0) * rng.normal(size=q.shape)
     samples = FitSamples(q, qd, qdd, torque, samples.direction, fold, float(count))
     assert overfitted(RigidFit(bodies, samples), torque) is expected
+
+
+def test_a_model_is_the_same_from_memory_and_from_disk(arm, multisine, make_log, tmp_path, monkeypatch):
+    robot = arm(2)
+    t = np.arange(6000) / 500
+    q, qd, _ = multisine(2, t)
+    torque = 3 * np.sign(qd) + qd + np.random.default_rng(0).normal(size=q.shape)
+    write_log(tmp_path / "long.mcap", make_log(robot, t, q, torque, reference_position=q))
+    settings = EstimationSettings.create(method="weighted")
+    models = []
+    for in_memory in (2**30, 0):
+        monkeypatch.setattr(scratch, "_IN_MEMORY", in_memory)
+        models.append(estimate(robot, [read_log(tmp_path / "long.mcap", robot)], settings))
+    assert np.array_equal(models[0].values, models[1].values)
+    assert np.array_equal(models[0].covariance, models[1].covariance)

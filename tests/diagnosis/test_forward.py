@@ -1,4 +1,4 @@
-"""The interval of an error forward: another motion lies in it nine times of ten, however alike one motion's windows."""
+"""Errors of a simulation forward: what drives it, and the interval in which another motion lies nine times of ten."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from agent.diagnosis.forward.interval import expected_range
+from agent.diagnosis.forward.rollout import at_motors
+from agent.model import ModelEffect
 
 WINDOWS, HORIZONS, JOINTS = 8, 4, 6
 
@@ -37,3 +39,14 @@ def test_short_windows_and_a_single_motion_have_an_interval_too():
     low, high = expected_range(found[:WINDOWS], group[:WINDOWS], np.pi)
     assert np.all(low == 0)
     assert np.all(high >= np.pi)
+
+
+def test_the_motors_torque_is_what_was_reported_without_what_measuring_made_of_it():
+    motors = np.array([[3.0, -2.0], [1.0, 5.0]])
+    reported = motors * [1.0, 1.1] + [0.0, 4.0]
+    found = [
+        ModelEffect("torque_constant", ("b",), {"scale_error": 0.1}),
+        ModelEffect("payload", (), {"mass": 3.0}),
+        ModelEffect("torque_offset", ("b",), {"offset": 4.0}),
+    ]
+    np.testing.assert_allclose(at_motors(found, ("a", "b"), reported), motors)
