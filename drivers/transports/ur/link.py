@@ -8,11 +8,9 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-import selectors
 import socket
 import struct
 import threading
-import time
 from collections.abc import Callable
 
 import numpy as np
@@ -20,8 +18,9 @@ import numpy as np
 from drivers.errors import DriverError, ProtocolError, RefusedError
 from drivers.transports.base import WATCHDOG, LinkThread, dropped
 from drivers.transports.tcp import open_socket
-from drivers.transports.ur import rtde
-from drivers.transports.ur.primary import Presence, PrimaryReader, ProgramChange, ProgramFault
+from drivers.transports.ur import primary as messages, rtde
+from drivers.transports.ur.primary import Presence, ProgramChange, ProgramFault
+from drivers.wire.stream import PackageDecoder
 
 _RECEIVE = 256 * 1024
 #: Heartbeats to a watchdog, by the controller's clock.
@@ -59,8 +58,6 @@ class UrLink(LinkThread):
         on_failure: Callable[[DriverError], None],
     ) -> None:
         super().__init__(data, on_failure)
-        self.guarded = False  # a silence as long as the watchdog ends the link
-        self.watchdog = WATCHDOG
         self.beating = False  # where it does not, a program stops the arm
         self.real: bool | None = None  # whether a robot is there, once that was said
         self._period = period
@@ -69,7 +66,8 @@ class UrLink(LinkThread):
         self._permit = 0
         self._beats = itertools.count(1)
         self._beaten = -np.inf  # controller time [s] of the last heartbeat
-        self._packages, self._messages = rtde.PackageReader(), PrimaryReader()
+        self._packages = PackageDecoder(rtde.HEAD, 0xFFFF, "RTDE")
+        self._messages = PackageDecoder(messages.HEAD, messages.LONGEST, "the primary interface")
         self._early: list[bytes] = []  # samples may come before the answer to the start
         self._sending = threading.Lock()
         self._changed = threading.Condition()
@@ -210,26 +208,19 @@ class UrLink(LinkThread):
             self._changed.notify_all()
 
     def _work(self) -> None:
-        silence, interval = 0.0, WATCHDOG / 4
         self._take_samples(self._early)
-        with selectors.DefaultSelector() as selector:
-            for handle in (self._rtde, self._primary):
-                selector.register(handle, selectors.EVENT_READ)
-            while not self._closing.is_set():
-                began = time.monotonic()
-                ready = {key.fileobj for key, _ in selector.select(interval)}
-                if self._rtde in ready:
-                    self._take_samples([c for k, c in self._packages.feed(self._read(self._rtde)) if k == rtde.DATA])
-                    silence = 0.0
-                if self._primary in ready:
-                    self._take_messages(self._read(self._primary))
-                # A stall of this process is not the peer's silence: no turn counts for more than it should last.
-                silence += min(time.monotonic() - began, interval)
-                if self.guarded and silence >= self.watchdog:
-                    raise DriverError(
-                        f"the controller at {self.peer} fell silent: no sample for {self.watchdog:g} s, and the "
-                        "arm may move; its program stops it, as it feels no heartbeat: go and look at it"
-                    )
+        for ready in self._each_turn((self._rtde, self._primary)):
+            if self._rtde in ready:
+                self._take_samples([c for k, c in self._packages.feed(self._read(self._rtde)) if k == rtde.DATA])
+                self._heard = True
+            if self._primary in ready:
+                self._take_messages(self._read(self._primary))
+
+    def _fell_silent(self) -> DriverError:
+        return DriverError(
+            f"the controller at {self.peer} fell silent: no sample for {self.watchdog:g} s, and the arm may move; its "
+            "program stops it, as it feels no heartbeat: go and look at it"
+        )
 
     def _read(self, handle: socket.socket) -> bytes:
         data = handle.recv(_RECEIVE)
@@ -254,10 +245,11 @@ class UrLink(LinkThread):
         self._on_samples(samples)
 
     def _take_messages(self, data: bytes) -> None:
-        for message in self._messages.feed(data):
-            if isinstance(message, Presence):
-                self.real = message.real
-            else:
-                self._on_message(message)
+        for package in self._messages.feed(data):
+            for message in messages.meaning(*package):
+                if isinstance(message, Presence):
+                    self.real = message.real
+                else:
+                    self._on_message(message)
         with self._changed:
             self._changed.notify_all()
