@@ -127,9 +127,9 @@ class FakeUr(UrServer):
         self.speeds.append(cycles.target_qd)
         if self.cell.moving:
             self._moved.add(self.cell.motions_started)
+        if self.on_moving is not None and self.cell._moved >= 0.3:
             happens, self.on_moving = self.on_moving, None
-            if happens is not None:
-                happens()
+            happens()
 
     def on_message(self, message):
         pass
@@ -276,6 +276,38 @@ def test_what_the_controller_interrupts_is_told_after_its_samples(peer, driver, 
         list(samples)
 
 
+@pytest.mark.parametrize(
+    ("stamp", "message"),
+    [
+        (lambda stood: lambda now: np.nan, "clock .* jumped, from .* to nan s"),
+        (lambda stood: lambda now: np.inf, "clock .* jumped, from .* to inf s"),
+        (lambda stood: lambda now: now + 100.0, "clock .* jumped"),
+        (lambda stood: lambda now: now - 10.0, "clock .* jumped"),
+        (lambda stood: lambda now: stood, "fell silent: no new sample for 0.5 s"),
+    ],
+)
+def test_a_clock_that_cannot_be_right_ends_in_a_stop(peer, driver, stamp, message):
+    peer.real = True
+    driver.start("p", stored(driver, LONG))
+    samples = driver.samples()
+    next(samples)
+    with peer._lock:
+        peer.stamp = stamp(peer.state["timestamp"])
+    with pytest.raises(DriverError, match=message):
+        list(samples)
+    assert not peer.moving
+
+
+def test_a_port_that_closes_in_motion_ends_in_a_stop(peer, driver):
+    driver.start("p", stored(driver, LONG))
+    samples = driver.samples()
+    next(samples)
+    peer.hang_up()
+    with pytest.raises(DriverError, match="closed the primary interface"):
+        list(samples)
+    assert not peer.moving
+
+
 def test_lost_samples_show_as_gaps(peer, driver):
     driver.start("p", stored(driver))
     samples = driver.samples()
@@ -286,6 +318,15 @@ def test_lost_samples_show_as_gaps(peer, driver):
     (gap,) = driver.gaps
     assert gap.count == 7
     assert set(range(sequence[-1] + 1)) - set(sequence) == set(range(gap.first, gap.first + 7))
+
+
+def test_a_controller_that_skips_most_samples_is_stopped(peer, driver):
+    driver.start("p", stored(driver, LONG))
+    samples = driver.samples()
+    next(samples)
+    peer.every = 2
+    with pytest.raises(DriverError, match="samples; the motion was stopped"):
+        list(samples)
 
 
 def test_an_arm_that_does_not_obey_feels_no_heartbeat(peer, driver):

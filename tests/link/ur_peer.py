@@ -31,6 +31,7 @@ class UrPeer:
         self.missing, self.in_use = (), False
         self.refusal = None  # (line, column, text) of a runtime exception for the next program
         self.drop, self.every = 0, 1  # samples to leave out from now on; which of them are sent
+        self.stamp = lambda now: now  # what is told of the time
         self.motions_started = 0
         self.scripts = []
         self.faster = faster
@@ -72,6 +73,11 @@ class UrPeer:
     @property
     def moving(self):
         return self._move is not None
+
+    def hang_up(self):
+        """The primary interface closes."""
+        for client in self._primaries:
+            client.shutdown(socket.SHUT_RDWR)
 
     def close(self):
         self._over.set()
@@ -215,7 +221,7 @@ class UrPeer:
     def _sample(self, names):
         content = b"\1"
         for name in names:
-            value = self.state[name]
+            value = self.stamp(self.state[name]) if name == "timestamp" else self.state[name]
             values = value if isinstance(value, np.ndarray) else (value,)
             content += struct.pack(">" + FORMAT[TYPES.get(name, "VECTOR6D")], *values)
         return struct.pack(">HB", 3 + len(content), ord("U")) + content

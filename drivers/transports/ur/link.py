@@ -25,7 +25,8 @@ from drivers.wire.stream import PackageDecoder
 _RECEIVE = 256 * 1024
 #: Heartbeats to a watchdog, by the controller's clock.
 _BEATS = 8
-#: The controller's clock goes back by more [s] only where it has been restarted.
+#: The controller's clock goes back by more [s] only where it has been restarted; in a motion it goes ahead by no more
+#: than the watchdog.
 _BACK = 0.1
 #: Time over which the rate of samples is measured [s].
 _PACE = 0.25
@@ -212,14 +213,13 @@ class UrLink(LinkThread):
         for ready in self._each_turn((self._rtde, self._primary)):
             if self._rtde in ready:
                 self._take_samples([c for k, c in self._packages.feed(self._read(self._rtde)) if k == rtde.DATA])
-                self._heard = True
             if self._primary in ready:
                 self._take_messages(self._read(self._primary))
 
     def _fell_silent(self) -> DriverError:
         return DriverError(
-            f"the controller at {self.peer} fell silent: no sample for {self.watchdog:g} s, and the arm may move; its "
-            "program stops it, as it feels no heartbeat: go and look at it"
+            f"the controller at {self.peer} fell silent: no new sample for {self.watchdog:g} s, and the arm may move; "
+            "its program stops it, as it feels no heartbeat: go and look at it"
         )
 
     def _read(self, handle: socket.socket) -> bytes:
@@ -233,9 +233,16 @@ class UrLink(LinkThread):
         samples = self._outputs.samples(contents)
         if len(samples) == 0:
             return
+        last = samples["timestamp"][0] if self._last is None else self._last["timestamp"]
         now = float(samples["timestamp"][-1])
-        if self._last is not None and now < self._last["timestamp"] - _BACK:
-            raise DriverError(f"the clock of the controller at {self.peer} went back: it was restarted; look at it")
+        with np.errstate(invalid="ignore"):
+            passed = np.diff(samples["timestamp"], prepend=last)
+        if not np.all((passed >= -_BACK) & (passed <= (self.watchdog if self.guarded else np.inf))):
+            raise DriverError(
+                f"the clock of the controller at {self.peer} jumped, from {last:.6g} s to {now:.6g} s: it was "
+                "restarted, or what it sends cannot be trusted; look at it"
+            )
+        self._heard = now > last  # where its clock stands, the controller is silent
         with self._changed:
             self._last, self._count = samples[-1], self._count + len(samples)
             self._changed.notify_all()

@@ -6,6 +6,7 @@ import time
 
 import numpy as np
 
+from drivers.errors import DriverError
 from drivers.protocol import SampleBlock
 from drivers.transports.motion import MotionStream
 from drivers.transports.ur import rtde
@@ -27,6 +28,9 @@ _SAFETY = (
     "VIOLATION",
     "FAULT",
 )
+#: A second with less than this part of its samples is recorded by a controller that skips most of them: the next slower
+#: rate of RTDE is a half.
+_ENOUGH = 0.75
 #: A set-point that changes more slowly rests [rad/s]; settling time of the arm [s].
 STILL, _SETTLED = 1e-6, 0.1
 
@@ -59,6 +63,9 @@ class UrMotion(MotionStream):
         self._begun = False
         self._first: float | None = None
         self._number = -1
+        self._second = (0, 0)  # number and count of samples when it began
+        self._count = 0
+        self._slow: DriverError | None = None
         self._cycle: int | None = None
         self._idle = 0
         self._verdict: tuple[EndReason, str] | None = None
@@ -71,6 +78,10 @@ class UrMotion(MotionStream):
     def begin(self) -> None:
         """The next sample is the first of the motion."""
         self._begun = True
+
+    def too_slow(self) -> DriverError | None:
+        """Where most samples are missing: the error that the motion is to end with, once it is stopped."""
+        return self._slow
 
     def message(self, message: ProgramChange | ProgramFault) -> None:
         """Take the controller's text about the program."""
@@ -141,7 +152,15 @@ class UrMotion(MotionStream):
                 ),
                 0,
             )
-        self._number = int(numbers[-1])
+        self._number, self._count = int(numbers[-1]), self._count + len(numbers)
+        passed, came = self._number - self._second[0], self._count - self._second[1]
+        if passed * self._period >= 1.0:
+            self._second = self._number, self._count
+            if came < _ENOUGH * passed:
+                self._slow = DriverError(
+                    f"the controller sent {came} of the last {passed} samples; the motion was stopped: is another "
+                    "client of RTDE there, or has the controller too much else to do?"
+                )
 
 
 def _unsafe(sample: np.void) -> tuple[EndReason, str] | None:
