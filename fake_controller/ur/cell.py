@@ -14,7 +14,7 @@ import numpy as np
 from agent.robot import RobotDescription
 from drivers.wire.reasons import EndReason
 from fake_controller.clock import Clock, FastClock
-from fake_controller.execution import Astray
+from fake_controller.execution import Astray, follow
 from fake_controller.faults import LIES, Fault, Faults
 from fake_controller.plant import Plant
 from fake_controller.state import State
@@ -325,17 +325,14 @@ class UrCell(UrState):
         q, qd = self._set_points(count)
         before = np.vstack([self.reference_velocity, qd])
         qdd = np.diff(before, axis=0) / self.period
-        q, qd = self._astray.changed(q, qd, self.reference)
-        measured = list(self._plant.run(*self._astray.followed(q, qd)))
-        position, velocity, torque = (
-            np.concatenate([getattr(m, name) for m in measured]) for name in ("position", "velocity", "torque")
-        )
+        samples = follow(self._plant, self._astray, q, qd, self.reference)
+        if "no_numbers" in self._lies:
+            samples = replace(samples, torque=np.full_like(samples.torque, np.nan))
         times = SWITCHED_ON + (self.cycle + 1 + np.arange(len(q))) * self.period - self._clock_back
         self.cycle += len(q)
+        position, velocity, torque, q, qd = samples.columns
         self.reference, self.reference_velocity = q[-1], qd[-1]
         self.position, self.velocity = position[-1], velocity[-1]
-        if "no_numbers" in self._lies:
-            torque = np.full_like(torque, np.nan)
         return Cycles(self, times, q, qd, qdd, position, velocity, torque)
 
     def _set_points(self, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -563,7 +560,7 @@ class UrCell(UrState):
     def _apply_fault(self, fault: Fault) -> None:  # noqa: C901
         if fault.name in LIES:
             self._lies[fault.name] = fault
-        joint = fault.joint - 1
+        self._astray.apply_fault(fault)
         match fault.name:
             case "protective_stop":
                 self.protective_stop("a collision was detected")
@@ -586,12 +583,6 @@ class UrCell(UrState):
                 self._slowness = fault.amount
             case "disobey":
                 self._obeys = False
-            case "off_path":
-                self._astray.leave_path(joint, fault.amount)
-            case "servo_error":
-                self._astray.lose_servo(joint, fault.amount)
-            case "other_motion":
-                self._astray.change_way(joint, fault.amount)
             case "clock_back" | "reset_counters":
                 self._clock_back = fault.amount or self.time
             case "wrong_robot":

@@ -19,7 +19,7 @@ VERSION, CONTROLLER, OUTPUTS, INPUTS, START, DATA, TEXT = b"VvOISUM"
 #: Size and type of a package, its first bytes.
 HEAD = struct.Struct(">HB")
 _TYPES = {"DOUBLE": ">f8", "INT32": ">i4", "UINT32": ">u4", "UINT64": ">u8", "UINT8": "u1", "BOOL": "?"}
-_VECTORS = {"VECTOR3D": (">f8", 3), "VECTOR6D": (">f8", 6), "VECTOR6INT32": (">i4", 6), "VECTOR6UINT32": (">u4", 6)}
+_TYPES |= {"VECTOR3D": "3>f8", "VECTOR6D": "6>f8", "VECTOR6INT32": "6>i4", "VECTOR6UINT32": "6>u4"}
 #: Registers from 24 on belong to RTDE clients. Inputs: the heartbeat, and which program may move. Outputs: the cycle
 #: that begins, and which program runs.
 HEARTBEAT, PERMIT = "input_int_register_24", "input_int_register_25"
@@ -87,15 +87,11 @@ class OutputRecipe:
                 f"the controller does not know {', '.join(missing)}; the driver needs PolyScope 5.6 or newer, of CB3 "
                 "3.12.3 or newer"
             )
-        fields: list[tuple[str, object] | tuple[str, object, int]] = [("recipe", "u1")]
         for name, kind in zip(names, types, strict=True):
-            if kind in _VECTORS:
-                fields.append((name, *_VECTORS[kind]))
-            elif kind in _TYPES:
-                fields.append((name, _TYPES[kind]))
-            else:
+            if kind not in _TYPES:
                 raise ProtocolError(f"RTDE: {name} has the unknown type {printable(kind, NAME)!r}")
-        return cls(answer[0], np.dtype(fields))
+        fields = [(name, _TYPES[kind]) for name, kind in zip(names, types, strict=True)]
+        return cls(answer[0], np.dtype([("recipe", "u1"), *fields]))
 
     def samples(self, contents: Sequence[bytes]) -> np.ndarray:
         """(K,) structured samples of the contents of data packages; those of other recipes are left out.
