@@ -88,7 +88,6 @@ class _Moving:
     """Set-points that are being carried out: `at` says how far, `blend` where the next move takes over."""
 
     thread: _Thread
-    move: UrMove
     after: UrMove | None
     deferred: list[Action]
     position: np.ndarray
@@ -357,14 +356,8 @@ class UrCell(UrState):
 
     def _come_to_rest(self) -> None:
         """Nothing is left of a motion that was stopped."""
-        moving, self._moving, self.control_line = self._moving, None, 0
+        self._moving, self.control_line = None, 0
         self._stopping, self._slew = False, _SLIDER_SLEW
-        if moving is not None:
-            index = min(int(moving.at), len(moving.position) - 1)
-            ahead = min(index + 1, len(moving.position) - 1)
-            self.reference = moving.position[index] + (moving.at - index) * (
-                moving.position[ahead] - moving.position[index]
-            )
         for thread in [] if self._program is None else self._program.threads:
             thread.waits_for = ""
 
@@ -456,12 +449,7 @@ class UrCell(UrState):
         start = (self.kinematics.forward(self.reference[None]) @ move.tcp)[0]
         if self._overlaps(start, 0.0, move):
             return
-        after, deferred = self._read_ahead(thread, move)
-        planned = self._plan(move, after)
-        rest = np.zeros((1, 6))
-        position, velocity = np.vstack([self.reference, planned.position]), np.vstack([rest, planned.velocity])
-        self.control_line = move.line
-        self._moving = _Moving(thread, move, after, deferred, position, velocity, planned.blend)
+        self._go_on(_Moving(thread, move, [], self.reference[None], np.zeros((1, 6)), 0))
         self._rate = min(1.0, max(self.state.override, _LOWEST_SLIDER)) * self._hidden_rate
         thread.waits_for = "motion"
 
@@ -472,15 +460,15 @@ class UrCell(UrState):
         if moving.after is None:
             self._moving, moving.thread.waits_for, self.control_line = None, "", 0
             return
-        self.control_line = moving.after.line
         after, deferred = self._read_ahead(moving.thread, moving.after)
         planned = self._plan(moving.after, after)
+        self.control_line = moving.after.line
         passed = min(int(moving.at), len(moving.position) - 1)
         position = np.vstack([moving.position[passed:], planned.position])
         velocity = np.vstack([moving.velocity[passed:], planned.velocity])
         blend = len(moving.position) - 1 - passed + planned.blend
         at = moving.at - passed
-        self._moving = _Moving(moving.thread, moving.after, after, deferred, position, velocity, blend, at)
+        self._moving = _Moving(moving.thread, after, deferred, position, velocity, blend, at)
 
     def _read_ahead(self, thread: _Thread, move: UrMove) -> tuple[UrMove | None, list[Action]]:
         """The move that this one blends into, if any, and the actions between them."""
@@ -514,11 +502,8 @@ class UrCell(UrState):
     def _overlaps(self, start: np.ndarray, radius: float, move: UrMove) -> bool:
         """Whether a move is left out, as its blend meets the one before."""
         apart = float(np.linalg.norm(move.goal[:3, 3] - start[:3, 3]))
-        if move.radius == 0 or move.radius + radius < apart:
-            return radius > 0 and radius >= apart and self._left_out(move)
-        return self._left_out(move)
-
-    def _left_out(self, move: UrMove) -> bool:
+        if move.radius + radius < apart or move.radius + radius == 0.0:
+            return False
         self._tell(error_message(self.time, 258, 0, _WARNING, f"Overlapping Blends in line {move.line}: move skipped"))
         return True
 

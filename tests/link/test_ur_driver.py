@@ -16,7 +16,7 @@ from drivers.transports.ur.driver import JOINTS
 from fake_controller.build import build_ur_cell
 from fake_controller.ur.server import DASHBOARD, PRIMARY, RTDE, UrServer
 from tests.conftest import free_loopback, free_port, patience
-from tests.link.test_conformance import Relays
+from tests.link.test_conformance import FakeBench, Relays
 from tests.link.ur_peer import UrPeer
 
 HEAD = """def p():
@@ -48,12 +48,12 @@ def driver_for(place, **options):
     return driver
 
 
-class UrBench:
+class UrBench(FakeBench):
     joint_names = JOINTS
     short, long = SHORT, LONG
 
     def __init__(self, undo, peer):
-        self.undo, self.peer = undo, peer
+        self.undo, self.controller = undo, peer
         undo.callback(peer.close)
         self.wire = Relays([(peer.host, port) for port in peer.ports])
         undo.callback(self.wire.close)
@@ -89,18 +89,6 @@ class UrBench:
 
         threading.Thread(target=serve, daemon=True).start()
         return self.created([listener.getsockname()[1]] * 3, timeout=patience(0.5))
-
-    def motions_started(self):
-        return self.peer.motions_started
-
-    def moving(self):
-        return self.peer.moving
-
-    def cut(self):
-        self.wire.close()
-
-    def silence(self):
-        self.wire.silent = True
 
     def replay(self):
         """The registers first, so that they hold what they held last when the program arrives once more."""
@@ -327,6 +315,16 @@ def test_a_controller_that_skips_most_samples_is_stopped(peer, driver):
     peer.every = 2
     with pytest.raises(DriverError, match="samples; the motion was stopped"):
         list(samples)
+
+
+def test_a_dashboard_that_hangs_keeps_no_arm_moving(peer, driver):
+    driver.start("p", stored(driver, LONG))
+    next(driver.samples())
+    peer.answers.clear()
+    driver.stop()
+    assert not peer.moving
+    peer.answers.set()
+    assert driver.status().mode == "auto"  # the answer to the stop, which came late, is passed over
 
 
 def test_an_arm_that_does_not_obey_feels_no_heartbeat(peer, driver):

@@ -54,6 +54,8 @@ class UrPeer:
             "output_int_register_25": 0,
         }
         self.inputs = [0, 0]
+        self.answers = threading.Event()  # the dashboard
+        self.answers.set()
         self.owner = None
         self._beaten = 0.0
         self._program = None  # (name, number, moves left)
@@ -81,6 +83,7 @@ class UrPeer:
 
     def close(self):
         self._over.set()
+        self.answers.set()
         for listener in self._listeners:
             with contextlib.suppress(OSError):
                 listener.shutdown(socket.SHUT_RDWR)
@@ -106,6 +109,7 @@ class UrPeer:
         while data := client.recv(4096):
             *lines, rest = (rest + data).split(b"\n")
             for line in lines:
+                self.answers.wait()
                 client.sendall(self._answer(line.decode()).encode() + b"\n")
 
     def _answer(self, command):
@@ -126,6 +130,9 @@ class UrPeer:
         text = b""
         while data := client.recv(65536):
             text += data
+            if text == b"stop program\n":
+                self._answer("stop")
+                text = b""
             if b"\nend\n" in text:
                 self._run(text.decode())
                 text = b""

@@ -171,7 +171,7 @@ class UrDriver(LinkDriver[UrLink, UrMotion]):
             link.send_program(program.text)
             self._see_program(link, motion, program)
             link.guarded = True
-            motion.begin()
+            motion.begun = True
             link.allow(program.number)
             if not link.wait(lambda: link.latest[rtde.RUNNING] != program.number, self._timeout):
                 link.check()
@@ -295,7 +295,7 @@ class UrDriver(LinkDriver[UrLink, UrMotion]):
         if motion is None or link is None or not motion.begun or motion.over:
             return
         motion.samples(samples)
-        error = motion.too_full() or motion.too_slow()
+        error = motion.too_full() or motion.slow
         if error is not None:
             motion.finish(error)
         # A program that was interrupted feels no heartbeat any more, so that nobody can resume the rest of it.
