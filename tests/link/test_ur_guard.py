@@ -82,22 +82,6 @@ def test_a_program_is_recorded_with_currents_and_cycles(fake, program):
     assert recording.temperatures
 
 
-@pytest.mark.parametrize(
-    ("prepare", "message"),
-    [
-        (lambda fake: setattr(fake.cell.state, "override", 0.5), r"override is 50 %"),
-        (lambda fake: fake.cell.protective_stop("a test"), "PROTECTIVE_STOP"),
-        (lambda fake: setattr(fake.cell.state, "mode", "teach"), "mode is 'teach'"),
-    ],
-)
-def test_what_is_not_as_it_must_be_is_refused_before_anything_moves(fake, program, prepare, message):
-    prepare(fake)
-    with pytest.raises(Exception, match=message) as refused:
-        record(fake, program)
-    assert refused.value.exit_code == 4
-    assert fake.cell.motions_started == 0
-
-
 def test_another_rate_than_the_controllers_is_refused_with_both(fake, program):
     with pytest.raises(Exception, match="samples every 2 ms, the recipe asks for 125 Hz") as refused:
         record(fake, program, rate="125 Hz")
@@ -132,6 +116,27 @@ def skip(fake):
     """Three of four samples are not sent any more."""
     for client in [one for one in fake._clients if isinstance(one, RtdeConnection)]:
         client._every = 4
+
+
+@pytest.mark.parametrize(
+    ("prepare", "message"),
+    [
+        (lambda fake, _: setattr(fake.cell.state, "override", 0.5), r"override is 50 %"),
+        (lambda fake, _: fake.cell.protective_stop("a test"), "PROTECTIVE_STOP"),
+        (lambda fake, _: setattr(fake.cell.state, "mode", "teach"), "mode is 'teach'"),
+        (lambda fake, _: setattr(fake.cell, "model", "UR10"), "ur10e.*ur5e|ur5e.*ur10e"),
+        (lambda fake, patch: told(patch, fake, "actual_q", np.full(6, np.nan)), "positions that are no numbers"),
+        (lambda fake, patch: told(patch, fake, "target_speed_fraction", np.nan), "override is nan"),
+        (lambda fake, patch: told(patch, fake, "timestamp", np.nan), "clock .* jumped"),
+        (lambda fake, patch: told(patch, fake, "timestamp", 70.0), "clock of the controller stands still"),
+    ],
+)
+def test_what_is_not_as_it_must_be_is_refused_before_anything_moves(fake, program, monkeypatch, prepare, message):
+    prepare(fake, monkeypatch)
+    with pytest.raises(Exception, match=message) as refused:
+        record(fake, program)
+    assert refused.value.exit_code == 4
+    assert fake.cell.motions_started == 0
 
 
 @pytest.mark.parametrize(

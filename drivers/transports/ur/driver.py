@@ -106,6 +106,8 @@ class UrDriver(LinkDriver[UrLink, UrMotion]):
         streaming = motion is not None and motion.begun and not motion.over
         remote = self._remote()
         sample = link.fresh()
+        if not (streaming or np.isfinite(sample["actual_q"]).all()):
+            raise DriverError(f"{self.address}: the controller sends joint positions that are no numbers; look at it")
         safety = int(sample["safety_mode"])
         stops = (*states.EMERGENCY_STOPS, states.SAFEGUARD, states.NORMAL)
         name, checksum = "", ""

@@ -127,7 +127,9 @@ class UrLink(LinkThread):
         self.wait(lambda: self._last is not None and self._last["timestamp"] >= first + _PACE, self._timeout)
         self.check()
         assert self._last is not None
-        return (self._count - count) / max(float(self._last["timestamp"]) - first, self._period)
+        if not (passed := float(self._last["timestamp"]) - first) > 0.0:
+            raise DriverError(f"{self.peer}: the clock of the controller stands still; restart the controller")
+        return (self._count - count) / passed
 
     def send_program(self, text: str) -> None:
         """Send a program, once.
