@@ -18,7 +18,7 @@ MODELS = {
 }
 _ALPHA = (np.pi / 2, 0.0, 0.0, np.pi / 2, -np.pi / 2, 0.0)
 _CALIBRATION = 2e-4  # m and rad, standard deviation of an individual arm from the table
-_KNOT = 24  # poses of a path between two that are solved one after the other
+_KNOT = 48  # poses of a path between two that are solved one after the other
 _LARGEST_STEP = 0.3  # rad
 _NEAR, _REACHED, _CONVERGED = 1e-4, 1e-6, 1e-10  # m and rad
 
