@@ -270,6 +270,7 @@ class Controller:
             self.stop(*stop)
         if fault.name in LIES:
             self._lies[fault.name] = fault
+        self._execution.astray.apply_fault(fault)
         match fault.name:
             case "disobey":
                 self._obeys = False
@@ -278,12 +279,6 @@ class Controller:
                     self.state.override = fault.amount
                 if self._switch is not None:
                     self._switch.speed = fault.amount
-            case "off_path":
-                self._execution.astray.leave_path(fault.joint - 1, fault.amount)
-            case "servo_error":
-                self._execution.astray.lose_servo(fault.joint - 1, fault.amount)
-            case "other_motion":
-                self._execution.astray.change_way(fault.joint - 1, fault.amount)
             case "restart":
                 self._restart()
             case "reset_counters":

@@ -22,6 +22,7 @@ from agent.motion import (
     way_key,
 )
 from drivers.wire.reasons import EndReason
+from fake_controller.faults import Fault
 from fake_controller.plant import Plant
 
 MAX_CHAIN = 2000  # moves without a stop in between
@@ -42,17 +43,15 @@ class Astray:
         self._path, self._servo = _Offset(joints, period), _Offset(joints, period)
         self._scale = np.ones(joints)
 
-    def leave_path(self, joint: int, by: float) -> None:
-        """From now on the set-points of a joint are off by this [rad]."""
-        self._path.go(joint, by)
-
-    def lose_servo(self, joint: int, by: float) -> None:
-        """From now on a joint is off its set-points by this [rad]."""
-        self._servo.go(joint, by)
-
-    def change_way(self, joint: int, times: float) -> None:
-        """A joint moves `times` the distance that the program says, from where it starts."""
-        self._scale[joint] = times
+    def apply_fault(self, fault: Fault) -> None:
+        """From now on a joint leaves its path, its servo, or its way; other faults change nothing here."""
+        match fault.name:
+            case "off_path":
+                self._path.go(fault.joint - 1, fault.amount)
+            case "servo_error":
+                self._servo.go(fault.joint - 1, fault.amount)
+            case "other_motion":
+                self._scale[fault.joint - 1] = fault.amount
 
     def changed(self, position: np.ndarray, velocity: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Set-points (K, n) and their velocities that replace those of a program that begins at `start` (n,)."""
@@ -105,6 +104,14 @@ class Slice:
     def part(self, chosen: slice) -> Slice:
         """Some of them (views, no copies)."""
         return Slice(*(column[chosen] for column in self.columns))
+
+
+def follow(plant: Plant, astray: Astray, position: np.ndarray, velocity: np.ndarray, start: np.ndarray) -> Slice:
+    """What is measured while the plant follows set-points (K, n) of a program that begins at `start` (n,)."""
+    position, velocity = astray.changed(position, velocity, start)
+    chunks = list(plant.run(*astray.followed(position, velocity)))
+    measured = (np.concatenate([getattr(c, name) for c in chunks]) for name in ("position", "velocity", "torque"))
+    return Slice(*measured, position, velocity)
 
 
 class CannotMove(Exception):
@@ -246,12 +253,7 @@ class Execution:
         return retimed(position, velocity, ratio, self._max_acceleration, self._period)
 
     def _follow(self, position: np.ndarray, velocity: np.ndarray) -> Slice:
-        position, velocity = self.astray.changed(position, velocity, self._start)
-        chunks = list(self._plant.run(*self.astray.followed(position, velocity)))
-        q, qd, torque = (
-            np.concatenate([getattr(c, name) for c in chunks]) for name in ("position", "velocity", "torque")
-        )
-        return Slice(q, qd, torque, position, velocity)
+        return follow(self._plant, self.astray, position, velocity, self._start)
 
     def _rest(self, reference: np.ndarray, count: int) -> Slice:
         position = np.repeat(reference[None, :], count, axis=0)

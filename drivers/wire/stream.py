@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Iterator
 from typing import Generic, TypeVar
 
@@ -45,3 +46,26 @@ class StreamDecoder(Generic[Whole]):
     def _next(self) -> Whole | None:
         """The first whole one, taken out of the buffer."""
         raise NotImplementedError
+
+
+class PackageDecoder(StreamDecoder[tuple[int, bytes]]):
+    """(type, content) of packages that begin with their size in bytes and their type.
+
+    `head` is the layout of both, `longest` the largest size, `name` the protocol's for messages.
+    """
+
+    def __init__(self, head: struct.Struct, longest: int, name: str) -> None:
+        super().__init__()
+        self._head, self._longest, self._name = head, longest, name
+
+    def _next(self) -> tuple[int, bytes] | None:
+        if len(self._buffer) < self._head.size:
+            return None
+        size, kind = self._head.unpack_from(self._buffer)
+        if not self._head.size <= size <= self._longest:
+            raise ProtocolError(f"what comes is not {self._name}: a package of {size} bytes")
+        if len(self._buffer) < size:
+            return None
+        content = bytes(self._buffer[self._head.size : size])
+        del self._buffer[:size]
+        return kind, content

@@ -18,7 +18,7 @@ MODELS = {
 }
 _ALPHA = (np.pi / 2, 0.0, 0.0, np.pi / 2, -np.pi / 2, 0.0)
 _CALIBRATION = 2e-4  # m and rad, standard deviation of an individual arm from the table
-_KNOT = 24  # poses of a path between two that are solved one after the other
+_KNOT = 48  # poses of a path between two that are solved one after the other
 _LARGEST_STEP = 0.3  # rad
 _NEAR, _REACHED, _CONVERGED = 1e-4, 1e-6, 1e-10  # m and rad
 
@@ -131,16 +131,8 @@ def _jacobian(frames: list[np.ndarray]) -> np.ndarray:
 
 def twist_between(poses: np.ndarray, goals: np.ndarray) -> np.ndarray:
     """(K, 6) translation and rotation vector, in the base frame, that lead from poses (K, 4, 4) to goals."""
-    turn = goals[:, :3, :3] @ poses[:, :3, :3].transpose(0, 2, 1)
-    axis = 0.5 * np.stack(
-        [turn[:, 2, 1] - turn[:, 1, 2], turn[:, 0, 2] - turn[:, 2, 0], turn[:, 1, 0] - turn[:, 0, 1]], 1
-    )
-    sine, cosine = np.linalg.norm(axis, axis=1), 0.5 * (np.trace(turn, axis1=1, axis2=2) - 1)
-    angle = np.arctan2(sine, cosine)
-    half_turn = (sine < 1e-9) & (cosine < 0)  # the sine does not give the axis there
-    axis[half_turn], sine[half_turn] = (1.0, 0.0, 0.0), 1.0
-    factor = np.where(sine < 1e-9, 1.0, angle / np.maximum(sine, 1e-9))
-    return np.hstack([goals[:, :3, 3] - poses[:, :3, 3], axis * factor[:, None]])
+    turn = Rotation.from_matrix(goals[:, :3, :3] @ poses[:, :3, :3].transpose(0, 2, 1)).as_rotvec()
+    return np.hstack([goals[:, :3, 3] - poses[:, :3, 3], turn])
 
 
 def matrix_of(pose: Sequence[float] | np.ndarray) -> np.ndarray:

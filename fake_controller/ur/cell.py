@@ -14,7 +14,7 @@ import numpy as np
 from agent.robot import RobotDescription
 from drivers.wire.reasons import EndReason
 from fake_controller.clock import Clock, FastClock
-from fake_controller.execution import Astray
+from fake_controller.execution import Astray, follow
 from fake_controller.faults import LIES, Fault, Faults
 from fake_controller.plant import Plant
 from fake_controller.state import State
@@ -88,7 +88,6 @@ class _Moving:
     """Set-points that are being carried out: `at` says how far, `blend` where the next move takes over."""
 
     thread: _Thread
-    move: UrMove
     after: UrMove | None
     deferred: list[Action]
     position: np.ndarray
@@ -325,17 +324,14 @@ class UrCell(UrState):
         q, qd = self._set_points(count)
         before = np.vstack([self.reference_velocity, qd])
         qdd = np.diff(before, axis=0) / self.period
-        q, qd = self._astray.changed(q, qd, self.reference)
-        measured = list(self._plant.run(*self._astray.followed(q, qd)))
-        position, velocity, torque = (
-            np.concatenate([getattr(m, name) for m in measured]) for name in ("position", "velocity", "torque")
-        )
+        samples = follow(self._plant, self._astray, q, qd, self.reference)
+        if "no_numbers" in self._lies:
+            samples = replace(samples, torque=np.full_like(samples.torque, np.nan))
         times = SWITCHED_ON + (self.cycle + 1 + np.arange(len(q))) * self.period - self._clock_back
         self.cycle += len(q)
+        position, velocity, torque, q, qd = samples.columns
         self.reference, self.reference_velocity = q[-1], qd[-1]
         self.position, self.velocity = position[-1], velocity[-1]
-        if "no_numbers" in self._lies:
-            torque = np.full_like(torque, np.nan)
         return Cycles(self, times, q, qd, qdd, position, velocity, torque)
 
     def _set_points(self, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -360,14 +356,8 @@ class UrCell(UrState):
 
     def _come_to_rest(self) -> None:
         """Nothing is left of a motion that was stopped."""
-        moving, self._moving, self.control_line = self._moving, None, 0
+        self._moving, self.control_line = None, 0
         self._stopping, self._slew = False, _SLIDER_SLEW
-        if moving is not None:
-            index = min(int(moving.at), len(moving.position) - 1)
-            ahead = min(index + 1, len(moving.position) - 1)
-            self.reference = moving.position[index] + (moving.at - index) * (
-                moving.position[ahead] - moving.position[index]
-            )
         for thread in [] if self._program is None else self._program.threads:
             thread.waits_for = ""
 
@@ -459,12 +449,7 @@ class UrCell(UrState):
         start = (self.kinematics.forward(self.reference[None]) @ move.tcp)[0]
         if self._overlaps(start, 0.0, move):
             return
-        after, deferred = self._read_ahead(thread, move)
-        planned = self._plan(move, after)
-        rest = np.zeros((1, 6))
-        position, velocity = np.vstack([self.reference, planned.position]), np.vstack([rest, planned.velocity])
-        self.control_line = move.line
-        self._moving = _Moving(thread, move, after, deferred, position, velocity, planned.blend)
+        self._go_on(_Moving(thread, move, [], self.reference[None], np.zeros((1, 6)), 0))
         self._rate = min(1.0, max(self.state.override, _LOWEST_SLIDER)) * self._hidden_rate
         thread.waits_for = "motion"
 
@@ -475,15 +460,15 @@ class UrCell(UrState):
         if moving.after is None:
             self._moving, moving.thread.waits_for, self.control_line = None, "", 0
             return
-        self.control_line = moving.after.line
         after, deferred = self._read_ahead(moving.thread, moving.after)
         planned = self._plan(moving.after, after)
+        self.control_line = moving.after.line
         passed = min(int(moving.at), len(moving.position) - 1)
         position = np.vstack([moving.position[passed:], planned.position])
         velocity = np.vstack([moving.velocity[passed:], planned.velocity])
         blend = len(moving.position) - 1 - passed + planned.blend
         at = moving.at - passed
-        self._moving = _Moving(moving.thread, moving.after, after, deferred, position, velocity, blend, at)
+        self._moving = _Moving(moving.thread, after, deferred, position, velocity, blend, at)
 
     def _read_ahead(self, thread: _Thread, move: UrMove) -> tuple[UrMove | None, list[Action]]:
         """The move that this one blends into, if any, and the actions between them."""
@@ -517,11 +502,8 @@ class UrCell(UrState):
     def _overlaps(self, start: np.ndarray, radius: float, move: UrMove) -> bool:
         """Whether a move is left out, as its blend meets the one before."""
         apart = float(np.linalg.norm(move.goal[:3, 3] - start[:3, 3]))
-        if move.radius == 0 or move.radius + radius < apart:
-            return radius > 0 and radius >= apart and self._left_out(move)
-        return self._left_out(move)
-
-    def _left_out(self, move: UrMove) -> bool:
+        if move.radius + radius < apart or move.radius + radius == 0.0:
+            return False
         self._tell(error_message(self.time, 258, 0, _WARNING, f"Overlapping Blends in line {move.line}: move skipped"))
         return True
 
@@ -563,7 +545,7 @@ class UrCell(UrState):
     def _apply_fault(self, fault: Fault) -> None:  # noqa: C901
         if fault.name in LIES:
             self._lies[fault.name] = fault
-        joint = fault.joint - 1
+        self._astray.apply_fault(fault)
         match fault.name:
             case "protective_stop":
                 self.protective_stop("a collision was detected")
@@ -586,12 +568,6 @@ class UrCell(UrState):
                 self._slowness = fault.amount
             case "disobey":
                 self._obeys = False
-            case "off_path":
-                self._astray.leave_path(joint, fault.amount)
-            case "servo_error":
-                self._astray.lose_servo(joint, fault.amount)
-            case "other_motion":
-                self._astray.change_way(joint, fault.amount)
             case "clock_back" | "reset_counters":
                 self._clock_back = fault.amount or self.time
             case "wrong_robot":

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -28,6 +29,12 @@ _NOT_SIMULATED = (
     "tool_contact",
 )  # fmt: skip
 _NO_INERTIA = (0.0,) * 6
+#: What scripts call a kind of register, its name here, and the type of its values.
+_REGISTERS: dict[str, tuple[str, Callable[[Any], Any]]] = {
+    "integer": ("int", int),
+    "float": ("double", float),
+    "boolean": ("bit", bool),
+}
 _PURE: dict[str, Callable[..., Any]] = {
     **{name: getattr(math, name) for name in ("acos", "asin", "atan", "atan2", "ceil", "cos", "floor")},
     **{name: getattr(math, name) for name in ("log", "pow", "sin", "sqrt", "tan")},
@@ -73,6 +80,8 @@ def script_functions(cell: UrState) -> Mapping[str, Callable[..., Any]]:
         **_PURE,
         **{name: lambda ask=ask: Question(ask) for name, ask in questions.items()},
         **{name: getattr(_Functions(cell), name) for name in vars(_Functions) if not name.startswith("_")},
+        **{f"write_output_{word}_register": partial(_write, cell, *kind) for word, kind in _REGISTERS.items()},
+        **{f"read_input_{word}_register": partial(_read, cell, kind) for word, (kind, _) in _REGISTERS.items()},
     }
 
 
@@ -130,24 +139,6 @@ class _Functions:
             raise ValueError("this cannot be a payload")
         return self._set("payload", [float(value) for value in (m, *cog, *inertia)])
 
-    def write_output_integer_register(self, address: int, value: int) -> Action:
-        return self._write("int", address, int(value))
-
-    def write_output_float_register(self, address: int, value: float) -> Action:
-        return self._write("double", address, float(value))
-
-    def write_output_boolean_register(self, address: int, value: bool) -> Action:
-        return self._write("bit", address, bool(value))
-
-    def read_input_integer_register(self, address: int) -> Question:
-        return Question(lambda: self._cell.registers["input_int"][address])
-
-    def read_input_float_register(self, address: int) -> Question:
-        return Question(lambda: self._cell.registers["input_double"][address])
-
-    def read_input_boolean_register(self, address: int) -> Question:
-        return Question(lambda: self._cell.registers["input_bit"][address])
-
     def rtde_set_watchdog(self, variable_name: str, min_frequency: float, action: str = "pause") -> Action:
         if action not in ("ignore", "pause", "stop"):
             raise ValueError(f"{action!r} is no action")
@@ -173,11 +164,16 @@ class _Functions:
     def _set(self, name: str, value: Any) -> Question:
         return Question(lambda: setattr(self._cell, name, value))
 
-    def _write(self, kind: str, address: int, value: Any) -> Action:
-        registers = self._cell.registers[f"output_{kind}"]
-        if not 0 <= address < len(registers):
-            raise ValueError(f"there is no register {address}")
-        return Action(lambda _: registers.__setitem__(address, value))
+
+def _write(cell: UrState, kind: str, type_: Callable[[Any], Any], address: int, value: Any) -> Action:
+    registers, written = cell.registers[f"output_{kind}"], type_(value)
+    if not 0 <= address < len(registers):
+        raise ValueError(f"there is no register {address}")
+    return Action(lambda _: registers.__setitem__(address, written))
+
+
+def _read(cell: UrState, kind: str, address: int) -> Question:
+    return Question(lambda: cell.registers[f"input_{kind}"][address])
 
 
 def _missing(*_: Any, **__: Any) -> Any:

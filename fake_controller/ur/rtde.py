@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from drivers.errors import ProtocolError
+from drivers.wire.stream import PackageDecoder
 from fake_controller.ur.cell import UrCell
 from fake_controller.ur.fields import Cycles, input_type, output_type, packed, register_of
 from fake_controller.ur.ports import UrConnection
@@ -22,7 +24,7 @@ class RtdeConnection(UrConnection):
     def __init__(self, cell: UrCell, connection: socket.socket, owners: dict[str, RtdeConnection]) -> None:
         super().__init__(cell, connection)
         self._owners = owners
-        self._rest = b""
+        self._packages = PackageDecoder(struct.Struct(">HB"), 0xFFFF, "RTDE")
         self._outputs: list[str] | None = None
         self._layout: np.dtype[Any] = packed([])
         self._every = 1
@@ -43,19 +45,17 @@ class RtdeConnection(UrConnection):
         """Those are the primary interface's."""
 
     def hear(self, data: bytes) -> None:
-        self._rest += data
-        while len(self._rest) >= 3:
-            size, kind = struct.unpack_from(">HB", self._rest)
-            if size < 3:
-                self.close()
-                return
-            if len(self._rest) < size:
-                return
-            payload, self._rest = self._rest[3:size], self._rest[size:]
-            try:
-                self._answer(chr(kind), payload)
-            except (struct.error, UnicodeDecodeError, ValueError):
-                self._reply("M", _text("a package that makes no sense", 1))
+        try:
+            for kind, payload in self._packages.feed(data):
+                self._take(chr(kind), payload)
+        except ProtocolError:
+            self.close()
+
+    def _take(self, kind: str, payload: bytes) -> None:
+        try:
+            self._answer(kind, payload)
+        except (struct.error, UnicodeDecodeError, ValueError):
+            self._reply("M", _text("a package that makes no sense", 1))
 
     def _answer(self, kind: str, payload: bytes) -> None:
         match kind:

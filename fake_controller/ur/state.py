@@ -13,6 +13,9 @@ from fake_controller.faults import Fault
 from fake_controller.state import State, home
 from fake_controller.ur.arm import MODELS, DenavitHartenberg, poses_of
 
+#: Outputs that never change.
+_CONSTANT = {"speed_scaling": 1.0, "tool_temperature": 30.0}
+_CONSTANT |= dict.fromkeys(("actual_main_voltage", "actual_robot_voltage", "actual_joint_voltage"), 48.0)
 SWITCHED_ON = 60.0  # s that the controller has been on when it is first seen
 
 
@@ -112,8 +115,6 @@ class UrState:
             case "safety_status_bits":
                 bits = {1: 1, 3: 1 << 2, 5: 1 << 4, 7: (1 << 6) + (1 << 7), 9: 1 << 9}[self.safety_mode]
                 return bits + ((self.safety_mode != 1) << 10)
-            case "speed_scaling":
-                return 1.0
             case "target_speed_fraction":
                 return self.state.override
             case "payload":
@@ -128,11 +129,7 @@ class UrState:
                 return self.control_line
             case "joint_temperatures":
                 return self.machine.temperatures or (30.0,) * 6
-            case "actual_main_voltage" | "actual_robot_voltage" | "actual_joint_voltage":
-                return 48.0
-            case "tool_temperature":
-                return 30.0
-        return 0
+        return _CONSTANT.get(name, 0)
 
     def believed_dynamics(self) -> Dynamics:
         """The controller's own model: nominal bodies and the payload that was set."""

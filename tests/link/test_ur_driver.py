@@ -16,7 +16,7 @@ from drivers.transports.ur.driver import JOINTS
 from fake_controller.build import build_ur_cell
 from fake_controller.ur.server import DASHBOARD, PRIMARY, RTDE, UrServer
 from tests.conftest import free_loopback, free_port, patience
-from tests.link.test_conformance import Relays
+from tests.link.test_conformance import FakeBench, Relays
 from tests.link.ur_peer import UrPeer
 
 HEAD = """def p():
@@ -48,12 +48,12 @@ def driver_for(place, **options):
     return driver
 
 
-class UrBench:
+class UrBench(FakeBench):
     joint_names = JOINTS
     short, long = SHORT, LONG
 
     def __init__(self, undo, peer):
-        self.undo, self.peer = undo, peer
+        self.undo, self.controller = undo, peer
         undo.callback(peer.close)
         self.wire = Relays([(peer.host, port) for port in peer.ports])
         undo.callback(self.wire.close)
@@ -90,18 +90,6 @@ class UrBench:
         threading.Thread(target=serve, daemon=True).start()
         return self.created([listener.getsockname()[1]] * 3, timeout=patience(0.5))
 
-    def motions_started(self):
-        return self.peer.motions_started
-
-    def moving(self):
-        return self.peer.moving
-
-    def cut(self):
-        self.wire.close()
-
-    def silence(self):
-        self.wire.silent = True
-
     def replay(self):
         """The registers first, so that they hold what they held last when the program arrives once more."""
         for relay in reversed(self.wire.all):
@@ -127,9 +115,9 @@ class FakeUr(UrServer):
         self.speeds.append(cycles.target_qd)
         if self.cell.moving:
             self._moved.add(self.cell.motions_started)
+        if self.on_moving is not None and self.cell._moved >= 0.3:
             happens, self.on_moving = self.on_moving, None
-            if happens is not None:
-                happens()
+            happens()
 
     def on_message(self, message):
         pass
@@ -276,6 +264,38 @@ def test_what_the_controller_interrupts_is_told_after_its_samples(peer, driver, 
         list(samples)
 
 
+@pytest.mark.parametrize(
+    ("stamp", "message"),
+    [
+        (lambda stood: lambda now: np.nan, "clock .* jumped, from .* to nan s"),
+        (lambda stood: lambda now: np.inf, "clock .* jumped, from .* to inf s"),
+        (lambda stood: lambda now: now + 100.0, "clock .* jumped"),
+        (lambda stood: lambda now: now - 10.0, "clock .* jumped"),
+        (lambda stood: lambda now: stood, "fell silent: no new sample for 0.5 s"),
+    ],
+)
+def test_a_clock_that_cannot_be_right_ends_in_a_stop(peer, driver, stamp, message):
+    peer.real = True
+    driver.start("p", stored(driver, LONG))
+    samples = driver.samples()
+    next(samples)
+    with peer._lock:
+        peer.stamp = stamp(peer.state["timestamp"])
+    with pytest.raises(DriverError, match=message):
+        list(samples)
+    assert not peer.moving
+
+
+def test_a_port_that_closes_in_motion_ends_in_a_stop(peer, driver):
+    driver.start("p", stored(driver, LONG))
+    samples = driver.samples()
+    next(samples)
+    peer.hang_up()
+    with pytest.raises(DriverError, match="closed the primary interface"):
+        list(samples)
+    assert not peer.moving
+
+
 def test_lost_samples_show_as_gaps(peer, driver):
     driver.start("p", stored(driver))
     samples = driver.samples()
@@ -286,6 +306,25 @@ def test_lost_samples_show_as_gaps(peer, driver):
     (gap,) = driver.gaps
     assert gap.count == 7
     assert set(range(sequence[-1] + 1)) - set(sequence) == set(range(gap.first, gap.first + 7))
+
+
+def test_a_controller_that_skips_most_samples_is_stopped(peer, driver):
+    driver.start("p", stored(driver, LONG))
+    samples = driver.samples()
+    next(samples)
+    peer.every = 2
+    with pytest.raises(DriverError, match="samples; the motion was stopped"):
+        list(samples)
+
+
+def test_a_dashboard_that_hangs_keeps_no_arm_moving(peer, driver):
+    driver.start("p", stored(driver, LONG))
+    next(driver.samples())
+    peer.answers.clear()
+    driver.stop()
+    assert not peer.moving
+    peer.answers.set()
+    assert driver.status().mode == "auto"  # the answer to the stop, which came late, is passed over
 
 
 def test_an_arm_that_does_not_obey_feels_no_heartbeat(peer, driver):

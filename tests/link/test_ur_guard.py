@@ -15,6 +15,9 @@ from agent.recipe import load_recipe
 from agent.recording import read_log
 from agent.robot import Tool, load_robot
 from agent.runs import lock
+from fake_controller.ur.fields import Cycles
+from fake_controller.ur.ports import DashboardConnection, ScriptConnection
+from fake_controller.ur.rtde import RtdeConnection
 from tests.link.test_ur_driver import FakeUr
 
 RECIPE = """
@@ -28,6 +31,8 @@ motion:
 record: {{rate: {rate}, cycles: 2}}
 """
 START = np.array([0.0, -1.2, 1.2, -1.5, -1.5, 0.0])
+#: Of somebody else; nothing stops it but a stop.
+OTHER = f"def other():\n  while True:\n    movej({(START + 0.5).tolist()})\n    movej({START.tolist()})\n  end\nend\n"
 
 
 @pytest.fixture
@@ -77,22 +82,6 @@ def test_a_program_is_recorded_with_currents_and_cycles(fake, program):
     assert recording.temperatures
 
 
-@pytest.mark.parametrize(
-    ("prepare", "message"),
-    [
-        (lambda fake: setattr(fake.cell.state, "override", 0.5), r"override is 50 %"),
-        (lambda fake: fake.cell.protective_stop("a test"), "PROTECTIVE_STOP"),
-        (lambda fake: setattr(fake.cell.state, "mode", "teach"), "mode is 'teach'"),
-    ],
-)
-def test_what_is_not_as_it_must_be_is_refused_before_anything_moves(fake, program, prepare, message):
-    prepare(fake)
-    with pytest.raises(Exception, match=message) as refused:
-        record(fake, program)
-    assert refused.value.exit_code == 4
-    assert fake.cell.motions_started == 0
-
-
 def test_another_rate_than_the_controllers_is_refused_with_both(fake, program):
     with pytest.raises(Exception, match="samples every 2 ms, the recipe asks for 125 Hz") as refused:
         record(fake, program, rate="125 Hz")
@@ -111,20 +100,69 @@ def test_a_tool_that_the_pendant_does_not_know_is_refused_with_both(fake, progra
     assert fake.cell.motions_started == 0
 
 
+def told(monkeypatch, fake, name, value):
+    """A field of RTDE has this value from now on."""
+    truth = Cycles.field
+    monkeypatch.setattr(Cycles, "field", lambda cycles, asked: value if asked == name else truth(cycles, asked))
+
+
+def lose(fake, kind):
+    """All connections of a port close."""
+    for client in [one for one in fake._clients if isinstance(one, kind)]:
+        client.close()
+
+
+def skip(fake):
+    """Three of four samples are not sent any more."""
+    for client in [one for one in fake._clients if isinstance(one, RtdeConnection)]:
+        client._every = 4
+
+
 @pytest.mark.parametrize(
-    ("happens", "message"),
+    ("prepare", "message"),
     [
-        (lambda fake: fake.cell.protective_stop("it touched something"), "PROTECTIVE_STOP"),
-        (lambda fake: setattr(fake.cell.state, "override", 0.4), "override"),
-        (lambda fake: fake.cell.pause(True), "paused"),
+        (lambda fake, _: setattr(fake.cell.state, "override", 0.5), r"override is 50 %"),
+        (lambda fake, _: fake.cell.protective_stop("a test"), "PROTECTIVE_STOP"),
+        (lambda fake, _: setattr(fake.cell.state, "mode", "teach"), "mode is 'teach'"),
+        (lambda fake, _: setattr(fake.cell, "model", "UR10"), "ur10e.*ur5e|ur5e.*ur10e"),
+        (lambda fake, patch: told(patch, fake, "actual_q", np.full(6, np.nan)), "positions that are no numbers"),
+        (lambda fake, patch: told(patch, fake, "target_speed_fraction", np.nan), "override is nan"),
+        (lambda fake, patch: told(patch, fake, "timestamp", np.nan), "clock .* jumped"),
+        (lambda fake, patch: told(patch, fake, "timestamp", 70.0), "clock of the controller stands still"),
     ],
 )
-def test_what_happens_in_motion_stops_the_arm_and_is_told(fake, program, happens, message):
-    fake.on_moving = lambda: threading.Thread(target=happens, args=(fake,)).start()
+def test_what_is_not_as_it_must_be_is_refused_before_anything_moves(fake, program, monkeypatch, prepare, message):
+    prepare(fake, monkeypatch)
+    with pytest.raises(Exception, match=message) as refused:
+        record(fake, program)
+    assert refused.value.exit_code == 4
+    assert fake.cell.motions_started == 0
+
+
+@pytest.mark.parametrize(
+    ("happens", "message", "code"),
+    [
+        (lambda fake, _: fake.cell.protective_stop("it touched something"), "PROTECTIVE_STOP", 5),
+        (lambda fake, _: setattr(fake.cell.state, "override", 0.4), "override", 5),
+        (lambda fake, _: fake.cell.pause(True), "paused", 5),
+        (lambda fake, _: setattr(fake.cell.state, "mode", "teach"), "mode was changed to 'teach'", 5),
+        (lambda fake, patch: told(patch, fake, "safety_mode", 99), "safety mode 99", 5),
+        (lambda fake, patch: told(patch, fake, "actual_q", np.full(6, np.nan)), "positions that are no numbers", 5),
+        (lambda fake, patch: told(patch, fake, "target_q", np.full(6, np.nan)), "set-points that are no numbers", 5),
+        (lambda fake, patch: told(patch, fake, "target_speed_fraction", np.nan), "override was changed to nan", 5),
+        (lambda fake, patch: told(patch, fake, "timestamp", np.nan), "clock .* jumped", 4),
+        (lambda fake, _: lose(fake, ScriptConnection), "closed the primary interface", 4),
+        (lambda fake, _: lose(fake, DashboardConnection), "dashboard at .* closed the connection", 4),
+        (lambda fake, _: skip(fake), "of the last .* samples", 4),
+        (lambda fake, _: fake.cell.take_script(OTHER), "not what was planned", 5),
+    ],
+)
+def test_what_happens_in_motion_stops_the_arm_and_is_told(fake, program, monkeypatch, happens, message, code):
+    fake.on_moving = lambda: threading.Thread(target=happens, args=(fake, monkeypatch)).start()
     program.write_text(program.read_text().replace("while i < 2:", "while i < 200:"))
     with pytest.raises(Exception, match=message) as stopped:
         record(fake, program)
-    assert stopped.value.exit_code == 5
-    assert not fake.cell.moving
+    assert stopped.value.exit_code == code
+    assert fake.wait(5.0)
     assert not fake.cell.running
     assert read_log(program.with_suffix(".mcap"), load_robot("ur5e")).position.shape[1] == 6

@@ -31,6 +31,7 @@ class UrPeer:
         self.missing, self.in_use = (), False
         self.refusal = None  # (line, column, text) of a runtime exception for the next program
         self.drop, self.every = 0, 1  # samples to leave out from now on; which of them are sent
+        self.stamp = lambda now: now  # what is told of the time
         self.motions_started = 0
         self.scripts = []
         self.faster = faster
@@ -53,6 +54,8 @@ class UrPeer:
             "output_int_register_25": 0,
         }
         self.inputs = [0, 0]
+        self.answers = threading.Event()  # the dashboard
+        self.answers.set()
         self.owner = None
         self._beaten = 0.0
         self._program = None  # (name, number, moves left)
@@ -73,8 +76,14 @@ class UrPeer:
     def moving(self):
         return self._move is not None
 
+    def hang_up(self):
+        """The primary interface closes."""
+        for client in self._primaries:
+            client.shutdown(socket.SHUT_RDWR)
+
     def close(self):
         self._over.set()
+        self.answers.set()
         for listener in self._listeners:
             with contextlib.suppress(OSError):
                 listener.shutdown(socket.SHUT_RDWR)
@@ -100,6 +109,7 @@ class UrPeer:
         while data := client.recv(4096):
             *lines, rest = (rest + data).split(b"\n")
             for line in lines:
+                self.answers.wait()
                 client.sendall(self._answer(line.decode()).encode() + b"\n")
 
     def _answer(self, command):
@@ -120,6 +130,9 @@ class UrPeer:
         text = b""
         while data := client.recv(65536):
             text += data
+            if text == b"stop program\n":
+                self._answer("stop")
+                text = b""
             if b"\nend\n" in text:
                 self._run(text.decode())
                 text = b""
@@ -215,7 +228,7 @@ class UrPeer:
     def _sample(self, names):
         content = b"\1"
         for name in names:
-            value = self.state[name]
+            value = self.stamp(self.state[name]) if name == "timestamp" else self.state[name]
             values = value if isinstance(value, np.ndarray) else (value,)
             content += struct.pack(">" + FORMAT[TYPES.get(name, "VECTOR6D")], *values)
         return struct.pack(">HB", 3 + len(content), ord("U")) + content

@@ -68,7 +68,7 @@ def test_imports_the_running_program_with_torque_from_currents(taken, tmp_path, 
     assert log.sample_rate == pytest.approx(500)
     assert topics["/motor_currents"] == 300
     assert "300 of 500 rows have runtime_state 2" in notes
-    assert "torque constants 10, 10.6956, 8.4566, 9.0029, 9.48, 10.1232" in notes
+    assert "torque constants 11.976, 11.976, 9.839, 10.764, 10.764, 10.764" in notes
 
 
 @pytest.mark.parametrize("between", [b" ", b","])

@@ -24,6 +24,7 @@ from agent.safety.adherence import MEASURED, SET_POINTS, Adherence
 from drivers.protocol import SampleBlock
 from drivers.wire.reasons import EndReason
 from fake_controller.execution import Chain, Execution, StopSwitch
+from fake_controller.faults import Fault
 from fake_controller.interpolation import build_interpolator
 from fake_controller.plant import Plant
 
@@ -84,7 +85,7 @@ class Arm:
         """One motion with a fault `after` a number of seconds; `seen`: with set-points."""
         given, measured, count = [], [], 0
         if kind == "other_motion":
-            self.astray.change_way(joint, amount)
+            self.astray.apply_fault(Fault(kind, "start", value=amount, joint=joint + 1))
         for part in self._execution.run(self._chains, self.loop.planned.q[0], self.switch):
             sequence = np.arange(count, count + len(part))
             count += len(part)
@@ -105,13 +106,10 @@ class Arm:
                     self.stopped = count - 1
                     self.switch.request(EndReason.STOPPED, "off the plan")
             if kind and PERIOD * count >= after:
-                match kind:
-                    case "off_path":
-                        self.astray.leave_path(joint, amount)
-                    case "servo_error":
-                        self.astray.lose_servo(joint, amount)
-                    case "off_speed":
-                        self.switch.speed = amount
+                if kind == "off_speed":
+                    self.switch.speed = amount
+                elif kind != "other_motion":
+                    self.astray.apply_fault(Fault(kind, "streaming", value=amount, joint=joint + 1))
                 kind = ""
         self.given, self.measured = np.concatenate(given), np.concatenate(measured)
 

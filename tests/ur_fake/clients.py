@@ -158,6 +158,11 @@ def clients(*opened):
             client.close()
 
 
+def three(ur, *fields):
+    """A client of the primary, of the dashboard, and of these fields of RTDE."""
+    return clients(Primary(ur.address), Dashboard(ur.address), Rtde(ur.address, *fields))
+
+
 def program(*lines, name="job"):
     """A script with this body."""
     return f"def {name}():\n" + "".join(f"  {line}\n" for line in lines) + "end\n"

@@ -7,7 +7,7 @@ import pytest
 
 from fake_controller.faults import Fault
 from fake_controller.ur.messages import key_message, text_message
-from tests.ur_fake.clients import Dashboard, Primary, Rtde, Wire, clients, program, texts, turn, warnings
+from tests.ur_fake.clients import Dashboard, Primary, Wire, clients, program, texts, three, turn, warnings
 from tests.ur_fake.conftest import CB3
 
 REFUSED = (
@@ -91,9 +91,8 @@ def test_local_mode_refuses_and_a_reconnection_is_needed(start_ur):
     with clients(Dashboard(ur.address), Primary(ur.address)) as (old, remote):
         ur.cell.state.mode = "teach"
         assert old.ask("is in remote control") == "false"
-        assert [old.ask(command) for command in ("play", "stop", "power off", "unlock protective stop")] == [
-            REFUSED
-        ] * 4
+        for command in ("play", "stop", "power off", "unlock protective stop"):
+            assert old.ask(command) == REFUSED
         remote.send(program('textmsg("silent")').encode())  # ignored
         with clients(Primary(ur.address)) as local:
             local.send(program('textmsg("silent")').encode())
@@ -146,13 +145,7 @@ def test_a_program_replaces_the_one_that_runs(ur):
 
 def test_a_protective_stop_can_be_unlocked_after_five_seconds(start_ur):
     ur = start_ur(faults=[Fault("protective_stop", "streaming", 0.2)])
-    with clients(
-        Primary(ur.address), Dashboard(ur.address), Rtde(ur.address, "timestamp", "safety_mode", "runtime_state")
-    ) as (
-        primary,
-        dashboard,
-        rtde,
-    ):
+    with three(ur, "timestamp", "safety_mode", "runtime_state") as (primary, dashboard, rtde):
         primary.send(program(turn(ur, 0.5), 'textmsg("went on")').encode())
         stopped = rtde.until(lambda sample: sample["safety_mode"] == 3)[-1]
         assert stopped["runtime_state"] in (3, 4)
@@ -170,13 +163,7 @@ def test_a_protective_stop_can_be_unlocked_after_five_seconds(start_ur):
 )
 def test_faults_end_the_program_and_show(start_ur, fault, mode, word):
     ur = start_ur(faults=[Fault(fault, "streaming", 0.1)])
-    with clients(
-        Primary(ur.address), Dashboard(ur.address), Rtde(ur.address, "safety_mode", "robot_mode", "runtime_state")
-    ) as (
-        primary,
-        dashboard,
-        rtde,
-    ):
+    with three(ur, "safety_mode", "robot_mode", "runtime_state") as (primary, dashboard, rtde):
         primary.send(program(turn(ur, 0.02)).encode())
         sample = rtde.until(lambda sample: sample["safety_mode"] == mode and sample["runtime_state"] == 1)[-1]
         assert sample["robot_mode"] == 3

@@ -20,25 +20,18 @@ def run(ur, *lines):
 def value_of(expression):
     """The value of an expression, with only textmsg defined."""
     said = []
-    script = Script(
-        f"def f():\n  textmsg({expression})\nend\n", {"textmsg": lambda value: Action(lambda _: said.append(value))}
-    )
+    known = {"textmsg": lambda value: Action(lambda _: said.append(value))}
+    script = Script(f"def f():\n  textmsg({expression})\nend\n", known)
     for request in script.run():
         request.act(None)
     return said[0]
 
 
 leaves = st.integers(0, 99).map(str) | st.floats(0, 1e3).map(repr) | st.sampled_from(["True", "False"])
+signs = st.sampled_from(["+", "-", "*", "<", "<=", "==", "!=", "and", "or"])
+forms = ["({1} {0} {2})", "(not {1})", "(-{1})"]
 expressions = st.recursive(
-    leaves,
-    lambda inner: (
-        st.builds(
-            "({} {} {})".format, inner, st.sampled_from(["+", "-", "*", "<", "<=", "==", "!=", "and", "or"]), inner
-        )
-        | inner.map("(not {})".format)
-        | inner.map("(-{})".format)
-    ),
-    max_leaves=8,
+    leaves, lambda inner: st.builds(str.format, st.sampled_from(forms), signs, inner, inner), max_leaves=8
 )
 
 
@@ -193,9 +186,8 @@ def test_the_arm_its_tool_and_its_registers_can_be_asked(ur):
     said, wrong = run(ur, *lines.splitlines())
     assert wrong == []
     assert said == ["inverse", "within", "turned", "back", "p[0.0, 0.0, 0.1, 0.0, 0.0, 0.0]", "[0.0, 0.0, 0.0]", "0"]
-    with clients(
-        Rtde(ur, "output_double_register_30", "output_bit_register_70", "output_bit_registers32_to_63")
-    ) as rtde:
+    names = "output_double_register_30", "output_bit_register_70", "output_bit_registers32_to_63"
+    with clients(Rtde(ur, *names)) as rtde:
         assert [*rtde.sample().values()] == [2.5, True, 0]
 
 

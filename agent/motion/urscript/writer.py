@@ -130,8 +130,7 @@ class _ScriptWriter:
         text = _HEAD.format(
             name=f"{name[: _LONGEST - _DIGEST - 1]}_{digest}", number=int(digest[:7], 16) + 1, frames=frames, body=body
         )
-        for _ in read_program(text, "the program to be written", self._robot).moves_once():
-            pass
+        read_program(text, "the program to be written", self._robot)
         return text
 
     def _target(self, target: Target) -> str:

@@ -46,6 +46,7 @@ class Dashboard:
         self.address = address
         self._timeout = timeout
         self._lock = threading.Lock()
+        self._owed = 0  # answers that did not come in time
         self._rest = b""
         self._socket = open_socket(address, timeout)
         self._socket.settimeout(timeout)
@@ -61,18 +62,28 @@ class Dashboard:
                 "right? (PolyScope X has no dashboard, and this driver does not support it)"
             )
 
-    def ask(self, command: str) -> str:
-        """The answer to a command.
+    def ask(self, command: str, timeout: float | None = None) -> str:
+        """The answer to a command; an earlier one that comes late is passed over. `timeout` [s], if another than usual.
 
         Raises:
             DriverError: silent, or the link dropped.
         """
-        with self._lock:
-            try:
-                self._socket.sendall(command.encode() + b"\n")
-            except OSError as error:
-                raise dropped(self.address, error) from None
-            return self._line(command)
+        within = self._timeout if timeout is None else timeout
+        if not self._lock.acquire(timeout=within):
+            raise self._silent(command, within)
+        try:
+            self._socket.settimeout(within)
+            self._socket.sendall(command.encode() + b"\n")
+            self._owed += 1
+            while True:
+                line = self._line(command)
+                self._owed -= 1
+                if not self._owed:
+                    return line
+        except OSError as error:
+            raise dropped(self.address, error) from None
+        finally:
+            self._lock.release()
 
     def model(self) -> UrModel:
         """Who is there.
@@ -113,11 +124,14 @@ class Dashboard:
                 if len(self._rest) > _LONGEST:
                     raise ProtocolError(f"{self.address} is no dashboard of a UR controller: a line without an end")
         except TimeoutError:
-            raise DriverError(
-                f"the dashboard at {self.address} is silent: no answer to {asked!r} within {self._timeout:g} s; are "
-                "its services switched on (Settings, Security, Services)?"
-            ) from None
+            raise self._silent(asked, self._socket.gettimeout()) from None
         except OSError as error:
             raise dropped(self.address, error) from None
         line, _, self._rest = self._rest.partition(b"\n")
         return line.decode("latin-1").strip()
+
+    def _silent(self, asked: str, within: float | None) -> DriverError:
+        return DriverError(
+            f"the dashboard at {self.address} is silent: no answer to {asked!r} within {within:g} s; are its services "
+            "switched on (Settings, Security, Services)?"
+        )

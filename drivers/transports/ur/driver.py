@@ -104,8 +104,10 @@ class UrDriver(LinkDriver[UrLink, UrMotion]):
         """What the controller says after this call."""
         link, motion = self._connected(), self._motion
         streaming = motion is not None and motion.begun and not motion.over
-        remote = self._remote(streaming)
+        remote = self._remote()
         sample = link.fresh()
+        if not (streaming or np.isfinite(sample["actual_q"]).all()):
+            raise DriverError(f"{self.address}: the controller sends joint positions that are no numbers; look at it")
         safety = int(sample["safety_mode"])
         stops = (*states.EMERGENCY_STOPS, states.SAFEGUARD, states.NORMAL)
         name, checksum = "", ""
@@ -171,7 +173,7 @@ class UrDriver(LinkDriver[UrLink, UrMotion]):
             link.send_program(program.text)
             self._see_program(link, motion, program)
             link.guarded = True
-            motion.begin()
+            motion.begun = True
             link.allow(program.number)
             if not link.wait(lambda: link.latest[rtde.RUNNING] != program.number, self._timeout):
                 link.check()
@@ -188,8 +190,7 @@ class UrDriver(LinkDriver[UrLink, UrMotion]):
             motion.stopping = True
         elif link.failure is None and not _plays(link.fresh()):
             return
-        with contextlib.suppress(DriverError):
-            self._ask("stop")
+        self._end_program(link)
         if self._rests(link, motion, _OBEYS):
             return
         if motion is not None:
@@ -204,33 +205,29 @@ class UrDriver(LinkDriver[UrLink, UrMotion]):
         if link is not None:
             if self._motion is not None and not self._motion.over:
                 self._motion.finish(DriverError(f"the link to {self.address} was closed while the arm moved"))
-                with contextlib.suppress(DriverError):
-                    link.check()
-                    self._ask("stop")
+                self._end_program(link)
             link.close()
         dashboard, self._dashboard = self._dashboard, None
         if dashboard is not None:
             dashboard.close()
 
-    def _ask(self, command: str) -> str:
-        if self._dashboard is None:
+    def _remote(self) -> bool:
+        """Whether the robot is in remote control."""
+        model, dashboard = self._model, self._dashboard
+        if model is None or dashboard is None:
             raise DriverError(f"the link to {self.address} is not open; connect first")
-        return self._dashboard.ask(command)
+        return not model.remote or dashboard.remote()
 
-    def _remote(self, streaming: bool = False) -> bool:
-        """Whether the robot is in remote control.
-
-        A dashboard that is silent while the arm moves says nothing: a controller that does not hear its client stops
-        the arm by the heartbeat, and its samples tell so. One that turns to local mode closes the primary interface.
-        """
-        assert self._model is not None
-        assert self._dashboard is not None
-        try:
-            return not self._model.remote or self._dashboard.remote()
-        except DriverError:
-            if streaming:
-                return True
-            raise
+    def _end_program(self, link: UrLink) -> str:
+        """End what runs, by the dashboard or, where that does not, by the primary interface; the dashboard's answer."""
+        said = ""
+        with contextlib.suppress(DriverError):
+            if self._dashboard is not None:
+                said = self._dashboard.ask("stop", _OBEYS)
+        if said != "Stopped":
+            with contextlib.suppress(DriverError):
+                link.send_program("stop program\n")
+        return said
 
     def _rests(self, link: UrLink, motion: UrMotion | None, timeout: float) -> bool:
         if motion is not None:
@@ -277,8 +274,7 @@ class UrDriver(LinkDriver[UrLink, UrMotion]):
         if motion.fault is not None:
             raise RefusedError(f"{self.address}: the controller refused program {program.name}: {motion.fault}")
         if not seen:
-            with contextlib.suppress(DriverError):
-                self._ask("stop")
+            self._end_program(link)
             raise DriverError(
                 f"{self.address}: the controller did not start program {program.name} within {self._timeout:g} s; "
                 "nothing moved. Is the primary interface switched on there, and the robot in remote control?"
@@ -287,10 +283,10 @@ class UrDriver(LinkDriver[UrLink, UrMotion]):
     # From here on in the thread of the link.
 
     def _on_failure(self, error: DriverError) -> None:
-        motion = self._motion
-        if motion is not None and motion.begun and not motion.over:
+        motion, link = self._motion, self._link
+        if link is not None and motion is not None and motion.begun and not motion.over:
             with contextlib.suppress(DriverError):
-                if not self._remote():
+                if self._end_program(link) and not self._remote():
                     error = MotionStopped(
                         f"the robot at {self.address} was switched to local control in motion: {error}"
                     )
@@ -301,9 +297,9 @@ class UrDriver(LinkDriver[UrLink, UrMotion]):
         if motion is None or link is None or not motion.begun or motion.over:
             return
         motion.samples(samples)
-        full = motion.too_full()
-        if full is not None:
-            motion.finish(full)
+        error = motion.too_full() or motion.slow
+        if error is not None:
+            motion.finish(error)
         # A program that was interrupted feels no heartbeat any more, so that nobody can resume the rest of it.
         link.beating = not (motion.over or motion.unsafe or motion.withheld)
         link.guarded = not motion.over

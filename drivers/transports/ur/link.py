@@ -8,11 +8,9 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-import selectors
 import socket
 import struct
 import threading
-import time
 from collections.abc import Callable
 
 import numpy as np
@@ -20,13 +18,15 @@ import numpy as np
 from drivers.errors import DriverError, ProtocolError, RefusedError
 from drivers.transports.base import WATCHDOG, LinkThread, dropped
 from drivers.transports.tcp import open_socket
-from drivers.transports.ur import rtde
-from drivers.transports.ur.primary import Presence, PrimaryReader, ProgramChange, ProgramFault
+from drivers.transports.ur import primary as messages, rtde
+from drivers.transports.ur.primary import Presence, ProgramChange, ProgramFault
+from drivers.wire.stream import PackageDecoder
 
 _RECEIVE = 256 * 1024
 #: Heartbeats to a watchdog, by the controller's clock.
 _BEATS = 8
-#: The controller's clock goes back by more [s] only where it has been restarted.
+#: The controller's clock goes back by more [s] only where it has been restarted; in a motion it goes ahead by no more
+#: than the watchdog.
 _BACK = 0.1
 #: Time over which the rate of samples is measured [s].
 _PACE = 0.25
@@ -59,8 +59,6 @@ class UrLink(LinkThread):
         on_failure: Callable[[DriverError], None],
     ) -> None:
         super().__init__(data, on_failure)
-        self.guarded = False  # a silence as long as the watchdog ends the link
-        self.watchdog = WATCHDOG
         self.beating = False  # where it does not, a program stops the arm
         self.real: bool | None = None  # whether a robot is there, once that was said
         self._period = period
@@ -69,7 +67,8 @@ class UrLink(LinkThread):
         self._permit = 0
         self._beats = itertools.count(1)
         self._beaten = -np.inf  # controller time [s] of the last heartbeat
-        self._packages, self._messages = rtde.PackageReader(), PrimaryReader()
+        self._packages = PackageDecoder(rtde.HEAD, 0xFFFF, "RTDE")
+        self._messages = PackageDecoder(messages.HEAD, messages.LONGEST, "the primary interface")
         self._early: list[bytes] = []  # samples may come before the answer to the start
         self._sending = threading.Lock()
         self._changed = threading.Condition()
@@ -128,7 +127,9 @@ class UrLink(LinkThread):
         self.wait(lambda: self._last is not None and self._last["timestamp"] >= first + _PACE, self._timeout)
         self.check()
         assert self._last is not None
-        return (self._count - count) / max(float(self._last["timestamp"]) - first, self._period)
+        if not (passed := float(self._last["timestamp"]) - first) > 0.0:
+            raise DriverError(f"{self.peer}: the clock of the controller stands still; restart the controller")
+        return (self._count - count) / passed
 
     def send_program(self, text: str) -> None:
         """Send a program, once.
@@ -210,26 +211,18 @@ class UrLink(LinkThread):
             self._changed.notify_all()
 
     def _work(self) -> None:
-        silence, interval = 0.0, WATCHDOG / 4
         self._take_samples(self._early)
-        with selectors.DefaultSelector() as selector:
-            for handle in (self._rtde, self._primary):
-                selector.register(handle, selectors.EVENT_READ)
-            while not self._closing.is_set():
-                began = time.monotonic()
-                ready = {key.fileobj for key, _ in selector.select(interval)}
-                if self._rtde in ready:
-                    self._take_samples([c for k, c in self._packages.feed(self._read(self._rtde)) if k == rtde.DATA])
-                    silence = 0.0
-                if self._primary in ready:
-                    self._take_messages(self._read(self._primary))
-                # A stall of this process is not the peer's silence: no turn counts for more than it should last.
-                silence += min(time.monotonic() - began, interval)
-                if self.guarded and silence >= self.watchdog:
-                    raise DriverError(
-                        f"the controller at {self.peer} fell silent: no sample for {self.watchdog:g} s, and the "
-                        "arm may move; its program stops it, as it feels no heartbeat: go and look at it"
-                    )
+        for ready in self._each_turn((self._rtde, self._primary)):
+            if self._rtde in ready:
+                self._take_samples([c for k, c in self._packages.feed(self._read(self._rtde)) if k == rtde.DATA])
+            if self._primary in ready:
+                self._take_messages(self._read(self._primary))
+
+    def _fell_silent(self) -> DriverError:
+        return DriverError(
+            f"the controller at {self.peer} fell silent: no new sample for {self.watchdog:g} s, and the arm may move; "
+            "its program stops it, as it feels no heartbeat: go and look at it"
+        )
 
     def _read(self, handle: socket.socket) -> bytes:
         data = handle.recv(_RECEIVE)
@@ -242,9 +235,16 @@ class UrLink(LinkThread):
         samples = self._outputs.samples(contents)
         if len(samples) == 0:
             return
+        last = samples["timestamp"][0] if self._last is None else self._last["timestamp"]
         now = float(samples["timestamp"][-1])
-        if self._last is not None and now < self._last["timestamp"] - _BACK:
-            raise DriverError(f"the clock of the controller at {self.peer} went back: it was restarted; look at it")
+        with np.errstate(invalid="ignore"):
+            passed = np.diff(samples["timestamp"], prepend=last)
+        if not np.all((passed >= -_BACK) & (passed <= (self.watchdog if self.guarded else np.inf))):
+            raise DriverError(
+                f"the clock of the controller at {self.peer} jumped, from {last:.6g} s to {now:.6g} s: it was "
+                "restarted, or what it sends cannot be trusted; look at it"
+            )
+        self._heard = now > last  # where its clock stands, the controller is silent
         with self._changed:
             self._last, self._count = samples[-1], self._count + len(samples)
             self._changed.notify_all()
@@ -254,10 +254,11 @@ class UrLink(LinkThread):
         self._on_samples(samples)
 
     def _take_messages(self, data: bytes) -> None:
-        for message in self._messages.feed(data):
-            if isinstance(message, Presence):
-                self.real = message.real
-            else:
-                self._on_message(message)
+        for package in self._messages.feed(data):
+            for message in messages.meaning(*package):
+                if isinstance(message, Presence):
+                    self.real = message.real
+                else:
+                    self._on_message(message)
         with self._changed:
             self._changed.notify_all()

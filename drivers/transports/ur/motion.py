@@ -6,6 +6,7 @@ import time
 
 import numpy as np
 
+from drivers.errors import DriverError
 from drivers.protocol import SampleBlock
 from drivers.transports.motion import MotionStream
 from drivers.transports.ur import rtde
@@ -27,6 +28,9 @@ _SAFETY = (
     "VIOLATION",
     "FAULT",
 )
+#: A second with less than this part of its samples is recorded by a controller that skips most of them: the next slower
+#: rate of RTDE is a half.
+_ENOUGH = 0.75
 #: A set-point that changes more slowly rests [rad/s]; settling time of the arm [s].
 STILL, _SETTLED = 1e-6, 0.1
 
@@ -37,7 +41,7 @@ def safety_text(mode: int) -> str:
 
 
 class UrMotion(MotionStream):
-    """Received data of one motion. Called from the thread of the link, except `begin`.
+    """Received data of one motion. Called from the thread of the link.
 
     Args:
         program: its name on the controller.
@@ -48,6 +52,7 @@ class UrMotion(MotionStream):
 
     def __init__(self, program: str, period: float, torque_per_ampere: np.ndarray, limit: int) -> None:
         super().__init__(limit)
+        self.begun = False  # the next sample is the first of the motion, or one after it
         self.loaded = False  # the controller says that the program has started; it waits for its permit
         self.withheld = False  # the heartbeat, as the arm did not obey
         self.fault: ProgramFault | None = None
@@ -56,21 +61,14 @@ class UrMotion(MotionStream):
         self._period = period
         self._torque_per_ampere = torque_per_ampere
         self._said = ""  # the controller's last error text
-        self._begun = False
         self._first: float | None = None
         self._number = -1
+        self._second = (0, 0)  # number and count of samples when it began
+        self._count = 0
+        self.slow: DriverError | None = None  # that most samples are missing, once they are
         self._cycle: int | None = None
         self._idle = 0
         self._verdict: tuple[EndReason, str] | None = None
-
-    @property
-    def begun(self) -> bool:
-        """Whether samples belong to it already."""
-        return self._begun
-
-    def begin(self) -> None:
-        """The next sample is the first of the motion."""
-        self._begun = True
 
     def message(self, message: ProgramChange | ProgramFault) -> None:
         """Take the controller's text about the program."""
@@ -82,7 +80,7 @@ class UrMotion(MotionStream):
 
     def samples(self, samples: np.ndarray) -> None:
         """Samples (K,) of `rtde.FIELDS`, in the order in which they came."""
-        if not self._begun or self.over:
+        if not self.begun or self.over:
             return
         self._first = float(samples["timestamp"][0]) if self._first is None else self._first
         numbers = np.rint((samples["timestamp"] - self._first) / self._period).astype(np.int64)
@@ -141,7 +139,15 @@ class UrMotion(MotionStream):
                 ),
                 0,
             )
-        self._number = int(numbers[-1])
+        self._number, self._count = int(numbers[-1]), self._count + len(numbers)
+        passed, came = self._number - self._second[0], self._count - self._second[1]
+        if passed * self._period >= 1.0:
+            self._second = self._number, self._count
+            if came < _ENOUGH * passed:
+                self.slow = DriverError(
+                    f"the controller sent {came} of the last {passed} samples; the motion was stopped: is another "
+                    "client of RTDE there, or has the controller too much else to do?"
+                )
 
 
 def _unsafe(sample: np.void) -> tuple[EndReason, str] | None:

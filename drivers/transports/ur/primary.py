@@ -14,11 +14,11 @@ from dataclasses import dataclass
 from drivers.errors import ProtocolError
 from drivers.texts import ALARM, printable
 
-_HEAD, _BEFORE = struct.Struct(">iB"), struct.Struct(">QbB")
+#: Size and type of a package, its first bytes; the largest size.
+HEAD, LONGEST = struct.Struct(">iB"), 1 << 20
+_BEFORE = struct.Struct(">QbB")
 _STATE, _MESSAGE, _ROBOT_MODE = 16, 20, 0
 _ERROR, _KEY, _EXCEPTION = 6, 7, 10
-#: No package is larger.
-_LONGEST = 1 << 20
 #: Levels of an error: 3 is a violation, 4 a fault, 5 critical.
 _VIOLATION, _LEVELS = 3, 128
 
@@ -55,31 +55,12 @@ class Presence:
     real: bool
 
 
-class PrimaryReader:
-    """Cuts the stream of the primary interface into the messages that matter here."""
+def meaning(kind: int, content: bytes) -> Iterator[ProgramChange | ProgramFault | Presence]:
+    """What a package says.
 
-    def __init__(self) -> None:
-        self._rest = b""
-
-    def feed(self, data: bytes) -> Iterator[ProgramChange | ProgramFault | Presence]:
-        """What was said.
-
-        Raises:
-            ProtocolError: this is not the primary interface.
-        """
-        data, at = self._rest + data, 0
-        while len(data) - at >= _HEAD.size:
-            size, kind = _HEAD.unpack_from(data, at)
-            if not _HEAD.size <= size <= _LONGEST:
-                raise ProtocolError(f"what comes is not the primary interface: a package of {size} bytes")
-            if len(data) - at < size:
-                break
-            yield from _meaning(kind, data[at + _HEAD.size : at + size])
-            at += size
-        self._rest = data[at:]
-
-
-def _meaning(kind: int, content: bytes) -> Iterator[ProgramChange | ProgramFault | Presence]:
+    Raises:
+        ProtocolError: it is shorter than its kind.
+    """
     try:
         if kind == _STATE:
             yield from _state(content)
@@ -92,11 +73,11 @@ def _meaning(kind: int, content: bytes) -> Iterator[ProgramChange | ProgramFault
 def _state(content: bytes) -> Iterator[Presence]:
     at = 0
     while at < len(content):
-        size, kind = _HEAD.unpack_from(content, at)
-        if size < _HEAD.size:
+        size, kind = HEAD.unpack_from(content, at)
+        if size < HEAD.size:
             raise ProtocolError("a state of the primary interface is damaged")
         if kind == _ROBOT_MODE:
-            yield Presence(bool(struct.unpack_from(">Q?", content, at + _HEAD.size)[1]))
+            yield Presence(bool(struct.unpack_from(">Q?", content, at + HEAD.size)[1]))
         at += size
 
 

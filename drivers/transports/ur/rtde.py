@@ -7,7 +7,7 @@ Exchange (RTDE) Guide").
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,9 +16,10 @@ from drivers.errors import ProtocolError, RefusedError
 from drivers.texts import NAME, printable
 
 VERSION, CONTROLLER, OUTPUTS, INPUTS, START, DATA, TEXT = b"VvOISUM"
-_HEAD = struct.Struct(">HB")
+#: Size and type of a package, its first bytes.
+HEAD = struct.Struct(">HB")
 _TYPES = {"DOUBLE": ">f8", "INT32": ">i4", "UINT32": ">u4", "UINT64": ">u8", "UINT8": "u1", "BOOL": "?"}
-_VECTORS = {"VECTOR3D": (">f8", 3), "VECTOR6D": (">f8", 6), "VECTOR6INT32": (">i4", 6), "VECTOR6UINT32": (">u4", 6)}
+_TYPES |= {"VECTOR3D": "3>f8", "VECTOR6D": "6>f8", "VECTOR6INT32": "6>i4", "VECTOR6UINT32": "6>u4"}
 #: Registers from 24 on belong to RTDE clients. Inputs: the heartbeat, and which program may move. Outputs: the cycle
 #: that begins, and which program runs.
 HEARTBEAT, PERMIT = "input_int_register_24", "input_int_register_25"
@@ -48,7 +49,7 @@ COMPENSATED = "actual_current_as_torque"
 
 def package(kind: int, content: bytes = b"") -> bytes:
     """A package of this type."""
-    return _HEAD.pack(_HEAD.size + len(content), kind) + content
+    return HEAD.pack(HEAD.size + len(content), kind) + content
 
 
 def output_request(names: Sequence[str], frequency: float) -> bytes:
@@ -63,30 +64,6 @@ def output_request(names: Sequence[str], frequency: float) -> bytes:
             "identified from it would be wrong. Use actual_current"
         )
     return package(OUTPUTS, struct.pack(">d", frequency) + ",".join(names).encode())
-
-
-class PackageReader:
-    """Cuts a stream of bytes into packages."""
-
-    def __init__(self) -> None:
-        self._rest = b""
-
-    def feed(self, data: bytes) -> Iterator[tuple[int, bytes]]:
-        """(type, content) of every package that is whole.
-
-        Raises:
-            ProtocolError: a size that no package has.
-        """
-        data, at = self._rest + data, 0
-        while len(data) - at >= _HEAD.size:
-            size, kind = _HEAD.unpack_from(data, at)
-            if size < _HEAD.size:
-                raise ProtocolError(f"what comes is not RTDE: a package of {size} bytes")
-            if len(data) - at < size:
-                break
-            yield kind, data[at + _HEAD.size : at + size]
-            at += size
-        self._rest = data[at:]
 
 
 @dataclass(frozen=True)
@@ -110,15 +87,11 @@ class OutputRecipe:
                 f"the controller does not know {', '.join(missing)}; the driver needs PolyScope 5.6 or newer, of CB3 "
                 "3.12.3 or newer"
             )
-        fields: list[tuple[str, object] | tuple[str, object, int]] = [("recipe", "u1")]
         for name, kind in zip(names, types, strict=True):
-            if kind in _VECTORS:
-                fields.append((name, *_VECTORS[kind]))
-            elif kind in _TYPES:
-                fields.append((name, _TYPES[kind]))
-            else:
+            if kind not in _TYPES:
                 raise ProtocolError(f"RTDE: {name} has the unknown type {printable(kind, NAME)!r}")
-        return cls(answer[0], np.dtype(fields))
+        fields = [(name, _TYPES[kind]) for name, kind in zip(names, types, strict=True)]
+        return cls(answer[0], np.dtype([("recipe", "u1"), *fields]))
 
     def samples(self, contents: Sequence[bytes]) -> np.ndarray:
         """(K,) structured samples of the contents of data packages; those of other recipes are left out.

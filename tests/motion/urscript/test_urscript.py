@@ -69,23 +69,18 @@ def as_said(statement):
 numbers = st.floats(-1.5, 1.5).map(lambda value: round(value, 6))
 speeds = st.floats(0.01, 2.0)
 joints = st.lists(numbers, min_size=6, max_size=6).map(np.array)
-moves = st.one_of(
-    st.builds(Delay, st.floats(0, 5).map(lambda value: round(value, 6))),
-    st.builds(
-        lambda kind, q, radius, v, a: Move(
-            kind, JointTarget(q), UrSettings(fly_distance=radius, linear_speed=v, joint_acceleration=a), fly=radius > 0
-        ),
-        st.sampled_from([MoveType.JOINT, MoveType.LINEAR]),
-        joints,
-        st.sampled_from([0.0, 0.01, 0.05]),
-        speeds,
-        speeds,
-    ),
-)
+delays = st.builds(Delay, st.floats(0, 5).map(lambda value: round(value, 6)))
+
+
+@st.composite
+def moves(draw):
+    radius, kind = draw(st.sampled_from([0.0, 0.01, 0.05])), draw(st.sampled_from([MoveType.JOINT, MoveType.LINEAR]))
+    settings = UrSettings(fly_distance=radius, linear_speed=draw(speeds), joint_acceleration=draw(speeds))
+    return Move(kind, JointTarget(draw(joints)), settings, fly=radius > 0)
 
 
 @running(max_examples=40, deadline=None)
-@given(st.lists(moves, min_size=1, max_size=6))
+@given(st.lists(delays | moves(), min_size=1, max_size=6))
 def test_what_is_written_is_read_back(statements):
     program = SCRIPT.read(SCRIPT.write("job", statements))
     assert [as_said(one) for one in program.run()] == [as_said(one) for one in statements]
