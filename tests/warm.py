@@ -24,6 +24,7 @@ import sys
 import tempfile
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -80,6 +81,39 @@ class WarmProcess:
         if self.poll() is None:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(self.pid, signal.SIGKILL)
+
+
+class PipedProcess(WarmProcess):
+    """The same with pipes, as far as `subprocess.Popen` goes here; it is killed as its context ends."""
+
+    def __init__(self, module: str, *arguments: object, cwd: Path, env: dict[str, str]) -> None:
+        pipes = [os.pipe(), os.pipe()]
+        super().__init__(module, *arguments, cwd=cwd, env=env, stdout=pipes[0][1], stderr=pipes[1][1])
+        for _, end in pipes:
+            os.close(end)
+        self.stdout, self.stderr = (os.fdopen(end, encoding="utf-8") for end, _ in pipes)
+
+    def send_signal(self, number: int) -> None:
+        """Unless it has ended."""
+        if self.poll() is None:
+            os.kill(self.pid, number)
+
+    def communicate(self) -> tuple[str, str]:
+        """What is left of output and errors, once it has ended."""
+        with ThreadPoolExecutor(1) as aside:
+            errors = aside.submit(self.stderr.read)
+            output = self.stdout.read()
+            self.wait()
+            return output, errors.result()
+
+    def __enter__(self) -> PipedProcess:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.kill()
+        self.wait()
+        self.stdout.close()
+        self.stderr.close()
 
 
 def run(module: str, *arguments: object, cwd: Path, env: dict[str, str]) -> subprocess.CompletedProcess[str]:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import os
 import subprocess
-import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -54,21 +54,12 @@ def write_recipe(tmp_path: Path) -> Callable[..., Path]:
 
 
 @pytest.fixture
-def start_agent(tmp_path: Path) -> Callable[..., subprocess.Popen[str]]:
-    """Starts the command line, off a terminal, in the test's folder."""
-
-    def start(*arguments: str | Path) -> subprocess.Popen[str]:
-        return subprocess.Popen(
-            [sys.executable, "-m", "agent", *map(str, arguments)],
-            cwd=tmp_path,
-            env={**os.environ, "PYTHONPATH": str(ROOT)},
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
+def start_agent(tmp_path: Path) -> Iterator[Callable[..., warm.PipedProcess]]:
+    """Starts the command line, off a terminal, in the test's folder; it ends with the test."""
+    with ExitStack() as undo:
+        yield lambda *arguments: undo.enter_context(
+            warm.PipedProcess("agent", *arguments, cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(ROOT)})
         )
-
-    return start
 
 
 @pytest.fixture
@@ -82,11 +73,10 @@ def run_agent(tmp_path: Path) -> Callable[..., subprocess.CompletedProcess[str]]
 
 
 @pytest.fixture
-def wait_for_motion() -> Callable[[subprocess.Popen[str]], None]:
+def wait_for_motion() -> Callable[[warm.PipedProcess], None]:
     """Reads an agent's progress until the arm moves."""
 
-    def wait(process: subprocess.Popen[str]) -> None:
-        assert process.stderr is not None
+    def wait(process: warm.PipedProcess) -> None:
         assert any("of motion" in line for line in process.stderr), "the agent ended before anything moved"
 
     return wait
