@@ -123,11 +123,8 @@ class Emulator:
         usual = ["--robot", "comau_ns16", "--seed", "7"]
         usual += ["--clock", "fast", "--watchdog", "5"]  # the machine that runs the tests may stall
         usual += [] if "--address" in options else ["--port", "0"]  # a UR has its published ports
-        environment = {**os.environ, "PYTHONPATH": str(ROOT)}
         said, says = os.pipe()
-        self.process = WarmProcess(
-            "fake_controller", *usual, *options, cwd=ROOT, env=environment, stdout=says, stderr=2
-        )
+        self.process = WarmProcess("fake_controller", *usual, *options, stdout=says, stderr=2)
         os.close(says)
         self._said = os.fdopen(said, encoding="utf-8")
         self.greeting = self._said.readline()

@@ -44,15 +44,19 @@ _HEADER = 8  # bytes of its length
 
 
 class WarmProcess:
-    """`python -m MODULE ARGUMENTS` with standard output and errors to these files; input is empty."""
+    """`python -m MODULE ARGUMENTS` with standard output and errors to these files; input is empty.
+
+    `environment` is added to that of the tests.
+    """
 
     def __init__(
-        self, module: str, *arguments: object, cwd: Path, env: dict[str, str], stdout: int, stderr: int
+        self, module: str, *arguments: object, cwd: Path = ROOT, stdout: int, stderr: int, **environment: str
     ) -> None:
         self.returncode: int | None = None
         self._status, ended = os.pipe()
         with open(os.devnull) as nothing:
             files = [nothing.fileno(), stdout, stderr, ended]
+            env = {**os.environ, "PYTHONPATH": str(ROOT), **environment}
             request = {"module": module, "arguments": list(map(str, arguments)), "cwd": str(cwd), "env": env}
             self.pid = _nursery()(request, files)
         os.close(ended)
@@ -86,9 +90,9 @@ class WarmProcess:
 class PipedProcess(WarmProcess):
     """The same with pipes, as far as `subprocess.Popen` goes here; it is killed as its context ends."""
 
-    def __init__(self, module: str, *arguments: object, cwd: Path, env: dict[str, str]) -> None:
+    def __init__(self, module: str, *arguments: object, cwd: Path = ROOT) -> None:
         pipes = [os.pipe(), os.pipe()]
-        super().__init__(module, *arguments, cwd=cwd, env=env, stdout=pipes[0][1], stderr=pipes[1][1])
+        super().__init__(module, *arguments, cwd=cwd, stdout=pipes[0][1], stderr=pipes[1][1])
         for _, end in pipes:
             os.close(end)
         self.stdout, self.stderr = (os.fdopen(end, encoding="utf-8") for end, _ in pipes)
@@ -116,10 +120,10 @@ class PipedProcess(WarmProcess):
         self.stderr.close()
 
 
-def run(module: str, *arguments: object, cwd: Path, env: dict[str, str]) -> subprocess.CompletedProcess[str]:
+def run(module: str, *arguments: object, cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:
     """Run a module to its end."""
     with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
-        process = WarmProcess(module, *arguments, cwd=cwd, env=env, stdout=out.fileno(), stderr=err.fileno())
+        process = WarmProcess(module, *arguments, cwd=cwd, stdout=out.fileno(), stderr=err.fileno(), **environment)
         try:
             code = process.wait()
         finally:

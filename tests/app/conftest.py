@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
@@ -57,19 +56,13 @@ def write_recipe(tmp_path: Path) -> Callable[..., Path]:
 def start_agent(tmp_path: Path) -> Iterator[Callable[..., warm.PipedProcess]]:
     """Starts the command line, off a terminal, in the test's folder; it ends with the test."""
     with ExitStack() as undo:
-        yield lambda *arguments: undo.enter_context(
-            warm.PipedProcess("agent", *arguments, cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(ROOT)})
-        )
+        yield lambda *arguments: undo.enter_context(warm.PipedProcess("agent", *arguments, cwd=tmp_path))
 
 
 @pytest.fixture
 def run_agent(tmp_path: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
     """Runs the command line to its end, in the test's folder."""
-
-    def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-        return warm.run("agent", *arguments, cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(ROOT)})
-
-    return run
+    return lambda *arguments: warm.run("agent", *arguments, cwd=tmp_path)
 
 
 @pytest.fixture

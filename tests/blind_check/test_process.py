@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -137,7 +136,7 @@ def test_the_baselines_answer_the_same_runs(check, tmp_path: Path, method: str, 
     blind_baselines.main()
     run = warm.run(
         "agent", "blind-check", "--score", check.key_file, check.folder / "answers.jsonl", tmp_path / f"{method}.jsonl",
-        "--json", "-o", tmp_path / "page", cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(ROOT)},
+        "--json", "-o", tmp_path / "page", cwd=tmp_path,
     )  # fmt: skip
     assert run.returncode == 0, run.stderr
     tools = json.loads(run.stdout)["tools"]
@@ -163,7 +162,7 @@ def test_the_baselines_answer_the_same_runs(check, tmp_path: Path, method: str, 
     ],
 )
 def test_what_does_not_go_together_is_refused(tmp_path: Path, arguments: list[str], message: str):
-    run = warm.run("agent", "blind-check", *arguments, cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(ROOT)})
+    run = warm.run("agent", "blind-check", *arguments, cwd=tmp_path)
     assert run.returncode == 2
     assert message in run.stderr
     assert "Traceback" not in run.stderr

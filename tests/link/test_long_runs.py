@@ -13,7 +13,7 @@ from agent.recording import LogWriter, read_log
 from agent.recording.mcap import writer
 from agent.recording.mcap.log_file import LogFile
 from drivers.registry import create
-from tests.conftest import ROOT, patience
+from tests.conftest import patience
 from tests.warm import PipedProcess
 
 MINUTE = 60.0  # s
@@ -39,8 +39,7 @@ def program(cycles):
 def emulator(tmp_path, *options):
     """The process, and the address it serves at."""
     ready = tmp_path / "ready"
-    command = ["fake_controller", "--port", "0", "--ready-file", ready, *options]
-    with PipedProcess(*command, cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)}) as process:
+    with PipedProcess("fake_controller", "--port", "0", "--ready-file", ready, *options) as process:
         assert process.stdout.readline()
         yield process, ready.read_text(encoding="utf-8").strip()
 

@@ -1,6 +1,5 @@
 """The fake controller as a process of its own, as a user starts it."""
 
-import os
 import re
 import signal
 from contextlib import closing
@@ -10,12 +9,11 @@ import pytest
 
 from drivers.errors import DriverError
 from drivers.transports.tcp import TcpDriver
-from tests.conftest import ROOT
 from tests.warm import PipedProcess
 
 
 def process(*options):
-    return PipedProcess("fake_controller", *options, cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)})
+    return PipedProcess("fake_controller", *options)
 
 
 def test_it_says_where_it_listens_and_ends_on_sigterm(tmp_path):

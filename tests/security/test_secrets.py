@@ -58,7 +58,7 @@ def nothing_known():
 
 
 def agent(folder: Path, *arguments: str | Path, **environment: str) -> subprocess.CompletedProcess[str]:
-    return warm.run("agent", *arguments, cwd=folder, env={**os.environ, "PYTHONPATH": str(ROOT), **environment})
+    return warm.run("agent", *arguments, cwd=folder, **environment)
 
 
 def leaks(folder: Path, secret: str) -> list[str]:
