@@ -55,6 +55,16 @@ ROOT = Path(__file__).resolve().parents[1]
 SHARED = ROOT / "../shared/data"
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The longest test comes first: it types all commands of the documentation. What comes last is short."""
+    items.sort(key=lambda item: "test_documentation" not in item.nodeid)
+
+
+def environment() -> dict[str, str]:
+    """Of a process that runs these sources."""
+    return {**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"}
+
+
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
     """Folder of measured data next to the checkout; skips if it is absent."""

@@ -12,7 +12,6 @@ import pytest
 
 from tests import warm
 
-ROOT = Path(__file__).resolve().parents[2]
 RECIPE = """
 robot: comau_ns16
 controller: {{driver: tcp, address: "{address}"}}

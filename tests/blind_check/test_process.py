@@ -19,8 +19,8 @@ from agent.recording import read_log
 from benchmarks import blind_baselines
 from tests import warm
 from tests.blind_check.tiny_world import TinyWorld
+from tests.conftest import ROOT
 
-ROOT = Path(__file__).resolve().parents[2]
 QUIET = Console(verbosity=-1)
 
 

@@ -28,7 +28,6 @@ from fake_controller.build import build_controller
 from fake_controller.servers.cnr.server import CnrServer
 from tests import warm
 
-ROOT = Path(__file__).resolve().parents[2]
 PLANTED = "hunter<2>&'zwölf"
 RECIPE = """
 robot: comau_ns16

@@ -16,7 +16,6 @@ from tests import warm
 from tests.browser import Browser
 from tests.conftest import DRAW, drawn
 
-ROOT = Path(__file__).resolve().parents[2]
 JOINTS = [f"joint_{k + 1}" for k in range(6)]
 RECIPE = """
 robot: comau_ns16
