@@ -116,9 +116,9 @@ def test_everything_is_drawn_pairs_on_one_joint_too() -> None:
 
 @pytest.fixture(scope="module")
 def healthy():
-    """A world, a motion of one second, and the healthy machine on it."""
+    """A world, a motion, and the healthy machine on it."""
     world = _world(1, 1)
-    motions = {"moves": _motions(world, 1.0)["moves"]}
+    motions = {"moves": _motions(world)["moves"]}
     return world, motions, build(world, (), 1).run(motions)
 
 
