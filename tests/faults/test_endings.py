@@ -92,7 +92,7 @@ def on_pipes(bench, tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen]]
     def start(*options: str, preexec_fn: Callable[[], None] = end_with_tests, **pipes: int) -> subprocess.Popen:
         command = [sys.executable, "-m", "agent", "record", bench.recipe, "--program", bench.program, "-o", bench.log]
         quiet = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL) | pipes
-        more = {"cwd": tmp_path, "env": environment, "preexec_fn": preexec_fn}
+        more = {"cwd": tmp_path, "env": environment(), "preexec_fn": preexec_fn}
         made.append(subprocess.Popen([*command, *options], **quiet, **more))
         return made[-1]
 
