@@ -8,7 +8,7 @@ export OMP_NUM_THREADS ?= 1
 # Many containers forbid Python to keep what it has compiled, so that every process of ours compiles again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: env dev calibrate test verify docs lint format lock package release clean
+.PHONY: env dev calibrate test pytest verify docs lint format lock package release clean
 
 env: $(VENV)/.user
 dev: $(VENV)/.dev
@@ -28,7 +28,7 @@ $(VENV)/.user: requirements.lock pyproject.toml
 # The rest: the extras, tests, checks and the documentation.
 $(VENV)/.dev: $(VENV)/.user requirements-dev.lock
 	@echo "adding what tests and documentation need: $$(grep -c '==' requirements-dev.lock) packages in all"
-	$(INSTALL) --requirement requirements-dev.lock
+	$(INSTALL) --no-compile --requirement requirements-dev.lock
 	@touch $@
 
 calibrate: env
@@ -40,7 +40,11 @@ lint: dev
 	$(BIN)/lint-imports
 	$(BIN)/mypy
 
-test: dev lint
+# Side by side: types are checked by one process only.
+test: dev
+	@$(MAKE) --no-print-directory --jobs 2 lint pytest
+
+pytest: dev
 	$(BIN)/python -m pytest -n 3 --dist worksteal -m "not verify"
 
 verify: dev

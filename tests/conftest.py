@@ -55,6 +55,16 @@ ROOT = Path(__file__).resolve().parents[1]
 SHARED = ROOT / "../shared/data"
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The longest test comes first: it types all commands of the documentation. What comes last is short."""
+    items.sort(key=lambda item: "test_documentation" not in item.nodeid)
+
+
+def environment() -> dict[str, str]:
+    """Of a process that runs these sources."""
+    return {**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"}
+
+
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
     """Folder of measured data next to the checkout; skips if it is absent."""
@@ -123,11 +133,8 @@ class Emulator:
         usual = ["--robot", "comau_ns16", "--seed", "7"]
         usual += ["--clock", "fast", "--watchdog", "5"]  # the machine that runs the tests may stall
         usual += [] if "--address" in options else ["--port", "0"]  # a UR has its published ports
-        environment = {**os.environ, "PYTHONPATH": str(ROOT)}
         said, says = os.pipe()
-        self.process = WarmProcess(
-            "fake_controller", *usual, *options, cwd=ROOT, env=environment, stdout=says, stderr=2
-        )
+        self.process = WarmProcess("fake_controller", *usual, *options, stdout=says, stderr=2)
         os.close(says)
         self._said = os.fdopen(said, encoding="utf-8")
         self.greeting = self._said.readline()

@@ -14,6 +14,7 @@ import gc
 import importlib
 import json
 import os
+import pkgutil
 import runpy
 import select
 import signal
@@ -23,51 +24,39 @@ import sys
 import tempfile
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
+#: What ours import only where they need it.
 _LIBRARIES = (
-    "numba",
-    "numpy.ma",
-    "scipy.linalg.lapack",
-    "scipy.interpolate",
-    "scipy.ndimage",
-    "scipy.optimize",
-    "scipy.signal",
-    "scipy.spatial.transform",
-    "scipy.special",
-    "pinocchio",
-    "coal",
     "clarabel",
     "jinja2",
-    "lark",
-    "lazy_loader",
-    "mcap.writer",
     "mcap_ros2.decoder",
-    "paho.mqtt.client",
-    "pydantic",
-    "pymodbus.client",
     "rich.progress",
     "ruamel.yaml",
-    "serial",
+    "scipy.ndimage",
+    "scipy.signal",
     "threadpoolctl",
-    "typer",
-    "zstandard",
 )
 _LONGEST = 1 << 20  # bytes of a request
 _HEADER = 8  # bytes of its length
 
 
 class WarmProcess:
-    """`python -m MODULE ARGUMENTS` with standard output and errors to these files; input is empty."""
+    """`python -m MODULE ARGUMENTS` with standard output and errors to these files; input is empty.
+
+    `environment` is added to that of the tests.
+    """
 
     def __init__(
-        self, module: str, *arguments: object, cwd: Path, env: dict[str, str], stdout: int, stderr: int
+        self, module: str, *arguments: object, cwd: Path = ROOT, stdout: int, stderr: int, **environment: str
     ) -> None:
         self.returncode: int | None = None
         self._status, ended = os.pipe()
         with open(os.devnull) as nothing:
             files = [nothing.fileno(), stdout, stderr, ended]
+            env = {**os.environ, "PYTHONPATH": str(ROOT), **environment}
             request = {"module": module, "arguments": list(map(str, arguments)), "cwd": str(cwd), "env": env}
             self.pid = _nursery()(request, files)
         os.close(ended)
@@ -98,10 +87,43 @@ class WarmProcess:
                 os.kill(self.pid, signal.SIGKILL)
 
 
-def run(module: str, *arguments: object, cwd: Path, env: dict[str, str]) -> subprocess.CompletedProcess[str]:
+class PipedProcess(WarmProcess):
+    """The same with pipes, as far as `subprocess.Popen` goes here; it is killed as its context ends."""
+
+    def __init__(self, module: str, *arguments: object, cwd: Path = ROOT) -> None:
+        pipes = [os.pipe(), os.pipe()]
+        super().__init__(module, *arguments, cwd=cwd, stdout=pipes[0][1], stderr=pipes[1][1])
+        for _, end in pipes:
+            os.close(end)
+        self.stdout, self.stderr = (os.fdopen(end, encoding="utf-8") for end, _ in pipes)
+
+    def send_signal(self, number: int) -> None:
+        """Unless it has ended."""
+        if self.poll() is None:
+            os.kill(self.pid, number)
+
+    def communicate(self) -> tuple[str, str]:
+        """What is left of output and errors, once it has ended."""
+        with ThreadPoolExecutor(1) as aside:
+            errors = aside.submit(self.stderr.read)
+            output = self.stdout.read()
+            self.wait()
+            return output, errors.result()
+
+    def __enter__(self) -> PipedProcess:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.kill()
+        self.wait()
+        self.stdout.close()
+        self.stderr.close()
+
+
+def run(module: str, *arguments: object, cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:
     """Run a module to its end."""
     with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
-        process = WarmProcess(module, *arguments, cwd=cwd, env=env, stdout=out.fileno(), stderr=err.fileno())
+        process = WarmProcess(module, *arguments, cwd=cwd, stdout=out.fileno(), stderr=err.fileno(), **environment)
         try:
             code = process.wait()
         finally:
@@ -117,7 +139,7 @@ def _nursery() -> object:
     ours, theirs = socket.socketpair()
     with theirs:
         command = [sys.executable, __file__, str(theirs.fileno())]
-        environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+        environment = {**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"}
         subprocess.Popen(command, pass_fds=[theirs.fileno()], cwd=ROOT, env=environment, stdin=subprocess.DEVNULL)
 
     def ask(request: dict[str, object], files: list[int]) -> int:
@@ -213,9 +235,10 @@ def _ran(module: str) -> int:
     return int(code or 0)
 
 
-def _import_libraries() -> None:
-    """Ours are left: in which order they are imported is part of what runs."""
-    for name in _LIBRARIES:
+def _import_all() -> None:
+    """Ours too: tests/test_house.py finds no circle among them, so their order does not matter."""
+    ours = [one.name for one in pkgutil.walk_packages([str(ROOT)]) if not one.name.endswith("__main__")]
+    for name in (*_LIBRARIES, *ours):
         with contextlib.suppress(ImportError):
             importlib.import_module(name)
     gc.collect()
@@ -223,7 +246,7 @@ def _import_libraries() -> None:
 
 
 if __name__ == "__main__":
-    _import_libraries()
+    _import_all()
     wanted = _serve(socket.socket(fileno=int(sys.argv[1])))
     if wanted is not None:
         _become(wanted)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.spatial.distance import cdist
 
 if TYPE_CHECKING:
     from agent.motion import Trajectory
@@ -134,10 +135,7 @@ class PlannedPath:
 
     def distance(self, tool: np.ndarray, rows: np.ndarray) -> np.ndarray:
         """Distances (K, W) [m] from tool positions (K, 3) to those of rows (W,)."""
-        away = np.zeros((len(tool), len(rows)))
-        for axis in range(3):
-            away += np.square(tool[:, None, axis] - self.tool[rows, axis])
-        return np.sqrt(away)
+        return cdist(tool, self.tool[rows])
 
     def apart(self, position: np.ndarray, places: np.ndarray) -> np.ndarray:
         """Distances (W,) [m] from a joint position (n,) to each of the points, all joints together."""

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
-import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,6 @@ import pytest
 
 from tests import warm
 
-ROOT = Path(__file__).resolve().parents[2]
 RECIPE = """
 robot: comau_ns16
 controller: {{driver: tcp, address: "{address}"}}
@@ -54,39 +52,23 @@ def write_recipe(tmp_path: Path) -> Callable[..., Path]:
 
 
 @pytest.fixture
-def start_agent(tmp_path: Path) -> Callable[..., subprocess.Popen[str]]:
-    """Starts the command line, off a terminal, in the test's folder."""
-
-    def start(*arguments: str | Path) -> subprocess.Popen[str]:
-        return subprocess.Popen(
-            [sys.executable, "-m", "agent", *map(str, arguments)],
-            cwd=tmp_path,
-            env={**os.environ, "PYTHONPATH": str(ROOT)},
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-
-    return start
+def start_agent(tmp_path: Path) -> Iterator[Callable[..., warm.PipedProcess]]:
+    """Starts the command line, off a terminal, in the test's folder; it ends with the test."""
+    with ExitStack() as undo:
+        yield lambda *arguments: undo.enter_context(warm.PipedProcess("agent", *arguments, cwd=tmp_path))
 
 
 @pytest.fixture
 def run_agent(tmp_path: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
     """Runs the command line to its end, in the test's folder."""
-
-    def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-        return warm.run("agent", *arguments, cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(ROOT)})
-
-    return run
+    return lambda *arguments: warm.run("agent", *arguments, cwd=tmp_path)
 
 
 @pytest.fixture
-def wait_for_motion() -> Callable[[subprocess.Popen[str]], None]:
+def wait_for_motion() -> Callable[[warm.PipedProcess], None]:
     """Reads an agent's progress until the arm moves."""
 
-    def wait(process: subprocess.Popen[str]) -> None:
-        assert process.stderr is not None
+    def wait(process: warm.PipedProcess) -> None:
         assert any("of motion" in line for line in process.stderr), "the agent ended before anything moved"
 
     return wait

@@ -14,8 +14,8 @@ import pytest
 
 import agent as ca
 from agent.core.errors import InputError
+from tests.conftest import ROOT
 
-ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
 
 

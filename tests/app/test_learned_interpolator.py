@@ -13,7 +13,7 @@ import pytest
 from agent.motion.learned import load_law
 from agent.recording import read_log
 from agent.robot import load_robot
-from tests.app.conftest import ROOT
+from tests.conftest import ROOT
 
 ROBOT = load_robot("comau_ns16")
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import re
-import subprocess
 from pathlib import Path
 
 import pytest
 
 from agent.recording import read_log
+from tests.warm import PipedProcess
 
 #: What the agent says as a step begins, or in the middle of one.
 SPOKEN = ("search:", "fitness", "drawing", "recording", "estimating", "validating")
@@ -20,9 +20,8 @@ IN_MOTION = {
 }
 
 
-def kill_when_it_says(process: subprocess.Popen[str], pattern: str) -> str:
+def kill_when_it_says(process: PipedProcess, pattern: str) -> str:
     """What stands in the group of the pattern, if it has one."""
-    assert process.stderr is not None
     for line in process.stderr:
         if found := re.search(pattern, line):
             process.kill()

@@ -11,7 +11,7 @@ import pytest
 from mcap_ros2.reader import read_ros2_messages
 
 from agent.robot import load_robot
-from tests.app.conftest import ROOT
+from tests.conftest import ROOT
 
 FLY_DISTANCE = 0.020
 SMALL = {

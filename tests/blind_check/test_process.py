@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -21,8 +20,8 @@ from agent.recording import read_log
 from benchmarks import blind_baselines, blind_results
 from tests import warm
 from tests.blind_check.tiny_world import TinyWorld
+from tests.conftest import ROOT
 
-ROOT = Path(__file__).resolve().parents[2]
 QUIET = Console(verbosity=-1)
 
 
@@ -138,8 +137,7 @@ def test_the_baselines_answer_the_same_runs(check, tmp_path: Path, monkeypatch):
     assert alone.read_text() == (answers / "ranking.jsonl").read_text()
     files = [answers / f"{tool}.jsonl" for tool in ("agent_diagnose", "ranking", "refit")]
     run = warm.run(
-        "agent", "blind-check", "--score", check.key_file, *files, "--json", "-o", tmp_path / "page",
-        cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(ROOT)},
+        "agent", "blind-check", "--score", check.key_file, *files, "--json", "-o", tmp_path / "page", cwd=tmp_path
     )  # fmt: skip
     assert run.returncode == 0, run.stderr
     assert read_results(tmp_path / "page" / "results.jsonl") == read_results(answers / "results.jsonl")
@@ -167,7 +165,7 @@ def test_the_baselines_answer_the_same_runs(check, tmp_path: Path, monkeypatch):
     ],
 )
 def test_refuses_incompatible_options(tmp_path: Path, arguments: list[str], message: str):
-    run = warm.run("agent", "blind-check", *arguments, cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(ROOT)})
+    run = warm.run("agent", "blind-check", *arguments, cwd=tmp_path)
     assert run.returncode == 2
     assert message in run.stderr
     assert "Traceback" not in run.stderr

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -23,6 +24,7 @@ from tests.small_arms import make_arm, record
 JOINT = 1
 
 
+@functools.cache
 def recorded(folder, robot: str, *names: str):
     """A real arm's description and its logs of these names."""
     description = load_robot(str(folder / robot))

@@ -14,9 +14,7 @@ import pytest
 
 from agent.core import InProcess, InputError, LocalProcesses
 from agent.robot import load_robot
-from tests.conftest import end_with_tests
-
-ROOT = Path(__file__).parents[2]
+from tests.conftest import end_with_tests, environment
 
 
 def test_every_result_carries_the_number_of_its_task() -> None:
@@ -92,7 +90,3 @@ def test_worker_processes_end_with_their_parent(tmp_path: Path, how: signal.Sign
     finally:
         main.kill()
     assert main.returncode != 0
-
-
-def environment() -> dict[str, str]:
-    return {**os.environ, "PYTHONPATH": str(ROOT)}

@@ -20,10 +20,8 @@ import pytest
 from agent.recording import read_log
 from fake_controller.controller import Controller
 from fake_controller.faults import Fault
-from tests.conftest import DRAW, end_with_tests
+from tests.conftest import DRAW, end_with_tests, environment
 from tests.faults.conftest import LONG, MOMENT
-
-ROOT = Path(__file__).resolve().parents[2]
 
 
 @dataclass
@@ -63,10 +61,6 @@ def _lead(slave: int) -> Callable[[], None]:
     return lead
 
 
-def _environment() -> dict[str, str]:
-    return {**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"}
-
-
 @pytest.fixture
 def on_terminal(tmp_path: Path) -> Iterator[Callable[..., Terminal]]:
     """Starts `agent …` on a pseudo-terminal, as its session leader."""
@@ -76,7 +70,7 @@ def on_terminal(tmp_path: Path) -> Iterator[Callable[..., Terminal]]:
         master, slave = pty.openpty()
         command = [sys.executable, "-m", "agent", *map(str, arguments)]
         process = subprocess.Popen(
-            command, cwd=tmp_path, env=_environment(), stdin=slave, stdout=slave, stderr=slave, preexec_fn=_lead(slave)
+            command, cwd=tmp_path, env=environment(), stdin=slave, stdout=slave, stderr=slave, preexec_fn=_lead(slave)
         )
         made.append(Terminal(process, master, slave))
         return made[-1]
@@ -98,7 +92,7 @@ def on_pipes(bench, tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen]]
     def start(*options: str, preexec_fn: Callable[[], None] = end_with_tests, **pipes: int) -> subprocess.Popen:
         command = [sys.executable, "-m", "agent", "record", bench.recipe, "--program", bench.program, "-o", bench.log]
         quiet = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL) | pipes
-        more = {"cwd": tmp_path, "env": _environment(), "preexec_fn": preexec_fn}
+        more = {"cwd": tmp_path, "env": environment(), "preexec_fn": preexec_fn}
         made.append(subprocess.Popen([*command, *options], **quiet, **more))
         return made[-1]
 

@@ -21,14 +21,8 @@ from drivers.errors import DriverError
 from drivers.registry import create
 from fake_controller.scenario import FOLDER
 from fake_controller.servers import WIRES
-from tests.conftest import end_with_tests
+from tests.conftest import end_with_tests, environment
 from tests.faults.conftest import LONG
-
-ROOT = Path(__file__).resolve().parents[2]
-
-
-def environment() -> dict[str, str]:
-    return {**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"}
 
 
 @pytest.fixture

@@ -5,7 +5,6 @@ from __future__ import annotations
 import http.client
 import http.server
 import json
-import os
 import subprocess
 import sys
 import threading
@@ -15,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from tests.conftest import ROOT, end_with_tests, free_port
+from tests.conftest import end_with_tests, environment, free_port
 
 pytest.importorskip("distributed", reason="needs the extra [fleet]")
 
@@ -87,7 +86,7 @@ class DaskProcesses:
                 command = [sys.executable, "-m", f"distributed.cli.dask_{name.split()[0]}", *options]
                 self.running[name] = subprocess.Popen(
                     command,
-                    env={**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"},
+                    env=environment(),
                     stdout=subprocess.DEVNULL,
                     stderr=subprocess.DEVNULL,
                     preexec_fn=end_with_tests,

@@ -1,8 +1,7 @@
 """Every driver against the emulator as a process of its own: quickly, and for ten minutes of motion."""
 
 import os
-import subprocess
-import sys
+import signal
 import time
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -14,11 +13,11 @@ from agent.recording import LogWriter, read_log
 from agent.recording.mcap import writer
 from agent.recording.mcap.log_file import LogFile
 from drivers.registry import create
-from tests.conftest import end_with_tests, patience
+from tests.conftest import patience
+from tests.warm import PipedProcess
 
 MINUTE = 60.0  # s
 TEN_MINUTES = 370  # cycles of the program below
-ROOT = Path(__file__).resolve().parents[2]
 WIRES = {
     "tcp": ("tcp", "--driver", "tcp"),
     "modbus": ("modbus", "--driver", "modbus"),
@@ -40,17 +39,9 @@ def program(cycles):
 def emulator(tmp_path, *options):
     """The process, and the address it serves at."""
     ready = tmp_path / "ready"
-    command = [sys.executable, "-m", "fake_controller", "--port", "0", "--ready-file", str(ready), *options]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    with subprocess.Popen(
-        command, cwd=ROOT, env=environment, stdout=subprocess.PIPE, text=True, preexec_fn=end_with_tests
-    ) as process:
-        try:
-            assert process.stdout.readline()
-            yield process, ready.read_text(encoding="utf-8").strip()
-        finally:
-            process.terminate()
-            process.communicate(timeout=60)
+    with PipedProcess("fake_controller", "--port", "0", "--ready-file", ready, *options) as process:
+        assert process.stdout.readline()
+        yield process, ready.read_text(encoding="utf-8").strip()
 
 
 def cpu_of(process):
@@ -70,7 +61,7 @@ def test_the_emulator_serves_every_protocol(tmp_path, wire):
             sequence = np.concatenate([block.sequence for block in driver.samples()])
             np.testing.assert_array_equal(sequence, np.arange(len(sequence)))
             assert driver.gaps == ()
-        process.terminate()
+        process.send_signal(signal.SIGTERM)
         assert process.wait(20) == 0
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import subprocess
 import sys
 from collections import Counter
@@ -14,9 +13,8 @@ from pathlib import Path
 import pytest
 
 from fake_controller.servers import WIRES
-from tests.conftest import end_with_tests
+from tests.conftest import ROOT, end_with_tests, environment
 
-ROOT = Path(__file__).resolve().parents[2]
 SCRIPT = Path(__file__).with_name("loops_at_random.py")
 LOOPS, AT_A_TIME = 400, 40  # on each wire
 BEYOND = 0.01  # mm; a curve is judged by its samples
@@ -51,11 +49,10 @@ def run(wire: str, first: int, store: Path, version: str) -> None:
     missing = [seed for seed in range(first, first + AT_A_TIME) if (wire, seed) not in done]
     if not missing:
         return
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"}
     command = [sys.executable, str(SCRIPT), wire, str(missing[0]), str(missing[-1])]
     with (
         subprocess.Popen(
-            command, env=environment, stdout=subprocess.PIPE, text=True, cwd=ROOT, preexec_fn=end_with_tests
+            command, env=environment(), stdout=subprocess.PIPE, text=True, cwd=ROOT, preexec_fn=end_with_tests
         ) as worker,
         store.open("a", encoding="utf-8", buffering=1) as out,
     ):

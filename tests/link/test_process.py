@@ -1,33 +1,19 @@
 """The fake controller as a process of its own, as a user starts it."""
 
-import os
 import re
 import signal
-import subprocess
-import sys
-from contextlib import closing, contextmanager
-from pathlib import Path
+from contextlib import closing
 
 import numpy as np
 import pytest
 
 from drivers.errors import DriverError
 from drivers.transports.tcp import TcpDriver
-from tests.conftest import end_with_tests
-
-ROOT = Path(__file__).resolve().parents[2]
+from tests.warm import PipedProcess
 
 
-@contextmanager
 def process(*options):
-    command = [sys.executable, "-m", "fake_controller", *options]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    pipes = {"text": True, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-    with subprocess.Popen(command, cwd=ROOT, env=environment, preexec_fn=end_with_tests, **pipes) as running:
-        try:
-            yield running
-        finally:
-            running.kill()
+    return PipedProcess("fake_controller", *options)
 
 
 def test_prints_its_address_and_ends_on_sigterm(tmp_path):

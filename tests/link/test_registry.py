@@ -3,15 +3,13 @@
 import logging
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
 from drivers import registry
 from drivers.errors import ConfigurationError
 from drivers.transports.tcp import TcpDriver
-
-ROOT = Path(__file__).resolve().parents[2]
+from tests.conftest import ROOT
 
 
 @pytest.fixture

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import functools
 import importlib.util
+import tempfile
 import xml.etree.ElementTree as ElementTree
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +15,7 @@ import pytest
 from agent.model.rigid_friction import ModelEffect
 from agent.simulators import load_simulator
 from agent.simulators.corrected.correction import Released, correct
+from tests.model.bench import written
 
 NAMES = ("pan", "lift", "turn")
 PATHS = ("mjcf", "urdf")
@@ -65,15 +69,24 @@ URDF = """<robot name="bench"><!-- from the maker --><link name="base"/>
 
 
 def simulator(folder: Path, kind: str):
+    """What `kind` of file describes, in a folder; it is read once only."""
+    path = _arm_file(folder, kind)
+    given = _read(kind)
+    return replace(given, arm=replace(given.arm, path=path))
+
+
+def _arm_file(folder: Path, kind: str) -> Path:
     if kind == "urdf":
-        path = folder / "arm.urdf"
-        path.write_text(URDF, encoding="utf-8")
-    else:
-        pytest.importorskip("mujoco")
-        path = folder / "arm.xml"
-        path.write_text(MJCF, encoding="utf-8")
-        (folder / "boom.xml").write_text(BOOM, encoding="utf-8")
-    return load_simulator(path, None, NAMES)
+        return written(folder, URDF, "arm.urdf")
+    pytest.importorskip("mujoco")
+    written(folder, BOOM, "boom.xml")
+    return written(folder, MJCF, "arm.xml")
+
+
+@functools.cache
+def _read(kind: str):
+    with tempfile.TemporaryDirectory() as folder:
+        return load_simulator(_arm_file(Path(folder), kind), None, NAMES)
 
 
 def corrected(given, effects=(), links=(), rotors=(), friction=(), change=None, unexplained=1.0):

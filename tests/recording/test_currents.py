@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,8 +14,8 @@ from agent.recording import LogWriter, read_log
 from agent.robot import load_robot
 from agent.robot.drivetrain import torque_per_ampere
 from drivers.protocol import SampleBlock
+from tests.conftest import ROOT
 
-ROOT = Path(__file__).resolve().parents[2]
 NAMES = ("a", "b")
 
 

@@ -16,8 +16,7 @@ from mcap.writer import CompressionType
 from agent.core.errors import InputError
 from agent.recording import LogWriter, read_log
 from agent.recording.mcap.log_file import RecordingError
-
-ROOT = Path(__file__).resolve().parents[2]
+from tests.conftest import environment
 
 # records 50 ms of data at a time and says so once they have gone through the writer
 _RECORDER = """
@@ -43,7 +42,7 @@ def test_a_killed_writer_loses_at_most_the_last_second(tmp_path, acknowledged):
     process = subprocess.Popen(
         [sys.executable, "-c", _RECORDER, str(path)],
         stdout=subprocess.PIPE,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        env=environment(),
     )
     assert process.stdout is not None
     for _ in range(acknowledged):
@@ -93,7 +92,7 @@ def test_a_full_disk_is_one_clear_error_and_the_log_stays_readable(tmp_path):
         [sys.executable, "-c", _FILLER, str(path)],
         capture_output=True,
         text=True,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        env=environment(),
         check=False,
     )
     assert process.returncode == 1

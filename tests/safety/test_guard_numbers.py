@@ -17,10 +17,10 @@ from agent.safety.cell import Cell, position_ranges
 from agent.safety.preconditions import check_identity, check_period, check_plan, check_ready, unsafe_in_motion
 from drivers.errors import DriverError
 from drivers.protocol import Identity, Status
+from tests.conftest import ROOT
 from tests.safety.following import HOME
 from tests.safety.mutation import ALWAYS_NUMBERS
 
-ROOT = Path(__file__).resolve().parents[2]
 ROBOT = load_robot("comau_ns16")
 NO_NUMBERS = [np.nan, np.inf, -np.inf, 5e-324, -5e-324, 1e308]
 

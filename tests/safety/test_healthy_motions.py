@@ -13,18 +13,16 @@ from pathlib import Path
 import pytest
 
 from fake_controller.servers import WIRES
-from tests.conftest import end_with_tests
+from tests.conftest import ROOT, end_with_tests, environment
 
-ROOT = Path(__file__).resolve().parents[2]
 MOTIONS = 10  # on each wire in a piece
 PIECES = 4
 
 
 def start(*arguments: str) -> subprocess.Popen[str]:
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"}
     command = [sys.executable, *arguments]
     return subprocess.Popen(
-        command, env=environment, stdout=subprocess.PIPE, text=True, cwd=ROOT, preexec_fn=end_with_tests
+        command, env=environment(), stdout=subprocess.PIPE, text=True, cwd=ROOT, preexec_fn=end_with_tests
     )
 
 

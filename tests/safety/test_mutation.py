@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[2]
+from tests.conftest import ROOT, environment
 
 
 @pytest.mark.verify
@@ -17,7 +16,7 @@ def test_every_mutated_safety_check_fails_a_test(measured):
     run = subprocess.run(
         [sys.executable, str(Path(__file__).with_name("mutation.py"))],
         cwd=ROOT,
-        env={**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"},
+        env=environment(),
         capture_output=True,
         text=True,
         check=False,

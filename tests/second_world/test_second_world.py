@@ -114,11 +114,17 @@ def test_draws_cover_all_options_including_pairs_on_one_joint() -> None:
     assert any(len(set(joints)) < len(joints) for joints in several)
 
 
-@pytest.mark.parametrize("law", EVERY_LAW, ids=lambda law: f"{law.effect}-{law.name}")
-def test_an_effect_has_the_requested_size(law) -> None:
+@pytest.fixture(scope="module")
+def healthy():
+    """A world, a motion, and the healthy machine on it."""
     world = _world(1, 1)
     motions = {"moves": _motions(world)["moves"]}
-    plain = build(world, (), 1).run(motions)
+    return world, motions, build(world, (), 1).run(motions)
+
+
+@pytest.mark.parametrize("law", EVERY_LAW, ids=lambda law: f"{law.effect}-{law.name}")
+def test_an_effect_has_the_requested_size(law, healthy) -> None:
+    world, motions, plain = healthy
     replaced = ("backlash", "lopsided_backlash", "joint_elasticity", "presliding")  # other springs than the machine's
     if law.effect not in replaced:
         none = build(world, [{**_effect(law, world, 0.0), "parameters": {"amount": 1e-9}}], 1).run(motions)

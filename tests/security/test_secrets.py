@@ -28,7 +28,6 @@ from fake_controller.build import build_controller
 from fake_controller.servers.cnr.server import CnrServer
 from tests import warm
 
-ROOT = Path(__file__).resolve().parents[2]
 PLANTED = "hunter<2>&'zwölf"
 RECIPE = """
 robot: comau_ns16
@@ -58,7 +57,7 @@ def nothing_known():
 
 
 def agent(folder: Path, *arguments: str | Path, **environment: str) -> subprocess.CompletedProcess[str]:
-    return warm.run("agent", *arguments, cwd=folder, env={**os.environ, "PYTHONPATH": str(ROOT), **environment})
+    return warm.run("agent", *arguments, cwd=folder, **environment)
 
 
 def leaks(folder: Path, secret: str) -> list[str]:

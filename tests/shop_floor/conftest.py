@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
 import subprocess
 from collections.abc import Callable, Iterator
@@ -17,7 +16,6 @@ from tests import warm
 from tests.browser import Browser
 from tests.conftest import DRAW, drawn
 
-ROOT = Path(__file__).resolve().parents[2]
 JOINTS = [f"joint_{k + 1}" for k in range(6)]
 RECIPE = """
 robot: comau_ns16
@@ -43,7 +41,7 @@ LOOP = drawn({"seed": 1, "aside": "0 m"}, lambda rng: {"seed": DRAW, "aside": f"
 
 def agent(folder: Path, *arguments: str | Path, **environment: str) -> subprocess.CompletedProcess[str]:
     """Run the command line off a terminal."""
-    return warm.run("agent", *arguments, cwd=folder, env={**os.environ, "PYTHONPATH": str(ROOT), **environment})
+    return warm.run("agent", *arguments, cwd=folder, **environment)
 
 
 def edit(file: Path, **changes: object) -> None:

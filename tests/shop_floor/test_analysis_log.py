@@ -12,8 +12,8 @@ from mcap_ros2.decoder import DecoderFactory
 from agent.recording import read_log
 from agent.recording.mcap.foxglove import FOXGLOVE_LAYOUT as FILE_NAME, foxglove_layout
 from agent.robot import load_robot
+from tests.conftest import ROOT
 
-ROOT = Path(__file__).resolve().parents[2]
 TOPICS = ("/filtered_joint_states", "/predicted_joint_states", "/residual_joint_states")
 
 

@@ -16,7 +16,8 @@ from agent.core.errors import InputError
 from agent.pipeline.reports import write_index
 from agent.runs.current import apply_run
 from agent.runs.history import History, find_run, history_json, history_table
-from tests.shop_floor.conftest import ROOT, agent, edit
+from tests.conftest import ROOT
+from tests.shop_floor.conftest import agent, edit
 
 
 def test_lists_runs_with_parameters_in_order(write_runs):

@@ -14,9 +14,8 @@ import pytest
 
 from agent.pipeline.setup.init import schema_text
 from agent.recipe import load_recipe
+from tests.conftest import ROOT, environment
 from tests.shop_floor.conftest import agent
-
-ROOT = Path(__file__).resolve().parents[2]
 
 
 def test_options_replace_all_questions(tmp_path: Path):
@@ -59,7 +58,7 @@ def test_asks_again_after_an_invalid_answer(tmp_path: Path):
     process = subprocess.Popen(
         [sys.executable, "-m", "agent", "init", "cell.yaml"],
         cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        env=environment(),
         stdin=slave,
         stdout=subprocess.PIPE,
         stderr=slave,
