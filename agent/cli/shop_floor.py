@@ -25,21 +25,13 @@ def recalibrate(
     messages: opt.Messages = None,
 ) -> None:
     """Repeat the stored motion, re-estimate the friction and keep an accepted result. For cron and timers."""
-    from agent.core import print_json, print_path
     from agent.pipeline import run_recalibration
     from agent.recipe import load_recipe
     from agent.safety import load_authorisation
 
     allowed = None if authorisation is None else load_authorisation(authorisation)
     outcome = run_recalibration(load_recipe(recipe), opt.console_for(messages), logs, yes, allowed)
-    if as_json:
-        print_json(outcome.result or {"schema": "recalibration/1", "skipped": outcome.skipped})
-    elif outcome.run is None:
-        print(outcome.summary())
-    else:
-        print(outcome.summary(), file=sys.stderr)
-        print_path(outcome.run)
-    raise typer.Exit(0 if outcome.accepted else 3)
+    opt.end_job(as_json, outcome)
 
 
 @app.command(rich_help_panel=opt.CALIBRATE, epilog="Example: agent schedule cell.yaml --at 02:30 --install")

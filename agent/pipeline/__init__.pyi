@@ -1,4 +1,4 @@
-from .calibrate import CalibrationOutcome as CalibrationOutcome, run_calibration as run_calibration
+from .calibrate import run_calibration as run_calibration
 from .gap.diagnose import diagnose_files as diagnose_files, diagnose_recording as diagnose_recording
 from .gap.printed_diagnosis import diagnosis_text as diagnosis_text, planned_text as planned_text
 from .gap.question import (
@@ -19,6 +19,7 @@ from .identify import (
     validate_files as validate_files,
     validation_text as validation_text,
 )
+from .job import Outcome as Outcome
 from .learn import learn_files as learn_files
 from .plan import PlanFiles as PlanFiles, plan_recipe as plan_recipe
 from .rebuilt_report import rebuild_report as rebuild_report

@@ -12,7 +12,6 @@ import numpy as np
 from agent.core import Console, InputError, TaskEngine, read_json, sha256_file, sha256_text, write_atomically
 from agent.excitation import Candidates, Loop, LoopProblem, LoopScore, check_sub_region, search, via_joints
 from agent.link import check_cell, check_load, plan_statements
-from agent.model import IdentifiedModel
 from agent.motion import CartesianTarget, JointTarget, Target, Trajectory, ViaRegions, dialect_of, pose_of, with_frames
 from agent.recipe import Recipe
 from agent.recording import Log, read_log
@@ -20,7 +19,7 @@ from agent.report import MotionData, SearchData, arm_along, plan_report
 from agent.robot import Dynamics, TorqueLimits, kinematics_for
 from agent.runs import RunFolder, keep_loop, make_folder, write_json
 from agent.safety import position_ranges
-from agent.validation import Prediction, predict_log
+from agent.validation import Prediction
 
 #: Share of the joint speeds at which the arm goes to the first point.
 APPROACH_SPEED = 0.1
@@ -388,12 +387,6 @@ def motion_data(recipe: Recipe, cycle: Trajectory, via_points: np.ndarray, cycle
         arm=arm_along(recipe.robot, cycle.t, cycle.q, None if recipe.tool is None else recipe.tool.frame),
         limit_use={name: values[::5] for name, values in limit_use(recipe, cycle).items()},
     )
-
-
-def with_residual(motion: MotionData, model: IdentifiedModel, log: Path) -> MotionData:
-    """Colour the loop by a model's torque error along one cycle of its log."""
-    recorded = read_log(log, model.robot)
-    return left_over(motion, recorded, predict_log(model, recorded.middle_part()))
 
 
 def left_over(motion: MotionData, log: Log, prediction: Prediction) -> MotionData:

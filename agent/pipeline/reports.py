@@ -16,28 +16,31 @@ from agent.link import plan_statements
 from agent.model import IdentifiedModel, standstill_speed
 from agent.pipeline.ending import next_steps, whose
 from agent.pipeline.identify import read_logs
-from agent.pipeline.plan import left_over, motion_data
+from agent.pipeline.plan import Plan, left_over, motion_data, planned_motion_data, search_data
 from agent.recipe import Recipe
-from agent.recording import FILTERED, PREDICTED, RESIDUAL, Log, write_log
+from agent.recording import FILTERED, PREDICTED, RESIDUAL, Log, read_log, write_log
 from agent.report import (
     About,
     IndexData,
     LogHealth,
     NextStep,
+    RunContent,
     RunData,
     comparison_page,
     comparison_section,
     diagnosis_summary,
     friction_section,
+    further_sections,
     index_page,
     log_section,
     observation_section,
     recalibration_report,
     residual_section,
+    run_report,
     torque_plot,
 )
 from agent.runs import History, RunFolder, current_runs, last_accepted, parameter_trends, watch
-from agent.validation import Comparison, Prediction, compare_models, predict_log
+from agent.validation import Comparison, Prediction, compare_models, pooled_rmse, predict_log
 
 #: A joint is worse if its error exceeds this multiple of that at the model's own calibration, plus this share of
 #: nominal torque.
@@ -114,6 +117,49 @@ def about_run(kind: str, recipe: Recipe, result: dict[str, Any], run: Path) -> A
         ("program", f"calibration-agent {provenance.get('version of calibration-agent', '')}".strip()),
     ]
     return About(asked=_ASKED[kind], next=[NextStep(what, command) for command, what in steps], identity=identity)
+
+
+def calibration_page(
+    recipe: Recipe,
+    plan: Plan,
+    result: dict[str, Any],
+    model: IdentifiedModel,
+    predictions: Sequence[Prediction],
+    health: Sequence[LogHealth],
+    run: Path,
+) -> str:
+    """HTML of the report of a calibration in its folder; `health` is that of the validation logs."""
+    paths = [motion.loop.trajectory.tcp for motion in plan.validation]
+    log = read_log(run / "excitation.mcap", recipe.robot)
+    motion = planned_motion_data(recipe, plan.excitation)
+    return run_report(
+        RunData(
+            result=result,
+            about=about_run("calibrate", recipe, result, run),
+            motion=left_over(motion, log, predict_log(model, log.middle_part())),
+            search=search_data(plan.search),
+            parameter_rows=model.rows(),
+            rmse=np.array([p.rmse(moving=True) for p in predictions]),
+            nominal=model.robot.nominal_torque,
+            prediction=torque_plot(typical_motion(predictions), pooled_rmse(predictions)),
+            further=further_sections(RunContent(run, recipe, model, predictions, health)),
+            validation_paths=np.array([_thinned(path) for path in paths]),
+        )
+    )
+
+
+def _thinned(poses: np.ndarray, points: int = 120) -> np.ndarray:
+    """(points, 3) positions of poses (S, 4, 4), evenly chosen."""
+    return poses[np.linspace(0, len(poses) - 1, points).round().astype(int), :3, 3]
+
+
+def typical_motion(predictions: Sequence[Prediction]) -> Prediction:
+    """The motion of median error, for the plot."""
+    rmse = np.array([p.rmse(moving=True) for p in predictions])
+    nominal = predictions[0].model.robot.nominal_torque
+    usual = np.maximum(np.nanmedian(rmse, axis=0), 1e-300)
+    worst = np.nanmax(rmse / np.where(np.isfinite(nominal), nominal, usual), axis=1)
+    return predictions[int(np.argsort(worst)[len(worst) // 2])]
 
 
 def recalibration_page(
