@@ -175,7 +175,7 @@ class PlannedLoop(Shown):
         return "\n".join(self.files.text().splitlines()[1:])
 
     def picture(self) -> Plot:
-        cycle = self.files.motion.loop.trajectory
+        cycle = self.files.loop.cycle
         return _lines(cycle.t, "xyz", cycle.tcp[:, :3, 3], "tool", "m")
 
 

@@ -25,7 +25,7 @@ from .plan import PlanFiles as PlanFiles, plan_recipe as plan_recipe
 from .rebuilt_report import rebuild_report as rebuild_report
 from .recalibrate import run_recalibration as run_recalibration
 from .reports import compare_runs as compare_runs, write_index as write_index
-from .result import friction_levels as friction_levels, top_speed as top_speed, warm_up as warm_up
+from .result import conditions as conditions
 from .setup.check import check_recipe as check_recipe
 from .setup.doctor import examine_installation as examine_installation
 from .setup.init import write_recipe as write_recipe

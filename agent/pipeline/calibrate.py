@@ -15,7 +15,7 @@ from agent.pipeline.identify import check_one_machine, check_run, read_logs
 from agent.pipeline.job import EXCITATION, Job, Outcome, validation_logs
 from agent.pipeline.plan import plan_once
 from agent.pipeline.reports import against_last, calibration_page, typical_motion, write_analysis
-from agent.pipeline.result import calibration_result, conditions
+from agent.pipeline.result import calibration_result, conditions, temperatures
 from agent.recipe import Recipe
 from agent.recording import read_log
 from agent.report import LogHealth
@@ -58,7 +58,7 @@ def run_calibration(recipe: Recipe, console: Console, logs: Path, resume: Path |
             del unseen
         with job.step("report"):
             log = read_log(run.file(EXCITATION), recipe.robot)
-            met = conditions(log, predict_log(model, log), recordings[0])
+            met = conditions(log, model) | temperatures(recordings[0])
             result = calibration_result(recipe, run, plan, recordings, model, predictions, met)
             result |= against_last(run, log, console)
             rejected = result["accepted"] is False

@@ -24,7 +24,7 @@ from agent.pipeline.identify import check_run, read_logs
 from agent.pipeline.job import EXCITATION, Job, Outcome
 from agent.pipeline.plan import PlannedMotion, loop_problem, program_text
 from agent.pipeline.reports import diagnose_if_worse, recalibration_page, worse_joints, write_analysis
-from agent.pipeline.result import conditions, gate_figures, judge, recorded
+from agent.pipeline.result import conditions, gate_figures, judge, recorded, temperatures
 from agent.recipe import Recipe
 from agent.recording import Log, read_log
 from agent.robot import outcome_text, torque_units, without_nominal
@@ -101,7 +101,8 @@ def run_recalibration(
             log, found, comparison = _estimate(job, reference)
         with job.step("validate"):
             prediction = predict_log(found.model, log)
-            result = _result(job, reference, recording, found, comparison, conditions(log, prediction, recording))
+            met = conditions(log, found.model, prediction) | temperatures(recording)
+            result = _result(job, reference, recording, found, comparison, met)
             rounds: list[Rounds] = []
 
             def with_further_motions() -> dict[str, Any]:

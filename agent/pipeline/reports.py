@@ -16,9 +16,9 @@ from agent.link import plan_statements
 from agent.model import IdentifiedModel, standstill_speed
 from agent.pipeline.ending import next_steps, whose
 from agent.pipeline.identify import read_logs
-from agent.pipeline.plan import Plan, left_over, motion_data, planned_motion_data, search_data
+from agent.pipeline.plan import Plan, shown_loop
 from agent.recipe import Recipe
-from agent.recording import FILTERED, PREDICTED, RESIDUAL, Log, read_log, write_log
+from agent.recording import FILTERED, PREDICTED, RESIDUAL, Log, write_log
 from agent.report import (
     About,
     IndexData,
@@ -26,6 +26,7 @@ from agent.report import (
     NextStep,
     RunContent,
     RunData,
+    ShownLoop,
     comparison_page,
     comparison_section,
     diagnosis_summary,
@@ -130,19 +131,18 @@ def calibration_page(
 ) -> str:
     """HTML of the report of a calibration in its folder; `health` is that of the validation logs."""
     paths = [motion.loop.trajectory.tcp for motion in plan.validation]
-    log = read_log(run / "excitation.mcap", recipe.robot)
-    motion = planned_motion_data(recipe, plan.excitation)
+    content = RunContent(run, recipe, model, predictions, health)
+    log = content.excitation
     return run_report(
         RunData(
             result=result,
             about=about_run("calibrate", recipe, result, run),
-            motion=left_over(motion, log, predict_log(model, log.middle_part())),
-            search=search_data(plan.search),
-            parameter_rows=model.rows(),
+            loop=_coloured(shown_loop(recipe, plan.excitation), log, predict_log(model, log.middle_part())),
+            search=plan.search,
+            model=model,
             rmse=np.array([p.rmse(moving=True) for p in predictions]),
-            nominal=model.robot.nominal_torque,
             prediction=torque_plot(typical_motion(predictions), pooled_rmse(predictions)),
-            further=further_sections(RunContent(run, recipe, model, predictions, health)),
+            further=further_sections(content),
             validation_paths=np.array([_thinned(path) for path in paths]),
         )
     )
@@ -174,7 +174,7 @@ def recalibration_page(
     """HTML of a recalibration's report; `program` is the text of the loop, `prediction` is of its `log` in `run`."""
     model = prediction.model
     *_, cycle = plan_statements(recipe, program, "program", log.position[0])[1]
-    motion = motion_data(recipe, cycle, np.array(result["loop"]["via_points"]), len(log.cycle_starts))
+    loop = ShownLoop(recipe, cycle, np.array(result["loop"]["via_points"]), len(log.cycle_starts))
     ends = [*log.cycle_starts, float(log.t[-1])] if log.cycle_starts else [0.0, float(log.t[-1])]
     cycles = [slice(*np.searchsorted(prediction.time, pair)) for pair in pairwise(ends)]
     # confidence bounds need a regressor for every sample, so they are computed for the cycle that is shown
@@ -183,10 +183,9 @@ def recalibration_page(
         RunData(
             result=result,
             about=about_run("recalibrate", recipe, result, run),
-            motion=left_over(motion, log, prediction),
-            parameter_rows=model.rows(),
+            loop=_coloured(loop, log, prediction),
+            model=model,
             rmse=np.array([_rmse(prediction, part) for part in cycles if _moves(prediction)[part].any()]),
-            nominal=model.robot.nominal_torque,
             prediction=torque_plot(shown, prediction.rmse(moving=True), *log.middle_cycle()),
             further=(
                 comparison_section(comparison),
@@ -197,6 +196,18 @@ def recalibration_page(
             ),
         )
     )
+
+
+def _coloured(loop: ShownLoop, log: Log, prediction: Prediction) -> ShownLoop:
+    """With the error of the worst joint at each time of a cycle, in % of nominal torque if all joints have one."""
+    start, stop = log.middle_cycle()
+    nominal = prediction.model.robot.nominal_torque
+    shares = bool(np.isfinite(nominal).all())
+    worst = np.abs(100 * prediction.error / nominal if shares else prediction.error).max(axis=1)
+    inside = (prediction.time >= start) & (prediction.time <= stop)
+    time = np.linspace(0.0, loop.duration, len(loop.cycle.t))
+    left = np.interp(time, prediction.time[inside] - start, worst[inside])
+    return replace(loop, left=left, left_unit="% of nominal torque" if shares else "N·m")
 
 
 def write_analysis(path: Path, log: Log, prediction: Prediction) -> None:

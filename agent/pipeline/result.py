@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,12 +11,12 @@ from agent.core import sha256_file
 from agent.estimation import conditional_covariance
 from agent.link import Recording
 from agent.model import ODD, IdentifiedModel, steady_columns
-from agent.pipeline.plan import Plan, planned_motion_data
+from agent.pipeline.plan import Plan, shown_loop
 from agent.recipe import Recipe
 from agent.recording import Log
 from agent.robot import axle_motion, torque_units, without_nominal
 from agent.runs import RunFolder
-from agent.validation import Prediction, pooled_rmse, summary
+from agent.validation import Prediction, pooled_rmse, predict_log, summary
 
 #: Friction is compared at these shares of the highest speed of the axle in the loop.
 SHARES = (0.15, 0.6)
@@ -52,7 +51,7 @@ def calibration_result(
             "seed": recipe.search.seed,
             "fitness": plan.search["fitness"],
             "evaluations": plan.search["evaluated"],
-            "motion": planned_motion_data(recipe, plan.excitation).description[0],
+            "motion": shown_loop(recipe, plan.excitation).description,
         },
         "estimation": {
             "method": model.method,
@@ -110,68 +109,65 @@ def judge(
     return (None if len(not_judged) == len(joints) else not broken), "; ".join(broken)
 
 
-@dataclass(frozen=True)
-class Level:
-    """Friction torque [N·m] of an axle turning forward at a steady `speed` [rad/s], with its standard deviations.
+def conditions(log: Log, model: IdentifiedModel, prediction: Prediction | None = None) -> dict[str, Any]:
+    """`conditions` of `result.json`, of the excitation `log`: its cycles, its length [s], and friction.
 
-    `from_run_to_run` leaves out the error of base parameters kept from an earlier model, as all such runs share it.
+    `friction` has one entry per axle and speed, as `_levels` says. `warm_up` has, by axle, the relative change of
+    friction per second of motion and its deviation; without a `prediction` of the log, one is made where it is needed.
     """
-
-    joint: str
-    speed: float
-    value: float
-    standard_deviation: float
-    from_run_to_run: float
-
-
-@dataclass(frozen=True, eq=False)
-class WarmUp:
-    """Relative change of friction per second of motion (n,) and its deviation (n,); NaN where cycles are too few."""
-
-    rate: np.ndarray
-    deviation: np.ndarray
+    n, cycles = model.robot.dof, len(log.cycle_starts)
+    rate = deviation = np.full(n, np.nan)
+    if cycles >= _FEWEST_CYCLES:
+        rate, deviation = _warm_up(log, prediction or predict_log(model, log))
+    return {
+        "cycles": cycles,
+        "motion_s": float(log.t[-1] - log.t[0]),
+        "warm_up": {"rate_per_s": rate.tolist(), "standard_deviation": deviation.tolist()},
+        "nominal_torque": [float(v) if np.isfinite(v) else None for v in model.robot.nominal_torque],
+        "friction": list(_levels(log, model)),
+    }
 
 
-def friction_levels(model: IdentifiedModel, top_speed: np.ndarray) -> list[Level]:
-    """Friction of every axle at the `SHARES` of its `top_speed` (n,) [rad/s].
+def temperatures(recording: Recording) -> dict[str, Any]:
+    """Motor temperatures [°C] at both ends of a recording, as one of its conditions; None where none were reported."""
+    return {"temperatures_c": dict(zip(("first", "last"), recording.temperatures, strict=False)) or None}
 
-    Single friction parameters are correlated; friction at a speed that the axle reached is well determined.
+
+def _levels(log: Log, model: IdentifiedModel) -> Iterator[dict[str, Any]]:
+    """Friction torque [N·m] of every axle turning forward at the `SHARES` of its highest `speed` [rad/s] in the log.
+
+    Single friction parameters are correlated; friction at a speed that the axle reached is well determined. With its
+    `standard_deviation`, and with that `from_run_to_run`, which leaves out the error of base parameters kept from an
+    earlier model, as all such runs share it.
     """
+    velocity = np.gradient(log.position, log.t, axis=0) if log.velocity is None else log.velocity
+    top_speed = np.quantile(np.abs(axle_motion(model.robot, velocity)), 0.99, axis=0)
     base = len(model.independent)
     between = conditional_covariance(model)
-    levels = []
     for axle, joint in enumerate(model.robot.joint_names):
         # an offset and an asymmetry are no friction level; load-dependent friction counts at no load
         own = np.array([term.axle == axle and term.form in ODD for term in model.terms], dtype=bool)
         speeds = np.array(SHARES) * float(top_speed[axle])
         turning = np.maximum(speeds, np.finfo(float).tiny)
         for speed, row in zip(speeds, steady_columns(model.terms, turning, sharp=True) * own, strict=True):
-            deviation = np.sqrt(max(row @ model.covariance[base:, base:] @ row, 0.0))
-            between_runs = np.sqrt(max(row @ between @ row, 0.0))
-            level = float(row @ model.friction_values)
-            levels.append(Level(joint, float(speed), level, float(deviation), float(between_runs)))
-    return levels
+            yield {
+                "joint": joint,
+                "speed": float(speed),
+                "value": float(row @ model.friction_values),
+                "standard_deviation": float(np.sqrt(max(row @ model.covariance[base:, base:] @ row, 0.0))),
+                "from_run_to_run": float(np.sqrt(max(row @ between @ row, 0.0))),
+            }
 
 
-def top_speed(log: Log, model: IdentifiedModel) -> np.ndarray:
-    """(n,) speed [rad/s] of each axle in a log: the 99 % quantile."""
-    speed = np.gradient(log.position, log.t, axis=0) if log.velocity is None else log.velocity
-    return np.quantile(np.abs(axle_motion(model.robot, speed)), 0.99, axis=0)
-
-
-def warm_up(log: Log, prediction: Prediction) -> WarmUp:
-    """Rate of change of friction while the arm moved, relative to the model.
+def _warm_up(log: Log, prediction: Prediction) -> tuple[np.ndarray, np.ndarray]:
+    """Rate of change of friction while the arm moved, relative to the model, (n,) [1/s], and its deviation.
 
     The scale of a cycle is <F, F + e> / <F, F> with the model's friction torque F and the residual e; the rate is the
-    slope of a straight line through the cycles.
+    slope of a straight line through the cycles, NaN where too few are whole.
     """
-    n = prediction.model.robot.dof
-    nothing = np.full(n, np.nan)
     starts = np.asarray(log.cycle_starts, dtype=float)
-    if len(starts) < _FEWEST_CYCLES:
-        return WarmUp(nothing, nothing)
     length = float(np.median(np.diff(starts)))
-    numerator, denominator = np.zeros((len(starts), n)), np.zeros((len(starts), n))
+    numerator, denominator = np.zeros((2, len(starts), prediction.model.robot.dof))
     for cycle, start in enumerate(starts):
         inside = slice(*np.searchsorted(prediction.time, (start, start + length)))
         force = prediction.friction[inside]
@@ -179,24 +175,10 @@ def warm_up(log: Log, prediction: Prediction) -> WarmUp:
         numerator[cycle], denominator[cycle] = np.sum(force * error, axis=0), np.sum(force**2, axis=0)
     whole = np.all(denominator > 0, axis=1)
     if whole.sum() < _FEWEST_CYCLES:
-        return WarmUp(nothing, nothing)
+        nothing = np.full(numerator.shape[1], np.nan)
+        return nothing, nothing
     scale = numerator[whole] / denominator[whole]
     time = starts[whole] - starts[whole].mean()
     rate = time @ scale / (time @ time)
     left = scale - scale.mean(axis=0) - np.outer(time, rate)
-    deviation = np.sqrt(np.sum(left**2, axis=0) / max(1, len(time) - 2) / (time @ time))
-    return WarmUp(rate, deviation)
-
-
-def conditions(log: Log, prediction: Prediction, recording: Recording) -> dict[str, Any]:
-    """`conditions` of `result.json`: of the excitation `log`, with its prediction and how it was recorded."""
-    model = prediction.model
-    found = warm_up(log, prediction)
-    return {
-        "cycles": len(log.cycle_starts),
-        "motion_s": float(log.t[-1] - log.t[0]),
-        "temperatures_c": dict(zip(("first", "last"), recording.temperatures, strict=False)) or None,
-        "warm_up": {"rate_per_s": found.rate.tolist(), "standard_deviation": found.deviation.tolist()},
-        "nominal_torque": [float(v) if np.isfinite(v) else None for v in model.robot.nominal_torque],
-        "friction": [level.__dict__ for level in friction_levels(model, top_speed(log, model))],
-    }
+    return rate, np.sqrt(np.sum(left**2, axis=0) / max(1, len(time) - 2) / (time @ time))

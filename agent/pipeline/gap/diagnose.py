@@ -23,7 +23,6 @@ from agent.diagnosis import (
 )
 from agent.experiment import Deadline
 from agent.model import CATALOGUE, IdentifiedModel, payload_of
-from agent.pipeline.ending import ending_text
 from agent.pipeline.gap.corrected_simulator import run_forward, write_simulator
 from agent.pipeline.gap.next_experiment import NoMotion, check_arm, check_tool, clearer_with_mass, plan_next, write_next
 from agent.pipeline.gap.next_steps import after_diagnosis
@@ -32,7 +31,6 @@ from agent.pipeline.gap.until_sure import Found, Rounds, until_sure
 from agent.pipeline.identify import check_one_machine, check_plausible, load_arm, read_logs, say_used
 from agent.pipeline.job import Job, validation_logs
 from agent.pipeline.plan import plan_once
-from agent.pipeline.reports import refresh_index
 from agent.recipe import load_recipe
 from agent.recording import Log, read_log
 from agent.report import NextStep, diagnosis_report, summary
@@ -150,8 +148,8 @@ def diagnose_recording(
         with job.step("diagnose"):
             result = answer(rounds)
         run.complete(True)
-        refresh_index(runs, console)
-    console.say(f"{'page':20}{run.file('report.html')}\n{ending_text(run, loaded)}")
+        ended = job.end(result, f"{'page':20}{run.file('report.html')}")
+    console.say(ended.text)
     return result
 
 
