@@ -40,7 +40,7 @@ def run_calibration(recipe: Recipe, console: Console, logs: Path, resume: Path |
         else:
             opened = RunFolder.open(resume, recipe.sha256, check=lambda run: check_approved(run, recipe))
             job = Job(recipe, opened, console, yes)
-        job.greet()
+        job.announce()
         run = job.run
         with job.step("plan"):
             if run.finished("plan") is None:

@@ -74,7 +74,7 @@ class Job:
         """Folder of the runs."""
         return self.run.path.parent
 
-    def greet(self) -> None:
+    def announce(self) -> None:
         """Name the run folder and the joints that the gate cannot judge."""
         self.console.say(f"run {self.run.path}")
         if not_judged := not_judged_text(self.recipe.robot, self.recipe.gate.normalised_rmse):

@@ -93,7 +93,7 @@ def run_recalibration(
         job = Job.start(
             "recalibrate", recipe, console, logs, yes, authorisation, options=options, **facts, **run_key(recipe)
         )
-        job.greet()
+        job.announce()
         run = job.run
         with job.step("record"):
             recording = _record(job, reference)

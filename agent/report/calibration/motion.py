@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from agent.motion import Trajectory
     from agent.recipe import Recipe
 
-#: Every so manieth sample of a cycle is shown over time.
+#: Only each fifth sample of a cycle is shown over time.
 _EVERY = 5
 
 
