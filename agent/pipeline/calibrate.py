@@ -36,7 +36,7 @@ def run_calibration(recipe: Recipe, console: Console, logs: Path, resume: Path |
     """
     with robot_lock(recipe.controller.driver, recipe.controller.address):
         if resume is None:
-            job = Job.start("calibrate", recipe, console, logs, yes, **run_key(recipe))
+            job = Job.start("calibrate", recipe, console, logs, run_key(recipe), yes)
         else:
             opened = RunFolder.open(resume, recipe.sha256, check=lambda run: check_approved(run, recipe))
             job = Job(recipe, opened, console, yes)

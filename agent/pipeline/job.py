@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -55,9 +55,9 @@ class Job:
         recipe: Recipe,
         console: Console,
         logs: Path,
+        facts: Mapping[str, Any],
         yes: bool,
         allowed: Authorisation | None = None,
-        **facts: Any,
     ) -> Job:
         """A job in a new run folder below `logs`, with `facts` for its state.
 

@@ -88,11 +88,10 @@ def run_recalibration(
         reference = find_reference(recipe, logs, past)
         if authorisation is not None:
             authorisation.check_problem(reference.loop.key)
-        facts = {"reference": reference.run, "program": reference.loop.checksum, "serial": past.serial}
+        compared = {"reference": reference.run, "program": reference.loop.checksum, "serial": past.serial}
         options = [] if authorisation is None else ["--authorisation", str(authorisation.path)]
-        job = Job.start(
-            "recalibrate", recipe, console, logs, yes, authorisation, options=options, **facts, **run_key(recipe)
-        )
+        facts = {**run_key(recipe), **compared, "options": options}
+        job = Job.start("recalibrate", recipe, console, logs, facts, yes, authorisation)
         job.announce()
         run = job.run
         with job.step("record"):

@@ -99,7 +99,7 @@ def diagnose_recording(
         asked = {"cutoff": question.cutoff, "without": question.without, "budget": budget}
         options = [*question.options(), *options_of(budget)]
         facts = {"robot_source": loaded.robot_source, "question": asked, "options": options}
-        job = Job.start("diagnose", loaded, console, runs, yes, **facts)
+        job = Job.start("diagnose", loaded, console, runs, facts, yes)
         run = job.run
         if reference is not None:
             run.write_text(_SIMULATOR, json.dumps(reference.to_dict(), allow_nan=False))

@@ -70,12 +70,11 @@ class ShownLoop:
         """Opposite corners of the regions for via-points and of the keep-out boxes."""
         via, keep_out = self.recipe.motion.via_points, self.recipe.cell.keep_out
         boxes = {f"keep-out: {box.name}": (np.array(box.minimum), np.array(box.maximum)) for box in keep_out}
-        regions = {f"region {k + 1}": (point.pose[:3], point.range[:3]) for k, point in enumerate(via.points or ())}
+        points = [(np.array(point.pose[:3]), np.array(point.range[:3])) for point in via.points or ()]
+        regions = {f"region {number}": point for number, point in enumerate(points, 1)}
         if via.box is not None:
-            regions["sub-region"] = (via.box.centre, tuple(edge / 2 for edge in via.box.size))
-        for name, (middle, spread) in regions.items():
-            boxes[name] = (np.array(middle) - np.array(spread), np.array(middle) + np.array(spread))
-        return boxes
+            regions["sub-region"] = (np.array(via.box.centre), np.array(via.box.size) / 2)
+        return boxes | {name: (middle - spread, middle + spread) for name, (middle, spread) in regions.items()}
 
 
 def motion_section(loop: ShownLoop) -> Section:
