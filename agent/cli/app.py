@@ -100,7 +100,6 @@ def calibrate(
     messages: opt.Messages = None,
 ) -> None:
     """Calibrate the robot: plan, record, estimate, validate and report. Prints the run folder."""
-    from agent.core import print_json, print_path
     from agent.pipeline import run_calibration
     from agent.recipe import load_recipe
     from agent.runs import find_run
@@ -108,12 +107,7 @@ def calibrate(
     console = opt.console_for(messages)
     stopped = None if resume is None else find_run(logs, resume)
     outcome = run_calibration(load_recipe(recipe), console, logs=logs, resume=stopped, yes=yes)
-    if as_json:
-        print_json(outcome.result.to_dict())
-    else:
-        print(outcome.summary(), file=sys.stderr)
-        print_path(outcome.run)
-    raise typer.Exit(0 if outcome.accepted else 3)
+    opt.end_job(as_json, outcome)
 
 
 @app.command(cls=opt.Diagnose, rich_help_panel=opt.DIAGNOSE, epilog="Example: agent diagnose --model arm.xml loop.mcap")

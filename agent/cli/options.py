@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NoReturn
 
 import typer
 from typer import Argument, Option
@@ -112,6 +113,20 @@ def print_found(as_json: bool, found: Any, text: str | None = None) -> None:
         print_json(found if isinstance(found, dict) else found.to_dict())
     else:
         print_text(found.text() if text is None else text)
+
+
+def end_job(as_json: bool, outcome: Any) -> NoReturn:
+    """Show what a job came to, and end with its exit code."""
+    from agent.core import print_json, print_path
+
+    if as_json:
+        print_json(outcome.result)
+    elif outcome.run is None:
+        print(outcome.text)
+    else:
+        print(outcome.text, file=sys.stderr)
+        print_path(outcome.run)
+    raise typer.Exit(0 if outcome.accepted else 3)
 
 
 @contextmanager

@@ -25,21 +25,13 @@ def recalibrate(
     messages: opt.Messages = None,
 ) -> None:
     """Repeat the stored motion, re-estimate the friction and keep an accepted result. For cron and timers."""
-    from agent.core import print_json, print_path
     from agent.pipeline import run_recalibration
     from agent.recipe import load_recipe
     from agent.safety import load_authorisation
 
     allowed = None if authorisation is None else load_authorisation(authorisation)
     outcome = run_recalibration(load_recipe(recipe), opt.console_for(messages), logs, yes, allowed)
-    if as_json:
-        print_json(outcome.result or {"schema": "recalibration/1", "skipped": outcome.skipped})
-    elif outcome.run is None:
-        print(outcome.summary())
-    else:
-        print(outcome.summary(), file=sys.stderr)
-        print_path(outcome.run)
-    raise typer.Exit(0 if outcome.accepted else 3)
+    opt.end_job(as_json, outcome)
 
 
 @app.command(rich_help_panel=opt.CALIBRATE, epilog="Example: agent schedule cell.yaml --at 02:30 --install")
@@ -87,11 +79,10 @@ def history(
     for warning in (*past.damaged, *lost, *future):
         print(f"agent: {warning}", file=sys.stderr)
     if as_json:
-        import json
-
+        from agent.core import print_json
         from agent.runs import watch
 
-        print(json.dumps({**data, "watch": [one.to_dict() for one in watch(runs)]}))
+        print_json({**data, "watch": [one.to_dict() for one in watch(runs)]})
         return
     print(history_table(runs, current))
     if nothing is not None:
@@ -107,18 +98,15 @@ def compare(
     messages: opt.Messages = None,
 ) -> None:
     """Show which parameters changed between runs by more than their uncertainty."""
-    from agent.core import print_json
     from agent.pipeline import compare_runs
     from agent.runs import find_run
 
     if len(runs) < 2:
         raise InputError("compare: name two runs or more: agent compare RUN RUN")
     found = compare_runs([find_run(logs, run) for run in runs], opt.console_for(messages), report)
-    if as_json:
-        pairs = [comparison.to_dict() for comparison in found]
-        print_json(pairs[0] if len(pairs) == 1 else {"schema": "comparisons/1", "comparisons": pairs})
-    else:
-        print("\n\n".join(comparison.text() for comparison in found))
+    pairs = [comparison.to_dict() for comparison in found]
+    document = pairs[0] if len(pairs) == 1 else {"schema": "comparisons/1", "comparisons": pairs}
+    opt.print_found(as_json, document, "\n\n".join(comparison.text() for comparison in found))
 
 
 @app.command(rich_help_panel=opt.DIAGNOSE, epilog="Example: agent report --index --open")
@@ -208,17 +196,14 @@ def apply(
     as_json: opt.AsJson = False,
 ) -> None:
     """Make a run's model the robot's current model. Changes nothing on the controller."""
-    from agent.core import print_json
     from agent.runs import apply_previous, apply_run, find_run
 
     if (run is None) == (not previous):
         raise InputError("apply: name the run whose model becomes current, or give --previous")
     applied = apply_previous(logs, robot, serial) if run is None else apply_run(logs, find_run(logs, run))
-    if as_json:
-        print_json(applied.to_dict())
-    else:
+    if not as_json:
         print(f"{applied.robot} {applied.serial}: the current model is now that of run {applied.run}", file=sys.stderr)
-        print(applied.model)
+    opt.print_found(as_json, applied, str(applied.model))
 
 
 @app.command(rich_help_panel=opt.TOOLS, epilog="Example: agent doctor")

@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from agent.runs import days_since_first
+
 #: Number of latest runs of a machine that are used: more than a year of weeks.
 LATEST = 60
 #: Rows that are read at once.
@@ -21,8 +23,7 @@ _UNKNOWN = datetime.min.replace(tzinfo=UTC)
 class MachineRuns:
     """The latest runs of one machine, oldest first.
 
-    `rows` are those of R runs. Of the latest run with figures: `joints` (n), and of an estimate `levels` (K joint and
-    speed) and `nominal` (n,) [N·m].
+    `rows` are those of R runs. Of the latest run with figures: `joints` (n), and of an estimate `nominal` (n,) [N·m].
     """
 
     def __init__(self, kind: str, rows: list[dict[str, Any]]):
@@ -34,7 +35,6 @@ class MachineRuns:
         latest = self.rows[self.with_figures[-1]] if self.with_figures else {}
         self.joints: tuple[str, ...] = tuple(latest.get("joints", ()))
         estimated = kind == "estimate" and bool(latest)
-        self.levels = tuple((level["joint"], level["speed"]) for level in latest["friction"]) if estimated else ()
         self.nominal = np.array(latest["nominal_torque"] if estimated else [np.nan] * len(self.joints), dtype=float)
 
     def alike(self, name: str) -> list[int]:
@@ -42,32 +42,16 @@ class MachineRuns:
         lengths = [len(self.rows[k][name] or ()) for k in self.with_figures]
         return [k for k, length in zip(self.with_figures, lengths, strict=True) if length == lengths[-1]]
 
-    def figures(self, name: str, runs: list[int], field: str = "") -> np.ndarray:
-        """(R, …) of some runs that are alike in a column of lists, NaN where unknown."""
-        values = [[one[field] if field else one for one in self.rows[k][name] or ()] for k in runs]
-        return np.array(values, dtype=float).reshape(len(runs), len(values[0]) if values else 0)
-
-    def rates(self, runs: list[int], field: str) -> np.ndarray:
-        """(R, n) of the warm-up of some runs, NaN where a run does not have it for every joint."""
-        found = np.full((len(runs), len(self.joints)), np.nan)
-        for number, k in enumerate(runs):
-            known = self.rows[k]["warm_up"] or ()
-            if len(known) == len(self.joints):
-                found[number] = [one[field] for one in known]
-        return found
-
     @cached_property
     def errors(self) -> tuple[list[int], np.ndarray]:
         """Numbers of the runs with as many errors as the latest, and these errors (R, n), share of nominal torque."""
         runs = self.alike(self._errors)
-        return runs, self.figures(self._errors, runs)
+        values = [self.rows[k][self._errors] or () for k in runs]
+        return runs, np.array(values, dtype=float).reshape(len(runs), len(values[0]) if values else 0)
 
     def days(self, runs: list[int]) -> np.ndarray:
         """(R,) days since the first of some runs; their numbers where not all have a time of their own."""
-        stamps = [self.rows[k]["started"] for k in runs]
-        if None in stamps or not stamps or stamps[0] == stamps[-1]:
-            return np.arange(len(runs), dtype=float)
-        return np.array([(stamp - stamps[0]).total_seconds() / 86400.0 for stamp in stamps])
+        return days_since_first([self.rows[k]["started"] for k in runs])
 
     def date(self, run: int) -> str:
         """Day of a run, ISO 8601; "" where it is not known."""

@@ -242,7 +242,7 @@ def _rows(fleet: Fleet, chosen: slice, robot: RobotDescription, rng: np.random.G
     rates = -fleet.answer[chosen, None] * fleet.cold[chosen, :, None] / _DECAY
     rates = rates + _DOUBT * rng.normal(size=rates.shape)
     errors = (0.003 + 2e-4 * rng.normal(size=rates.shape)) * nominal
-    levels = [(axle, speed) for axle in range(n) for speed in range(2)]  # as `friction_levels` has them
+    levels = [(axle, speed) for axle in range(n) for speed in range(2)]  # as `conditions` of a run has them
     rows = []
     for (machine, name), week in itertools.product(enumerate(names), range(weeks)):
         friction = [

@@ -213,16 +213,13 @@ def _decide(axles: Sequence[AxleTrend]) -> None:
 def _friction_of(machine: MachineRuns) -> Iterator[AxleTrend]:
     """For every axle, the one of its series (one per level) with the likeliest change."""
     rows = machine.alike("friction")
-    if len(rows) < FEWEST or not machine.levels:
+    if len(rows) < FEWEST or not machine.rows[rows[-1]]["friction"]:
         return
-    values, deviations = (machine.figures("friction", rows, name) for name in ("value", "from_run_to_run"))
-    rates, rate_stds = (machine.rates(rows, name) for name in ("rate_per_s", "standard_deviation"))
-    names = tuple(machine.runs[row] for row in rows)
+    names, friction = tuple(machine.runs[row] for row in rows), [machine.rows[row]["friction"] for row in rows]
+    rates = ("rate_per_s", "standard_deviation")
+    warm_up = [{key: [one[key] for one in machine.rows[row]["warm_up"] or ()] for key in rates} for row in rows]
     by_joint: dict[str, list[Trend]] = {}
-    found = friction_trends(
-        names, machine.days(rows), machine.joints, machine.levels, values, deviations, rates, rate_stds
-    )
-    for trend in found:
+    for trend in friction_trends(names, machine.days(rows), machine.joints, friction, warm_up):
         by_joint.setdefault(trend.joint, []).append(trend)
     for trends in by_joint.values():
         best = min(trends, key=lambda trend: trend.probability)

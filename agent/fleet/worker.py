@@ -11,7 +11,7 @@ import os
 import re
 import resource
 import time
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -191,16 +191,12 @@ def _estimate(question: RunQuestion, robot: Any, logs: list[Path], notes: Notes)
 
 def _conditions(model: IdentifiedModel, logs: list[Log]) -> dict[str, Any]:
     """Friction and its change during the longest log, as a run folder has them."""
-    from agent.pipeline import friction_levels, top_speed, warm_up
-    from agent.validation import predict_log
+    from agent.pipeline import conditions
 
-    log = max(logs, key=lambda one: len(one.t))
-    found = [asdict(level) for level in friction_levels(model, top_speed(log, model))]
-    if len(log.cycle_starts) <= 2:
-        return {"friction": found, "warm_up": []}
-    seen = warm_up(log, predict_log(model, log))
-    rates = zip(seen.rate.tolist(), seen.deviation.tolist(), strict=True)
-    return {"friction": found, "warm_up": finite([{"rate_per_s": r, "standard_deviation": d} for r, d in rates])}
+    met = conditions(max(logs, key=lambda one: len(one.t)), model)
+    rates = zip(*met["warm_up"].values(), strict=True) if met["cycles"] > 2 else ()
+    warm_up = finite([{"rate_per_s": rate, "standard_deviation": deviation} for rate, deviation in rates])
+    return {"friction": met["friction"], "warm_up": warm_up}
 
 
 def _validate(question: RunQuestion, model: Path | None, logs: list[Path], notes: Notes) -> dict[str, Any]:

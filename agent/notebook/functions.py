@@ -150,7 +150,7 @@ def report(result: GapDiagnosis | TorqueValidation | Calibration | str | Path, o
     if isinstance(result, (Calibration, str, Path)):
         from agent.pipeline import rebuild_report
 
-        return rebuild_report(result.outcome.run if isinstance(result, Calibration) else Path(result), quiet())
+        return rebuild_report(result.run if isinstance(result, Calibration) else Path(result), quiet())
     if out is None:
         raise InputError("report: name the page to write, as in report(result, 'page.html')")
     check_output(Path(out), [])

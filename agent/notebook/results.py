@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from html import escape
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ import numpy as np
 from agent.core import Console, counted, error_text
 from agent.diagnosis import Diagnosis
 from agent.model import IdentifiedModel
-from agent.pipeline import CalibrationOutcome, PlanFiles, diagnosis_text, validation_text
+from agent.pipeline import Outcome, PlanFiles, diagnosis_text, validation_text
 from agent.recording import Log
 from agent.report import SERIES, Bar, Bars, Panel, Plot, Table, headline, joint_series, still, table_html
 from agent.robot import SHARE, torque_units
@@ -174,32 +175,38 @@ class PlannedLoop(Shown):
         return "\n".join(self.files.text().splitlines()[1:])
 
     def picture(self) -> Plot:
-        cycle = self.files.motion.loop.trajectory
+        cycle = self.files.loop.cycle
         return _lines(cycle.t, "xyz", cycle.tcp[:, :3, 3], "tool", "m")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Calibration(Shown):
-    """A finished calibration: `outcome.run` is its folder, with model, logs and report."""
+    """A finished calibration: `run` is its folder, with model, logs and report."""
 
-    outcome: CalibrationOutcome
+    outcome: Outcome
+
+    @property
+    def run(self) -> Path:
+        """The run folder."""
+        assert self.outcome.run is not None
+        return self.outcome.run
 
     @property
     def model(self) -> Model:
         """The identified model of the run."""
-        return Model.of(IdentifiedModel.load(self.outcome.run / "model.json"))
+        return Model.of(IdentifiedModel.load(self.run / "model.json"))
 
     def headline(self) -> str:
-        word = {True: "Accepted", False: "Rejected", None: "Not judged"}[self.outcome.result.accepted]
-        return f"{word}: {self.outcome.run}"
+        word = {True: "Accepted", False: "Rejected", None: "Not judged"}[self.outcome.result["accepted"]]
+        return f"{word}: {self.run}"
 
     def text(self) -> str:
-        return self.outcome.summary().strip()
+        return self.outcome.text.strip()
 
     def picture(self) -> Table:
-        validation = self.outcome.result.validation
-        units = [SHARE] * len(validation.joints)
-        return _bars(validation.joints, units, {"unseen motions": validation.normalised_rmse})
+        validation = self.outcome.result["validation"]
+        units = [SHARE] * len(validation["joints"])
+        return _bars(validation["joints"], units, {"unseen motions": validation["normalised_rmse"]})
 
 
 class Listing(Shown, dict[str, Any]):

@@ -1,4 +1,4 @@
-from .calibrate import CalibrationOutcome as CalibrationOutcome, run_calibration as run_calibration
+from .calibrate import run_calibration as run_calibration
 from .gap.diagnose import diagnose_files as diagnose_files, diagnose_recording as diagnose_recording
 from .gap.printed_diagnosis import diagnosis_text as diagnosis_text, planned_text as planned_text
 from .gap.question import (
@@ -19,12 +19,13 @@ from .identify import (
     validate_files as validate_files,
     validation_text as validation_text,
 )
+from .job import Outcome as Outcome
 from .learn import learn_files as learn_files
 from .plan import PlanFiles as PlanFiles, plan_recipe as plan_recipe
 from .rebuilt_report import rebuild_report as rebuild_report
 from .recalibrate import run_recalibration as run_recalibration
 from .reports import compare_runs as compare_runs, write_index as write_index
-from .result import friction_levels as friction_levels, top_speed as top_speed, warm_up as warm_up
+from .result import conditions as conditions
 from .setup.check import check_recipe as check_recipe
 from .setup.doctor import examine_installation as examine_installation
 from .setup.init import write_recipe as write_recipe

@@ -2,77 +2,33 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from agent.core import Console, counted, error_text, sha256_file
 from agent.diagnosis import with_healthy_effects
 from agent.estimation import EstimationSettings, estimate
-from agent.link import Recording, answering
+from agent.link import answering
 from agent.model import IdentifiedModel, judged_condition
-from agent.pipeline.ending import current_run, ending_text, step
+from agent.pipeline.ending import current_run
 from agent.pipeline.identify import check_one_machine, check_run, read_logs
-from agent.pipeline.plan import Plan, plan_once
-from agent.pipeline.record_plan import EXCITATION, record_plan, validation_logs
-from agent.pipeline.reports import against_last, refresh_index, write_analysis
-from agent.pipeline.result import (
-    CalibrationResult,
-    build_result,
-    calibration_page,
-    conditions,
-    provenance,
-    typical_motion,
-)
+from agent.pipeline.job import EXCITATION, Job, Outcome, validation_logs
+from agent.pipeline.plan import plan_once
+from agent.pipeline.reports import against_last, calibration_page, typical_motion, write_analysis
+from agent.pipeline.result import calibration_result, conditions, temperatures
 from agent.recipe import Recipe
 from agent.recording import read_log
 from agent.report import LogHealth
-from agent.robot import not_judged_text, outcome_text
-from agent.runs import RunFolder, approve, check_approved, register_run, robot_lock, run_key
+from agent.robot import outcome_text
+from agent.runs import RunFolder, check_approved, register_run, robot_lock, run_key
 from agent.safety import check_period
-from agent.validation import Prediction, predict_log
+from agent.validation import predict_log
 
 #: Validation motions on which a doubt about the excitation has to be confirmed.
 _CONFIRMING = 2
 
 
-@dataclass(frozen=True)
-class CalibrationOutcome:
-    """Run folder, the content of its `result.json`, and what comes next."""
-
-    run: Path
-    result: CalibrationResult
-    ending: str = ""
-
-    @property
-    def accepted(self) -> bool:
-        """Whether no gate rejected the model; a gate that can judge no joint rejects none."""
-        return self.result.accepted is not False
-
-    def summary(self) -> str:
-        """One screen."""
-        result, validation = self.result, self.result.validation
-        errors = zip(validation.joints, validation.normalised_rmse, validation.rmse, validation.units, strict=True)
-        axes = "  ".join(f"{name} {error_text(share, torque, unit)}" for name, share, torque, unit in errors)
-        not_judged = result.gate.not_judged
-        of = "RMSE" if len(not_judged) == len(validation.joints) else "of nominal torque"
-        return "\n".join(
-            [
-                "",
-                f"fitness             {result.search.fitness:.2f}  (log10 det(HᵀH/M), higher is better)",
-                f"condition number    {judged_condition(result.estimation.condition_number)}",
-                f"prediction error    {axes}",
-                f"                    {of}, {counted(validation.motions, 'unseen motion')} at {validation.speed:g} m/s",
-                "result              "
-                + outcome_text(self.accepted, result.reason, not_judged, validation.joints)
-                + f"  (gate {100 * result.gate.normalised_rmse:g} % of nominal torque on every axis)",
-                f"report              {self.run / 'report.html'}",
-                self.ending,
-                "",
-            ]
-        )
-
-
-def run_calibration(recipe: Recipe, console: Console, logs: Path, resume: Path | None, yes: bool) -> CalibrationOutcome:
+def run_calibration(recipe: Recipe, console: Console, logs: Path, resume: Path | None, yes: bool) -> Outcome:
     """Run the job; with `resume`, go on after the last finished step of a stopped run.
 
     Raises:
@@ -80,45 +36,76 @@ def run_calibration(recipe: Recipe, console: Console, logs: Path, resume: Path |
     """
     with robot_lock(recipe.controller.driver, recipe.controller.address):
         if resume is None:
-            run = RunFolder.create(logs, recipe.robot.name, recipe.path)
-            run.note(kind="calibrate", **run_key(recipe))
-            approve(run, recipe)
+            job = Job.start("calibrate", recipe, console, logs, run_key(recipe), yes)
         else:
-            run = RunFolder.open(resume, recipe.sha256, check=lambda opened: check_approved(opened, recipe))
-        console.say(f"run {run.path}")
-        if not_judged := not_judged_text(recipe.robot, recipe.gate.normalised_rmse):
-            console.warn(not_judged)
-
-        with step(run, "plan", console):
+            opened = RunFolder.open(resume, recipe.sha256, check=lambda run: check_approved(run, recipe))
+            job = Job(recipe, opened, console, yes)
+        job.announce()
+        run = job.run
+        with job.step("plan"):
             if run.finished("plan") is None:
-                _greet(recipe, console)
+                _ask_who_answers(job)
             plan = plan_once(recipe, run, console)
-        with step(run, "record", console):
-            recordings = record_plan(recipe, plan, run, console, logs, yes)
-        with step(run, "estimate", console):
-            model = _estimate(recipe, run, console)
-        with step(run, "validate", console):
+        with job.step("record"):
+            recordings = job.record(plan)
+        with job.step("estimate"):
+            model = _estimate(job)
+        with job.step("validate"):
             console.step("validating on unseen motions")
             unseen = read_logs(validation_logs(run.path), recipe.robot, console)
             check_one_machine(unseen, model, allow_mixed=False)
             predictions, health = [predict_log(model, log) for log in unseen], [LogHealth.of(log) for log in unseen]
             del unseen
-        with step(run, "report", console):
-            result = _report(recipe, plan, run, recordings, model, predictions, health, console)
+        with job.step("report"):
+            log = read_log(run.file(EXCITATION), recipe.robot)
+            met = conditions(log, model) | temperatures(recordings[0])
+            result = calibration_result(recipe, run, plan, recordings, model, predictions, met)
+            result |= against_last(run, log, console)
+            rejected = result["accepted"] is False
+            current = current_run(job.logs, recipe.robot.name, run.state["serial"])
+            result["current_model"] = current if rejected or current is not None else run.path.name
+            run.write_json("result.json", result)
+            typical = typical_motion(predictions)
+            write_analysis(run.file("analysis.mcap"), read_log(run.file(typical.log), recipe.robot), typical)
+            run.write_text("report.html", calibration_page(recipe, plan, result, model, predictions, health, run.path))
+            run.complete(not rejected)
         register_run(run, console)
-        refresh_index(run.path.parent, console)
-        return CalibrationOutcome(run.path, result, ending_text(run, recipe))
+        return job.end(result, calibration_text(result, run.path))
 
 
-def _greet(recipe: Recipe, console: Console) -> None:
+def calibration_text(result: dict[str, Any], run: Path) -> str:
+    """One screen about a calibration."""
+    validation, gate = result["validation"], result["gate"]
+    joints, not_judged = validation["joints"], gate["not_judged"]
+    figures = zip(joints, *(validation[key] for key in ("normalised_rmse", "rmse", "units")), strict=True)
+    axes = "  ".join(f"{name} {error_text(share, torque, unit)}" for name, share, torque, unit in figures)
+    of = "RMSE" if len(not_judged) == len(joints) else "of nominal torque"
+    outcome = outcome_text(result["accepted"] is not False, result["reason"], not_judged, joints)
+    motions, limit = counted(validation["motions"], "unseen motion"), 100 * gate["normalised_rmse"]
+    return "\n".join(
+        [
+            "",
+            f"fitness             {result['search']['fitness']:.2f}  (log10 det(HᵀH/M), higher is better)",
+            f"condition number    {judged_condition(result['estimation']['condition_number'])}",
+            f"prediction error    {axes}",
+            f"                    {of}, {motions} at {validation['speed']:g} m/s",
+            f"result              {outcome}  (gate {limit:g} % of nominal torque on every axis)",
+            f"report              {run / 'report.html'}",
+        ]
+    )
+
+
+def _ask_who_answers(job: Job) -> None:
     """Ask the controller who it is before the search: a wrong address is reported at once, not minutes later."""
+    recipe = job.recipe
     with answering(recipe) as (_, identity):
         if not identity.watch_only:
             check_period(identity, recipe.record.rate, recipe.controller.place)
-    console.say(f"{identity.robot}, serial {identity.serial}, answers at {recipe.controller.place}")
+    job.console.say(f"{identity.robot}, serial {identity.serial}, answers at {recipe.controller.place}")
 
 
-def _estimate(recipe: Recipe, run: RunFolder, console: Console) -> IdentifiedModel:
+def _estimate(job: Job) -> IdentifiedModel:
+    recipe, run, console = job.recipe, job.run, job.console
     if run.finished("estimate"):
         run.check_file("model.json", run.state.get("model_sha256"))
         return IdentifiedModel.load(run.file("model.json"))
@@ -133,37 +120,3 @@ def _estimate(recipe: Recipe, run: RunFolder, console: Console) -> IdentifiedMod
     model.save(run.file("model.json"))
     run.note(model_sha256=sha256_file(run.file("model.json")))
     return model
-
-
-def _report(
-    recipe: Recipe,
-    plan: Plan,
-    run: RunFolder,
-    recordings: list[Recording],
-    model: IdentifiedModel,
-    predictions: list[Prediction],
-    health: list[LogHealth],
-    console: Console,
-) -> CalibrationResult:
-    sources = provenance(run.path, run.state, [run.file(EXCITATION), *validation_logs(run.path)])
-    log = read_log(run.file(EXCITATION), recipe.robot)
-    result = build_result(
-        recipe,
-        plan,
-        recordings,
-        model,
-        predictions,
-        provenance=sources,
-        serial=run.state["serial"],
-        conditions=conditions(log, predict_log(model, log), recordings[0]),
-        **against_last(run, log, console),
-    )
-    current = current_run(run.path.parent, recipe.robot.name, result.serial)
-    result = replace(result, current_model=current if result.rejected or current is not None else run.path.name)
-    run.write_json("result.json", result.to_dict())
-    typical = typical_motion(predictions)
-    write_analysis(run.file("analysis.mcap"), read_log(run.file(typical.log), recipe.robot), typical)
-    page = calibration_page(recipe, plan, result.to_dict(), model, predictions, health, run.path)
-    run.write_text("report.html", page)
-    run.complete(not result.rejected)
-    return result

@@ -1,37 +1,16 @@
-"""End of a run: its steps, the robot's current model, and the next command."""
+"""End of a run in words: the robot's current model, and the next command."""
 
 from __future__ import annotations
 
 import os
 import shlex
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
-from agent.core import AgentError, Console, InputError, MismatchError
+from agent.core import InputError, MismatchError
 from agent.recipe import Recipe
 from agent.runs import RunFolder, current_model
 
 _LOGS = Path("logs")
-
-
-@contextmanager
-def step(run: RunFolder, name: str, console: Console) -> Iterator[None]:
-    """Note in the run folder whatever ends the run inside this step, and say how to go on.
-
-    A step that an earlier start finished stays as it is.
-    """
-    try:
-        yield
-    except BaseException as error:
-        try:
-            run.stopped(name, str(error) or type(error).__name__)
-        except AgentError as unsaved:  # a full disk: the message about the run still comes last
-            console.warn(f"that it was stopped could not be noted: {unsaved}")
-        console.warn(going_on(run, name, error))
-        raise
-    if run.finished(name) is None:
-        run.finish(name)
 
 
 def current_run(logs: Path, robot: str, serial: str) -> str | None:

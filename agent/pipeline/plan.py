@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,15 +12,12 @@ import numpy as np
 from agent.core import Console, InputError, TaskEngine, read_json, sha256_file, sha256_text, write_atomically
 from agent.excitation import Candidates, Loop, LoopProblem, LoopScore, check_sub_region, search, via_joints
 from agent.link import check_cell, check_load, plan_statements
-from agent.model import IdentifiedModel
 from agent.motion import CartesianTarget, JointTarget, Target, Trajectory, ViaRegions, dialect_of, pose_of, with_frames
 from agent.recipe import Recipe
-from agent.recording import Log, read_log
-from agent.report import MotionData, SearchData, arm_along, plan_report
+from agent.recording import read_log
+from agent.report import ShownLoop, plan_report
 from agent.robot import Dynamics, TorqueLimits, kinematics_for
 from agent.runs import RunFolder, keep_loop, make_folder, write_json
-from agent.safety import position_ranges
-from agent.validation import Prediction, predict_log
 
 #: Share of the joint speeds at which the arm goes to the first point.
 APPROACH_SPEED = 0.1
@@ -300,14 +297,17 @@ def _targets(recipe: Recipe, loop: Loop) -> list[Target]:
 
 @dataclass(frozen=True, eq=False)
 class PlanFiles:
-    """Output of `agent plan`: its folder, the name of the program, the loop and its margins."""
+    """Output of `agent plan`: its folder, the name of the program, the loop, and how it was found."""
 
     folder: Path
     program: str
-    motion: PlannedMotion
+    loop: ShownLoop
     search: dict[str, Any]
-    description: str
-    limit_use: dict[str, float]
+
+    @property
+    def limit_use(self) -> dict[str, float]:
+        """Largest share of each kind of joint limit that the loop uses."""
+        return {kind: float(values.max()) for kind, values in self.loop.limit_use.items()}
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data."""
@@ -315,8 +315,8 @@ class PlanFiles:
             "schema": "planned-loop/1",
             "folder": str(self.folder),
             "fitness": self.search["fitness"],
-            "cycle_s": self.motion.loop.trajectory.duration,
-            "description": self.description,
+            "cycle_s": self.loop.cycle.duration,
+            "description": self.loop.description,
             "largest_use_of_limits": self.limit_use,
             "files": [self.program, "plan.json", "plan.html"],
         }
@@ -326,7 +326,7 @@ class PlanFiles:
         use = ", ".join(f"{kind} {100 * value:.0f} %" for kind, value in self.limit_use.items())
         lines = [
             f"fitness {self.search['fitness']:.2f} (higher is better)",
-            self.description,
+            self.loop.description,
             f"largest use of the joint limits: {use}",
         ]
         return "\n".join([*lines, *(str(self.folder / name) for name in (self.program, "plan.html"))])
@@ -352,101 +352,15 @@ def plan_recipe(recipe: Recipe, folder: Path, console: Console, engine: TaskEngi
         if made:
             folder.rmdir()
         raise
-    text = program_text(recipe, motion)
-    data = planned_motion_data(recipe, motion)
-    files = PlanFiles(
-        folder,
-        f"program{recipe.dialect.suffix}",
-        motion,
-        found,
-        data.description[0],
-        {kind: float(values.max()) for kind, values in data.limit_use.items()},
-    )
+    text, loop = program_text(recipe, motion), shown_loop(recipe, motion)
+    files = PlanFiles(folder, f"program{recipe.dialect.suffix}", loop, found)
     write_atomically(folder / files.program, text)
-    write_atomically(folder / "plan.html", plan_report(data, search_data(found), text))
+    write_atomically(folder / "plan.html", plan_report(loop, found, text))
     write_json(folder / "plan.json", {**files.to_dict(), "search": found})
     return files
 
 
-def planned_motion_data(recipe: Recipe, motion: PlannedMotion) -> MotionData:
-    """Report data of a loop that was planned from the recipe."""
-    return motion_data(recipe, motion.loop.trajectory, motion.loop.poses[:, :3, 3], motion.cycles)
-
-
-def motion_data(recipe: Recipe, cycle: Trajectory, via_points: np.ndarray, cycles: int) -> MotionData:
-    """Report data of one planned cycle of a loop through via-points (K, 3) [m]."""
-    return MotionData(
-        robot=recipe.robot.name,
-        joints=recipe.robot.joint_names,
-        description=(describe(recipe, cycle, len(via_points), cycles),),
-        path=cycle.tcp[:, :3, 3],
-        via_points=via_points,
-        boxes=_boxes(recipe),
-        t=cycle.t[::5],
-        speed=cycle.path_speed[::5],
-        programmed_speed=recipe.motion.speed,
-        arm=arm_along(recipe.robot, cycle.t, cycle.q, None if recipe.tool is None else recipe.tool.frame),
-        limit_use={name: values[::5] for name, values in limit_use(recipe, cycle).items()},
-    )
-
-
-def with_residual(motion: MotionData, model: IdentifiedModel, log: Path) -> MotionData:
-    """Colour the loop by a model's torque error along one cycle of its log."""
-    recorded = read_log(log, model.robot)
-    return left_over(motion, recorded, predict_log(model, recorded.middle_part()))
-
-
-def left_over(motion: MotionData, log: Log, prediction: Prediction) -> MotionData:
-    """Colour the loop by the error of the worst joint at each time, in % of nominal torque if all joints have one."""
-    start, stop = log.middle_cycle()
-    nominal = prediction.model.robot.nominal_torque
-    shares = bool(np.isfinite(nominal).all())
-    worst = np.abs(100 * prediction.error / nominal if shares else prediction.error).max(axis=1)
-    inside = (prediction.time >= start) & (prediction.time <= stop)
-    time = np.linspace(0.0, float(motion.t[-1]), len(motion.path))
-    found = np.interp(time, prediction.time[inside] - start, worst[inside])
-    return replace(motion, left=found, left_unit="% of nominal torque" if shares else "N·m")
-
-
-def search_data(found: dict[str, Any]) -> SearchData:
-    """Report data of a search."""
-    best, mean = (np.array(found["history"][key], dtype=float) for key in ("best", "mean"))
-    return SearchData(found["fitness"], found["evaluated"], best, mean)
-
-
-def _boxes(recipe: Recipe) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Opposite corners of the regions for via-points and of the keep-out boxes."""
-    via = recipe.motion.via_points
-    boxes = {f"keep-out: {box.name}": (np.array(box.minimum), np.array(box.maximum)) for box in recipe.cell.keep_out}
-    if via.box is not None:
-        half = np.array(via.box.size) / 2
-        boxes["sub-region"] = (np.array(via.box.centre) - half, np.array(via.box.centre) + half)
-    for k, point in enumerate(via.points or ()):
-        middle, spread = np.array(point.pose[:3]), np.array(point.range[:3])
-        boxes[f"region {k + 1}"] = (middle - spread, middle + spread)
-    return boxes
-
-
-def limit_use(recipe: Recipe, trajectory: Trajectory) -> dict[str, np.ndarray]:
-    """{kind: (S, n)} share of each joint limit that a trajectory uses."""
-    robot = recipe.robot
-    lower, upper = position_ranges(robot, recipe.cell.joint_ranges)
-    bounded = np.isfinite(lower) & np.isfinite(upper)
-    centre, half = np.zeros(robot.dof), np.full(robot.dof, np.inf)
-    centre[bounded], half[bounded] = (lower + upper)[bounded] / 2, (upper - lower)[bounded] / 2
-    return {
-        "position": np.abs(trajectory.q - centre) / half,
-        "speed": np.abs(trajectory.qd) / robot.max_velocity,
-        "acceleration": np.abs(trajectory.qdd) / robot.max_acceleration,
-    }
-
-
-def describe(recipe: Recipe, cycle: Trajectory, via_points: int, cycles: int) -> str:
-    """A planned loop in one sentence."""
-    settings = recipe.motion.settings
-    binding = sorted({limit.limit for limit in cycle.binding})
-    slowed = f"; slowed down by {', '.join(binding)}" if binding else ""
-    return (
-        f"{via_points} via-points, {cycle.duration:.1f} s a cycle, {cycles} cycles at {recipe.motion.speed:g} m/s, "
-        f"{settings.blend}{slowed}."
-    )
+def shown_loop(recipe: Recipe, motion: PlannedMotion) -> ShownLoop:
+    """A planned loop, for a page."""
+    loop = motion.loop
+    return ShownLoop(recipe, loop.trajectory, loop.poses[:, :3, 3], motion.cycles)

@@ -10,10 +10,9 @@ from agent.model import IdentifiedModel
 from agent.pipeline.ending import current_run
 from agent.pipeline.gap.diagnose import diagnose_again
 from agent.pipeline.identify import read_logs
+from agent.pipeline.job import validation_logs
 from agent.pipeline.plan import replan
-from agent.pipeline.record_plan import validation_logs
-from agent.pipeline.reports import recalibration_page
-from agent.pipeline.result import calibration_page
+from agent.pipeline.reports import calibration_page, recalibration_page
 from agent.recipe import Recipe, load_recipe
 from agent.recording import read_log
 from agent.report import LogHealth

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from itertools import chain, islice, repeat
 from pathlib import Path
@@ -18,24 +18,22 @@ from agent.excitation import Candidates
 from agent.link import Recording, open_link
 from agent.model import IdentifiedModel
 from agent.motion import Move, Target
-from agent.pipeline.ending import current_run, ending_text, step
+from agent.pipeline.ending import current_run
 from agent.pipeline.gap.until_sure import Found, Rounds, until_sure
 from agent.pipeline.identify import check_run, read_logs
+from agent.pipeline.job import EXCITATION, Job, Outcome
 from agent.pipeline.plan import PlannedMotion, loop_problem, program_text
-from agent.pipeline.record_plan import EXCITATION, record_program
-from agent.pipeline.reports import diagnose_if_worse, recalibration_page, refresh_index, worse_joints, write_analysis
-from agent.pipeline.result import RecordingFigures, conditions, provenance
+from agent.pipeline.reports import diagnose_if_worse, recalibration_page, worse_joints, write_analysis
+from agent.pipeline.result import conditions, gate_figures, judge, recorded, temperatures
 from agent.recipe import Recipe
 from agent.recording import Log, read_log
-from agent.robot import not_judged_text, outcome_text, torque_units, without_nominal
+from agent.robot import outcome_text, torque_units, without_nominal
 from agent.runs import (
     FOLDER,
     History,
     PastRun,
-    RunFolder,
     StoredLoop,
     apply_run,
-    approve,
     approved_parts,
     current_model,
     differences,
@@ -56,42 +54,6 @@ _SIGNIFICANT = 3.0
 _SAME = 1e-6
 
 
-@dataclass(frozen=True)
-class RecalibrationOutcome:
-    """Why nothing was done (`skipped`); else run folder, `result.json` and what comes next."""
-
-    skipped: str = ""
-    run: Path | None = None
-    result: dict[str, Any] | None = None
-    ending: str = ""
-
-    @property
-    def accepted(self) -> bool:
-        """Whether the gate accepted the model, or there was nothing to do."""
-        return self.result is None or bool(self.result["accepted"])
-
-    def summary(self) -> str:
-        """A few lines."""
-        if self.result is None:
-            return f"skipped: {self.skipped}"
-        result, validation = self.result, self.result["validation"]
-        axes = [
-            f"{name} {error_text(share, torque, unit)} (was {error_text(share_before, torque_before, unit)})"
-            for name, share, torque, share_before, torque_before, unit in zip(
-                *(validation[k] for k in ("joints", "normalised_rmse", "rmse")),
-                *(validation[k] for k in ("normalised_rmse_before", "rmse_before", "units")),
-                strict=True,
-            )
-        ]
-        rows = ["  ".join(axes[k : k + 3]) for k in range(0, len(axes), 3)]
-        word = outcome_text(self.accepted, result["reason"], result["gate"]["not_judged"], validation["joints"])
-        lines = ["prediction error    " + f"\n{'':20}".join(rows), f"change              {result['comparison']}"]
-        if result["diagnosis"]:
-            lines.append(f"diagnosis           {result['diagnosis']['summary']}")
-        lines += [f"compared with       {result['reference']}", f"result              {word}"]
-        return "\n".join([*lines, f"report              {self.run}/report.html", self.ending])
-
-
 @dataclass(frozen=True, eq=False)
 class Reference:
     """The last accepted run of the same loop, the model to compare with and the run it is of, and the loop."""
@@ -109,7 +71,7 @@ def run_recalibration(
     yes: bool = False,
     authorisation: Authorisation | None = None,
     now: datetime | None = None,
-) -> RecalibrationOutcome:
+) -> Outcome:
     """Run the stored loop again, estimate, judge, record, and make the model current if it is accepted.
 
     Raises:
@@ -119,33 +81,31 @@ def run_recalibration(
     now = now or datetime.now(UTC)
     past = last_accepted(recipe, logs, now)
     if early := too_early(past, recipe.recalibrate.every, now):
-        return RecalibrationOutcome(skipped=early)
+        return Outcome(None, {"schema": "recalibration/1", "skipped": early}, f"skipped: {early}")
     if warning := wrong_clock(past, now):
         console.warn(warning)
     with robot_lock(recipe.controller.driver, recipe.controller.address):
         reference = find_reference(recipe, logs, past)
         if authorisation is not None:
             authorisation.check_problem(reference.loop.key)
-        run = RunFolder.create(logs, recipe.robot.name, recipe.path)
-        facts = {"reference": reference.run, "program": reference.loop.checksum, "serial": past.serial}
+        compared = {"reference": reference.run, "program": reference.loop.checksum, "serial": past.serial}
         options = [] if authorisation is None else ["--authorisation", str(authorisation.path)]
-        run.note(kind="recalibrate", options=options, **facts, **run_key(recipe))
-        approve(run, recipe)
-        console.say(f"run {run.path}")
-        if not_judged := not_judged_text(recipe.robot, recipe.gate.normalised_rmse):
-            console.warn(not_judged)
-        with step(run, "record", console):
-            recording = _record(recipe, reference, run, console, yes, logs, authorisation)
-        with step(run, "estimate", console):
-            log, found, comparison = _estimate(recipe, reference, run, console)
-        with step(run, "validate", console):
+        facts = {**run_key(recipe), **compared, "options": options}
+        job = Job.start("recalibrate", recipe, console, logs, facts, yes, authorisation)
+        job.announce()
+        run = job.run
+        with job.step("record"):
+            recording = _record(job, reference)
+        with job.step("estimate"):
+            log, found, comparison = _estimate(job, reference)
+        with job.step("validate"):
             prediction = predict_log(found.model, log)
-            met = conditions(log, prediction, recording)
-            result = _judge(recipe, reference, run, recording, found, comparison, met)
+            met = conditions(log, found.model, prediction) | temperatures(recording)
+            result = _result(job, reference, recording, found, comparison, met)
             rounds: list[Rounds] = []
 
             def with_further_motions() -> dict[str, Any]:
-                rounds.append(_further(reference.model, log, recipe, run, console, logs, authorisation))
+                rounds.append(_further(job, reference.model, log))
                 return {**rounds[0].last[0].result, **rounds[0].to_dict()}
 
             released = authorisation is not None and authorisation.document.new_motions is not None
@@ -154,7 +114,7 @@ def run_recalibration(
             result["diagnosis"] = diagnose_if_worse(reference.model, worse, [log], run, console, ask)
             current = current_run(logs, recipe.robot.name, run.state["serial"])
             result["current_model"] = run.path.name if result["accepted"] else current
-        with step(run, "report", console):
+        with job.step("report"):
             write_analysis(run.file("analysis.mcap"), log, prediction)
             run.write_json("result.json", result)
             run.write_json("comparison.json", comparison.to_dict())
@@ -168,12 +128,29 @@ def run_recalibration(
         runs = History(logs).runs(recipe.robot.name, run.state["serial"])
         watched = [line for one in watch(runs) for line in one.lines()]
         run.note(watch=watched)
-        refresh_index(logs, console)
+        outcome = job.end(result, recalibration_text(result, run.path))
     for line in watched:
         console.warn(line)
     if rounds and rounds[0].cut_short is not None:
         raise rounds[0].cut_short
-    return RecalibrationOutcome(run=run.path, result=result, ending=ending_text(run, recipe))
+    return outcome
+
+
+def recalibration_text(result: dict[str, Any], run: Path) -> str:
+    """A few lines about a recalibration."""
+    validation = result["validation"]
+    keys = ("joints", "normalised_rmse", "rmse", "normalised_rmse_before", "rmse_before", "units")
+    axes = [
+        f"{name} {error_text(share, torque, unit)} (was {error_text(share_before, torque_before, unit)})"
+        for name, share, torque, share_before, torque_before, unit in zip(*(validation[k] for k in keys), strict=True)
+    ]
+    rows = ["  ".join(axes[k : k + 3]) for k in range(0, len(axes), 3)]
+    word = outcome_text(result["accepted"], result["reason"], result["gate"]["not_judged"], validation["joints"])
+    lines = ["prediction error    " + f"\n{'':20}".join(rows), f"change              {result['comparison']}"]
+    if result["diagnosis"]:
+        lines.append(f"diagnosis           {result['diagnosis']['summary']}")
+    lines += [f"compared with       {result['reference']}", f"result              {word}"]
+    return "\n".join([*lines, f"report              {run}/report.html"])
 
 
 def last_accepted(recipe: Recipe, logs: Path, now: datetime) -> PastRun:
@@ -276,87 +253,62 @@ def _same_target(one: Target, other: Target) -> bool:
     return there.shape == here.shape and bool(np.all(np.abs(there - here) <= _SAME))
 
 
-def _record(
-    recipe: Recipe,
-    reference: Reference,
-    run: RunFolder,
-    console: Console,
-    yes: bool,
-    logs: Path,
-    allowed: Authorisation | None,
-) -> Recording:
-    loop, known = reference.loop, reference.past.serial
-    with open_link(recipe, console, yes, logs, allowed) as link:
+def _record(job: Job, reference: Reference) -> Recording:
+    loop, known, suffix = reference.loop, reference.past.serial, job.recipe.dialect.suffix
+    with open_link(job.recipe, job.console, job.yes, job.logs, job.allowed) as link:
         here = link.identity.serial
         if known and known != here:
             raise ControllerError(
                 f"{link.address}: this machine has serial {here}; the last accepted model is of {known}, another one "
                 "of the same type. Calibrate this one first: `agent calibrate`"
             )
-        run.note(serial=here)
-        if allowed is not None and (soon := allowed.ends_soon()):
-            console.warn(soon)
-        suffix = recipe.dialect.suffix
-        run.write_text(f"program{suffix}", loop.program)
+        job.run.note(serial=here)
+        if job.allowed is not None and (soon := job.allowed.ends_soon()):
+            job.console.warn(soon)
+        job.run.write_text(f"program{suffix}", loop.program)
         what, path = f"the stored loop {loop.checksum[:12]}", f"{loop.program_name}{suffix}"
-        return record_program(link, run, recipe, console, loop.program, path, "excitation", EXCITATION, what)
+        return job.record_program(link, loop.program, path, "excitation", EXCITATION, what)
 
 
-def _further(
-    model: IdentifiedModel,
-    log: Log,
-    recipe: Recipe,
-    run: RunFolder,
-    console: Console,
-    logs: Path,
-    allowed: Authorisation | None,
-) -> Rounds:
+def _further(job: Job, model: IdentifiedModel, log: Log) -> Rounds:
     """Diagnose with further motions, as far as the authorisation releases them."""
 
     def find(further: Sequence[Path]) -> Found:
         return diagnose(model.robot, [log, *(read_log(path, model.robot) for path in further)], model), [], None
 
-    assert allowed is not None
-    assert allowed.document.new_motions is not None
-    return until_sure(find, [], recipe, run, console, logs, False, allowed.document.new_motions.duration, allowed)
+    assert job.allowed is not None
+    assert job.allowed.document.new_motions is not None
+    return until_sure(find, [], replace(job, yes=False), job.allowed.document.new_motions.duration)
 
 
-def _estimate(recipe: Recipe, reference: Reference, run: RunFolder, console: Console) -> tuple[Log, Refit, Comparison]:
-    what = recipe.recalibrate.parameters
-    console.step("estimating friction again" if what == "friction" else "estimating all parameters again")
-    (log,) = read_logs([run.file(EXCITATION)], recipe.robot, console)
-    check_run(recipe.robot, [log], reference.model, console)
+def _estimate(job: Job, reference: Reference) -> tuple[Log, Refit, Comparison]:
+    recipe, run, what = job.recipe, job.run, job.recipe.recalibrate.parameters
+    job.console.step("estimating friction again" if what == "friction" else "estimating all parameters again")
+    (log,) = read_logs([run.file(EXCITATION)], recipe.robot, job.console)
+    check_run(recipe.robot, [log], reference.model, job.console)
     found = refit(reference.model, [log], what, recipe.tool)
     found.model.save(run.file("model.json"))
     run.note(model_sha256=sha256_file(run.file("model.json")))
     return log, found, compare_models(reference.model, found.model, log, reference.run, run.path.name)
 
 
-def _judge(
-    recipe: Recipe,
-    reference: Reference,
-    run: RunFolder,
-    recording: Recording,
-    found: Refit,
-    comparison: Comparison,
-    met: dict[str, Any],
+def _result(
+    job: Job, reference: Reference, recording: Recording, found: Refit, comparison: Comparison, met: dict[str, Any]
 ) -> dict[str, Any]:
-    """The content of `result.json`, with the gate's decision and the reason for a rejection."""
+    """The document `recalibration/1`, with the gate's decision and the reason for a rejection."""
+    recipe, loop = job.recipe, reference.loop
     faults = gate_faults(recipe.gate.normalised_rmse, reference.model, found, met, comparison)
     nominal = found.model.robot.nominal_torque
     moved = [change.name for change in comparison.parameters if change.moved]
     return {
         "schema": "recalibration/1",
         "robot": recipe.robot.name,
-        "serial": run.state["serial"],
+        "serial": job.run.state["serial"],
         "reference": reference.run,
         "parameters": recipe.recalibrate.parameters,
         "accepted": not faults,
         "reason": "; ".join(faults),
-        "gate": {
-            "normalised_rmse": recipe.gate.normalised_rmse,
-            "not_judged": list(without_nominal(recipe.robot)),
-        },
+        "gate": gate_figures(recipe),
         "validation": {
             "joints": list(recipe.robot.joint_names),
             "units": list(torque_units(recipe.robot)),
@@ -371,13 +323,12 @@ def _judge(
             + (f": {', '.join(moved)}" if moved else "")
         ),
         "loop": {
-            "created": reference.loop.created,
-            "fitness": reference.loop.fitness,
-            "via_points": np.array(reference.loop.poses)[:, :3, 3],
+            "created": loop.created,
+            "fitness": loop.fitness,
+            "via_points": np.array(loop.poses)[:, :3, 3],
         },
         "conditions": met,
-        "recordings": [asdict(RecordingFigures.of(recording))],
-        "provenance": provenance(run.path, run.state, [recording.path]),
+        **recorded(job.run, [recording]),
     }
 
 
@@ -393,11 +344,8 @@ def gate_faults(
     met : the run's conditions, with the friction found.
     """
     robot = found.model.robot
-    figures = found.held_out / robot.nominal_torque
-    faults = [
-        f"{robot.joint_names[k]}: prediction error {100 * figures[k]:.2f} %, the gate is {100 * gate:.2f} %"
-        for k in np.flatnonzero(figures > gate)
-    ]
+    _, reason = judge(gate, robot.joint_names, found.held_out / robot.nominal_torque, without_nominal(robot))
+    faults = [reason] if reason else []
     for name in worse_joints(last, found.held_out):
         k = robot.joint_names.index(name)
         faults.append(

@@ -16,7 +16,7 @@ from agent.link import plan_statements
 from agent.model import IdentifiedModel, standstill_speed
 from agent.pipeline.ending import next_steps, whose
 from agent.pipeline.identify import read_logs
-from agent.pipeline.plan import left_over, motion_data
+from agent.pipeline.plan import Plan, shown_loop
 from agent.recipe import Recipe
 from agent.recording import FILTERED, PREDICTED, RESIDUAL, Log, write_log
 from agent.report import (
@@ -24,20 +24,24 @@ from agent.report import (
     IndexData,
     LogHealth,
     NextStep,
+    RunContent,
     RunData,
+    ShownLoop,
     comparison_page,
     comparison_section,
     diagnosis_summary,
     friction_section,
+    further_sections,
     index_page,
     log_section,
     observation_section,
     recalibration_report,
     residual_section,
+    run_report,
     torque_plot,
 )
 from agent.runs import History, RunFolder, current_runs, last_accepted, parameter_trends, watch
-from agent.validation import Comparison, Prediction, compare_models, predict_log
+from agent.validation import Comparison, Prediction, compare_models, pooled_rmse, predict_log
 
 #: A joint is worse if its error exceeds this multiple of that at the model's own calibration, plus this share of
 #: nominal torque.
@@ -116,6 +120,48 @@ def about_run(kind: str, recipe: Recipe, result: dict[str, Any], run: Path) -> A
     return About(asked=_ASKED[kind], next=[NextStep(what, command) for command, what in steps], identity=identity)
 
 
+def calibration_page(
+    recipe: Recipe,
+    plan: Plan,
+    result: dict[str, Any],
+    model: IdentifiedModel,
+    predictions: Sequence[Prediction],
+    health: Sequence[LogHealth],
+    run: Path,
+) -> str:
+    """HTML of the report of a calibration in its folder; `health` is that of the validation logs."""
+    paths = [motion.loop.trajectory.tcp for motion in plan.validation]
+    content = RunContent(run, recipe, model, predictions, health)
+    log = content.excitation
+    return run_report(
+        RunData(
+            result=result,
+            about=about_run("calibrate", recipe, result, run),
+            loop=_coloured(shown_loop(recipe, plan.excitation), log, predict_log(model, log.middle_part())),
+            search=plan.search,
+            model=model,
+            rmse=np.array([p.rmse(moving=True) for p in predictions]),
+            prediction=torque_plot(typical_motion(predictions), pooled_rmse(predictions)),
+            further=further_sections(content),
+            validation_paths=np.array([_thinned(path) for path in paths]),
+        )
+    )
+
+
+def _thinned(poses: np.ndarray, points: int = 120) -> np.ndarray:
+    """(points, 3) positions of poses (S, 4, 4), evenly chosen."""
+    return poses[np.linspace(0, len(poses) - 1, points).round().astype(int), :3, 3]
+
+
+def typical_motion(predictions: Sequence[Prediction]) -> Prediction:
+    """The motion of median error, for the plot."""
+    rmse = np.array([p.rmse(moving=True) for p in predictions])
+    nominal = predictions[0].model.robot.nominal_torque
+    usual = np.maximum(np.nanmedian(rmse, axis=0), 1e-300)
+    worst = np.nanmax(rmse / np.where(np.isfinite(nominal), nominal, usual), axis=1)
+    return predictions[int(np.argsort(worst)[len(worst) // 2])]
+
+
 def recalibration_page(
     recipe: Recipe,
     program: str,
@@ -128,7 +174,7 @@ def recalibration_page(
     """HTML of a recalibration's report; `program` is the text of the loop, `prediction` is of its `log` in `run`."""
     model = prediction.model
     *_, cycle = plan_statements(recipe, program, "program", log.position[0])[1]
-    motion = motion_data(recipe, cycle, np.array(result["loop"]["via_points"]), len(log.cycle_starts))
+    loop = ShownLoop(recipe, cycle, np.array(result["loop"]["via_points"]), len(log.cycle_starts))
     ends = [*log.cycle_starts, float(log.t[-1])] if log.cycle_starts else [0.0, float(log.t[-1])]
     cycles = [slice(*np.searchsorted(prediction.time, pair)) for pair in pairwise(ends)]
     # confidence bounds need a regressor for every sample, so they are computed for the cycle that is shown
@@ -137,10 +183,9 @@ def recalibration_page(
         RunData(
             result=result,
             about=about_run("recalibrate", recipe, result, run),
-            motion=left_over(motion, log, prediction),
-            parameter_rows=model.rows(),
+            loop=_coloured(loop, log, prediction),
+            model=model,
             rmse=np.array([_rmse(prediction, part) for part in cycles if _moves(prediction)[part].any()]),
-            nominal=model.robot.nominal_torque,
             prediction=torque_plot(shown, prediction.rmse(moving=True), *log.middle_cycle()),
             further=(
                 comparison_section(comparison),
@@ -151,6 +196,18 @@ def recalibration_page(
             ),
         )
     )
+
+
+def _coloured(loop: ShownLoop, log: Log, prediction: Prediction) -> ShownLoop:
+    """With the error of the worst joint at each time of a cycle, in % of nominal torque if all joints have one."""
+    start, stop = log.middle_cycle()
+    nominal = prediction.model.robot.nominal_torque
+    shares = bool(np.isfinite(nominal).all())
+    worst = np.abs(100 * prediction.error / nominal if shares else prediction.error).max(axis=1)
+    inside = (prediction.time >= start) & (prediction.time <= stop)
+    time = np.linspace(0.0, loop.duration, len(loop.cycle.t))
+    left = np.interp(time, prediction.time[inside] - start, worst[inside])
+    return replace(loop, left=left, left_unit="% of nominal torque" if shares else "N·m")
 
 
 def write_analysis(path: Path, log: Log, prediction: Prediction) -> None:

@@ -1,10 +1,8 @@
-"""What a run found: the content of `result.json`, the conditions of the run, and the page of a calibration."""
+"""What a run found: the content of `result.json`, and the conditions of the run."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from pathlib import Path
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,168 +11,90 @@ from agent.core import sha256_file
 from agent.estimation import conditional_covariance
 from agent.link import Recording
 from agent.model import ODD, IdentifiedModel, steady_columns
-from agent.pipeline.plan import Plan, planned_motion_data, search_data, with_residual
-from agent.pipeline.reports import about_run
+from agent.pipeline.plan import Plan, shown_loop
 from agent.recipe import Recipe
 from agent.recording import Log
-from agent.report import LogHealth, RunContent, RunData, further_sections, run_report, torque_plot
 from agent.robot import axle_motion, torque_units, without_nominal
-from agent.validation import Prediction, pooled_rmse, summary
+from agent.runs import RunFolder
+from agent.validation import Prediction, pooled_rmse, predict_log, summary
 
 #: Friction is compared at these shares of the highest speed of the axle in the loop.
 SHARES = (0.15, 0.6)
 _FEWEST_CYCLES = 3
 
 
-@dataclass(frozen=True)
-class GateFigures:
-    """The gate, and the joints that have no nominal torque and are not judged by it."""
-
-    normalised_rmse: float
-    not_judged: list[str]
-
-
-@dataclass(frozen=True)
-class SearchFigures:
-    """How the loop was found; `fitness` is log10 det(HᵀH/M), `motion` a line about the loop."""
-
-    method: str
-    seed: int
-    fitness: float
-    evaluations: int
-    motion: str
-
-
-@dataclass(frozen=True)
-class EstimationFigures:
-    """How the model was fitted."""
-
-    method: str
-    cutoff_hz: float
-    parameters: int
-    base_parameters: int
-    condition_number: float
-    notes: list[str]
-
-
-@dataclass(frozen=True, eq=False)
-class ValidationFigures:
-    """Prediction of unseen motions at `speed` [m/s]; (n,) `rmse` in `units`, of samples where the arm moves.
-
-    `normalised_rmse` (n,) is not a number where a joint has no nominal torque. The last two count standstill too.
-    """
-
-    motions: int
-    speed: float
-    joints: list[str]
-    units: list[str]
-    rmse: np.ndarray
-    normalised_rmse: np.ndarray
-    normalised_rmse_all_samples: list[float | None]
-    relative_error_all_joints: float | None
-
-
-@dataclass(frozen=True)
-class RecordingFigures:
-    """One log of the run: samples, those that never came, and its length [s]."""
-
-    log: str
-    samples: int
-    lost: int
-    duration: float
-
-    @classmethod
-    def of(cls, recording: Recording) -> RecordingFigures:
-        """What a result says of it."""
-        return cls(recording.path.name, recording.samples, recording.lost, recording.duration)
-
-
-@dataclass(frozen=True, eq=False)
-class CalibrationResult:
-    """The content of `result.json`.
-
-    Attributes
-    ----------
-    accepted, reason : the gate's decision (None: it could judge no joint), and why not.
-    conditions : those of the excitation.
-    reference : the last accepted run of the same loop.
-    diagnosis : why its model predicts worse now, if it does.
-    current_model : the run whose model is the robot's current one.
-    """
-
-    robot: str
-    accepted: bool | None
-    reason: str
-    gate: GateFigures
-    search: SearchFigures
-    estimation: EstimationFigures
-    validation: ValidationFigures
-    recordings: list[RecordingFigures]
-    provenance: dict[str, str]
-    serial: str
-    conditions: dict[str, Any]
-    reference: str
-    diagnosis: dict[str, Any] | None
-    current_model: str | None = None
-
-    @property
-    def rejected(self) -> bool:
-        """Whether the gate rejected the model."""
-        return self.accepted is False
-
-    def to_dict(self) -> dict[str, Any]:
-        """The document `calibration/1`."""
-        return {"schema": "calibration/1", **asdict(self)}
-
-
-def build_result(
+def calibration_result(
     recipe: Recipe,
+    run: RunFolder,
     plan: Plan,
     recordings: Sequence[Recording],
     model: IdentifiedModel,
     predictions: Sequence[Prediction],
-    **further: Any,
-) -> CalibrationResult:
-    """The result with the gate's decision on moving samples of all motions; `further` fields are known elsewhere."""
+    met: dict[str, Any],
+) -> dict[str, Any]:
+    """The document `calibration/1`, with the gate's decision on moving samples of all motions.
+
+    `met` are the conditions of the excitation. To come: the comparison with earlier runs, and the current model.
+    """
     overall = summary(predictions).overall
-    moving = pooled_rmse(predictions)
-    figures = moving / model.robot.nominal_torque
-    gate = recipe.gate.normalised_rmse
-    not_judged = without_nominal(model.robot)
-    accepted, reason = judge(gate, model.robot.joint_names, figures, not_judged)
-    return CalibrationResult(
-        robot=recipe.robot.name,
-        accepted=accepted,
-        reason=reason,
-        gate=GateFigures(gate, list(not_judged)),
-        search=SearchFigures(
-            method=recipe.search.method,
-            seed=recipe.search.seed,
-            fitness=plan.search["fitness"],
-            evaluations=plan.search["evaluated"],
-            motion=planned_motion_data(recipe, plan.excitation).description[0],
-        ),
-        estimation=EstimationFigures(
-            method=model.method,
-            cutoff_hz=model.cutoff,
-            parameters=len(model.values),
-            base_parameters=len(model.base_values),
-            condition_number=model.condition_number,
-            notes=list(model.notes),
-        ),
-        validation=ValidationFigures(
-            motions=len(predictions),
-            speed=recipe.validate.speed,
-            joints=list(recipe.robot.joint_names),
-            units=list(torque_units(recipe.robot)),
-            rmse=moving,
-            normalised_rmse=figures,
-            normalised_rmse_all_samples=list(overall.normalised_rmse),
-            relative_error_all_joints=overall.relative_error_all_joints,
-        ),
-        recordings=[RecordingFigures.of(recording) for recording in recordings],
-        **further,
-    )
+    rmse = pooled_rmse(predictions)
+    shares = rmse / model.robot.nominal_torque
+    accepted, reason = judge(recipe.gate.normalised_rmse, model.robot.joint_names, shares, without_nominal(model.robot))
+    return {
+        "schema": "calibration/1",
+        "robot": recipe.robot.name,
+        "accepted": accepted,
+        "reason": reason,
+        "gate": gate_figures(recipe),
+        "search": {
+            "method": recipe.search.method,
+            "seed": recipe.search.seed,
+            "fitness": plan.search["fitness"],
+            "evaluations": plan.search["evaluated"],
+            "motion": shown_loop(recipe, plan.excitation).description,
+        },
+        "estimation": {
+            "method": model.method,
+            "cutoff_hz": model.cutoff,
+            "parameters": len(model.values),
+            "base_parameters": len(model.base_values),
+            "condition_number": model.condition_number,
+            "notes": list(model.notes),
+        },
+        "validation": {
+            "motions": len(predictions),
+            "speed": recipe.validate.speed,
+            "joints": list(recipe.robot.joint_names),
+            "units": list(torque_units(recipe.robot)),
+            "rmse": rmse,
+            "normalised_rmse": shares,
+            "normalised_rmse_all_samples": list(overall.normalised_rmse),
+            "relative_error_all_joints": overall.relative_error_all_joints,
+        },
+        **recorded(run, recordings),
+        "serial": run.state["serial"],
+        "conditions": met,
+    }
+
+
+def gate_figures(recipe: Recipe) -> dict[str, Any]:
+    """The gate, and the joints that have no nominal torque and are not judged by it."""
+    return {"normalised_rmse": recipe.gate.normalised_rmse, "not_judged": list(without_nominal(recipe.robot))}
+
+
+def recorded(run: RunFolder, recordings: Sequence[Recording]) -> dict[str, Any]:
+    """`recordings`, one per log with its length [s], and `provenance`: versions and SHA-256 of all that went in."""
+    state = run.state
+    sources = {f"version of {name}": version for name, version in state["versions"].items()}
+    sources |= {f"SHA-256 of {name}": value for name, value in state["inputs_sha256"].items()}
+    sources |= {f"SHA-256 of {one.path.name}": sha256_file(one.path) for one in recordings}
+    return {
+        "recordings": [
+            {"log": one.path.name, "samples": one.samples, "lost": one.lost, "duration": one.duration}
+            for one in recordings
+        ],
+        "provenance": {"run": run.path.name, "started": state["started"], **sources},
+    }
 
 
 def judge(
@@ -189,117 +109,65 @@ def judge(
     return (None if len(not_judged) == len(joints) else not broken), "; ".join(broken)
 
 
-def calibration_page(
-    recipe: Recipe,
-    plan: Plan,
-    result: dict[str, Any],
-    model: IdentifiedModel,
-    predictions: Sequence[Prediction],
-    health: Sequence[LogHealth],
-    run: Path,
-) -> str:
-    """HTML of the report of a calibration in its folder; `health` is that of the validation logs."""
-    paths = [motion.loop.trajectory.tcp for motion in plan.validation]
-    return run_report(
-        RunData(
-            result=result,
-            about=about_run("calibrate", recipe, result, run),
-            motion=with_residual(planned_motion_data(recipe, plan.excitation), model, run / "excitation.mcap"),
-            search=search_data(plan.search),
-            parameter_rows=model.rows(),
-            rmse=np.array([p.rmse(moving=True) for p in predictions]),
-            nominal=model.robot.nominal_torque,
-            prediction=torque_plot(typical_motion(predictions), pooled_rmse(predictions)),
-            further=further_sections(RunContent(run, recipe, model, predictions, health)),
-            validation_paths=np.array([_thinned(path) for path in paths]),
-        )
-    )
+def conditions(log: Log, model: IdentifiedModel, prediction: Prediction | None = None) -> dict[str, Any]:
+    """`conditions` of `result.json`, of the excitation `log`: its cycles, its length [s], and friction.
 
-
-def _thinned(poses: np.ndarray, points: int = 120) -> np.ndarray:
-    """(points, 3) positions of poses (S, 4, 4), evenly chosen."""
-    return poses[np.linspace(0, len(poses) - 1, points).round().astype(int), :3, 3]
-
-
-def typical_motion(predictions: Sequence[Prediction]) -> Prediction:
-    """The motion of median error, for the plot."""
-    rmse = np.array([p.rmse(moving=True) for p in predictions])
-    nominal = predictions[0].model.robot.nominal_torque
-    usual = np.maximum(np.nanmedian(rmse, axis=0), 1e-300)
-    worst = np.nanmax(rmse / np.where(np.isfinite(nominal), nominal, usual), axis=1)
-    return predictions[int(np.argsort(worst)[len(worst) // 2])]
-
-
-def provenance(run_path: Path, state: dict[str, Any], logs: Sequence[Path]) -> dict[str, str]:
-    """Versions and SHA-256 of everything that went into a run, as names and text."""
-    entries = {f"version of {name}": version for name, version in state["versions"].items()}
-    entries |= {f"SHA-256 of {name}": value for name, value in state["inputs_sha256"].items()}
-    entries |= {f"SHA-256 of {path.name}": sha256_file(path) for path in logs}
-    return {"run": run_path.name, "started": state["started"], **entries}
-
-
-@dataclass(frozen=True)
-class Level:
-    """Friction torque [N·m] of an axle turning forward at a steady `speed` [rad/s], with its standard deviations.
-
-    `from_run_to_run` leaves out the error of base parameters kept from an earlier model, as all such runs share it.
+    `friction` has one entry per axle and speed, as `_levels` says. `warm_up` has, by axle, the relative change of
+    friction per second of motion and its deviation; without a `prediction` of the log, one is made where it is needed.
     """
-
-    joint: str
-    speed: float
-    value: float
-    standard_deviation: float
-    from_run_to_run: float
-
-
-@dataclass(frozen=True, eq=False)
-class WarmUp:
-    """Relative change of friction per second of motion (n,) and its deviation (n,); NaN where cycles are too few."""
-
-    rate: np.ndarray
-    deviation: np.ndarray
+    n, cycles = model.robot.dof, len(log.cycle_starts)
+    rate = deviation = np.full(n, np.nan)
+    if cycles >= _FEWEST_CYCLES:
+        rate, deviation = _warm_up(log, prediction or predict_log(model, log))
+    return {
+        "cycles": cycles,
+        "motion_s": float(log.t[-1] - log.t[0]),
+        "warm_up": {"rate_per_s": rate.tolist(), "standard_deviation": deviation.tolist()},
+        "nominal_torque": [float(v) if np.isfinite(v) else None for v in model.robot.nominal_torque],
+        "friction": list(_levels(log, model)),
+    }
 
 
-def friction_levels(model: IdentifiedModel, top_speed: np.ndarray) -> list[Level]:
-    """Friction of every axle at the `SHARES` of its `top_speed` (n,) [rad/s].
+def temperatures(recording: Recording) -> dict[str, Any]:
+    """Motor temperatures [°C] at both ends of a recording, as one of its conditions; None where none were reported."""
+    return {"temperatures_c": dict(zip(("first", "last"), recording.temperatures, strict=False)) or None}
 
-    Single friction parameters are correlated; friction at a speed that the axle reached is well determined.
+
+def _levels(log: Log, model: IdentifiedModel) -> Iterator[dict[str, Any]]:
+    """Friction torque [N·m] of every axle turning forward at the `SHARES` of its highest `speed` [rad/s] in the log.
+
+    Single friction parameters are correlated; friction at a speed that the axle reached is well determined. With its
+    `standard_deviation`, and with that `from_run_to_run`, which leaves out the error of base parameters kept from an
+    earlier model, as all such runs share it.
     """
+    velocity = np.gradient(log.position, log.t, axis=0) if log.velocity is None else log.velocity
+    top_speed = np.quantile(np.abs(axle_motion(model.robot, velocity)), 0.99, axis=0)
     base = len(model.independent)
     between = conditional_covariance(model)
-    levels = []
     for axle, joint in enumerate(model.robot.joint_names):
         # an offset and an asymmetry are no friction level; load-dependent friction counts at no load
         own = np.array([term.axle == axle and term.form in ODD for term in model.terms], dtype=bool)
         speeds = np.array(SHARES) * float(top_speed[axle])
         turning = np.maximum(speeds, np.finfo(float).tiny)
         for speed, row in zip(speeds, steady_columns(model.terms, turning, sharp=True) * own, strict=True):
-            deviation = np.sqrt(max(row @ model.covariance[base:, base:] @ row, 0.0))
-            between_runs = np.sqrt(max(row @ between @ row, 0.0))
-            level = float(row @ model.friction_values)
-            levels.append(Level(joint, float(speed), level, float(deviation), float(between_runs)))
-    return levels
+            yield {
+                "joint": joint,
+                "speed": float(speed),
+                "value": float(row @ model.friction_values),
+                "standard_deviation": float(np.sqrt(max(row @ model.covariance[base:, base:] @ row, 0.0))),
+                "from_run_to_run": float(np.sqrt(max(row @ between @ row, 0.0))),
+            }
 
 
-def top_speed(log: Log, model: IdentifiedModel) -> np.ndarray:
-    """(n,) speed [rad/s] of each axle in a log: the 99 % quantile."""
-    speed = np.gradient(log.position, log.t, axis=0) if log.velocity is None else log.velocity
-    return np.quantile(np.abs(axle_motion(model.robot, speed)), 0.99, axis=0)
-
-
-def warm_up(log: Log, prediction: Prediction) -> WarmUp:
-    """Rate of change of friction while the arm moved, relative to the model.
+def _warm_up(log: Log, prediction: Prediction) -> tuple[np.ndarray, np.ndarray]:
+    """Rate of change of friction while the arm moved, relative to the model, (n,) [1/s], and its deviation.
 
     The scale of a cycle is <F, F + e> / <F, F> with the model's friction torque F and the residual e; the rate is the
-    slope of a straight line through the cycles.
+    slope of a straight line through the cycles, NaN where too few are whole.
     """
-    n = prediction.model.robot.dof
-    nothing = np.full(n, np.nan)
     starts = np.asarray(log.cycle_starts, dtype=float)
-    if len(starts) < _FEWEST_CYCLES:
-        return WarmUp(nothing, nothing)
     length = float(np.median(np.diff(starts)))
-    numerator, denominator = np.zeros((len(starts), n)), np.zeros((len(starts), n))
+    numerator, denominator = np.zeros((2, len(starts), prediction.model.robot.dof))
     for cycle, start in enumerate(starts):
         inside = slice(*np.searchsorted(prediction.time, (start, start + length)))
         force = prediction.friction[inside]
@@ -307,24 +175,10 @@ def warm_up(log: Log, prediction: Prediction) -> WarmUp:
         numerator[cycle], denominator[cycle] = np.sum(force * error, axis=0), np.sum(force**2, axis=0)
     whole = np.all(denominator > 0, axis=1)
     if whole.sum() < _FEWEST_CYCLES:
-        return WarmUp(nothing, nothing)
+        nothing = np.full(numerator.shape[1], np.nan)
+        return nothing, nothing
     scale = numerator[whole] / denominator[whole]
     time = starts[whole] - starts[whole].mean()
     rate = time @ scale / (time @ time)
     left = scale - scale.mean(axis=0) - np.outer(time, rate)
-    deviation = np.sqrt(np.sum(left**2, axis=0) / max(1, len(time) - 2) / (time @ time))
-    return WarmUp(rate, deviation)
-
-
-def conditions(log: Log, prediction: Prediction, recording: Recording) -> dict[str, Any]:
-    """`conditions` of `result.json`: of the excitation `log`, with its prediction and how it was recorded."""
-    model = prediction.model
-    found = warm_up(log, prediction)
-    return {
-        "cycles": len(log.cycle_starts),
-        "motion_s": float(log.t[-1] - log.t[0]),
-        "temperatures_c": dict(zip(("first", "last"), recording.temperatures, strict=False)) or None,
-        "warm_up": {"rate_per_s": found.rate.tolist(), "standard_deviation": found.deviation.tolist()},
-        "nominal_torque": [float(v) if np.isfinite(v) else None for v in model.robot.nominal_torque],
-        "friction": [level.__dict__ for level in friction_levels(model, top_speed(log, model))],
-    }
+    return rate, np.sqrt(np.sum(left**2, axis=0) / max(1, len(time) - 2) / (time @ time))

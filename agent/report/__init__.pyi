@@ -1,6 +1,6 @@
 from .calibration.comparison import comparison_page as comparison_page, comparison_section as comparison_section
 from .calibration.friction import friction_section as friction_section
-from .calibration.motion import MotionData as MotionData, SearchData as SearchData, plan_report as plan_report
+from .calibration.motion import ShownLoop as ShownLoop, plan_report as plan_report
 from .calibration.pages import (
     RunData as RunData,
     recalibration_report as recalibration_report,
@@ -43,5 +43,4 @@ from .phrasing import (
     what as what,
 )
 from .plots import SERIES as SERIES, Panel as Panel, Plot as Plot, joint_series as joint_series
-from .scene import arm_along as arm_along
 from .stills import still as still

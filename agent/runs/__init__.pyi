@@ -47,6 +47,7 @@ from .trends import (
     PRACTICAL as PRACTICAL,
     Trend as Trend,
     Watch as Watch,
+    days_since_first as days_since_first,
     friction_trends as friction_trends,
     parameter_trends as parameter_trends,
     watch as watch,

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from datetime import datetime
 from functools import cached_property
 from typing import Any
 
@@ -186,25 +187,42 @@ def friction_trends(
     runs: tuple[str, ...],
     times: np.ndarray,
     joints: Sequence[str],
-    levels: Sequence[tuple[str, float]],
-    values: np.ndarray,
-    deviations: np.ndarray,
-    rates: np.ndarray,
-    rate_stds: np.ndarray,
+    friction: Sequence[Sequence[dict[str, Any]]],
+    warm_up: Sequence[dict[str, Any]],
 ) -> Iterator[Trend]:
     """Trends of one machine's friction; the caller decides which are significant.
 
     Parameters
     ----------
     runs, times: names of R runs of one program, and days since the first (R,).
-    joints, levels: names of the axles (n), and joint and speed [rad/s] of each level (K).
-    values, deviations, rates, rate_stds: as in `agent.runs.warm_up.warm_up_backgrounds`.
+    joints: names of the axles.
+    friction, warm_up: what the conditions of every run say of them; each has as many levels of friction as the latest.
     """
-    axles = [joints.index(joint) for joint, _ in levels]
-    for k, background in warm_up_backgrounds(axles, values, deviations, rates, rate_stds):
-        joint, speed = levels[k]
-        at = f" at {speed:.2g} rad/s"
-        yield Trend("friction", joint, "N·m", runs, times, values[:, k], deviations[:, k], background, at)
+    met = friction[-1]
+    axles = [joints.index(level["joint"]) for level in met]
+    values, deviations = (
+        np.array([[level[key] for level in levels] for levels in friction], dtype=float)
+        for key in ("value", "from_run_to_run")
+    )
+    rates = warm_up_rates(warm_up, len(joints))
+    for k, background in warm_up_backgrounds(axles, values, deviations, *rates):
+        at = f" at {met[k]['speed']:.2g} rad/s"
+        yield Trend("friction", met[k]["joint"], "N·m", runs, times, values[:, k], deviations[:, k], background, at)
+
+
+def warm_up_rates(warm_up: Sequence[dict[str, Any]], axles: int) -> list[np.ndarray]:
+    """Two arrays (R, n): relative change of friction per second while a run lasted, and its deviation; NaN where
+    unknown."""
+    columns = [[one.get(key, []) for one in warm_up] for key in ("rate_per_s", "standard_deviation")]
+    return [np.array([row if len(row) == axles else [None] * axles for row in rows], dtype=float) for rows in columns]
+
+
+def days_since_first(times: Sequence[datetime | None]) -> np.ndarray:
+    """(R,) days since the first of the times, in their order; run numbers where not all are known, or all are one."""
+    known = [time.timestamp() / _DAY for time in times if time is not None]
+    if len(known) < len(times) or not known or known[0] == known[-1]:
+        return np.arange(len(times), dtype=float)
+    return np.array(known) - known[0]
 
 
 def watch(runs: Sequence[PastRun]) -> list[Watch]:
@@ -226,7 +244,9 @@ def parameter_trends(runs: Sequence[PastRun], parameters: dict[str, list[PastPar
         return []
     tables = [{p.name: p for p in parameters.get(run.run, [])} for run in runs]
     names = [name for name in tables[-1] if all(name in table for table in tables)]
-    times, rate = _times(runs), Background(common_rate(*_rates(runs)))
+    warm_up = [run.data["conditions"].get("warm_up", {}) for run in runs]
+    rate = Background(common_rate(*warm_up_rates(warm_up, len(runs[-1].data["joints"]))))
+    times = days_since_first([run.time for run in runs])
     found = []
     for name in names:
         values = np.array([table[name].value for table in tables])
@@ -247,17 +267,13 @@ def _decide(trends: Sequence[Trend], series: int) -> None:
 
 
 def _watch(key: tuple[str, str, str], runs: list[PastRun]) -> Watch:
-    met = runs[-1].data["conditions"]["friction"]
-    runs = [run for run in runs if len(run.data["conditions"]["friction"]) == len(met)]
-    values, deviations = (
-        np.array([[level[key] for level in run.data["conditions"]["friction"]] for run in runs], dtype=float)
-        for key in ("value", "from_run_to_run")
-    )
-    names, times = tuple(run.run for run in runs), _times(runs)
-    levels = [(level["joint"], level["speed"]) for level in met]
-    joints = runs[-1].data["joints"]
-    trends = tuple(friction_trends(names, times, joints, levels, values, deviations, *_rates(runs)))
-    _decide(trends, len(levels))
+    levels = len(runs[-1].data["conditions"]["friction"])
+    runs = [run for run in runs if len(run.data["conditions"]["friction"]) == levels]
+    names, times = tuple(run.run for run in runs), days_since_first([run.time for run in runs])
+    met = [run.data["conditions"] for run in runs]
+    friction, warm_up = [one["friction"] for one in met], [one.get("warm_up", {}) for one in met]
+    trends = tuple(friction_trends(names, times, runs[-1].data["joints"], friction, warm_up))
+    _decide(trends, levels)
     return Watch(*key, trends, tuple(_warnings(runs, times, trends)))
 
 
@@ -300,21 +316,6 @@ def _errors(runs: Sequence[PastRun]) -> dict[str, np.ndarray]:
     """Normalised prediction error over the runs (R,), by joint; NaN where a run has none."""
     table = [dict(zip(run.data["joints"], run.data["normalised_rmse"], strict=True)) for run in runs]
     return {joint: np.array([row.get(joint) for row in table], dtype=float) for joint in runs[-1].data["joints"]}
-
-
-def _rates(runs: Sequence[PastRun]) -> list[np.ndarray]:
-    """Two arrays (R, n): relative change of friction per second while a run lasted, and its deviation; NaN where
-    unknown."""
-    n = len(runs[-1].data["joints"])
-    told = [run.data["conditions"].get("warm_up", {}) for run in runs]
-    columns = [[one.get(key, []) for one in told] for key in ("rate_per_s", "standard_deviation")]
-    return [np.array([row if len(row) == n else [None] * n for row in rows], dtype=float) for rows in columns]
-
-
-def _times(runs: Sequence[PastRun]) -> np.ndarray:
-    """(R,) days since the first; run numbers where all carry one time."""
-    stamps = np.array([run.time.timestamp() for run in runs]) / _DAY
-    return stamps - stamps[0] if np.ptp(stamps) > 0 else np.arange(len(runs), dtype=float)
 
 
 def _in(days: float) -> str:

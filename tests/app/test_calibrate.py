@@ -35,13 +35,35 @@ def score_of_the_truth(folder: Path) -> np.ndarray:
     return np.sqrt(np.mean(np.concatenate(errors) ** 2, axis=0)) / robot.nominal_torque
 
 
+#: What others read of `result.json`, in its order.
+DOCUMENT = """
+schema robot accepted reason gate normalised_rmse not_judged search method seed fitness evaluations motion
+estimation method cutoff_hz parameters base_parameters condition_number notes
+validation motions speed joints units rmse normalised_rmse normalised_rmse_all_samples relative_error_all_joints
+recordings log samples lost duration provenance serial conditions reference diagnosis current_model
+"""
+
+
+def keys(document: dict) -> list[str]:
+    """Keys of a document and of what lies in it, but not of what is named after files or measured by others."""
+    found = []
+    for key, value in document.items():
+        inner = value[0] if key == "recordings" else value
+        found += [key, *(keys(inner) if isinstance(inner, dict) and key not in ("provenance", "conditions") else ())]
+    return found
+
+
 def test_calibrates_the_emulated_robot_end_to_end(controller, write_recipe, run_agent, tmp_path: Path):
     recipe = write_recipe(controller.address)
     run = run_agent("calibrate", recipe)
     assert run.returncode == 0, run.stderr
     folder = tmp_path / run.stdout.strip()
     result = json.loads((folder / "result.json").read_text(encoding="utf-8"))
-    assert result["accepted"]
+    assert keys(result) == DOCUMENT.split()
+    assert result["accepted"] is True
+    assert result["gate"] == {"normalised_rmse": 0.03, "not_judged": []}
+    assert result["estimation"]["cutoff_hz"] == 30.0
+    assert result["validation"]["units"] == ["N·m"] * 6
     figures = np.array(result["validation"]["normalised_rmse"])
     assert figures.max() <= 0.02
     assert np.all(figures <= 1.3 * score_of_the_truth(folder))

@@ -14,10 +14,10 @@ from agent.core.console import Console
 from agent.model import CATALOGUE
 from agent.motion import Delay, write_program
 from agent.motion.pdl2.dialect import Pdl2
-from agent.pipeline.ending import step
 from agent.pipeline.gap import until_sure as module
 from agent.pipeline.gap.next_experiment import NextMotion, NoMotion, check_next, other_test
 from agent.pipeline.gap.until_sure import until_sure
+from agent.pipeline.job import Job
 from agent.recipe import load_recipe, template
 from agent.recording import PARTS, PLANNED_PARTS
 from agent.report.diagnosis.summary import planned_sections, rounds_sections
@@ -101,10 +101,10 @@ def ask(tmp_path: Path, monkeypatch):
         monkeypatch.setattr(module, "plan_next", plan)
         monkeypatch.setattr(module, "open_link", link)
         monkeypatch.setattr(module, "run_key", lambda recipe: {"loop": PROBLEM})
-        monkeypatch.setattr(module, "record_program", record)
+        monkeypatch.setattr(Job, "record_program", record)
         first = [tmp_path / "excitation.mcap"]
         job = load_recipe(write_atomically(recipe, template()))
-        found = until_sure(find, first, job, folder, Console(-1), tmp_path, True, budget, allowed)  # type: ignore[arg-type]
+        found = until_sure(find, first, Job(job, folder, Console(-1), True, allowed), budget)  # type: ignore[arg-type]
         return found, seen
 
     run.made = made = []
@@ -298,6 +298,7 @@ def test_a_run_with_a_failing_disk_still_reports_what_ended_it(tmp_path: Path, m
     run.note(kind="diagnose")
     ended = DriverError("the link dropped")
     monkeypatch.setattr(RunFolder, "_save", lambda self: (_ for _ in ()).throw(AgentError("no space left")))
-    with pytest.raises(DriverError) as raised, step(run, "rounds", Console(-1)):
+    job = Job(load_recipe(write_atomically(recipe, template())), run, Console(-1))
+    with pytest.raises(DriverError) as raised, job.step("rounds"):
         raise ended
     assert raised.value is ended

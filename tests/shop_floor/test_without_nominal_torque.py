@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from agent.core import error_text
-from agent.pipeline.calibrate import CalibrationOutcome
+from agent.pipeline.calibrate import calibration_text
 from agent.pipeline.reports import worse_joints
 from agent.pipeline.result import judge
 from agent.report.calibration.pages import _colour, _headline
@@ -57,8 +57,7 @@ def without(robot: RobotDescription, *names: str) -> RobotDescription:
     ],
 )
 def test_summary_and_headline_without_nominal_torque(shares, said):
-    typed = json.loads(json.dumps(result(*shares)), object_hook=lambda fields: SimpleNamespace(**fields))
-    text = CalibrationOutcome(Path("run"), typed, "").summary()
+    text = calibration_text(result(*shares), Path("run"))
     headline = _headline(result(*shares))
     for words in said:
         assert words in text

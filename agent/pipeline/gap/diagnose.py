@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from shutil import copyfile
 from typing import Any
@@ -22,21 +23,19 @@ from agent.diagnosis import (
 )
 from agent.experiment import Deadline
 from agent.model import CATALOGUE, IdentifiedModel, payload_of
-from agent.pipeline.ending import ending_text, step
 from agent.pipeline.gap.corrected_simulator import run_forward, write_simulator
 from agent.pipeline.gap.next_experiment import NoMotion, check_arm, check_tool, clearer_with_mass, plan_next, write_next
 from agent.pipeline.gap.next_steps import after_diagnosis
 from agent.pipeline.gap.question import GapQuestion, options_of
 from agent.pipeline.gap.until_sure import Found, Rounds, until_sure
 from agent.pipeline.identify import check_one_machine, check_plausible, load_arm, read_logs, say_used
+from agent.pipeline.job import Job, validation_logs
 from agent.pipeline.plan import plan_once
-from agent.pipeline.record_plan import record_plan, validation_logs
-from agent.pipeline.reports import refresh_index
 from agent.recipe import load_recipe
 from agent.recording import Log, read_log
 from agent.report import NextStep, diagnosis_report, summary
 from agent.robot import RobotDescription
-from agent.runs import RunFolder, approve, robot_lock
+from agent.runs import robot_lock
 from agent.simulators import SIMULATOR, Simulator, is_simulator, load_joint_map, load_simulator
 
 #: Copies in the run folder of the model to compare with and of the log with the drives off.
@@ -97,21 +96,21 @@ def diagnose_recording(
     few = min(loaded.validate.motions, _VALIDATION_MOTIONS)
     loaded = replace(loaded, validate=loaded.validate.model_copy(update={"motions": few}))
     with robot_lock(loaded.controller.driver, loaded.controller.address):
-        run = RunFolder.create(runs, loaded.robot.name, loaded.path)
-        run.note(kind="diagnose", robot_source=loaded.robot_source)
-        run.note(question={"cutoff": question.cutoff, "without": question.without, "budget": budget})
-        run.note(options=[*question.options(), *options_of(budget)])
-        approve(run, loaded)
+        asked = {"cutoff": question.cutoff, "without": question.without, "budget": budget}
+        options = [*question.options(), *options_of(budget)]
+        facts = {"robot_source": loaded.robot_source, "question": asked, "options": options}
+        job = Job.start("diagnose", loaded, console, runs, facts, yes)
+        run = job.run
         if reference is not None:
             run.write_text(_SIMULATOR, json.dumps(reference.to_dict(), allow_nan=False))
             question = replace(question, model=run.file(_SIMULATOR), joint_map=None)
         if question.drives_off is not None:
             question = replace(question, drives_off=Path(copyfile(question.drives_off, run.file(_DRIVES_OFF))))
         console.say(f"run {run.path}")
-        with step(run, "plan", console):
+        with job.step("plan"):
             plan = plan_once(loaded, run, console)
-        with step(run, "record", console):
-            recordings = record_plan(loaded, plan, run, console, runs, yes)
+        with job.step("record"):
+            recordings = job.record(plan)
         paths = [recording.path for recording in recordings]
 
         def answer(rounds: Rounds | None) -> dict[str, Any]:
@@ -134,11 +133,9 @@ def diagnose_recording(
         rounds = None
         if budget is not None:
             left = budget - sum(one.duration for one in recordings)
-            with step(run, "rounds", console):
-                rounds = until_sure(
-                    lambda logs: _find(loaded.robot, logs, question, console),
-                    paths, loaded, run, console, runs, yes, left, planning=question.planning_budget,
-                )  # fmt: skip
+            with job.step("rounds"):
+                find = partial(_find, loaded.robot, question=question, console=console)
+                rounds = until_sure(find, paths, job, left, question.planning_budget)
                 if rounds.cut_short is not None:
                     more = rounds.uncounted and f"; {rounds.uncounted.name} is recorded but not counted"
                     console.say(f"result of the earlier motions: {rounds.said}{more or ''}")
@@ -148,11 +145,11 @@ def diagnose_recording(
                     except AgentError as error:  # a full disk both cuts a motion short and prevents this
                         console.warn(f"the result could not be saved: {error}")
                     raise rounds.cut_short
-        with step(run, "diagnose", console):
+        with job.step("diagnose"):
             result = answer(rounds)
         run.complete(True)
-        refresh_index(runs, console)
-    console.say(f"{'page':20}{run.file('report.html')}\n{ending_text(run, loaded)}")
+        ended = job.end(result, f"{'page':20}{run.file('report.html')}")
+    console.say(ended.text)
     return result
 
 

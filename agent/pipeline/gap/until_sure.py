@@ -13,12 +13,11 @@ from agent.experiment import Deadline
 from agent.link import Recording, open_link
 from agent.pipeline.gap.next_experiment import LONGEST, NoMotion, plan_next
 from agent.pipeline.gap.question import SHORTEST
-from agent.pipeline.record_plan import record_program
-from agent.recipe import Recipe
+from agent.pipeline.job import Job
 from agent.recording import PARTS, PLANNED_PARTS
 from agent.report import in_short
-from agent.runs import RunFolder, run_key
-from agent.safety import FIRST_SPEED, Authorisation
+from agent.runs import run_key
+from agent.safety import FIRST_SPEED
 from agent.simulators import Simulator
 
 #: A diagnosis, its simulations, and the simulator's file that was read.
@@ -64,13 +63,8 @@ class Rounds:
 def until_sure(
     find: Callable[[Sequence[Path]], Found],
     logs: Sequence[Path],
-    recipe: Recipe,
-    run: RunFolder,
-    console: Console,
-    runs: Path,
-    yes: bool,
+    job: Job,
     budget: float,
-    allowed: Authorisation | None = None,
     planning: float = float("inf"),
 ) -> Rounds:
     """Record further motions into the run folder as `experiment_01.mcap`, … until the cause is settled.
@@ -81,14 +75,15 @@ def until_sure(
     Parameters
     ----------
     find : diagnosis of logs; all earlier ones count in every round.
+    job : where the motions lie; motions that it is allowed while nobody is there are as slow as a first run.
     budget : longest further motion [s].
-    allowed : permits motion while nobody is there; motions are then as slow as a first run.
     planning : longest time for planning each motion [s].
 
     Raises
     ------
     AgentError : the first logs cannot be diagnosed, or the recipe allows no motion.
     """
+    recipe, console, allowed = job.recipe, job.console, job.allowed
     rounds, moved, slow = Rounds([], [], find(logs), recipe.path), 0.0, recipe
     if allowed is not None:
         fastest = 0.98 * min(recipe.motion.speed, FIRST_SPEED, allowed.document.limits.speed)
@@ -103,14 +98,13 @@ def until_sure(
             if isinstance(motion, NoMotion):
                 end, rounds.other = motion.text, motion
                 break
-            program = run.write_text(f"{name}{recipe.dialect.suffix}", motion.text).name
+            program = job.run.write_text(f"{name}{recipe.dialect.suffix}", motion.text).name
             ran = replace(motion, brakes=False).to_dict(program)  # no log on the brakes was requested
             verdict = rounds.last[0].result["verdict"]
             rounds.asked.append({"after": verdict, **ran, "verdict": None, "causes": []})
             word = allowed and allowed.for_new_motion(run_key(recipe)["loop"], sha256_text(motion.text), moved)
-            with open_link(recipe, console, yes, runs, word, facts={PARTS: PLANNED_PARTS}) as link:
-                log = f"{name}.mcap"
-                recording = record_program(link, run, recipe, console, motion.text, program, "experiment", log, name)
+            with open_link(recipe, console, job.yes, job.logs, word, facts={PARTS: PLANNED_PARTS}) as link:
+                recording = job.record_program(link, motion.text, program, "experiment", f"{name}.mcap", name)
             moved += recording.duration
             rounds.last = find([*logs, *rounds.logs, recording.path])
             rounds.logs.append(recording.path)

@@ -2,109 +2,130 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from agent.report.page import Page, Section, render
 from agent.report.plots import SERIES, Panel, Plot, Series, joint_series
-from agent.report.scene import ArmPoses, Scene
+from agent.report.scene import Scene, arm_along
+from agent.safety import position_ranges
+
+if TYPE_CHECKING:
+    from agent.motion import Trajectory
+    from agent.recipe import Recipe
+
+#: Only each fifth sample of a cycle is shown over time.
+_EVERY = 5
 
 
 @dataclass(frozen=True, eq=False)
-class SearchData:
-    """How a loop was found: fitness, number of candidates, and over the generations best and mean (G,)."""
+class ShownLoop:
+    """One `cycle` of a recipe's loop through via_points (K, 3) [m], to be run `cycles` times.
 
-    fitness: float
-    evaluations: int
-    best: np.ndarray
-    mean: np.ndarray
-
-
-@dataclass(frozen=True, eq=False)
-class MotionData:
-    """A planned loop.
-
-    path (S, 3) of the TCP [m], via_points (K, 3), boxes {name: (min, max)} of sub-region and keep-out; of one cycle
-    t (S',) [s], speed (S',) [m/s], limit_use {kind: (S', n)} as fractions, the arm along it. `left` (S,) in
-    `left_unit`: the part of the torque on the way that a model leaves, of the worst joint.
+    `left` (S,) in `left_unit`: the part of the torque on the way that a model leaves, of the worst joint.
     """
 
-    robot: str
-    joints: tuple[str, ...]
-    description: Sequence[str]
-    path: np.ndarray
+    recipe: Recipe
+    cycle: Trajectory
     via_points: np.ndarray
-    boxes: dict[str, tuple[np.ndarray, np.ndarray]]
-    t: np.ndarray
-    speed: np.ndarray
-    programmed_speed: float
-    limit_use: dict[str, np.ndarray]
-    arm: ArmPoses
+    cycles: int
     left: np.ndarray | None = None
     left_unit: str = ""
 
+    @property
+    def duration(self) -> float:
+        """[s], to the last sample that is shown."""
+        return float(self.cycle.t[::_EVERY][-1])
 
-def motion_section(data: MotionData) -> Section:
+    @property
+    def description(self) -> str:
+        """One sentence."""
+        motion, cycle = self.recipe.motion, self.cycle
+        binding = sorted({limit.limit for limit in cycle.binding})
+        slowed = f"; slowed down by {', '.join(binding)}" if binding else ""
+        return (
+            f"{len(self.via_points)} via-points, {cycle.duration:.1f} s a cycle, {self.cycles} cycles at "
+            f"{motion.speed:g} m/s, {motion.settings.blend}{slowed}."
+        )
+
+    @property
+    def limit_use(self) -> dict[str, np.ndarray]:
+        """{kind: (S', n)} share of each joint limit that is used."""
+        robot, cycle = self.recipe.robot, self.cycle
+        lower, upper = position_ranges(robot, self.recipe.cell.joint_ranges)
+        bounded = np.isfinite(lower) & np.isfinite(upper)
+        centre, half = np.zeros(robot.dof), np.full(robot.dof, np.inf)
+        centre[bounded], half[bounded] = (lower + upper)[bounded] / 2, (upper - lower)[bounded] / 2
+        return {
+            "position": np.abs(cycle.q - centre)[::_EVERY] / half,
+            "speed": np.abs(cycle.qd)[::_EVERY] / robot.max_velocity,
+            "acceleration": np.abs(cycle.qdd)[::_EVERY] / robot.max_acceleration,
+        }
+
+    @property
+    def boxes(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+        """Opposite corners of the regions for via-points and of the keep-out boxes."""
+        via, keep_out = self.recipe.motion.via_points, self.recipe.cell.keep_out
+        boxes = {f"keep-out: {box.name}": (np.array(box.minimum), np.array(box.maximum)) for box in keep_out}
+        points = [(np.array(point.pose[:3]), np.array(point.range[:3])) for point in via.points or ()]
+        regions = {f"region {number}": point for number, point in enumerate(points, 1)}
+        if via.box is not None:
+            regions["sub-region"] = (np.array(via.box.centre), np.array(via.box.size) / 2)
+        return boxes | {name: (middle - spread, middle + spread) for name, (middle, spread) in regions.items()}
+
+
+def motion_section(loop: ShownLoop) -> Section:
     """Path, speed, use of the limits."""
-    every = slice(None, None, max(1, len(data.path) // 400))
+    recipe, cycle, use = loop.recipe, loop.cycle, loop.limit_use
+    path, t = cycle.tcp[:, :3, 3], cycle.t[::_EVERY]
+    every = slice(None, None, max(1, len(path) // 400))
     scene = Scene(
         "path",
         "The arm on its loop with the via-points, base frame (the paper's Fig. 4b)"
-        + ("." if data.left is None else "; the loop is coloured by what the model leaves there."),
-        lines={"loop": data.path[every]},
-        points={"via-points": data.via_points},
-        boxes=data.boxes,
-        arm=data.arm,
-        colouring={} if data.left is None else {"loop": data.left[every]},
-        coloured_by=f"left by the model on the worst joint [{data.left_unit}]",
+        + ("." if loop.left is None else "; the loop is coloured by what the model leaves there."),
+        lines={"loop": path[every]},
+        points={"via-points": loop.via_points},
+        boxes=loop.boxes,
+        arm=arm_along(recipe.robot, cycle.t, cycle.q, None if recipe.tool is None else recipe.tool.frame),
+        colouring={} if loop.left is None else {"loop": loop.left[every]},
+        coloured_by=f"left by the model on the worst joint [{loop.left_unit}]",
     )
-    largest = ", ".join(f"{kind} {100 * values.max():.0f} %" for kind, values in data.limit_use.items())
-    text = (*data.description, f"Largest use of a joint's limit: {largest}.")
-    wanted = {"as programmed": data.programmed_speed}
-    speed = Panel("speed of the tool", "m/s", (Series("speed", data.speed),), marks=wanted, from_zero=True)
-    use = [
-        Panel(
-            f"use of the {kind} limit",
-            "%",
-            joint_series(data.joints, 100 * values),
-            marks={"limit": 100.0},
-            from_zero=True,
-        )
-        for kind, values in data.limit_use.items()
-    ]
+    largest = ", ".join(f"{kind} {100 * values.max():.0f} %" for kind, values in use.items())
+    text = (loop.description, f"Largest use of a joint's limit: {largest}.")
+    wanted = {"as programmed": recipe.motion.speed}
+    tool = Series("speed", cycle.path_speed[::_EVERY])
+    speed = Panel("speed of the tool", "m/s", (tool,), marks=wanted, from_zero=True)
+    shares = {kind: joint_series(recipe.robot.joint_names, 100 * values) for kind, values in use.items()}
+    limit = {"limit": 100.0}
+    margins = [Panel(f"use of the {kind} limit", "%", one, marks=limit, from_zero=True) for kind, one in shares.items()]
+    caption = "Use of the limits of the joints along one cycle, in % of each."
     plots = (
-        Plot("speed", "Speed of the tool along one cycle.", "time", (speed,), data.t, "s", link="cycle"),
-        Plot(
-            "margins",
-            "Use of the limits of the joints along one cycle, in % of each.",
-            "time",
-            use,
-            data.t,
-            "s",
-            link="cycle",
-        ),
+        Plot("speed", "Speed of the tool along one cycle.", "time", (speed,), t, "s", link="cycle"),
+        Plot("margins", caption, "time", margins, t, "s", link="cycle"),
     )
     return Section("Motion", text, (scene, *plots))
 
 
-def search_section(data: SearchData) -> Section:
-    """Fitness over the generations."""
+def search_section(found: Mapping[str, Any]) -> Section:
+    """Fitness over the generations, of a search as `plan.json` has it."""
+    best, mean = (np.array(found["history"][key], dtype=float) for key in ("best", "mean"))
     text = (
-        f"Fitness {data.fitness:.2f} after {data.evaluations} candidates, each simulated with the interpolator.",
+        f"Fitness {found['fitness']:.2f} after {found['evaluated']} candidates, each simulated with the interpolator.",
         "Fitness is log10 det(HᵀH/M), with the observation matrix H of M samples. One more means ten times the "
         "information about all parameters together. Compare it only between loops of one robot.",
     )
-    series = (Series("best", data.best), Series("mean of the feasible", data.mean, "dashed", SERIES[1]))
+    series = (Series("best", best), Series("mean of the feasible", mean, "dashed", SERIES[1]))
     caption = "Fitness, log10 det(HᵀH / M), over the generations; higher is better (the paper's Fig. 4a)."
-    panel, generations = Panel("fitness", "", series), np.arange(1.0, len(data.best) + 1)
+    panel, generations = Panel("fitness", "", series), np.arange(1.0, len(best) + 1)
     return Section("Search", text, (Plot("search-history", caption, "generation", (panel,), generations),))
 
 
-def plan_report(data: MotionData, search: SearchData, program: str) -> str:
+def plan_report(loop: ShownLoop, found: Mapping[str, Any], program: str) -> str:
     """HTML text of a plan, before anything moves."""
-    headline = f"One cycle takes {data.t[-1]:.1f} s; fitness {search.fitness:.2f}."
+    headline = f"One cycle takes {loop.duration:.1f} s; fitness {found['fitness']:.2f}."
     listing = Section("Program", ("What the controller will be sent.",), (), program)
-    page = Page(f"Plan for {data.robot}", headline, "plain", (motion_section(data), search_section(search), listing))
-    return render(page)
+    sections = (motion_section(loop), search_section(found), listing)
+    return render(Page(f"Plan for {loop.recipe.robot.name}", headline, "plain", sections))

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from agent.core import counted
-from agent.report.calibration.motion import MotionData, SearchData, motion_section, search_section
+from agent.report.calibration.motion import ShownLoop, motion_section, search_section
 from agent.report.calibration.parameters import parameters_section
 from agent.report.calibration.prediction import error_table
 from agent.report.calibration.recordings import conditions_section, percent, provenance_section
@@ -18,26 +18,27 @@ from agent.report.page import About, Page, Section, Table, render
 from agent.report.plots import Plot
 from agent.report.scene import Scene
 
+if TYPE_CHECKING:
+    from agent.model import IdentifiedModel
+
 
 @dataclass(frozen=True, eq=False)
 class RunData:
     """Content of the report of a run.
 
-    result: the content of `result.json`; about: the first screen; parameter_rows: the table of the model, header first;
-    rmse (motions or cycles, n) [N·m] on moving samples; nominal (n,) torque of the joints, NaN where there is none;
+    result: the content of `result.json`; about: the first screen; rmse (motions or cycles, n) [N·m] on moving samples;
     `prediction`: torque of one motion; `further` sections, in order; `search`, where there was one; `validation_paths`
     (motions, k, 3) [m] of the TCP on the unseen motions.
     """
 
     result: dict[str, Any]
     about: About
-    motion: MotionData
-    parameter_rows: Sequence[Sequence[str]]
+    loop: ShownLoop
+    model: IdentifiedModel
     rmse: np.ndarray
-    nominal: np.ndarray
     prediction: Plot
     further: Sequence[Section] = ()
-    search: SearchData | None = None
+    search: Mapping[str, Any] | None = None
     validation_paths: np.ndarray | None = None
 
 
@@ -68,11 +69,11 @@ def _page(data: RunData, title: str, headline: str, prediction: Section, search:
     first = [*found, prediction] if result["diagnosis"] else [prediction, *found]
     sections = [
         *first,
-        motion_section(data.motion),
+        motion_section(data.loop),
         search,
         *data.further,
         conditions_section(result["conditions"], result["validation"]["joints"]),
-        parameters_section(data.parameter_rows, result.get("estimation", {}).get("notes", ())),
+        parameters_section(data.model.rows(), result.get("estimation", {}).get("notes", ())),
         provenance_section(result),
     ]
     title = f"{title} of {result['robot']} {result['serial']}".rstrip()
@@ -140,14 +141,14 @@ def _validation(data: RunData) -> Section:
         "validation-paths",
         f"Paths of {motions} in the sub-region (the paper's Fig. 5a).",
         lines={"validation paths": data.validation_paths},
-        boxes=data.motion.boxes,
+        boxes=data.loop.boxes,
     )
     errors = f"Prediction error on {motions} in the sub-region, per axis (the paper's Fig. 5b)."
     typical = "Torque on one unseen motion, the one of median error (the paper's Fig. 6)."
     parts = (
         Table("validation", header, rows),
         paths,
-        error_table(data.rmse, data.nominal, validation["joints"], gate, errors),
+        error_table(data.rmse, data.model.robot.nominal_torque, validation["joints"], gate, errors),
         replace(data.prediction, caption=typical),
     )
     return Section("Prediction of unseen motions", text, parts)
@@ -170,7 +171,7 @@ def _fresh_errors(data: RunData) -> Section:
     cycles = f"Error of the new model on each of {len(data.rmse)} cycles, per axis; it was fitted to them."
     parts = (
         Table("validation", header, rows),
-        error_table(data.rmse, data.nominal, validation["joints"], gate, cycles),
+        error_table(data.rmse, data.model.robot.nominal_torque, validation["joints"], gate, cycles),
         replace(data.prediction, caption="Torque along one cycle of the loop."),
     )
     return Section("Prediction", text, parts)
