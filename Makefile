@@ -40,12 +40,12 @@ lint: dev
 	$(BIN)/lint-imports
 	$(BIN)/mypy
 
-# Side by side: types are checked by one process only.
+# Side by side: types are checked by one process, and many tests wait for a watchdog rather than compute.
 test: dev
 	@$(MAKE) --no-print-directory --jobs 2 lint pytest
 
 pytest: dev
-	$(BIN)/python -m pytest -n 3 --dist worksteal -m "not verify"
+	$(BIN)/python -m pytest -n 4 --dist worksteal -m "not verify"
 
 verify: dev
 	$(BIN)/python tests/verify.py

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import importlib.util
 import itertools
 import json
 import os
@@ -17,6 +18,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import ModuleType
 from typing import TypeVar
 
 import numpy as np
@@ -58,6 +60,16 @@ SHARED = ROOT / "../shared/data"
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """The longest test comes first: it types all commands of the documentation. What comes last is short."""
     items.sort(key=lambda item: "test_documentation" not in item.nodeid)
+
+
+def loaded(path: Path) -> ModuleType:
+    """The module in a file that belongs to no package."""
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
 
 
 def environment() -> dict[str, str]:

@@ -98,7 +98,7 @@ class LinkThread:
     def _each_turn(self, handles: Sequence[Any], longest: float | None = None) -> Iterator[list[Any]]:
         """Wait for handles to become readable, turn by turn until the link is closed; yields those that are.
 
-        Whoever handles them sets `_heard`. A turn waits `longest` [s] at most, by default a quarter of the watchdog.
+        Whoever handles them sets `_heard`. A turn waits `longest` [s], by default min(watchdog, WATCHDOG) / 4.
 
         Raises:
             DriverError: nothing was heard for a watchdog while `guarded`.
@@ -108,7 +108,7 @@ class LinkThread:
             for handle in handles:
                 selector.register(handle, selectors.EVENT_READ)
             while not self._closing.is_set():
-                began, wait = time.monotonic(), self.watchdog / 4 if longest is None else longest
+                began, wait = time.monotonic(), min(self.watchdog, WATCHDOG) / 4 if longest is None else longest
                 self._heard = False
                 ready = [key.fileobj for key, _ in selector.select(wait)]
                 # A stall of this process is not the peer's silence: no turn counts for more than it should last.

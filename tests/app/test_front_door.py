@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import importlib.util
 import json
 import re
 import subprocess
@@ -14,17 +13,14 @@ import pytest
 
 import agent as ca
 from agent.core.errors import InputError
-from tests.conftest import ROOT
+from tests.conftest import ROOT, loaded
 
 DOCS = ROOT / "docs"
 
 
 @pytest.fixture(scope="module")
 def maker():
-    spec = importlib.util.spec_from_file_location("make_notebook", DOCS / "make_notebook.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return loaded(DOCS / "make_notebook.py")
 
 
 @pytest.fixture(scope="module")

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import importlib.util
 import re
 from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
+
+from tests.conftest import loaded
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 LARGEST = 60_000  # bytes of a picture
@@ -16,10 +17,7 @@ LARGEST = 60_000  # bytes of a picture
 @pytest.fixture
 def maker(monkeypatch):
     monkeypatch.syspath_prepend(str(DOCS))
-    spec = importlib.util.spec_from_file_location("make_gallery", DOCS / "make_gallery.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return loaded(DOCS / "make_gallery.py")
 
 
 def test_every_arm_has_its_source_its_licence_and_its_pictures(maker):

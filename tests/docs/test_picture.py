@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import importlib.util
 from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
+
+from tests.conftest import loaded
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 NAMED = ("agent diagnose", "explained", "joint_4", "A hose or cable pulls", "Look at hoses")
@@ -14,10 +15,7 @@ NAMED = ("agent diagnose", "explained", "joint_4", "A hose or cable pulls", "Loo
 
 @pytest.fixture
 def maker():
-    spec = importlib.util.spec_from_file_location("make_picture", DOCS / "make_picture.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return loaded(DOCS / "make_picture.py")
 
 
 def _text(svg: str) -> str:

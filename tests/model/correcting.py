@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import importlib.util
 import tempfile
 import xml.etree.ElementTree as ElementTree
 from dataclasses import replace
@@ -94,13 +93,6 @@ def corrected(given, effects=(), links=(), rotors=(), friction=(), change=None, 
     change = np.zeros(len(given.model.values)) if change is None else change
     weight = 1e4 * np.eye(len(given.model.independent))
     return correct(given, change, weight, unexplained, np.ones(3), effects, released, {})
-
-
-def loaded(path: Path):
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 def motion(seconds: float = 1.0):

@@ -12,7 +12,8 @@ import pytest
 
 from agent.core.errors import InputError
 from agent.simulators.corrected.corrected_file import write_corrected
-from tests.model.correcting import PATHS, corrected, entry, loaded, motion, simulator, torque_of_file
+from tests.conftest import loaded
+from tests.model.correcting import PATHS, corrected, entry, motion, simulator, torque_of_file
 
 #: Effect, joints and parameters of every form.
 CASES = {

@@ -13,6 +13,7 @@ from agent.core.errors import InputError
 from agent.robot import ParameterLayout
 from agent.simulators import load_simulator, write_corrected
 from agent.simulators.corrected.xml_document import XmlDocument
+from tests.conftest import loaded
 from tests.model.correcting import (
     BOOM,
     MJCF,
@@ -21,7 +22,6 @@ from tests.model.correcting import (
     URDF,
     corrected,
     entry,
-    loaded,
     motion,
     moved,
     simulator,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import os
 import subprocess
 import sys
@@ -28,6 +27,7 @@ from agent.compiled import (
     stretched,
     tcp_rates,
 )
+from tests.conftest import loaded
 
 SEEDS = st.integers(0, 2**31)
 
@@ -232,12 +232,7 @@ def use(folder: Path, name: str) -> None:
     (folder / f"{name}.py").write_text(MODULE)
     if not (folder / "__pycache__").exists():
         (folder / "__pycache__").write_text("no folder")  # as good as one that cannot be written: root can write all
-    spec = importlib.util.spec_from_file_location(name, folder / f"{name}.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    assert module.twice(2.0) == 4.0
+    assert loaded(folder / f"{name}.py").twice(2.0) == 4.0
 
 
 def test_the_cache_falls_back_to_a_private_folder(tmp_path: Path, monkeypatch: Any) -> None:

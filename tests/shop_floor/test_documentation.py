@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import importlib.util
 import os
 import re
 import shutil
@@ -14,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.conftest import ROOT, free_port
+from tests.conftest import ROOT, free_port, loaded
 
 DOCS = ROOT / "docs"
 README = ROOT / "README.md"
@@ -125,9 +124,7 @@ def test_files_that_pages_name_exist():
 
 
 def test_the_reference_matches_the_code():
-    spec = importlib.util.spec_from_file_location("make_reference", DOCS / "make_reference.py")
-    maker = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(maker)
+    maker = loaded(DOCS / "make_reference.py")
     written = (DOCS / "reference.md").read_text(encoding="utf-8")
     assert written == maker.reference(), "run: python docs/make_reference.py"
 
