@@ -111,7 +111,7 @@ def follow(plant: Plant, astray: Astray, position: np.ndarray, velocity: np.ndar
     position, velocity = astray.changed(position, velocity, start)
     chunks = list(plant.run(*astray.followed(position, velocity)))
     measured = (np.concatenate([getattr(c, name) for c in chunks]) for name in ("position", "velocity", "torque"))
-    return Slice(*measured, position, velocity)
+    return Slice(*(*measured, position, velocity))
 
 
 class CannotMove(Exception):
