@@ -1,4 +1,4 @@
-"""Plan of all motions of a run: the loop, the validation motions, their programs and margins."""
+"""What will move, settled before anything moves: the loop, the validation motions, their programs and margins."""
 
 from __future__ import annotations
 
@@ -300,7 +300,7 @@ def _targets(recipe: Recipe, loop: Loop) -> list[Target]:
 
 @dataclass(frozen=True, eq=False)
 class PlanFiles:
-    """Output of `agent plan`: its folder, the name of the program, the loop and its margins."""
+    """What `agent plan` wrote: its folder, the name of the program, the loop and its margins."""
 
     folder: Path
     program: str
