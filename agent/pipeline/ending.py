@@ -66,7 +66,7 @@ def next_steps(
 
 
 def going_on(run: RunFolder, step: str, error: BaseException) -> str:
-    """Message of a stopped run: what it has kept, and the command that continues it.
+    """What a run that an error stopped in a step has kept, and the command that goes on.
 
     The command repeats the `options` noted in the run, but not `--yes`. A calibration is resumed, unless its recipe was
     refused. A diagnosis whose motions are all recorded needs no robot.

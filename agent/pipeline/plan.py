@@ -1,4 +1,4 @@
-"""Plan of all motions of a run: the loop, the validation motions, their programs and margins."""
+"""What will move, settled before anything moves: the loop, the validation motions, their programs and margins."""
 
 from __future__ import annotations
 

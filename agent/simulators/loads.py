@@ -154,7 +154,7 @@ def _comau(load: IdentifiedLoad) -> str:
     inertia = load.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
     elements = (f"$TOOL_INERTIA[{k}] := {_number(value)}" for k, value in enumerate(inertia, 1))
     centre = f"$TOOL_CNTR := POS({_listed(1e3 * load.centre)}, 0, 0, 0, '')"
-    check = "-- Compare with the controller's manual about which point its inertia is"
+    check = "-- Check in the controller's manual about which point its inertia counts"
     return "\n".join([check, f"$TOOL_MASS := {_number(load.mass)}", centre, *elements])
 
 

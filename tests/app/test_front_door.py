@@ -82,7 +82,7 @@ def test_examples_on_the_python_page_run(folder, monkeypatch, capsys):
     exec(compile(code, "docs/python.md", "exec"), {})
     shown = capsys.readouterr().out
     assert "torque predicted to" in shown
-    assert "joint_3: the friction level is not the model's any more (friction_change), or " in shown
+    assert "joint_3: the friction level differs from the model's (friction_change), or " in shown
     assert "<svg" in (folder / "diagnosis.html").read_text(encoding="utf-8")
     assert {path.name for path in (folder / "robot").iterdir()} >= {"friction.json", "comau_ns16.urdf"}
 

@@ -29,11 +29,11 @@ def with_offset(data, joint):
     return data.fit.with_chosen([data.fit.candidate(CATALOGUE["torque_offset"], (joint,), {})])
 
 
-def test_the_cause_that_is_there_takes_the_gap_away(case):
+def test_the_true_cause_closes_the_gap(case):
     assert held_out_gap(*case).closure > 0.75
 
 
-def test_a_cause_on_another_joint_does_not(case):
+def test_a_cause_on_another_joint_does_not_close_the_gap(case):
     data, _ = case
     chosen = with_offset(data, 0)
     gap = held_out_gap(data, chosen)
@@ -41,12 +41,12 @@ def test_a_cause_on_another_joint_does_not(case):
     assert alone < 0.25
 
 
-def test_without_causes_nothing_is_gained(case):
+def test_without_causes_no_gap_is_closed(case):
     gap = held_out_gap(case[0], case[0].fit).unclosed
     assert gap.closure == 0.0
 
 
-def test_repeatability_is_the_difference_from_cycle_to_cycle(case):
+def test_repeatability_is_the_difference_between_cycles(case):
     """Independent noise far above stiction is the repeatability; an error that repeats with every cycle is not."""
     (data, _), rng, size = case, np.random.default_rng(4), 1e5
     for repeats in (0.0, 5.0):
@@ -57,7 +57,7 @@ def test_repeatability_is_the_difference_from_cycle_to_cycle(case):
         assert gap.floor == pytest.approx(np.ones(data.robot.dof), rel=0.05)
 
 
-def test_friction_that_holds_a_stationary_joint_the_other_way_is_no_gap(case):
+def test_stiction_of_either_sign_at_standstill_is_not_a_gap(case):
     """Twice the level from what is predicted: other joints stand while one of them is turned to and fro."""
     data, fit = case[0], case[0].fit
     level = stiction(fit.reference)
@@ -69,7 +69,7 @@ def test_friction_that_holds_a_stationary_joint_the_other_way_is_no_gap(case):
     assert np.any(gap.before * gap.unit > 0.5 * level), "beyond that it is one"
 
 
-def test_in_units_of_each_joint_a_cause_counts_by_its_own_joint(case):
+def test_a_cause_is_scored_in_units_of_its_own_joint(case):
     """Of joints with far larger units hardly anything counts, where no nominal torque says what a joint is for."""
     data, fit = case
     (own,) = {joint for candidate in fit.chosen for joint in candidate.blocks}

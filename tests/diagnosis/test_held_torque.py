@@ -70,7 +70,7 @@ def _logs(robot: RobotDescription, change: Callable[[np.ndarray, int], np.ndarra
     return [_recorded(robot, seed, q, change(torque, seed)) for seed, (q, torque) in motions.items()]
 
 
-def test_a_sensor_that_holds_its_value_is_said_and_no_cause_named(robot, model):
+def test_reports_a_held_torque_sensor_and_names_no_cause(robot, model):
     found = diagnose(robot, _logs(robot, _holding), model)
     assert found.answer.verdict == "unknown"
     (warning,) = _said(found)
@@ -80,7 +80,7 @@ def test_a_sensor_that_holds_its_value_is_said_and_no_cause_named(robot, model):
 
 
 @pytest.mark.parametrize("level", [8.0, None], ids=["nearly always", "a fifth of the time"])
-def test_a_torque_that_is_cut_off_is_said_with_the_level(robot, model, level):
+def test_reports_clipped_torque_with_its_level(robot, model, level):
     level = level or float(np.quantile(np.abs(_torque(robot, MOVES[0])[1][:, 1]), 0.8))
     cut = [np.inf, level]
     found = diagnose(robot, _logs(robot, lambda torque, _: np.clip(torque, np.negative(cut), cut)), model)
@@ -90,7 +90,7 @@ def test_a_torque_that_is_cut_off_is_said_with_the_level(robot, model, level):
     assert f"{robot.joint_names[1]} stands still at" in warning
 
 
-def test_what_the_arm_does_is_not_the_sensors(robot, model):
+def test_friction_is_not_reported_as_a_held_sensor(robot, model):
     """More friction, and torque held only where it hardly changes, which nothing tells from one that follows."""
     logs = [_recorded(robot, seed, *_torque(robot, seed, np.array([2.0, 0.0]))) for seed in MOVES]
     found = diagnose(robot, logs, model)
@@ -98,7 +98,7 @@ def test_what_the_arm_does_is_not_the_sensors(robot, model):
     assert not _said(found)
 
 
-def test_a_torque_that_hardly_changes_as_friction_is_gone_is_not_the_sensors(robot, model):
+def test_nearly_constant_torque_is_not_reported_as_a_held_sensor(robot, model):
     """By the model it goes up and down with the friction; without any, on an upright axis, nothing is left of it."""
     logs = []
     for seed in MOVES:
@@ -110,14 +110,14 @@ def test_a_torque_that_hardly_changes_as_friction_is_gone_is_not_the_sensors(rob
     assert not _said(found)
 
 
-def test_without_a_gap_nothing_is_said(robot, model):
+def test_a_run_without_a_gap_reports_no_held_sensor(robot, model):
     found = diagnose(robot, _logs(robot, lambda torque, _: torque), model)
     assert found.answer.verdict == "no_gap"
     assert not _said(found)
 
 
 @pytest.mark.parametrize("joint", [1, 5])
-def test_of_a_real_arm_a_torque_that_is_made_to_hold_is_said(shared_data, joint):
+def test_reports_a_held_torque_on_a_real_arm(shared_data, joint):
     """KR300, free motion: the torque of one joint is held for 0.2 to 0.8 s now and then; as recorded it is not."""
     folder = shared_data / "real-dev/kr300"
     arm = load_robot(folder / "robot_real.yaml")

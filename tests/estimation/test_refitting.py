@@ -78,7 +78,7 @@ def test_the_base_parameters_stay_and_their_covariance_with_them(earlier, later)
     assert np.linalg.eigvalsh(found.covariance / np.outer(*2 * [np.sqrt(np.diag(found.covariance))])).min() > -1e-9
 
 
-def test_what_was_believed_of_the_base_parameters_stays_and_that_of_friction_is_new(earlier, later):
+def test_keeps_the_prior_of_base_parameters_and_renews_that_of_friction(earlier, later):
     _, model = earlier
     base = len(model.independent)
     found = refit(model, [later()]).model
@@ -90,7 +90,7 @@ def test_what_was_believed_of_the_base_parameters_stays_and_that_of_friction_is_
     assert refit(replace(model, prior=None), [later()]).model.prior is None
 
 
-def test_bodies_that_an_earlier_fit_found_stay(earlier, later):
+def test_keeps_the_bodies_of_the_earlier_fit(earlier, later):
     _, model = earlier
     bodies = np.arange(11.0 * DOF)
     assert refit(replace(model, standard=bodies), [later()]).model.standard == pytest.approx(bodies)
@@ -110,7 +110,7 @@ def test_the_conditional_covariance_is_what_is_left_at_known_base_parameters(ear
         assert found / scale == pytest.approx(expected / scale, rel=1e-6, abs=1e-9)
 
 
-def test_nothing_is_left_of_friction_that_follows_from_the_base_parameters(earlier):
+def test_friction_determined_by_base_parameters_has_no_conditional_variance(earlier):
     """But round-off, which never leaves a variance below zero."""
     _, model = earlier
     base, size = len(model.independent), len(model.values)
@@ -120,7 +120,7 @@ def test_nothing_is_left_of_friction_that_follows_from_the_base_parameters(earli
     assert np.all((left > 0.9e-12 * whole) & (left < 1e-9 * whole))
 
 
-def test_doubt_about_the_base_parameters_is_doubt_about_friction(earlier, later):
+def test_base_parameter_uncertainty_propagates_to_friction(earlier, later):
     """Σ_φ = S + G Σ_β Gᵀ, so a hundred times Σ_β adds 99 times the second term."""
     _, model = earlier
     base, log = len(model.independent), later()
@@ -135,7 +135,7 @@ def test_doubt_about_the_base_parameters_is_doubt_about_friction(earlier, later)
     assert added == pytest.approx(99 * np.diag(passed_on), rel=1e-3)
 
 
-def test_errors_are_those_of_moving_samples_joint_by_joint(earlier, later):
+def test_errors_are_computed_per_joint_from_moving_samples(earlier, later):
     _, model = earlier
     log = later(2, noise=np.array([1.0, 4.0]))
     found = refit(model, [log])
@@ -146,7 +146,7 @@ def test_errors_are_those_of_moving_samples_joint_by_joint(earlier, later):
 
 
 @pytest.mark.parametrize("parameters", ["friction", "all"])
-def test_what_an_effect_explains_is_no_friction(earlier, later, parameters):
+def test_torque_of_an_effect_is_not_fitted_as_friction(earlier, later, parameters):
     """A torque offset that the model has is taken off the measured torque, and stays in the model."""
     _, model = earlier
     effect = ModelEffect("torque_offset", ("joint_1",), {"offset": 7.0})
@@ -158,7 +158,7 @@ def test_what_an_effect_explains_is_no_friction(earlier, later, parameters):
     assert np.all(np.abs(found.values - bare.values) < 0.01 * bare.standard_deviations)
 
 
-def test_the_model_says_how_it_was_made(earlier, later):
+def test_a_refitted_model_records_its_method(earlier, later):
     _, model = earlier
     found = refit(model, [later()]).model
     assert (found.method, found.cutoff, found.order) == (model.method, 18.0, 6)
@@ -169,7 +169,7 @@ def test_the_model_says_how_it_was_made(earlier, later):
     assert again == "Friction estimated again; base parameters are those of the model before."
 
 
-def test_what_friction_scatters_by_at_given_base_parameters_is_what_is_said(earlier, later):
+def test_the_conditional_covariance_matches_the_observed_scatter(earlier, later):
     """Fresh noise on the same motion, far above what the base parameters are off by."""
     _, model = earlier
     base = len(model.independent)
@@ -192,7 +192,7 @@ def test_an_error_that_every_cycle_repeats_is_not_averaged_away(earlier, later):
 
 
 @pytest.mark.parametrize("tool", [None, Tool(np.eye(4), 50.0, np.array([0.1, 0.0, 0.2]))])
-def test_everything_estimated_again_is_a_fresh_estimate_of_the_same_terms(earlier, later, tool):
+def test_refitting_all_parameters_keeps_the_terms_and_renews_the_values(earlier, later, tool):
     robot, model = earlier
     found, fresh = refit(model, [later()], "all", tool), estimate(robot, [later()], PAPER_TERMS, tool)
     for name in ("terms", "method", "combinations", "standard_names", "notes"):

@@ -149,7 +149,7 @@ def test_a_program_without_motion_has_no_start_position(bench):
     assert bench.run(PlannedProgram("swing", "PROGRAM swing", ())) == 1000
 
 
-def test_stops_motion_if_none_was_planned(bench):
+def test_stops_unplanned_motion(bench):
     with pytest.raises(SafetyError, match="what moves is not what was planned"):
         bench.run(PlannedProgram("swing", "PROGRAM swing", ()))
     assert bench.controller.stops >= 1

@@ -277,7 +277,7 @@ def test_a_nan_clock_gives_no_extra_time():
     assert "nothing shows" in arm.stopping.seen
 
 
-def test_reports_a_stop_failure_after_link_closure_once():
+def test_reports_a_stop_failure_after_the_link_closed_once():
     arm = Arm(brakes=None)
     told = arm.stop
 

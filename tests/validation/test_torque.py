@@ -43,7 +43,7 @@ def on_joint(log, joint, change):
     return replace(log, effort=effort)
 
 
-def test_the_result_is_the_contract_s(case):
+def test_the_result_has_the_documented_keys(case):
     robot, model, logs = case
     result = json.loads(json.dumps(validate(model, logs, 20.0).to_dict(), allow_nan=False))
     assert set(result) == {"schema", "joints", "cutoff_hz", "logs", "overall"}
@@ -56,7 +56,7 @@ def test_the_result_is_the_contract_s(case):
     assert set(result["overall"]) == figures
 
 
-def test_figures_are_those_of_the_filtered_signals(case):
+def test_figures_are_computed_from_filtered_signals(case):
     robot, model, logs = case
     result = validate(model, logs[1:])
     motion = next(motions(logs[1], FilterSettings(model.cutoff), reduce=False))
@@ -80,7 +80,7 @@ def test_every_sample_but_the_edges_counts_and_logs_are_pooled(case):
     assert summary([predict_log(model, log) for log in logs]) == result
 
 
-def test_moving_samples_are_those_in_which_the_arm_moves(case):
+def test_moving_samples_exclude_standstill(case):
     _, model, logs = case
     moving, resting = (predict_log(model, log) for log in logs)
     assert moving.moving.mean() > 0.99
@@ -110,7 +110,7 @@ def test_bounds_hold_most_of_an_unseen_motion(case):
 
 
 @pytest.mark.parametrize("silent", [[2], [0, 1, 2, 3, 4, 5]])
-def test_figures_that_do_not_exist_are_null(case, silent):
+def test_undefined_figures_are_null(case, silent):
     """Without a nominal torque, or of joints without torque."""
     robot, model, logs = case
     bare = replace(robot, joints=tuple(replace(joint, nominal_motor_torque=None) for joint in robot.joints))
@@ -130,13 +130,13 @@ def test_torque_of_one_joint_that_is_zero_throughout_has_no_relative_error(case)
     assert [value is None for value in found] == [joint == 2 for joint in range(6)]
 
 
-def test_torque_that_is_zero_throughout_is_refused(case):
+def test_refuses_torque_that_is_always_zero(case):
     _, model, logs = case
     with pytest.raises(InputError, match="the torque is zero throughout"):
         validate(model, [replace(logs[0], effort=np.zeros_like(logs[0].effort))])
 
 
-def test_logs_that_cannot_be_validated_say_why(case):
+def test_reports_why_a_log_cannot_be_validated(case):
     _, model, logs = case
     with pytest.raises(InputError, match=r"moving\.mcap: no torque"):
         validate(model, [replace(logs[0], effort=None)])

@@ -82,8 +82,8 @@ def _blocks(time: np.ndarray, log: Log, limits: DecisionLimits) -> tuple[np.ndar
     first, last = float(time[0]), float(time[-1])
     if last - first < limits.shortest:
         raise InputError(
-            f"{log.path}: {last - first:.1f} s are left of the only log once it is filtered; parts of it are held out "
-            f"from each other, which takes {limits.shortest:g} s: record longer, or give a second log"
+            f"{log.path}: only {last - first:.1f} s remain after filtering; a single log needs "
+            f"{limits.shortest:g} s, as parts of it are held out: record longer, or give a second log"
         )
     inside = starts[(starts > first) & (starts < last)]
     if len(inside) >= 2:

@@ -17,9 +17,9 @@ class BaseTilt(Effect):
     scope = "base"
     formula = "a · τ(g e₁) + b · τ(g e₂), e₁ ⟂ e₂ ⟂ g"
     source = "Atkeson, An, Hollerbach, Int. J. Robotics Research 5 (1986): the regressor is linear in gravity"
-    signature = "residual of standing still on all joints that carry weight, joint 1 too"
+    signature = "residual at standstill on all joints that carry weight, joint 1 too"
     confused_with = ("encoder_offset", "inertial_mismatch", "payload")
-    phrase = "the base does not stand as the model has it"
+    phrase = "the base is tilted compared with the model"
     look_at = "level of the base, mounting angle in the robot description"
     experiment = WHOLE_RANGE
     why_absent = "no gravity in the robot description"

@@ -1,4 +1,4 @@
-"""Coulomb or viscous level that is not the model's any more."""
+"""Coulomb or viscous level that differs from the model's."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class FrictionChange(FrictionLevel):
     source = "Bittencourt, Axelsson, identification of wear in a robot joint, report LiTH-ISY-R-3058 (2013)"
     signature = "residual with the sign of the speed at all speeds, and growing in proportion to it"
     confused_with = ("torque_constant", "thermal_friction", "load_dependent_friction")
-    phrase = "the friction level is not the model's any more"
+    phrase = "the friction level differs from the model's"
     look_at = "wear and lubrication of the gear, brake that drags, bearing preload"
     needs_speed = 0.02
     needs_reversals = 1

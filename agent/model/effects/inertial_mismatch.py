@@ -21,7 +21,7 @@ class InertialMismatch(Effect):
     signature = "residual of weight and inertia on the joints from the base up to one link"
     confused_with = ("payload", "gravity_spring", "encoder_offset", "torque_constant")
     structurally_equivalent = ("encoder_offset", "payload", "base_tilt", "gravity_spring")
-    phrase = "a link weighs otherwise than in the model"
+    phrase = "a link is heavier or lighter than in the model"
     look_at = "what was bolted to or taken off this link; link data of the robot description"
     shapes = ("mass",)
     experiment = POSTURES

@@ -15,8 +15,8 @@ class InterpolatorMismatch(Effect):
     scope = "arm"
     formula = "r(t) − p(t)"
     source = "Villagrossi, Pedrocchi, Vicentini, Molinari Tosatti, AIM (2013): the interpolator decides the motion"
-    signature = "torque at its floor, set-points away from the plan"
-    phrase = "the controller runs another path than was planned"
+    signature = "set-points away from the plan, no residual of torque"
+    phrase = "the controller runs a different path than planned"
     look_at = "override, fly settings and acceleration ramps of the controller against those planned with"
     shows_in = "path"
 

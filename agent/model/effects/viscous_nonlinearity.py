@@ -18,7 +18,7 @@ class ViscousNonlinearity(FrictionLevel):
     source = "Waiboer, Aarts, Jonker, ECCOMAS (2005); Eyring, J. Chem. Phys. 4 (1936)"
     signature = "residual with the sign of the speed, bent at high speed"
     confused_with = ("friction_change", "stribeck")
-    phrase = "the speed-dependent part of friction bends"
+    phrase = "viscous friction is not proportional to speed"
     look_at = "grease: viscosity, fill level, churning at high speed"
     needs_speed = 0.1
     needs_reversals = 1
