@@ -183,4 +183,4 @@ def test_warns_of_clipped_torque_and_a_stationary_joint(arm, baseline, runs):
     position[:, 5] = position[0, 5]
     warnings = diagnose(arm, [replace(log, effort=effort, position=position)], baseline).warnings
     assert any("joint_2" in text and "clipped" in text for text in warnings)
-    assert any("never moves: joint_6" in text for text in warnings)
+    assert any("a joint that never moves can be judged: joint_6" in text for text in warnings)

@@ -3,7 +3,7 @@
 All rows of joint j, divided by its noise level σ_j, follow one linear Gaussian model:
 
     r_j = X_j δ + Z_jh β_h + U_j γ_j + e_j,    e_j ~ N(0, s_j²),    δ ~ N(δ₀, Λ⁻¹),    β_h ~ N(0, size² / rms²),
-    γ_j ~ N(0, s_j² g² + drift² + form² τ_jh² + free_j²),           p(s_j²) ~ 1 / s_j²
+    γ_j ~ N(0, s_j² g² + drift² + form² τ_jh² + free_j²),           s_j² ~ inverse gamma (ν / 2, ν / 2)
 
 X_j are the model's columns, whose parameters move within the covariance stored with them. Z_jh are the columns of the
 hypothesis' effects, and U_j those of the noise model (`background`). The variance of the noise model has four parts:
@@ -300,11 +300,11 @@ class Evidence:
             sizes = [_nearest(self.sizes, max(one.values(), default=0.0)) for one in torque]
             for j in (touched if self._nothing else range(self.joints)) if refit else ():
                 energy = _energy(joints[j], float(scales[j]), mean[joints[j].at])
-                scales[j] = max(energy / self.count, _LEAST_SCALE)
+                scales[j] = max((law.nu + energy) / (law.nu + self.count), _LEAST_SCALE)
         log = -0.5 * (sum(joint.reduced[-1, -1] + joint.log_det for joint in joints) - float(side @ mean) + log_det)
         ridges = [self._ridge(k, size) for k, size in zip(effects, sizes, strict=True)]
         log += 0.5 * (self._log_prior + sum(float(np.linalg.slogdet(ridge)[1]) for ridge in ridges))
-        log -= float(np.sum(np.log(scales)))
+        log -= 0.5 * float(np.sum((law.nu + 2) * np.log(scales) + law.nu / scales))
         log -= sum(self._cost(self.candidate(k)) for k in effects) + float(np.log(len(law.sizes) - 1)) * len(free)
         alone = self._without_background(effects, joints, scales, sizes, ends)
         return Evaluated(
