@@ -15,7 +15,7 @@ from agent.estimation.observation import observe, partition
 from agent.estimation.prior import Prior
 from agent.estimation.problem import Problem
 from agent.estimation.selection import paper_terms
-from agent.model import Reversal
+from agent.model import Reversal, standstill_speed
 from agent.robot.bodies import rigid_bodies
 from tests.estimation.conftest import _arm, _links, _log, _multisine
 
@@ -61,9 +61,12 @@ def summed(rows, cells=None, trusted=None):
 
 def test_sums_are_those_of_the_rows(problem, rows):
     moments, cells = problem.moments, problem.partition.fold != 1
+    speed, robot = problem.observation.segments[0].speed, problem.observation.robot
+    slowest = standstill_speed([speed], robot.max_velocity, 0.005)
+    assert np.array_equal(np.stack([still for _, still, _ in rows], axis=1), np.abs(speed) <= slowest)
     assert 0.2 < np.mean(rows[1][1]) < 0.5, "it stands now and then"
     scale = np.sqrt(np.outer(*2 * [np.diag(summed(rows))]))
-    for chosen in (None, cells):
+    for chosen in (None, cells, *(problem.partition.cluster == k for k in range(problem.partition.clusters))):
         found = moments.weighted(WEIGHTS) if chosen is None else moments.weighted(WEIGHTS, chosen)
         np.testing.assert_allclose(found / scale, summed(rows, chosen) / scale, atol=1e-12)
     counted = [[np.sum(still == group) for _, still, _ in rows] for group in (False, True)]
@@ -105,8 +108,12 @@ def test_weights_are_inverse_variances_and_no_less_certain_in_motion(problem):
     expected = np.where(moments.rows.sum(axis=0) > 0, variance, variance[::-1])
     expected[1] = np.maximum(expected[1], expected[0])
     np.testing.assert_allclose(1 / sums.reweight(moments, values), expected)
-    only = replace(moments, rows=moments.rows * [[[0], [1]]])
-    np.testing.assert_allclose(*sums.reweight(only, values))
+    for group in (0, 1):
+        only = replace(moments, rows=moments.rows * (np.arange(2) == group)[:, None])
+        np.testing.assert_allclose(1 / sums.reweight(only, values), variance[[group, group]])
+    silent = replace(moments, sums=(0 * moments.sums[0], moments.sums[1]), _totals={})
+    least = 1e-20 * silent.torque_energy().sum() / moments.rows.sum()
+    assert 1 / sums.reweight(silent, values)[0, 0] == pytest.approx(least)
     settled = sums.iterate_weights(moments, problem.prior, 2.0)
     again = sums.reweight(moments, sums.solve_sum(moments.weighted(settled), problem.prior, 2.0))
     np.testing.assert_allclose(again, settled, rtol=0.02)
@@ -144,7 +151,7 @@ def test_estimate_and_evidence_are_those_of_normal_distributions(units):
 
 
 def test_a_gain_is_clear_beyond_its_scatter_between_folds():
-    gains = np.array([[1.0, 1.0], [2.0, -2.0], [3.0, 1.0]])
+    gains = np.array([[1.0, 100.0], [2.0, -200.0], [3.0, 100.0]])
     assert sums.clear_gain(gains).tolist() == [True, False]
     spread = np.std([1.0, 2.0, 3.0], ddof=1) * np.sqrt(3)
     for shift, expected in ((-0.01, False), (0.01, True)):
@@ -163,6 +170,10 @@ def test_errors_are_clearly_better_by_a_share_and_by_two_standard_errors():
         ([1.2, 1.2, 1.2, 1.2], 0.05, False),
     ):
         assert sums.clearly_better(before, np.array(after), least) is expected
+    scatter = 0.1 * np.sqrt(0.75) * np.array([-1, -1, 1, 1])  # of logarithms: 0.1, so 0.05 of their mean
+    for mean, expected in ((0.11, True), (0.09, False)):
+        assert sums.clearly_better(before, np.exp(-mean - scatter), 0.05) is expected
+    assert sums.clearly_better(np.array([0.0, 1.0, 1.0]), np.full(3, 0.5), 0.05)
     assert not sums.clearly_better(np.array([0.0, 0.0, 1.0]), np.full(3, 0.5), 0.0)
 
 
