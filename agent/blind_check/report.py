@@ -13,7 +13,7 @@ from agent.core import AgentError, InputError, write_atomically
 
 RESULTS, PAGE = "results.jsonl", "blind_check.md"
 #: Values that a line of results leaves out.
-_USUAL = {"recorder": "", "effects": [], "size": None, "causes": [], "probability": None}
+_USUAL: dict[str, Any] = {"recorder": "", "effects": [], "size": None, "causes": [], "probability": None}
 _USUAL |= {"more_wrong": 0, "all_named": False, "joint": None, "withheld": None}
 
 _DEFINITIONS = f"""Every run is counted in one column.
