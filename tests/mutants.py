@@ -47,6 +47,14 @@ NARROW = {
 EQUIVALENT: dict[str, dict[str, tuple[str, ...]]] = {
     "agent/estimation/moments.py": {
         "any negative number": ("np.full(self.parameters, -2)",),
+        "any scale of the unknowns is for round-off": (
+            *(
+                "scale = 1 * np.sqrt(np",
+                "scale = 2 / np.sqrt(np",
+                "scale = 1 / np.sqrt(np.maximum(np.diag(matrix), 1.0))",
+            ),
+            "2 / np.sqrt(np.maximum(diagonal, 1e-300))",
+        ),
         "four rounds forget where they start": (
             *("torque_energy().sum() * moments", "np.full((3, len", "1 * max(variance", "2 / max(variance"),
             "max(variance, 1.0)",

@@ -78,7 +78,9 @@ def test_sums_are_those_of_the_rows(problem, rows):
         np.testing.assert_allclose(moments.energy(values, chosen), energy, rtol=1e-9)
     torque = [[np.sum(block[still == g, -1] ** 2) for block, still, _ in rows] for g in (False, True)]
     np.testing.assert_allclose(moments.torque_energy(), torque)
-    assert np.all(moments.energy(solve(rows)) >= 1e-15 * moments.torque_energy())
+    best = moments.energy(solve(rows))
+    assert np.all(best >= 1e-15 * moments.torque_energy())
+    assert np.all(best[0] < 0.5 * moments.torque_energy()[0])
 
 
 def solve(rows):
@@ -125,10 +127,8 @@ def test_weights_are_inverse_variances_and_no_less_certain_in_motion(problem):
 def test_estimate_and_evidence_are_those_of_normal_distributions(units):
     rng = np.random.default_rng(3)
     x, k = rng.normal(size=(30, 3)) / units, 2.5
-    spread = rng.normal(size=(3, 5))
-    priors = [
-        Prior(rng.normal(size=3) * units, np.linalg.inv(f * spread @ spread.T) / np.outer(units, units)) for f in (1, 9)
-    ]
+    roots = rng.normal(size=(2, 3, 5)) * units[:, None]
+    priors = [Prior(rng.normal(size=3) * units, np.linalg.inv(root @ root.T)) for root in roots]
     y = x @ (rng.normal(size=3) * units) + rng.normal(size=30)
     total = np.column_stack([x, y]).T @ np.column_stack([x, y])
     found = sums.solve_sum(total, priors[0], k)
@@ -181,7 +181,19 @@ def test_errors_are_clearly_better_by_a_share_and_by_two_standard_errors():
 def test_autocorrelation_time(memory):
     """Of the noise, whatever it is about, also in parts; rows that never change count as one each."""
     rows = lfilter([np.sqrt(1 - memory**2)], [1, -memory], np.random.default_rng(0).normal(size=(100_000, 1)), axis=0)
-    rows = np.column_stack([3 * rows + 7, 0 * rows])
-    for parts in ([rows], [rows[:60_000], rows[60_000:]]):
-        expected = [(1 + memory) / (1 - memory), 1.0]
+    rows = 1e-4 * np.column_stack([0 * rows, 3 * rows + 7])
+    quiet = 1e-9 * np.random.default_rng(1).normal(size=(100_000, 2)) * [0, 1]
+    for parts in ([rows], [rows[:60_000], rows[60_000:]], [rows, quiet]):
+        expected = [1.0, (1 + memory) / (1 - memory)]
         assert sums.autocorrelation_time(parts) == pytest.approx(expected, rel=0.15)
+
+
+@pytest.mark.parametrize("size", [30, 31])
+def test_autocorrelations_are_summed_in_pairs_until_one_is_negative(size):
+    part = np.convolve(np.random.default_rng(5).normal(size=size + 4), np.ones(5), "valid")
+    away = part - part.mean()
+    rho = np.array([away[k:] @ away[: size - k] for k in range(size)]) / (away @ away)
+    time, lag = 1.0, 1
+    while lag + 1 < size and rho[lag] + rho[lag + 1] > 0:
+        time, lag = time + 2 * (rho[lag] + rho[lag + 1]), lag + 2
+    assert sums.autocorrelation_time([part[:, None]])[0] == pytest.approx(time, rel=1e-9)
