@@ -71,7 +71,7 @@ def test_autocorrelated_noise_widens_the_test(memory):
 
 
 @pytest.mark.parametrize("place", [3, 11, RUNS - 3])
-def test_a_step_has_its_place_and_pays_for_all_alternatives(place):
+def test_a_step_is_dated_and_pays_for_all_alternatives(place):
     step = (np.arange(RUNS) >= place) - 0.5
     found = find_change(2 + 0.8 * step + NOISE, TIMES, NOTHING)
     assert (found.kind, found.place) == ("step", place)
