@@ -45,6 +45,25 @@ NARROW = {
 }
 #: Changes that give the same results, by module and reason: parts of the lines that they make.
 EQUIVALENT: dict[str, dict[str, tuple[str, ...]]] = {
+    "agent/estimation/moments.py": {
+        "any negative number": ("np.full(self.parameters, -2)",),
+        "any scale of the unknowns is for round-off": (
+            *(
+                "scale = 1 * np.sqrt(np",
+                "scale = 2 / np.sqrt(np",
+                "scale = 1 / np.sqrt(np.maximum(np.diag(matrix), 1.0))",
+            ),
+            "2 / np.sqrt(np.maximum(diagonal, 1e-300))",
+        ),
+        "four rounds forget where they start": (
+            *("torque_energy().sum() * moments", "np.full((3, len", "1 * max(variance", "2 / max(variance"),
+            "max(variance, 1.0)",
+        ),
+        "one row or two": ("rows[0] > 1", "rows[1] > 1"),
+        "the same numbers as floats": ("n), dtype=None)", "rows = np.zeros((cells, 2, n), )"),
+        "two numbers that are never equal": ("speed) < slowest", "axis=0) >= gains.std", "gain.mean() >= max"),
+        "what is known is only quicker": ("self.rows, )",),
+    },
     "agent/estimation/refitting.py": {
         "anything but all is friction": ('"XXfrictionXX"', '"FRICTION"'),
         "a joint that moves does so for more than two rows": ("maximum(2, moments.rows",),

@@ -13,10 +13,8 @@ from agent.core import AgentError, InputError, write_atomically
 
 RESULTS, PAGE = "results.jsonl", "blind_check.md"
 #: Values that a line of results leaves out.
-_USUAL: dict[str, Any] = {
-    "recorder": "", "effects": [], "size": None, "causes": [], "probability": None,
-    "more_wrong": 0, "all_named": False, "joint": None, "withheld": None,
-}  # fmt: skip
+_USUAL: dict[str, Any] = {"recorder": "", "effects": [], "size": None, "causes": [], "probability": None}
+_USUAL |= {"more_wrong": 0, "all_named": False, "joint": None, "withheld": None}
 
 _DEFINITIONS = f"""Every run is counted in one column.
 

@@ -15,7 +15,7 @@ from agent.estimation.observation import observe, partition
 from agent.estimation.prior import Prior
 from agent.estimation.problem import Problem
 from agent.estimation.selection import paper_terms
-from agent.model import Reversal
+from agent.model import Reversal, standstill_speed
 from agent.robot.bodies import rigid_bodies
 from tests.estimation.conftest import _arm, _links, _log, _multisine
 
@@ -61,9 +61,12 @@ def summed(rows, cells=None, trusted=None):
 
 def test_sums_are_those_of_the_rows(problem, rows):
     moments, cells = problem.moments, problem.partition.fold != 1
+    speed, robot = problem.observation.segments[0].speed, problem.observation.robot
+    slowest = standstill_speed([speed], robot.max_velocity, 0.005)
+    assert np.array_equal(np.stack([still for _, still, _ in rows], axis=1), np.abs(speed) <= slowest)
     assert 0.2 < np.mean(rows[1][1]) < 0.5, "it stands now and then"
     scale = np.sqrt(np.outer(*2 * [np.diag(summed(rows))]))
-    for chosen in (None, cells):
+    for chosen in (None, cells, *(problem.partition.cluster == k for k in range(problem.partition.clusters))):
         found = moments.weighted(WEIGHTS) if chosen is None else moments.weighted(WEIGHTS, chosen)
         np.testing.assert_allclose(found / scale, summed(rows, chosen) / scale, atol=1e-12)
     counted = [[np.sum(still == group) for _, still, _ in rows] for group in (False, True)]
@@ -75,7 +78,9 @@ def test_sums_are_those_of_the_rows(problem, rows):
         np.testing.assert_allclose(moments.energy(values, chosen), energy, rtol=1e-9)
     torque = [[np.sum(block[still == g, -1] ** 2) for block, still, _ in rows] for g in (False, True)]
     np.testing.assert_allclose(moments.torque_energy(), torque)
-    assert np.all(moments.energy(solve(rows)) >= 1e-15 * moments.torque_energy())
+    best = moments.energy(solve(rows))
+    assert np.all(best >= 1e-15 * moments.torque_energy())
+    assert np.all(best[0] < 0.5 * moments.torque_energy()[0])
 
 
 def solve(rows):
@@ -105,8 +110,12 @@ def test_weights_are_inverse_variances_and_no_less_certain_in_motion(problem):
     expected = np.where(moments.rows.sum(axis=0) > 0, variance, variance[::-1])
     expected[1] = np.maximum(expected[1], expected[0])
     np.testing.assert_allclose(1 / sums.reweight(moments, values), expected)
-    only = replace(moments, rows=moments.rows * [[[0], [1]]])
-    np.testing.assert_allclose(*sums.reweight(only, values))
+    for group in (0, 1):
+        only = replace(moments, rows=moments.rows * (np.arange(2) == group)[:, None])
+        np.testing.assert_allclose(1 / sums.reweight(only, values), variance[[group, group]])
+    silent = replace(moments, sums=(0 * moments.sums[0], moments.sums[1]), _totals={})
+    least = 1e-20 * silent.torque_energy().sum() / moments.rows.sum()
+    assert 1 / sums.reweight(silent, values)[0, 0] == pytest.approx(least)
     settled = sums.iterate_weights(moments, problem.prior, 2.0)
     again = sums.reweight(moments, sums.solve_sum(moments.weighted(settled), problem.prior, 2.0))
     np.testing.assert_allclose(again, settled, rtol=0.02)
@@ -118,10 +127,8 @@ def test_weights_are_inverse_variances_and_no_less_certain_in_motion(problem):
 def test_estimate_and_evidence_are_those_of_normal_distributions(units):
     rng = np.random.default_rng(3)
     x, k = rng.normal(size=(30, 3)) / units, 2.5
-    spread = rng.normal(size=(3, 5))
-    priors = [
-        Prior(rng.normal(size=3) * units, np.linalg.inv(f * spread @ spread.T) / np.outer(units, units)) for f in (1, 9)
-    ]
+    roots = rng.normal(size=(2, 3, 5)) * units[:, None]
+    priors = [Prior(rng.normal(size=3) * units, np.linalg.inv(root @ root.T)) for root in roots]
     y = x @ (rng.normal(size=3) * units) + rng.normal(size=30)
     total = np.column_stack([x, y]).T @ np.column_stack([x, y])
     found = sums.solve_sum(total, priors[0], k)
@@ -144,7 +151,7 @@ def test_estimate_and_evidence_are_those_of_normal_distributions(units):
 
 
 def test_a_gain_is_clear_beyond_its_scatter_between_folds():
-    gains = np.array([[1.0, 1.0], [2.0, -2.0], [3.0, 1.0]])
+    gains = np.array([[1.0, 100.0], [2.0, -200.0], [3.0, 100.0]])
     assert sums.clear_gain(gains).tolist() == [True, False]
     spread = np.std([1.0, 2.0, 3.0], ddof=1) * np.sqrt(3)
     for shift, expected in ((-0.01, False), (0.01, True)):
@@ -163,6 +170,10 @@ def test_errors_are_clearly_better_by_a_share_and_by_two_standard_errors():
         ([1.2, 1.2, 1.2, 1.2], 0.05, False),
     ):
         assert sums.clearly_better(before, np.array(after), least) is expected
+    scatter = 0.1 * np.sqrt(0.75) * np.array([-1, -1, 1, 1])  # of logarithms: 0.1, so 0.05 of their mean
+    for mean, expected in ((0.11, True), (0.09, False)):
+        assert sums.clearly_better(before, np.exp(-mean - scatter), 0.05) is expected
+    assert sums.clearly_better(np.array([0.0, 1.0, 1.0]), np.full(3, 0.5), 0.05)
     assert not sums.clearly_better(np.array([0.0, 0.0, 1.0]), np.full(3, 0.5), 0.0)
 
 
@@ -170,7 +181,19 @@ def test_errors_are_clearly_better_by_a_share_and_by_two_standard_errors():
 def test_autocorrelation_time(memory):
     """Of the noise, whatever it is about, also in parts; rows that never change count as one each."""
     rows = lfilter([np.sqrt(1 - memory**2)], [1, -memory], np.random.default_rng(0).normal(size=(100_000, 1)), axis=0)
-    rows = np.column_stack([3 * rows + 7, 0 * rows])
-    for parts in ([rows], [rows[:60_000], rows[60_000:]]):
-        expected = [(1 + memory) / (1 - memory), 1.0]
+    rows = 1e-4 * np.column_stack([0 * rows, 3 * rows + 7])
+    quiet = 1e-9 * np.random.default_rng(1).normal(size=(100_000, 2)) * [0, 1]
+    for parts in ([rows], [rows[:60_000], rows[60_000:]], [rows, quiet]):
+        expected = [1.0, (1 + memory) / (1 - memory)]
         assert sums.autocorrelation_time(parts) == pytest.approx(expected, rel=0.15)
+
+
+@pytest.mark.parametrize("size", [30, 31])
+def test_autocorrelations_are_summed_in_pairs_until_one_is_negative(size):
+    part = np.convolve(np.random.default_rng(5).normal(size=size + 4), np.ones(5), "valid")
+    away = part - part.mean()
+    rho = np.array([away[k:] @ away[: size - k] for k in range(size)]) / (away @ away)
+    time, lag = 1.0, 1
+    while lag + 1 < size and rho[lag] + rho[lag + 1] > 0:
+        time, lag = time + 2 * (rho[lag] + rho[lag + 1]), lag + 2
+    assert sums.autocorrelation_time([part[:, None]])[0] == pytest.approx(time, rel=1e-9)

@@ -71,7 +71,7 @@ def test_autocorrelated_noise_widens_the_test(memory):
 
 
 @pytest.mark.parametrize("place", [3, 11, RUNS - 3])
-def test_a_step_has_its_place_and_pays_for_all_alternatives(place):
+def test_a_step_is_dated_and_pays_for_all_alternatives(place):
     step = (np.arange(RUNS) >= place) - 0.5
     found = find_change(2 + 0.8 * step + NOISE, TIMES, NOTHING)
     assert (found.kind, found.place) == ("step", place)
@@ -79,6 +79,8 @@ def test_a_step_has_its_place_and_pays_for_all_alternatives(place):
     assert (found.size, found.deviation) == (pytest.approx(size), pytest.approx(deviation, rel=0.05))
     places = RUNS - 5  # three runs on either side
     assert np.log10(found.probability) == pytest.approx(np.log10(2 * places * probability), abs=0.3)
+    alone = sizes_of_change(2 + 0.8 * step + NOISE, NOTHING, step[None])[2][0]
+    assert found.probability == pytest.approx(2 * places * alone)
     assert np.array_equal(found.shape, step)
 
 
@@ -89,6 +91,8 @@ def test_a_drift_goes_along_time_or_use(along):
     assert (found.kind, found.place, found.size) == ("drift", 1, pytest.approx(size))
     assert np.array_equal(found.shape, line(along))
     assert np.log10(found.probability) == pytest.approx(np.log10(4 * probability), abs=0.5)
+    alone = sizes_of_change(1 + 0.9 * line(along) + 0.1 * NOISE, NOTHING, line(along)[None])[2][0]
+    assert found.probability == pytest.approx(4 * alone)
     assert found.drift == pytest.approx(least_squares(1 + 0.9 * line(along) + 0.1 * NOISE, line(TIMES))[0][0])
     assert (found.drift_deviation == found.deviation) is (along is TIMES)
 
@@ -96,4 +100,29 @@ def test_a_drift_goes_along_time_or_use(along):
 def test_nothing_is_found_where_nothing_changes():
     assert find_change(np.full(RUNS, 3.0), TIMES, NOTHING).probability == 1.0
     assert (line(TIMES).sum(), np.ptp(line(TIMES))) == (pytest.approx(0), pytest.approx(1))
+    assert np.ptp(line(0.01 * TIMES / 90)) == pytest.approx(1)
     assert not line(np.full(5, 2.0)).any()
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.002])
+def test_prior_and_data_share_the_coefficient_of_the_covariate_by_their_precision(noise):
+    covariate, shape = np.sin(TIMES), line(TIMES)
+    y, background = 3 + 0.4 * shape + 1.5 * covariate + NOISE, Background(covariate, 0.7, 0.05, noise)
+    (size,), (deviation,), _ = sizes_of_change(y, background, shape[None])
+    common, rest = (part - part.mean() - shape * (shape @ part) / (shape @ shape) for part in (covariate, y))
+    seen = common @ common - RUNS * noise
+    slope = common @ rest / seen
+    variance = np.sum((rest - slope * common) ** 2) / (RUNS - 3)
+    precision, before = seen / variance, 0.05**-2
+    coefficient = (precision * slope + before * 0.7) / (precision + before)
+    along = shape @ covariate / (shape @ shape)
+    assert size == pytest.approx(shape @ y / (shape @ shape) - coefficient * along)
+    left = y - y.mean() - coefficient * (covariate - covariate.mean()) - size * shape
+    rho = np.clip(left[1:] @ left[:-1] / (left @ left), 0, 0.9)
+    own = left @ left / (RUNS - 3) * (1 + rho) / (1 - rho) / (shape @ shape)
+    assert deviation == pytest.approx(np.sqrt(own + along**2 / (precision + before)))
+    found, design = fit_course(y, background, shape)
+    free = np.linalg.lstsq(design, y, rcond=None)[0]
+    weight = np.diag([0, np.sum((y - design @ free) ** 2) / (RUNS - 3) / 0.05**2, 0])
+    right = design.T @ y + weight @ [0, 0.7, 0]
+    assert found == pytest.approx(np.linalg.solve(design.T @ design + weight, right))
