@@ -110,8 +110,8 @@ def follow(plant: Plant, astray: Astray, position: np.ndarray, velocity: np.ndar
     """What is measured while the plant follows set-points (K, n) of a program that begins at `start` (n,)."""
     position, velocity = astray.changed(position, velocity, start)
     chunks = list(plant.run(*astray.followed(position, velocity)))
-    measured = (np.concatenate([getattr(c, name) for c in chunks]) for name in ("position", "velocity", "torque"))
-    return Slice(*(*measured, position, velocity))
+    q, qd, torque = (np.concatenate([getattr(c, name) for c in chunks]) for name in ("position", "velocity", "torque"))
+    return Slice(q, qd, torque, position, velocity)
 
 
 class CannotMove(Exception):
