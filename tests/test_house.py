@@ -32,7 +32,7 @@ MOST_LINES = {
     "drivers": 8_005,
     "fake_controller": 9_880,
     "second_world benchmarks": 4_600,
-    "tests": 46_790,
+    "tests": 47_170,
 }
 
 
