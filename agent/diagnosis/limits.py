@@ -49,7 +49,7 @@ class DecisionLimits:
 
     # What a verdict promises
     explained: float = known(0.75, "gap", "that all causes close together, or it is not explained", _CONTRACT)
-    least_share: float = known(0.03, "gap", "a cause that closes less by itself has no size", "chosen")
+    least_share: float = known(0.1, "gap", "a cause that closes less by itself has no size", "chosen")
     path_probability: float = known(
         0.97,
         "probability",
