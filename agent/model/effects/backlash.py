@@ -9,12 +9,11 @@ from agent.model.effects.experiments import SLOW_REVERSALS
 from agent.model.effects.two_mass import TwoMass
 
 _GAPS = np.geomspace(2e-4, 1.3e-2, 11)  # rad
-_FREQUENCIES = np.geomspace(7.0, 65.0, 10)  # Hz, of the link on its locked motor while the teeth touch
-_DAMPING = 0.15
+_FREQUENCIES, _DAMPING = np.geomspace(7.0, 65.0, 10), 0.15  # Hz and ratio of the link while the teeth touch
 
 
 class Backlash(TwoMass):
-    """τ_k = −a ṗ, d the motor's lead over a link behind teeth with play (see `two_mass`), a near 1."""
+    """τ_k = −a ṗ, d the motor's lead over a link behind teeth with play (see `two_mass`), a near 1; elastic without."""
 
     name = "backlash"
     family = "transmission"
@@ -22,6 +21,7 @@ class Backlash(TwoMass):
     source = "Nordin, Gutman, Automatica 38 (2002)"
     signature = "pulses right after the load torque changes sign, quiet elsewhere"
     confused_with = ("presliding", "joint_elasticity")
+    structurally_equivalent = ("joint_elasticity",)
     phrase = "the gear has play"
     look_at = "play of the gear: turn the link by hand with the motor braked"
     needs_reversals = 2
