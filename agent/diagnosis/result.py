@@ -78,7 +78,6 @@ def build(
     """Figures held out, shares, regimes and what is not testable.
 
     `held`: the torque that stands still where most of the gap is.
-
     `calibrated`: of a simulator whose parameters were moved, if any; causes are judged by the gap that is left then,
     and all figures are of the gap of the simulator as given.
     """

@@ -52,7 +52,6 @@ def diagnose(
     logs, twice = _distinct(logs)
     calibrated = None
     held: HeldTorque | None = None
-    of_zero: tuple[str, ...] = ()
     if model is not None and model.method == SIMULATOR:
         answer = search_simulator(robot, model, logs, cutoff, without, progress, limits)
         search, finding, gap, calibrated = answer.search, answer.finding, answer.gap, answer.calibrated
@@ -67,7 +66,7 @@ def diagnose(
         if (held := held_torque(dataset, finding.fit)) is not None:
             finding = finding.without_causes("unknown", dataset.fit)
         finding, gap = judge(dataset, replace(finding, zero_known=zero is not None), dataset.fit)
-        of_zero = () if zero is None else said_by_zero(dataset, finding, zero)
+    of_zero = () if zero is None else said_by_zero(dataset, finding, zero)
     motion = motion_gap(logs, limits)
     beyond = beyond_fit(dataset.model, [(s.q[s.kept], s.qd[s.kept]) for s in dataset.fit.signals])
     said = (*_warnings(robot, logs, model is not None, limits), *_of_model(dataset), *beyond, *_path_warnings(motion))

@@ -55,11 +55,12 @@ def _control(robot, fitted, held_out) -> None:
     [
         ("bam_xl330", "robot.yaml", XL330[::2], XL330[1::2]),
         ("kr300", "robot_real.yaml", "AB", "C"),  # it begins in motion, with a friction that nobody knows
+        ("kr300", "robot_dummy.yaml", "BC", "A"),  # simulations of its elasticity are unstable
         *(
             pytest.param("kr300", f"robot_{inertials}.yaml", sorted({*"ABC"} - {held_out}), held_out, marks=SLOW)
             for inertials in ("real", "none", "dummy")
             for held_out in "ABC"
-            if (inertials, held_out) != ("real", "C")
+            if (inertials, held_out) not in (("real", "C"), ("dummy", "A"))
         ),
         pytest.param("bam_xl330", "robot.yaml", XL330[1::2], XL330[::2], marks=SLOW),
         pytest.param("tiago", "robot.yaml", ["fit"], ["held"], marks=SLOW),
@@ -98,4 +99,4 @@ def test_where_nothing_is_named_nothing_is_closed(shared_data):
     found = diagnose(robot, [held_out], estimate(robot, list(logs.values()))).result
     assert (found["verdict"], found["causes"], found["closure"]) == ("no_gap", [], 0.0)
     assert found["gap"]["after"] == found["gap"]["before"]
-    assert any("stored uncertainty" in text for text in found["warnings"])
+    assert any("explain" in text and "within their uncertainty" in text for text in found["warnings"])

@@ -25,7 +25,6 @@ from agent.model import CATALOGUE
 _LISTED = 100  # hypotheses that a finding keeps
 _RIVALS = 2  # that a class lists next to its cause
 
-
 #: Log likelihood of something else that was observed, given a hypothesis.
 Observed = Callable[[Evidence, Evaluated], float]
 

@@ -117,5 +117,6 @@ def healthy_on(fit: Fit, model: IdentifiedModel, without: Collection[str] = ()) 
         kinds = {tuple(sorted(settings)): settings for settings in effect.settings(fit, joints)}
         if tuple(sorted(one.settings)) in kinds:
             kinds[tuple(sorted(one.settings))] = one.settings
-        found += [(form, one.size) for form in fit.candidates([(effect, joints, kind) for kind in kinds.values()])]
+        forms = fit.candidates([(effect, joints, kind) for kind in kinds.values()])
+        found += [(form, one.size) for form in forms if form.stable]
     return found

@@ -98,7 +98,7 @@ class Search:
         """Return every effect on all its possible joints, with the grid of its nonlinear parameters."""
         wanted = [(effect, joints, s) for effect, joints in self._places for s in effect.settings(self.fit, joints)]
         self._progress(f"comparing {len(wanted)} forms of effects")
-        return self.fit.candidates(wanted)
+        return [form for form in self.fit.candidates(wanted) if form.stable]
 
     def _text(self, base: Evaluated) -> str:
         names = [self.evidence.candidate(k).effect.name for k in base.effects]
@@ -158,7 +158,7 @@ class Search:
         return gains, values
 
     def _add(self, fit: Fit, wanted: Sequence[Wanted]) -> None:
-        new = [c for c in dict.fromkeys(fit.candidates(wanted)) if c not in self._known]
+        new = [c for c in dict.fromkeys(fit.candidates(wanted)) if c.stable and c not in self._known]
         self._known.update(new)
         self.evidence.add(new)
 

@@ -43,6 +43,11 @@ class Candidate:
         """Whether it happens once, so that no other log tells of it and it is judged by `single` folds."""
         return self.effect.happens_once(self.settings)
 
+    @property
+    def stable(self) -> bool:
+        """Whether its torque can be computed with; that of an unstable simulation overflows."""
+        return all(np.abs(block).max(initial=0.0) < 1e15 for block in self.blocks.values())
+
     def text(self, joint_names: Sequence[str]) -> str:
         """Name of the candidate in steps and ranges."""
         where = ", ".join(joint_names[j] for j in self.joints)
