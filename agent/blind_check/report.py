@@ -128,10 +128,10 @@ def _power(scores: Mapping[str, Any]) -> Iterator[str]:
         [tool, _band(row), *(_share(row[name]) for name in columns)]
         for tool, one in scores.items()
         for row in one["power"]
-        if row["found"]["of"] and any(band[name]["count"] for band in one["power"] for name in ("right", "wrong"))
+        if row["found"]["of"] and any(band["right"]["count"] for band in one["power"])
     ]
     if rows:
-        yield from ("Runs with one effect by its size, of tools that named a cause:", "")
+        yield from ("Runs with one effect by its size, of tools that found a true cause:", "")
         yield from _table(["tool", "size, %", *columns], rows)
 
 
