@@ -41,10 +41,6 @@ class CubicSplines:
         return np.asarray(self._spline(inside) + (places - inside)[:, None] * self._spline(inside, 1))
 
 
-#: Less than glibc's largest threshold (32 MiB), which it would not raise.
-_BLOCK = 30_000_000
-
-
 def keep_freed_memory() -> None:
     """Let the C library keep what arrays give back for the next ones, instead of returning it to the system each time.
 
@@ -52,4 +48,4 @@ def keep_freed_memory() -> None:
     M_MMAP_THRESHOLD): one untouched block is enough. Without it a search spends a tenth of its time fetching the same
     pages again. Elsewhere it does nothing.
     """
-    bytes(_BLOCK)
+    bytes(30_000_000)  # below glibc's largest threshold, 32 MiB

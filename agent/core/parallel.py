@@ -39,7 +39,6 @@ class TaskEngine(Protocol):
 
     def map(self, function: Callable[[Task], Answer], tasks: Iterable[Task]) -> Iterator[TaskDone[Answer]]:
         """Answers in the order in which they come; an error of `function` is raised here."""
-        ...
 
 
 class InProcess:
@@ -70,8 +69,12 @@ class LocalProcesses:
         return self
 
     def __exit__(self, *_: object) -> None:
-        for process in list((self._pool._processes or {}).values()):  # `terminate_workers` from Python 3.14 on
-            process.terminate()
+        working = list((self._pool._processes or {}).values())  # `terminate_workers` from Python 3.14 on
+        while working := [process for process in working if process.is_alive()]:
+            for process in working:
+                process.terminate()
+            for process in working:
+                process.join(_PATIENCE)
         self._pool.shutdown(cancel_futures=True)
 
     def map(self, function: Callable[[Task], Answer], tasks: Iterable[Task]) -> Iterator[TaskDone[Answer]]:
@@ -89,21 +92,24 @@ class LocalProcesses:
             raise RuntimeError("a process that worked for this one was killed; is memory short?") from None
 
 
+#: Python acts on a signal once the main thread runs; one that comes just before it waits is repeated after this [s].
+_PATIENCE = 5.0  # what a task started has as long for its end
 _working = threading.Event()
 
 
 def _answer(function: Callable[[Task], Answer], task: Task) -> Answer:
     try:
         _working.set()
-        return function(task)
-    except InputError as error:  # as one plain kind: its subclasses need not survive the journey
-        raise InputError(str(error)) from None
+        try:
+            return function(task)
+        except InputError as error:  # as one plain kind: its subclasses need not survive the journey
+            raise InputError(str(error)) from None
+        except Exception:
+            raise RuntimeError(f"a process that worked for this one failed:\n{traceback.format_exc()}") from None
+        finally:
+            _working.clear()
     except SystemExit:  # asked to end, and what the task started has ended; the pool would go on
         os._exit(1)
-    except Exception:
-        raise RuntimeError(f"a process that worked for this one failed:\n{traceback.format_exc()}") from None
-    finally:
-        _working.clear()
 
 
 def _end(*_: object) -> None:
@@ -121,9 +127,9 @@ def _end_with_parent() -> None:
 
 def _end_after(parent: Any) -> None:
     parent.join()
-    while True:  # Python acts on a signal only once the main thread runs; one may come just before it waits
+    while True:
         os.kill(os.getpid(), signal.SIGTERM)
-        time.sleep(5)  # as long as what a task started has for its end
+        time.sleep(_PATIENCE)
 
 
 def available_cores() -> int:
