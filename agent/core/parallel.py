@@ -93,7 +93,7 @@ class LocalProcesses:
 
 
 #: Python acts on a signal once the main thread runs; one that comes just before it waits is repeated after this [s].
-_PATIENCE = 5.0  # what a task started has as long for its end
+_PATIENCE = 5.0  # processes that a task started have as long to end
 _working = threading.Event()
 
 

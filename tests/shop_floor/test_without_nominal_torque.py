@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from agent.core import error_text
+from agent.core.console import finite
 from agent.pipeline.calibrate import calibration_text
 from agent.pipeline.reports import worse_joints
 from agent.pipeline.result import judge
@@ -130,3 +131,8 @@ def test_formats_figures_with_and_without_nominal_torque():
     assert error_text(None, None) == "-"
     assert figure_text(0.5, "of nominal") == "50.00 %"
     assert figure_text(0.5, "N") == "0.5 N"
+
+
+def test_a_number_that_is_not_finite_is_null_in_results():
+    figures = {"rmse": np.array([0.01, np.nan]), "worst": [np.inf, 2.0]}
+    assert finite(figures) == {"rmse": [0.01, None], "worst": [None, 2.0]}
