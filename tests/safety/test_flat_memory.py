@@ -29,7 +29,7 @@ def block(first: int, count: int = 10) -> SampleBlock:
 def test_memory_does_not_grow_with_the_recording(tmp_path):
     aligner, braking = Aligner((), PERIOD), Braking(ROBOT.max_velocity)
     freshness = Freshness(PERIOD, 0.5, lambda: 0.0)
-    held = []
+    held: dict[int, list[int]] = {0: [], 2: []}
     with LogWriter(tmp_path / "long.mcap", ROBOT.joint_names, robot="r", motion="m") as writer:
         tracemalloc.start()
         for k in range(3000):
@@ -38,12 +38,12 @@ def test_memory_does_not_grow_with_the_recording(tmp_path):
             aligner.take(samples.time, samples.reference_position)
             braking.take(samples.time, samples.position)
             freshness.judged(float(samples.time[-1]))
-            if k in (1000, 2999):
+            if k // 1000 in held and k % 1000 >= 950:  # two flushes: what fills the open chunk is not growth
                 while writer.backlog:
                     pass
-                held.append(tracemalloc.get_traced_memory()[0])
+                held[k // 1000].append(tracemalloc.get_traced_memory()[0])
         tracemalloc.stop()
-    assert (held[1] - held[0]) / 20_000 < LEAST
+    assert (min(held[2]) - min(held[0])) / 20_000 < LEAST
 
 
 @given(st.lists(st.integers(0, 30), max_size=60), st.integers(0, 12), st.integers(1, 9))
