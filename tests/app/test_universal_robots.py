@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 from pathlib import Path
 
@@ -33,7 +32,7 @@ def agent(folder: Path, *arguments: object, hidden: tuple[dict, ...] = ()) -> st
     (folder / "ur5e.yaml").write_text(text, encoding="utf-8")
     with emulators() as start:
         start("--robot", "ur5e", "--address", address, "--effects", str(folder / "effects.json"))
-        done = warm.run("agent", *arguments, cwd=folder, env={**os.environ, "PYTHONPATH": str(ROOT)})
+        done = warm.run("agent", *arguments, cwd=folder)
     assert done.returncode == 0, done.stderr
     return done.stdout
 
