@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import tempfile
@@ -74,7 +75,8 @@ def _compile_apart(path: Path, place: Path) -> str:
     processor time and memory, and is ended with this one.
     """
     command = [sys.executable, "-c", _COMPILE, str(path.resolve()), str(place), str(_SECONDS), str(_MEMORY)]
-    with subprocess.Popen(command, cwd=place.parent, stdout=-1, stderr=-3, stdin=-3) as process:
+    blind = {**os.environ, "MUJOCO_GL": "disable"}  # nothing is drawn: a library for windows is not loaded
+    with subprocess.Popen(command, cwd=place.parent, env=blind, stdout=-1, stderr=-3, stdin=-3) as process:
         try:
             told, _ = process.communicate(timeout=10 * _SECONDS)
         except subprocess.TimeoutExpired:

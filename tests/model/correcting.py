@@ -105,7 +105,7 @@ def motion(seconds: float = 1.0):
 
 def torque_of_file(path: Path, module, q, qd, qdd):
     """(S, 3) of MuJoCo, or of Pinocchio, from the file and the effects, and of the bodies alone what these need."""
-    model = load_simulator(path, None, NAMES).model  # for mass matrices only
+    model = _bodies(path)
     masses = np.array([model.rigid.dynamics.mass_matrix(row) for row in q])
     slopes = model.rigid.dynamics.torque_slope(q, qd, qdd)
     if path.suffix == ".urdf":
@@ -141,6 +141,20 @@ def torque_of_file(path: Path, module, q, qd, qdd):
     added = np.array([effects.torque(*row) for row in zip(q, qd, qdd, load, masses, slopes, strict=True)])
     total = plain + friction * np.tanh(qd / module.REVERSAL) + added
     return np.array([effects.reading(row) for row in total])
+
+
+@functools.cache
+def _model_of(files: tuple[tuple[str, str], ...], name: str):
+    with tempfile.TemporaryDirectory() as folder:
+        for other, content in files:
+            written(Path(folder), content, other)
+        return load_simulator(Path(folder) / name, None, NAMES).model
+
+
+def _bodies(path: Path):
+    """The model in a file, for mass matrices only; files of the same content are read once."""
+    files = sorted(path.parent.glob(f"*{path.suffix}"))
+    return _model_of(tuple((one.name, one.read_text(encoding="utf-8")) for one in files), path.name)
 
 
 def entry(effect, *joints, **parameters):
