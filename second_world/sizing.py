@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -53,6 +54,7 @@ def sized(world: DrawnWorld, effect: Mapping[str, Any], day: int, motions: Motio
     law = known_law(effect)
     plain = None if effect["effect"] == "interpolator_mismatch" else build(world, (), day).run(motions)
 
+    @cache
     def found(amount: float) -> float:
         machine = build(world, [{**effect, "parameters": {"amount": amount}}], day)
         if plain is None:

@@ -11,6 +11,7 @@ import subprocess
 import sys
 import termios
 import threading
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -122,7 +123,7 @@ def moving(bench, controller, on_terminal):
 def _wait_for(controller: Controller, recorded: int, process: subprocess.Popen | None = None) -> None:
     while controller.recorded < recorded:
         assert process is None or process.poll() is None
-        os.sched_yield()
+        time.sleep(0.001)
 
 
 def _assert_nothing_lost(bench, controller) -> None:
@@ -199,7 +200,7 @@ def test_a_signal_ends_a_wait_for_an_answer(bench, on_terminal, assert_at_rest, 
     bench.program.write_text(LONG, encoding="utf-8")
     terminal = on_terminal("record", bench.recipe, "--program", bench.program, "-o", bench.log, "--yes")
     while controller.faults.waiting:
-        os.sched_yield()
+        time.sleep(0.001)
     terminal.process.send_signal(number)
     os.close(terminal.slave)
     said = terminal.read_to_the_end()

@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,7 @@ from tests.conftest import environment
 
 # records 50 ms of data at a time and says so once they have gone through the writer
 _RECORDER = """
-import sys
+import sys, time
 import numpy as np
 from agent.recording import LogWriter
 from drivers.protocol import SampleBlock
@@ -31,7 +32,7 @@ for k in range(4000):
     q = np.sin(count / 500.0)[:, None] * [1.0, 2.0]
     writer.write(SampleBlock(count, count / 500.0, q, q, q, q, q))
     while writer.backlog:
-        pass
+        time.sleep(0.001)
     print(k, flush=True)
 """
 
@@ -209,7 +210,7 @@ def test_a_log_deleted_while_recording_is_an_error(tools, tmp_path: Path, harm, 
     def write(first: int, samples: int) -> None:
         writer.write(tools.motion(samples, first=first))
         while writer.backlog:
-            os.sched_yield()
+            time.sleep(0.001)
 
     def go_on() -> None:
         for first in range(1000, 1001 if after else 3000, 50):
