@@ -6,8 +6,6 @@ A relay in front of the controller delays each answer. Where the link cannot car
 from __future__ import annotations
 
 import contextlib
-import socket
-import threading
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -23,6 +21,7 @@ from fake_controller.servers.cable import Cable
 from fake_controller.ur.cell import UrCell
 from tests.conftest import patience
 from tests.faults.conftest import LONG, ur_program
+from tests.link.conftest import Relay
 from tests.link.test_ur_driver import FakeUr
 
 BAUD = 4_000_000
@@ -65,43 +64,6 @@ class Watched(Faults):
         controller.stop = noted
 
 
-class SlowRelay:
-    """Passes on what a client says, and each answer late."""
-
-    def __init__(self, target: tuple[str, int], delay: float) -> None:
-        self._target, self._delay = target, delay
-        self._listener = socket.create_server(("127.0.0.1", 0))
-        self.port = self._listener.getsockname()[1]
-        self._open = [self._listener]
-        threading.Thread(target=self._accept, daemon=True).start()
-
-    def close(self) -> None:
-        for handle in self._open:
-            with contextlib.suppress(OSError):
-                handle.shutdown(socket.SHUT_RDWR)
-            handle.close()
-
-    def _accept(self) -> None:
-        with contextlib.suppress(OSError):
-            while True:
-                client, _ = self._listener.accept()
-                server = socket.create_connection(self._target)
-                for one in (client, server):
-                    one.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-                    self._open.append(one)
-                threading.Thread(target=self._pass, args=(client, server, 0.0), daemon=True).start()
-                threading.Thread(target=self._pass, args=(server, client, self._delay), daemon=True).start()
-
-    def _pass(self, source: socket.socket, target: socket.socket, delay: float) -> None:
-        with contextlib.suppress(OSError):
-            while data := source.recv(65536):
-                time.sleep(delay)
-                target.sendall(data)
-        for handle in (source, target):
-            with contextlib.suppress(OSError):
-                handle.shutdown(socket.SHUT_RDWR)
-
-
 @dataclass
 class Attacked:
     """Result of one run: the agent's exit code and messages, and the record of the arm."""
@@ -117,10 +79,12 @@ def relayed(wire: str, controller: Controller | FakeUr, delay: float, watchdog: 
     """The address of a controller whose answers come late."""
     with contextlib.ExitStack() as undo:
 
-        def relay(port: int, host: str = "127.0.0.1") -> int:
-            made = SlowRelay((host, port), delay)
-            undo.callback(made.close)
-            return made.port
+        def late_answer(outward: bool, data: bytes) -> bytes:
+            time.sleep(0.0 if outward else delay)
+            return data
+
+        def relay(port: int, host: str = "127.0.0.1") -> str:
+            return undo.enter_context(contextlib.closing(Relay((host, port), late_answer))).address.rpartition(":")[2]
 
         if isinstance(controller, FakeUr):
             server = controller
@@ -129,12 +93,7 @@ def relayed(wire: str, controller: Controller | FakeUr, delay: float, watchdog: 
         elif wire in ("serial", "rtu"):
             cable = Cable(BAUD)
             undo.callback(cable.close)
-
-            def late(end: str, data: bytes) -> bytes:
-                time.sleep(delay if end == "near" else 0.0)
-                return data
-
-            cable.tamper = late
+            cable.tamper = lambda end, data: late_answer(end != "near", data)
             server = open_server(wire, controller, baud=BAUD, serial_port=cable.near, watchdog=watchdog)
             address = f"{cable.far},{BAUD},{'rtu' if wire == 'rtu' else 'frames'}"
         elif wire == "cnr_comau":

@@ -11,18 +11,7 @@ from fake_controller.faults import Fault
 from fake_controller.servers import NoBrokerError
 from fake_controller.servers.cnr.server import CnrServer
 from tests.conftest import free_port
-from tests.link.cnr_peer import (
-    CLOCK_OFFSET,
-    LONG,
-    SHORT,
-    TOPICS,
-    Records,
-    Samples,
-    point,
-    program,
-    start,
-    trajectory,
-)
+from tests.link.cnr_peer import CLOCK_OFFSET, LONG, SHORT, TOPICS, Records, Samples, point, program, start, trajectory
 
 
 def test_queued_points_move_as_the_same_fly_program_does(serve):
@@ -154,7 +143,8 @@ def test_feedback_that_nobody_answers_stops_the_arm(serve):
 
 
 @pytest.mark.parametrize("which", ["trajectory", "feedback"])
-def test_a_client_that_leaves_stops_the_arm(bench, which):
+def test_a_client_that_leaves_stops_the_arm(serve, which):
+    bench = serve(clock="real")
     links = {"feedback": bench.feedback(), "trajectory": bench.trajectory()}
     bench.store(LONG)
     assert links["trajectory"].done(start(1))
