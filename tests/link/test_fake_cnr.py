@@ -10,18 +10,7 @@ import pytest
 
 from drivers.wire.reasons import EndReason
 from fake_controller.faults import Fault
-from tests.link.cnr_peer import (
-    CLOCK_OFFSET,
-    KEYS,
-    LONG,
-    SHORT,
-    Records,
-    Samples,
-    Socket,
-    program,
-    start,
-    trajectory,
-)
+from tests.link.cnr_peer import CLOCK_OFFSET, KEYS, LONG, SHORT, Records, Samples, Socket, program, start, trajectory
 
 
 def fetched(ftp, name):

@@ -30,15 +30,7 @@ from agent.recording import read_log
 from agent.recording.mcap.log_file import write_log
 from agent.report.diagnosis.page import diagnosis_report
 from agent.simulators import load_simulator
-from tests.model.bench import (
-    CHAIN,
-    RATE,
-    URDF,
-    recorded,
-    scene,
-    states,
-    written,
-)
+from tests.model.bench import CHAIN, RATE, URDF, recorded, scene, states, written
 
 
 def test_a_correct_simulator_has_no_gap_and_needs_no_description(tmp_path, robot, monkeypatch):

@@ -17,19 +17,7 @@ from agent.recording import read_log
 from agent.recording.mcap.log_file import STATES, LogFile
 from agent.simulators import load_joint_map, load_simulator
 from agent.simulators.joints import matched
-from tests.model.bench import (
-    BODY,
-    CHAIN,
-    MJCF,
-    NAMES,
-    RATE,
-    URDF,
-    mujoco_torque,
-    recorded,
-    scene,
-    states,
-    written,
-)
+from tests.model.bench import BODY, CHAIN, MJCF, NAMES, RATE, URDF, mujoco_torque, recorded, scene, states, written
 
 
 def test_an_mjcf_gives_the_torque_that_mujoco_gives(tmp_path):
