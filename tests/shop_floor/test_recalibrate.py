@@ -16,6 +16,7 @@ import pytest
 
 from agent.model import IdentifiedModel
 from agent.runs.loop_store import stored_loops
+from tests.shop_floor.conftest import agent
 
 ADDRESS = r'address: "[^"]*"'
 
@@ -173,15 +174,6 @@ def test_a_busy_robot_exits_with_75(shop, run_agent, controller):
     assert len(_runs(shop)) == 1
 
 
-def test_estimates_all_parameters_again_on_request(shop, run_agent):
-    _change_recipe(shop, "parameters: friction", "parameters: all")
-    run = run_agent("recalibrate", "recipe.yaml", "-q")
-    assert run.returncode == 0, run.stderr
-    before, after = (IdentifiedModel.load(path / "model.json") for path in _runs(shop))
-    assert before.names == after.names, "the structure is kept, so that runs can be compared"
-    assert not np.array_equal(before.base_values, after.base_values)
-
-
 def _authorisation(shop: Path, **changes: object) -> Path:
     (loop,) = stored_loops(shop / "logs" / "trajectories")
     said = {
@@ -200,9 +192,24 @@ def _authorisation(shop: Path, **changes: object) -> Path:
     return path
 
 
-def test_a_matching_authorisation_allows_the_motion(shop, run_agent):
-    run = run_agent("recalibrate", "recipe.yaml", "--authorisation", _authorisation(shop), "-q")
+@pytest.fixture(scope="module")
+def estimated_again(calibrated: Path, tmp_path_factory) -> tuple[Path, subprocess.CompletedProcess[str]]:
+    """The shop after an authorised recalibration of all parameters."""
+    folder = tmp_path_factory.mktemp("again") / "shop"
+    shutil.copytree(calibrated, folder, symlinks=True)
+    _change_recipe(folder, "parameters: friction", "parameters: all")
+    return folder, agent(folder, "recalibrate", "recipe.yaml", "--authorisation", _authorisation(folder), "-q")
+
+
+def test_a_matching_authorisation_allows_the_motion(estimated_again):
+    _, run = estimated_again
     assert run.returncode == 0, run.stderr
+
+
+def test_estimates_all_parameters_again_on_request(estimated_again):
+    before, after = (IdentifiedModel.load(path / "model.json") for path in _runs(estimated_again[0]))
+    assert before.names == after.names, "the structure is kept, so that runs can be compared"
+    assert not np.array_equal(before.base_values, after.base_values)
 
 
 @pytest.mark.parametrize(
