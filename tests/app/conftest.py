@@ -25,7 +25,7 @@ motion:
       size: [500 mm, 600 mm, 400 mm]
       orientation: [0 deg, 180 deg, 0 deg]
       cone: 30 deg
-search: {{population: 8, generations: {generations}, seed: 1}}
+search: {{population: 8, generations: 3, seed: 1}}
 record: {{rate: 500 Hz, cycles: {cycles}}}
 validate: {{motions: {motions}, speed: {speed}, seed: 2}}
 gate: {{normalised_rmse: {gate}}}
@@ -40,10 +40,10 @@ def controller(start_controller: Callable[..., Any]) -> Any:
 
 @pytest.fixture
 def write_recipe(tmp_path: Path) -> Callable[..., Path]:
-    """Writes a small recipe into the test's folder; keyword arguments: cycles, motions, speed, gate, generations."""
+    """Writes a small recipe into the test's folder; keyword arguments: cycles, motions, speed, gate."""
 
     def write(address: str, **values: object) -> Path:
-        chosen = {"cycles": 2, "motions": 2, "speed": "0.2 m/s", "gate": 0.03, "generations": 3, **values}
+        chosen = {"cycles": 2, "motions": 2, "speed": "0.2 m/s", "gate": 0.03, **values}
         path = tmp_path / "recipe.yaml"
         path.write_text(RECIPE.format(address=address, **chosen), encoding="utf-8")
         return path

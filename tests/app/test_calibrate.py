@@ -103,7 +103,7 @@ def test_calibrates_the_emulated_robot_end_to_end(controller, write_recipe, run_
 
 
 def test_a_missed_gate_exits_with_3_and_keeps_the_run(only_run, controller, write_recipe, run_agent, tmp_path: Path):
-    recipe = write_recipe(controller.address, motions=1, gate=1e-5, generations=1)
+    recipe = write_recipe(controller.address, motions=1, gate=1e-5)
     run = run_agent("calibrate", recipe, "--json")
     assert run.returncode == 3
     assert json.loads(run.stdout)["accepted"] is False
@@ -127,7 +127,7 @@ def test_an_interrupted_run_stops_the_arm_and_says_where(
     code: int,
 ):
     controller = start_controller("--clock", "real")
-    recipe = write_recipe(controller.address, motions=1, speed="1 m/s", cycles=1, generations=1)
+    recipe = write_recipe(controller.address, motions=1, speed="1 m/s", cycles=1)
     process = start_agent("calibrate", recipe)
     wait_for_motion(process)
     process.send_signal(kill)
@@ -171,7 +171,7 @@ def test_resumes_a_stopped_run(
     only_run, start_controller, write_recipe, start_agent, wait_for_motion, run_agent, tmp_path: Path
 ):
     slow = start_controller("--clock", "real")
-    recipe = write_recipe(slow.address, motions=1, cycles=1, generations=1)
+    recipe = write_recipe(slow.address, motions=1, cycles=1)
     process = start_agent("calibrate", recipe)
     wait_for_motion(process)
     process.kill()
@@ -204,7 +204,7 @@ def test_impossible_torque_makes_no_model(only_run, start_controller, write_reci
     effects.write_text(
         json.dumps([{"effect": "torque_constant", "joints": JOINTS, "parameters": {"scale": 1000}}]), encoding="utf-8"
     )
-    recipe = write_recipe(start_controller("--effects", str(effects)).address, motions=1, cycles=1, generations=1)
+    recipe = write_recipe(start_controller("--effects", str(effects)).address, motions=1, cycles=1)
     run = run_agent("calibrate", recipe)
     assert run.returncode == 3, run.stderr
     assert "excitation.mcap: torques look like N·mm" in run.stderr
@@ -219,7 +219,7 @@ def test_a_controller_killed_in_motion_ends_the_run(
     only_run, start_controller, write_recipe, start_agent, wait_for_motion, tmp_path: Path
 ):
     controller = start_controller("--clock", "real")
-    process = start_agent("calibrate", write_recipe(controller.address, motions=1, cycles=1, generations=1))
+    process = start_agent("calibrate", write_recipe(controller.address, motions=1, cycles=1))
     wait_for_motion(process)
     controller.end()
     _, errors = process.communicate()
@@ -234,7 +234,7 @@ def test_a_second_agent_on_the_same_robot_is_told_that_it_is_busy(
     start_controller, write_recipe, start_agent, wait_for_motion, run_agent
 ):
     controller = start_controller("--clock", "real")
-    recipe = write_recipe(controller.address, motions=1, cycles=1, generations=1)
+    recipe = write_recipe(controller.address, motions=1, cycles=1)
     first = start_agent("calibrate", recipe)
     wait_for_motion(first)
     second = run_agent("calibrate", recipe)

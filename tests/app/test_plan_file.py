@@ -63,9 +63,7 @@ def planned(tmp_path_factory):
     """A recipe, and a plan for it as a run keeps it."""
     folder = tmp_path_factory.mktemp("planned")
     path = folder / "recipe.yaml"
-    path.write_text(
-        RECIPE.format(address="127.0.0.1:1", cycles=2, motions=1, speed="0.2 m/s", gate=0.03, generations=3)
-    )
+    path.write_text(RECIPE.format(address="127.0.0.1:1", cycles=2, motions=1, speed="0.2 m/s", gate=0.03))
     recipe = load_recipe(path)
     genes = Candidates(loop_problem(recipe, recipe.motion.speed)).problem.genes
     genome = np.full(genes, 0.5).tolist()
