@@ -16,7 +16,6 @@ from second_world.world import DrawnWorld
 #: A size is met when it is reached within this ratio.
 TOLERANCE = 0.06
 _TRIES = 7
-_SMALLEST = 1e-6
 #: Size of a path that is not the planned one [rad] over the one that is asked for.
 _PATH = 0.2
 
@@ -64,7 +63,7 @@ def sized(world: DrawnWorld, effect: Mapping[str, Any], day: int, motions: Motio
     if "amount" in effect["parameters"]:
         return {**effect, "found": found(effect["parameters"]["amount"])}
     asked = float(effect["size"])
-    amount = _solved(lambda tried: np.log(max(found(tried), _SMALLEST) / asked), law.first, law.highest)
+    amount = _solved(lambda tried: np.log(max(found(tried), 1e-6) / asked), law.first, law.highest)
     return {**effect, "parameters": {"amount": amount}, "found": found(amount)}
 
 

@@ -80,8 +80,7 @@ def test_logs_without_motion_or_torque_are_refused(moving, said):
 
 
 @pytest.mark.parametrize(
-    ("key", "value"),
-    [("projection", None), ("projection", [[1.0]]), ("residual_rmse", None), ("covariance", "nan")],
+    ("key", "value"), [("projection", None), ("projection", [[1.0]]), ("residual_rmse", None), ("covariance", "nan")]
 )
 def test_a_model_file_that_was_damaged_by_hand_is_refused(tmp_path: Path, key, value):
     from agent.core.errors import InputError

@@ -99,8 +99,7 @@ def test_state_is_json_without_nan(recipe: Path, tmp_path: Path):
 
 
 @given(
-    lengths=st.lists(st.tuples(st.integers(4, 60), st.integers(2, 50)), min_size=1, max_size=5),
-    rest=st.integers(4, 20),
+    lengths=st.lists(st.tuples(st.integers(4, 60), st.integers(2, 50)), min_size=1, max_size=5), rest=st.integers(4, 20)
 )
 def test_finds_the_moving_stretches(lengths: list[tuple[int, int]], rest: int):
     reference, expected, here = [0.0] * rest, [], 0.0

@@ -122,8 +122,7 @@ def test_a_cpu_time_limit_does_not_cut_a_stop_short():
 
 
 @pytest.mark.parametrize(
-    ("fault", "number"),
-    [("os.abort()", signal.SIGABRT), ("import ctypes; ctypes.string_at(0)", signal.SIGSEGV)],
+    ("fault", "number"), [("os.abort()", signal.SIGABRT), ("import ctypes; ctypes.string_at(0)", signal.SIGSEGV)]
 )
 def test_a_crash_signal_is_not_caught(fault: str, number: int):
     """With the core file that its user has asked for, instead of a second life after memory was damaged."""

@@ -112,10 +112,7 @@ def moving(time):
 
 @settings(deadline=None, max_examples=12)
 @given(
-    offset=st.floats(-1e6, 1e6),
-    drift=st.floats(-50e-6, 50e-6),
-    phase=st.floats(0.0, 0.02),
-    behind=st.integers(0, 150),
+    offset=st.floats(-1e6, 1e6), drift=st.floats(-50e-6, 50e-6), phase=st.floats(0.0, 0.02), behind=st.integers(0, 150)
 )
 @example(offset=0.0, drift=0.0, phase=0.02, behind=0)
 def test_aligns_the_clocks_by_the_common_motion(offset, drift, phase, behind):

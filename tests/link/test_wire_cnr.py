@@ -152,12 +152,7 @@ def test_decodes_a_topic_written_by_the_node():
 def test_encodes_a_topic_like_the_node():
     payload = cnr.encode_joints((1.5, -2.0), 12)
     assert payload.endswith(b"\0")
-    assert json.loads(payload[:-1]) == {
-        **{f"J{k}": 0.0 for k in range(3, 11)},
-        "J1": 1.5,
-        "J2": -2.0,
-        "time": 12,
-    }
+    assert json.loads(payload[:-1]) == {**{f"J{k}": 0.0 for k in range(3, 11)}, "J1": 1.5, "J2": -2.0, "time": 12}
 
 
 @pytest.mark.parametrize(

@@ -36,11 +36,7 @@ def test_blocks_do_not_overlap_and_fit_into_one_message():
 
 
 GOLDEN = [
-    (
-        wire.HEARTBEAT,
-        {"session": 0x01020304, "count": 7, "taken": 0x10001},
-        "01020304 0007 00010001",
-    ),
+    (wire.HEARTBEAT, {"session": 0x01020304, "count": 7, "taken": 0x10001}, "01020304 0007 00010001"),
     (
         wire.PROGRESS,
         {

@@ -46,11 +46,7 @@ GOLDEN = [
         ),
     ),
     (tcp.AskTemperatures(), 3, with_checksum("43414c4b 01 0b 0000 00000000 03000000")),
-    (
-        tcp.TemperaturesReply((25.5,)),
-        3,
-        with_checksum("43414c4b 01 8b 0000 09000000 03000000  01 0000000000803940"),
-    ),
+    (tcp.TemperaturesReply((25.5,)), 3, with_checksum("43414c4b 01 8b 0000 09000000 03000000  01 0000000000803940")),
     (tcp.AskFrames(), 3, with_checksum("43414c4b 01 0c 0000 00000000 03000000")),
     (
         tcp.FramesReply((0.5,), (), (-2.0, 1.0)),

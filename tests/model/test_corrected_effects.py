@@ -60,9 +60,7 @@ TWO_MASS = ("joint_elasticity", "backlash")
 def case(name):
     effect, *words = CASES[name].split()
     return entry(
-        effect,
-        *(word for word in words if "=" not in word),
-        **dict(word.split("=") for word in words if "=" in word),
+        effect, *(word for word in words if "=" not in word), **dict(word.split("=") for word in words if "=" in word)
     )
 
 

@@ -99,15 +99,9 @@ REFUSED = {
         scene(f'<body name="wrist"><joint name="pan" axis="0 0 1"/><joint name="lift" axis="0 1 0"/>{BODY}</body>'),
         "pan, lift move one body",
     ),
-    "a loop": (
-        scene(CHAIN, '<equality><connect body1="b" anchor="0 0 0"/></equality>'),
-        "closes a loop",
-    ),
+    "a loop": (scene(CHAIN, '<equality><connect body1="b" anchor="0 0 0"/></equality>'), "closes a loop"),
     "a joint that follows": (scene(CHAIN, '<equality><joint joint1="lift" joint2="pan"/></equality>'), "follows"),
-    "a tendon": (
-        scene(CHAIN, '<tendon><fixed damping="3"><joint joint="pan" coef="1"/></fixed></tendon>'),
-        "tendon",
-    ),
+    "a tendon": (scene(CHAIN, '<tendon><fixed damping="3"><joint joint="pan" coef="1"/></fixed></tendon>'), "tendon"),
     "an actuator with inertia": (
         scene(CHAIN, '<actuator><motor joint="pan" armature="2"/></actuator>'),
         "something acts on pan",

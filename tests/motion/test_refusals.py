@@ -134,12 +134,7 @@ def test_refuses_invalid_points(fly, home, down):
 
 
 @settings(max_examples=30, deadline=None, derandomize=True)
-@given(
-    scale=st.floats(-4, 2),
-    speed=st.floats(-4, 3),
-    distance=st.floats(-6, 2),
-    seed=st.integers(0, 2**32 - 1),
-)
+@given(scale=st.floats(-4, 2), speed=st.floats(-4, 3), distance=st.floats(-6, 2), seed=st.integers(0, 2**32 - 1))
 def test_any_sizes_end_in_a_trajectory_or_a_refusal(fly, home, down, scale, speed, distance, seed):
     rng = np.random.default_rng(seed)
     points = [np.array([1.0, 0.0, 0.8]) + 10**scale * rng.uniform(-1, 1, 3) for _ in range(4)]

@@ -208,11 +208,7 @@ def test_valid_parts_can_be_inspected_next_to_wrong_ones(recipe_file: Path) -> N
     )
     recipe_file.write_text(text, encoding="utf-8")
     recipe, faults = examine_recipe(recipe_file)
-    assert [fault.split(": ")[1] for fault in faults] == [
-        "cell.keep_out.0.box",
-        "motion.speed",
-        "search.populaton",
-    ]
+    assert [fault.split(": ")[1] for fault in faults] == ["cell.keep_out.0.box", "motion.speed", "search.populaton"]
     assert recipe is not None
     assert (recipe.motion.speed, recipe.search.population, recipe.search.generations) == (1.0, 50, 10)
     assert recipe.cell.keep_out == ()

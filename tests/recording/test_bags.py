@@ -145,10 +145,7 @@ def test_a_message_is_limited_in_memory(tmp_path: Path):
         tracemalloc.stop()
 
 
-@pytest.mark.parametrize(
-    ("ending", "pack"),
-    [("zstd", _packed), ("gz", gzip.compress), ("lz4", lz4.frame.compress)],
-)
+@pytest.mark.parametrize(("ending", "pack"), [("zstd", _packed), ("gz", gzip.compress), ("lz4", lz4.frame.compress)])
 @pytest.mark.parametrize("kind", ["mcap", "db3"])
 def test_reads_files_compressed_as_a_whole(whole: Path, tmp_path: Path, ending, pack, kind):
     expected = read_log(whole)

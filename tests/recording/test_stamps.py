@@ -173,14 +173,7 @@ def jittering(kind, count, period, rng):
 
 @pytest.mark.parametrize(
     ("kind", "lost"),
-    [
-        ("late", 0.0),
-        ("late", 0.1),
-        ("late, in order", 0.1),
-        ("swapped", 0.0),
-        ("either way", 0.1),
-        ("normal", 0.1),
-    ],
+    [("late", 0.0), ("late", 0.1), ("late, in order", 0.1), ("swapped", 0.0), ("either way", 0.1), ("normal", 0.1)],
 )
 @pytest.mark.parametrize("rate", [100.0, 500.0])
 def test_a_grid_is_found_behind_stamps_that_jitter(log_at, rate, lost, kind):

@@ -40,11 +40,7 @@ for k in range(4000):
 @pytest.mark.parametrize("acknowledged", [30, 77, 200])
 def test_a_killed_writer_loses_at_most_the_last_second(tmp_path, acknowledged):
     path = tmp_path / "log.mcap"
-    process = subprocess.Popen(
-        [sys.executable, "-c", _RECORDER, str(path)],
-        stdout=subprocess.PIPE,
-        env=environment(),
-    )
+    process = subprocess.Popen([sys.executable, "-c", _RECORDER, str(path)], stdout=subprocess.PIPE, env=environment())
     assert process.stdout is not None
     for _ in range(acknowledged):
         assert process.stdout.readline()
@@ -90,11 +86,7 @@ except AgentError as error:
 def test_a_full_disk_is_one_clear_error_and_the_log_stays_readable(tmp_path):
     path = tmp_path / "log.mcap"
     process = subprocess.run(
-        [sys.executable, "-c", _FILLER, str(path)],
-        capture_output=True,
-        text=True,
-        env=environment(),
-        check=False,
+        [sys.executable, "-c", _FILLER, str(path)], capture_output=True, text=True, env=environment(), check=False
     )
     assert process.returncode == 1
     assert process.stdout.startswith(f"{path}: the log cannot be written: ")

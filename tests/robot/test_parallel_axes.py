@@ -80,8 +80,7 @@ def test_it_agrees_with_the_numerical_inverse(name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("joint", "value", "message"),
-    [(2, 0.0, "elbow is stretched or folded"), (4, 0.0, "axes 4 and 6 parallel")],
+    ("joint", "value", "message"), [(2, 0.0, "elbow is stretched or folded"), (4, 0.0, "axes 4 and 6 parallel")]
 )
 def test_singular_poses_are_refused(joint: int, value: float, message: str) -> None:
     kinematics = kinematics_for(load_robot("ur5e"))

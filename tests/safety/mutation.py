@@ -103,7 +103,7 @@ ALWAYS_NUMBERS: dict[str, dict[str, str]] = {
         "when <= latest + ahead + self.step": "of times that are numbers",
     },
     "preconditions.py": {
-        "np.abs(np.radians(position) - program.chains[0].q[0]) <= START_TOLERANCE": "chooses the words",
+        "np.abs(np.radians(position) - program.chains[0].q[0]) <= START_TOLERANCE": "chooses the words"
     },
     "stopping.py": {
         "0.0 <= times[0] - self._times[-1] <= 10 * SPAN": "of times that are numbers",

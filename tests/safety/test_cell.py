@@ -218,8 +218,7 @@ def test_the_stopping_motion_stays_in_range(trajectory_through):
 
 
 @pytest.mark.parametrize(
-    ("ranges", "reason"),
-    [({"joint_7": (-1, 1)}, "joint range of joint_7"), ({"joint_4": (1, -1)}, "nothing is left")],
+    ("ranges", "reason"), [({"joint_7": (-1, 1)}, "joint range of joint_7"), ({"joint_4": (1, -1)}, "nothing is left")]
 )
 def test_impossible_joint_ranges_are_refused(ranges, reason):
     with pytest.raises(InputError, match=reason):

@@ -40,9 +40,7 @@ FALSE_STOPS = {
         "self._freshness.age <= RECENT": "true shows the arm",
         "self._clock() - self._state_at <= RECENT": "the same",
     },
-    "watch.py": {
-        "lasted <= self._longest": "true goes on",
-    },
+    "watch.py": {"lasted <= self._longest": "true goes on"},
 }
 
 

@@ -313,8 +313,7 @@ def echoing_ftp_server() -> Iterator[int]:
 
 
 @pytest.mark.parametrize(
-    "password",
-    ["hunter22", "1234", "joe1", "no no", "%41%42", "a.*b+", "'; --", "<b>&", "zwölf", "530 530"],
+    "password", ["hunter22", "1234", "joe1", "no no", "%41%42", "a.*b+", "'; --", "<b>&", "zwölf", "530 530"]
 )
 def test_a_password_echoed_by_a_server_is_not_printed(monkeypatch: pytest.MonkeyPatch, password: str):
     monkeypatch.setenv("CELL_FTP", password)

@@ -59,12 +59,7 @@ def resume(recipe: Path, run: RunFolder) -> None:
 @pytest.mark.parametrize(
     ("file", "old", "new", "said"),
     [
-        (
-            "robot.yaml",
-            "max_velocity: 2.705",
-            "max_velocity: 8.115",
-            "robot.yaml differs .*joint_1 max_velocity was 2",
-        ),
+        ("robot.yaml", "max_velocity: 2.705", "max_velocity: 8.115", "robot.yaml differs .*joint_1 max_velocity was 2"),
         ("robot.yaml", "gear_ratio: 159.261", "gear_ratio: 15.9261", "robot.yaml differs .*joint_2 gear_ratio was 159"),
         ("robot.yaml", "-9.80665", "9.80665", "robot.yaml differs .*gravity.3 was -9.8"),
         ("ns16.urdf", 'upper="', 'upper="1', "the URDF differs .*joint_1 upper was"),

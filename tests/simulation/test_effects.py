@@ -336,10 +336,7 @@ def test_an_invalid_effect_is_reported_with_entry_and_reason(ns16, data, message
 
 
 def test_refuses_two_gear_effects_on_one_joint(ns16):
-    both = [
-        effect("joint_elasticity", ["joint_2"], stiffness=3e5),
-        effect("backlash", ["joint_2"], gap=1e-3),
-    ]
+    both = [effect("joint_elasticity", ["joint_2"], stiffness=3e5), effect("backlash", ["joint_2"], gap=1e-3)]
     with pytest.raises(InputError, match="joint_2 has another gear effect"):
         Plant(ns16, 1, both)
 

@@ -185,12 +185,7 @@ def test_the_bristles_agree_with_a_stiff_integrator(make_arm):
     assert np.sqrt(np.mean((motion.torque[:, 0] - torque) ** 2)) < 0.05 * curve.coulomb
 
 
-@given(
-    links=st.integers(1, 7),
-    seed=st.integers(0, 1000),
-    factor=st.sampled_from([0.0, 0.3]),
-    damped=st.booleans(),
-)
+@given(links=st.integers(1, 7), seed=st.integers(0, 1000), factor=st.sampled_from([0.0, 0.3]), damped=st.booleans())
 @settings(max_examples=25, deadline=None)
 def test_accelerations_are_consistent_with_inverse_dynamics(make_arm, links, seed, factor, damped):
     robot = make_arm(links, coupling=np.eye(links) + factor * np.eye(links, k=-1))

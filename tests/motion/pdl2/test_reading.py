@@ -98,12 +98,7 @@ def test_a_whole_program_with_declarations_loops_and_arithmetic():
     END task
     """
     result = moves(text)
-    assert [m.name for m in result if not isinstance(m, Delay)] == [
-        "home",
-        *(2 * ["p[1]", "p[3]"]),
-        "p[2]",
-        "p[1]",
-    ]
+    assert [m.name for m in result if not isinstance(m, Delay)] == ["home", *(2 * ["p[1]", "p[3]"]), "p[2]", "p[1]"]
     assert [each.seconds for each in result if isinstance(each, Delay)] == [0.5, 0.25]
     home, first, third, *_, second, circle = result
     assert isinstance(home.target, JointTarget)
