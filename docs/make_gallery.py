@@ -29,7 +29,7 @@ from agent.validation import pooled_rmse, summary
 
 DOCS = Path(__file__).resolve().parent
 DATA = DOCS.parents[1] / "shared/data"
-LEGEND = 16  # above a panel of a picture
+LEGEND, SCALE = 16, 1.5  # units above a panel of a picture; pixels per unit
 PAGE, PICTURES = DOCS / "gallery.md", DOCS / "gallery"
 TX40 = DOCS.parent / "recipes/examples/tx40"
 TABLES = [DATA / "tx40/pos_read_data.csv", DATA / "tx40/curr_data.csv"]
@@ -45,7 +45,7 @@ Pictures show the joint with the largest error first. In those of friction, the 
 without load-dependent terms; dots are measured torque minus the torque of the links.
 
 The public logs are not in this repository; [Public logs](real-data.md) names their sources. `python
-docs/make_gallery.py` wrote this page and its pictures on {date} at commit {commit}, and writes them again.
+docs/make_gallery.py` wrote this page and its pictures on {date} at commit {commit}.
 
 | arm | licence of the logs | torque error on held-out motion | diagnosis |
 | --- | --- | --- | --- |"""
@@ -175,9 +175,10 @@ def _picture(name: str, plot: Plot) -> str:
         words = words.replace("<b>", '<tspan font-weight="bold">').replace("</b>", "</tspan>")
         cells.append(f'<text x="{x + 30}" y="{y + 11}" font-size="10" font-family="sans-serif">{words}</text>')
         cells.append(f'<svg x="{x}" y="{y + LEGEND}" width="{wide}" height="{high}"{head}>{content}</svg>')
-    size = f"0 0 {columns * wide} {-(-len(panels) // columns) * (high + LEGEND)}"
+    width, height = columns * wide, -(-len(panels) // columns) * (high + LEGEND)
+    size = f'width="{width * SCALE:.0f}" height="{height * SCALE:.0f}" viewBox="0 0 {width} {height}"'
     body = "\n".join(['<rect width="100%" height="100%" fill="#fff"/>', *cells])
-    path.write_text(f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="{size}">{body}</svg>\n', encoding="utf-8")
+    path.write_text(f'<svg xmlns="http://www.w3.org/2000/svg" {size}>{body}</svg>\n', encoding="utf-8")
     return f"![{name}, {plot.caption.rstrip('.')}](gallery/{path.name})"
 
 

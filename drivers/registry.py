@@ -46,8 +46,8 @@ def create(name: str, address: str, **options: object) -> Driver:
         others = ", ".join(other for other in available() if other != name)
         raise ConfigurationError(f"there is no driver {name!r}; there are: {others}")
     driver = factory(address, **options)
-    if not isinstance(driver, Driver):
-        raise ConfigurationError(f"driver {name!r} is no driver: it lacks a method of drivers.protocol.Driver")
+    if missing := sorted(one for one in set(vars(Driver)) - set(dir(driver)) if not one.startswith("_")):
+        raise ConfigurationError(f"driver {name!r} lacks a method of drivers.protocol.Driver: {', '.join(missing)}")
     return driver
 
 

@@ -300,7 +300,7 @@ def trajectories(as_json: opt.AsJson = False) -> None:
     damaged: list[str] = []
     loops = stored_loops(damaged=damaged)
     for said in damaged:
-        print(f"agent: {said}", file=sys.stderr)
+        print(f"warning: {said}", file=sys.stderr)
     if as_json:
         print_json({"schema": "trajectories/1", "trajectories": [loop.to_dict() for loop in loops]})
         return

@@ -77,7 +77,7 @@ def history(
     data = history_json(past, runs, current) if as_json else {}
     future = [f"{run.run}: dated in the future; the trends leave it out" for run in runs if run.in_future()]
     for warning in (*past.damaged, *lost, *future):
-        print(f"agent: {warning}", file=sys.stderr)
+        print(f"warning: {warning}", file=sys.stderr)
     if as_json:
         from agent.core import print_json
         from agent.runs import watch
@@ -166,7 +166,7 @@ def export(
     else:
         loaded, note = possible_model(loaded)
         if note:
-            print(f"agent: {note}", file=sys.stderr)
+            print(f"warning: {note}", file=sys.stderr)
         paths = export_model(loaded, out)
     for path in paths:
         print(path)

@@ -24,7 +24,7 @@ LONGEST = 20_000
 _LONGEST_RESULT = 10_000_000
 #: What the agent's own lines begin with, after a line feed.
 _OWN_LINE = re.compile(r"\n\s*(?=agent: |warning: |\[ *\d+\.?\d* s\])")
-_SOON = 2.0  # s
+_SOON, _EARLY = 2.0, 0.1  # s, and a share of a stage: its first step may compile, and says little of the time left
 _FRAME = 0.1  # s, between two pictures of the progress on a terminal
 _BAR = 20  # characters
 
@@ -61,7 +61,7 @@ class Console:
     def progress(self, text: str, done: float | None = None) -> None:
         """Show how far the running stage has come, at most every `interval` seconds off a terminal.
 
-        With `done`, from 0 to 1, the time left is shown once the stage has run for two seconds.
+        With `done`, from 0 to 1, the time left is shown after two seconds and a tenth of the stage.
         """
         if self.verbosity < 0:
             return
@@ -71,7 +71,7 @@ class Console:
         if terminal and getattr(patient(sys.stderr), "behind", False):
             return
         self._last, spent = now, now - self._stage
-        if done and done < 1 and spent > _SOON:
+        if done and _EARLY < done < 1 and spent > _SOON:
             text += f", about {max(1.0, spent * (1 - done) / done):.0f} s left"
         if terminal:
             _picture(self._rich, f"{self._stamp()}   {fit_to_show(text)}", done)

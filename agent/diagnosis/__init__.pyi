@@ -7,6 +7,7 @@ from .forward.windows import (
     forward_warning as forward_warning,
 )
 from .gap.drives_off import channel_zero as channel_zero
+from .gap.held_torque import SAME_MOTIONS as SAME_MOTIONS
 from .gap.regimes import (
     BANDS as BANDS,
     band_shares as band_shares,

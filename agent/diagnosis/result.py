@@ -210,7 +210,8 @@ def next_experiment(
         return None
     pair = (causes[0].effect, *(entry.effect for entry in causes[0].equivalent_to[:1]))
     experiment = min(CATALOGUE[name].experiment for name in pair)
-    return NextExperiment(pair, experiment.motion if zero_known else experiment.with_brakes)
+    motion = experiment.motion if zero_known else experiment.with_brakes
+    return NextExperiment(pair, motion.replace("this joint", " and ".join(causes[0].joints) or "each joint"))
 
 
 def _folds(dataset: Dataset) -> tuple[FoldNames, ...]:

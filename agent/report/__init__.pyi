@@ -37,7 +37,6 @@ from .phrasing import (
     in_short as in_short,
     next_text as next_text,
     place as place,
-    said_by_rounds as said_by_rounds,
     summary as summary,
     verdict_text as verdict_text,
     what as what,

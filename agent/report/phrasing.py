@@ -50,9 +50,9 @@ def what(effect: str, result: Mapping[str, Any]) -> str:
     return f"{_words(effect, result)[0]} ({effect})"
 
 
-def look_at(effect: str, result: Mapping[str, Any]) -> str:
-    """Checks on the arm."""
-    return _words(effect, result)[1]
+def look_at(cause: Mapping[str, Any], result: Mapping[str, Any]) -> str:
+    """Checks on the arm, at the joint of a cause."""
+    return _words(cause["effect"], result)[1].replace("this joint", place(cause))
 
 
 def _words(effect: str, result: Mapping[str, Any]) -> tuple[str, str]:
@@ -84,14 +84,15 @@ def in_short(result: Mapping[str, Any]) -> str:
 
 
 def headline(result: Mapping[str, Any]) -> str:
-    """The verdict in one sentence: which joint, and what it is."""
+    """The verdict: which joint, and what it is; a sentence for each cause."""
     if not result["causes"]:
         on = f", on {worst_joints(result)}" if result["verdict"] == "unknown" and result["where"] else ""
         return capital(f"{verdict_text(result)}{on}.")
     cause = result["causes"][0]
     sure = "" if cause["equivalent_to"] else ", most likely" if cause["probability"] >= _LIKELY else ", perhaps"
     agrees = "" if torque_gap(result) else " In torque, model and robot agree."
-    return f"{_opening(cause)}{sure}: {_one_of(cause, result)}.{agrees}"
+    more = "".join(f" Also on {place(one)}: {what(one['effect'], result)}." for one in result["causes"][1:])
+    return f"{_opening(cause)}{sure}: {_one_of(cause, result)}.{more}{agrees}"
 
 
 def capital(text: str) -> str:
@@ -116,8 +117,8 @@ def _one_of(cause: Mapping[str, Any], result: Mapping[str, Any]) -> str:
 
 def closes(cause: Mapping[str, Any], result: Mapping[str, Any]) -> str:
     """Part of a gap that a cause closes: its step in the attribution, if there is one; empty if unknown."""
-    called = " of ".join(part for part in (cause["effect"], ", ".join(cause["joints"])) if part)
-    step = next((step["closes"] for step in result.get("waterfall", ()) if step["step"] == called), cause["closure"])
+    steps = {step["step"]: step["closes"] for step in result.get("waterfall", ())}
+    step = steps.get(_step_of(cause), cause["closure"])
     if step is None:
         return ""
     closure = step if result["closure"] is None else min(step, result["closure"])
@@ -125,8 +126,15 @@ def closes(cause: Mapping[str, Any], result: Mapping[str, Any]) -> str:
     if not in_torque(cause):
         return f"closes {part} of the gap between planned and executed path"
     own = cause.get("closure_of_joints") if closure < _STEP else None  # named by its own joints
-    on_its_own = "" if own is None else f" and {100 * own:.0f} % of the remaining gap on {place(cause)}"
-    return f"closes {part} of the gap{on_its_own}"
+    of_rest = "" if own is None else f"{100 * own:.0f} % of the remaining gap on {place(cause)}"
+    if closure <= -0.005:  # the order of the steps gives its part to the others
+        return f"closes {of_rest or 'a part of the gap'}, with the other causes in place"
+    return f"closes {part} of the gap{of_rest and f' and {of_rest}'}"
+
+
+def _step_of(cause: Mapping[str, Any]) -> str:
+    """Name of a cause's step in the attribution."""
+    return " of ".join(part for part in (cause["effect"], ", ".join(cause["joints"])) if part)
 
 
 def sized(result: Mapping[str, Any], number: int = 0) -> str:
@@ -224,10 +232,13 @@ def _error(result: Mapping[str, Any], joint: str) -> str:
 def _what(result: Mapping[str, Any]) -> Iterator[str]:
     if not result["causes"]:
         yield capital(f"{verdict_text(result)}.")
+        if result["verdict"] == "unknown" and result.get("warnings"):
+            yield f"Warning: {result['warnings'][0]}."
     for number, cause in enumerate(result["causes"]):
         figures = ", ".join(part for part in (closes(cause, result), sized(result, number)) if part)
         if number == 0:
-            yield capital(f"{_one_of(cause, result)}.")
+            on = f"on {place(cause)}: " if len(result["causes"]) > 1 else ""
+            yield capital(f"{on}{_one_of(cause, result)}.")
             if figures:
                 yield f"{'The first' if cause['equivalent_to'] else 'It'} {figures}."
         else:
@@ -235,7 +246,7 @@ def _what(result: Mapping[str, Any]) -> Iterator[str]:
     if result.get("torque_of") == "servos":
         yield "No torque was measured; it is that of the simulated servos at the set-points."
     steps = [step for step in result.get("waterfall", ())[:-1] if step["closes"] >= _STEP]
-    if len(steps) > 1 or (steps and not result["causes"]):
+    if {step["step"] for step in steps} - set(map(_step_of, result["causes"])):
         largest = sorted(steps, key=lambda step: -step["closes"])[:_MOST_STEPS]
         closing = ", ".join(f"{step['step']} ({100 * step['closes']:.0f} %)" for step in largest)
         yield f"Most of the gap closes with: {closing}."
@@ -243,8 +254,8 @@ def _what(result: Mapping[str, Any]) -> Iterator[str]:
 
 def _how_sure(result: Mapping[str, Any]) -> Iterator[str]:
     if not result["causes"]:
-        open_cause = "The gap is certain; its cause is not known."
-        yield _found_if_there(result) if result["verdict"] == "no_gap" else open_cause
+        healthy = result["verdict"] == "no_gap"
+        yield _found_if_there(result) if healthy else "The gap is certain; its cause is not known."
         return
     cause = result["causes"][0]
     probability = f"probability {cause['probability']:.2f}"
@@ -256,20 +267,19 @@ def _how_sure(result: Mapping[str, Any]) -> Iterator[str]:
 
 def _found_if_there(result: Mapping[str, Any]) -> str:
     """Confidence in "no gap": effects that would have been found."""
-    open_ = {entry["effect"] for entry in result["not_testable"]}
-    usual = "of practical size would have been found (80 % power)"
-    if not open_:
-        return f"Every effect {usual}."
-    return f"{len(CATALOGUE) - len(open_)} of {len(CATALOGUE)} effects {usual}. The rest are not testable here."
+    missed = len({entry["effect"] for entry in result["not_testable"]})
+    count = f"{len(CATALOGUE) - missed} of {len(CATALOGUE)} effects" if missed else "Every effect"
+    others = " The others may be missed on some joints." if missed else ""
+    return f"{count} of practical size would have been found on every joint (80 % power).{others}"
 
 
 def measures(result: Mapping[str, Any]) -> list[NextStep]:
     """Inspections of the arm, and commands to run if no motion was planned for them."""
-    steps = [NextStep(f"look at {look_at(cause['effect'], result)}.") for cause in result["causes"][:1]]
-    experiment = result["next_experiment"]
+    causes, experiment = result["causes"], result["next_experiment"]
+    steps = [NextStep(f"look at {look_at(cause, result)}.") for cause in causes[:1]]
+    steps += [NextStep(f"on {place(cause)}, look at {look_at(cause, result)}.") for cause in causes[1:]]
     if experiment is not None and not experiment.get("program"):  # a planned motion has its own command
-        motion = experiment["motion"]
-        steps.append(NextStep(f"{motion}." if "program" in experiment else f"record {motion}."))
+        steps.append(NextStep(f"{'' if 'program' in experiment else 'record '}{experiment['motion']}."))
     return steps
 
 

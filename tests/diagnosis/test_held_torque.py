@@ -76,7 +76,7 @@ def test_reports_a_held_torque_sensor_and_names_no_cause(robot, model):
     (warning,) = _said(found)
     assert warning.startswith(f"the torque of {robot.joint_names[0]} stands still")
     assert "holds its value" in warning
-    assert f"once the torque of {robot.joint_names[0]}, which stands still" in found.result["next_experiment"]["motion"]
+    assert f"you repair the torque measurement of {robot.joint_names[0]}" in found.result["next_experiment"]["motion"]
 
 
 @pytest.mark.parametrize("level", [8.0, None], ids=["nearly always", "a fifth of the time"])

@@ -103,7 +103,7 @@ def test_asks_for_more_time_if_too_little_is_left(ask):
 
 
 def test_plans_no_motion_for_a_held_torque_sensor(ask):
-    held = SimpleNamespace(motion="the same motions again, once the torque of joint_3 is recorded as it is")
+    held = SimpleNamespace(motion="the same motions again, after you repair the torque measurement of joint_3")
     said = ask([], held=held)
     assert said == NoMotion(held.motion, ("presliding", "stribeck"))
 

@@ -27,6 +27,7 @@ _MATTERS = 0.05  # of the energy of the stretch that has most
 _SHORTEST = 0.2  # s in all: less may be chance, of some ten thousand windows
 _AT_LIMIT = 0.05  # of its size below the largest torque: it is cut off there
 _HIGHEST = 4.0  # times its deviation, of noise in ten thousand samples
+SAME_MOTIONS = "the same motions"  # to record again
 
 
 @dataclass(frozen=True)
@@ -56,10 +57,7 @@ class HeldTorque:
     @property
     def motion(self) -> str:
         """Next motion to record."""
-        return (
-            f"the same motions again, once the torque of {self.joint}, which stands still where it should change, is "
-            "measured correctly"
-        )
+        return f"{SAME_MOTIONS} again, after you repair the torque measurement of {self.joint}"
 
 
 def held_torque(dataset: Dataset, found: Fit) -> HeldTorque | None:

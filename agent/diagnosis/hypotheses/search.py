@@ -74,7 +74,7 @@ class Search:
         tried = self.forms()
         self.evidence = evidence = Evidence(self.fit, tried, self._healthy, self.law)
         self._known.update(tried)
-        self._progress(f"{len(tried)} forms are compared")
+        self._progress(f"comparing {len(tried)} parameterisations")
         self._keep(evidence.nothing)
         self._extend(evidence.nothing, _FIRST)
         for depth in range(1, self.law.most):

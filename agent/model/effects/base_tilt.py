@@ -20,7 +20,7 @@ class BaseTilt(Effect):
     signature = "residual at standstill on all joints that carry weight, joint 1 too"
     confused_with = ("encoder_offset", "inertial_mismatch", "payload")
     phrase = "the base is tilted compared with the model"
-    look_at = "level of the base, mounting angle in the robot description"
+    look_at = "the level of the base, its mounting angle in the robot description"
     experiment = WHOLE_RANGE
     why_absent = "no gravity in the robot description"
 

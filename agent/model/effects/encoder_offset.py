@@ -19,7 +19,7 @@ class EncoderOffset(Effect):
     signature = "residual like gravity turned about one joint, on this and the neighbouring joints"
     confused_with = ("inertial_mismatch", "gravity_spring", "base_tilt")
     phrase = "the zero position of the joint is off"
-    look_at = "calibration mark of this joint; a motor, belt or encoder that was changed"
+    look_at = "the calibration mark of this joint; a motor, belt or encoder that was changed"
     needs_travel = 0.1
     units = MappingProxyType({"offset": "rad"})
     experiment = WHOLE_RANGE

@@ -19,7 +19,7 @@ class FrictionChange(FrictionLevel):
     signature = "residual with the sign of the speed at all speeds, and growing in proportion to it"
     confused_with = ("torque_constant", "thermal_friction", "load_dependent_friction")
     phrase = "the friction level differs from the model's"
-    look_at = "wear and lubrication of the gear, brake that drags, bearing preload"
+    look_at = "wear and lubrication of the gear, a dragging brake, bearing preload"
     needs_speed = 0.02
     needs_reversals = 1
     shapes = ("speed",)

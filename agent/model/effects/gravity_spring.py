@@ -26,7 +26,7 @@ class GravitySpring(Effect):
     confused_with = ("dress_pack", "inertial_mismatch", "torque_offset")
     structurally_equivalent = ("dress_pack",)
     phrase = "a balancer or spring pulls differently"
-    look_at = "balancer: spring, gas pressure of the cylinder, its pivots"
+    look_at = "the balancer: its spring, gas pressure and pivots"
     needs_travel = 0.2
     shapes = ("position",)
     experiment = WHOLE_RANGE

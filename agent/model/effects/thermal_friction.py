@@ -33,7 +33,7 @@ class ThermalFriction(FrictionLevel):
     signature = "residual with the sign of the speed that changes from cycle to cycle"
     confused_with = ("friction_change", "torque_constant")
     phrase = "friction drifts as the drive warms up"
-    look_at = "temperature of gear and motor: let the arm warm up, or compare a cold and a warm run"
+    look_at = "the temperature of gear and motor: let the arm warm up, or compare a cold and a warm run"
     needs_speed = 0.02
     needs_reversals = 1
     shapes = ("speed",)

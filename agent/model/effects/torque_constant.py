@@ -21,12 +21,12 @@ class TorqueConstant(Effect):
     signature = "residual in proportion to the whole torque of the joint, and of no other joint"
     confused_with = ("friction_change", "inertial_mismatch")
     phrase = "the measured torque is scaled wrongly"
-    look_at = "torque constant and current scaling of this drive; demagnetised or replaced motor"
+    look_at = "the torque constant and current scaling of this drive; a demagnetised or replaced motor"
     shapes = ("speed",)
     moves_arm = False
     units = MappingProxyType({"scale_error": "%"})
     scales_report = "scale_error"
-    of_servos = ("its servo has another gain", "gain (P) of this servo in its firmware, and its supply voltage")
+    of_servos = ("its servo has another gain", "the gain (P) of this servo in its firmware, and its supply voltage")
 
     def names(self, settings: Numbers) -> tuple[str, ...]:
         return ("scale_error",)

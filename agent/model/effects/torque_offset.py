@@ -22,11 +22,11 @@ class TorqueOffset(Effect):
     confused_with = ("asymmetric_friction", "gravity_spring", "dress_pack")
     structurally_equivalent = ("asymmetric_friction",)
     phrase = "the measured torque is shifted by a constant"
-    look_at = "zero of the current sensor of this drive, read with the drives off; a constant force such as a hose"
+    look_at = "the zero of this drive's current sensor, read with the drives off; a constant force such as a hose"
     shapes = ("position",)
     experiment = RAMPS_AND_STANDSTILLS
     moves_arm = False
-    of_servos = ("its set-points are shifted", "zero of this servo's set-points against its positions")
+    of_servos = ("its set-points are shifted", "the zero of this servo's set-points against its positions")
     units = MappingProxyType({"offset": "N·m"})
     adds_to_report = "offset"
 

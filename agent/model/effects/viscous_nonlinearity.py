@@ -19,7 +19,7 @@ class ViscousNonlinearity(FrictionLevel):
     signature = "residual with the sign of the speed, bent at high speed"
     confused_with = ("friction_change", "stribeck")
     phrase = "viscous friction is not proportional to speed"
-    look_at = "grease: viscosity, fill level, churning at high speed"
+    look_at = "the grease: viscosity, fill level, churning at high speed"
     needs_speed = 0.1
     needs_reversals = 1
     shapes = ("speed",)

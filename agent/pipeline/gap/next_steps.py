@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from agent.diagnosis import SAME_MOTIONS
 from agent.model import CATALOGUE, PAYLOAD
 from agent.pipeline.gap.next_experiment import BRAKES, DRIVES_OFF
 from agent.pipeline.gap.question import PLANNING_BUDGET, GapQuestion
@@ -30,11 +31,12 @@ def after_diagnosis(
         question, report=None, out=None, next_recipe=None, next_payload=None, planning_budget=PLANNING_BUDGET
     )
     named = ["--robot", robot] if robot else []
-    words, paths = ["agent", "diagnose", *named, *asked.options()], list(map(str, logs))
-    again = shlex.join([*words, *paths])
     if result["verdict"] == "no_gap":
         return [NextStep("nothing to do: keep the model.")]
     experiment = result["next_experiment"] or {}
+    replaced = experiment.get("motion", "").startswith(SAME_MOTIONS)  # by logs with a torque that can be judged
+    words, paths = ["agent", "diagnose", *named, *asked.options()], [] if replaced else list(map(str, logs))
+    again = shlex.join([*words, *paths])
     loaded = []
     if "with_a_mass" in experiment and recipe is not None:
         mass = experiment["with_a_mass"][PAYLOAD]
@@ -66,4 +68,5 @@ def after_diagnosis(
         return [NextStep("record again with nothing touching the arm: a single event is not added to a model.")]
     if question.model is not None and is_simulator(question.model):
         return [NextStep("correct the simulator:", f"{again} -o fixed{question.model.suffix}")]
-    return [NextStep("add the effect to the model:", f"{again} -o model_with_effects.json")]
+    effects = "effects" if len(result["causes"]) > 1 else "effect"
+    return [NextStep(f"add the {effects} to the model:", f"{again} -o model_with_effects.json")]

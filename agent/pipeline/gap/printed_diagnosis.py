@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator, Sequence
+from shutil import get_terminal_size
+from textwrap import fill
 from typing import Any
 
 from agent.core import counted
 from agent.diagnosis import forward_lines, reported_parameters, size_text, torque_gap
-from agent.report import FOUR, chances_text, next_text, place, said_by_rounds, summary
+from agent.report import FOUR, chances_text, next_text, place, summary
 from agent.robot import SHARE, figure_text
 
 
@@ -15,7 +18,7 @@ def diagnosis_text(result: dict[str, Any]) -> str:
     """A diagnosis for people: the four things of the page's first screen, then the figures."""
     said = result.get("summary") or summary(result)
     lines = [f"{'Verdict':10}{result['verdict'].replace('_', ' ')}"]
-    lines += [f"{title:10}{said[key]}" for key, title in FOUR.items() if key != "next"]
+    lines += [_wrapped(f"{title:10}{said[key]}") for key, title in FOUR.items() if key != "next"]
     lines += [*_next_lines(said), ""]
     for cause in result["causes"]:
         sizes: list[list[str]] = []
@@ -28,8 +31,9 @@ def diagnosis_text(result: dict[str, Any]) -> str:
     gap = result["gap"]
     width = max(12, *map(len, gap["joints"]))
     by_servos = result.get("torque_of") == "servos"
+    drift = list(forward_lines(result["forward"])) if result.get("forward") else []
     if by_servos:
-        lines += _forward_lines(result)
+        lines += drift
         lines.append("No torque was measured; the torque below is that of the simulated servos at the set-points.")
     lines.append("torque error on held-out motion, in % of nominal torque if known (repeatability: between cycles)")
     lines.append(f"{'joint':{width}} {'before':>11} {'after':>11} {'repeatability':>13} {'share':>7}   mostly in")
@@ -53,20 +57,18 @@ def diagnosis_text(result: dict[str, Any]) -> str:
         before, after = (figure_text(torque[side][worst], units[worst]) for side in ("before", "after"))
         lines.append(f"torque error of {gap['joints'][worst]} in simulation: {before}, with the effects {after}")
     if not by_servos:
-        lines += _forward_lines(result)
-    lines += _further_lines(result)
+        lines += drift
+    lines += _planned_lines(result)
     if result["not_testable"]:
         names = sorted({entry["effect"] for entry in result["not_testable"]})
         lines.append(f"not testable on some joints with these logs: {', '.join(names)}")
     return "\n".join(lines)
 
 
-def _further_lines(result: dict[str, Any]) -> Iterator[str]:
-    """What further motions came to, and the expected result of a planned motion."""
-    end = result.get("rounds_end")
-    if end:
-        yield f"after {counted(len(result['rounds']), 'further motion')}: {end}"
-    yield from _planned_lines(result)
+def _wrapped(text: str) -> str:
+    """A line of the first screen with a hanging indent; off a terminal as it is."""
+    width = get_terminal_size().columns if sys.stdout.isatty() else len(text) + 1
+    return fill(text, width, subsequent_indent=10 * " ", break_long_words=False, break_on_hyphens=False)
 
 
 def planned_text(result: dict[str, Any]) -> str:
@@ -80,9 +82,11 @@ def _next_lines(said: dict[str, Any]) -> Iterator[str]:
 
 
 def _planned_lines(result: dict[str, Any]) -> Iterator[str]:
-    """What to run next or why there is nothing to run, and its expected result."""
+    """What further motions came to, and the expected result of a planned motion."""
+    if result.get("rounds_end"):
+        yield f"after {counted(len(result['rounds']), 'further motion')}: {result['rounds_end']}"
     experiment = result["next_experiment"]
-    if experiment is None or said_by_rounds(result):
+    if experiment is None or not experiment.get("program"):  # without one, "Next" says it
         return
     text = next_text(experiment)
     yield f"{text[0].lower()}{text[1:]}"
@@ -90,14 +94,9 @@ def _planned_lines(result: dict[str, Any]) -> Iterator[str]:
         pair, before, after, smallest = chances_text(entry)
         found = "" if smallest == "-" else f"; detects {smallest} of the smallest size that matters"
         yield f"  {pair}: probability of the right answer {before} now, {after} after it{found}"
-    if "with_a_mass" in experiment and experiment["program"]:
+    if "with_a_mass" in experiment:
         text = experiment["with_a_mass"]["text"]
         yield f"{text[0].lower()}{text[1:]}"
-
-
-def _forward_lines(result: dict[str, Any]) -> list[str]:
-    """How far the simulator drifts, where it was run."""
-    return list(forward_lines(result["forward"])) if result.get("forward") else []
 
 
 def _waterfall_lines(steps: Sequence[dict[str, Any]]) -> Iterator[str]:
@@ -109,6 +108,6 @@ def _waterfall_lines(steps: Sequence[dict[str, Any]]) -> Iterator[str]:
     for entry in steps:
         closes, (low, high) = 100 * entry["closes"], entry["interval"]
         alone = "" if entry["alone"] is None else f"{100 * entry['alone']:6.1f} %"
-        bar = "#" * round(max(closes, 0) * 0.3)
+        bar = "#" * round(min(max(closes, 0), 100) * 0.3)
         inside = f"({100 * low:5.1f} to {100 * high:5.1f})"
         yield f"  {entry['step']:{width}} {closes:6.1f} % {inside} {alone:>9}  {bar}".rstrip()

@@ -155,7 +155,7 @@ def _about_cause(cause: Mapping[str, Any], result: Mapping[str, Any]) -> Iterato
     closed = f" On held-out motion it {closes(cause, result)}." if closes(cause, result) else ""
     together = " for it and what cannot be distinguished from it" if cause["equivalent_to"] else ""
     yield f"{place(cause)}: {what(cause['effect'], result)}. Probability {cause['probability']:.2f}{together}.{closed}"
-    yield f"Look at: {look_at(cause['effect'], result)}."
+    yield f"Look at: {look_at(cause, result)}."
     yield f"It shows as: {CATALOGUE[cause['effect']].signature}."
     if cause["equivalent_to"]:
         others = "; ".join(f"{what(other['effect'], result)} on {place(other)}" for other in cause["equivalent_to"])
@@ -163,15 +163,9 @@ def _about_cause(cause: Mapping[str, Any], result: Mapping[str, Any]) -> Iterato
 
 
 def _where_section(diagnosis: Diagnosis) -> Section:
-    result = diagnosis.result
-    text = list(where_sentences(result))
-    if diagnosis.answer.torque_of == "servos":
-        text.append("Torque was not measured: it is what the servos of the simulator would give at the set-points.")
-    text.append(
-        "Errors of torque are root mean squares on motion held out, in % of nominal joint torque where there is one."
-    )
-    parts = (gap_table(result), regime_map(diagnosis), band_map(diagnosis), timeline(diagnosis))
-    return Section("Where it is", text, parts)
+    about = "Torque errors are RMS on held-out motion, in % of nominal torque if known."
+    parts = (gap_table(diagnosis.result), regime_map(diagnosis), band_map(diagnosis), timeline(diagnosis))
+    return Section("Where it is", [*where_sentences(diagnosis.result), about], parts)
 
 
 def _closure_section(diagnosis: Diagnosis, simulated: Sequence[Simulated]) -> Section:
