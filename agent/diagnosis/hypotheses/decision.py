@@ -11,8 +11,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from itertools import compress, product
 
 import numpy as np
+from scipy.stats import norm, t
 
 from agent.diagnosis.hypotheses.evidence import Evaluated, Evidence
 from agent.diagnosis.hypotheses.finding import Finding, Hypothesis, near
@@ -38,7 +40,7 @@ def decide(fit: Fit, evidence: Evidence, found: Sequence[Evaluated], observed: O
     hypotheses = posterior(evidence, found, observed)
     answers = _answers(hypotheses, law)
     names, free = max(answers, key=lambda one: round(answers[one], 6))
-    leader = next(h for h in hypotheses if _answer(h, law) == (names, free))
+    leader = max(hypotheses, key=lambda h: _shares(h, law).get((names, free), 0.0))
 
     def finding(verdict: str, kept: Sequence[tuple[Where, tuple[Where, ...], float]] = ()) -> Finding:
         causes = tuple(next(c for c in leader.effects if c.place == place) for place, *_ in kept)
@@ -78,56 +80,82 @@ def posterior(evidence: Evidence, found: Sequence[Evaluated], observed: Observed
         log += [observed(evidence, e) for e in found]
         alone += observed(evidence, nothing)
     gains = log - alone
-    log += [_log_prior(evidence, e) for e in found]
-    weight = np.exp(log - log.max())
-    weight /= weight.sum()
+    priors = [_priors(evidence, e) for e in found]
+    highest = max(one + max(prior.values()) for one, prior in zip(log, priors, strict=True))
+    weights = [
+        {faults: float(np.exp(one + prior - highest)) for faults, prior in each.items()}
+        for one, each in zip(log, priors, strict=True)
+    ]
+    total = sum(sum(each.values()) for each in weights)
     before = max(float(nothing.left.sum()), 1e-12)
     hypotheses = [
         Hypothesis(
             tuple(evidence.candidate(k) for k in e.effects),
             tuple(sorted(e.free)),
             float(gain),
-            float(share),
+            {faults: weight / total for faults, weight in each.items()},
             e.largest,
             1 - float(e.left.sum()) / before,
             float(e.scales.max()),
         )
-        for e, gain, share in zip(found, gains, weight, strict=True)
+        for e, gain, each in zip(found, gains, weights, strict=True)
     ]
     # of equals the effect that has fewer forms to choose from
     return sorted(hypotheses, key=lambda h: (-round(h.probability, 6), sum(map(evidence.kinds, h.places))))
 
 
-def _log_prior(evidence: Evidence, hypothesis: Evaluated) -> float:
-    law, joints = evidence.law, evidence.joints
-    count = len(hypothesis.effects) + len(hypothesis.free)
-    if count == 0:
-        return float(np.log(law.nothing))
-    places = [np.log(joints) if evidence.candidate(k).joints else 0.0 for k in hypothesis.effects]
+def _priors(evidence: Evidence, hypothesis: Evaluated) -> dict[frozenset[Where], float]:
+    """Log prior by which of the effects are faults; the healthy arm has more than usual of the others."""
+    law, found = evidence.law, {}
+    places = [evidence.candidate(k).place for k in hypothesis.effects]
+    sizes = zip(places, hypothesis.largest, strict=True)
+    healthy = [_log_healthy(size, evidence.usual.get(place), law) for place, size in sizes]
     each = float(np.log((1 - law.rare) / len(CATALOGUE)))
-    return float(
-        np.log(1 - law.nothing)
-        + (count - 1) * np.log(law.rare)
-        + len(places) * each
-        - sum(places)
-        + len(hypothesis.free) * np.log(law.rare / joints)
-    )
+    for faulty in product((True, False), repeat=len(places)):
+        faults = frozenset(compress(places, faulty))
+        log = sum(h for h, fault in zip(healthy, faulty, strict=True) if not fault)
+        log += sum(each - (np.log(evidence.joints) if joints else 0.0) for _, joints in faults)
+        log += len(hypothesis.free) * np.log(law.rare / evidence.joints)
+        if count := len(faults) + len(hypothesis.free):
+            log += np.log(1 - law.nothing) + (count - 1) * np.log(law.rare)
+        else:
+            log += np.log(law.nothing)
+        if np.isfinite(log):
+            found[faults] = float(log)
+    return found
+
+
+def _log_healthy(size: float, usual: float | None, law: EvidenceLaw) -> float:
+    """Log density of a torque of a healthy arm over that of a fault as large, which is normal with this size.
+
+    Few logs tell what is usual: Student's t, less the normal density that the noise model has.
+    """
+    if usual is None:
+        return -np.inf
+    scale = usual * np.sqrt((law.nu - 2) / law.nu)
+    density = t.pdf(size / scale, law.nu) / scale - norm.pdf(size / usual) / usual
+    return float(np.log(max(density, 0.0) * size / norm.pdf(1.0))) if density > 0 else -np.inf
 
 
 Answer = tuple[frozenset[Where], frozenset[int]]
 
 
-def _answer(hypothesis: Hypothesis, law: EvidenceLaw) -> Answer:
-    large = (p for p, torque in zip(hypothesis.places, hypothesis.torque, strict=True) if torque >= law.practical)
-    return frozenset(large), frozenset(hypothesis.free)
+def _shares(hypothesis: Hypothesis, law: EvidenceLaw) -> dict[Answer, float]:
+    """Probability of a hypothesis by answer: which effects are faults and large enough to matter."""
+    large = {p for p, torque in zip(hypothesis.places, hypothesis.torque, strict=True) if torque >= law.practical}
+    found: dict[Answer, float] = {}
+    for faults, share in hypothesis.shares.items():
+        answer = faults & large, frozenset(hypothesis.free)
+        found[answer] = found.get(answer, 0.0) + share
+    return found
 
 
 def _answers(hypotheses: Sequence[Hypothesis], law: EvidenceLaw) -> dict[Answer, float]:
-    """Probability of every set of effects that are large enough to matter."""
+    """Probability of every answer."""
     answers: dict[Answer, float] = {}
     for hypothesis in hypotheses:
-        key = _answer(hypothesis, law)
-        answers[key] = answers.get(key, 0.0) + hypothesis.probability
+        for answer, share in _shares(hypothesis, law).items():
+            answers[answer] = answers.get(answer, 0.0) + share
     return answers
 
 

@@ -23,7 +23,7 @@ from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
-from scipy.linalg import solve_triangular
+from scipy.linalg import block_diag, solve_triangular
 
 from agent.diagnosis.hypotheses.background import Healthy, smooth_columns, usual_effects
 from agent.diagnosis.hypotheses.law import LAW, EvidenceLaw
@@ -36,6 +36,7 @@ _ROWS = 0.016  # s between the rows that are kept: their rate is twice the usual
 _LEAST_SCALE = 0.2  # of σ²: no smaller noise level is known
 _FORM = 100.0  # of σ² per noise column, at most, for a wrong parameterisation: moments are of float32 columns
 _AT_ONCE = 64  # candidates whose own moments are worked out together
+_NOTICED = 0.01  # energy of a direction of the noise model, over σ², from where on it is kept
 _POWER = 0.84  # standard deviations that 80 % of draws exceed
 
 
@@ -107,7 +108,7 @@ class _Bank:
             power[j, which] = np.einsum("sk,sk,s->k", columns, columns, weight) / evidence.rows
             self.columns.append(columns)
             self.parameters.append(which)
-            self.moments.append((evidence.known[j].T @ columns).astype(float) * evidence.weight)
+            self.moments.append(evidence.with_known(j, columns).astype(float) * evidence.weight)
         self.rms = np.sqrt(np.maximum(power.max(axis=0), 1e-24))
         self.alike = {int(width): np.flatnonzero(widths == width) for width in np.unique(widths)}
         self.own = {width: self._own(evidence, width, which) for width, which in self.alike.items()}
@@ -179,18 +180,22 @@ class Evidence:
         self._log = log = np.concatenate([np.full(len(s.time[s.kept]), s.log_index) for s in signals])[thin]
         usual = self._usual(candidates) if healthy is None else {}
         healthy = healthy or ()
+        self.usual = {form.place: size for form, size in healthy}
+        self._logs = [slice(a, b) for a, b in pairwise(np.flatnonzero(np.diff(log, prepend=-1, append=-1)).tolist())]
+        self._spread = _spread(self._prior) if fit.given and fit.reference.model.method != SIMULATOR else None
         self.known: list[np.ndarray] = []
         self._gram: list[np.ndarray] = []
-        self._widths: list[tuple[int, int]] = []
+        self._widths: list[tuple[int, int, int]] = []
         for j, rows in enumerate(fit.rows):
             own = fit.rests.whitened(j, rows)[thin]
             free = smooth_columns(q[:, j], qd[:, j], qdd[:, j], kept_time[thin], log)
             free = free * (base[j] / self.sigma[:, j])[:, None]
-            free = np.hstack([free, *usual.get(j, ()), *(self._of_healthy(j, *h) for h in healthy if j in h[0].blocks)])
-            columns = np.hstack([own[:, :-1], free, own[:, -1:]])
+            free = np.hstack([free, *usual.get(j, ())])
+            each = self._by_log(j, own[:, :-1], [self._of_healthy(j, *h) for h in healthy if j in h[0].blocks])
+            columns = np.hstack([own[:, :-1], free, each, own[:, -1:]])
+            self._widths.append((own.shape[1] - 1, free.shape[1], each.shape[1]))
             self.known.append(columns.astype(np.float32))
-            self._gram.append(columns.T @ columns * self.weight)
-            self._widths.append((own.shape[1] - 1, free.shape[1]))
+            self._gram.append(self._squared(j, columns) * self.weight)
         left = np.stack([columns[:, -1] for columns in self.known], axis=1) * self.sigma / self.nominal
         largest = float(np.sqrt(np.mean(left**2, axis=0)).max())
         self.sizes = (*law.sizes, *([largest] if largest > law.sizes[-1] else []))
@@ -210,8 +215,45 @@ class Evidence:
         block = self.thinned(candidate, joint)
         torque = np.sqrt(np.mean((block * self.sigma[:, [joint]]) ** 2, axis=0)) / self.nominal[joint]
         some = torque > 1e-9
-        each = size / np.sqrt(max(int(some.sum()), 1) * self._variance(joint, 1.0, 0.0, {}))
-        return np.asarray(block[:, some] * (each / torque[some]))
+        return np.asarray(block[:, some] * (size / np.sqrt(max(int(some.sum()), 1)) / torque[some]))
+
+    def _by_log(self, joint: int, own: np.ndarray, healthy: Sequence[np.ndarray]) -> np.ndarray:
+        """(S, b) columns over σ whose coefficients are N(0, 1) in every log anew.
+
+        They are what the healthy arm has of the effects, and changes of the model's parameters within their covariance.
+        Directions that all logs together hardly notice are left out.
+        """
+        columns = list(healthy)
+        if self._spread is not None:
+            columns.append(own @ self._spread[self._index[joint]])
+        if not columns:
+            return np.empty((len(own), 0))
+        together = np.hstack(columns)
+        energy, directions = np.linalg.eigh(together.T @ together * self.weight)
+        return np.asarray(together @ directions[:, energy > _NOTICED])
+
+    def with_known(self, joint: int, columns: np.ndarray) -> np.ndarray:
+        """Products of [X, U, r] with columns (S, K) of a joint; in U, what differs from log to log comes log by log."""
+        known, (width, free, each) = self.known[joint], self._widths[joint]
+        own = slice(width + free, width + free + each)
+        by_log = [known[rows, own].T @ columns[rows] for rows in self._logs]
+        return np.vstack([known[:, : own.start].T @ columns, *by_log, known[:, own.stop :].T @ columns])
+
+    def _squared(self, joint: int, columns: np.ndarray) -> np.ndarray:
+        """Products of [X, U, r] with themselves."""
+        width, free, each = self._widths[joint]
+        alone = columns[:, width + free : width + free + each]
+        common = np.delete(columns, np.s_[width + free : width + free + each], axis=1)
+        cross = np.hstack([common[rows].T @ alone[rows] for rows in self._logs])
+        square = block_diag(*(alone[rows].T @ alone[rows] for rows in self._logs))
+        whole = np.block([[common.T @ common, cross], [cross.T, square]])
+        order = np.r_[0 : width + free, width + free + 1 : len(whole), width + free]
+        return np.asarray(whole[np.ix_(order, order)])
+
+    def _free(self, joint: int) -> int:
+        """Columns of the noise model of a joint."""
+        _, free, each = self._widths[joint]
+        return free + each * len(self._logs)
 
     @property
     def nothing(self) -> Evaluated:
@@ -377,7 +419,7 @@ class Evidence:
             at = bank.parameters[j]
             if not len(at):
                 continue
-            (width, free), scale, moments = self._widths[j], base.scales[j], bank.moments[j]
+            width, free, scale, moments = self._widths[j][0], self._free(j), base.scales[j], bank.moments[j]
             reach = solve_triangular(joint.lower, moments[width : width + free], lower=True) / scale
             others = [self._with_bank(k, bank, j) for k in joint.effects]
             cross[np.ix_(joint.at, at)] += np.vstack([moments[:width], *others]) / scale - joint.half[:, :-1].T @ reach
@@ -432,7 +474,7 @@ class Evidence:
         for j in range(self.joints):
             here = [place for place, form in enumerate(forms) if j in form.blocks]
             at = np.concatenate([self._index[j], *(np.arange(ends[k], ends[k + 1]) for k in here)]).astype(int)
-            variance = self._variance(j, float(scales[j]), 0.0, {})
+            variance = self._variances(j, float(scales[j]), 0.0, {})
             joint = self._joint(j, float(scales[j]), variance, tuple(numbers[k] for k in here), at)
             total[np.ix_(at, at)] += joint.reduced[:-1, :-1]
         return total, ends
@@ -523,7 +565,7 @@ class Evidence:
 
     def _moments(self, joint: int, effects: Sequence[int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """B of [X, Z, r], V of U with these, and Q of U."""
-        (width, free), gram = self._widths[joint], self._gram[joint]
+        width, free, gram = self._widths[joint][0], self._free(joint), self._gram[joint]
         keep, of_free = np.r_[0:width, width + free], slice(width, width + free)
         ends = width + np.cumsum([0, *(len(self.candidate(k).names) for k in effects)])
         size = int(ends[-1]) + 1
@@ -540,8 +582,13 @@ class Evidence:
                 own[there, span], own[span, there] = both, both.T
         return own, cross, gram[of_free, of_free]
 
+    def _variances(self, joint: int, scale: float, form: float, free: Mapping[int, float]) -> np.ndarray:
+        """Prior variances of all coefficients of the noise model."""
+        same, count = self._widths[joint][1], self._free(joint)
+        return np.r_[np.full(same, self._variance(joint, scale, form, free)), np.ones(count - same)]
+
     def _variance(self, joint: int, scale: float, form: float, free: Mapping[int, float]) -> float:
-        """Prior variance of the noise model's coefficients, over σ²."""
+        """Prior variance of the coefficients that are common to all logs, over σ²."""
         law, unit = self.law, float(self.unit[joint])
         return (
             scale * law.systematic**2
@@ -550,11 +597,13 @@ class Evidence:
             + (free.get(joint, 0.0) * unit) ** 2
         )
 
-    def _joint(self, j: int, scale: float, variance: float, effects: tuple[int, ...], at: np.ndarray) -> JointMoments:
+    def _joint(
+        self, j: int, scale: float, variance: np.ndarray, effects: tuple[int, ...], at: np.ndarray
+    ) -> JointMoments:
         own, cross, square = self._moments(j, effects)
-        lower = np.linalg.cholesky(np.eye(len(square)) / variance + square / scale)
+        lower = np.linalg.cholesky(np.diag(1 / variance) + square / scale)
         half = solve_triangular(lower, cross, lower=True) / scale
-        log_det = self.count * np.log(scale) + 2 * np.log(np.diag(lower)).sum() + len(square) * np.log(variance)
+        log_det = self.count * np.log(scale) + 2 * np.log(np.diag(lower)).sum() + np.log(variance).sum()
         return JointMoments(own / scale - half.T @ half, float(log_det), lower, half, (own, cross, square), at, effects)
 
     def _ridge(self, number: int, size: float) -> np.ndarray:
@@ -586,7 +635,7 @@ class Evidence:
             else:
                 spans = [np.arange(ends[place], ends[place + 1]) for place in here]
                 at = np.concatenate([self._index[j], *spans]).astype(int)
-                variance = self._variance(j, float(scales[j]), float(form[j]), free)
+                variance = self._variances(j, float(scales[j]), float(form[j]), free)
                 joint = self._joint(j, float(scales[j]), variance, tuple(effects[place] for place in here), at)
             precision[np.ix_(joint.at, joint.at)] += joint.reduced[:-1, :-1]
             side[joint.at] += joint.reduced[:-1, -1]
@@ -622,7 +671,7 @@ class Evidence:
     def _left(self, j: int, joint: JointMoments, mean: np.ndarray) -> float:
         """Squared torque over nominal that remains beyond the noise model's usual energy."""
         rest, square = np.append(mean, -1.0), joint.moments[2]
-        usual = 1 + float(np.trace(square)) / self.count * self._variance(j, 1.0, 0.0, {})
+        usual = 1 + float(np.diag(square) @ self._variances(j, 1.0, 0.0, {})) / self.count
         return max(float(rest @ joint.moments[0] @ rest) / self.count - usual, 0.0) / float(self.unit[j]) ** 2
 
 
@@ -640,6 +689,13 @@ def _of_another_day(fit: Fit, friction: np.ndarray, daily: float) -> np.ndarray:
     spread = np.diag((daily * fit.reference.model.values[friction]) ** -2.0)
     gain = np.linalg.solve(fit.precision[np.ix_(friction, friction)] + spread, fit.precision[friction])
     return np.asarray(fit.precision - fit.precision[:, friction] @ gain)
+
+
+def _spread(precision: np.ndarray) -> np.ndarray:
+    """(p, p) a square root of the covariance of parameters whose units differ widely."""
+    unit = 1 / np.sqrt(np.diag(precision))
+    inverse = solve_triangular(_lower(precision, unit), np.eye(len(unit)), lower=True)
+    return np.asarray(unit[:, None] * inverse.T)
 
 
 def _nearest(sizes: Sequence[float], size: float) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from agent.diagnosis.hypotheses.evidence import Evidence
@@ -19,7 +19,8 @@ def near(place: Where, other: Where) -> bool:
 class Hypothesis:
     """Effects that may act together, and joints with something else that is not in the catalogue.
 
-    `gain` is the log Bayes factor against no effect, and `probability` the posterior. `torque[k]` is the largest torque
+    `gain` is the log Bayes factor against no effect. `shares` are posterior probabilities by which of the effects are
+    faults: the healthy arm has the others. `torque[k]` is the largest torque
     of effect k over nominal. `explained` is the share explained of the torque beyond the noise model. `scale` is the
     largest squared error left on a joint, divided by its noise variance.
     """
@@ -27,10 +28,15 @@ class Hypothesis:
     effects: tuple[Candidate, ...]
     free: tuple[int, ...]
     gain: float
-    probability: float
+    shares: Mapping[frozenset[Where], float]
     torque: tuple[float, ...]
     explained: float
     scale: float
+
+    @property
+    def probability(self) -> float:
+        """The posterior probability."""
+        return sum(self.shares.values())
 
     @property
     def places(self) -> tuple[Where, ...]:
