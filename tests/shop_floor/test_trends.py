@@ -11,7 +11,7 @@ from agent.runs.trends import FALSE_ALARMS, FEWEST, parameter_trends, watch
 def _watch(logs):
     history = History(logs)
     (one,) = watch(history.runs())
-    return one, parameter_trends(history.runs(), history.parameters())
+    return one, parameter_trends(one.figures, history.parameters())
 
 
 @pytest.mark.parametrize("cooling", [False, True])
