@@ -304,7 +304,7 @@ def _warnings(figures: Sequence[RunFigures], latest: dict[str, Any], trends: Seq
     gate, days = latest["gate"], MachineRuns("", figures).days
     if gate is None:
         return []
-    coming = []  # joint, room that is left, change over these runs, text
+    coming: list[tuple[str, float, float, str]] = []  # joint, room that is left, change over these runs, text
     for joint, errors in errors_by_joint(figures).items():
         shape, nothing = line(days)[None], Background(np.zeros(len(days)))
         size, deviation, probability = (float(part[0]) for part in sizes_of_change(errors, nothing, shape))
@@ -319,7 +319,7 @@ def _warnings(figures: Sequence[RunFigures], latest: dict[str, Any], trends: Seq
                 f"friction will have changed by {limit:.3g} N·m, the gate's share of nominal torque, in {{}}; a "
                 "simulation with the first model is then outside the gate"
             )
-            change = abs(trend.change) * np.median(trend.values)
+            change = abs(trend.change) * float(np.median(trend.values))
             coming.append((trend.joint, limit - abs(course[-1] - course[0]), change, text))
     found: dict[str, Warning] = {}
     span = max(float(np.ptp(days)), 1e-9)
