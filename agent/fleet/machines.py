@@ -40,7 +40,7 @@ _BATCH = 256
 _UNKNOWN = datetime.min.replace(tzinfo=UTC)
 
 
-class Machine:
+class FleetMachine:
     """What the latest runs of one machine say.
 
     Attributes
@@ -83,11 +83,11 @@ class Machine:
         return np.array(values if fit else [None] * len(self.joints), dtype=float)
 
 
-def read_machines(kind: str, file: Any) -> Iterator[Machine]:
+def read_machines(kind: str, file: Any) -> Iterator[FleetMachine]:
     """Machines of a result's Parquet file, in the order of its rows."""
     columns = ["robot", "run", "started", "status", "reason", "page", "joints", *_FIGURES[kind]]
     rows = (row for batch in file.iter_batches(_BATCH, columns=columns, use_threads=False) for row in batch.to_pylist())
-    yield from (Machine(kind, list(of_one)) for _, of_one in groupby(rows, key=lambda row: row["robot"]))
+    yield from (FleetMachine(kind, list(of_one)) for _, of_one in groupby(rows, key=lambda row: row["robot"]))
 
 
 def _figures(row: dict[str, Any], error: str) -> RunFigures:

@@ -19,7 +19,7 @@ from urllib.parse import quote
 
 import numpy as np
 
-from agent.fleet.machines import Machine
+from agent.fleet.machines import FleetMachine
 from agent.fleet.store import Store
 from agent.fleet.trends import FleetTrends, change_of, change_text, fleet_trends
 from agent.recipe import GateSection
@@ -78,7 +78,7 @@ def _page(found: FleetTrends, base: str) -> str:
     )
 
 
-def _machine(found: FleetTrends, machine: Machine, base: str) -> dict[str, Any]:
+def _machine(found: FleetTrends, machine: FleetMachine, base: str) -> dict[str, Any]:
     weight, reasons = _urgency(machine)
     by_joint = {one.joint: one for one in machine.trends}
     axles = [by_joint.get(joint) for joint in machine.joints]
@@ -99,7 +99,7 @@ def _machine(found: FleetTrends, machine: Machine, base: str) -> dict[str, Any]:
     }
 
 
-def _urgency(machine: Machine) -> tuple[float, list[str]]:
+def _urgency(machine: FleetMachine) -> tuple[float, list[str]]:
     """The urgency of a machine, and the reasons, if any."""
     alarms = [one for one in machine.trends if one.alarm]
     weights, reasons = [0.0, *(_weight(machine, one) for one in alarms)], [change_text(one) for one in alarms]
@@ -118,7 +118,7 @@ def _urgency(machine: Machine) -> tuple[float, list[str]]:
     return max(weights), reasons
 
 
-def _weight(machine: Machine, one: Trend) -> float:
+def _weight(machine: FleetMachine, one: Trend) -> float:
     if one.quantity != "friction":
         return float(one.values[-3:].mean()) / GATE
     days = max(float(one.runs.days[-1] - one.runs.days[0]), 1.0)

@@ -75,7 +75,7 @@ def schema(kind: str, source: str = "") -> Any:
 
 
 @dataclass(frozen=True)
-class Rows:
+class ResultRows:
     """The rows of a result: its kind, the folder or URL of its runs ("" where unknown), and its Parquet file."""
 
     kind: str
@@ -88,7 +88,7 @@ def is_result(url: str) -> bool:
     return Store(url).find(ROWS) is not None
 
 
-def open_rows(url: str, folder: Path) -> Rows:
+def open_rows(url: str, folder: Path) -> ResultRows:
     """The rows of a result; of one elsewhere a copy in `folder`.
 
     Raises:
@@ -101,7 +101,7 @@ def open_rows(url: str, folder: Path) -> Rows:
     return found
 
 
-def _find_rows(store: Store, folder: Path) -> Rows | None:
+def _find_rows(store: Store, folder: Path) -> ResultRows | None:
     needed("pyarrow", "a fleet")
     import pyarrow.parquet as pq
 
@@ -115,7 +115,7 @@ def _find_rows(store: Store, folder: Path) -> Rows | None:
     about = {key: value.decode() for key, value in (rows.schema_arrow.metadata or {}).items()}
     if META not in about:
         raise InputError(f"{store.url}/{ROWS}: not written by `agent fleet`")
-    return Rows(about[META], about.get(SOURCE, ""), rows)
+    return ResultRows(about[META], about.get(SOURCE, ""), rows)
 
 
 @contextlib.contextmanager

@@ -18,7 +18,7 @@ from scipy.special import stdtrit
 
 from agent.core import InputError, swept_folder
 from agent.fleet.families import RATE, Family, find_families, read_columns
-from agent.fleet.machines import Machine, read_machines
+from agent.fleet.machines import FleetMachine, read_machines
 from agent.fleet.result import META, ROWS, is_result, open_rows
 from agent.fleet.store import SCRATCH, Store
 from agent.fleet.tasks import KINDS
@@ -34,7 +34,7 @@ class FleetTrends:
     kind: str
     result: str
     source: str
-    machines: list[Machine]
+    machines: list[FleetMachine]
     families: list[Family] = field(default_factory=list)
     tables: dict[str, dict[str, str]] = field(default_factory=dict)
 
