@@ -304,7 +304,7 @@ def _warnings(figures: Sequence[RunFigures], latest: dict[str, Any], trends: Seq
     gate, days = latest["gate"], MachineRuns("", figures).days
     if gate is None:
         return []
-    coming: list[tuple[str, float, float, str]] = []  # joint, room that is left, change over these runs, text
+    coming: list[tuple[str, float, float, str]] = []  # joint, margin, change over these runs, text
     for joint, errors in errors_by_joint(figures).items():
         shape, nothing = line(days)[None], Background(np.zeros(len(days)))
         size, deviation, probability = (float(part[0]) for part in sizes_of_change(errors, nothing, shape))
@@ -323,8 +323,8 @@ def _warnings(figures: Sequence[RunFigures], latest: dict[str, Any], trends: Seq
             coming.append((trend.joint, limit - abs(course[-1] - course[0]), change, text))
     found: dict[str, Warning] = {}
     span = max(float(np.ptp(days)), 1e-9)
-    for joint, room, change, text in coming:
-        left = max(0.0, float(room / max(change, 1e-300)) * span)
+    for joint, margin, change, text in coming:
+        left = max(0.0, float(margin / max(change, 1e-300)) * span)
         if left <= span:
             found.setdefault(joint, Warning(joint, left, f"{joint}: {text.format(_in(left))}"))
     return list(found.values())
