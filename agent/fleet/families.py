@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from agent.core import InputError, needed
+from agent.runs import Trend
 
 #: False discovery rate: the expected share of findings that are chance. Low, as few worn machines give few findings.
 RATE = 0.01
@@ -78,51 +79,40 @@ def read_columns(paths: Sequence[Path]) -> dict[str, dict[str, str]]:
     return found
 
 
-def find_families(
-    columns: Mapping[str, Mapping[str, str]],
-    robots: Sequence[str],
-    joints: Sequence[str],
-    changes: np.ndarray,
-    deviations: np.ndarray,
-    alarms: np.ndarray,
-) -> list[Family]:
-    """Families among M series, each of a robot and joint, with its change (M,) over time, deviation and alarm.
+def find_families(columns: Mapping[str, Mapping[str, str]], axles: Sequence[Trend]) -> list[Family]:
+    """Families among the axles of a fleet.
 
     Every value of every column is compared with all other machines, joint by joint, by the rank-sum test on change over
     deviation (Wilcoxon 1945), so that small changes shared by many machines are found. The false discovery rate is
     controlled over all these tests (Benjamini and Hochberg 1995).
     """
-    from scipy.stats import false_discovery_control, ranksums
+    from scipy.stats import false_discovery_control
 
-    scores = changes / np.maximum(deviations, 1e-300)
     tried = [
-        (float(ranksums(scores[members], scores[others]).pvalue), family)
-        for family, members, others in _candidates(columns, robots, joints, changes, alarms)
+        one
+        for joint in sorted({trend.joint for trend in axles})
+        for column, values in columns.items()
+        for one in _tried(column, values, joint, [trend for trend in axles if trend.joint == joint])
     ]
-    if not tried:
-        return []
-    levels = false_discovery_control([p_value for p_value, _ in tried]).tolist()
-    found = [replace(family, level=level) for level, (_, family) in zip(levels, tried, strict=True)]
+    levels = false_discovery_control([one.level for one in tried]).tolist() if tried else []
+    found = [replace(one, level=level) for one, level in zip(tried, levels, strict=True)]
     kept = [one for one in found if one.level <= RATE and abs(one.change - one.others) >= PRACTICAL]
     return sorted(kept, key=lambda one: one.level)
 
 
-def _candidates(
-    columns: Mapping[str, Mapping[str, str]],
-    robots: Sequence[str],
-    joints: Sequence[str],
-    changes: np.ndarray,
-    alarms: np.ndarray,
-) -> Iterator[tuple[Family, np.ndarray, np.ndarray]]:
-    """Possible families, with the numbers of their series and of the other machines' on the same joint."""
-    for joint in sorted(set(joints)):
-        chosen = np.array([k for k, one in enumerate(joints) if one == joint])
-        for column, values in columns.items():
-            here = np.array([values.get(robots[k], "") for k in chosen], dtype=object)
-            for value in sorted(set(here) - {""}):
-                members, others = chosen[here == value], chosen[here != value]
-                if min(len(members), len(others)) < FEWEST:
-                    continue
-                change, rest = float(np.median(changes[members])), float(np.median(changes[others]))
-                names, worn = tuple(sorted(robots[k] for k in members)), int(alarms[members].sum())
-                yield Family(column, value, joint, len(members), worn, change, rest, 1.0, names), members, others
+def _tried(column: str, values: Mapping[str, str], joint: str, axles: Sequence[Trend]) -> Iterator[Family]:
+    """The machines of every value of a column as a family, with the p-value of the test as level."""
+    from scipy.stats import ranksums
+
+    here = np.array([values.get(one.runs.machine, "") for one in axles], dtype=object)
+    changes = np.array([one.found.drift for one in axles])
+    scores = changes / np.maximum([one.found.drift_deviation for one in axles], 1e-300)
+    for value in sorted(set(here) - {""}):
+        inside = here == value
+        if min(inside.sum(), (~inside).sum()) < FEWEST:
+            continue
+        members = [one for one, chosen in zip(axles, inside, strict=True) if chosen]
+        change, others = float(np.median(changes[inside])), float(np.median(changes[~inside]))
+        p_value = float(ranksums(scores[inside], scores[~inside]).pvalue)
+        alarms, robots = sum(one.alarm for one in members), tuple(sorted(one.runs.machine for one in members))
+        yield Family(column, value, joint, len(members), alarms, change, others, p_value, robots)

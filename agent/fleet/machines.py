@@ -1,71 +1,119 @@
-"""A result, read machine by machine, so that memory does not grow with the fleet."""
+"""The machines of a result, read one after the other, so that the rows of one alone are in memory."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
-from functools import cached_property
 from itertools import groupby
 from typing import Any
 
 import numpy as np
 
-from agent.runs import days_since_first
+from agent.runs import (
+    WINDOW,
+    Background,
+    MachineRuns,
+    RunFigures,
+    Trend,
+    alike,
+    errors_by_joint,
+    friction_trends,
+    named_causes,
+)
 
-#: Number of latest runs of a machine that are used: more than a year of weeks.
-LATEST = 60
+#: Columns with the figures of each kind of result, the prediction error first.
+_FIGURES = {
+    "estimate": ("normalised_rmse", "friction", "warm_up", "nominal_torque"),
+    "validate": ("normalised_rmse",),
+    "diagnose": ("gap_before", "verdict", "causes"),
+}
+_VERDICTS = {
+    "explained": "the gap between model and robot is explained",
+    "ambiguous": "there is a gap between model and robot that several causes explain equally well",
+    "unknown": "there is a gap between model and robot that no known effect explains",
+}
+#: Relative change of a prediction error that matters.
+_PRACTICAL_ERROR = 0.25
 #: Rows that are read at once.
 _BATCH = 256
 #: Comes before every run whose time is known.
 _UNKNOWN = datetime.min.replace(tzinfo=UTC)
 
 
-class MachineRuns:
-    """The latest runs of one machine, oldest first.
+class FleetMachine:
+    """What the latest runs of one machine say.
 
-    `rows` are those of R runs. Of the latest run with figures: `joints` (n), and of an estimate `nominal` (n,) [N·m].
+    Attributes
+    ----------
+    joints : n of them; none where no run has figures.
+    nominal, errors : (n,) nominal torque [N·m] and latest prediction error, NaN where unknown.
+    runs : name, day, status, reason and page of every run, oldest first.
+    failed : why the latest run, or one without a date, has no figures; "" where it has.
+    gap : what the latest diagnosis says; "" without one.
+    trends : of every axle with enough runs, the likeliest change of its series.
     """
 
     def __init__(self, kind: str, rows: list[dict[str, Any]]):
-        self.rows = sorted(rows, key=lambda row: (row["started"] or _UNKNOWN, row["run"]))[-LATEST:]
+        rows = sorted(rows, key=lambda row: (row["started"] or _UNKNOWN, row["run"]))[-WINDOW:]
+        known = [k for k, row in enumerate(rows) if row["status"] == "ok"]
+        latest, error = rows[known[-1]] if known else {}, _FIGURES[kind][0]
         self.robot: str = rows[0]["robot"]
-        self.runs: list[str] = [row["run"] for row in self.rows]
-        self.with_figures = [number for number, row in enumerate(self.rows) if row["status"] == "ok"]
-        self._errors = "gap_before" if kind == "diagnose" else "normalised_rmse"
-        latest = self.rows[self.with_figures[-1]] if self.with_figures else {}
         self.joints: tuple[str, ...] = tuple(latest.get("joints", ()))
-        estimated = kind == "estimate" and bool(latest)
-        self.nominal = np.array(latest["nominal_torque"] if estimated else [np.nan] * len(self.joints), dtype=float)
+        self.nominal, self.errors = (self._by_joint(latest.get(name)) for name in ("nominal_torque", error))
+        self.runs = [
+            (row["run"], str(row["started"] or "")[:10], row["status"], row["reason"], row["page"]) for row in rows
+        ]
+        failed = [
+            f"{status}: {reason}"
+            for k, (_, day, status, reason, _) in enumerate(self.runs)
+            if status != "ok" and (not day or k > max(known, default=-1))
+        ]
+        self.failed = failed[-1] if failed else ""
+        self.gap = _gap(rows[-1])
+        figures = [_figures(rows[k], error) for k in known]
+        if kind == "estimate":
+            series = friction_trends(alike(figures, "friction"), self.robot)
+        else:
+            series = _error_trends(alike(figures, "errors"), self.robot)
+        joints = dict.fromkeys(trend.joint for trend in series)
+        self.trends = [_likeliest([trend for trend in series if trend.joint == joint]) for joint in joints]
 
-    def alike(self, name: str) -> list[int]:
-        """Numbers of the runs with as many figures in a column as the latest."""
-        lengths = [len(self.rows[k][name] or ()) for k in self.with_figures]
-        return [k for k, length in zip(self.with_figures, lengths, strict=True) if length == lengths[-1]]
-
-    @cached_property
-    def errors(self) -> tuple[list[int], np.ndarray]:
-        """Numbers of the runs with as many errors as the latest, and these errors (R, n), share of nominal torque."""
-        runs = self.alike(self._errors)
-        values = [self.rows[k][self._errors] or () for k in runs]
-        return runs, np.array(values, dtype=float).reshape(len(runs), len(values[0]) if values else 0)
-
-    def days(self, runs: list[int]) -> np.ndarray:
-        """(R,) days since the first of some runs; their numbers where not all have a time of their own."""
-        return days_since_first([self.rows[k]["started"] for k in runs])
-
-    def date(self, run: int) -> str:
-        """Day of a run, ISO 8601; "" where it is not known."""
-        started = self.rows[run]["started"]
-        return "" if started is None else f"{started:%Y-%m-%d}"
+    def _by_joint(self, values: list[float | None] | None) -> np.ndarray:
+        fit = values is not None and len(values) == len(self.joints)
+        return np.array(values if fit else [None] * len(self.joints), dtype=float)
 
 
-def read_machines(kind: str, file: Any) -> Iterator[MachineRuns]:
+def read_machines(kind: str, file: Any) -> Iterator[FleetMachine]:
     """Machines of a result's Parquet file, in the order of its rows."""
-    columns = ["robot", "run", "started", "status", "reason", "page", "joints"]
-    columns += {
-        "estimate": ["normalised_rmse", "friction", "warm_up", "nominal_torque"],
-        "validate": ["normalised_rmse"],
-        "diagnose": ["gap_before", "verdict", "causes"],
-    }[kind]
-    rows = (row for batch in file.iter_batches(_BATCH, columns=columns) for row in batch.to_pylist())
-    yield from (MachineRuns(kind, list(of_one)) for _, of_one in groupby(rows, key=lambda row: row["robot"]))
+    columns = ["robot", "run", "started", "status", "reason", "page", "joints", *_FIGURES[kind]]
+    rows = (row for batch in file.iter_batches(_BATCH, columns=columns, use_threads=False) for row in batch.to_pylist())
+    yield from (FleetMachine(kind, list(of_one)) for _, of_one in groupby(rows, key=lambda row: row["robot"]))
+
+
+def _figures(row: dict[str, Any], error: str) -> RunFigures:
+    rates = row.get("warm_up") or ()
+    warm_up = {key: [one[key] for one in rates] for key in ("rate_per_s", "standard_deviation")}
+    return RunFigures(row["run"], row["started"], row["joints"], row[error] or (), row.get("friction") or (), warm_up)
+
+
+def _error_trends(figures: Sequence[RunFigures], robot: str) -> list[Trend]:
+    """A series for every axle that has an error in each of these runs."""
+    runs, nothing = MachineRuns(robot, figures), np.zeros(len(figures))
+    return [
+        Trend(runs, "prediction error", joint, "", values, nothing, Background(nothing), practical=_PRACTICAL_ERROR)
+        for joint, values in (errors_by_joint(figures) if figures else {}).items()
+        if np.all(values > 0)  # and no number is missing
+    ]
+
+
+def _likeliest(series: list[Trend]) -> Trend:
+    """The series of an axle with the likeliest change, which pays for all of them (Bonferroni)."""
+    best = min(series, key=lambda trend: trend.probability)
+    best.alternatives = len(series)
+    return best
+
+
+def _gap(row: dict[str, Any]) -> str:
+    """What a run says about the gap; empty where there is none, or the run is no diagnosis."""
+    verdict, causes = _VERDICTS.get(row.get("verdict") or "", ""), named_causes(row)
+    return f"{verdict}: {causes}" if verdict and causes else verdict

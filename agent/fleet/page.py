@@ -11,8 +11,7 @@ import base64
 import gzip
 import json
 import os
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -20,10 +19,11 @@ from urllib.parse import quote
 
 import numpy as np
 
-from agent.fleet.machines import MachineRuns
+from agent.fleet.machines import FleetMachine
 from agent.fleet.store import Store
-from agent.fleet.trends import AxleTrend, FleetTrends, fleet_trends, source_of
+from agent.fleet.trends import FleetTrends, change_of, change_text, fleet_trends
 from agent.recipe import GateSection
+from agent.runs import Trend
 
 #: Normalised RMSE that a calibration is let through with, where its recipe says nothing else.
 GATE = float(GateSection.model_fields["normalised_rmse"].default)
@@ -31,87 +31,8 @@ GATE = float(GateSection.model_fields["normalised_rmse"].default)
 AHEAD = 90.0
 #: Relative change of friction that counts as the gate where a joint has no nominal torque.
 _LIKE_GATE = 0.2
-_VERDICTS = {
-    "explained": "the gap between model and robot is explained",
-    "ambiguous": "there is a gap between model and robot that several causes explain equally well",
-    "unknown": "there is a gap between model and robot that no known effect explains",
-}
 #: Characters of a reason on the page.
 _LONGEST = 300
-
-
-@dataclass(frozen=True, eq=False)
-class MachineSummary:
-    """A machine as the page shows it.
-
-    `errors` (n,) are the latest, NaN where unknown; `runs` have name, day, status, reason and page. `failed`: why its
-    latest run, or one without a date, has no figures; `gap`: what its latest diagnosis says, where there is one.
-    """
-
-    robot: str
-    joints: tuple[str, ...]
-    nominal: np.ndarray
-    errors: np.ndarray
-    runs: list[tuple[str, str, str, str, str | None]]
-    failed: str
-    gap: str
-    axles: list[AxleTrend]
-
-    @classmethod
-    def of(cls, machine: MachineRuns, axles: list[AxleTrend]) -> MachineSummary:
-        """The summary of a machine."""
-        runs = [
-            (row["run"], machine.date(k), row["status"], row["reason"], row["page"])
-            for k, row in enumerate(machine.rows)
-        ]
-        latest = max(machine.with_figures, default=-1)
-        failed = [
-            f"{status}: {reason}"
-            for row, (_, date, status, reason, _) in enumerate(runs)
-            if status != "ok" and (not date or row > latest)
-        ]
-        n, (_, errors) = len(machine.joints), machine.errors
-        known = len(errors) > 0 and errors.shape[1] == n
-        return cls(
-            machine.robot,
-            machine.joints,
-            machine.nominal,
-            errors[-1] if known else np.full(n, np.nan),
-            runs,
-            failed[-1] if failed else "",
-            _gap(machine.rows[-1]),
-            axles,
-        )
-
-    def urgency(self) -> tuple[float, list[str]]:
-        """The urgency of the machine, and the reasons, if any."""
-        alarms = [one for one in self.axles if one.trend.alarm]
-        weights, reasons = [0.0, *map(self._weight, alarms)], [one.text() for one in alarms]
-        worst = [(error, joint) for error, joint in zip(self.errors, self.joints, strict=True) if np.isfinite(error)]
-        if worst:
-            error, joint = max(worst)
-            weights.append(float(error) / GATE if error > GATE or reasons else 0.0)
-            if error > GATE:
-                reasons.append(f"{joint}: error of {100 * error:.1f} % of nominal torque; {100 * GATE:g} % is the gate")
-        if self.gap:
-            reasons.append(self.gap)
-            weights.append(max([0.5, *(float(error) / GATE for error, _ in worst)]))
-        if self.failed:
-            reasons.append(f"a run has no figures; {self.failed}")
-            weights.append(1.0)
-        return max(weights), reasons
-
-    def _weight(self, one: AxleTrend) -> float:
-        trend = one.trend
-        if trend.quantity != "friction":
-            return float(trend.values[-3:].mean()) / GATE
-        days = max(float(trend.times[-1] - trend.times[0]), 1.0)
-        going_on = one.change * AHEAD / days if trend.kind == "drift" else 0.0
-        change = abs(one.change) + abs(going_on)
-        nominal = self.nominal[self.joints.index(trend.joint)]
-        if not np.isfinite(nominal):
-            return change / _LIKE_GATE
-        return change * float(np.median(trend.values)) / (GATE * float(nominal))
 
 
 def write_page(result: str, tables: Sequence[Path] = (), out: str | None = None) -> str:
@@ -121,25 +42,23 @@ def write_page(result: str, tables: Sequence[Path] = (), out: str | None = None)
         InputError: no result, or a table that cannot be used.
         AgentError: the page cannot be written.
     """
-    machines: list[MachineSummary] = []
-    found = fleet_trends(result, tables, lambda machine, axles: machines.append(MachineSummary.of(machine, axles)))
+    found = fleet_trends(result, tables)
     folder, name = (result, "_report.html") if out is None else (os.path.dirname(out) or ".", os.path.basename(out))
     store = Store(folder)
-    page = fleet_page(found, machines, _link_base(source_of(result), store))
-    store.put(name, page.encode())
+    store.put(name, _page(found, _link_base(found.source, store)).encode())
     return f"{folder.rstrip('/')}/{name}"
 
 
-def fleet_page(found: FleetTrends, summaries: Sequence[MachineSummary], base: str) -> str:
+def _page(found: FleetTrends, base: str) -> str:
     """HTML text; links to the pages of runs begin with `base`."""
     from jinja2 import Environment
 
     machines = sorted(
-        (_machine(found, one, base) for one in summaries), key=lambda one: (-one["urgency"], one["robot"])
+        (_machine(found, one, base) for one in found.machines), key=lambda one: (-one["urgency"], one["robot"])
     )
     data = {
         "kind": found.kind,
-        "joints": list(dict.fromkeys(joint for one in summaries for joint in one.joints)),
+        "joints": list(dict.fromkeys(joint for one in found.machines for joint in one.joints)),
         "gate": GATE,
         "columns": list(found.tables),
         "machines": machines,
@@ -151,7 +70,7 @@ def fleet_page(found: FleetTrends, summaries: Sequence[MachineSummary], base: st
     return environment.from_string(_asset("fleet.html")).render(
         found=found,
         look=look,
-        runs=sum(len(one.runs) for one in summaries),
+        runs=sum(len(one.runs) for one in found.machines),
         urgent=machines[: min(look, 15)],
         script=_asset("fleet.js"),
         css=_asset("fleet.css"),
@@ -159,48 +78,69 @@ def fleet_page(found: FleetTrends, summaries: Sequence[MachineSummary], base: st
     )
 
 
-def _machine(found: FleetTrends, summary: MachineSummary, base: str) -> dict[str, Any]:
-    weight, reasons = summary.urgency()
-    by_joint = {one.trend.joint: one for one in summary.axles}
-    axles = [by_joint.get(joint) for joint in summary.joints]
+def _machine(found: FleetTrends, machine: FleetMachine, base: str) -> dict[str, Any]:
+    weight, reasons = _urgency(machine)
+    by_joint = {one.joint: one for one in machine.trends}
+    axles = [by_joint.get(joint) for joint in machine.joints]
     return {
-        "robot": summary.robot,
+        "robot": machine.robot,
         "urgency": round(weight, 3),
         "why": [text[:_LONGEST] for text in reasons],
-        "joints": list(summary.joints),
-        "gap": [round(1e4 * float(error)) if np.isfinite(error) else None for error in summary.errors],
-        "trend": [None if one is None else round(1e4 * one.change) for one in axles],
-        "alarm": [int(one is not None and one.trend.alarm) for one in axles],
-        "of": [values.get(summary.robot) for values in found.tables.values()],
+        "joints": list(machine.joints),
+        "gap": [round(1e4 * float(error)) if np.isfinite(error) else None for error in machine.errors],
+        "trend": [None if one is None else round(1e4 * change_of(one)[0]) for one in axles],
+        "alarm": [int(one is not None and one.alarm) for one in axles],
+        "of": [values.get(machine.robot) for values in found.tables.values()],
         "runs": [
-            [run.removeprefix(f"{summary.robot}/"), day, status, reason[:_LONGEST], base + quote(page) if page else ""]
-            for run, day, status, reason, page in summary.runs
+            [run.removeprefix(f"{machine.robot}/"), day, status, reason[:_LONGEST], base + quote(page) if page else ""]
+            for run, day, status, reason, page in machine.runs
         ],
-        "courses": [_course(one) for one in summary.axles],
+        "courses": [_course(one) for one in machine.trends],
     }
 
 
-def _course(one: AxleTrend) -> dict[str, Any]:
+def _urgency(machine: FleetMachine) -> tuple[float, list[str]]:
+    """The urgency of a machine, and the reasons, if any."""
+    alarms = [one for one in machine.trends if one.alarm]
+    weights, reasons = [0.0, *(_weight(machine, one) for one in alarms)], [change_text(one) for one in alarms]
+    worst = [(error, joint) for error, joint in zip(machine.errors, machine.joints, strict=True) if np.isfinite(error)]
+    if worst:
+        error, joint = max(worst)
+        weights.append(float(error) / GATE if error > GATE or reasons else 0.0)
+        if error > GATE:
+            reasons.append(f"{joint}: error of {100 * error:.1f} % of nominal torque; {100 * GATE:g} % is the gate")
+    if machine.gap:
+        reasons.append(machine.gap)
+        weights.append(max([0.5, *(float(error) / GATE for error, _ in worst)]))
+    if machine.failed:
+        reasons.append(f"a run has no figures; {machine.failed}")
+        weights.append(1.0)
+    return max(weights), reasons
+
+
+def _weight(machine: FleetMachine, one: Trend) -> float:
+    if one.quantity != "friction":
+        return float(one.values[-3:].mean()) / GATE
+    days = max(float(one.runs.days[-1] - one.runs.days[0]), 1.0)
+    change = abs(one.change) * (1 + AHEAD / days if one.kind == "drift" else 1)
+    nominal = machine.nominal[machine.joints.index(one.joint)]
+    if not np.isfinite(nominal):
+        return change / _LIKE_GATE
+    return change * float(np.median(one.values)) / (GATE * float(nominal))
+
+
+def _course(one: Trend) -> dict[str, Any]:
     """Values in hundredths of a percent over their median."""
-    trend = one.trend
-    middle = float(np.median(trend.values))
+    middle, (_, low, high) = float(np.median(one.values)), change_of(one)
     return {
-        "joint": trend.joint,
-        "of": one.quantity,
-        "text": one.text() if trend.kind != "none" else f"{one.quantity}: no change",
-        "interval": [round(1e4 * one.low), round(1e4 * one.high)],
+        "joint": one.joint,
+        "of": f"{one.quantity}{one.at}",
+        "text": change_text(one) if one.kind != "none" else f"{one.quantity}{one.at}: no change",
+        "interval": [round(1e4 * low), round(1e4 * high)],
         "level": float(f"{one.level:.2g}"),
-        "days": np.round(trend.times).astype(int).tolist(),
-        "values": np.round(1e4 * (trend.values / middle - 1)).astype(int).tolist() if middle else [],
+        "days": np.round(one.runs.days).astype(int).tolist(),
+        "values": np.round(1e4 * (one.values / middle - 1)).astype(int).tolist() if middle else [],
     }
-
-
-def _gap(told: Mapping[str, Any]) -> str:
-    """What the latest run says about the gap; empty where there is none, or the run is no diagnosis."""
-    verdict = _VERDICTS.get(told.get("verdict") or "", "")
-    causes = told.get("causes") or ()
-    named = "; ".join(f"{cause['effect']} on {', '.join(cause['joints']) or 'the whole arm'}" for cause in causes)
-    return f"{verdict}: {named}" if verdict and named else verdict
 
 
 def _link_base(source: str, page: Store) -> str:

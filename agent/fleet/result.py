@@ -13,6 +13,7 @@ import contextlib
 import hashlib
 import uuid
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -73,8 +74,22 @@ def schema(kind: str, source: str = "") -> Any:
     return pa.schema(list(found.items()), metadata={META: kind.encode(), SOURCE: source.encode()})
 
 
-def open_rows(url: str, folder: Path) -> tuple[str, Any]:
-    """Kind and Parquet file of the rows of a result; of one elsewhere a copy in `folder`.
+@dataclass(frozen=True)
+class ResultRows:
+    """The rows of a result: its kind, the folder or URL of its runs ("" where unknown), and its Parquet file."""
+
+    kind: str
+    source: str
+    file: Any
+
+
+def is_result(url: str) -> bool:
+    """Whether a folder or URL holds the rows of a fleet."""
+    return Store(url).find(ROWS) is not None
+
+
+def open_rows(url: str, folder: Path) -> ResultRows:
+    """The rows of a result; of one elsewhere a copy in `folder`.
 
     Raises:
         InputError: it is no result.
@@ -86,22 +101,21 @@ def open_rows(url: str, folder: Path) -> tuple[str, Any]:
     return found
 
 
-def _find_rows(store: Store, folder: Path) -> tuple[str, Any] | None:
+def _find_rows(store: Store, folder: Path) -> ResultRows | None:
     needed("pyarrow", "a fleet")
     import pyarrow.parquet as pq
 
-    try:
-        path = store.fetch(store.find(ROWS), folder)
-    except (FileNotFoundError, NotADirectoryError):
+    if (there := store.find(ROWS)) is None:
         return None
+    path = store.fetch(there, folder)
     try:
         rows = pq.ParquetFile(path)
     except Exception as error:  # of Arrow: any fault of the bytes
         raise InputError(f"{store.url}/{ROWS}: no Parquet file: {str(error).splitlines()[0]}") from None
-    kind = (rows.schema_arrow.metadata or {}).get(META)
-    if kind is None:
+    about = {key: value.decode() for key, value in (rows.schema_arrow.metadata or {}).items()}
+    if META not in about:
         raise InputError(f"{store.url}/{ROWS}: not written by `agent fleet`")
-    return kind.decode(), rows
+    return ResultRows(about[META], about.get(SOURCE, ""), rows)
 
 
 @contextlib.contextmanager
@@ -116,9 +130,9 @@ def open_result(url: str, kind: str, source: str) -> Iterator[Result]:
         raise InputError(f"{url}: is a file; name a folder for the result")
     with swept_folder(SCRATCH) as folder:
         found = _find_rows(store, folder)
-        if found is not None and found[0] != kind:
-            raise InputError(f"{url}: holds a result of `fleet {found[0]}`; name another folder with -o")
-        result = Result(store, schema(kind, Store(source).absolute), folder, None if found is None else found[1])
+        if found is not None and found.kind != kind:
+            raise InputError(f"{url}: holds a result of `fleet {found.kind}`; name another folder with -o")
+        result = Result(store, schema(kind, Store(source).absolute), folder, None if found is None else found.file)
         try:
             yield result
         except BaseException:

@@ -86,15 +86,12 @@ class Store:
             if path and not any(part.startswith((".", "_")) for part in path.split("/")):
                 yield StoredFile(path, int(entry["size"]), _stamp(entry))
 
-    def find(self, path: str) -> StoredFile:
-        """One file.
-
-        Raises:
-            FileNotFoundError: there is none.
-        """
-        with self._told("found", path):
+    def find(self, path: str) -> StoredFile | None:
+        """One file, where there is one."""
+        with contextlib.suppress(FileNotFoundError), self._told("found", path):
             entry = self._fs.info(f"{self._root}/{path}")
-        return StoredFile(path, int(entry["size"] or 0), _stamp(entry))
+            return StoredFile(path, int(entry["size"] or 0), _stamp(entry))
+        return None
 
     def fetch(self, file: StoredFile, folder: Path) -> Path:
         """Path of a local copy at the same relative path below `folder`, or of the file itself if it is local.

@@ -141,7 +141,7 @@ def _robot(task: Task, inputs: _Inputs) -> str | RobotDescription | None:
         if isinstance(data, dict) and isinstance(data.get("urdf"), str):
             urdf = os.path.normpath(f"{task.description.folder}/{data['urdf']}")
             if not urdf.startswith(("..", "/")):
-                inputs.fetch(inputs.store.find(urdf))
+                inputs.optional(inputs.store.find(urdf))
     return str(path)
 
 

@@ -280,12 +280,8 @@ def write_index(logs: Path, robot: str | None = None, serial: str | None = None)
     if not runs:
         raise InputError(f"{logs}: {history.why_none(robot, serial)}")
     watched = watch(runs)
-    parameters = history.parameters({run for one in watched for trend in one.trends[:1] for run in trend.runs})
-    by_name = {run.run: run for run in runs}
-    courses = [
-        parameter_trends([by_name[name] for name in one.trends[0].runs], parameters) if one.trends else []
-        for one in watched
-    ]
+    parameters = history.parameters({figures.run for one in watched for figures in one.figures})
+    courses = [parameter_trends(one.figures, parameters) for one in watched]
     return write_atomically(logs / "index.html", index_page(IndexData(runs, watched, courses, current_runs(logs)[0])))
 
 

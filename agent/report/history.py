@@ -120,7 +120,7 @@ def _parameter_table(parameters: Sequence[Trend], number: int) -> Table:
 def _course(one: Watch, parameters: Sequence[Trend], number: int, data: IndexData) -> Plot:
     """Friction, temperature and parameters over the dates of the runs that the trends look at."""
     runs = {run.run: run for run in data.runs}
-    chosen = [runs[name] for name in (one.trends[0].runs if one.trends else ())]
+    chosen = [runs[figures.run] for figures in one.figures]
     panels = [_friction(one.trends, data.current), *_temperatures(chosen)]
     for trend in parameters[:_MOST_PARAMETERS]:
         band = Series("two std. dev.", trend.values + 2 * trend.deviations, low=trend.values - 2 * trend.deviations)
@@ -144,7 +144,7 @@ def _friction(trends: Sequence[Trend], current: Collection[str]) -> Panel:
         series.append(Series(trend.joint, values, "points", colour, joint=trend.joint))
         if trend.alarm:
             series.append(Series(f"{trend.joint}: alarm", course, colour=colour, joint=trend.joint))
-    if ordered and (marked := [name in current for name in ordered[0].runs]) and any(marked):
+    if ordered and (marked := [name in current for name in ordered[0].runs.names]) and any(marked):
         series.append(Series("current model", np.where(marked, 0.0, np.nan), "points", "#808890"))
     return Panel("change of friction", "%", series)
 

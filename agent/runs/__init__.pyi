@@ -37,6 +37,7 @@ from .loop_store import (
 )
 from .past_run import (
     PastRun as PastRun,
+    named_causes as named_causes,
     read_object as read_object,
     read_run as read_run,
     readable as readable,
@@ -44,10 +45,13 @@ from .past_run import (
     wrong_clock as wrong_clock,
 )
 from .trends import (
-    PRACTICAL as PRACTICAL,
+    WINDOW as WINDOW,
+    MachineRuns as MachineRuns,
+    RunFigures as RunFigures,
     Trend as Trend,
     Watch as Watch,
-    days_since_first as days_since_first,
+    alike as alike,
+    errors_by_joint as errors_by_joint,
     friction_trends as friction_trends,
     parameter_trends as parameter_trends,
     watch as watch,

@@ -69,7 +69,8 @@ def find_change(y: np.ndarray, times: np.ndarray, background: Background) -> Ser
     best = int(np.argmin(paid))
     kind, place = ("drift", 1) if best < 2 else ("step", int(places[best - 2]))
     size, deviation, probability = float(sizes[best]), float(deviations[best]), min(1.0, float(paid[best]))
-    return SeriesChange(kind, place, size, deviation, probability, shapes[best], float(sizes[0]), float(deviations[0]))
+    shape = shapes[best].copy()  # a view would keep the shapes of all alternatives in memory
+    return SeriesChange(kind, place, size, deviation, probability, shape, float(sizes[0]), float(deviations[0]))
 
 
 def fit_course(y: np.ndarray, background: Background, shape: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:

@@ -106,8 +106,7 @@ class RunFolder:
         run = cls(path, state)
         check(run)
         run.state.pop("stopped", None)
-        run.state["status"] = "running"
-        run._save()
+        run.note(status="running")
         return run
 
     def finished(self, step: str) -> dict[str, Any] | None:
@@ -127,15 +126,12 @@ class RunFolder:
 
     def stopped(self, step: str, reason: str) -> None:
         """Note where and why the run ended before its end."""
-        self.state["status"] = "stopped"
-        reason = fit_to_show(reason)
-        self.state["stopped"] = {"step": step, "reason": reason, "at": datetime.now(UTC).isoformat(timespec="seconds")}
-        self._save()
+        now = datetime.now(UTC).isoformat(timespec="seconds")
+        self.note(status="stopped", stopped={"step": step, "reason": fit_to_show(reason), "at": now})
 
     def complete(self, accepted: bool) -> None:
         """Note that the run reached its end."""
-        self.state["status"] = "finished" if accepted else "rejected"
-        self._save()
+        self.note(status="finished" if accepted else "rejected")
 
     def file(self, name: str) -> Path:
         """Path of a file of this run."""

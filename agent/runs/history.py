@@ -133,10 +133,7 @@ def history_json(history: History, runs: Sequence[PastRun], current: Collection[
                 "reference": run.reference,
                 "program_sha256": run.program,
                 **{key: run.data[key] for key in ("joints", "normalised_rmse", "gate", "conditions")},
-                "parameters": [
-                    {"name": p.name, "unit": p.unit, "value": p.value, "standard_deviation": p.deviation}
-                    for p in parameters.get(run.run, [])
-                ],
+                "parameters": [vars(parameter) for parameter in parameters.get(run.run, [])],
             }
             for run in runs
         ],

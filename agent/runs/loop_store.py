@@ -24,8 +24,8 @@ _SCHEMA = "loop/1"
 class StoredLoop:
     """A loop with the program that runs it.
 
-    `key` is that of `loop_key`, `checksum` the SHA-256 of the program's text, as a controller reports it. `tool` and
-    `sub_region` are plain data; poses (K) (4, 4), start (n,) [rad]; `created` in UTC, ISO 8601.
+    `key` is the digest of the problem that it solves, `checksum` the SHA-256 of the program's text, as a controller
+    reports it. `tool` and `sub_region` are plain data; poses (K) (4, 4), start (n,) [rad]; `created` in UTC, ISO 8601.
     """
 
     key: str
@@ -143,15 +143,10 @@ def find_loop(recipe: Recipe, folder: Path = FOLDER, program: str | None = None)
     return None
 
 
-def loop_key(recipe: Recipe) -> str:
-    """SHA-256 (hex) of what a loop depends on: robot, tool, cell, sub-region, motion settings, period, interpolator."""
-    return digest(problem(recipe))
-
-
 def run_key(recipe: Recipe) -> dict[str, str]:
     """The loop's key and the controller, by which later runs find this one."""
     controller = controller_key(f"{recipe.controller.driver} {recipe.controller.address}")
-    return {"loop": loop_key(recipe), "controller": controller}
+    return {"loop": digest(problem(recipe)), "controller": controller}
 
 
 def _read(path: Path) -> StoredLoop:

@@ -155,7 +155,7 @@ class PastParameter:
     name: str
     unit: str
     value: float
-    deviation: float
+    standard_deviation: float
 
 
 def read_run(path: Path) -> PastRun:
@@ -210,7 +210,7 @@ def _read_run(path: Path) -> PastRun:
     validation, gate = result.get("validation", {}), result.get("gate", {})
     joints = _list(_text, validation.get("joints", []), "joints")
     figures = _numbers(validation.get("normalised_rmse", []), "normalised_rmse")
-    limit = gate.get("normalised_rmse")
+    limit, stopped = gate.get("normalised_rmse"), state.get("stopped", {})
     texts = ("serial", "controller", "loop", "program", "reference")
     return PastRun(
         run=_text(path.name, "the name"),
@@ -218,7 +218,7 @@ def _read_run(path: Path) -> PastRun:
         kind=_text(state.get("kind", "calibrate"), "kind"),
         started=_in_utc(state["started"]),
         status=_text(state["status"], "status"),
-        reason=_one_line(result.get("reason", "") or _named(result) or state.get("stopped", {}).get("reason", "")),
+        reason=_one_line(result.get("reason", "") or named_causes(result) or stopped.get("reason", "")),
         worst=max((value for value in figures if value is not None), default=None),
         data={
             "joints": joints,
@@ -278,9 +278,9 @@ def _optional(path: Path) -> dict[str, Any]:
     return read_object(path) if os.path.lexists(path) else {}
 
 
-def _named(result: dict[str, Any]) -> str:
+def named_causes(result: dict[str, Any]) -> str:
     """The causes that a diagnosis named, and where; empty for any other run or form."""
-    causes = result.get("causes", ())
+    causes = result.get("causes") or ()
     try:
         return "; ".join(f"{cause['effect']} on {', '.join(cause['joints']) or 'the whole arm'}" for cause in causes)
     except (TypeError, KeyError):

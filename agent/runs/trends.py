@@ -18,8 +18,8 @@ practical size.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from datetime import datetime
 from functools import cached_property
 from typing import Any
@@ -34,37 +34,73 @@ from agent.runs.warm_up import FEWEST, common_rate, warm_up_backgrounds
 FALSE_ALARMS = 1e-3
 #: Relative change of an axle's friction that matters.
 PRACTICAL = 0.03
-#: Number of latest runs that are used.
-WINDOW = 40
+#: Number of latest runs that are used: more than a year of weeks.
+WINDOW = 60
 _DAY = 86_400.0
+
+
+@dataclass(frozen=True)
+class RunFigures:
+    """What trends follow of one run: prediction errors of every joint as a share of nominal torque; friction and
+    warm-up as the conditions of a run hold them. `date` is None where it is unknown."""
+
+    run: str
+    date: datetime | None
+    joints: Sequence[str]
+    errors: Sequence[float | None] = ()
+    friction: Sequence[dict[str, Any]] = ()
+    warm_up: dict[str, Any] = field(default_factory=dict)
+
+
+class MachineRuns:
+    """Names and dates of R runs of one machine, oldest first, which all its series share."""
+
+    def __init__(self, machine: str, figures: Sequence[RunFigures]):
+        self.machine = machine
+        self.names = tuple(one.run for one in figures)
+        self.dates = tuple(one.date for one in figures)
+
+    @cached_property
+    def days(self) -> np.ndarray:
+        """(R,) days since the first; run numbers where not all dates are known, or all are one."""
+        known = [date.timestamp() / _DAY for date in self.dates if date is not None]
+        if len(known) < len(self.dates) or known[0] == known[-1]:
+            return np.arange(len(self.dates), dtype=float)
+        return np.array(known) - known[0]
 
 
 @dataclass(eq=False)
 class Trend:
-    """One series over R runs, and the likeliest change in it; the caller sets `significant`.
+    """One series over R runs, and the likeliest change in it; the caller decides whether it is `significant`.
 
-    `quantity` of a `joint` `at` a speed, or the name of a parameter without a joint; times (R,) [days since the first],
-    values (R,), deviations (R,). Tested is the logarithm where `scale` is 0, else the values divided by it. `practical`
-    is the smallest size of change that matters.
+    Attributes
+    ----------
+    quantity, at : `friction` of a `joint` at a speed, or the name of a parameter without a joint.
+    values, deviations : (R,).
+    scale : 0 to test the logarithm, else the values divided by it.
+    practical : smallest relative change that matters.
+    alternatives : number of series that this one is the likeliest of.
+    level : smallest false discovery rate at which the change is a finding, in a fleet.
     """
 
+    runs: MachineRuns
     quantity: str
     joint: str
     unit: str
-    runs: tuple[str, ...]
-    times: np.ndarray
     values: np.ndarray
     deviations: np.ndarray
     background: Background
     at: str = ""
     scale: float = 0.0
     practical: float = PRACTICAL
+    alternatives: int = 1
     significant: bool = False
+    level: float = 1.0
 
     @cached_property
     def found(self) -> SeriesChange:
         """The likeliest change, whether it is significant or not."""
-        return find_change(self._looked_at, self.times, self.background)
+        return find_change(self._looked_at, self.runs.days, self.background)
 
     @property
     def name(self) -> str:
@@ -78,23 +114,23 @@ class Trend:
 
     @property
     def change(self) -> float:
-        """Over the whole window, relative for friction."""
+        """Significant change over the whole window, relative for friction; else 0."""
         return (float(np.expm1(self.found.size)) if self.joint else self.found.size) if self.significant else 0.0
 
     @property
     def probability(self) -> float:
-        """p-value of the likeliest change."""
-        return self.found.probability
+        """p-value of the likeliest change, corrected for the alternatives."""
+        return min(1.0, self.alternatives * self.found.probability)
 
     @property
     def since(self) -> str:
         """The run after which a step came."""
-        return self.runs[self.found.place - 1] if self.kind == "step" else ""
+        return self.runs.names[self.found.place - 1] if self.kind == "step" else ""
 
     @property
     def alarm(self) -> bool:
         """Whether the change is significant and of practical size."""
-        return bool(self.joint and self.significant and abs(self.found.size) >= self.practical)
+        return bool(self.joint and self.significant and abs(self.found.size) >= np.log1p(self.practical))
 
     @property
     def expected(self) -> np.ndarray:
@@ -120,7 +156,7 @@ class Trend:
         """One sentence."""
         if self.kind == "none":
             return f"{self.name}: no change"
-        what = f"drifts: {100 * self.change:+.1f} % over {len(self.runs)} runs"
+        what = f"drifts: {100 * self.change:+.1f} % over {len(self.values)} runs"
         if self.kind == "step":
             what = f"stepped by {100 * self.change:+.1f} % after {self.since}"
         return f"{self.name} {what} (chance: {self.probability:.1g}); warm-up is taken out"
@@ -150,22 +186,21 @@ class Warning:
 
 @dataclass(frozen=True, eq=False)
 class Watch:
-    """Friction trends and warnings from the history of one machine's loop."""
+    """Friction trends and warnings from the history of one machine's loop, over the runs with these figures."""
 
     robot: str
     serial: str
     program: str
+    figures: tuple[RunFigures, ...]
     trends: tuple[Trend, ...]
     warnings: tuple[Warning, ...]
 
     @property
     def alarms(self) -> tuple[Trend, ...]:
         """Significant trends of practical size; the strongest of each joint."""
-        best: dict[str, Trend] = {}
-        for trend in self.trends:
-            if trend.alarm and (trend.joint not in best or abs(trend.change) > abs(best[trend.joint].change)):
-                best[trend.joint] = trend
-        return tuple(best.values())
+        found = [trend for trend in self.trends if trend.alarm]
+        by_size = {trend.joint: trend for trend in sorted(found, key=lambda trend: abs(trend.change))}
+        return tuple(by_size[joint] for joint in dict.fromkeys(trend.joint for trend in found))
 
     def lines(self) -> list[str]:
         """Alarms and warnings, a sentence each."""
@@ -178,51 +213,35 @@ class Watch:
             "serial": self.serial,
             "program_sha256": self.program,
             "alarms": [trend.to_dict() for trend in self.alarms],
-            "warnings": [{"joint": w.joint, "days": w.days, "text": w.text} for w in self.warnings],
+            "warnings": [dict(vars(warning)) for warning in self.warnings],
             "trends": [trend.to_dict() for trend in self.trends],
         }
 
 
-def friction_trends(
-    runs: tuple[str, ...],
-    times: np.ndarray,
-    joints: Sequence[str],
-    friction: Sequence[Sequence[dict[str, Any]]],
-    warm_up: Sequence[dict[str, Any]],
-) -> Iterator[Trend]:
-    """Trends of one machine's friction; the caller decides which are significant.
+def alike(figures: Sequence[RunFigures], name: str) -> tuple[RunFigures, ...]:
+    """The runs with as many figures of a name as the latest; none where they are too few for a trend."""
+    found = tuple(one for one in figures if len(getattr(one, name)) == len(getattr(figures[-1], name)))
+    return found if len(found) >= FEWEST else ()
 
-    Parameters
-    ----------
-    runs, times: names of R runs of one program, and days since the first (R,).
-    joints: names of the axles.
-    friction, warm_up: what the conditions of every run say of them; each has as many levels of friction as the latest.
+
+def friction_trends(figures: Sequence[RunFigures], machine: str = "") -> list[Trend]:
+    """Trends of one machine's friction, a series for every axle and speed, from runs that are alike.
+
+    The caller decides which are significant.
     """
-    met = friction[-1]
-    axles = [joints.index(level["joint"]) for level in met]
+    if not figures or not figures[-1].friction:
+        return []
+    runs, met = MachineRuns(machine, figures), figures[-1].friction
+    axles = [figures[-1].joints.index(level["joint"]) for level in met]
     values, deviations = (
-        np.array([[level[key] for level in levels] for levels in friction], dtype=float)
+        np.array([[level[key] for level in one.friction] for one in figures], dtype=float)
         for key in ("value", "from_run_to_run")
     )
-    rates = warm_up_rates(warm_up, len(joints))
-    for k, background in warm_up_backgrounds(axles, values, deviations, *rates):
-        at = f" at {met[k]['speed']:.2g} rad/s"
-        yield Trend("friction", met[k]["joint"], "N·m", runs, times, values[:, k], deviations[:, k], background, at)
-
-
-def warm_up_rates(warm_up: Sequence[dict[str, Any]], axles: int) -> list[np.ndarray]:
-    """Two arrays (R, n): relative change of friction per second while a run lasted, and its deviation; NaN where
-    unknown."""
-    columns = [[one.get(key, []) for one in warm_up] for key in ("rate_per_s", "standard_deviation")]
-    return [np.array([row if len(row) == axles else [None] * axles for row in rows], dtype=float) for rows in columns]
-
-
-def days_since_first(times: Sequence[datetime | None]) -> np.ndarray:
-    """(R,) days since the first of the times, in their order; run numbers where not all are known, or all are one."""
-    known = [time.timestamp() / _DAY for time in times if time is not None]
-    if len(known) < len(times) or not known or known[0] == known[-1]:
-        return np.arange(len(times), dtype=float)
-    return np.array(known) - known[0]
+    found = []
+    for k, background in warm_up_backgrounds(axles, values, deviations, *_warm_up_rates(figures)):
+        series, at = (values[:, k], deviations[:, k], background), f" at {met[k]['speed']:.2g} rad/s"
+        found.append(Trend(runs, "friction", met[k]["joint"], "N·m", *series, at))
+    return found
 
 
 def watch(runs: Sequence[PastRun]) -> list[Watch]:
@@ -234,28 +253,28 @@ def watch(runs: Sequence[PastRun]) -> list[Watch]:
     for run in runs:
         if run.complete and run.data["conditions"].get("friction") and not run.in_future():
             groups.setdefault((run.robot, run.serial, run.program), []).append(run)
-    return [_watch(key, group[-WINDOW:]) for key, group in groups.items() if len(group) >= FEWEST]
+    found = []
+    for key, group in groups.items():
+        if figures := alike([_figures(run) for run in group[-WINDOW:]], "friction"):
+            trends = friction_trends(figures)
+            _decide(trends, len(figures[-1].friction))
+            warnings = _warnings(figures, group[-1].data, trends)
+            found.append(Watch(*key, figures, tuple(trends), tuple(warnings)))
+    return found
 
 
-def parameter_trends(runs: Sequence[PastRun], parameters: dict[str, list[PastParameter]]) -> list[Trend]:
+def parameter_trends(figures: Sequence[RunFigures], parameters: dict[str, list[PastParameter]]) -> list[Trend]:
     """Trends of every parameter that all of these runs, of one machine and program, have; they raise no alarm."""
-    runs = list(runs)[-WINDOW:]
-    if len(runs) < FEWEST:
-        return []
-    tables = [{p.name: p for p in parameters.get(run.run, [])} for run in runs]
+    tables = [{p.name: p for p in parameters.get(one.run, [])} for one in figures]
     names = [name for name in tables[-1] if all(name in table for table in tables)]
-    warm_up = [run.data["conditions"].get("warm_up", {}) for run in runs]
-    rate = Background(common_rate(*warm_up_rates(warm_up, len(runs[-1].data["joints"]))))
-    times = days_since_first([run.time for run in runs])
+    rate, runs = Background(common_rate(*_warm_up_rates(figures))), MachineRuns("", figures)
     found = []
     for name in names:
-        values = np.array([table[name].value for table in tables])
+        values, deviations = np.array([(table[name].value, table[name].standard_deviation) for table in tables]).T
         if np.ptp(values) <= 1e-12 * np.abs(values).max():
             continue  # kept from run to run, not estimated
-        deviations = np.array([table[name].deviation for table in tables])
         scale = max(float(np.median(np.abs(values))), 1e-300)
-        unit, runs_of = tables[-1][name].unit, tuple(run.run for run in runs)
-        found.append(Trend(name, "", unit, runs_of, times, values, deviations, rate, scale=scale))
+        found.append(Trend(runs, name, "", tables[-1][name].unit, values, deviations, rate, scale=scale))
     _decide(found, len(names))
     return found
 
@@ -266,56 +285,55 @@ def _decide(trends: Sequence[Trend], series: int) -> None:
         trend.significant = trend.probability < FALSE_ALARMS / series
 
 
-def _watch(key: tuple[str, str, str], runs: list[PastRun]) -> Watch:
-    levels = len(runs[-1].data["conditions"]["friction"])
-    runs = [run for run in runs if len(run.data["conditions"]["friction"]) == levels]
-    names, times = tuple(run.run for run in runs), days_since_first([run.time for run in runs])
-    met = [run.data["conditions"] for run in runs]
-    friction, warm_up = [one["friction"] for one in met], [one.get("warm_up", {}) for one in met]
-    trends = tuple(friction_trends(names, times, runs[-1].data["joints"], friction, warm_up))
-    _decide(trends, levels)
-    return Watch(*key, trends, tuple(_warnings(runs, times, trends)))
+def _figures(run: PastRun) -> RunFigures:
+    met, data = run.data["conditions"], run.data
+    conditions = met.get("friction", ()), met.get("warm_up", {})
+    return RunFigures(run.run, run.time, data["joints"], data["normalised_rmse"], *conditions)
 
 
-def _warnings(runs: Sequence[PastRun], times: np.ndarray, trends: Sequence[Trend]) -> list[Warning]:
+def _warm_up_rates(figures: Sequence[RunFigures]) -> list[np.ndarray]:
+    """Two arrays (R, n): relative change of friction per second while a run lasted, and its deviation; NaN where
+    unknown."""
+    axles = len(figures[-1].joints)
+    columns = [[one.warm_up.get(key, []) for one in figures] for key in ("rate_per_s", "standard_deviation")]
+    return [np.array([row if len(row) == axles else [None] * axles for row in rows], dtype=float) for rows in columns]
+
+
+def _warnings(figures: Sequence[RunFigures], latest: dict[str, Any], trends: Sequence[Trend]) -> list[Warning]:
     """Drifts of the prediction error or of friction that reach the gate within the time span of these runs."""
-    latest = runs[-1].data
-    gate, span = latest["gate"], max(float(np.ptp(times)), 1e-9)
+    gate, days = latest["gate"], MachineRuns("", figures).days
     if gate is None:
         return []
-    found = []
-    for joint, figures in _errors(runs).items():
-        if not np.isfinite(figures).all():
-            continue
-        shape = line(times)[None]
-        (size,), (deviation,), (probability,) = sizes_of_change(figures, Background(np.zeros(len(figures))), shape)
-        if size <= 0 or probability * len(latest["joints"]) > FALSE_ALARMS or not np.isfinite(deviation):
-            continue
-        days = float(max(0.0, (gate - figures[-3:].mean()) / size * span))
-        if days <= span:
-            text = f"{joint}: the prediction error grows and reaches the gate of {100 * gate:g} % in {_in(days)}"
-            found.append(Warning(joint, days, text))
+    coming: list[tuple[str, float, float, str]] = []  # joint, margin, change over these runs, text
+    for joint, errors in errors_by_joint(figures).items():
+        shape, nothing = line(days)[None], Background(np.zeros(len(days)))
+        size, deviation, probability = (float(part[0]) for part in sizes_of_change(errors, nothing, shape))
+        if size > 0 and probability * len(latest["joints"]) <= FALSE_ALARMS and np.isfinite(deviation):
+            text = f"the prediction error grows and reaches the gate of {100 * gate:g} % in {{}}"
+            coming.append((joint, gate - errors[-3:].mean(), size, text))
     for trend in trends:
         nominal = latest["conditions"]["nominal_torque"][latest["joints"].index(trend.joint)]
-        if trend.kind != "drift" or not trend.alarm or nominal is None:
-            continue
-        limit = gate * nominal
-        rate = (np.exp(trend.change) - 1) * np.median(trend.values) / span
-        gone = trend.expected[-1] - trend.expected[0]
-        days = max(0.0, (limit - abs(gone)) / max(abs(rate), 1e-300))
-        if days <= span and all(w.joint != trend.joint for w in found):
+        if trend.kind == "drift" and trend.alarm and nominal is not None:
+            limit, course = gate * nominal, trend.expected
             text = (
-                f"{trend.joint}: friction will have changed by {limit:.3g} N·m, the gate's share of nominal torque, in "
-                f"{_in(days)}; a simulation with the first model is then outside the gate"
+                f"friction will have changed by {limit:.3g} N·m, the gate's share of nominal torque, in {{}}; a "
+                "simulation with the first model is then outside the gate"
             )
-            found.append(Warning(trend.joint, days, text))
-    return found
+            change = abs(trend.change) * float(np.median(trend.values))
+            coming.append((trend.joint, limit - abs(course[-1] - course[0]), change, text))
+    found: dict[str, Warning] = {}
+    span = max(float(np.ptp(days)), 1e-9)
+    for joint, margin, change, text in coming:
+        left = max(0.0, float(margin / max(change, 1e-300)) * span)
+        if left <= span:
+            found.setdefault(joint, Warning(joint, left, f"{joint}: {text.format(_in(left))}"))
+    return list(found.values())
 
 
-def _errors(runs: Sequence[PastRun]) -> dict[str, np.ndarray]:
-    """Normalised prediction error over the runs (R,), by joint; NaN where a run has none."""
-    table = [dict(zip(run.data["joints"], run.data["normalised_rmse"], strict=True)) for run in runs]
-    return {joint: np.array([row.get(joint) for row in table], dtype=float) for joint in runs[-1].data["joints"]}
+def errors_by_joint(figures: Sequence[RunFigures]) -> dict[str, np.ndarray]:
+    """Prediction error over the runs (R,), by joint; NaN where a run has none."""
+    table = [dict(zip(one.joints, one.errors, strict=False)) for one in figures]
+    return {joint: np.array([row.get(joint) for row in table], dtype=float) for joint in figures[-1].joints}
 
 
 def _in(days: float) -> str:

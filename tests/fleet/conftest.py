@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 
+from agent.core.console import Console
 from tests.conftest import end_with_tests, environment, free_port
 
 pytest.importorskip("distributed", reason="needs the extra [fleet]")
@@ -44,6 +45,15 @@ def rows_of(folder: Path | str) -> list[dict[str, Any]]:
     return pq.read_table(folder).to_pylist()
 
 
+def estimate(source: Path | str, out: Path | str, console: Console | None = None) -> Any:
+    """`agent fleet estimate`, tasks one after the other; returns its summary."""
+    from agent.core.parallel import InProcess
+    from agent.fleet import make_question, run_fleet
+
+    question = make_question("estimate", None, None)
+    return run_fleet(str(source), question, str(out), lambda _: InProcess(), console or Console(-1))
+
+
 @pytest.fixture(scope="session")
 def plant(arm: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Six machines with two runs each, not to be changed; and a log of nonsense."""
@@ -59,12 +69,8 @@ def plant(arm: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="session")
 def estimated(plant: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Its result, made undisturbed by one process."""
-    from agent.core.console import Console
-    from agent.core.parallel import InProcess
-    from agent.fleet import make_question, run_fleet
-
     out = tmp_path_factory.mktemp("result")
-    run_fleet(str(plant), make_question("estimate", None, None), str(out), lambda _: InProcess(), Console(-1))
+    estimate(plant, out)
     return out
 
 

@@ -26,7 +26,7 @@ from agent.fleet import make_question, run_fleet
 from agent.motion import Pdl2Settings, ViaRegions
 from agent.robot import load_robot
 from tests.conftest import end_with_tests
-from tests.fleet.conftest import DaskProcesses, rows_of
+from tests.fleet.conftest import DaskProcesses, estimate, rows_of
 
 
 def _answers(engine, tasks: int, disturb=lambda done: None) -> list[tuple[int, int]]:
@@ -119,17 +119,15 @@ def test_a_killed_scheduler_ends_the_run_with_the_command_to_continue(cluster: D
 
 
 def test_a_run_that_is_ended_is_continued_by_the_same_command(plant: Path, estimated: Path, tmp_path: Path):
-    question = make_question("estimate", None, None)
-
     class Ending(Console):
         def progress(self, text: str, done: float | None = None) -> None:
             if text.startswith("5 of"):
                 raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        run_fleet(str(plant), question, str(tmp_path), lambda _: InProcess(), Ending(-1))
+        estimate(plant, tmp_path, Ending(-1))
     assert not (tmp_path / "rows.parquet").exists(), "nothing is in place before all of it is"
-    summary = run_fleet(str(plant), question, str(tmp_path), lambda _: InProcess(), Console(-1))
+    summary = estimate(plant, tmp_path)
     assert (summary.done, summary.kept) == (8, 5)
     assert rows_of(tmp_path) == rows_of(estimated)
 

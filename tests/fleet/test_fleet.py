@@ -157,22 +157,21 @@ def test_run_folders_of_the_agent_say_which_robot_they_are(command, plant: Path,
     run.mkdir(parents=True)
     shutil.copy(plant / row["run"] / row["logs"][0], run / "excitation.mcap")
     shutil.copy(estimated / row["model"], run / "model.json")
-    (run / "state.json").write_text(json.dumps({"robot": "arm", "serial": "S1"}), encoding="utf-8")
-    command("fleet", "estimate", tmp_path / "logs", "-o", tmp_path / "out", "-q")
-    (found,) = rows_of(tmp_path / "out")
-    assert (found["robot"], found["status"], found["rmse"]) == ("S1", "ok", row["rmse"])
-    (run / "state.json").write_text("[" * 100_000, encoding="utf-8")
-    command("fleet", "estimate", tmp_path / "logs", "-o", tmp_path / "deep", "-q")
-    (found,) = rows_of(tmp_path / "deep")
-    assert (found["status"], found["rmse"]) == ("ok", row["rmse"]), "a state that is none says nothing of the run"
-    (run / "state.json").write_text(json.dumps({"robot": "arm", "serial": "S1"}), encoding="utf-8")
+    told = json.dumps({"robot": "arm", "serial": "S1"})
+
+    def found(state: str) -> dict:
+        (run / "state.json").write_text(state, encoding="utf-8")
+        command("fleet", "estimate", tmp_path / "logs", "-o", tmp_path / "out", "-q")
+        (only,) = rows_of(tmp_path / "out")
+        return only
+
+    first, deep = found(told), found("[" * 100_000)
+    assert (first["robot"], first["status"], first["rmse"]) == ("S1", "ok", row["rmse"])
+    assert (deep["status"], deep["rmse"]) == ("ok", row["rmse"]), "a state that is none says nothing of the run"
     (run / "model.json").unlink()
-    command("fleet", "estimate", tmp_path / "logs", "-o", tmp_path / "out", "-q")
-    (found,) = rows_of(tmp_path / "out")
-    assert (found["status"], found["reason"].split(";")[0]) == (
-        "unreadable",
-        "there is no robot.yaml in or above this run",
-    )
+    without = found(told)
+    assert without["status"] == "unreadable"
+    assert without["reason"].startswith("there is no robot.yaml in or above this run;")
 
 
 def test_logs_without_a_robot_yaml_are_a_usage_error(command, plant: Path, tmp_path: Path):

@@ -7,12 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from agent.core.console import Console
 from agent.core.errors import InputError
-from agent.core.parallel import InProcess
-from agent.fleet import make_question, run_fleet
 from agent.fleet.store import Store, StoredFile, StoreError
-from tests.fleet.conftest import FlakyProxy, rows_of
+from tests.fleet.conftest import FlakyProxy, estimate, rows_of
 
 SAME = ("robot", "run", "status", "started", "rmse", "parameters", "friction", "warm_up", "model", "warnings")
 
@@ -42,12 +39,9 @@ def test_reads_and_writes_s3_despite_errors_and_partial_files(
     for robot in ("robot_0004", "robot_0005"):
         _upload(plant / robot, f"s3://plant/hall/{robot}")
 
-    def estimate():
-        question = make_question("estimate", None, None)
-        return run_fleet("s3://plant/hall", question, "s3://plant/result", lambda _: InProcess(), Console(-1))
-
+    here = ("s3://plant/hall", "s3://plant/result")
     s3.fault = lambda number, method, _: {2: "500", 5: "cut"}.get(number % 7, "") if method == "GET" else ""
-    summary = estimate()
+    summary = estimate(*here)
     assert s3.faults > 3
     assert (summary.done, len(summary.failed)) == (5, 1)
     ours = [{key: row[key] for key in SAME} for row in _fetched("s3://plant/result", tmp_path / "s3")]
@@ -55,30 +49,25 @@ def test_reads_and_writes_s3_despite_errors_and_partial_files(
     names = {row["model"].split("/")[1] for row in ours if row["model"]}
     assert set(Store("s3://plant/result").names("_models")) == names
     assert Store("s3://plant/result").names("_done") == []
-    assert (estimate().done, estimate().kept) == (0, 5)
+    assert (estimate(*here).done, estimate(*here).kept) == (0, 5)
 
 
 def test_a_file_that_cannot_be_fetched_is_a_row_that_is_retried(s3, plant, tmp_path):
     _upload(plant / "robot_0001", "s3://plant/hall/robot_0001")
-    question = make_question("estimate", None, None)
-
-    def estimate():
-        return run_fleet("s3://plant/hall", question, str(tmp_path / "out"), lambda _: InProcess(), Console(-1))
-
+    here = ("s3://plant/hall", tmp_path / "out")
     s3.fault = lambda _, method, path: "500" if method == "GET" and path.endswith("excitation.mcap") else ""
-    summary = estimate()
+    summary = estimate(*here)
     assert [one["status"] for one in summary.failed] == ["unavailable"] * 2
     assert "cannot be fetched: " in summary.failed[0]["reason"]
     s3.fault = lambda *_: ""
-    assert (estimate().done, estimate().failed) == (2, [])
+    assert (estimate(*here).done, estimate(*here).failed) == (2, [])
 
 
 def test_an_unanswering_store_is_a_usage_error(s3: FlakyProxy, tmp_path: Path):
     s3.fault = lambda *_: "500"
-    question = make_question("estimate", None, None)
     for source, out in (("s3://plant/hall", str(tmp_path)), (str(tmp_path), "s3://plant/out")):
         with pytest.raises(InputError, match=r"s3://plant/(hall|out.*): cannot be (listed|found): "):
-            run_fleet(source, question, out, lambda _: InProcess(), Console(-1))
+            estimate(source, out)
 
 
 def test_a_partial_file_is_not_accepted(tmp_path: Path, s3: FlakyProxy):

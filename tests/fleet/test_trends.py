@@ -18,12 +18,18 @@ import pytest
 from agent.core.errors import InputError
 from agent.fleet.families import find_families, read_columns
 from agent.fleet.simulate import simulate_fleet
-from agent.fleet.trends import fleet_trends
+from agent.fleet.trends import change_text, fleet_trends
+from agent.runs.changes import Background
+from agent.runs.trends import MachineRuns, RunFigures, Trend
+
+
+def _planted(table: Path) -> list[dict[str, str]]:
+    with open(table, encoding="utf-8") as file:
+        return list(csv.DictReader(file))
 
 
 def _truth(folder: Path) -> dict[tuple[str, str], str]:
-    with open(folder / "_truth.csv", encoding="utf-8") as file:
-        return {(row["robot"], row["joint"]): row["kind"] for row in csv.DictReader(file)}
+    return {(row["robot"], row["joint"]): row["kind"] for row in _planted(folder / "_truth.csv")}
 
 
 @pytest.fixture(scope="module")
@@ -60,18 +66,16 @@ def test_finds_wear_steps_and_the_affected_family(command, year: Path, tmp_path:
 def test_a_step_is_dated(year: Path):
     from agent.fleet.simulate import _week
 
-    with open(year / "_truth.csv", encoding="utf-8") as file:
-        (step,) = (row for row in csv.DictReader(file) if row["kind"] == "step")
-    (found,) = (one for one in fleet_trends(str(year)).alarms if one.robot == step["robot"])
-    assert found.since_day == f"{_week(int(step['week']) - 1):%Y-%m-%d}"
+    (step,) = (row for row in _planted(year / "_truth.csv") if row["kind"] == "step")
+    (found,) = (one for one in fleet_trends(str(year)).alarms if one.runs.machine == step["robot"])
+    assert change_text(found).endswith(f" after {_week(int(step['week']) - 1):%Y-%m-%d}")
 
 
 def test_estimates_of_logs_show_the_wear_that_was_simulated(command, arm: str, tmp_path: Path):
     """From logs to the alarm, through the estimator."""
     simulate_fleet(arm, 1, 10, 11, str(tmp_path / "plant"), rows=False)
     found = command("fleet", "trends", tmp_path / "plant", "-o", tmp_path / "trends", "--json", "-q")
-    with open(tmp_path / "plant" / "truth.csv", encoding="utf-8") as file:
-        (worn,) = csv.DictReader(file)
+    (worn,) = _planted(tmp_path / "plant" / "truth.csv")
     assert (found["machines"], found["series"]) == (1, 2)
     assert [(one["robot"], one["joint"]) for one in found["alarms"]] == [(worn["robot"], worn["joint"])]
     assert (tmp_path / "trends" / "_estimates" / "rows.parquet").is_file()
@@ -90,12 +94,15 @@ def test_few_runs_raise_no_alarm_and_a_missing_result_is_a_usage_error(command, 
 def test_finds_a_family_only_if_its_machines_differ(tmp_path: Path):
     (tmp_path / "t.csv").write_text("robot,cell\n" + "".join(f"r{k},{k % 2}\n" for k in range(40)), encoding="utf-8")
     columns = read_columns([tmp_path / "t.csv"])
-    robots, rng = [f"r{k}" for k in range(40)], np.random.default_rng(2)
-    noise = 0.005 * rng.normal(size=40)
+    noise = 0.005 * np.random.default_rng(2).normal(size=40)
+    line, nothing, ripple = np.linspace(0, 1, 12), np.zeros(12), 0.003 * (-1.0) ** np.arange(12)
 
     def families(changes: np.ndarray) -> list[str]:
-        found = find_families(columns, robots, ["joint_1"] * 40, changes, np.full(40, 0.005), np.zeros(40, bool))
-        return sorted(f"{one.column} {one.value}" for one in found)
+        axles = []
+        for k, change in enumerate(changes):
+            runs, values = MachineRuns(f"r{k}", [RunFigures("", None, ())] * 12), np.exp(change * line + ripple)
+            axles.append(Trend(runs, "friction", "joint_1", "N·m", values, nothing, Background(nothing)))
+        return sorted(f"{one.column} {one.value}" for one in find_families(columns, axles))
 
     assert families(noise) == []
     assert families(noise + 0.02 * (np.arange(40) % 2)) == ["cell 0", "cell 1"]
@@ -108,7 +115,7 @@ def test_a_thousand_machines_over_a_year(tmp_path: Path, measured):
     simulate_fleet("comau_ns16", 1000, 52, seed, str(tmp_path / "year"), rows=True)
     truth = _truth(tmp_path / "year")
     found = fleet_trends(str(tmp_path / "year"), [tmp_path / "year" / "_machines.csv"])
-    alarms = {(one.robot, one.trend.joint) for one in found.alarms}
+    alarms = {(one.runs.machine, one.joint) for one in found.alarms}
     worn = {key for key, kind in truth.items() if kind == "wear"}
     false = 100 * len(alarms - truth.keys()) / len(alarms)
     measured("1 000 machines x 52 weeks: worn axles found", len(worn & alarms), "of 20", "20", worn <= alarms)

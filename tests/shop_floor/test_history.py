@@ -78,20 +78,16 @@ def test_the_current_model_is_marked_in_the_table_and_on_the_index(write_runs):
     logs = write_runs(3)
     runs = sorted(path for path in logs.iterdir() if path.is_dir())
     apply_run(logs, runs[1])
-    listed = _agent("history", "--logs", str(logs))
+    listed = agent(ROOT, "history", "--logs", str(logs))
     marked = [line.split()[0] for line in listed.stdout.splitlines() if "accepted, current" in line]
     assert marked == [runs[1].name]
     page = write_index(logs).read_text(encoding="utf-8")
     assert page.count("accepted, current") == 1
     (logs / "models" / "comau_ns16_NS16-1" / "current" / "about.json").write_text("[]", encoding="utf-8")
-    damaged = _agent("history", "--logs", str(logs))
+    damaged = agent(ROOT, "history", "--logs", str(logs))
     assert damaged.returncode == 0
     assert "apply a run again" in damaged.stderr
     assert "current" not in damaged.stdout
-
-
-def _agent(*arguments: str) -> subprocess.CompletedProcess[str]:
-    return agent(ROOT, *arguments)
 
 
 @pytest.mark.parametrize(
@@ -103,14 +99,14 @@ def _agent(*arguments: str) -> subprocess.CompletedProcess[str]:
     ],
 )
 def test_a_filter_without_hits_differs_from_an_empty_history(write_runs, filters: tuple[str, ...], said: str):
-    run = _agent("history", "--logs", str(write_runs(2)), *filters)
+    run = agent(ROOT, "history", "--logs", str(write_runs(2)), *filters)
     assert run.returncode == 0
     assert said in run.stderr
     assert "no runs yet" not in run.stderr
 
 
 def test_reports_that_there_are_no_runs_yet(tmp_path: Path):
-    assert "no runs yet" in _agent("history", "--logs", str(tmp_path), "--robot", "nope").stderr
+    assert "no runs yet" in agent(ROOT, "history", "--logs", str(tmp_path), "--robot", "nope").stderr
 
 
 def test_reports_a_missing_folder(tmp_path: Path):
@@ -123,7 +119,7 @@ def test_reports_a_missing_folder(tmp_path: Path):
 def test_listing_runs_writes_nothing(write_runs):
     logs = write_runs(1)
     before = sorted(logs.rglob("*"))
-    assert "accepted" in _agent("history", "--logs", str(logs)).stdout
+    assert "accepted" in agent(ROOT, "history", "--logs", str(logs)).stdout
     assert sorted(logs.rglob("*")) == before
 
 

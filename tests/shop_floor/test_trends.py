@@ -11,7 +11,7 @@ from agent.runs.trends import FALSE_ALARMS, FEWEST, parameter_trends, watch
 def _watch(logs):
     history = History(logs)
     (one,) = watch(history.runs())
-    return one, parameter_trends(history.runs(), history.parameters())
+    return one, parameter_trends(one.figures, history.parameters())
 
 
 @pytest.mark.parametrize("cooling", [False, True])
@@ -52,11 +52,16 @@ def test_warns_before_a_limit_is_reached(write_runs):
     def grow(number, result):
         result["validation"]["normalised_rmse"][1] += 0.001 * number  # 0.3 % to 2.2 %; the gate is at 3 %
 
-    one, _ = _watch(write_runs(20, 3, grow))
-    (warning,) = one.warnings
-    assert warning.joint == "joint_2"
-    assert 4 < warning.days < 16
-    assert "the gate of 3 %" in warning.text
+    def wear(number, result):
+        for level in result["conditions"]["friction"][2:4]:
+            level["value"] += 0.5 * number  # 9.5 N·m; the gate is at 15 N·m
+
+    for seed, change, text in ((3, grow, "the gate of 3 %"), (4, wear, "friction will have changed by 15 N·m")):
+        one, _ = _watch(write_runs(20, seed, change))
+        (warning,) = one.warnings
+        assert warning.joint == "joint_2"
+        assert 4 < warning.days < 16
+        assert text in warning.text
 
 
 def test_the_false_alarm_rate_is_shared_by_all_series(write_runs):
