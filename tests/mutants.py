@@ -21,27 +21,12 @@ PACKAGES = {
     "agent/runs": ["tests/shop_floor/test_trends.py", "tests/shop_floor/test_history.py"],
     "agent/validation": ["tests/validation"],
 }
-#: The same for single modules whose package has many tests that say little of them.
+#: The same for modules that no file of tests is called after, where those of the package say little of them.
 NARROW = {
     "agent/diagnosis/forward/interval.py": ["tests/diagnosis/test_forward.py"],
-    "agent/diagnosis/gap/held_torque.py": ["tests/diagnosis/test_held_torque.py"],
-    "agent/diagnosis/gap/motion_gap.py": ["tests/diagnosis/test_motion_gap.py"],
-    "agent/diagnosis/gap/torque_gap.py": ["tests/diagnosis/test_gap.py"],
-    "agent/diagnosis/hypotheses/evidence.py": ["tests/diagnosis/test_evidence.py"],
-    "agent/diagnosis/rows/standstill.py": ["tests/diagnosis/test_standstill.py"],
-    "agent/diagnosis/sizes.py": ["tests/diagnosis/test_sizes.py"],
-    "agent/diagnosis/structure.py": ["tests/diagnosis/test_structure.py"],
-    "agent/diagnosis/verdict.py": ["tests/diagnosis/test_verdict.py"],
-    "agent/estimation/moments.py": ["tests/estimation/test_moments.py"],
-    "agent/estimation/observation.py": ["tests/estimation/test_uncertainty.py"],
-    "agent/estimation/refitting.py": ["tests/estimation/test_refitting.py"],
     "agent/estimation/uncertainty.py": ["tests/estimation/test_uncertainty.py", "tests/estimation/test_paper.py"],
     "agent/report/calibration/parameters.py": ["tests/validation/test_run_sections.py"],
     "agent/report/calibration/sections.py": ["tests/validation/test_run_sections.py"],
-    "agent/runs/changes.py": ["tests/shop_floor/test_changes.py"],
-    "agent/runs/trends.py": ["tests/shop_floor/test_trends.py"],
-    "agent/runs/warm_up.py": ["tests/shop_floor/test_trends.py"],
-    "agent/validation/torque.py": ["tests/validation/test_torque.py", "tests/validation/test_run_sections.py"],
 }
 #: Changes that give the same results, by module and reason: parts of the lines that they make.
 EQUIVALENT: dict[str, dict[str, tuple[str, ...]]] = {
@@ -61,7 +46,11 @@ EQUIVALENT: dict[str, dict[str, tuple[str, ...]]] = {
         ),
         "one row or two": ("rows[0] > 1", "rows[1] > 1"),
         "the same numbers as floats": ("n), dtype=None)", "rows = np.zeros((cells, 2, n), )"),
-        "two numbers that are never equal": ("speed) < slowest", "axis=0) >= gains.std", "gain.mean() >= max"),
+        "two numbers that are never equal": (
+            *("speed) < slowest", "axis=0) >= gains.std", "gain.mean() >= max", "values >= _RANK", "diagonal >= _RANK"),
+            "pairs >= 0",
+        ),
+        "the sum over all cells by another name": ('b"XXXX"',),
         "what is known is only quicker": ("self.rows, )",),
     },
     "agent/estimation/refitting.py": {
@@ -118,6 +107,14 @@ def modules() -> list[str]:
     ]
 
 
+def tests_of(module: str) -> list[str]:
+    """The tests that are called after a module, where there are any; else those of its package."""
+    package = PACKAGES["/".join(module.split("/")[:2])]
+    folder = package[0].rpartition("/test_")[0] or package[0]
+    named = f"{folder}/test_{Path(module).name}"
+    return NARROW.get(module) or ([named] if (ROOT / named).exists() else package)
+
+
 def survivors(module: str) -> tuple[int, list[str]]:
     """How many changes of a module were tried, and those that no test noticed, as differences of its text.
 
@@ -129,7 +126,7 @@ def survivors(module: str) -> tuple[int, list[str]]:
     for name in _LINKED:
         if not (folder / name).exists():
             (folder / name).symlink_to(ROOT / name)
-    tests = NARROW.get(module) or PACKAGES["/".join(module.split("/")[:2])]
+    tests = tests_of(module)
     settings = (ROOT / "pyproject.toml").read_text(encoding="utf-8") + _SETTINGS.format(module=module, tests=tests)
     (folder / "pyproject.toml").write_text(settings, encoding="utf-8")
     for noted in folder.glob(f"mutants/{module}.meta"):

@@ -168,21 +168,22 @@ def inverse(matrix: np.ndarray) -> np.ndarray:
 
 def pseudo_inverse(matrix: np.ndarray) -> np.ndarray:
     """Inverse on what a normal matrix determines, zero on the rest; its unknowns have units of their own."""
-    scale, values, vectors = _scaled_eigen(matrix)
-    kept = values > _RANK * values[-1]
-    return (vectors[:, kept] / values[kept]) @ vectors[:, kept].T * np.outer(scale, scale)
+    scale, values, vectors = _determined(matrix)
+    return (vectors / values) @ vectors.T * np.outer(scale, scale)
 
 
 def scaled_rank(matrix: np.ndarray) -> int:
     """How many directions of its unknowns a normal matrix determines."""
-    _, values, _ = _scaled_eigen(matrix)
-    return int(np.sum(values > _RANK * values[-1]))
+    return len(_determined(matrix)[1])
 
 
-def _scaled_eigen(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _determined(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Scale (p,) of the unknowns, eigenvalues (r,) and vectors (p, r) of the scaled matrix in what it determines."""
     diagonal = np.diag(matrix)
     scale = np.where(diagonal > _RANK**2 * diagonal.max(), 1 / np.sqrt(np.maximum(diagonal, 1e-300)), 0.0)
-    return scale, *symmetric_eigen(matrix * np.outer(scale, scale))
+    values, vectors = symmetric_eigen(matrix * np.outer(scale, scale))
+    kept = values > _RANK * values[-1]
+    return scale, values[kept], vectors[:, kept]
 
 
 def reweight(moments: Moments, parameters: np.ndarray) -> np.ndarray:
@@ -218,15 +219,10 @@ def autocorrelation_time(residuals: Sequence[np.ndarray]) -> np.ndarray:
         size = len(part)
         spectrum = np.abs(np.fft.rfft(part - part.mean(axis=0), 2 * size, axis=0)) ** 2
         covariance[:size] += np.fft.irfft(spectrum, axis=0)[:size]
-    times = np.ones(n)
-    for joint in range(n):
-        if covariance[0, joint] <= 0:
-            continue
-        rho = covariance[:, joint] / covariance[0, joint]
-        pairs = rho[1:-1:2] + rho[2::2]
-        stop = np.argmax(pairs <= 0) if np.any(pairs <= 0) else len(pairs)
-        times[joint] = max(1.0, 1 + 2 * pairs[:stop].sum())
-    return times
+    rho = covariance / np.maximum(covariance[0], 1e-300)
+    pairs = rho[1:-1:2] + rho[2::2]
+    before = np.cumprod(pairs > 0, axis=0)
+    return np.asarray(1 + 2 * np.sum(before * pairs, axis=0))
 
 
 def clear_gain(gains: np.ndarray) -> np.ndarray | bool:

@@ -115,7 +115,7 @@ def test_weights_are_inverse_variances_and_no_less_certain_in_motion(problem):
         np.testing.assert_allclose(1 / sums.reweight(only, values), variance[[group, group]])
     silent = replace(moments, sums=(0 * moments.sums[0], moments.sums[1]), _totals={})
     least = 1e-20 * silent.torque_energy().sum() / moments.rows.sum()
-    assert 1 / sums.reweight(silent, values)[0, 0] == pytest.approx(least)
+    assert 1 / sums.reweight(silent, values)[0, 0] == pytest.approx(least, rel=1e-6, abs=0)
     settled = sums.iterate_weights(moments, problem.prior, 2.0)
     again = sums.reweight(moments, sums.solve_sum(moments.weighted(settled), problem.prior, 2.0))
     np.testing.assert_allclose(again, settled, rtol=0.02)
@@ -150,8 +150,22 @@ def test_estimate_and_evidence_are_those_of_normal_distributions(units):
     assert np.trace(together) == pytest.approx(3)
 
 
+def test_a_direction_is_determined_from_a_trillionth_of_the_largest_on():
+    """Also of the unknowns, whatever their units."""
+    apart = 1 - np.eye(2)
+    for normal, rank in ((np.ones((3, 3)), 1), (1 - 1e-12 * apart, 1), (1 - 4e-12 * apart, 2)):
+        assert sums.scaled_rank(normal) == rank
+    assert [sums.scaled_rank(np.diag(one)) for one in ([1e20, 1e-5], [1.0, 1e-20])] == [1, 2]
+
+
+def test_energy_is_not_below_round_off():
+    block = np.array([[1.0, 2.0, 1.0], [2.0, 1.0, 5.0], [0.0, 1.0, -1.0]])
+    exact = sums.Moments(2, (np.arange(2),), (np.array([[block.T @ block] * 2]),), np.ones((1, 2, 1)))
+    assert exact.energy(np.array([3.0, -1.0])) == pytest.approx(np.full((2, 1), 27e-15), rel=1e-6, abs=0)
+
+
 def test_a_gain_is_clear_beyond_its_scatter_between_folds():
-    gains = np.array([[1.0, 100.0], [2.0, -200.0], [3.0, 100.0]])
+    gains = np.array([[1.0, 100.0], [2.0, -300.0], [3.0, 100.0]])
     assert sums.clear_gain(gains).tolist() == [True, False]
     spread = np.std([1.0, 2.0, 3.0], ddof=1) * np.sqrt(3)
     for shift, expected in ((-0.01, False), (0.01, True)):
