@@ -10,6 +10,7 @@ import json
 import os
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -29,53 +30,7 @@ NARROW = {
     "agent/report/calibration/sections.py": ["tests/validation/test_run_sections.py"],
 }
 #: Changes that give the same results, by module and reason: parts of the lines that they make.
-EQUIVALENT: dict[str, dict[str, tuple[str, ...]]] = {
-    "agent/estimation/moments.py": {
-        "any negative number": ("np.full(self.parameters, -2)",),
-        "any scale of the unknowns is for round-off": (
-            *(
-                "scale = 1 * np.sqrt(np",
-                "scale = 2 / np.sqrt(np",
-                "scale = 1 / np.sqrt(np.maximum(np.diag(matrix), 1.0))",
-            ),
-            "2 / np.sqrt(np.maximum(diagonal, 1e-300))",
-        ),
-        "four rounds forget where they start": (
-            *("torque_energy().sum() * moments", "np.full((3, len", "1 * max(variance", "2 / max(variance"),
-            "max(variance, 1.0)",
-        ),
-        "one row or two": ("rows[0] > 1", "rows[1] > 1"),
-        "the same numbers as floats": ("n), dtype=None)", "rows = np.zeros((cells, 2, n), )"),
-        "two numbers that are never equal": (
-            *("speed) < slowest", "axis=0) >= gains.std", "gain.mean() >= max", "values >= _RANK", "diagonal >= _RANK"),
-            "pairs >= 0",
-        ),
-        "the sum over all cells by another name": ('b"XXXX"',),
-        "what is known is only quicker": ("self.rows, )",),
-    },
-    "agent/estimation/refitting.py": {
-        "anything but all is friction": ('"XXfrictionXX"', '"FRICTION"'),
-        "a joint that moves does so for more than two rows": ("maximum(2, moments.rows",),
-        "only the ratio of the scales matters": ("scale = 2 /",),
-        "the model without effects has no time": (
-            "bare.predict(m.q, m.qd, m.qdd, None)",
-            "bare.predict(m.q, m.qd, m.qdd, )",
-        ),
-        "the singular values are far from both sides": ("rcond=None", "rcond=1.0", "cross.T, )"),
-    },
-    "agent/estimation/uncertainty.py": {
-        "a motion has five clusters or more": ("if count <= 2:", "if count < 3:"),
-        "a row more or less of zeros": ("irfft(spectrum, None", "irfft(spectrum, axis"),
-        "one of 129 frequencies": ("np.linspace(1, len(spectra)", "np.linspace(0, len(spectra) - 2"),
-        "other pieces of the same series": (
-            *("length + 1, )", "range(1, len(part)", "length - 1, max", "length + 2, max"),
-            *("max(2, length // 2)", "length // 3"),
-        ),
-        "the clip is for round-off": ("before, None, 1.0)", "before, 0.0, None)", "before, 0.0, 2.0)"),
-        "two numbers that are never equal": ("ratio >= 1 + 2", "values <= 1"),
-        "weighted energies are about the number of rows": ("np.maximum(within, 1.0)",),
-    },
-}
+EQUIVALENT = tomllib.loads((ROOT / "tests/equivalent_mutants.toml").read_text("utf-8"))
 _LINKED = ("agent", "drivers", "fake_controller", "second_world", "recipes", "docs", "tests")
 _SETTINGS = """
 [tool.mutmut]

@@ -184,11 +184,9 @@ def predicts(model: IdentifiedModel, logs: Sequence[Log]) -> bool:
     if found is None:
         return False
     position, velocity, measured, error = found
-    moving = np.abs(velocity) > _MOVING * model.robot.max_velocity
-    moves = (np.ptp(position, axis=0) > _TRAVELS) & moving.any(axis=0)
+    moving = _moving(model, position, velocity)
     most = np.maximum(_PREDICTED * np.std(measured, axis=0), _USUAL * model.held_out_rmse)
-    typical = np.array([np.median(np.abs(error[moving[:, k], k])) for k in np.flatnonzero(moves)])
-    return bool(moves.any() and np.all(typical < most[moves]))
+    return bool(moving) and all(np.median(np.abs(error[rows, k])) < most[k] for k, rows in moving.items())
 
 
 def same_scale(model: IdentifiedModel, logs: Sequence[Log]) -> bool:
@@ -210,14 +208,20 @@ def flipped_joints(model: IdentifiedModel, log: Log) -> list[str]:
     if found is None:
         return []
     position, velocity, measured, predicted = found
-    moving = np.abs(velocity) > _MOVING * model.robot.max_velocity
     names = []
-    for k in np.flatnonzero((np.ptp(position, axis=0) > _TRAVELS) & moving.any(axis=0)):
+    for k, rows in _moving(model, position, velocity).items():
         size = np.std(measured[:, k])
-        as_given, turned = (np.median(np.abs(s * measured[:, k] - predicted[:, k])[moving[:, k]]) for s in (1, -1))
+        as_given, turned = (np.median(np.abs(s * measured[rows, k] - predicted[rows, k])) for s in (1, -1))
         if turned < _PREDICTED * size and as_given > size:
             names.append(model.robot.joint_names[k])
     return names
+
+
+def _moving(model: IdentifiedModel, position: np.ndarray, velocity: np.ndarray) -> dict[int, np.ndarray]:
+    """Of every joint that travels, (S,) bool: where it moves."""
+    moving = np.abs(velocity) > _MOVING * model.robot.max_velocity
+    travels = np.ptp(position, axis=0) > _TRAVELS
+    return {k: moving[:, k] for k in np.flatnonzero(travels & moving.any(axis=0)).tolist()}
 
 
 def _pooled(model: IdentifiedModel, logs: Sequence[Log], *signals: str) -> list[np.ndarray] | None:

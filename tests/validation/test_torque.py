@@ -172,6 +172,25 @@ def test_what_a_joint_does_while_it_stands_says_nothing_of_its_channel(case):
     assert flipped_joints(model, everything) == []
 
 
+@pytest.mark.parametrize(
+    ("path", "told"),
+    [
+        (lambda t: 0.006 * np.sin(3 * t), True),
+        (lambda t: 0.004 * np.sin(3 * t), False),
+        (lambda t: 0.002 * t, False),
+    ],
+    ids=["moves", "travels less than a hundredth of a radian", "creeps"],
+)
+def test_a_joint_tells_of_its_channel_by_how_far_and_how_fast_it_moves(case, path, told):
+    robot, model, (log, _) = case
+    position = np.where(np.arange(6) == 2, 0.1 + path(log.t[:, None]), log.position)
+    velocity = np.gradient(position, log.t, axis=0)
+    torque = model.predict(position, velocity, np.gradient(velocity, log.t, axis=0))
+    turned = on_joint(replace(log, position=position, effort=torque), 2, np.negative)
+    assert flipped_joints(model, turned) == ([robot.joint_names[2]] if told else [])
+    assert predicts(model, [turned]) is not told
+
+
 def test_a_joint_whose_torque_is_of_the_other_sign_is_named(case):
     robot, model, (log, _) = case
     nothing, size = replace(model, values=0 * model.values), np.arange(len(log.t)) % 500 < 50
@@ -180,6 +199,8 @@ def test_a_joint_whose_torque_is_of_the_other_sign_is_named(case):
         assert flipped_joints(model, on_joint(log, joint, np.negative)) == [name]
         assert flipped_joints(model, on_joint(log, joint, lambda torque: -5 * torque)) == []
         assert name not in flipped_joints(nothing, on_joint(log, joint, lambda torque: 1e3 * size)), "rare spikes"
+        spikes = 8 * size * np.median(np.abs(log.effort[:, joint]))
+        assert name not in flipped_joints(model, on_joint(log, joint, lambda torque, more=spikes: more - torque))
 
 
 def test_torque_is_of_another_unit_from_a_factor_of_four_where_most_is_carried(case):
