@@ -58,8 +58,9 @@ def test_the_result_has_the_documented_keys(case):
 
 def test_figures_are_computed_from_filtered_signals(case):
     robot, model, logs = case
+    model = replace(model, cutoff=20.0, order=4)
     result = validate(model, logs[1:])
-    motion = next(motions(logs[1], FilterSettings(model.cutoff), reduce=False))
+    motion = next(motions(logs[1], FilterSettings(20.0, 4), reduce=False))
     measured = motion.low_pass(motion.torque)
     error = measured - motion.low_pass(model.predict(motion.q, motion.qd, motion.qdd))
     entry = result.logs[0]
@@ -88,6 +89,7 @@ def test_moving_samples_exclude_standstill(case):
     assert np.all(resting.time[resting.moving] < 4.2)
     error = resting.error[resting.moving]
     assert np.allclose(resting.rmse(moving=True), np.sqrt(np.mean(error**2, axis=0)))
+    assert np.allclose(resting.rmse(), np.sqrt(np.mean(resting.error**2, axis=0)))
 
 
 def test_the_gate_pools_the_moving_samples_of_all_motions(case):
@@ -234,6 +236,7 @@ def test_a_prediction_has_the_motion_and_what_gravity_acceleration_and_speed_tak
     close(np.sum(list(found.parts.values()), axis=0), found.predicted, atol=1e-6)
     bare = predict_log(model, log)
     again = bare.by(found.model)
+    close(bare.by(replace(model, values=2 * model.values)).friction, 2 * bare.friction, atol=1e-9)
     assert again.model is found.model
     for name, other in (("predicted", found), ("half_width", found), ("friction", bare), ("measured", bare)):
         close(getattr(again, name), getattr(other, name), atol=1e-9)
