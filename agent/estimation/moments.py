@@ -221,8 +221,8 @@ def autocorrelation_time(residuals: Sequence[np.ndarray]) -> np.ndarray:
         covariance[:size] += np.fft.irfft(spectrum, axis=0)[:size]
     rho = covariance / np.maximum(covariance[0], 1e-300)
     pairs = rho[1:-1:2] + rho[2::2]
-    before = np.cumprod(pairs > 0, axis=0)
-    return np.asarray(1 + 2 * np.sum(before * pairs, axis=0))
+    positive = np.logical_and.accumulate(pairs > 0, axis=0)
+    return np.asarray(1 + 2 * np.sum(pairs, axis=0, where=positive))
 
 
 def clear_gain(gains: np.ndarray) -> np.ndarray | bool:
