@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -67,3 +68,12 @@ def test_a_pace_contradicted_by_one_motion_is_rejected():
     gap = motion_gap(logs)
     assert gap.notable
     assert not gap.described
+
+
+def test_the_floor_is_what_neighbouring_cycles_differ_by():
+    time = np.arange(3000) * PERIOD
+    error = 1e-7 * np.repeat([[1.0, 2.0], [3.0, 6.0], [4.0, 8.0]], 1000, axis=0)
+    arrays = {"t": time, "planned_position": 0 * error, "reference_position": error, "cycle_starts": (0.0, 2.0, 4.0)}
+    gap = motion_gap([replace(recorded("one.mcap", WAYS, 1.0), **arrays)])
+    assert gap.floor == pytest.approx(1e-7 * np.sqrt((2**2 + 1**2) / 2 / 2) * np.array([1, 2]), rel=1e-9, abs=0)
+    assert not gap.notable

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import re
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
 from agent.core import plus_minus
-from agent.diagnosis.sizes import amplitude, leading_parameter, reported_parameters, size_text, unit_of
+from agent.diagnosis.sizes import amplitude, intervals, leading_parameter, reported_parameters, size_text, unit_of
 from agent.report import closes, headline, summary
 from agent.robot import SHARE
 
@@ -37,6 +39,24 @@ def test_figures_have_their_units():
     assert size_text({"effect": "torque_offset", "slides": True}, "offset", 2.0, None) == "2 N"
     assert size_text({"effect": "torque_constant"}, "scale_error", 0.05, None) == "5 %"
     assert unit_of("contact", "force_x_2") == "N"
+
+
+def test_an_interval_is_what_leaving_motions_out_says():
+    """Five motions, or of what happens once its two segments: delete-a-group jackknife, Student's t."""
+
+    def reported(reference, settings, named):
+        return {**settings, **named, "twice": 2 * named["level"]}
+
+    effect = SimpleNamespace(reported=reported)
+    causes = [SimpleNamespace(effect=effect, settings={"speed": 0.1}, names=("level",), once=k) for k in (False, True)]
+    fit = SimpleNamespace(reference=None, folds=range(5), single=(5, 6), values=np.array([[3.0], [7.0]]))
+    fit.fitted = lambda fold: (None, np.array([[2.0 + fold], [3.0 * fold]]))
+    repeats, once = intervals(SimpleNamespace(fit=fit, causes=causes))
+    half, of_once = 2.7764 * np.sqrt(4 / 5 * 10), 3.1824 * np.sqrt(1 / 2 * 4.5)
+    assert repeats["level"] == pytest.approx((3 - half, 3 + half), rel=1e-4)
+    assert repeats["twice"] == pytest.approx((6 - 2 * half, 6 + 2 * half), rel=1e-4)
+    assert once["level"] == pytest.approx((7 - of_once, 7 + of_once), rel=1e-4)
+    assert {*repeats} == {*once} == {"level", "twice"}, "what every fold says alike has none"
 
 
 GAP = {"joints": ["elbow"], "units": [SHARE], "before": [0.04], "after": [0.01]}

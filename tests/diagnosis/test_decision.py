@@ -1,0 +1,169 @@
+"""From evidence to a verdict: hypotheses of known probability, and what is said of them."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from agent.diagnosis.hypotheses.decision import decide, posterior
+from agent.diagnosis.hypotheses.law import LAW
+from agent.model import CATALOGUE
+
+JOINTS = 3
+OFFSET, SPRING, HOSE, ASYMMETRIC = (
+    (name, (0,)) for name in ("torque_offset", "gravity_spring", "dress_pack", "asymmetric_friction")
+)
+RIPPLE, ELSEWHERE, PAYLOAD = ("torque_ripple", (0,)), ("torque_ripple", (1,)), ("payload", ())
+
+
+def log_prior(places, free) -> float:
+    count = len(places) + len(free)
+    if not count:
+        return np.log(LAW.nothing)
+    effects = [(1 - LAW.rare) / len(CATALOGUE) / (JOINTS if joints else 1) for _, joints in places]
+    return np.log((1 - LAW.nothing) * LAW.rare ** (count - 1) * np.prod([*effects, *[LAW.rare / JOINTS] * len(free)]))
+
+
+def hypothesis(share, *places, torque=(0.1, 0.1), free=(), left=0.0, scale=1.0):
+    return SimpleNamespace(share=share, places=places, largest=torque[: len(places)], left=left, free=free, scale=scale)
+
+
+def evaluated(*told, kinds=lambda place: 1, observed=lambda one: 0.0):
+    """Evidence and hypotheses that have these probabilities after the data; `left` is over that of nothing."""
+    pool = list(dict.fromkeys(place for one in told for place in one.places))
+    candidates = [SimpleNamespace(place=place, joints=place[1]) for place in pool]
+    found = [
+        SimpleNamespace(
+            effects=tuple(pool.index(place) for place in one.places),
+            free=dict.fromkeys(one.free, 0.1),
+            log=100 + np.log(one.share) - log_prior(one.places, one.free) - observed(one),
+            largest=one.largest,
+            left=np.array([0.5, 1.5]) * one.left,
+            scales=np.array([0.5, one.scale]),
+            told=one,
+        )
+        for one in told
+    ]
+    nothing = next(one for one in found if not one.effects and not one.free)
+    known = {"law": LAW, "joints": JOINTS, "nothing": nothing, "kinds": kinds, "usual": {}}
+    return SimpleNamespace(candidate=candidates.__getitem__, **known), found
+
+
+def decided(*told, **more):
+    fit = SimpleNamespace(with_chosen=lambda causes: ("with", *(cause.place for cause in causes)))
+    return decide(fit, *evaluated(*told, **more))
+
+
+@pytest.mark.parametrize("observed", [lambda one: 0.0, lambda one: -3.0 * len(one.places) - 1])
+def test_probability_is_evidence_times_prior(observed):
+    told = [
+        *(hypothesis(0.1, left=2.0, scale=4.0), hypothesis(0.3, OFFSET, left=0.5), hypothesis(0.25, PAYLOAD)),
+        *(hypothesis(0.2, OFFSET, RIPPLE), hypothesis(0.1, free=(1,)), hypothesis(0.05, PAYLOAD, free=(0, 2))),
+    ]
+    evidence, found = evaluated(*told, observed=observed)
+    seen = posterior(evidence, found, lambda evidence, one: observed(one.told))
+    assert [one.probability for one in seen] == pytest.approx([0.3, 0.25, 0.2, 0.1, 0.1, 0.05])
+    assert seen == sorted(seen, key=lambda one: -round(one.probability, 6))
+    for one in seen:
+        prior = log_prior(one.places, one.free) - log_prior((), ())
+        assert one.gain == pytest.approx(np.log(one.probability / 0.1) - prior)
+    plain, offset = seen[3], seen[0]
+    assert (plain.explained, plain.scale, offset.explained, offset.scale) == (0.0, 4.0, 0.75, 1.0)
+    assert (offset.places, offset.torque, seen[-1].free) == ((OFFSET,), (0.1,), (0, 2))
+
+
+def test_of_equals_the_one_with_fewer_forms_leads():
+    told = hypothesis(0.04, left=1.0), hypothesis(0.48 - 1e-9, OFFSET), hypothesis(0.48 + 1e-9, RIPPLE)
+    for order in (told, told[::-1]):
+        for fewer in (OFFSET, RIPPLE):
+            found = decided(*order, kinds=lambda place, fewer=fewer: 1 if place == fewer else 2)
+            assert [cause.place for cause in found.causes] == [fewer]
+
+
+@pytest.mark.parametrize(
+    ("plain", "scale", "offset", "verdict"),
+    [
+        (0.06, 5.9, {}, "no_gap"),
+        (0.04, 5.9, {}, "explained"),
+        (0.06, 6.0, {}, "explained"),
+        (0.04, 5.9, {"torque": (0.0029,)}, "no_gap"),
+        (0.04, 5.9, {"torque": (0.003,)}, "explained"),
+        (0.04, 6.0, {"torque": (0.0029,)}, "unknown"),
+        (0.04, 9.0, {"left": 0.24}, "explained"),
+        (0.04, 9.0, {"left": 0.26}, "unknown"),
+        (0.35, 9.0, {}, "explained"),
+        (0.38, 9.0, {}, "unknown"),
+        (0.04, 9.0, {"free": (2,)}, "explained"),
+    ],
+)
+def test_a_cause_is_named_if_likely_large_and_enough(plain, scale, offset, verdict):
+    found = decided(hypothesis(plain, left=1.0, scale=scale), hypothesis(1 - plain, OFFSET, **offset))
+    assert found.verdict == verdict
+    named = verdict == "explained"
+    assert [cause.place for cause in found.causes] == ([OFFSET] if named else [])
+    assert (found.fit == ("with", OFFSET)) is named
+    assert found.probability == (pytest.approx((0.95 * (1 - plain),)) if named else ())
+    assert found.healthy == pytest.approx(1.0 if offset.get("torque") == (0.0029,) else plain)
+    assert decided(hypothesis(0.04, left=1.0, scale=scale), hypothesis(0.96, free=(1,))).verdict == "unknown"
+
+
+def test_what_replaces_a_cause_on_its_joints_is_its_class():
+    """From a tenth of its probability on; the two likeliest are listed and count."""
+    told = [(0.6, OFFSET), (0.059, RIPPLE), (0.09, ELSEWHERE), (0.03, SPRING), (0.031, SPRING, ELSEWHERE)]
+    for more, rivals in (
+        ({}, [SPRING]),
+        ({PAYLOAD: 0.08}, [PAYLOAD, SPRING]),
+        ({PAYLOAD: 0.08, HOSE: 0.07}, [PAYLOAD, HOSE]),
+    ):
+        others = [hypothesis(*one) for one in (*told, *((share, place) for place, share in more.items()))]
+        found = decided(hypothesis(0.19 - sum(more.values()), left=1.0, scale=9.0), *others)
+        assert (found.verdict, found.rivals) == ("ambiguous", (tuple(rivals),))
+        assert found.probability == pytest.approx((0.95 * (0.6 + sum({SPRING: 0.061, **more}[one] for one in rivals)),))
+    found = decided(hypothesis(0.04, left=1.0, scale=9.0), hypothesis(0.5, OFFSET), hypothesis(0.46, SPRING, RIPPLE))
+    assert ({*found.rivals[0]}, found.probability) == ({SPRING, RIPPLE}, pytest.approx((0.95,)))
+
+
+def test_each_cause_has_a_class_and_the_largest_comes_first():
+    both, more = hypothesis(0.6, OFFSET, ELSEWHERE, torque=(0.1, 0.2)), hypothesis(0.1, OFFSET)
+    other = hypothesis(0.1, ASYMMETRIC, ELSEWHERE), hypothesis(0.16, OFFSET, SPRING)
+    found = decided(hypothesis(0.04, left=1.0, scale=9.0), both, more, *other)
+    assert [cause.place for cause in found.causes] == [ELSEWHERE, OFFSET]
+    assert found.probability == pytest.approx((0.95 * 0.7, 0.95 * 0.96))
+    assert (found.verdict, found.rivals) == ("explained", ((), (ASYMMETRIC,)))
+
+
+@pytest.mark.parametrize(("apart", "rivals"), [(0.049, (HOSE,)), (0.051, ())])
+def test_what_equals_a_cause_by_definition_and_gains_about_as_much_is_its_rival(apart, rivals):
+    plain = 1e-80
+    gain = np.log(0.7 / plain) - log_prior((SPRING,), ()) + log_prior((), ())
+    share, small = 0.7 * np.exp(-apart * gain), {"torque": (0.001, 0.1)}
+    others = [hypothesis(share, *one) for one in ((RIPPLE,), (("dress_pack", (1,)),), (SPRING, RIPPLE))]
+    told = hypothesis(0.7, SPRING), hypothesis(0.3, ELSEWHERE), hypothesis(share, HOSE, **small)
+    found = decided(hypothesis(plain, left=1.0, scale=9.0), *told, *others)
+    assert (found.rivals, found.probability) == ((rivals,), pytest.approx((0.95 * 0.7,), rel=1e-3))
+
+
+def test_a_hundred_hypotheses_are_kept_and_that_of_nothing():
+    many = [hypothesis(0.009 - 1e-5 * k, ("torque_ripple", (k,))) for k in range(101)]
+    found = decided(hypothesis(0.005, left=1.0, scale=9.0), *many, hypothesis(0.9, OFFSET))
+    assert len(found.hypotheses) == 101
+    assert [one.places for one in found.hypotheses[:2]] == [(OFFSET,), (("torque_ripple", (0,)),)]
+    assert found.hypotheses[-1].places == ()
+    assert len(decided(hypothesis(0.1, left=1.0), hypothesis(0.9, OFFSET)).hypotheses) == 2
+
+
+@pytest.mark.parametrize(("times", "likely"), [(1.0, True), (4.0, False), (12.0, True)])
+def test_a_healthy_arm_may_have_more_than_usual_of_what_it_has_already(times, likely):
+    """Within the usual the noise model knows it; a few times as much is in the tails of Student's t, and no more."""
+    size = 0.01 * times
+    evidence, found = evaluated(hypothesis(0.01, left=1.0), hypothesis(0.99, OFFSET, torque=(size,)))
+    evidence.usual = {OFFSET: 0.01}
+    shares = {one.places: one for one in posterior(evidence, found)}[OFFSET,].shares
+    tail = stats.t.pdf(size, LAW.nu, scale=0.01 * np.sqrt(1 - 2 / LAW.nu)) - stats.norm.pdf(size, scale=0.01)
+    odds = max(tail, 0) / stats.norm.pdf(size, scale=size) * np.exp(log_prior((), ()) - log_prior((OFFSET,), ()))
+    assert shares.get(frozenset(), 0.0) == pytest.approx(odds * shares[frozenset({OFFSET})])
+    assert (shares[frozenset({OFFSET})] > LAW.sure) is likely
+    assert decide(SimpleNamespace(with_chosen=list), evidence, found).verdict == ("explained" if likely else "no_gap")
