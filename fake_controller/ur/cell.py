@@ -167,6 +167,10 @@ class UrCell(UrState):
         where = "moving" if self.moving else "at rest"
         return f"motions started {self.motions_started}; ended: {ends or 'none'}; {where}"
 
+    def hurry(self) -> None:
+        """Somebody looks: the next samples come at once, where the clock is fast and nothing moves."""
+        self._wake.set()
+
     def take_script(self, text: str) -> None:
         """A script came by one of the ports; in local mode nothing happens."""
         self.reach("upload")
@@ -280,8 +284,9 @@ class UrCell(UrState):
 
     def _publish(self, cycles: Cycles) -> None:
         self.clock.wait_until(self._origin + round(self.cycle * self.period * 1e9))
-        if isinstance(self.clock, FastClock) and not self._moving:
-            self._wake.wait(len(cycles) * self.period)  # nobody has to be hurried while nothing moves
+        waiting = self._program is None or len(cycles) == 1  # for a program, or in one for an input
+        if isinstance(self.clock, FastClock) and not self._moving and waiting:
+            self._wake.wait(len(cycles) * self.period)  # nobody has to be hurried
         if self._slowness > 1.0:
             self._closing.wait((self._slowness - 1.0) * self.period * len(cycles))
         for listener in list(self.listeners):

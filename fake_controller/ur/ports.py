@@ -204,6 +204,7 @@ class DashboardConnection(UrConnection):
             line, _, self._line = self._line.partition(b"\n")
             command = line.decode("latin-1").strip()
             if command:
+                self.cell.hurry()
                 self.say((self._answer(command) + "\n").encode("latin-1", "replace"))
             if command == "quit":
                 self.close()

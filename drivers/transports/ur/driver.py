@@ -104,8 +104,9 @@ class UrDriver(LinkDriver[UrLink, UrMotion]):
         """What the controller says after this call."""
         link, motion = self._connected(), self._motion
         streaming = motion is not None and motion.begun and not motion.over
+        asked = link.count
         remote = self._remote()
-        sample = link.fresh()
+        sample = link.fresh(asked)
         if not (streaming or np.isfinite(sample["actual_q"]).all()):
             raise DriverError(f"{self.address}: the controller sends joint positions that are no numbers; look at it")
         safety = int(sample["safety_mode"])
