@@ -136,7 +136,7 @@ class UrDriver(LinkDriver[UrLink, UrMotion]):
 
     def temperatures(self) -> np.ndarray:
         """`ReportsTemperatures`: of the joints (6,) [°C]."""
-        return self._connected().fresh()["joint_temperatures"].astype(float)
+        return self._connected().fresh(0)["joint_temperatures"].astype(float)
 
     def frames(self) -> dict[str, np.ndarray]:
         """`ReportsFrames`: the TCP; poses of scripts are in the robot's base."""

@@ -92,7 +92,7 @@ class UrLink(LinkThread):
         return self._last
 
     def fresh(self, since: int | None = None) -> np.void:
-        """A sample that came after this call, or after the first `since` ones.
+        """A sample that came after this call, or after the first `since` samples; `fresh(0)` is the latest.
 
         Raises:
             DriverError: none came.
