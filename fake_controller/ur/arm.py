@@ -18,7 +18,7 @@ MODELS = {
 }
 _ALPHA = (np.pi / 2, 0.0, 0.0, np.pi / 2, -np.pi / 2, 0.0)
 _CALIBRATION = 2e-4  # m and rad, standard deviation of an individual arm from the table
-_KNOT = 48  # poses of a path between two that are solved one after the other
+_KNOT = 96  # poses of a path between two that are solved one after the other
 _LARGEST_STEP = 0.3  # rad
 _NEAR, _REACHED, _CONVERGED = 1e-4, 1e-6, 1e-10  # m and rad
 
@@ -106,11 +106,12 @@ class DenavitHartenberg:
         return frames
 
     def _solve(self, goals: np.ndarray, q: np.ndarray, steps: int, enough: float = _CONVERGED) -> np.ndarray:
-        """Newton's method at all poses at once."""
+        """Newton's method at all poses at once; a step from an error below a root of `enough` leads to less than it."""
         for _ in range(steps):
             frames = self._frames(q)
             error = twist_between(frames[-1], goals)
-            if np.abs(error).max() < enough:
+            left = np.abs(error).max()
+            if left < enough:
                 return q
             try:
                 step = np.linalg.solve(_jacobian(frames), error[..., None])[..., 0]
@@ -118,6 +119,8 @@ class DenavitHartenberg:
                 break
             largest = np.abs(step).max(axis=1, keepdims=True)
             q = q + step * np.minimum(1.0, _LARGEST_STEP / np.maximum(largest, 1e-12))
+            if left < 0.1 * np.sqrt(enough) and largest.max() < np.sqrt(enough):
+                return q
         if np.abs(twist_between(self.forward(q), goals)).max() > max(enough, _REACHED):
             raise Unreachable("a pose is out of reach or beyond a singularity")
         return q

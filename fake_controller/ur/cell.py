@@ -23,20 +23,7 @@ from fake_controller.ur.fields import Cycles
 from fake_controller.ur.functions import script_functions
 from fake_controller.ur.law import CB3, E_SERIES, PlannedSetpoints, UrInterpolator, UrMove
 from fake_controller.ur.messages import error_message, exception_message, key_message, text_message
-from fake_controller.ur.script import (
-    Action,
-    Brake,
-    EndThread,
-    Go,
-    Halt,
-    Pause,
-    Question,
-    Request,
-    Run,
-    Script,
-    ScriptError,
-    StartThread,
-)
+from fake_controller.ur.script import Go, Request, Run, Script, ScriptError
 from fake_controller.ur.state import SWITCHED_ON, UrState
 
 UNLOCK_AFTER = 5.0  # s
@@ -63,7 +50,7 @@ class _Thread:
     wake: int = 0
     waits_for: str = ""  # "motion", "rest", or nothing
     answer: Any = None
-    held: Request | None = None
+    held: Request | Go | None = None
     over: bool = False
 
 
@@ -89,7 +76,7 @@ class _Moving:
 
     thread: _Thread
     after: UrMove | None
-    deferred: list[Action]
+    deferred: list[Request]
     position: np.ndarray
     velocity: np.ndarray
     blend: int
@@ -157,15 +144,18 @@ class UrCell(UrState):
         return "mute" in self._lies
 
     @property
-    def paused(self) -> bool:
-        """Whether its program is paused."""
-        return self._paused
+    def _threads(self) -> list[_Thread]:
+        return [] if self._program is None else self._program.threads
 
     def history(self) -> str:
         """How often a program was started and how that ended, in one line."""
         ends = ", ".join(reason.name.lower() for reason in self.ends)
         where = "moving" if self.moving else "at rest"
         return f"motions started {self.motions_started}; ended: {ends or 'none'}; {where}"
+
+    def hurry(self) -> None:
+        """Somebody looks: the next samples come at once, where the clock is fast and nothing moves."""
+        self._wake.set()
 
     def take_script(self, text: str) -> None:
         """A script came by one of the ports; in local mode nothing happens."""
@@ -201,9 +191,9 @@ class UrCell(UrState):
         self.stop(EndReason.STOPPED, "a client stopped the program")
 
     def pause(self, paused: bool) -> bool:
-        """Pause the program, or let it go on; False where none runs."""
+        """Pause the program, or let it go on; False where it cannot be."""
         with self._lock:
-            if self._program is None or (not paused and self.safety_mode not in (1, 2)):
+            if self._program is None or not (paused or (self._paused and self.safety_mode in (1, 2))):
                 return False
             self._paused = paused
         return True
@@ -241,6 +231,35 @@ class UrCell(UrState):
     def updated(self, name: str) -> None:
         """An input came in."""
         self.updates[name] = self.updates.get(name, 0) + 1
+
+    def sleep(self, thread: _Thread, seconds: float) -> None:
+        """Go on with a thread after this time, in the next cycle at the earliest."""
+        thread.wake = self.cycle + max(1, round(seconds / self.period))
+
+    def brake(self, thread: _Thread, deceleration: float) -> None:
+        """Come to rest [rad/s² or m/s²]; the thread waits for that."""
+        if self._moving is not None:
+            speed = float(np.abs(self.reference_velocity).max())
+            self._stopping, self._slew = True, max(speed / max(deceleration, 1e-3), self.period)
+            thread.waits_for = "rest"
+
+    def start_thread(self, run: Run) -> int:
+        """The handle of a new thread of the program."""
+        threads = self._threads
+        threads.append(_Thread(run, 1 + max(other.handle for other in threads), self.cycle))
+        return threads[-1].handle
+
+    def end_thread(self, handle: int, kill: bool) -> bool:
+        """Whether the thread of a handle is over, which `kill` sees to."""
+        named = [thread for thread in self._threads[1:] if thread.handle == handle]
+        for thread in named:
+            thread.over = thread.over or kill
+        return all(thread.over for thread in named)
+
+    def halt(self) -> None:
+        """End the program as if it had come to its end."""
+        self._threads[0].over = True
+        self._end_program(EndReason.DONE)
 
     def tell_text(self, text: str) -> None:
         """textmsg."""
@@ -280,8 +299,9 @@ class UrCell(UrState):
 
     def _publish(self, cycles: Cycles) -> None:
         self.clock.wait_until(self._origin + round(self.cycle * self.period * 1e9))
-        if isinstance(self.clock, FastClock) and not self._moving:
-            self._wake.wait(len(cycles) * self.period)  # nobody has to be hurried while nothing moves
+        idle = self._program is None or self._paused or len(cycles) == 1  # for a program, or in one for an input
+        if isinstance(self.clock, FastClock) and not self._moving and idle:
+            self._wake.wait(len(cycles) * self.period)  # nobody has to be hurried
         if self._slowness > 1.0:
             self._closing.wait((self._slowness - 1.0) * self.period * len(cycles))
         for listener in list(self.listeners):
@@ -358,7 +378,7 @@ class UrCell(UrState):
         """Nothing is left of a motion that was stopped."""
         self._moving, self.control_line = None, 0
         self._stopping, self._slew = False, _SLIDER_SLEW
-        for thread in [] if self._program is None else self._program.threads:
+        for thread in self._threads:
             thread.waits_for = ""
 
     # Programs
@@ -392,11 +412,11 @@ class UrCell(UrState):
             turns += 1
             request = self._next(thread)
             if request is not None:
-                self._carry_out(program, thread, request)
+                self._carry_out(thread, request)
             if turns > _TURNS:
                 raise ScriptError("runtime_error: a loop that does not move needs sync() or sleep()", 1)
 
-    def _next(self, thread: _Thread) -> Request | None:
+    def _next(self, thread: _Thread) -> Request | Go | None:
         """The next request; None for a turn of a loop, and where the thread is over."""
         if thread.held is not None:
             request, thread.held = thread.held, None
@@ -408,37 +428,14 @@ class UrCell(UrState):
             thread.over = True
             return None
 
-    def _carry_out(self, program: _Program, thread: _Thread, request: Request) -> None:  # noqa: C901
-        match request:
-            case Action():
-                request.act(self)
-            case Question():
-                try:
-                    thread.answer = request.ask()
-                except (LookupError, Unreachable) as error:
-                    raise ScriptError(f"runtime_error: {error}", request.line) from None
-            case Pause():
-                thread.wake = self.cycle + max(1, round(request.seconds / self.period))
-            case Go():
-                self._begin(thread, request)
-            case Brake():
-                if self._moving is not None:
-                    speed = float(np.abs(self.reference_velocity).max())
-                    self._stopping, self._slew = True, max(speed / max(request.deceleration, 1e-3), self.period)
-                    thread.waits_for = "rest"
-            case StartThread():
-                thread.answer = 1 + max(other.handle for other in program.threads)
-                program.threads.append(_Thread(request.run, thread.answer, self.cycle))
-            case EndThread():
-                for other in program.threads[1:]:
-                    if other.handle == request.handle and not other.over:
-                        if request.wait:
-                            thread.held, thread.wake = request, self.cycle + 1
-                        else:
-                            other.over = True
-            case Halt():
-                program.threads[0].over = True
-                self._end_program(EndReason.DONE)
+    def _carry_out(self, thread: _Thread, request: Request | Go) -> None:
+        if isinstance(request, Go):
+            self._begin(thread, request)
+            return
+        try:
+            thread.answer = request.act(self, thread)
+        except (LookupError, Unreachable) as error:
+            raise ScriptError(f"runtime_error: {error}", request.line) from None
 
     def _begin(self, thread: _Thread, request: Go) -> None:
         """Begin a move from rest."""
@@ -456,7 +453,7 @@ class UrCell(UrState):
     def _go_on(self, moving: _Moving) -> None:
         """The next move takes over, or the arm has come to its goal."""
         for action in moving.deferred:
-            action.act(self)
+            action.act(self, moving.thread)
         if moving.after is None:
             self._moving, moving.thread.waits_for, self.control_line = None, "", 0
             return
@@ -470,15 +467,15 @@ class UrCell(UrState):
         at = moving.at - passed
         self._moving = _Moving(moving.thread, after, deferred, position, velocity, blend, at)
 
-    def _read_ahead(self, thread: _Thread, move: UrMove) -> tuple[UrMove | None, list[Action]]:
+    def _read_ahead(self, thread: _Thread, move: UrMove) -> tuple[UrMove | None, list[Request]]:
         """The move that this one blends into, if any, and the actions between them."""
-        deferred: list[Action] = []
+        deferred: list[Request] = []
         while move.radius > 0 and not thread.over:
             request = self._next(thread)
             match request:
                 case None:
                     continue
-                case Action():
+                case Request(early=True):
                     deferred.append(request)
                 case Go():
                     near = move.joints if move.joints is not None else self._interpolator.q

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -56,7 +59,8 @@ _SINCE = {
 _REGISTER = re.compile(r"(input|output)_(int|double|bit)_register_(\d+)")
 _REGISTER_TYPES = {"int": ("INT32", 48), "double": ("DOUBLE", 48), "bit": ("BOOL", 128)}
 _WORD = re.compile(r"(input|output)_bit_registers(0|32)_to_\d+")
-_ROBOT_VOLTAGE, _BITS = 48.0, 1 << np.arange(32, dtype=np.uint64)
+_SAFETY_BITS = {1: 1, 3: 1 << 2, 5: 1 << 4, 7: 3 << 6, 9: 1 << 9}
+_BITS = 1 << np.arange(32, dtype=np.uint64)
 
 
 def _listed(text: str) -> dict[str, str]:
@@ -86,6 +90,7 @@ def _type(name: str, table: dict[str, str], version: tuple[int, ...]) -> str:
     return kind if int(register[3]) < count else "NOT_FOUND"
 
 
+@cache
 def register_of(name: str) -> tuple[str, int] | None:
     """The list of registers and the index in it that a field stands for, if any."""
     found = _REGISTER.fullmatch(name)
@@ -115,46 +120,62 @@ class Cycles:
 
     def part(self, chosen: slice) -> Cycles:
         """Some of them."""
-        columns = {name: value[chosen] for name, value in vars(self).items() if isinstance(value, np.ndarray)}
-        return Cycles(self.cell, **columns)
+        return Cycles(self.cell, *(value[chosen] for value in vars(self).values() if value is not self.cell))
 
-    def field(self, name: str) -> Any:  # noqa: C901
-        """The values of an output: (K,), (K, m), or what all cycles have in common."""
-        cell = self.cell
+    def field(self, name: str) -> Any:
+        """The values of an output: (K,), (K, m), or what all cycles have in common; 0 where nothing is simulated."""
+        registers = self.cell.registers
+        if name in _VALUES:
+            return _VALUES[name](self)
         if (register := register_of(name)) is not None:
-            return cell.registers[register[0]][register[1]]
+            return registers[register[0]][register[1]]
         if (word := _WORD.fullmatch(name)) is not None:
             first = int(word[2])
-            return int(_BITS[np.array(cell.registers[f"{word[1]}_bit"][first : first + 32], bool)].sum())
-        match name:
-            case "timestamp":
-                return self.time
-            case "target_q" | "target_qd" | "target_qdd" | "actual_q" | "actual_qd":
-                return getattr(self, name)
-            case "actual_current" | "joint_control_output":
-                return self.torque / cell.torque_constants
-            case "target_moment":
-                return self._modelled(self.target_qd, self.target_qdd)
-            case "target_current":
-                return self._modelled(self.target_qd, self.target_qdd) / cell.torque_constants
-            case "actual_current_as_torque":
-                return self.torque - self._modelled(0 * self.actual_q, 0 * self.actual_q)
-            case "actual_current_window":
-                return 10.0 / cell.torque_constants
-            case "actual_TCP_pose" | "target_TCP_pose":
-                return poses_of(self._tcp(name[:6]))
-            case "actual_TCP_speed" | "target_TCP_speed":
-                q, qd = getattr(self, f"{name[:6]}_q"), getattr(self, f"{name[:6]}_qd")
-                ahead = cell.kinematics.forward(q + 1e-6 * qd) @ cell.tcp
-                return twist_between(self._tcp(name[:6]), ahead) / 1e-6
-            case "actual_tool_accelerometer":
-                return self._tcp("actual")[:, :3, :3].transpose(0, 2, 1) @ cell.gravity
-        return cell.state_field(name)
+            return int(_BITS[np.array(registers[f"{word[1]}_bit"][first : first + 32], bool)].sum())
+        return 0
 
-    def _tcp(self, which: str) -> np.ndarray:
+    def tcp(self, which: str) -> np.ndarray:
+        """(K, 4, 4) poses of the TCP, `actual` or `target`."""
         return self.cell.kinematics.forward(getattr(self, f"{which}_q")) @ self.cell.tcp
 
-    def _modelled(self, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
-        """(K, 6) joint torque by the controller's model with the payload it believes in; friction is not in it."""
-        q = self.target_q if qd is self.target_qd else self.actual_q
+    def tcp_speed(self, which: str) -> np.ndarray:
+        """(K, 6) of the TCP, `actual` or `target`."""
+        q, qd = getattr(self, f"{which}_q"), getattr(self, f"{which}_qd")
+        return twist_between(self.tcp(which), self.cell.kinematics.forward(q + 1e-6 * qd) @ self.cell.tcp) / 1e-6
+
+    def modelled(self, moves: bool = True) -> np.ndarray:
+        """(K, 6) joint torque by the controller's model and the payload it believes in, without friction."""
+        target = self.target_q, self.target_qd, self.target_qdd
+        q, qd, qdd = target if moves else (self.actual_q, 0 * self.actual_q, 0 * self.actual_q)
         return self.cell.believed_dynamics().inverse_dynamics(q, qd, qdd)
+
+
+#: What the fields are that are simulated.
+_VALUES: dict[str, Callable[[Cycles], Any]] = {
+    "timestamp": lambda of: of.time,
+    **{name: attrgetter(name) for name in ("target_q", "target_qd", "target_qdd", "actual_q", "actual_qd")},
+    **dict.fromkeys(("actual_current", "joint_control_output"), lambda of: of.torque / of.cell.torque_constants),
+    "target_moment": lambda of: of.modelled(),
+    "target_current": lambda of: of.modelled() / of.cell.torque_constants,
+    "actual_current_as_torque": lambda of: of.torque - of.modelled(moves=False),
+    "actual_current_window": lambda of: 10.0 / of.cell.torque_constants,
+    "actual_TCP_pose": lambda of: poses_of(of.tcp("actual")),
+    "target_TCP_pose": lambda of: poses_of(of.tcp("target")),
+    "actual_TCP_speed": lambda of: of.tcp_speed("actual"),
+    "target_TCP_speed": lambda of: of.tcp_speed("target"),
+    "actual_tool_accelerometer": lambda of: of.tcp("actual")[:, :3, :3].transpose(0, 2, 1) @ of.cell.gravity,
+    **{name: attrgetter(f"cell.{name}") for name in ("robot_mode", "safety_mode", "runtime_state", "tcp_offset")},
+    "safety_status": attrgetter("cell.safety_mode"),
+    "safety_status_bits": lambda of: _SAFETY_BITS[of.cell.safety_mode] + ((of.cell.safety_mode != 1) << 10),
+    "robot_status_bits": lambda of: int(of.cell.robot_mode >= 5) + 2 * (of.cell.runtime_state == 2),
+    "joint_mode": lambda of: [{3: 239, 5: 255, 7: 253}[of.cell.robot_mode]] * 6,  # off, idle, running
+    "target_speed_fraction": attrgetter("cell.state.override"),
+    "payload": lambda of: of.cell.payload[0],
+    "payload_cog": lambda of: of.cell.payload[1:4],
+    "payload_inertia": lambda of: of.cell.payload[4:],
+    "script_control_line": attrgetter("cell.control_line"),
+    "joint_temperatures": lambda of: of.cell.machine.temperatures or (30.0,) * 6,
+    "speed_scaling": lambda _: 1.0,
+    "tool_temperature": lambda _: 30.0,
+    **dict.fromkeys(("actual_main_voltage", "actual_robot_voltage", "actual_joint_voltage"), lambda _: 48.0),
+}

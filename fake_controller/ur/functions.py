@@ -11,7 +11,7 @@ import numpy as np
 
 from fake_controller.ur.arm import Unreachable, matrix_of, poses_of
 from fake_controller.ur.law import UrMove
-from fake_controller.ur.script import Action, Brake, Go, Halt, Pause, Pose, Question
+from fake_controller.ur.script import Go, Pose, Request, command, pause, question
 from fake_controller.ur.state import UrState
 
 #: Functions that change nothing of what is simulated.
@@ -50,11 +50,10 @@ _PURE: dict[str, Callable[..., Any]] = {
     "pose_sub": lambda a, b: Pose([*np.subtract(a[:3], b[:3]), *_pose(matrix_of(a) @ np.linalg.inv(matrix_of(b)))[3:]]),
     "str_cat": lambda a, b: _said(a) + _said(b),
     "to_str": lambda value: _said(value),
-    "sleep": lambda t: Pause(float(t)),
-    "sync": lambda: Pause(0.0),
-    "halt": Halt,
-    "stopj": lambda a=2.0: Brake(a),
-    "stopl": lambda a=2.0, aRot=0.0: Brake(a),
+    "sleep": lambda t: pause(float(t)),
+    "sync": lambda: pause(0.0),
+    "stopj": lambda a=2.0: Request(lambda cell, thread: cell.brake(thread, a)),
+    "stopl": lambda a=2.0, aRot=0.0: Request(lambda cell, thread: cell.brake(thread, a)),
 }
 
 
@@ -78,7 +77,7 @@ def script_functions(cell: UrState) -> Mapping[str, Callable[..., Any]]:
         **dict.fromkeys(_NOT_SIMULATED, _missing),
         **dict.fromkeys(_WITHOUT_CONSEQUENCE, lambda *_, **__: None),
         **_PURE,
-        **{name: lambda ask=ask: Question(ask) for name, ask in questions.items()},
+        **{name: lambda ask=ask: question(ask) for name, ask in questions.items()},
         **{name: getattr(_Functions(cell), name) for name in vars(_Functions) if not name.startswith("_")},
         **{f"write_output_{word}_register": partial(_write, cell, *kind) for word, kind in _REGISTERS.items()},
         **{f"read_input_{word}_register": partial(_read, cell, kind) for word, (kind, _) in _REGISTERS.items()},
@@ -101,54 +100,52 @@ class _Functions:
     def movec(self, pose_via: Any, pose_to: Any, a: float = 1.2, v: float = 0.25, r: float = 0, mode: int = 0) -> Go:
         return self._move("arc", pose_to, a, v, 0, r, self._pose_of(pose_via))
 
-    def get_forward_kin(self, q: Any = None, tcp: Any = None) -> Question:
+    def get_forward_kin(self, q: Any = None, tcp: Any = None) -> Request:
         tool = None if tcp is None else matrix_of(tcp)
-        return Question(lambda: _pose(_tcp_at(self._cell, self._cell.position if q is None else np.array(q), tool)))
+        return question(lambda: _pose(_tcp_at(self._cell, self._cell.position if q is None else np.array(q), tool)))
 
-    def get_inverse_kin(self, x: Any, qnear: Any = None, maxPositionError: float = 0, *_: Any) -> Question:
-        flange = self._pose_of(x) @ np.linalg.inv(self._cell.tcp)
-        near = qnear or self._cell.reference
-        return Question(lambda: self._cell.kinematics.nearest(flange, np.array(near, float)).tolist())
+    def get_inverse_kin(self, x: Any, qnear: Any = None, *_: Any, **__: Any) -> Request:
+        return question(lambda: self._solved(x, qnear))
 
-    def get_inverse_kin_has_solution(self, x: Any, *others: Any) -> Question:
+    def get_inverse_kin_has_solution(self, x: Any, qnear: Any = None, *_: Any, **__: Any) -> Request:
         def ask() -> bool:
             try:
-                self.get_inverse_kin(x, *others).ask()
+                self._solved(x, qnear)
             except Unreachable:
                 return False
             return True
 
-        return Question(ask)
+        return question(ask)
 
-    def is_within_safety_limits(self, pose: Any) -> Question:
-        return Question(lambda: True) if not isinstance(pose, Pose) else self.get_inverse_kin_has_solution(pose)
+    def is_within_safety_limits(self, pose: Any) -> Request:
+        return question(lambda: True) if not isinstance(pose, Pose) else self.get_inverse_kin_has_solution(pose)
 
-    def set_tcp(self, pose: Any, tcp_name: str = "") -> Question:
+    def set_tcp(self, pose: Any, tcp_name: str = "") -> Request:
         return self._set("tcp", matrix_of(pose))
 
-    def set_gravity(self, d: Any) -> Question:
+    def set_gravity(self, d: Any) -> Request:
         return self._set("gravity", np.array(d, float))
 
-    def set_payload(self, m: float, cog: Any = None) -> Question:
+    def set_payload(self, m: float, cog: Any = None) -> Request:
         return self.set_target_payload(m, self._cell.tcp[:3, 3] if cog is None else cog)
 
     def set_target_payload(
         self, m: float, cog: Any, inertia: Sequence[float] = _NO_INERTIA, transition_time: float = 0
-    ) -> Question:
+    ) -> Request:
         if len(cog) != 3 or len(inertia) != 6 or max(map(abs, inertia)) > 133 or min(inertia[:3]) < 0 or m < 0:
             raise ValueError("this cannot be a payload")
         return self._set("payload", [float(value) for value in (m, *cog, *inertia)])
 
-    def rtde_set_watchdog(self, variable_name: str, min_frequency: float, action: str = "pause") -> Action:
+    def rtde_set_watchdog(self, variable_name: str, min_frequency: float, action: str = "pause") -> Request:
         if action not in ("ignore", "pause", "stop"):
             raise ValueError(f"{action!r} is no action")
-        return Action(lambda cell: cell.watch(variable_name, min_frequency, action))
+        return command(lambda cell: cell.watch(variable_name, min_frequency, action))
 
-    def textmsg(self, s1: Any, s2: Any = "") -> Action:
-        return Action(lambda cell: cell.tell_text(_said(s1) + _said(s2)))
+    def textmsg(self, s1: Any, s2: Any = "") -> Request:
+        return command(lambda cell: cell.tell_text(_said(s1) + _said(s2)))
 
-    def protective_stop(self) -> Action:
-        return Action(lambda cell: cell.protective_stop("the program asked for it"))
+    def protective_stop(self) -> Request:
+        return command(lambda cell: cell.protective_stop("the program asked for it"))
 
     def _move(self, kind: str, target: Any, a: float, v: float, t: float, r: float, via: Any = None) -> Go:
         if min(a, v) <= 0 or min(t, r) < 0 or len(target) != 6:
@@ -158,22 +155,26 @@ class _Functions:
         joints = np.array(target, float) if kind == "joint" and not isinstance(target, Pose) else None
         return Go(UrMove(kind, self._pose_of(target), self._cell.tcp, v, a, r, 0, joints, via, t))
 
+    def _solved(self, x: Any, near: Any) -> list[float]:
+        flange = self._pose_of(x) @ np.linalg.inv(self._cell.tcp)
+        return self._cell.kinematics.nearest(flange, np.array(near or self._cell.reference, float)).tolist()
+
     def _pose_of(self, target: Any) -> np.ndarray:
         return matrix_of(target) if isinstance(target, Pose) else _tcp_at(self._cell, np.array(target, float))
 
-    def _set(self, name: str, value: Any) -> Question:
-        return Question(lambda: setattr(self._cell, name, value))
+    def _set(self, name: str, value: Any) -> Request:
+        return question(lambda: setattr(self._cell, name, value))
 
 
-def _write(cell: UrState, kind: str, type_: Callable[[Any], Any], address: int, value: Any) -> Action:
+def _write(cell: UrState, kind: str, type_: Callable[[Any], Any], address: int, value: Any) -> Request:
     registers, written = cell.registers[f"output_{kind}"], type_(value)
     if not 0 <= address < len(registers):
         raise ValueError(f"there is no register {address}")
-    return Action(lambda _: registers.__setitem__(address, written))
+    return command(lambda _: registers.__setitem__(address, written))
 
 
-def _read(cell: UrState, kind: str, address: int) -> Question:
-    return Question(lambda: cell.registers[f"input_{kind}"][address])
+def _read(cell: UrState, kind: str, address: int) -> Request:
+    return question(lambda: cell.registers[f"input_{kind}"][address])
 
 
 def _missing(*_: Any, **__: Any) -> Any:

@@ -24,6 +24,7 @@ _FORBIDDEN = (
     "Command is not allowed due to safety reasons, please switch robot to Remote Control mode and reconnect to "
     "port 29999"
 )
+_TOO_EARLY = "Cannot unlock protective stop until 5s after occurrence"
 _ACTING = ("load ", "play", "stop", "pause", "power o", "brake release", "unlock protective stop", "restart safety")
 _ROBOT_MODES = {3: "POWER_OFF", 5: "IDLE", 7: "RUNNING"}
 _SAFETY = {1: "NORMAL", 3: "PROTECTIVE_STOP", 5: "SAFEGUARD_STOP", 7: "ROBOT_EMERGENCY_STOP", 9: "FAULT"}
@@ -204,70 +205,69 @@ class DashboardConnection(UrConnection):
             line, _, self._line = self._line.partition(b"\n")
             command = line.decode("latin-1").strip()
             if command:
+                self.cell.hurry()
                 self.say((self._answer(command) + "\n").encode("latin-1", "replace"))
             if command == "quit":
                 self.close()
 
     def _answer(self, command: str) -> str:
         cell = self.cell
-        if command.startswith(_ACTING):
-            if not (cell.remote and self._trusted):
-                return _FORBIDDEN
-            return self._act(command)
-        version, e_series = cell.version, cell.e_series
-        major, minor, bugfix, build = version
-        since = {"get robot model": (3, 12), "get serial number": (3, 12), "is in remote control": (5, 6)}
-        answers: dict[str, Callable[[], str]] = {
-            "PolyscopeVersion": lambda: f"URSoftware {major}.{minor}.{bugfix}.{build} (Nov 18 2021)",
-            "get serial number": lambda: cell.serial,
-            "get robot model": lambda: cell.model,
-            "robotmode": lambda: f"Robotmode: {_ROBOT_MODES[cell.robot_mode]}",
-            "safetymode": lambda: f"Safetymode: {_SAFETY[cell.safety_mode]}",
-            "running": lambda: "Program running: false",  # of .urp programs, which this controller has none of
-            "programState": lambda: "STOPPED",
-            "get loaded program": lambda: "No program loaded",
-            "isProgramSaved": lambda: "False",
-            "close popup": lambda: "closing popup",
-            "close safety popup": lambda: "closing safety popup",
-            "quit": lambda: "Disconnected",
-        }
-        if e_series:
-            answers["safetystatus"] = lambda: f"Safetystatus: {_SAFETY[cell.safety_mode]}"
-            answers["is in remote control"] = lambda: "true" if cell.remote else "false"
-            answers["get operational mode"] = lambda: "AUTOMATIC" if cell.remote else "MANUAL"
-        if command in answers and version >= since.get(command, (0,)):
-            return answers[command]()
-        for word, answer in (("popup", "showing popup"), ("addToLog", "Added log message")):
-            if command.startswith(f"{word} "):
-                return answer
-        return f"Could not understand: '{command}'"
+        if command.startswith(_ACTING) and not (cell.remote and self._trusted):
+            return _FORBIDDEN
+        word = next((word for word in _WITH_TEXT if command.startswith(word)), command)
+        since, answer = _ANSWERS.get(word, ((99,), None))
+        if answer is None or cell.version < since:
+            return f"Could not understand: '{command}'"
+        said = answer(cell) if callable(answer) else answer
+        return said.format(command.removeprefix(word))
 
-    def _act(self, command: str) -> str:
-        cell = self.cell
-        match command:
-            case "play":
-                return "Starting program" if cell.paused and cell.pause(False) else "Failed to execute: play"
-            case "pause":
-                return "Pausing program" if cell.pause(True) else "Failed to execute: pause"
-            case "stop":
-                if not cell.running:
-                    return "Failed to execute: stop"
-                cell.stop_program()
-                return "Stopped"
-            case "power on" | "power off":
-                cell.power(drives_on=cell.state.drives_on and command == "power on", idle=command == "power on")
-                return f"Powering {command[6:]}"
-            case "brake release":
-                cell.power(drives_on=cell.idle or cell.state.drives_on, idle=False)
-                return "Brake releasing"
-            case "unlock protective stop":
-                released = cell.unlock()
-                return (
-                    "Protective stop releasing"
-                    if released
-                    else "Cannot unlock protective stop until 5s after occurrence"
-                )
-            case "restart safety":
-                return "Restarting safety"
-        name = command.removeprefix("load ")
-        return f"File not found: {name}"
+
+def _power(cell: UrCell, on: bool) -> str:
+    cell.power(drives_on=cell.state.drives_on and on, idle=on)
+    return f"Powering {'on' if on else 'off'}"
+
+
+def _release(cell: UrCell) -> str:
+    cell.power(drives_on=cell.idle or cell.state.drives_on, idle=False)
+    return "Brake releasing"
+
+
+def _stop(cell: UrCell) -> str:
+    if not cell.running:
+        return "Failed to execute: stop"
+    cell.stop_program()
+    return "Stopped"
+
+
+_ALWAYS, _CB3, _E_SERIES, _REMOTE = (0,), (3, 12), (5,), (5, 6)
+#: Commands of the dashboard: the first version that has one, and its answer.
+_ANSWERS: dict[str, tuple[tuple[int, ...], str | Callable[[UrCell], str]]] = {
+    "PolyscopeVersion": (_ALWAYS, lambda cell: "URSoftware {}.{}.{}.{} (Nov 18 2021)".format(*cell.version)),
+    "get serial number": (_CB3, lambda cell: cell.serial),
+    "get robot model": (_CB3, lambda cell: cell.model),
+    "robotmode": (_ALWAYS, lambda cell: f"Robotmode: {_ROBOT_MODES[cell.robot_mode]}"),
+    "safetymode": (_ALWAYS, lambda cell: f"Safetymode: {_SAFETY[cell.safety_mode]}"),
+    "safetystatus": (_E_SERIES, lambda cell: f"Safetystatus: {_SAFETY[cell.safety_mode]}"),
+    "is in remote control": (_REMOTE, lambda cell: str(cell.remote).lower()),
+    "get operational mode": (_E_SERIES, lambda cell: "AUTOMATIC" if cell.remote else "MANUAL"),
+    "running": (_ALWAYS, "Program running: false"),  # of .urp programs, which this controller has none of
+    "programState": (_ALWAYS, "STOPPED"),
+    "get loaded program": (_ALWAYS, "No program loaded"),
+    "isProgramSaved": (_ALWAYS, "False"),
+    "close popup": (_ALWAYS, "closing popup"),
+    "close safety popup": (_ALWAYS, "closing safety popup"),
+    "popup ": (_ALWAYS, "showing popup"),
+    "addToLog ": (_ALWAYS, "Added log message"),
+    "quit": (_ALWAYS, "Disconnected"),
+    "load ": (_ALWAYS, "File not found: {}"),
+    "play": (_ALWAYS, lambda cell: "Starting program" if cell.pause(False) else "Failed to execute: play"),
+    "pause": (_ALWAYS, lambda cell: "Pausing program" if cell.pause(True) else "Failed to execute: pause"),
+    "stop": (_ALWAYS, _stop),
+    "power on": (_ALWAYS, lambda cell: _power(cell, on=True)),
+    "power off": (_ALWAYS, lambda cell: _power(cell, on=False)),
+    "brake release": (_ALWAYS, _release),
+    "unlock protective stop": (_ALWAYS, lambda cell: "Protective stop releasing" if cell.unlock() else _TOO_EARLY),
+    "restart safety": (_ALWAYS, "Restarting safety"),
+}
+#: Commands with a text behind them.
+_WITH_TEXT = tuple(command for command in _ANSWERS if command.endswith(" "))

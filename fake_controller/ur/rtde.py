@@ -26,7 +26,7 @@ class RtdeConnection(UrConnection):
         self._owners = owners
         self._packages = PackageDecoder(struct.Struct(">HB"), 0xFFFF, "RTDE")
         self._outputs: list[str] | None = None
-        self._layout: np.dtype[Any] = packed([])
+        self._layout: np.dtype[Any] = packed([])  # of a sample
         self._every = 1
         self._started = False
         self._inputs: dict[int, tuple[list[str], np.dtype[Any]]] = {}
@@ -94,7 +94,7 @@ class RtdeConnection(UrConnection):
         self._outputs = names if found else None
         self._started = False
         if found:
-            self._layout = packed(types)
+            self._layout = np.dtype([("size", ">u2"), ("kind", "u1"), ("recipe", "u1"), ("values", packed(types))])
         self._reply("O", bytes([found]) + ",".join(types).encode())
 
     def _set_up_inputs(self, payload: bytes) -> None:
@@ -132,7 +132,7 @@ class RtdeConnection(UrConnection):
         if self.cell.mute or not self._started or self._outputs is None or first >= len(cycles):
             return
         chosen = cycles.part(slice(first, None, self._every))
-        rows = np.zeros(len(chosen), [("size", ">u2"), ("kind", "u1"), ("recipe", "u1"), ("values", self._layout)])
+        rows = np.zeros(len(chosen), self._layout)
         rows["size"], rows["kind"], rows["recipe"] = rows.itemsize, ord("U"), 1
         for k, name in enumerate(self._outputs):
             values = np.asarray(chosen.field(name))

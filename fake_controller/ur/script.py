@@ -17,7 +17,7 @@ from lark import Lark, UnexpectedInput, UnexpectedToken
 
 from fake_controller.ur.law import UrMove
 
-Run = Generator["Request | None", Any, Any]
+Run = Generator["Request | Go | None", Any, Any]
 Node = Any  # a tree of lark, whose children have no types
 _OPERATORS: dict[str, Callable[[Any, Any], Any]] = {
     "+": operator.add, "-": operator.sub, "*": operator.mul, "/": operator.truediv, "%": operator.mod,
@@ -41,64 +41,37 @@ class Pose(list[float]):
 
 @dataclass
 class Request:
-    """Request of a script to its controller, at `line`."""
+    """Something to do for a script, at `line`: `act` is given the controller and the thread that asks.
 
+    `early`: without an answer, and done as the blend begins where a blended move stands before it.
+    """
+
+    act: Callable[[Any, Any], Any]
+    early: bool = False
     line: int = field(default=0, init=False)
 
 
 @dataclass
-class Action(Request):
-    """Something to do with the controller, without an answer: after a blended move it is done as the blend begins."""
-
-    act: Callable[[Any], object]
-
-
-@dataclass
-class Question(Request):
-    """Something to do whose answer is needed."""
-
-    ask: Callable[[], Any]
-
-
-@dataclass
-class Pause(Request):
-    """Sleep for a number of seconds, at least to the end of the cycle."""
-
-    seconds: float
-
-
-@dataclass
-class Go(Request):
+class Go:
     """A move."""
 
     move: UrMove
+    line: int = field(default=0, init=False)
 
 
-@dataclass
-class Brake(Request):
-    """stopj or stopl with a deceleration [rad/s² or m/s²]."""
-
-    deceleration: float
+def command(act: Callable[[Any], object]) -> Request:
+    """Something to do with the controller, without an answer."""
+    return Request(lambda cell, _: act(cell), early=True)
 
 
-@dataclass
-class StartThread(Request):
-    """run: a separate thread; the answer is its handle."""
-
-    run: Run
+def question(ask: Callable[[], Any]) -> Request:
+    """Something whose answer is needed."""
+    return Request(lambda *_: ask())
 
 
-@dataclass
-class EndThread(Request):
-    """kill or join: `wait` for the thread of a handle, or end it."""
-
-    handle: int
-    wait: bool
-
-
-@dataclass
-class Halt(Request):
-    """The end of the whole program."""
+def pause(seconds: float) -> Request:
+    """Sleep, at least to the end of the cycle."""
+    return Request(lambda cell, thread: cell.sleep(thread, seconds))
 
 
 class _Scope:
@@ -194,11 +167,13 @@ class Script:
         return str(node.children[0]), None
 
     def _halt(self, node: Node, scope: _Scope) -> Run:
-        yield _at(Halt(), node)
+        yield _at(Request(lambda cell, _: cell.halt()), node)
 
     def _end_thread(self, node: Node, scope: _Scope) -> Run:
-        word, handle = node.children
-        yield _at(EndThread((yield from self._value(handle, scope)), word == "join"), node)
+        word, expression = node.children
+        handle = yield from self._value(expression, scope)
+        while not (yield _at(Request(lambda cell, _: cell.end_thread(handle, kill=word == "kill")), node)):
+            yield pause(0.0)
 
     def _assignment(self, node: Node, scope: _Scope) -> Run:
         where, name, expression = node.children
@@ -286,12 +261,12 @@ class Script:
         owner = scope.owner(name, "routines")
         if owner is not None:
             body = self._called(owner.routines[name], _Scope(owner, scope.depth + 1), values, named, name)
-            return (yield _at(StartThread(body), node)) if run else (yield from body)
+            return (yield _at(Request(lambda cell, _: cell.start_thread(body)), node)) if run else (yield from body)
         try:
             result = self._functions[name](*values, **named)
         except (LookupError, TypeError, ValueError, ArithmeticError) as error:
             raise ScriptError(f"runtime_error: {name}: {error}", name.line, name.column) from None
-        return (yield _at(result, node)) if isinstance(result, Request) else result
+        return (yield _at(result, node)) if isinstance(result, Request | Go) else result
 
     def _called(self, routine: Node, scope: _Scope, values: list[Any], named: dict[str, Any], name: Any) -> Run:
         _, _, *parameters, block = routine.children
@@ -306,7 +281,7 @@ class Script:
         return None if left is None else left[1]
 
 
-def _at(request: Request, node: Node) -> Request:
+def _at(request: Request | Go, node: Node) -> Request | Go:
     request.line = node.meta.line
     return request
 

@@ -13,9 +13,6 @@ from fake_controller.faults import Fault
 from fake_controller.state import State, home
 from fake_controller.ur.arm import MODELS, DenavitHartenberg, poses_of
 
-#: Outputs that never change.
-_CONSTANT = {"speed_scaling": 1.0, "tool_temperature": 30.0}
-_CONSTANT |= dict.fromkeys(("actual_main_voltage", "actual_robot_voltage", "actual_joint_voltage"), 48.0)
 SWITCHED_ON = 60.0  # s that the controller has been on when it is first seen
 
 
@@ -101,35 +98,10 @@ class UrState:
             return 9
         return 3 if self.protected else 1 if self.state.cell_closed else 5
 
-    def state_field(self, name: str) -> Any:  # noqa: C901
-        """An output that all cycles of a stretch have in common; 0 where nothing is simulated."""
-        match name:
-            case "robot_mode" | "safety_mode" | "runtime_state":
-                return getattr(self, name)
-            case "safety_status":
-                return self.safety_mode
-            case "joint_mode":
-                return [253 if self.state.drives_on else 255 if self.idle else 239] * 6
-            case "robot_status_bits":
-                return int(self.robot_mode >= 5) + 2 * (self.runtime_state == 2)
-            case "safety_status_bits":
-                bits = {1: 1, 3: 1 << 2, 5: 1 << 4, 7: (1 << 6) + (1 << 7), 9: 1 << 9}[self.safety_mode]
-                return bits + ((self.safety_mode != 1) << 10)
-            case "target_speed_fraction":
-                return self.state.override
-            case "payload":
-                return self.payload[0]
-            case "payload_cog":
-                return self.payload[1:4]
-            case "payload_inertia":
-                return self.payload[4:]
-            case "tcp_offset":
-                return _offset(self.tcp.tobytes())
-            case "script_control_line":
-                return self.control_line
-            case "joint_temperatures":
-                return self.machine.temperatures or (30.0,) * 6
-        return _CONSTANT.get(name, 0)
+    @property
+    def tcp_offset(self) -> np.ndarray:
+        """(6,) `tcp` as URScript has it."""
+        return _offset(self.tcp.tobytes())
 
     def believed_dynamics(self) -> Dynamics:
         """The controller's own model: nominal bodies and the payload that was set."""

@@ -169,7 +169,7 @@ def test_the_series_follows_from_the_version(peer, driver, version, robot, perio
     assert (driver.identify().robot, driver.identify().period) == (robot, period)
 
 
-def test_torque_is_the_current_times_what_an_ampere_gives(driver):
+def test_torque_is_the_current_times_the_torque_per_ampere(driver):
     driver.start("p", stored(driver))
     blocks = list(driver.samples())
     for block in blocks:
@@ -188,13 +188,13 @@ def test_torque_is_the_current_times_what_an_ampere_gives(driver):
         ({"runtime_state": 2}, lambda status: status.moving),
     ],
 )
-def test_the_state_is_told_to_the_guard(peer, driver, state, seen):
+def test_status_reports_the_state_of_the_controller(peer, driver, state, seen):
     peer.state |= state  # before the connection: a sample that is on its way when the state changes has the old one
     driver.connect()
     assert seen(driver.status())
 
 
-def test_local_control_is_told_and_refused(peer, driver):
+def test_local_control_is_reported_and_refused(peer, driver):
     peer.remote = "false"
     checksum = stored(driver)
     assert driver.status().mode == "teach"
@@ -211,7 +211,7 @@ def test_local_control_is_told_and_refused(peer, driver):
         ({"runtime_state": 2}, "another program runs"),
     ],
 )
-def test_what_differs_from_the_program_is_refused_with_both_values(peer, driver, state, message):
+def test_a_wrong_tool_payload_or_running_program_is_refused_with_its_values(peer, driver, state, message):
     peer.state |= state
     checksum = stored(driver)
     with pytest.raises(RefusedError, match=message):
@@ -227,7 +227,7 @@ def test_a_program_that_could_not_be_stopped_or_recognised_is_refused(driver, li
         driver.upload("p", text)
 
 
-def test_what_the_controller_says_of_a_bad_program_is_told_and_nothing_moves(peer, driver):
+def test_a_script_error_is_reported_and_nothing_moves(peer, driver):
     peer.refusal = 9, 3, "compile_error_name_not_found:movej:"
     checksum = stored(driver)
     with pytest.raises(RefusedError, match="line 9 column 3: compile_error_name_not_found"):
@@ -254,7 +254,7 @@ def test_a_program_that_is_not_seen_to_start_is_not_sent_again(peer):
         ({"robot_mode": 3}, "drive fault"),
     ],
 )
-def test_what_the_controller_interrupts_is_told_after_its_samples(peer, driver, state, message):
+def test_an_interruption_is_reported_after_its_samples(peer, driver, state, message):
     driver.start("p", stored(driver, LONG))
     samples = driver.samples()
     next(samples)
@@ -274,7 +274,7 @@ def test_what_the_controller_interrupts_is_told_after_its_samples(peer, driver, 
         (lambda stood: lambda now: stood, "fell silent: no new sample for 0.5 s"),
     ],
 )
-def test_a_clock_that_cannot_be_right_ends_in_a_stop(peer, driver, stamp, message):
+def test_an_implausible_clock_stops_the_arm(peer, driver, stamp, message):
     peer.real = True
     driver.start("p", stored(driver, LONG))
     samples = driver.samples()
@@ -286,7 +286,7 @@ def test_a_clock_that_cannot_be_right_ends_in_a_stop(peer, driver, stamp, messag
     assert not peer.moving
 
 
-def test_a_port_that_closes_in_motion_ends_in_a_stop(peer, driver):
+def test_a_port_that_closes_in_motion_stops_the_arm(peer, driver):
     driver.start("p", stored(driver, LONG))
     samples = driver.samples()
     next(samples)
@@ -317,7 +317,7 @@ def test_a_controller_that_skips_most_samples_is_stopped(peer, driver):
         list(samples)
 
 
-def test_a_dashboard_that_hangs_keeps_no_arm_moving(peer, driver):
+def test_a_hanging_dashboard_does_not_prevent_a_stop(peer, driver):
     driver.start("p", stored(driver, LONG))
     next(driver.samples())
     peer.answers.clear()
@@ -335,7 +335,7 @@ def test_an_arm_that_does_not_obey_feels_no_heartbeat(peer, driver):
     assert not peer.moving
 
 
-def test_a_controller_at_a_quarter_of_the_rate_says_so(peer, driver):
+def test_throughput_falls_with_the_rate_of_samples(peer, driver):
     driver.connect()
     assert driver.throughput() == pytest.approx(500.0)
     peer.every = 4
@@ -354,7 +354,7 @@ def test_torque_without_gravity_is_refused():
 
 
 @pytest.mark.parametrize("wrong", ["127.0.0.1,script=1", "127.0.0.1,rtde=x", ""])
-def test_an_address_that_is_none_is_refused(wrong):
+def test_an_invalid_address_is_refused(wrong):
     with pytest.raises(ConfigurationError):
         create("ur", wrong)
 

@@ -82,13 +82,13 @@ def test_a_program_is_recorded_with_currents_and_cycles(fake, program):
     assert recording.temperatures
 
 
-def test_another_rate_than_the_controllers_is_refused_with_both(fake, program):
+def test_a_rate_that_the_controller_does_not_have_is_refused_with_both_rates(fake, program):
     with pytest.raises(Exception, match="samples every 2 ms, the recipe asks for 125 Hz") as refused:
         record(fake, program, rate="125 Hz")
     assert refused.value.exit_code == 4
 
 
-def test_a_tool_that_the_pendant_does_not_know_is_refused_with_both(fake, program):
+def test_a_tool_that_differs_from_the_pendant_is_refused_with_both_values(fake, program):
     frame = np.eye(4)
     frame[2, 3] = 0.12
     settings = with_frames(UrSettings(), Tool(frame, 1.2, np.zeros(3)))
@@ -131,7 +131,7 @@ def skip(fake):
         (lambda fake, patch: told(patch, fake, "timestamp", 70.0), "clock of the controller stands still"),
     ],
 )
-def test_what_is_not_as_it_must_be_is_refused_before_anything_moves(fake, program, monkeypatch, prepare, message):
+def test_a_wrong_state_is_refused_before_motion(fake, program, monkeypatch, prepare, message):
     prepare(fake, monkeypatch)
     with pytest.raises(Exception, match=message) as refused:
         record(fake, program)
@@ -157,7 +157,7 @@ def test_what_is_not_as_it_must_be_is_refused_before_anything_moves(fake, progra
         (lambda fake, _: fake.cell.take_script(OTHER), "not what was planned", 5),
     ],
 )
-def test_what_happens_in_motion_stops_the_arm_and_is_told(fake, program, monkeypatch, happens, message, code):
+def test_a_fault_in_motion_stops_the_arm_and_is_reported(fake, program, monkeypatch, happens, message, code):
     fake.on_moving = lambda: threading.Thread(target=happens, args=(fake, monkeypatch)).start()
     program.write_text(program.read_text().replace("while i < 2:", "while i < 200:"))
     with pytest.raises(Exception, match=message) as stopped:

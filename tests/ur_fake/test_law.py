@@ -66,7 +66,7 @@ def test_the_jacobian_is_the_derivative_and_the_inverse_leads_back(q):
 
 
 @given(joints, joints)
-def test_twists_and_poses_lead_there_and_back(first, second):
+def test_twists_and_poses_invert_each_other(first, second):
     a, b = ARM.forward(np.array([first, second]))[:, None]
     twist = twist_between(a, b)[0]
     np.testing.assert_allclose(matrix_of([0, 0, 0, *twist[3:]])[:3, :3] @ a[0, :3, :3], b[0, :3, :3], atol=1e-7)
@@ -183,7 +183,7 @@ def test_a_blend_is_as_slow_as_the_next_move_needs_to_stop():
     np.testing.assert_allclose(ARM.forward(q[-1:])[0], moved(0.3, 0.03, 0), atol=1e-7)
 
 
-def test_what_cannot_be_reached_is_refused():
+def test_an_unreachable_pose_is_refused():
     with pytest.raises(Unreachable):
         plan(E_SERIES, move(moved(2.0, 0, 0)))
     with pytest.raises(Unreachable):

@@ -125,7 +125,7 @@ def test_blends_that_overlap_leave_a_move_out(start_ur):
     assert texts(said) == ["done"]
 
 
-def test_what_stands_after_a_blended_move_is_done_as_the_blend_begins(start_ur):
+def test_a_statement_after_a_blended_move_runs_as_the_blend_begins(start_ur):
     ur = start_ur()
     corner, end = (f"movel({pose(ur, 0.1, y, 0)}, a=1.2, v=0.2" for y in (0, 0.1))
     log, _ = run(ur, [f"{corner}, r=0.04)", "write_output_integer_register(24, 7)", f"{end})"])
@@ -197,7 +197,7 @@ def test_a_stop_keeps_to_the_path_and_ends_stationary(start_ur, how):
     assert bool(ur.cell.ends) == (how != "protective_stop")  # paused there
 
 
-def test_a_clock_can_go_back(start_ur):
+def test_a_fault_sets_the_clock_back(start_ur):
     lying = start_ur(faults=[Fault("clock_back", "streaming", 0.5, 30.0)])
     with clients(Primary(lying.address), Rtde(lying.address, "timestamp")) as (primary, rtde):
         primary.send(program(turn(lying, 0.5)).encode())
@@ -215,7 +215,7 @@ def test_a_client_that_does_not_read_is_dropped(start_ur):
             idle.until(lambda sample: sample["timestamp"] > first + 1.5)
 
 
-def test_a_client_of_state_that_does_not_read_misses_it_and_nobody_else_does(start_ur):
+def test_a_slow_client_misses_states_and_delays_nobody(start_ur):
     """Real time does not wait for clients."""
     ur = start_ur(clock="real")
     with clients(Wire(ur.address, 30001), Rtde(ur.address, "timestamp")) as (idle, reader):
@@ -224,7 +224,7 @@ def test_a_client_of_state_that_does_not_read_misses_it_and_nobody_else_does(sta
     np.testing.assert_allclose(np.diff(times), 0.002, atol=1e-9)
 
 
-def test_effects_and_faults_that_make_no_sense_there_are_refused():
+def test_effects_and_faults_that_a_ur_cannot_have_are_refused():
     with pytest.raises(InputError, match="interpolator_mismatch is not simulated on UR controllers"):
         build_ur_cell("ur5e", 0, "fast", [{"effect": "interpolator_mismatch", "parameters": {"rate": 0.9}}])
     with pytest.raises(InputError, match="wrong_program makes no sense on ur"):

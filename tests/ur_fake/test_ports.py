@@ -111,7 +111,7 @@ def test_turning_the_robot_local_closes_script_ports(start_ur):
             client.until_closed()
 
 
-def test_what_is_no_script_is_carried_out_too(ur):
+def test_a_line_that_is_no_script_is_executed_at_once(ur):
     with clients(Primary(ur), Dashboard(ur)) as (primary, dashboard):
         primary.send(b"power off\n")
         while dashboard.ask("robotmode") != "Robotmode: POWER_OFF":
@@ -126,7 +126,7 @@ def test_what_is_no_script_is_carried_out_too(ur):
 
 
 @pytest.mark.parametrize("port", [30001, 30002, 30003])
-def test_scripts_are_taken_on_three_ports(ur, port):
+def test_three_ports_accept_scripts(ur, port):
     with clients(Primary(ur), Wire(ur, port)) as (primary, client):
         client.send(program('textmsg("here")').encode())
         assert texts(primary.ended()) == ["here"]
@@ -161,7 +161,7 @@ def test_a_protective_stop_can_be_unlocked_after_five_seconds(start_ur):
 @pytest.mark.parametrize(
     ("fault", "mode", "word"), [("emergency_stop", 7, "ROBOT_EMERGENCY_STOP"), ("drive_fault", 9, "FAULT")]
 )
-def test_faults_end_the_program_and_show(start_ur, fault, mode, word):
+def test_a_fault_ends_the_program_and_shows_in_the_state(start_ur, fault, mode, word):
     ur = start_ur(faults=[Fault(fault, "streaming", 0.1)])
     with three(ur, "safety_mode", "robot_mode", "runtime_state") as (primary, dashboard, rtde):
         primary.send(program(turn(ur, 0.02)).encode())

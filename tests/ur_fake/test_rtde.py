@@ -48,7 +48,7 @@ def test_registers_have_the_published_types(kind, of, count):
         ("actual_current_as_torque", (5, 22, 0, 0), (5, 23, 0, 0)),
     ],
 )
-def test_fields_are_as_old_as_the_guide_says(name, too_old, old_enough):
+def test_a_field_exists_from_its_published_version_on(name, too_old, old_enough):
     assert output_type(name, too_old) == "NOT_FOUND"
     assert output_type(name, old_enough) == PUBLISHED.get(name, "VECTOR6D")
 
@@ -114,13 +114,13 @@ def test_inputs_come_in_and_are_kept(ur):
     ("version", "asked", "step"),
     [((5, 12, 6, 0), 0, 2), ((5, 12, 6, 0), 125, 8), (CB3, 125, 8), (CB3, 500, 8), ((5, 12, 6, 0), 300, 2)],
 )
-def test_every_so_manieth_cycle_is_sent(start_ur, version, asked, step):
+def test_a_lower_rate_sends_every_nth_cycle(start_ur, version, asked, step):
     with clients(Rtde(start_ur(version=version).address, "timestamp", frequency=asked)) as client:
         times = [client.sample()["timestamp"] for _ in range(50)]
     np.testing.assert_allclose(np.diff(times), step * 1e-3, atol=1e-9)
 
 
-def test_what_the_controller_believes_is_not_what_is_measured(start_ur):
+def test_target_moment_follows_the_payload_that_is_set_and_current_does_not(start_ur):
     """Gravity of the model is in target_moment, and taken out of the field that is no measurement."""
     names = ("actual_current", "target_moment", "actual_current_as_torque", "payload", "payload_cog")
     ur = start_ur(version=NEWEST)

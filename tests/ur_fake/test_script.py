@@ -5,7 +5,7 @@ import math
 import pytest
 from hypothesis import given, strategies as st
 
-from fake_controller.ur.script import Action, Pause, Script, ScriptError
+from fake_controller.ur.script import Request, Script, ScriptError, command, pause
 from tests.ur_fake.clients import Primary, Rtde, clients, errors, program, texts
 
 
@@ -20,10 +20,10 @@ def run(ur, *lines):
 def value_of(expression):
     """The value of an expression, with only textmsg defined."""
     said = []
-    known = {"textmsg": lambda value: Action(lambda _: said.append(value))}
+    known = {"textmsg": lambda value: command(lambda _: said.append(value))}
     script = Script(f"def f():\n  textmsg({expression})\nend\n", known)
     for request in script.run():
-        request.act(None)
+        request.act(None, None)
     return said[0]
 
 
@@ -36,7 +36,7 @@ expressions = st.recursive(
 
 
 @given(expressions)
-def test_expressions_have_the_value_that_they_have_elsewhere(expression):
+def test_an_expression_has_the_value_that_it_has_in_python(expression):
     expected = eval(expression, {"__builtins__": {}})
     if " and " in expression or " or " in expression:
         assert bool(value_of(expression)) == bool(expected)
@@ -58,11 +58,11 @@ def test_expressions_have_the_value_that_they_have_elsewhere(expression):
         (".5e1", 5.0),
     ],
 )
-def test_expressions(expression, expected):
+def test_operators_bind_as_documented(expression, expected):
     assert value_of(expression) == expected
 
 
-def test_control_flow_functions_and_scopes(ur):
+def test_loops_branches_functions_and_scopes_work_as_documented(ur):
     lines = """
     global total = 0          # ends of lines are blanks, and a comment ends with its line
     def add(n, times=2): total = total + n * times end
@@ -149,7 +149,7 @@ def test_an_invalid_script_is_refused_with_its_line(ur, lines, line, text):
         ("while True: x = 1 end", "needs sync() or sleep()"),
     ],
 )
-def test_an_error_ends_the_program_and_is_told_with_its_line(start_ur, line, text):
+def test_an_error_ends_the_program_and_is_reported_with_its_line(start_ur, line, text):
     ur = start_ur()
     said, wrong = run(ur.address, "sync()", line, 'textmsg("too far")')
     assert said == []
@@ -159,13 +159,13 @@ def test_an_error_ends_the_program_and_is_told_with_its_line(start_ur, line, tex
     assert ur.cell.history() == "motions started 1; ended: program_error; at rest"
 
 
-def test_a_recursion_without_end_ends():
+def test_endless_recursion_is_an_error():
     script = Script("def f():\n  def g(): g() end\n  g()\nend\n", {})
     with pytest.raises(ScriptError, match="g cannot be called like that"):
         list(script.run())
 
 
-def test_the_arm_its_tool_and_its_registers_can_be_asked(ur):
+def test_a_script_reads_poses_tool_payload_and_registers(ur):
     lines = """
     set_tcp(p[0, 0, 0.1, 0, 0, 0])
     set_gravity([0, 0, 9.82])
@@ -191,13 +191,13 @@ def test_the_arm_its_tool_and_its_registers_can_be_asked(ur):
         assert [*rtde.sample().values()] == [2.5, True, 0]
 
 
-def test_sleep_takes_its_time(ur):
+def test_sleep_lasts_as_long_as_it_says(ur):
     with clients(Primary(ur), Rtde(ur, "timestamp", "runtime_state")) as (primary, rtde):
         primary.send(program("sleep(0.5)", "sync()").encode())
         samples = rtde.run()
     assert math.isclose(samples[-1]["timestamp"] - samples[0]["timestamp"], 0.5, abs_tol=0.02)
 
 
-def test_pauses_are_the_only_requests_of_an_idle_loop():
-    script = Script("def f():\n  i = 0\n  while i < 3: i = i + 1 sync() end\nend\n", {"sync": lambda: Pause(0)})
-    assert [type(request) for request in script.run()] == [type(None), Pause] * 3
+def test_an_idle_loop_requests_nothing_but_pauses():
+    script = Script("def f():\n  i = 0\n  while i < 3: i = i + 1 sync() end\nend\n", {"sync": lambda: pause(0)})
+    assert [type(request) for request in script.run()] == [type(None), Request] * 3

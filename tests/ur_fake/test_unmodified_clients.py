@@ -112,7 +112,7 @@ def test_receive_says_that_a_field_is_missing(robot):
         rtde_receive.RTDEReceiveInterface(robot(CB3), -1.0, ["timestamp", "ft_raw_wrench"])
 
 
-def test_dashboard(robot):
+def test_dashboard_reads_the_state_and_raises_what_is_refused(robot):
     with disconnecting(dashboard_client.DashboardClient(robot())) as client:
         client.connect()
         assert client.polyscopeVersion() == "5.12.6.1102099"
@@ -133,7 +133,7 @@ def test_dashboard(robot):
             client.play()
 
 
-def test_script(robot):
+def test_a_script_that_is_sent_runs(robot):
     job = "def job():\n  write_output_integer_register(24, 5)\n  sleep(0.1)\nend\n"
     with clients(Rtde(robot(), "output_int_register_24", "runtime_state")) as watcher:
         with disconnecting(script_client.ScriptClient(robot(), 5, 12)) as client:

@@ -104,8 +104,9 @@ class UrDriver(LinkDriver[UrLink, UrMotion]):
         """What the controller says after this call."""
         link, motion = self._connected(), self._motion
         streaming = motion is not None and motion.begun and not motion.over
+        asked = link.count
         remote = self._remote()
-        sample = link.fresh()
+        sample = link.fresh(asked)
         if not (streaming or np.isfinite(sample["actual_q"]).all()):
             raise DriverError(f"{self.address}: the controller sends joint positions that are no numbers; look at it")
         safety = int(sample["safety_mode"])
@@ -135,7 +136,7 @@ class UrDriver(LinkDriver[UrLink, UrMotion]):
 
     def temperatures(self) -> np.ndarray:
         """`ReportsTemperatures`: of the joints (6,) [°C]."""
-        return self._connected().fresh()["joint_temperatures"].astype(float)
+        return self._connected().fresh(0)["joint_temperatures"].astype(float)
 
     def frames(self) -> dict[str, np.ndarray]:
         """`ReportsFrames`: the TCP; poses of scripts are in the robot's base."""

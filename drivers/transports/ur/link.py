@@ -73,7 +73,7 @@ class UrLink(LinkThread):
         self._sending = threading.Lock()
         self._changed = threading.Condition()
         self._last: np.void | None = None
-        self._count = 0
+        self.count = 0  # of samples that came
         self._rtde = open_socket(data, timeout)
         try:
             self._rtde.settimeout(timeout)
@@ -91,17 +91,17 @@ class UrLink(LinkThread):
         assert self._last is not None
         return self._last
 
-    def fresh(self) -> np.void:
-        """A sample that came after this call.
+    def fresh(self, since: int | None = None) -> np.void:
+        """A sample that came after this call, or after the first `since` samples; `fresh(0)` is the latest.
 
         Raises:
             DriverError: none came.
         """
         with self._changed:
-            seen = self._count
-            self._changed.wait_for(lambda: self._count > seen or self.failure is not None, self._timeout)
+            seen = self.count if since is None else since
+            self._changed.wait_for(lambda: self.count > seen or self.failure is not None, self._timeout)
             self.check()
-            if self._last is None or self._count == seen:
+            if self._last is None or self.count == seen:
                 raise DriverError(f"{self.peer}: RTDE is silent: no sample within {self._timeout:g} s")
             return self._last
 
@@ -123,13 +123,13 @@ class UrLink(LinkThread):
 
     def pace(self) -> float:
         """Samples a second by the controller's clock, now."""
-        first, count = float(self.fresh()["timestamp"]), self._count
+        first, count = float(self.fresh()["timestamp"]), self.count
         self.wait(lambda: self._last is not None and self._last["timestamp"] >= first + _PACE, self._timeout)
         self.check()
         assert self._last is not None
         if not (passed := float(self._last["timestamp"]) - first) > 0.0:
             raise DriverError(f"{self.peer}: the clock of the controller stands still; restart the controller")
-        return (self._count - count) / passed
+        return (self.count - count) / passed
 
     def send_program(self, text: str) -> None:
         """Send a program, once.
@@ -246,7 +246,7 @@ class UrLink(LinkThread):
             )
         self._heard = now > last  # where its clock stands, the controller is silent
         with self._changed:
-            self._last, self._count = samples[-1], self._count + len(samples)
+            self._last, self.count = samples[-1], self.count + len(samples)
             self._changed.notify_all()
         if self.beating and now - self._beaten >= WATCHDOG / _BEATS:
             self._beaten = now

@@ -90,7 +90,7 @@ class UrMotion(MotionStream):
         samples, numbers = samples[new], numbers[new]
         if len(samples) == 0:
             return
-        self._judge(samples[-1])
+        self._verdict = self._verdict or _unsafe(samples[-1])  # the first one counts
         still = (samples["runtime_state"] != PLAYING) & np.all(np.abs(samples["target_qd"]) < STILL, axis=1)
         runs = np.arange(1, len(still) + 1) - np.maximum.accumulate(np.where(still, 0, np.arange(1, len(still) + 1)))
         runs = np.where(np.cumsum(~still) == 0, runs + self._idle, runs)
@@ -103,11 +103,6 @@ class UrMotion(MotionStream):
             if self.fault is not None and reason is EndReason.DONE:
                 reason = EndReason.PROGRAM_ERROR
             self.ended(reason, self._number + 1, "; ".join(part for part in (self._said, text) if part))
-
-    def _judge(self, sample: np.void) -> None:
-        """A reason that forbids the motion to continue; the first one counts."""
-        if self._verdict is None and (found := _unsafe(sample)) is not None:
-            self._verdict = found
 
     @property
     def unsafe(self) -> bool:

@@ -81,7 +81,7 @@ def moves(draw):
 
 @running(max_examples=40, deadline=None)
 @given(st.lists(delays | moves(), min_size=1, max_size=6))
-def test_what_is_written_is_read_back(statements):
+def test_a_written_program_reads_back_as_the_same_moves(statements):
     program = SCRIPT.read(SCRIPT.write("job", statements))
     assert [as_said(one) for one in program.run()] == [as_said(one) for one in statements]
 
@@ -193,7 +193,7 @@ def test_the_moves_of_a_persons_program_are_read(robot):
     assert np.array(first.settings.tool)[2, 3] == 0.1
 
 
-def test_a_job_that_moves_in_ways_that_are_not_understood_is_refused(robot):
+def test_a_job_with_motion_that_has_no_target_is_refused(robot):
     with pytest.raises(InputError, match="speedl"):
         SCRIPT.job("def p():\n  speedl([0,0,0.1,0,0,0], 0.5)\nend\n", "p.script", robot)
 
@@ -238,7 +238,7 @@ def test_blends_that_overlap_are_refused(law, pose):
     assert refused.value.limit == "blend overlap"
 
 
-def test_what_is_too_much_for_the_arm_is_refused(law, pose):
+def test_a_move_beyond_a_limit_is_refused(law, pose):
     fast = Move(MoveType.JOINT, JointTarget(HOME + 2.0), UrSettings(joint_speed=4.0, joint_acceleration=9.0))
     hard = movel(pose, 0.05, 0.6, -0.1, linear_speed=1.0, linear_acceleration=20.0)
     for move, limit in ((fast, "the tool speed"), (hard, "acceleration")):
@@ -249,7 +249,7 @@ def test_what_is_too_much_for_the_arm_is_refused(law, pose):
 
 
 @pytest.mark.parametrize("name", ["ur3e", "ur5e", "ur10e"])
-def test_recipes_speak_urscript(name):
+def test_the_recipe_of_each_arm_uses_urscript(name):
     from agent.recipe import load_recipe
 
     recipe = load_recipe(f"recipes/{name}.yaml")
