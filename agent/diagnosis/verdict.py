@@ -50,9 +50,7 @@ def causes_of(dataset: Dataset, finding: Finding, gap: HeldOutGap) -> tuple[Caus
             gap.closure_without(left),
             probability,
             candidate.effect.reported(
-                fit.reference,
-                _floats(candidate.settings.items()),
-                _floats(zip(candidate.names, values, strict=True)),
+                fit.reference, _floats(candidate.settings.items()), _floats(zip(candidate.names, values, strict=True))
             ),
             tuple(EffectPlace(name, tuple(joints[j] for j in there)) for name, there in rivals),
             gap.closure_on(candidate.joints, left) if candidate.joints else None,

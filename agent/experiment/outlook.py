@@ -195,11 +195,7 @@ def _low_pass(rate: float, dataset: Dataset) -> Callable[[np.ndarray], np.ndarra
 
 
 def tells_apart_by_load(
-    dataset: Dataset,
-    evidence: Evidence,
-    pairs: Sequence[OpenPair],
-    motions: Sequence[GridMotion],
-    load: Tool,
+    dataset: Dataset, evidence: Evidence, pairs: Sequence[OpenPair], motions: Sequence[GridMotion], load: Tool
 ) -> bool:
     """Return whether a known load at the flange clearly improves what the same motions distinguish."""
     bare, loaded = (Outlook(dataset, evidence, pairs, one) for one in (None, load))

@@ -121,12 +121,7 @@ def plan_experiment(
 
 
 def _varied(
-    outlook: Outlook,
-    pieces: Pieces,
-    chosen: list[Weighed],
-    longest: float,
-    asked: np.ndarray,
-    deadline: Deadline,
+    outlook: Outlook, pieces: Pieces, chosen: list[Weighed], longest: float, asked: np.ndarray, deadline: Deadline
 ) -> list[Weighed]:
     """Neighbours of each chosen piece in its stead, where that tells more."""
     with suppress(OutOfTime):

@@ -322,11 +322,7 @@ def _result(
             f"{len(moved)} of {len(comparison.parameters)} parameters moved by more than their uncertainty"
             + (f": {', '.join(moved)}" if moved else "")
         ),
-        "loop": {
-            "created": loop.created,
-            "fitness": loop.fitness,
-            "via_points": np.array(loop.poses)[:, :3, 3],
-        },
+        "loop": {"created": loop.created, "fitness": loop.fitness, "via_points": np.array(loop.poses)[:, :3, 3]},
         "conditions": met,
         **recorded(job.run, [recording]),
     }

@@ -37,11 +37,7 @@ class MujocoEngine:
     """An MJCF in MuJoCo with the effects of a second file; with `servos`, the servos of the MJCF drive the arm."""
 
     def __init__(
-        self,
-        path: Path,
-        joints: tuple[str, ...],
-        effects: Path | None = None,
-        servos: PositionServos | None = None,
+        self, path: Path, joints: tuple[str, ...], effects: Path | None = None, servos: PositionServos | None = None
     ):
         self._mujoco = mujoco = mujoco_package()
         self._model = model = compiled(path)

@@ -139,11 +139,7 @@ def _of_joint(dataset: Dataset, joint: int, predicted: Sequence[np.ndarray], exc
 
 
 def _stands_still(
-    time: np.ndarray,
-    torque: np.ndarray,
-    predicted: np.ndarray,
-    rests: np.ndarray,
-    background: float,
+    time: np.ndarray, torque: np.ndarray, predicted: np.ndarray, rests: np.ndarray, background: float
 ) -> np.ndarray:
     """(T,) samples of a torque (T,) [N·m] that is flat while the predicted one changes; `rests` are no evidence."""
     noise = _noise(torque)

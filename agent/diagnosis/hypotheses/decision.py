@@ -1,6 +1,7 @@
 """From log evidence to a verdict: posterior probabilities, classes of what cannot be distinguished, least loss.
 
-- The posterior of a hypothesis is its evidence times a prior: none or some, which effect on which joint, how many.
+- The posterior of a hypothesis is its evidence times a prior: none or some, which effect on which joint, how many, and
+  which of them are faults: the healthy arm may have more than usual of what it has already.
 - Hypotheses that differ by effects too small to matter are one answer; the likeliest answer is taken.
 - The class of a cause is what replaces it in other hypotheses with a tenth of its probability or more, and what
   equals it by definition and explains about as much.

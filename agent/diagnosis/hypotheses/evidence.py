@@ -6,12 +6,13 @@ All rows of joint j, divided by its noise level σ_j, follow one linear Gaussian
     γ_j ~ N(0, s_j² g² + drift² + form² τ_jh² + free_j²),           s_j² ~ inverse gamma (ν / 2, ν / 2)
 
 X_j are the model's columns, whose parameters move within the covariance stored with them. Z_jh are the columns of the
-hypothesis' effects, and U_j those of the noise model (`background`). The variance of the noise model has four parts:
-the model's own systematic error (g), changes of the arm over time (drift), errors in the parameterisation of any effect
-(a share of its own torque τ), and "something else on this joint" (free_j). δ, β and γ are integrated out in closed
-form. The scales s_j and the effects' sizes are fitted (Laplace, empirical Bayes). Parameters that the data do not need
-therefore cost evidence (Kass and Raftery, J. Am. Statist. Assoc. 90, 1995). Each nonlinear parameter that was chosen on
-the data costs ½ log N.
+hypothesis' effects, and U_j those of the noise model. Some of these all logs share (`background`), with a variance of
+four parts: the model's own systematic error (g), changes of the arm over time (drift), errors in the parameterisation
+of any effect (a share of its own torque τ), and "something else on this joint" (free_j). Of others, with γ ~ N(0, 1),
+each log has its own: what the healthy arm has of the effects (`healthy`), and changes of δ. δ, β and γ are integrated
+out in closed form. The scales s_j and the effects' sizes are fitted (Laplace, empirical Bayes). Parameters that the
+data do not need therefore cost evidence (Kass and Raftery, J. Am. Statist. Assoc. 90, 1995). Each nonlinear parameter
+that was chosen on the data costs ½ log N.
 
 Only second moments of the rows enter, so a hypothesis costs a few small factorisations.
 """

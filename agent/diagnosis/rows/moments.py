@@ -24,12 +24,7 @@ class FitMoments:
     """
 
     def __init__(
-        self,
-        rows: Sequence[np.ndarray],
-        index: Sequence[np.ndarray],
-        cell: np.ndarray,
-        parameters: int,
-        rests: Rests,
+        self, rows: Sequence[np.ndarray], index: Sequence[np.ndarray], cell: np.ndarray, parameters: int, rests: Rests
     ):
         self.cells = cells = int(cell.max()) + 1
         self._index, self._base, self._rests = list(index), parameters, rests
