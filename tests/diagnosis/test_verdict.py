@@ -89,9 +89,9 @@ class _Fit:
 
 def found_by_a_search(verdict, candidates, rivals, scale=1.0, runner_up=()):
     """A finding over two hypotheses: the causes, and nothing, with a squared error of `scale` times the noise."""
-    plain = Hypothesis((), (), 0.0, 0.1, (), 0.0, scale)
-    best = Hypothesis(candidates, (), 9.0, 0.8, (0.1,) * len(candidates), 1.0, 1.0)
-    others = (Hypothesis(runner_up, (), 5.0, 0.1, (0.1,), 1.0, 1.0),) if runner_up else ()
+    plain = Hypothesis((), (), 0.0, {}, (), 0.0, scale)
+    best = Hypothesis(candidates, (), 9.0, {}, (0.1,) * len(candidates), 1.0, 1.0)
+    others = (Hypothesis(runner_up, (), 5.0, {}, (0.1,), 1.0, 1.0),) if runner_up else ()
     evidence = SimpleNamespace(law=LAW)
     return Finding(
         verdict, _Fit(candidates), candidates, rivals, (0.9,) * len(candidates), (best, *others, plain), evidence

@@ -35,8 +35,8 @@ class Hypothesis:
 
     @property
     def probability(self) -> float:
-        """The posterior probability."""
-        return sum(self.shares.values())
+        """The posterior probability that it is true, and all its effects are faults."""
+        return self.shares.get(frozenset(self.places), 0.0)
 
     @property
     def places(self) -> tuple[Where, ...]:
