@@ -70,7 +70,7 @@ def test_a_pace_contradicted_by_one_motion_is_rejected():
     assert not gap.described
 
 
-def test_the_floor_is_what_neighbouring_cycles_differ_by():
+def test_the_repeatability_is_what_neighbouring_cycles_differ_by():
     time = np.arange(3000) * PERIOD
     error = 1e-7 * np.repeat([[1.0, 2.0], [3.0, 6.0], [4.0, 8.0]], 1000, axis=0)
     arrays = {"t": time, "planned_position": 0 * error, "reference_position": error, "cycle_starts": (0.0, 2.0, 4.0)}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -17,20 +18,21 @@ from tests.estimation.conftest import _arm, _links, _log, _multisine
 TERMS = (FrictionTerm(0, "viscous"), FrictionTerm(1, "viscous"), FrictionTerm(1, "load", Reversal()))
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def robot():
     return _arm(2, coupling=np.array([[1.0, 0.0], [0.5, 1.0]]))
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def observed(robot):
-    """Two logs, at 500 and at 100 Hz, of viscous friction: 3 N·m·s/rad on the first axle, 2 on the second."""
+    """Two logs, at 500 and at 50 Hz, of viscous friction: 3 N·m·s/rad on the first axle, 2 on the second."""
     logs = []
-    for seed, rate in ((1, 500), (2, 100)):
+    for seed, rate in ((1, 500), (2, 50)):
         t = np.arange(8 * rate) / rate
         q, qd, qdd = _multisine(2, t, seed)
         axles = qd @ robot.coupling.T * [3.0, 2.0]
-        logs.append(_log(robot, t, q, _links(robot, q, qd, qdd) + axles @ robot.coupling, f"{seed}.mcap"))
+        torque = _links(robot, q, qd, qdd) + axles @ robot.coupling
+        logs.append(_log(robot, t, q, torque, f"{seed}.mcap", reference_position=q + 1))
     return observe(rigid_bodies(robot)[0], logs, FilterSettings())
 
 
@@ -38,10 +40,9 @@ def test_all_logs_have_the_cut_off_of_the_slowest(observed):
     assert [(one.log_index, one.motion.cutoff) for one in observed.segments] == [(0, 15.0), (1, 15.0)]
     assert (len(observed.segments), observed.segments[1].log_index, observed.noisy) == (2, 1, None)
     for segment in observed.segments:
-        seconds = len(segment.time) / segment.motion.rate
-        assert 6 < seconds < 8
-        assert segment.time[0] == pytest.approx(8 - segment.time[-1], abs=0.02)
+        assert segment.time[0] == pytest.approx(8 - segment.time[-1], abs=0.1)
         assert segment.motion.torque is None
+        np.testing.assert_allclose(segment.motion.set_points - segment.motion.q, 1, atol=0.05)
         exact = _multisine(2, segment.time, 1 + segment.log_index)[1]
         np.testing.assert_allclose(segment.speed[20:-20], exact[20:-20], atol=0.05)
 
@@ -51,21 +52,16 @@ def test_columns_times_parameters_are_the_torque(robot, observed):
     base = rigid.projection @ np.append(rigid.dynamics.standard_parameters(), np.full(2, 1e-4))
     values = np.append(base, [3.0, 2.0, 0.0])
     for segment in observed.segments:
-        columns = observed.joint_columns(segment, TERMS, base)
-        assert [index[-3:].tolist() for index, _ in columns] == [
-            [rigid.count, rigid.count + 1, rigid.count + 2],
-            [*columns[1][0][-3:-2], rigid.count + 1, rigid.count + 2],
-        ]
-        assert rigid.count not in columns[1][0], "friction of the first axle does not act on the second joint"
-        for joint, (index, block) in enumerate(columns):
+        for joint, (index, block) in enumerate(observed.joint_columns(segment, TERMS, base)):
+            friction = {rigid.count + k for k, share in enumerate(robot.coupling[[0, 1, 1], joint]) if share}
+            assert {*index} == {*rigid.support[joint], *friction}
             assert block.shape == (len(segment.time), len(index))
             error = (block @ values[index] - segment.torque[:, joint])[20:-20]
             assert np.abs(error).max() < 0.01 * np.abs(segment.torque).max()
         sizes = observed.friction(segment, TERMS, base)
         load = rigid.torque(segment.motion.q, segment.motion.qd, segment.motion.qdd, base)[segment.motion.kept, 1]
         assert np.corrcoef(np.abs(sizes[:, 2]), np.abs(load))[0, 1] > 0.9
-        assert observed.friction(segment, ()).shape == (len(segment.time), 0)
-        assert len(observed.joint_columns(segment, ())) == 2
+        assert [block.shape[1] for _, block in observed.joint_columns(segment, ())] == [*map(len, rigid.support)]
 
 
 def cells(*segments):
@@ -121,18 +117,9 @@ def test_two_logs_are_cut_in_three_parts_each_and_more_are_folds_of_their_own():
     assert {guard for *_, guards in many for guard in guards} == {-1}
 
 
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        ({"joint_names": ("a", "b")}, "its joints are a, b; those of arm are joint_1, joint_2"),
-        ({"effort": None}, r"no torque \(effort\) was recorded"),
-        ({"effort": np.zeros((10, 2))}, "the torque is zero throughout"),
-    ],
-)
-def test_logs_without_the_torque_of_the_robot_are_refused(robot, change, said):
-    from dataclasses import replace
-
+def test_logs_without_the_torque_of_the_robot_are_refused(robot):
     log = _log(robot, np.arange(10) / 10, np.zeros((10, 2)), np.ones((10, 2)))
     check_log(robot, log)
-    with pytest.raises(InputError, match=said):
-        check_log(robot, replace(log, **change))
+    for change in ({"joint_names": ("a", "b")}, {"effort": None}, {"effort": 0 * log.effort}):
+        with pytest.raises(InputError):
+            check_log(robot, replace(log, **change))

@@ -12,7 +12,7 @@ from agent.core import sha256_text
 from agent.core.errors import AgentError, InputError
 from agent.recipe import Recipe, load_recipe, template
 from agent.runs import StoredLoop, find_loop, keep_loop, stored_loops
-from agent.runs.loop_store import loop_key
+from agent.runs.loop_store import run_key
 
 
 @pytest.fixture
@@ -83,7 +83,7 @@ def test_what_changes_the_loop_changes_the_key(tmp_path: Path, old: str, new: st
     for name, content in {"one": text, "other": text.replace(old, new)}.items():
         (tmp_path / name).write_text(content, encoding="utf-8")
         recipes.append(load_recipe(tmp_path / name))
-    assert loop_key(recipes[0]) != loop_key(recipes[1])
+    assert run_key(recipes[0])["loop"] != run_key(recipes[1])["loop"]
 
 
 def test_the_key_depends_on_the_content_of_a_followed_job(tmp_path: Path) -> None:
@@ -95,7 +95,7 @@ def test_the_key_depends_on_the_content_of_a_followed_job(tmp_path: Path) -> Non
         start, stop = text.index("    box:"), text.index("    # or a region")
         text = text[:start] + "    like: task.pdl\n    around: 50 mm\n" + text[stop:]
         (tmp_path / folder / "recipe.yaml").write_text(text)
-        keys.append(loop_key(load_recipe(tmp_path / folder / "recipe.yaml")))
+        keys.append(run_key(load_recipe(tmp_path / folder / "recipe.yaml"))["loop"])
     assert keys[0] == keys[1] != keys[2]
 
 

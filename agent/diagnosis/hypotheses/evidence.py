@@ -183,7 +183,7 @@ class Evidence:
         healthy = healthy or ()
         self.usual = {form.place: size for form, size in healthy}
         self._logs = [slice(a, b) for a, b in pairwise(np.flatnonzero(np.diff(log, prepend=-1, append=-1)).tolist())]
-        self._spread = _spread(self._prior) if fit.given and fit.reference.model.method != SIMULATOR else None
+        self._spread = _spread(fit.precision) if fit.given and fit.reference.model.method != SIMULATOR else None
         self.known: list[np.ndarray] = []
         self._gram: list[np.ndarray] = []
         self._widths: list[tuple[int, int, int]] = []
