@@ -135,7 +135,7 @@ def _log_healthy(size: float, usual: float | None, law: EvidenceLaw) -> float:
         return -np.inf
     scale = usual * np.sqrt((law.nu - 2) / law.nu)
     density = t.pdf(size / scale, law.nu) / scale - norm.pdf(size / usual) / usual
-    return float(np.log(max(density, 0.0) * size / norm.pdf(1.0))) if density > 0 else -np.inf
+    return float(np.log(density * size / norm.pdf(1.0))) if density > 0 else -np.inf
 
 
 Answer = tuple[frozenset[Where], frozenset[int]]
