@@ -182,7 +182,7 @@ def _class_of(
     own = sum(share for (places, _), share in answers.items() if place in places)
     instead: dict[Where, float] = {}
     for (places, _), share in answers.items():
-        for other in places - names if place not in places else ():
+        for other in sorted(places - names) if place not in places else ():
             instead[other] = instead.get(other, 0.0) + share
     alike = [other for other, share in instead.items() if share >= law.rare * own and near(place, other)]
     alike = sorted(alike, key=lambda other: -instead[other])
