@@ -30,7 +30,7 @@ class DressPack(Effect):
     source = "hose as a spring with inner friction (Dahl, AIAA J. 14, 1976); natural splines (de Boor, 1978)"
     signature = "residual that depends on the joint's own position, without the shape of gravity"
     confused_with = ("gravity_spring", "torque_offset", "friction_change")
-    structurally_equivalent = ("gravity_spring",)
+    structurally_equivalent = ("gravity_spring", "torque_offset")
     phrase = "a hose or cable pulls at the joint"
     look_at = "hoses and cables at this joint: stiff, caught or too short"
     needs_travel = 0.2

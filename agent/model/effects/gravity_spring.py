@@ -24,7 +24,7 @@ class GravitySpring(Effect):
     source = "two pivots and a spring: Klimchik, Wu, Caro, Dumas, Furet, Pashkevich, arXiv:1311.6674 (2013)"
     signature = "residual that is a smooth function of the joint's own angle, like a pendulum's"
     confused_with = ("dress_pack", "inertial_mismatch", "torque_offset")
-    structurally_equivalent = ("dress_pack",)
+    structurally_equivalent = ("dress_pack", "torque_offset")
     phrase = "a balancer or spring pulls differently"
     look_at = "the balancer: its spring, gas pressure and pivots"
     needs_travel = 0.2
