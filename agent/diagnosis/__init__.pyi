@@ -14,11 +14,11 @@ from .gap.regimes import (
     masks as masks,
     motor_phase_share as motor_phase_share,
 )
-from .hypotheses.background import smooth_columns as smooth_columns
 from .hypotheses.evidence import Evidence as Evidence
 from .hypotheses.finding import Finding as Finding, Hypothesis as Hypothesis
 from .hypotheses.healthy import with_healthy_effects as with_healthy_effects
 from .hypotheses.law import LAW as LAW
+from .hypotheses.noise_model import smooth_columns as smooth_columns
 from .hypotheses.search import Search as Search
 from .hypotheses.testability import smallest_sizes as smallest_sizes
 from .labels import in_torque as in_torque, torque_gap as torque_gap

@@ -121,9 +121,9 @@ def build(
         TorqueGap(
             robot.joint_names,
             tuple(error_units(robot)),
-            _floats(gap.before),
-            _floats(gap.after),
-            None if gap.floor is None else _floats(gap.floor),
+            tuple(gap.before.tolist()),
+            tuple(gap.after.tolist()),
+            None if gap.floor is None else tuple(gap.floor.tolist()),
         ),
         _path_gap(motion),
         closure,
@@ -168,10 +168,6 @@ def _of_mass(dataset: Dataset) -> Iterator[str]:
             yield f"{log.name} says that {load} were at the flange: if they were not, the gap may be that"
 
 
-def _floats(values: np.ndarray) -> tuple[float, ...]:
-    return tuple(float(value) for value in values)
-
-
 def _where(dataset: Dataset, gap: HeldOutGap) -> tuple[JointShare, ...]:
     raw = gap.raw / gap.unit
     floor = np.zeros(raw.shape[1]) if gap.floor is None else gap.floor
@@ -194,8 +190,8 @@ def _where(dataset: Dataset, gap: HeldOutGap) -> tuple[JointShare, ...]:
 def _path_gap(motion: MotionGap | None) -> PathGap:
     if motion is None:
         return PathGap()
-    floor = None if motion.floor is None else _floats(motion.floor)
-    return PathGap(_floats(motion.before), _floats(motion.after), floor)
+    floor = None if motion.floor is None else tuple(motion.floor.tolist())
+    return PathGap(tuple(motion.before.tolist()), tuple(motion.after.tolist()), floor)
 
 
 def next_experiment(

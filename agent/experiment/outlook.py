@@ -40,8 +40,7 @@ _POWER = 0.84
 
 @dataclass(frozen=True, eq=False)
 class Told:
-    """Gain from motions: information (m, m) on the parameters of model and forms, mean squared torque over nominal
-    (m, m) with its weight in rows, and the excursions of all joints."""
+    """Gain from motions: information (m, m) on the parameters of model and forms, and the excursions of all joints."""
 
     information: np.ndarray
     excursions: Excursions
@@ -60,10 +59,8 @@ class Outlook:
         self._reference = bare if load is None else NominalModel(dataset.model, load)
         sides = [(*pair.shared, pair.first.form, pair.second.form) for pair in pairs]
         self._forms = [one for one in dict.fromkeys(one for side in sides for one in side) if one is not None]
-        known, ends = evidence.information(self._forms)
-        self._known = known
+        self._known, self._prior, ends = evidence.information(self._forms)
         self._place = {one: np.arange(a, b) for one, (a, b) in zip(self._forms, pairwise(ends), strict=True)}
-        self._prior = evidence.priors(self._forms)
         self._reached = Excursions.of(dataset.fit.signals, dataset.limits)
 
     @property
@@ -159,7 +156,7 @@ class Outlook:
 
     def _practical(self, whole: np.ndarray, form: Candidate) -> np.ndarray:
         """(k,) parameters at which an effect has its practical size, each of them as large."""
-        return form.effect.practical * self._evidence.unit_torque(form)
+        return form.effect.practical * self._evidence.pool.unit_torque(form)
 
     def chances(self, added: Told) -> np.ndarray:
         """(pairs, 2) probability of the right answer where the first or the second side is true, after all motions."""
@@ -170,13 +167,12 @@ class Outlook:
 
     def minimum_detectable_sizes(self, added: Told) -> list[float | None]:
         """Per pair with nothing as its rival the smallest size that four of five draws show, over the practical one."""
-        expected, found = self.evidence(added), list[float | None]()
-        for pair, (first, _) in zip(self.pairs, expected, strict=True):
-            least = self._evidence.needed(True)
-            root = np.sqrt(2) * _POWER
-            known = pair.second.form is None and first > 0
-            found.append(float((root + np.sqrt(root**2 + 4 * least)) / 2 / np.sqrt(first)) if known else None)
-        return found
+        root, least = np.sqrt(2) * _POWER, self._evidence.needed(True)
+        needed = (root + np.sqrt(root**2 + 4 * least)) / 2
+        return [
+            float(needed / np.sqrt(first)) if pair.second.form is None and first > 0 else None
+            for pair, (first, _) in zip(self.pairs, self.evidence(added), strict=True)
+        ]
 
 
 def _thinned(motion: GridMotion) -> GridMotion:

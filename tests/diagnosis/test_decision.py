@@ -22,9 +22,9 @@ RIPPLE, ELSEWHERE, PAYLOAD = ("torque_ripple", (0,)), ("torque_ripple", (1,)), (
 def log_prior(places, free) -> float:
     count = len(places) + len(free)
     if not count:
-        return np.log(LAW.nothing)
+        return 0.0
     effects = [(1 - LAW.rare) / len(CATALOGUE) / (JOINTS if joints else 1) for _, joints in places]
-    return np.log((1 - LAW.nothing) * LAW.rare ** (count - 1) * np.prod([*effects, *[LAW.rare / JOINTS] * len(free)]))
+    return np.log(LAW.rare ** (count - 1) * np.prod([*effects, *[LAW.rare / JOINTS] * len(free)]))
 
 
 def hypothesis(share, *places, torque=(0.1, 0.1), free=(), left=0.0, scale=1.0):
@@ -33,11 +33,11 @@ def hypothesis(share, *places, torque=(0.1, 0.1), free=(), left=0.0, scale=1.0):
 
 def evaluated(*told, kinds=lambda place: 1, observed=lambda one: 0.0):
     """Evidence and hypotheses that have these probabilities after the data; `left` is over that of nothing."""
-    pool = list(dict.fromkeys(place for one in told for place in one.places))
-    candidates = [SimpleNamespace(place=place, joints=place[1]) for place in pool]
+    places = list(dict.fromkeys(place for one in told for place in one.places))
+    candidates = [SimpleNamespace(place=place, joints=place[1]) for place in places]
     found = [
         SimpleNamespace(
-            effects=tuple(pool.index(place) for place in one.places),
+            effects=tuple(places.index(place) for place in one.places),
             free=dict.fromkeys(one.free, 0.1),
             log=100 + np.log(one.share) - log_prior(one.places, one.free) - observed(one),
             largest=one.largest,
@@ -48,8 +48,8 @@ def evaluated(*told, kinds=lambda place: 1, observed=lambda one: 0.0):
         for one in told
     ]
     nothing = next(one for one in found if not one.effects and not one.free)
-    known = {"law": LAW, "joints": JOINTS, "nothing": nothing, "kinds": kinds, "usual": {}}
-    return SimpleNamespace(candidate=candidates.__getitem__, **known), found
+    pool = SimpleNamespace(candidate=candidates.__getitem__, kinds=kinds)
+    return SimpleNamespace(law=LAW, joints=JOINTS, nothing=nothing, pool=pool, usual={}), found
 
 
 def decided(*told, **more):

@@ -69,25 +69,25 @@ def test_a_gain_is_the_ratio_of_two_normal_densities_of_all_rows(robot, model):
     (form,) = [form for form in Search(fit).forms() if form.place == ("torque_offset", (1,))]
     evidence = Evidence(fit, [form], healthy=(), law=replace(LAW, form=0.0))
     base, law = evidence.nothing, evidence.law
-    rows, joints = evidence.rows, evidence.joints
-    residual = np.concatenate([evidence.known[j][:, -1] for j in range(joints)]).astype(float)
-    noise = np.repeat(base.scales / evidence.weight, rows)
+    rows, joints = evidence.noise.rows, evidence.joints
+    residual = np.concatenate([evidence.noise.known[j][:, -1] for j in range(joints)]).astype(float)
+    noise = np.repeat(base.scales / evidence.noise.weight, rows)
     model_columns = np.zeros((joints * rows, len(fit.precision)))
     covariance = np.diag(noise)
     for j, index in enumerate(fit.index):
         here = slice(j * rows, (j + 1) * rows)
-        columns = evidence.known[j].astype(float)
+        columns = evidence.noise.known[j].astype(float)
         model_columns[here, index] = columns[:, : len(index)]
         free = columns[:, len(index) : -1]
-        variance = base.scales[j] * law.systematic**2 + (law.drift * evidence.unit[j]) ** 2
+        variance = base.scales[j] * law.systematic**2 + (law.drift * evidence.noise.unit[j]) ** 2
         covariance[here, here] += variance * free @ free.T
     terms, independent = fit.reference.model.terms, fit.reference.model.independent
     friction = np.array([*(False for _ in independent), *(term.form != "offset" for term in terms)])
     moved = np.linalg.inv(fit.precision) + np.diag((law.daily * fit.reference.model.values * friction) ** 2)
     covariance += model_columns @ moved @ model_columns.T
     effect = np.zeros(joints * rows)
-    effect[rows:] = evidence.thinned(form, 1)[:, 0]
-    torque = np.sqrt(np.mean((effect[rows:] * evidence.sigma[:, 1] / evidence.nominal[1]) ** 2))
+    effect[rows:] = evidence.noise.thinned(form, 1)[:, 0]
+    torque = np.sqrt(np.mean((effect[rows:] * evidence.noise.sigma[:, 1] / evidence.noise.nominal[1]) ** 2))
 
     def log_density(matrix):
         lower = np.linalg.cholesky(matrix)

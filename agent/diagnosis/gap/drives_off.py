@@ -116,11 +116,11 @@ def as_evidence(zero: ChannelZero, model: IdentifiedModel) -> Callable[[Evidence
     def log_likelihood(evidence: Evidence, hypothesis: Evaluated) -> float:
         offset = np.zeros(evidence.joints)
         for k, values in zip(hypothesis.effects, hypothesis.values, strict=True):
-            candidate = evidence.candidate(k)
+            candidate = evidence.pool.candidate(k)
             if candidate.effect.adds_to_report is not None:
                 offset[candidate.joints[0]] += values[candidate.names.index(candidate.effect.adds_to_report)]
         miss = np.minimum(np.abs(zero.torque - offset), np.abs(zero.torque - offset - before))[known]
-        slack = np.hypot(zero.error, _NOTABLE * evidence.nominal / 2)[known]
+        slack = np.hypot(zero.error, _NOTABLE * evidence.noise.nominal / 2)[known]
         return float(-0.5 * np.sum(np.minimum(miss / slack, _OUTLIER) ** 2))
 
     return log_likelihood

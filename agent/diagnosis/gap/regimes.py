@@ -16,7 +16,7 @@ BANDS = ((0.0, 1.0), (1.0, 5.0), (5.0, 15.0), (15.0, np.inf))  # Hz
 _LEAST_SHARE = 0.05
 _BLOCK = 1.0  # s
 _RESAMPLED = 200
-_PROBABILITY = 0.9
+_ENDS = (0.05, 0.95)
 _PHASES = 12
 
 
@@ -42,17 +42,15 @@ def regimes(dataset: Dataset, error: np.ndarray, joint: int, floor: float = 0.0)
     return tuple(sorted((entry for entry in found if entry.share >= _LEAST_SHARE), key=lambda entry: -entry.share))
 
 
-def share_intervals(rows: np.ndarray, floor: np.ndarray, block: np.ndarray, confidence: float = 0.9) -> np.ndarray:
-    """(n, 2) interval of each joint's share of Σ (B² − F²): blocks of the errors (S', n) drawn with replacement."""
+def share_intervals(rows: np.ndarray, floor: np.ndarray, block: np.ndarray) -> np.ndarray:
+    """(n, 2) 90 % interval of each joint's share of Σ (B² − F²): blocks of errors (S', n) drawn with replacement."""
     good = ~np.isnan(rows[:, 0])
-    found, unit = np.unique(block[good], return_inverse=True)
-    energy = _sums(rows[good] ** 2, unit)
-    count = np.bincount(unit)
-    drawn = np.random.default_rng(0).integers(len(found), size=(_RESAMPLED, len(found)))
-    excess = np.maximum(energy[drawn].sum(axis=1) / count[drawn].sum(axis=1)[:, None] - floor**2, 0)
+    unit = np.unique(block[good], return_inverse=True)[1]
+    energy = np.stack([np.bincount(unit, column) for column in (rows[good] ** 2).T], axis=1)
+    draws = resampled(len(energy))
+    excess = np.maximum(draws @ energy / (draws @ np.bincount(unit))[:, None] - floor**2, 0)
     share = excess / np.maximum(excess.sum(axis=1, keepdims=True), 1e-300)
-    tail = 0.5 * (1 - confidence)
-    return np.quantile(share, (tail, 1 - tail), axis=0).T
+    return np.quantile(share, _ENDS, axis=0).T
 
 
 def masks(dataset: Dataset, joint: int) -> dict[str, np.ndarray]:
@@ -131,15 +129,14 @@ def _share(excess: np.ndarray, mask: np.ndarray, blocks: np.ndarray) -> tuple[fl
     inside, total = np.bincount(blocks, excess * mask), np.bincount(blocks, excess)
     if total.sum() <= 0:
         return 0.0, None
-    draws = _resampled(len(total))
+    draws = resampled(len(total))
     of_draws = draws @ inside / np.maximum(draws @ total, 1e-9 * total.sum())
-    tail = 0.5 * (1 - _PROBABILITY)
-    low, high = np.clip(np.quantile(of_draws, [tail, 1 - tail]), 0, 1)
+    low, high = np.clip(np.quantile(of_draws, _ENDS), 0, 1)
     return float(np.clip(inside.sum() / total.sum(), 0, 1)), (float(low), float(high))
 
 
 @cache
-def _resampled(count: int) -> np.ndarray:
+def resampled(count: int) -> np.ndarray:
     """How often each of `count` blocks is drawn, (draws, count)."""
     return np.random.default_rng(0).multinomial(count, np.full(count, 1 / count), _RESAMPLED).astype(float)
 
@@ -148,11 +145,3 @@ def _band_name(low: float, high: float) -> str:
     if low == 0:
         return f"below {high:g} Hz"
     return f"above {low:g} Hz" if np.isinf(high) else f"{low:g}-{high:g} Hz"
-
-
-def _sums(rows: np.ndarray, unit: np.ndarray) -> np.ndarray:
-    """(U, k) sums of rows (S', k) over each unit."""
-    order = np.argsort(unit, kind="stable")
-    order = order[unit[order] >= 0]
-    starts = np.flatnonzero(np.diff(unit[order], prepend=-1))
-    return np.add.reduceat(rows[order], starts, axis=0)

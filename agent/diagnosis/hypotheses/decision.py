@@ -91,7 +91,7 @@ def posterior(evidence: Evidence, found: Sequence[Evaluated], observed: Observed
     before = max(float(nothing.left.sum()), 1e-12)
     hypotheses = [
         Hypothesis(
-            tuple(evidence.candidate(k) for k in e.effects),
+            tuple(evidence.pool.candidate(k) for k in e.effects),
             tuple(sorted(e.free)),
             float(gain),
             {faults: weight / total for faults, weight in each.items()},
@@ -102,13 +102,16 @@ def posterior(evidence: Evidence, found: Sequence[Evaluated], observed: Observed
         for e, gain, each in zip(found, gains, weights, strict=True)
     ]
     # of equals the effect that has fewer forms to choose from
-    return sorted(hypotheses, key=lambda h: (-round(h.probability, 6), sum(map(evidence.kinds, h.places))))
+    return sorted(hypotheses, key=lambda h: (-round(h.probability, 6), sum(map(evidence.pool.kinds, h.places))))
 
 
 def _priors(evidence: Evidence, hypothesis: Evaluated) -> dict[frozenset[Where], float]:
-    """Log prior by which of the effects are faults; the healthy arm has more than usual of the others."""
+    """Log prior by which of the effects are faults; the healthy arm has more than usual of the others.
+
+    Over that of no fault, which is as likely as some fault.
+    """
     law, found = evidence.law, {}
-    places = [evidence.candidate(k).place for k in hypothesis.effects]
+    places = [evidence.pool.candidate(k).place for k in hypothesis.effects]
     sizes = zip(places, hypothesis.largest, strict=True)
     healthy = [_log_healthy(size, evidence.usual.get(place), law) for place, size in sizes]
     each = float(np.log((1 - law.rare) / len(CATALOGUE)))
@@ -117,10 +120,7 @@ def _priors(evidence: Evidence, hypothesis: Evaluated) -> dict[frozenset[Where],
         log = sum(h for h, fault in zip(healthy, faulty, strict=True) if not fault)
         log += sum(each - (np.log(evidence.joints) if joints else 0.0) for _, joints in faults)
         log += len(hypothesis.free) * np.log(law.rare / evidence.joints)
-        if count := len(faults) + len(hypothesis.free):
-            log += np.log(1 - law.nothing) + (count - 1) * np.log(law.rare)
-        else:
-            log += np.log(law.nothing)
+        log += max(len(faults) + len(hypothesis.free) - 1, 0) * np.log(law.rare)
         if np.isfinite(log):
             found[faults] = float(log)
     return found

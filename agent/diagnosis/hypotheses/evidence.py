@@ -6,7 +6,7 @@ All rows of joint j, divided by its noise level σ_j, follow one linear Gaussian
     γ_j ~ N(0, s_j² g² + drift² + form² τ_jh² + free_j²),           s_j² ~ inverse gamma (ν / 2, ν / 2)
 
 X_j are the model's columns, whose parameters move within the covariance stored with them. Z_jh are the columns of the
-hypothesis' effects, and U_j those of the noise model. Some of these all logs share (`background`), with a variance of
+hypothesis' effects, and U_j those of the noise model. Some of these all logs share (`noise_model`), with a variance of
 four parts: the model's own systematic error (g), changes of the arm over time (drift), errors in the parameterisation
 of any effect (a share of its own torque τ), and "something else on this joint" (free_j). Of others, with γ ~ N(0, 1),
 each log has its own: what the healthy arm has of the effects (`healthy`), and changes of δ. δ, β and γ are integrated
@@ -20,24 +20,21 @@ Only second moments of the rows enter, so a hypothesis costs a few small factori
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
 from scipy.linalg import block_diag, solve_triangular
 
-from agent.diagnosis.hypotheses.background import Healthy, smooth_columns, usual_effects
 from agent.diagnosis.hypotheses.law import LAW, EvidenceLaw
-from agent.diagnosis.rows.candidate import Candidate, Where
+from agent.diagnosis.hypotheses.noise_model import Healthy, NoiseModel, scaled_cholesky
+from agent.diagnosis.hypotheses.pool import Bank, Pool
+from agent.diagnosis.rows.candidate import Candidate
 from agent.diagnosis.rows.fit import Fit
 from agent.model import CATALOGUE
 from agent.simulators import SIMULATOR
 
-_ROWS = 0.016  # s between the rows that are kept: their rate is twice the usual cut-off of 30 Hz
 _LEAST_SCALE = 0.2  # of σ²: no smaller noise level is known
-_FORM = 100.0  # of σ² per noise column, at most, for a wrong parameterisation: moments are of float32 columns
-_AT_ONCE = 64  # candidates whose own moments are worked out together
-_NOTICED = 0.01  # energy over σ² of a direction of the noise model that is kept; with 0.001 and 0.1 the same verdicts
 _POWER = 0.84  # standard deviations that 80 % of draws exceed
 
 
@@ -86,61 +83,6 @@ class Evaluated:
         return tuple(max(one.values(), default=0.0) for one in self.torque)
 
 
-class _Bank:
-    """Candidates next to each other: their columns per joint, and moments with [X, U, r] and with themselves."""
-
-    def __init__(self, evidence: Evidence, candidates: Sequence[Candidate]):
-        self.candidates = tuple(candidates)
-        widths = np.array([len(c.names) for c in candidates])
-        self.first = np.concatenate([[0], np.cumsum(widths)])
-        self.columns: list[np.ndarray] = []
-        self.parameters: list[np.ndarray] = []
-        self.moments: list[np.ndarray] = []
-        self.place = np.full((evidence.joints, int(self.first[-1])), -1)
-        power = np.zeros(self.place.shape)
-        for j in range(evidence.joints):
-            here = [k for k, c in enumerate(candidates) if j in c.blocks]
-            columns = np.zeros((evidence.rows, int(widths[here].sum())), dtype=np.float32)
-            which = np.concatenate([np.arange(self.first[k], self.first[k + 1]) for k in here] or [np.empty(0, int)])
-            self.place[j, which] = np.arange(len(which))
-            for k in here:
-                columns[:, self.block(k, j)] = evidence.thinned(candidates[k], j)
-            weight = (evidence.sigma[:, j] / evidence.nominal[j]).astype(np.float32) ** 2
-            power[j, which] = np.einsum("sk,sk,s->k", columns, columns, weight) / evidence.rows
-            self.columns.append(columns)
-            self.parameters.append(which)
-            self.moments.append(evidence.with_known(j, columns).astype(float) * evidence.weight)
-        self.rms = np.sqrt(np.maximum(power.max(axis=0), 1e-24))
-        self.alike = {int(width): np.flatnonzero(widths == width) for width in np.unique(widths)}
-        self.own = {width: self._own(evidence, width, which) for width, which in self.alike.items()}
-        self.row = np.empty(len(candidates), dtype=int)
-        self.priors: dict[int, np.ndarray] = {}
-        for width, which in self.alike.items():
-            self.row[which] = np.arange(len(which))
-            self.priors[width] = np.stack([_prior(candidates[k]) for k in which.tolist()])
-
-    def _own(self, evidence: Evidence, width: int, which: np.ndarray) -> np.ndarray:
-        """(N, n, k, k) products of the columns of candidates with as many parameters, joint by joint."""
-        own = np.zeros((len(which), evidence.joints, width, width))
-        for j in range(evidence.joints):
-            place = self.place[j, self.first[which]]
-            here = np.flatnonzero(place >= 0)
-            for start in range(0, len(here), _AT_ONCE):
-                some = here[start : start + _AT_ONCE]
-                block = self.columns[j][:, place[some][:, None] + np.arange(width)].transpose(1, 2, 0)
-                own[some, j] = (block @ block.transpose(0, 2, 1)) * evidence.weight
-        return own
-
-    def block(self, number: int, joint: int) -> slice:
-        """Columns of a candidate on a joint that it acts on."""
-        start = int(self.place[joint, self.first[number]])
-        return slice(start, start + len(self.candidates[number].names))
-
-
-def _prior(candidate: Candidate) -> np.ndarray:
-    return np.zeros((len(candidate.names),) * 2) if candidate.prior is None else candidate.prior
-
-
 class Evidence:
     """Log evidence of sets of candidates on one data set. Candidates are added to a pool and known by number.
 
@@ -160,101 +102,20 @@ class Evidence:
     def __init__(
         self, fit: Fit, candidates: Sequence[Candidate], healthy: Healthy | None = None, law: EvidenceLaw = LAW
     ):
-        self.law, self.joints = law, len(fit.rows)
-        signals = fit.signals
-        kept_time = np.concatenate([s.time[s.kept] for s in signals])
-        rate = 1 / float(np.median(np.diff(signals[0].time[signals[0].kept])))
-        self._rests, self._step = fit.rests, max(1, round(_ROWS * rate))
-        thin = slice(None, None, self._step)
-        self.sigma, self.nominal = fit.sigma[thin], fit.reference.scale
-        self.rows = len(self.sigma)
-        base = self.sigma.min(axis=0)
-        self.unit = self.nominal / base
-        self.weight = self._step / rate / law.independent
-        self.count = self.rows * self.weight
-        self.reference = fit.reference
+        self.law, self.joints, self.reference = law, len(fit.rows), fit.reference
+        self.usual = {form.place: size for form, size in healthy or ()}
+        self.noise = noise = NoiseModel(fit, candidates, healthy, law)
+        self.pool = Pool(noise)
         self._index, self._pull = list(fit.index), fit.shift
         self._friction = _of_the_day(fit)
         self._prior = _of_another_day(fit, self._friction, law.daily)
         self._log_prior = float(np.linalg.slogdet(self._prior)[1])
-        q, qd, qdd = (np.concatenate([getattr(s, x)[s.kept] for s in signals])[thin] for x in ("q", "qd", "qdd"))
-        self._log = log = np.concatenate([np.full(len(s.time[s.kept]), s.log_index) for s in signals])[thin]
-        usual = self._usual(candidates) if healthy is None else {}
-        healthy = healthy or ()
-        self.usual = {form.place: size for form, size in healthy}
-        self._logs = [slice(a, b) for a, b in pairwise(np.flatnonzero(np.diff(log, prepend=-1, append=-1)).tolist())]
-        self._spread = _spread(fit.precision) if fit.given and fit.reference.model.method != SIMULATOR else None
-        self.known: list[np.ndarray] = []
-        self._gram: list[np.ndarray] = []
-        self._widths: list[tuple[int, int, int]] = []
-        for j, rows in enumerate(fit.rows):
-            own = fit.rests.whitened(j, rows)[thin]
-            free = smooth_columns(q[:, j], qd[:, j], qdd[:, j], kept_time[thin], log)
-            free = free * (base[j] / self.sigma[:, j])[:, None]
-            free = np.hstack([free, *usual.get(j, ())])
-            each = self._by_log(j, own[:, :-1], [self._of_healthy(j, *h) for h in healthy if j in h[0].blocks])
-            columns = np.hstack([own[:, :-1], free, each, own[:, -1:]])
-            self._widths.append((own.shape[1] - 1, free.shape[1], each.shape[1]))
-            self.known.append(columns.astype(np.float32))
-            self._gram.append(self._squared(j, columns) * self.weight)
-        left = np.stack([columns[:, -1] for columns in self.known], axis=1) * self.sigma / self.nominal
+        left = np.stack([columns[:, -1] for columns in noise.known], axis=1) * noise.sigma / noise.nominal
         largest = float(np.sqrt(np.mean(left**2, axis=0)).max())
         self.sizes = (*law.sizes, *([largest] if largest > law.sizes[-1] else []))
-        self._banks: list[_Bank] = []
-        self._where: list[tuple[int, int]] = []
-        self._products: dict[tuple[int, int, int], np.ndarray] = {}
         self._nothing: Evaluated | None = None
-        self.add(candidates)
+        self.pool.add(candidates)
         self._nothing = self.evaluate(())
-
-    def _usual(self, candidates: Sequence[Candidate]) -> dict[int, list[np.ndarray]]:
-        usual = [c for c in candidates if c.effect.usual]
-        return usual_effects([replace(c, blocks={j: self.thinned(c, j) for j in c.blocks}) for c in usual], self.sigma)
-
-    def _of_healthy(self, joint: int, candidate: Candidate, size: float) -> np.ndarray:
-        """(S, k) columns over σ whose coefficients give an effect its usual torque on a joint, over nominal."""
-        block = self.thinned(candidate, joint)
-        torque = np.sqrt(np.mean((block * self.sigma[:, [joint]]) ** 2, axis=0)) / self.nominal[joint]
-        some = torque > 1e-9
-        return np.asarray(block[:, some] * (size / np.sqrt(max(int(some.sum()), 1)) / torque[some]))
-
-    def _by_log(self, joint: int, own: np.ndarray, healthy: Sequence[np.ndarray]) -> np.ndarray:
-        """(S, b) columns over σ whose coefficients are N(0, 1) in every log anew.
-
-        They are what the healthy arm has of the effects, and changes of the model's parameters within their covariance.
-        Directions that all logs together hardly notice are left out.
-        """
-        columns = list(healthy)
-        if self._spread is not None:
-            columns.append(own @ self._spread[self._index[joint]])
-        if not columns:
-            return np.empty((len(own), 0))
-        together = np.hstack(columns)
-        energy, directions = np.linalg.eigh(together.T @ together * self.weight)
-        return np.asarray(together @ directions[:, energy > _NOTICED])
-
-    def with_known(self, joint: int, columns: np.ndarray) -> np.ndarray:
-        """Products of [X, U, r] with columns (S, K) of a joint; in U, what differs from log to log comes log by log."""
-        known, (width, free, each) = self.known[joint], self._widths[joint]
-        own = slice(width + free, width + free + each)
-        by_log = [known[rows, own].T @ columns[rows] for rows in self._logs]
-        return np.vstack([known[:, : own.start].T @ columns, *by_log, known[:, own.stop :].T @ columns])
-
-    def _squared(self, joint: int, columns: np.ndarray) -> np.ndarray:
-        """Products of [X, U, r] with themselves."""
-        width, free, each = self._widths[joint]
-        alone = columns[:, width + free : width + free + each]
-        common = np.delete(columns, np.s_[width + free : width + free + each], axis=1)
-        cross = np.hstack([common[rows].T @ alone[rows] for rows in self._logs])
-        square = block_diag(*(alone[rows].T @ alone[rows] for rows in self._logs))
-        whole = np.block([[common.T @ common, cross], [cross.T, square]])
-        order = np.r_[0 : width + free, width + free + 1 : len(whole), width + free]
-        return np.asarray(whole[np.ix_(order, order)])
-
-    def _free(self, joint: int) -> int:
-        """Columns of the noise model of a joint."""
-        _, free, each = self._widths[joint]
-        return free + each * len(self._logs)
 
     @property
     def nothing(self) -> Evaluated:
@@ -262,34 +123,9 @@ class Evidence:
         assert self._nothing is not None
         return self._nothing
 
-    def add(self, candidates: Sequence[Candidate]) -> None:
-        """Add candidates to the pool; they get the next numbers."""
-        if candidates:
-            self._where += [(len(self._banks), k) for k in range(len(candidates))]
-            self._banks.append(_Bank(self, candidates))
-
-    def candidate(self, number: int) -> Candidate:
-        """One of the pool."""
-        bank, k = self._where[number]
-        return self._banks[bank].candidates[k]
-
-    @property
-    def size(self) -> int:
-        """How many candidates the pool has."""
-        return len(self._where)
-
-    def thinned(self, candidate: Candidate, joint: int) -> np.ndarray:
-        """(S, k) columns of a candidate on a joint, over σ, whitened at rests, of the rows that are kept."""
-        white = self._rests.whitened(joint, candidate.blocks[joint])
-        return np.asarray(white[:: self._step], dtype=np.float32)
-
-    def kinds(self, place: Where) -> int:
-        """How many kinds of forms the pool has of an effect on its joints."""
-        return len({tuple(sorted(c.settings)) for bank in self._banks for c in bank.candidates if c.place == place})
-
     def possible(self, number: int, values: np.ndarray) -> bool:
         """Whether parameters (k,) of a candidate can be true."""
-        candidate = self.candidate(number)
+        candidate = self.pool.candidate(number)
         named = dict(zip(candidate.names, map(float, values), strict=True))
         effect, settings = candidate.effect, candidate.settings
         return effect.plausible(settings, named) and effect.possible(self.reference, candidate.joints, settings, named)
@@ -326,7 +162,7 @@ class Evidence:
         law, free = self.law, dict(free or {})
         scales = np.ones(self.joints) if scales is None else scales.copy()
         form, sizes = np.zeros(self.joints), [law.sizes[1]] * len(effects)
-        touched = {j for k in effects for j in self.candidate(k).blocks} | set(free)
+        touched = {j for k in effects for j in self.pool.candidate(k).blocks} | set(free)
         if refit and self._nothing:  # a large effect raises the scales, and the noise model would then explain it
             scales[list(touched)] = np.minimum(scales[list(touched)], 1.0)
         rounds = 3 if self._nothing else 4
@@ -334,29 +170,30 @@ class Evidence:
             precision, side, joints, ends = self._together(effects, free, scales, form, sizes)
             mean, log_det = _solved(precision, side)
             values = [mean[a:b] for a, b in pairwise(ends)]
-            torque = [self.torque(k, v) for k, v in zip(effects, values, strict=True)]
+            torque = [self.pool.torque(k, v) for k, v in zip(effects, values, strict=True)]
             if last:
                 break
-            form = np.array([sum(one.get(j, 0.0) ** 2 for one in torque) for j in range(self.joints)]) * self.unit**2
+            form = np.array([sum(one.get(j, 0.0) ** 2 for one in torque) for j in range(self.joints)])
+            form = form * self.noise.unit**2
             if self._friction.size:
                 form += [self._own_change(j, joint, mean) for j, joint in enumerate(joints)]
             sizes = [_nearest(self.sizes, max(one.values(), default=0.0)) for one in torque]
             for j in (touched if self._nothing else range(self.joints)) if refit else ():
                 energy = _energy(joints[j], float(scales[j]), mean[joints[j].at])
-                scales[j] = max((law.nu + energy) / (law.nu + self.count), _LEAST_SCALE)
+                scales[j] = max((law.nu + energy) / (law.nu + self.noise.count), _LEAST_SCALE)
         log = -0.5 * (sum(joint.reduced[-1, -1] + joint.log_det for joint in joints) - float(side @ mean) + log_det)
-        ridges = [self._ridge(k, size) for k, size in zip(effects, sizes, strict=True)]
+        ridges = [self.pool.ridge(k, size) for k, size in zip(effects, sizes, strict=True)]
         log += 0.5 * (self._log_prior + sum(float(np.linalg.slogdet(ridge)[1]) for ridge in ridges))
         log -= 0.5 * float(np.sum((law.nu + 2) * np.log(scales) + law.nu / scales))
-        log -= sum(self._cost(self.candidate(k)) for k in effects) + float(np.log(len(law.sizes) - 1)) * len(free)
-        alone = self._without_background(effects, joints, scales, sizes, ends)
+        log -= sum(self._cost(self.pool.candidate(k)) for k in effects) + float(np.log(len(law.sizes) - 1)) * len(free)
+        alone = self._without_noise_model(effects, joints, scales, sizes, ends)
         return Evaluated(
             effects=tuple(effects),
             free=free,
             log=log,
             scales=scales,
             values=tuple(values),
-            torque=tuple(self._lasting_torque(k, v) for k, v in zip(effects, alone, strict=True)),
+            torque=tuple(self.pool.lasting_torque(k, v) for k, v in zip(effects, alone, strict=True)),
             left=np.array([self._left(j, joint, mean[joint.at]) for j, joint in enumerate(joints)]),
             joints=tuple(joints),
             precision=precision,
@@ -367,9 +204,9 @@ class Evidence:
         """Squared torque over σ by which the model's friction changed: its form is no better than an effect's."""
         friction = np.flatnonzero(np.isin(self._index[j], self._friction))
         change = mean[joint.at[friction]]
-        return max(float(change @ joint.moments[0][np.ix_(friction, friction)] @ change) / self.count, 0.0)
+        return max(float(change @ joint.moments[0][np.ix_(friction, friction)] @ change) / self.noise.count, 0.0)
 
-    def _without_background(
+    def _without_noise_model(
         self,
         effects: Sequence[int],
         joints: Sequence[JointMoments],
@@ -386,7 +223,7 @@ class Evidence:
             matrix[np.ix_(joint.at, joint.at)] += own[:-1, :-1]
             side[joint.at] += own[:-1, -1]
         for k, size, (a, b) in zip(effects, sizes, pairwise(ends), strict=True):
-            matrix[a:b, a:b] += self._ridge(k, size)
+            matrix[a:b, a:b] += self.pool.ridge(k, size)
         values = _solved(matrix, side)[0] if effects else side
         return [values[a:b] for a, b in pairwise(ends)]
 
@@ -395,12 +232,12 @@ class Evidence:
 
         The scales of the hypothesis stay, so this picks what to evaluate.
         """
-        found = [self._gains(base, bank) for bank in self._banks]
+        found = [self._gains(base, bank) for bank in self.pool.banks]
         if not found:
             return np.empty(0), []
         return np.concatenate([gain for gain, _ in found]), [value for _, values in found for value in values]
 
-    def _gains(self, base: Evaluated, bank: _Bank) -> tuple[np.ndarray, list[np.ndarray]]:
+    def _gains(self, base: Evaluated, bank: Bank) -> tuple[np.ndarray, list[np.ndarray]]:
         schur, side = self._schur(base, bank)
         gains, values = np.empty(len(bank.candidates)), [np.empty(0)] * len(bank.candidates)
         for width, which in bank.alike.items():
@@ -411,7 +248,7 @@ class Evidence:
                 values[number] = fitted[row]
         return gains, values
 
-    def _schur(self, base: Evaluated, bank: _Bank) -> tuple[dict[int, np.ndarray], np.ndarray]:
+    def _schur(self, base: Evaluated, bank: Bank) -> tuple[dict[int, np.ndarray], np.ndarray]:
         """Per number of parameters k the information (N, k, k) on candidates beyond a hypothesis; (K,) their side."""
         size = int(bank.first[-1])
         cross, side = np.zeros((len(base.precision), size)), np.zeros(size)
@@ -420,9 +257,9 @@ class Evidence:
             at = bank.parameters[j]
             if not len(at):
                 continue
-            width, free, scale, moments = self._widths[j][0], self._free(j), base.scales[j], bank.moments[j]
+            (width, free), scale, moments = self.noise.width(j), base.scales[j], bank.moments[j]
             reach = solve_triangular(joint.lower, moments[width : width + free], lower=True) / scale
-            others = [self._with_bank(k, bank, j) for k in joint.effects]
+            others = [self.pool.with_bank(k, bank, j) for k in joint.effects]
             cross[np.ix_(joint.at, at)] += np.vstack([moments[:width], *others]) / scale - joint.half[:, :-1].T @ reach
             side[at] += moments[-1] / scale - joint.half[:, -1] @ reach
             for k, which in bank.alike.items():
@@ -431,7 +268,7 @@ class Evidence:
                 part = reach[:, place[here][:, None] + np.arange(k)].transpose(1, 0, 2)
                 own[k][here] += bank.own[k][here, j] / scale - part.transpose(0, 2, 1) @ part
         unit = 1 / np.sqrt(np.diag(base.precision))
-        half = solve_triangular(_lower(base.precision, unit), unit[:, None] * cross, lower=True)
+        half = solve_triangular(scaled_cholesky(base.precision, unit), unit[:, None] * cross, lower=True)
         for width, which in bank.alike.items():
             part = half[:, bank.first[which][:, None] + np.arange(width)].transpose(1, 0, 2)
             own[width] -= part.transpose(0, 2, 1) @ part
@@ -444,7 +281,7 @@ class Evidence:
         parameters as they are usual: each contributes as much torque.
         """
         found, expected = [], self.as_expected(self.nothing)
-        for bank in self._banks:
+        for bank in self.pool.banks:
             schur, _ = self._schur(expected, bank)
             sizes = np.empty(len(bank.candidates))
             for width, which in bank.alike.items():
@@ -452,57 +289,29 @@ class Evidence:
                 unit = 1 / (bank.rms[at] * np.sqrt(width))
                 information = np.maximum(np.einsum("nk,nkl,nl->n", unit, schur[width], unit), 1e-12)
                 cost = np.array([self._cost(bank.candidates[k]) + self.needed(True) for k in which])
-                log_det = (
-                    0.5
-                    * np.linalg.slogdet(
-                        np.eye(width)
-                        + self.law.sizes[1] ** 2 * width * unit[:, :, None] * schur[width] * unit[:, None, :]
-                    )[1]
-                )
+                usual = self.law.sizes[1] ** 2 * width * unit[:, :, None] * schur[width] * unit[:, None, :]
+                log_det = 0.5 * np.linalg.slogdet(np.eye(width) + usual)[1]
                 sizes[which] = (_POWER + np.sqrt(2 * np.maximum(cost + log_det, 0.0))) / np.sqrt(information)
             found += sizes.tolist()
         return found
 
-    def information(self, forms: Sequence[Candidate]) -> tuple[np.ndarray, np.ndarray]:
+    def information(self, forms: Sequence[Candidate]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the information (m, m) of the logs on the parameters of the model and of forms, given the noise model.
 
-        Also return where the parameters of each form begin and end. The scales are those of the likeliest hypothesis
-        so far.
+        Also return the prior precision (m, m), with forms of the largest usual size, and where the parameters of each
+        form begin and end. The scales are those without effects.
         """
-        numbers = self._numbers(forms)
+        numbers = self.pool.numbers(forms)
         ends = len(self._prior) + np.cumsum([0, *(len(form.names) for form in forms)])
         total, scales = np.zeros((int(ends[-1]),) * 2), np.minimum(self.nothing.scales, 1.0)
         for j in range(self.joints):
             here = [place for place, form in enumerate(forms) if j in form.blocks]
             at = np.concatenate([self._index[j], *(np.arange(ends[k], ends[k + 1]) for k in here)]).astype(int)
-            variance = self._variances(j, float(scales[j]), 0.0, {})
+            variance = self.noise.variances(j, float(scales[j]), 0.0, {})
             joint = self._joint(j, float(scales[j]), variance, tuple(numbers[k] for k in here), at)
             total[np.ix_(at, at)] += joint.reduced[:-1, :-1]
-        return total, ends
-
-    def _numbers(self, forms: Sequence[Candidate]) -> list[int]:
-        """Numbers of candidates in the pool; those that are not in it are added."""
-        known = {id(self.candidate(k)): k for k in range(self.size)}
-        self.add([form for form in forms if id(form) not in known])
-        known = {id(self.candidate(k)): k for k in range(self.size)}
-        return [known[id(form)] for form in forms]
-
-    def priors(self, forms: Sequence[Candidate]) -> np.ndarray:
-        """(m, m) prior precision of the parameters of the model and of forms, these of a usual size."""
-        ends = len(self._prior) + np.cumsum([0, *(len(form.names) for form in forms)])
-        prior = np.zeros((int(ends[-1]),) * 2)
-        prior[: len(self._prior), : len(self._prior)] = self._prior
-        for number, (a, b) in zip(self._numbers(forms), pairwise(ends), strict=True):
-            prior[a:b, a:b] = self._ridge(number, self.law.sizes[-1])
-        return prior
-
-    def unit_torque(self, form: Candidate) -> np.ndarray:
-        """Parameters (k,) at which a form has nominal torque, with equal contributions."""
-        (number,) = self._numbers([form])
-        bank, k = self._where[number]
-        first = self._banks[bank].first
-        rms = self._banks[bank].rms[first[k] : first[k + 1]]
-        return np.asarray(1 / (np.maximum(rms, 1e-9) * np.sqrt(len(rms))))
+        prior = block_diag(self._prior, *(self.pool.ridge(number, self.law.sizes[-1]) for number in numbers))
+        return total, prior, ends
 
     def reduced(self, joint: int, rows: np.ndarray, free: np.ndarray, step: float) -> np.ndarray:
         """Information (k, k) of further rows (S, k) of a joint, given the noise model.
@@ -511,7 +320,7 @@ class Evidence:
         """
         scale, weight = min(float(self.nothing.scales[joint]), 1.0), step / self.law.independent
         square = free.T @ free * weight
-        lower = np.linalg.cholesky(np.eye(len(square)) / self._variance(joint, scale, 0.0, {}) + square / scale)
+        lower = np.linalg.cholesky(np.eye(len(square)) / self.noise.variance(joint, scale, 0.0, {}) + square / scale)
         half = solve_triangular(lower, free.T @ rows * weight, lower=True) / scale
         return np.asarray(rows.T @ rows * weight / scale - half.T @ half)
 
@@ -520,9 +329,9 @@ class Evidence:
         law = self.law
         if not against_nothing:
             return float(-np.log(law.rare))
-        prior = (1 - law.nothing) * (1 - law.rare) / len(CATALOGUE) / self.joints
+        prior = (1 - law.rare) / len(CATALOGUE) / self.joints
         sure = law.sure / law.certain
-        return float(np.log(law.nothing / prior) + np.log(sure / (1 - sure)))
+        return float(np.log(sure / (1 - sure) / prior))
 
     def _at_best_size(
         self, schur: np.ndarray, side: np.ndarray, rms: np.ndarray, prior: np.ndarray
@@ -543,76 +352,14 @@ class Evidence:
             best[better], values[better] = gain[better], fitted[better]
         return best, values
 
-    def _with_bank(self, number: int, bank: _Bank, joint: int) -> np.ndarray:
-        """(k, K) products of a candidate's columns on a joint with those of a bank."""
-        mine, k = self._where[number]
-        columns = self._banks[mine].columns[joint][:, self._banks[mine].block(k, joint)]
-        return np.asarray((columns.T @ bank.columns[joint]).astype(float) * self.weight)
-
-    def _product(self, one: int, other: int, joint: int) -> np.ndarray:
-        """(k, l) products of the columns of two candidates on a joint."""
-        if (one, other, joint) not in self._products:
-            a, b = (
-                self._banks[bank].columns[joint][:, self._banks[bank].block(k, joint)]
-                for bank, k in (self._where[one], self._where[other])
-            )
-            self._products[one, other, joint] = (a.T @ b).astype(float) * self.weight
-        return self._products[one, other, joint]
-
-    def _own(self, number: int, joint: int) -> np.ndarray:
-        bank, k = self._where[number]
-        candidate = self._banks[bank].candidates[k]
-        return np.asarray(self._banks[bank].own[len(candidate.names)][self._banks[bank].row[k], joint])
-
-    def _moments(self, joint: int, effects: Sequence[int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """B of [X, Z, r], V of U with these, and Q of U."""
-        width, free, gram = self._widths[joint][0], self._free(joint), self._gram[joint]
-        keep, of_free = np.r_[0:width, width + free], slice(width, width + free)
-        ends = width + np.cumsum([0, *(len(self.candidate(k).names) for k in effects)])
-        size = int(ends[-1]) + 1
-        own, cross, at = np.zeros((size, size)), np.zeros((free, size)), np.r_[0:width, size - 1]
-        own[np.ix_(at, at)], cross[:, at] = gram[np.ix_(keep, keep)], gram[of_free][:, keep]
-        for place, k in enumerate(effects):
-            bank, number = self._where[k]
-            span, moments = slice(ends[place], ends[place + 1]), self._banks[bank].moments[joint]
-            moments = moments[:, self._banks[bank].block(number, joint)]
-            own[at, span], own[span, at], cross[:, span] = moments[keep], moments[keep].T, moments[of_free]
-            own[span, span] = self._own(k, joint)
-            for before, other in enumerate(effects[:place]):
-                there, both = slice(ends[before], ends[before + 1]), self._product(other, k, joint)
-                own[there, span], own[span, there] = both, both.T
-        return own, cross, gram[of_free, of_free]
-
-    def _variances(self, joint: int, scale: float, form: float, free: Mapping[int, float]) -> np.ndarray:
-        """Prior variances of all coefficients of the noise model."""
-        same, count = self._widths[joint][1], self._free(joint)
-        return np.r_[np.full(same, self._variance(joint, scale, form, free)), np.ones(count - same)]
-
-    def _variance(self, joint: int, scale: float, form: float, free: Mapping[int, float]) -> float:
-        """Prior variance of the coefficients that are common to all logs, over σ²."""
-        law, unit = self.law, float(self.unit[joint])
-        return (
-            scale * law.systematic**2
-            + (law.drift * unit) ** 2
-            + min(law.form**2 * form, _FORM)
-            + (free.get(joint, 0.0) * unit) ** 2
-        )
-
     def _joint(
         self, j: int, scale: float, variance: np.ndarray, effects: tuple[int, ...], at: np.ndarray
     ) -> JointMoments:
-        own, cross, square = self._moments(j, effects)
+        own, cross, square = self.pool.moments(j, effects)
         lower = np.linalg.cholesky(np.diag(1 / variance) + square / scale)
         half = solve_triangular(lower, cross, lower=True) / scale
-        log_det = self.count * np.log(scale) + 2 * np.log(np.diag(lower)).sum() + np.log(variance).sum()
+        log_det = self.noise.count * np.log(scale) + 2 * np.log(np.diag(lower)).sum() + np.log(variance).sum()
         return JointMoments(own / scale - half.T @ half, float(log_det), lower, half, (own, cross, square), at, effects)
-
-    def _ridge(self, number: int, size: float) -> np.ndarray:
-        """(k, k) prior precision of an effect's parameters, of a size over nominal torque."""
-        bank, k = self._where[number]
-        first = self._banks[bank].first
-        rms = self._banks[bank].rms[first[k] : first[k + 1]]
-        return np.diag(rms**2 / size**2) + _prior(self.candidate(number))
 
     def _together(
         self,
@@ -624,56 +371,39 @@ class Evidence:
     ) -> tuple[np.ndarray, np.ndarray, list[JointMoments], np.ndarray]:
         """Precision and side of δ and β over all joints, the joints, and where each effect's parameters end."""
         base = len(self._prior)
-        ends = base + np.cumsum([0, *(len(self.candidate(k).names) for k in effects)])
+        ends = base + np.cumsum([0, *(len(self.pool.candidate(k).names) for k in effects)])
         precision, side = np.zeros((int(ends[-1]),) * 2), np.zeros(int(ends[-1]))
         precision[:base, :base], side[:base] = self._prior, self._pull
         joints = []
         for j in range(self.joints):
-            here = [place for place, k in enumerate(effects) if j in self.candidate(k).blocks]
+            here = [place for place, k in enumerate(effects) if j in self.pool.candidate(k).blocks]
             known = self._nothing
             if known is not None and not here and j not in free and scales[j] == known.scales[j]:
                 joint = known.joints[j]
             else:
                 spans = [np.arange(ends[place], ends[place + 1]) for place in here]
                 at = np.concatenate([self._index[j], *spans]).astype(int)
-                variance = self._variances(j, float(scales[j]), float(form[j]), free)
+                variance = self.noise.variances(j, float(scales[j]), float(form[j]), free)
                 joint = self._joint(j, float(scales[j]), variance, tuple(effects[place] for place in here), at)
             precision[np.ix_(joint.at, joint.at)] += joint.reduced[:-1, :-1]
             side[joint.at] += joint.reduced[:-1, -1]
             joints.append(joint)
         for k, size, (a, b) in zip(effects, sizes, pairwise(ends), strict=True):
-            precision[a:b, a:b] += self._ridge(k, size)
+            precision[a:b, a:b] += self.pool.ridge(k, size)
         return precision, side, joints, ends
-
-    def torque(self, number: int, values: np.ndarray) -> dict[int, float]:
-        """Per joint the torque of an effect over nominal, root mean square."""
-        return {
-            j: float(np.sqrt(max(values @ self._own(number, j) @ values, 0.0) / self.count) / self.unit[j])
-            for j in self.candidate(number).blocks
-        }
-
-    def _lasting_torque(self, number: int, values: np.ndarray) -> dict[int, float]:
-        """Per joint the torque of an effect over nominal, root mean square: in the log with most, while it lasts."""
-        bank, k = self._where[number]
-        found = {}
-        for j in self.candidate(number).blocks:
-            torque = self._banks[bank].columns[j][:, self._banks[bank].block(k, j)] @ values
-            torque = (torque * self.sigma[:, j] / self.nominal[j]) ** 2
-            acts = torque > 0 if self.candidate(number).once else np.ones(len(torque), dtype=bool)
-            power = np.bincount(self._log[acts], torque[acts]) / np.maximum(np.bincount(self._log[acts]), 1)
-            found[j] = float(np.sqrt(power.max(initial=0.0)))
-        return found
 
     def _cost(self, candidate: Candidate) -> float:
         """Log evidence penalty of nonlinear parameters chosen on the data (Schwarz, Ann. Statist. 6, 1978)."""
         chosen = candidate.effect.counted(candidate.settings)
-        return 0.5 * float(np.log(self.count)) * chosen
+        return 0.5 * float(np.log(self.noise.count)) * chosen
 
     def _left(self, j: int, joint: JointMoments, mean: np.ndarray) -> float:
         """Squared torque over nominal that remains beyond the noise model's usual energy."""
         rest, square = np.append(mean, -1.0), joint.moments[2]
-        usual = 1 + float(np.diag(square) @ self._variances(j, 1.0, 0.0, {})) / self.count
-        return max(float(rest @ joint.moments[0] @ rest) / self.count - usual, 0.0) / float(self.unit[j]) ** 2
+        usual = 1 + float(np.diag(square) @ self.noise.variances(j, 1.0, 0.0, {})) / self.noise.count
+        return (
+            max(float(rest @ joint.moments[0] @ rest) / self.noise.count - usual, 0.0) / float(self.noise.unit[j]) ** 2
+        )
 
 
 def _of_the_day(fit: Fit) -> np.ndarray:
@@ -692,25 +422,14 @@ def _of_another_day(fit: Fit, friction: np.ndarray, daily: float) -> np.ndarray:
     return np.asarray(fit.precision - fit.precision[:, friction] @ gain)
 
 
-def _spread(precision: np.ndarray) -> np.ndarray:
-    """(p, p) a square root of the covariance of parameters whose units differ widely."""
-    unit = 1 / np.sqrt(np.diag(precision))
-    inverse = solve_triangular(_lower(precision, unit), np.eye(len(unit)), lower=True)
-    return np.asarray(unit[:, None] * inverse.T)
-
-
 def _nearest(sizes: Sequence[float], size: float) -> float:
     return min(sizes, key=lambda s: abs(np.log(s / max(size, 1e-6))))
-
-
-def _lower(matrix: np.ndarray, unit: np.ndarray) -> np.ndarray:
-    return np.linalg.cholesky(matrix * np.outer(unit, unit) + 1e-12 * np.eye(len(unit)))
 
 
 def _solved(matrix: np.ndarray, side: np.ndarray) -> tuple[np.ndarray, float]:
     """Solution and log determinant of a positive definite system whose units differ widely."""
     unit = 1 / np.sqrt(np.diag(matrix))
-    lower = _lower(matrix, unit)
+    lower = scaled_cholesky(matrix, unit)
     half = solve_triangular(lower, unit * side, lower=True)
     log_det = 2 * float(np.log(np.diag(lower)).sum() - np.log(unit).sum())
     return unit * solve_triangular(lower.T, half, lower=False), log_det

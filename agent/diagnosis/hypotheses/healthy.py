@@ -13,8 +13,8 @@ from dataclasses import replace
 import numpy as np
 
 from agent.core import InputError
-from agent.diagnosis.hypotheses.background import Healthy
 from agent.diagnosis.hypotheses.evidence import Evidence
+from agent.diagnosis.hypotheses.noise_model import Healthy
 from agent.diagnosis.hypotheses.search import Search
 from agent.diagnosis.rows.candidate import Candidate, Where
 from agent.diagnosis.rows.dataset import assemble
@@ -97,7 +97,7 @@ def _explained(fit: Fit) -> list[tuple[Where, float, dict[str, float], float]]:
     for number in np.argsort(-gains).tolist():
         form, gain = forms[number], float(gains[number])
         if gain > 0 and not form.once and form.place not in found:
-            size = max(evidence.torque(number, values[number]).values(), default=0.0)
+            size = max(evidence.pool.torque(number, values[number]).values(), default=0.0)
             found[form.place] = form.place, gain, dict(form.settings), size
     return list(found.values())
 

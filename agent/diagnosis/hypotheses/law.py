@@ -25,7 +25,6 @@ class EvidenceLaw:
         (0.007, 0.02, 0.06, 0.2), "nominal torque", "usual sizes of effects, equally likely", "chosen"
     )
     nu: float = known(6.0, "degrees of freedom", "of the held-out error and of healthy effects", "chosen")
-    nothing: float = known(0.5, "probability", "of no effect, before the data", "chosen")
     rare: float = known(
         0.1,
         "probability",

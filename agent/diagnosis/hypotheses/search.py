@@ -6,11 +6,11 @@ from collections.abc import Callable, Collection, Sequence
 
 import numpy as np
 
-from agent.diagnosis.hypotheses.background import Healthy
 from agent.diagnosis.hypotheses.decision import Observed, decide
 from agent.diagnosis.hypotheses.evidence import Evaluated, Evidence
 from agent.diagnosis.hypotheses.finding import Finding
 from agent.diagnosis.hypotheses.law import LAW, EvidenceLaw
+from agent.diagnosis.hypotheses.noise_model import Healthy
 from agent.diagnosis.rows.candidate import Candidate, Wanted, Where
 from agent.diagnosis.rows.fit import Fit
 from agent.diagnosis.rows.needs import Excursions
@@ -101,7 +101,7 @@ class Search:
         return [form for form in self.fit.candidates(wanted) if form.stable]
 
     def _text(self, base: Evaluated) -> str:
-        names = [self.evidence.candidate(k).effect.name for k in base.effects]
+        names = [self.evidence.pool.candidate(k).effect.name for k in base.effects]
         return " and ".join([*names, *["something else"] * len(base.free)])
 
     def _worth(self, depth: int) -> list[Evaluated]:
@@ -130,29 +130,29 @@ class Search:
         """Gains over a hypothesis, with forms that follow what it leaves, and the leaders' parameters refined."""
         evidence = self.evidence
         if base.effects:
-            left = self.fit.with_chosen([evidence.candidate(k) for k in base.effects])
+            left = self.fit.with_chosen([evidence.pool.candidate(k) for k in base.effects])
             driven = [(e, joints) for e, joints in self._places if e.residual_driven]
             self._add(left, [(e, joints, s) for e, joints in driven for s in e.settings(left, joints)])
         gains, values = evidence.gains(base)
         leading = self._promising(base, gains, values, _LEADERS)
         best = {place: forms[0] for place, forms in leading.items()}
         wanted = [
-            (e.effect, e.joints, s) for e in map(evidence.candidate, best.values())
+            (e.effect, e.joints, s) for e in map(evidence.pool.candidate, best.values())
             for s in e.effect.reversing(self.fit, e.joints, e.settings)
         ]  # fmt: skip
         for factor in (None, *_FACTORS):
             if factor is not None:
                 wanted = [
-                    (e.effect, e.joints, s) for e in map(evidence.candidate, best.values())
+                    (e.effect, e.joints, s) for e in map(evidence.pool.candidate, best.values())
                     for s in e.effect.nearby(e.settings, factor)
                 ]  # fmt: skip
-            before = evidence.size
+            before = evidence.pool.size
             self._add(self.fit, wanted)
-            if evidence.size == before:
+            if evidence.pool.size == before:
                 continue
             gains, values = evidence.gains(base)
-            for k in range(before, evidence.size):
-                place = evidence.candidate(k).place
+            for k in range(before, evidence.pool.size):
+                place = evidence.pool.candidate(k).place
                 if place in best and gains[k] > gains[best[place]] and evidence.possible(k, values[k]):
                     best[place] = k
         return gains, values
@@ -160,21 +160,21 @@ class Search:
     def _add(self, fit: Fit, wanted: Sequence[Wanted]) -> None:
         new = [c for c in dict.fromkeys(fit.candidates(wanted)) if c.stable and c not in self._known]
         self._known.update(new)
-        self.evidence.add(new)
+        self.evidence.pool.add(new)
 
     def _promising(
         self, base: Evaluated, gains: np.ndarray, values: Sequence[np.ndarray], count: int
     ) -> dict[Where, list[int]]:
         """The best admissible parameterisations of the effects with the largest gain."""
         evidence = self.evidence
-        chosen = [evidence.candidate(k) for k in base.effects]
+        chosen = [evidence.pool.candidate(k) for k in base.effects]
         places: dict[Where, list[int]] = {}
         for k in np.argsort(-gains).tolist():
-            place = evidence.candidate(k).place
+            place = evidence.pool.candidate(k).place
             forms = places.get(place, [])
             if len(forms) >= _FORMS or (not forms and len(places) >= count):
                 continue
-            if not _imitates(evidence.candidate(k), chosen) and evidence.possible(k, values[k]):
+            if not _imitates(evidence.pool.candidate(k), chosen) and evidence.possible(k, values[k]):
                 places.setdefault(place, []).append(k)
         return places
 
@@ -183,7 +183,7 @@ class Search:
         evidence = self.evidence
         if not all(map(evidence.possible, evaluated.effects, evaluated.values)):
             return
-        key = frozenset(evidence.candidate(k).place for k in evaluated.effects), frozenset(evaluated.free)
+        key = frozenset(evidence.pool.candidate(k).place for k in evaluated.effects), frozenset(evaluated.free)
         if key not in self._found or self._found[key].log < evaluated.log:
             self._found[key] = evaluated
 

@@ -22,7 +22,7 @@ def smallest_sizes(dataset: Dataset, evidence: Evidence) -> dict[Where, float]:
     excursions = Excursions.of(dataset.fit.signals)
     found: dict[Where, float] = {}
     for number, size in enumerate(evidence.smallest_sizes()):
-        candidate = evidence.candidate(number)
+        candidate = evidence.pool.candidate(number)
         if not candidate.once:
             place = candidate.place
             found[place] = min(found.get(place, np.inf), size / candidate.effect.practical)

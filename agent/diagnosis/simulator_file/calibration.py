@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from agent.diagnosis.answer import Cause, EffectPlace, WaterfallStep
+from agent.diagnosis.gap.regimes import resampled
 from agent.diagnosis.gap.torque_gap import HeldOutGap, rms
 from agent.diagnosis.hypotheses.finding import Finding
 from agent.diagnosis.hypotheses.law import LAW
@@ -27,7 +28,6 @@ from agent.robot import ParameterLayout
 
 _EQUAL = 0.9  # of the best gain, from where on the plainer group is taken
 _MOVED = 100  # standard deviations in the file, from where on a base parameter has moved
-_DRAWS = 200  # of blocks of motion, for an interval
 _INTERVAL = (5, 95)  # per cent
 _HELD = 1e-6  # of the stored covariance: the model's parameters stay where they are
 _UNLOADED = 0.1  # of a joint's torque, that holding its load makes at most
@@ -183,7 +183,7 @@ def waterfall(found: ReleasedSimulator, finding: Finding, gap: HeldOutGap) -> tu
     energy = np.stack([_energy(error / gap.unit, dataset.fit.block) for error in errors])
     floor = 0.0 if gap.floor is None else float(np.mean(gap.floor**2))
     rows = _energy(np.isfinite(gap.raw).astype(float), dataset.fit.block)
-    draws = np.random.default_rng(0).multinomial(energy.shape[1], np.full(energy.shape[1], 1 / energy.shape[1]), _DRAWS)
+    draws = resampled(energy.shape[1])
     whole = energy.sum(axis=1) / rows.sum()
     drawn = energy @ draws.T / (rows @ draws.T)  # (stages, draws)
 

@@ -43,7 +43,7 @@ def left(arm, model, healthy) -> Callable[[str, Law], float]:
         best = _best(evidence)
         for factor in (1.25, 1.1, 1.04):
             finer = [(effect, place, near) for near in effect.nearby(best.settings, factor)]
-            evidence.add(fit.candidates(finer))
+            evidence.pool.add(fit.candidates(finer))
             best = _best(evidence)
         background = float(fit.count.sum()) / len(fit.rows)  # of one joint
         return (fit.with_chosen([best]).error() - 3 * background) / (fit.error() - 3 * background)
@@ -53,7 +53,7 @@ def left(arm, model, healthy) -> Callable[[str, Law], float]:
 
 def _best(evidence: Evidence) -> Candidate:
     gains, _ = evidence.gains(evidence.as_expected(evidence.nothing))
-    return evidence.candidate(int(np.argmax(gains)))
+    return evidence.pool.candidate(int(np.argmax(gains)))
 
 
 def test_names_a_small_effect_next_to_a_much_larger_one(arm, model, healthy):

@@ -1,0 +1,202 @@
+"""Noise model: differences between model and machine without any fault.
+
+"Nothing" is never literally true of an arm. A model errs a little everywhere, an arm changes from day to day, and
+every arm has a little of some effects. Hypotheses are compared on top of these columns, so an effect counts only for
+what they cannot take up (Kennedy and O'Hagan, J. R. Statist. Soc. B 63, 2001). How much of which effect an arm has
+while it is healthy is learned from its own baseline (`healthy`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+
+import numpy as np
+from scipy.linalg import block_diag, solve_triangular
+
+from agent.diagnosis.hypotheses.law import EvidenceLaw
+from agent.diagnosis.rows.candidate import Candidate
+from agent.diagnosis.rows.fit import Fit
+from agent.simulators import SIMULATOR
+
+#: Effects that the arm has already, and their torque over nominal.
+Healthy = Sequence[tuple[Candidate, float]]
+_ROWS = 0.016  # s between the rows that are kept: their rate is twice the usual cut-off of 30 Hz
+_FORM = 100.0  # of σ² per noise column, at most, for a wrong parameterisation: moments are of float32 columns
+_NOTICED = 0.01  # energy over σ² of a direction of the noise model that is kept; with 0.001 and 0.1 the same verdicts
+_DRIFT = 3.0  # s between the nodes of a drift in time
+_TURNING = 0.03  # of the highest speed, over which friction turns around
+
+
+class NoiseModel:
+    """The noise model on the rows of some logs, next to the model's own columns and the residual.
+
+    Every joint has [X, U, r], divided by its noise level σ: columns of the model's parameters, those of the noise model
+    and the residual. Of U, `common` columns are shared by all logs; each log has the others for itself.
+
+    Parameters
+    ----------
+    fit : Fit
+        Residual and columns of the model on the logs.
+    candidates : sequence of Candidate
+        Their effects that every arm has a little of count as usual if nothing is known about this arm.
+    healthy : sequence of (Candidate, float), optional
+        Effects that the healthy arm has, and their torque over nominal. None if nothing is known.
+    law : EvidenceLaw
+        The numbers of the decision.
+    """
+
+    def __init__(self, fit: Fit, candidates: Sequence[Candidate], healthy: Healthy | None, law: EvidenceLaw):
+        self.law, self.joints = law, len(fit.rows)
+        signals = fit.signals
+        kept_time = np.concatenate([s.time[s.kept] for s in signals])
+        rate = 1 / float(np.median(np.diff(signals[0].time[signals[0].kept])))
+        self._rests, self._step = fit.rests, max(1, round(_ROWS * rate))
+        thin = slice(None, None, self._step)
+        self.sigma, self.nominal = fit.sigma[thin], fit.reference.scale
+        self.rows = len(self.sigma)
+        base = self.sigma.min(axis=0)
+        self.unit = self.nominal / base
+        self.weight = self._step / rate / law.independent
+        self.count = self.rows * self.weight
+        q, qd, qdd = (np.concatenate([getattr(s, x)[s.kept] for s in signals])[thin] for x in ("q", "qd", "qdd"))
+        self.log = log = np.concatenate([np.full(len(s.time[s.kept]), s.log_index) for s in signals])[thin]
+        self._logs = [slice(a, b) for a, b in pairwise(np.flatnonzero(np.diff(log, prepend=-1, append=-1)).tolist())]
+        usual = self._usual(candidates) if healthy is None else {}
+        healthy = healthy or ()
+        own_model = fit.given and fit.reference.model.method != SIMULATOR
+        spread = _spread(fit.precision) if own_model else np.empty((len(fit.precision), 0))
+        self.known: list[np.ndarray] = []
+        self.gram: list[np.ndarray] = []
+        self._widths: list[tuple[int, int, int]] = []
+        for j, rows in enumerate(fit.rows):
+            own = fit.rests.whitened(j, rows)[thin]
+            free = smooth_columns(q[:, j], qd[:, j], qdd[:, j], kept_time[thin], log)
+            free = np.hstack([free * (base[j] / self.sigma[:, j])[:, None], *usual.get(j, ())])
+            amounts = [self._of_healthy(j, *h) for h in healthy if j in h[0].blocks]
+            each = self._noticed(np.hstack([*amounts, own[:, :-1] @ spread[fit.index[j]]]))
+            columns = np.hstack([own[:, :-1], free, each, own[:, -1:]])
+            self._widths.append((own.shape[1] - 1, free.shape[1], each.shape[1]))
+            self.known.append(columns.astype(np.float32))
+            self.gram.append(self._squared(j, columns) * self.weight)
+
+    def width(self, joint: int) -> tuple[int, int]:
+        """How many columns X and U have on a joint."""
+        own, common, each = self._widths[joint]
+        return own, common + each * len(self._logs)
+
+    def thinned(self, candidate: Candidate, joint: int) -> np.ndarray:
+        """(S, k) columns of a candidate on a joint, over σ, whitened at rests, of the rows that are kept."""
+        white = self._rests.whitened(joint, candidate.blocks[joint])
+        return np.asarray(white[:: self._step], dtype=np.float32)
+
+    def with_known(self, joint: int, columns: np.ndarray) -> np.ndarray:
+        """Products of [X, U, r] with columns (S, K) of a joint; in U, what differs from log to log comes log by log."""
+        known, (width, free, each) = self.known[joint], self._widths[joint]
+        own = slice(width + free, width + free + each)
+        by_log = [known[rows, own].T @ columns[rows] for rows in self._logs]
+        return np.vstack([known[:, : own.start].T @ columns, *by_log, known[:, own.stop :].T @ columns])
+
+    def variances(self, joint: int, scale: float, form: float, free: Mapping[int, float]) -> np.ndarray:
+        """Prior variances of all coefficients of the noise model."""
+        common, count = self._widths[joint][1], self.width(joint)[1]
+        return np.r_[np.full(common, self.variance(joint, scale, form, free)), np.ones(count - common)]
+
+    def variance(self, joint: int, scale: float, form: float, free: Mapping[int, float]) -> float:
+        """Prior variance of the coefficients that are common to all logs, over σ²."""
+        law, unit = self.law, float(self.unit[joint])
+        return (
+            scale * law.systematic**2
+            + (law.drift * unit) ** 2
+            + min(law.form**2 * form, _FORM)
+            + (free.get(joint, 0.0) * unit) ** 2
+        )
+
+    def _usual(self, candidates: Sequence[Candidate]) -> dict[int, list[np.ndarray]]:
+        """Per joint columns (S, m) over σ of effects that every arm has a little of, as large as its smallest σ."""
+        found: dict[int, list[np.ndarray]] = {}
+        least = self.sigma.min(axis=0)
+        for candidate in {c.place: c for c in reversed(candidates) if c.effect.usual}.values():
+            for joint in candidate.blocks:
+                block = self.thinned(candidate, joint)
+                size = np.sqrt(np.mean((block * self.sigma[:, [joint]]) ** 2, axis=0))
+                some = size > 1e-9 * least[joint]
+                if some.any():
+                    found.setdefault(joint, []).append(block[:, some] * (least[joint] / size[some]))
+        return found
+
+    def _of_healthy(self, joint: int, candidate: Candidate, size: float) -> np.ndarray:
+        """(S, k) columns over σ whose coefficients give an effect its usual torque on a joint, over nominal."""
+        block = self.thinned(candidate, joint)
+        torque = np.sqrt(np.mean((block * self.sigma[:, [joint]]) ** 2, axis=0)) / self.nominal[joint]
+        some = torque > 1e-9
+        return np.asarray(block[:, some] * (size / np.sqrt(max(int(some.sum()), 1)) / torque[some]))
+
+    def _noticed(self, columns: np.ndarray) -> np.ndarray:
+        """(S, b) columns whose coefficients are N(0, 1), for those of columns (S, k) whose are.
+
+        Directions that all logs together hardly notice are left out.
+        """
+        energy, directions = np.linalg.eigh(columns.T @ columns * self.weight)
+        return np.asarray(columns @ directions[:, energy > _NOTICED])
+
+    def _squared(self, joint: int, columns: np.ndarray) -> np.ndarray:
+        """Products of [X, U, r] with themselves."""
+        width, free, each = self._widths[joint]
+        alone = columns[:, width + free : width + free + each]
+        common = np.delete(columns, np.s_[width + free : width + free + each], axis=1)
+        cross = np.hstack([common[rows].T @ alone[rows] for rows in self._logs])
+        square = block_diag(*(alone[rows].T @ alone[rows] for rows in self._logs))
+        whole = np.block([[common.T @ common, cross], [cross.T, square]])
+        order = np.r_[0 : width + free, width + free + 1 : len(whole), width + free]
+        return np.asarray(whole[np.ix_(order, order)])
+
+
+def smooth_columns(q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, time: np.ndarray, log: np.ndarray) -> np.ndarray:
+    """Return smooth functions of one joint's position, speed, acceleration, log and time.
+
+    Parameters
+    ----------
+    q, qd, qdd : ndarray, shape (S,)
+        Motion of the joint [rad, rad/s, rad/s²].
+    time : ndarray, shape (S,)
+        Seconds since the start of the row's log.
+    log : ndarray of int, shape (S,)
+        Number of the row's log.
+
+    Returns
+    -------
+    ndarray, shape (S, m)
+        Columns of order one.
+    """
+    top = max(float(np.abs(qd).max()), 1e-9)
+    sign = np.tanh(qd / (_TURNING * top))[:, None]
+    speed = np.abs(qd)
+    logs = (log[:, None] == np.unique(log)).astype(float)
+    parts = [_hats(q, 8), sign * _hats(speed, 5, 0.0, top), _hats(speed, 4, 0.0, top), sign * _hats(q, 5)]
+    parts += [_hats(qdd / max(float(np.abs(qdd).max()), 1e-9), 5), logs, sign * logs]
+    for here in logs.T.astype(bool):
+        low, high = float(time[here].min()), float(time[here].max())
+        parts.append(_hats(time, max(3, int((high - low) / _DRIFT) + 1), low, high) * here[:, None])
+    columns = np.hstack(parts)
+    return np.asarray(columns[:, np.abs(columns).max(axis=0) > 1e-6])
+
+
+def _hats(x: np.ndarray, count: int, low: float | None = None, high: float | None = None) -> np.ndarray:
+    """(S, count) piecewise linear functions between equal nodes."""
+    low = float(np.min(x)) if low is None else low
+    high = float(np.max(x)) if high is None else high
+    nodes = np.linspace(low, max(high, low + 1e-9), count)
+    return np.asarray(np.maximum(0, 1 - np.abs(x[:, None] - nodes) / (nodes[1] - nodes[0])))
+
+
+def _spread(precision: np.ndarray) -> np.ndarray:
+    """(p, p) a square root of the covariance of parameters whose units differ widely."""
+    unit = 1 / np.sqrt(np.diag(precision))
+    inverse = solve_triangular(scaled_cholesky(precision, unit), np.eye(len(unit)), lower=True)
+    return np.asarray(unit[:, None] * inverse.T)
+
+
+def scaled_cholesky(matrix: np.ndarray, unit: np.ndarray) -> np.ndarray:
+    """Lower Cholesky factor of a positive definite matrix (m, m) whose rows and columns are multiplied by `unit`."""
+    return np.linalg.cholesky(matrix * np.outer(unit, unit) + 1e-12 * np.eye(len(unit)))

@@ -1,0 +1,176 @@
+"""Candidates by number, with the second moments of their columns that hypotheses are made of."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from agent.diagnosis.hypotheses.noise_model import NoiseModel
+from agent.diagnosis.rows.candidate import Candidate, Where
+
+_AT_ONCE = 64  # candidates whose own moments are worked out together
+
+
+class Bank:
+    """Candidates next to each other: their columns per joint, and moments with [X, U, r] and with themselves."""
+
+    def __init__(self, noise: NoiseModel, candidates: Sequence[Candidate]):
+        self.candidates = tuple(candidates)
+        widths = np.array([len(c.names) for c in candidates])
+        self.first = np.concatenate([[0], np.cumsum(widths)])
+        self.columns: list[np.ndarray] = []
+        self.parameters: list[np.ndarray] = []
+        self.moments: list[np.ndarray] = []
+        self.place = np.full((noise.joints, int(self.first[-1])), -1)
+        power = np.zeros(self.place.shape)
+        for j in range(noise.joints):
+            here = [k for k, c in enumerate(candidates) if j in c.blocks]
+            columns = np.zeros((noise.rows, int(widths[here].sum())), dtype=np.float32)
+            which = np.concatenate([np.arange(self.first[k], self.first[k + 1]) for k in here] or [np.empty(0, int)])
+            self.place[j, which] = np.arange(len(which))
+            for k in here:
+                columns[:, self.block(k, j)] = noise.thinned(candidates[k], j)
+            weight = (noise.sigma[:, j] / noise.nominal[j]).astype(np.float32) ** 2
+            power[j, which] = np.einsum("sk,sk,s->k", columns, columns, weight) / noise.rows
+            self.columns.append(columns)
+            self.parameters.append(which)
+            self.moments.append(noise.with_known(j, columns).astype(float) * noise.weight)
+        self.rms = np.sqrt(np.maximum(power.max(axis=0), 1e-24))
+        self.alike = {int(width): np.flatnonzero(widths == width) for width in np.unique(widths)}
+        self.own = {width: self._own(noise, width, which) for width, which in self.alike.items()}
+        self.row = np.empty(len(candidates), dtype=int)
+        self.priors: dict[int, np.ndarray] = {}
+        for width, which in self.alike.items():
+            self.row[which] = np.arange(len(which))
+            self.priors[width] = np.stack([_prior(candidates[k]) for k in which.tolist()])
+
+    def _own(self, noise: NoiseModel, width: int, which: np.ndarray) -> np.ndarray:
+        """(N, n, k, k) products of the columns of candidates with as many parameters, joint by joint."""
+        own = np.zeros((len(which), noise.joints, width, width))
+        for j in range(noise.joints):
+            place = self.place[j, self.first[which]]
+            here = np.flatnonzero(place >= 0)
+            for start in range(0, len(here), _AT_ONCE):
+                some = here[start : start + _AT_ONCE]
+                block = self.columns[j][:, place[some][:, None] + np.arange(width)].transpose(1, 2, 0)
+                own[some, j] = (block @ block.transpose(0, 2, 1)) * noise.weight
+        return own
+
+    def block(self, number: int, joint: int) -> slice:
+        """Columns of a candidate on a joint that it acts on."""
+        start = int(self.place[joint, self.first[number]])
+        return slice(start, start + len(self.candidates[number].names))
+
+
+class Pool:
+    """Candidates that hypotheses are made of, each known by its number, next to a noise model's columns."""
+
+    def __init__(self, noise: NoiseModel):
+        self.noise = noise
+        self.banks: list[Bank] = []
+        self._where: list[tuple[int, int]] = []
+        self._products: dict[tuple[int, int, int], np.ndarray] = {}
+
+    @property
+    def size(self) -> int:
+        """How many candidates there are."""
+        return len(self._where)
+
+    def add(self, candidates: Sequence[Candidate]) -> None:
+        """Add candidates; they get the next numbers."""
+        if candidates:
+            self._where += [(len(self.banks), k) for k in range(len(candidates))]
+            self.banks.append(Bank(self.noise, candidates))
+
+    def candidate(self, number: int) -> Candidate:
+        """One of them."""
+        bank, k = self._where[number]
+        return self.banks[bank].candidates[k]
+
+    def numbers(self, forms: Sequence[Candidate]) -> list[int]:
+        """Numbers of candidates; those that are not in the pool are added."""
+        known = {id(self.candidate(k)): k for k in range(self.size)}
+        self.add([form for form in forms if id(form) not in known])
+        known = {id(self.candidate(k)): k for k in range(self.size)}
+        return [known[id(form)] for form in forms]
+
+    def kinds(self, place: Where) -> int:
+        """How many kinds of forms there are of an effect on its joints."""
+        return len({tuple(sorted(c.settings)) for bank in self.banks for c in bank.candidates if c.place == place})
+
+    def rms(self, number: int) -> np.ndarray:
+        """(k,) torque of each column of a candidate over nominal, root mean square, on the joint with most."""
+        bank, k = self._where[number]
+        return self.banks[bank].rms[self.banks[bank].first[k] : self.banks[bank].first[k + 1]]
+
+    def ridge(self, number: int, size: float) -> np.ndarray:
+        """(k, k) prior precision of a candidate's parameters, of a size over nominal torque."""
+        return np.diag(self.rms(number) ** 2 / size**2) + _prior(self.candidate(number))
+
+    def columns(self, number: int, joint: int) -> np.ndarray:
+        """(S, k) columns of a candidate on a joint that it acts on, over σ."""
+        bank, k = self._where[number]
+        return self.banks[bank].columns[joint][:, self.banks[bank].block(k, joint)]
+
+    def with_bank(self, number: int, bank: Bank, joint: int) -> np.ndarray:
+        """(k, K) products of a candidate's columns on a joint with those of a bank."""
+        return np.asarray((self.columns(number, joint).T @ bank.columns[joint]).astype(float) * self.noise.weight)
+
+    def moments(self, joint: int, effects: Sequence[int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """B of [X, Z, r], V of U with these, and Q of U."""
+        (width, free), gram = self.noise.width(joint), self.noise.gram[joint]
+        keep, of_free = np.r_[0:width, width + free], slice(width, width + free)
+        ends = width + np.cumsum([0, *(len(self.candidate(k).names) for k in effects)])
+        size = int(ends[-1]) + 1
+        own, cross, at = np.zeros((size, size)), np.zeros((free, size)), np.r_[0:width, size - 1]
+        own[np.ix_(at, at)], cross[:, at] = gram[np.ix_(keep, keep)], gram[of_free][:, keep]
+        for place, k in enumerate(effects):
+            bank, number = self._where[k]
+            span, moments = slice(ends[place], ends[place + 1]), self.banks[bank].moments[joint]
+            moments = moments[:, self.banks[bank].block(number, joint)]
+            own[at, span], own[span, at], cross[:, span] = moments[keep], moments[keep].T, moments[of_free]
+            own[span, span] = self._own(k, joint)
+            for before, other in enumerate(effects[:place]):
+                there, both = slice(ends[before], ends[before + 1]), self._product(other, k, joint)
+                own[there, span], own[span, there] = both, both.T
+        return own, cross, gram[of_free, of_free]
+
+    def torque(self, number: int, values: np.ndarray) -> dict[int, float]:
+        """Per joint the torque of an effect over nominal, root mean square."""
+        return {
+            j: float(np.sqrt(max(values @ self._own(number, j) @ values, 0.0) / self.noise.count) / self.noise.unit[j])
+            for j in self.candidate(number).blocks
+        }
+
+    def lasting_torque(self, number: int, values: np.ndarray) -> dict[int, float]:
+        """Per joint the torque of an effect over nominal, root mean square: in the log with most, while it lasts."""
+        noise, found = self.noise, {}
+        for j in self.candidate(number).blocks:
+            torque = self.columns(number, j) @ values
+            torque = (torque * noise.sigma[:, j] / noise.nominal[j]) ** 2
+            acts = torque > 0 if self.candidate(number).once else np.ones(len(torque), dtype=bool)
+            power = np.bincount(noise.log[acts], torque[acts]) / np.maximum(np.bincount(noise.log[acts]), 1)
+            found[j] = float(np.sqrt(power.max(initial=0.0)))
+        return found
+
+    def unit_torque(self, form: Candidate) -> np.ndarray:
+        """Parameters (k,) at which a form has nominal torque, with equal contributions."""
+        rms = self.rms(*self.numbers([form]))
+        return np.asarray(1 / (np.maximum(rms, 1e-9) * np.sqrt(len(rms))))
+
+    def _own(self, number: int, joint: int) -> np.ndarray:
+        bank, k = self._where[number]
+        candidate = self.banks[bank].candidates[k]
+        return np.asarray(self.banks[bank].own[len(candidate.names)][self.banks[bank].row[k], joint])
+
+    def _product(self, one: int, other: int, joint: int) -> np.ndarray:
+        """(k, l) products of the columns of two candidates on a joint."""
+        if (one, other, joint) not in self._products:
+            product = self.columns(one, joint).T @ self.columns(other, joint)
+            self._products[one, other, joint] = product.astype(float) * self.noise.weight
+        return self._products[one, other, joint]
+
+
+def _prior(candidate: Candidate) -> np.ndarray:
+    return np.zeros((len(candidate.names),) * 2) if candidate.prior is None else candidate.prior
