@@ -18,7 +18,7 @@ MOST_LINES = {
     "agent/core": 1_620,
     "agent/robot agent/compiled": 4_100,
     "agent/motion": 6_826,
-    "agent/recording agent/data_quality": 4_943,
+    "agent/recording agent/data_quality": 4_935,
     "agent/link agent/safety": 3_300,
     "agent/model": 3_900,
     "agent/estimation agent/excitation agent/validation": 4_110,

@@ -25,7 +25,6 @@ _ROUNDS = 3  # of weights from residuals
 _PRIOR_WEIGHT = 10.0  # independent samples that the sizes of parameters count for
 _DOUBT = 2.5  # standard deviation of a parameter, relative to the largest that the torques could hold
 _LINK_RADIUS = 0.5  # of the reach: the size of such a link
-_OVERFITTED = 2.5  # times the error of a fit; of two real arms, as they are or mistaken, at most 1.5
 _SAMPLES_PER_PARAMETER = 4.0  # independent samples: a shorter log does not distinguish a mistake from chance
 _LEAST = 1e-10  # squared error of a joint, relative to its torque, below which round-off begins
 
@@ -117,19 +116,12 @@ class RigidFit:
         return np.concatenate([np.tile(link, robot.dof), rotors, torque, torque / speed, torque])
 
     def says_something(self) -> bool:
-        """Whether there are enough samples, and held-out ones are predicted well enough, to compare fits."""
+        """Whether there are enough samples to compare fits."""
         s = self.samples
         rows = self.columns.reshape(s.q.size, -1)
         length = np.linalg.norm(rows, axis=0)
         known = np.linalg.matrix_rank(rows / np.where(length > 0, length, 1.0), rtol=1e-7)
-        independent = s.q.shape[1] * min(len(s.q), s.independent)
-        return independent > _SAMPLES_PER_PARAMETER * known and not self.overfitted()
-
-    def overfitted(self) -> bool:
-        """Whether the joints' median torque is predicted far worse than it is fitted: then it tells of no mistake."""
-        s = self.samples
-        left = np.sqrt(self.errors(s.torque).sum(axis=0) / np.maximum(np.sum(s.torque**2, axis=0), 1e-300))
-        return bool(np.median(left / np.maximum(self.solution(s.torque).left, 0.01)) > _OVERFITTED)
+        return bool(s.q.shape[1] * min(len(s.q), s.independent) > _SAMPLES_PER_PARAMETER * known)
 
     def solution(self, torque: np.ndarray) -> Solution:
         """The fit to all samples of a torque (S, n)."""

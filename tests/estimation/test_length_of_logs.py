@@ -22,7 +22,7 @@ def test_a_fit_that_cannot_predict_held_out_data_blames_no_joint(arm, multisine,
     torque = RigidFit(Dynamics(robot), samples).columns @ rng.normal(size=14 * 7)
     torque += 0.1 * np.std(torque, axis=0) * rng.normal(size=q.shape)
     samples = FitSamples(q, qd, qdd, torque, samples.direction, fold, float(count))
-    assert RigidFit(Dynamics(robot), samples).overfitted() is expected
+    assert RigidFit(Dynamics(robot), samples).says_something() is not expected
 
 
 def test_a_model_is_the_same_from_memory_and_from_disk(arm, multisine, make_log, tmp_path, monkeypatch):
