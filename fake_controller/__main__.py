@@ -12,7 +12,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
-from agent.core import AgentError, InputError, read_json, write_atomically
+from agent.core import AgentError, InputError, print_text, read_json, write_atomically
 from fake_controller.actuation.machine import weighs_nothing
 from fake_controller.build import build_controller, build_ur_cell
 from fake_controller.controller import Controller
@@ -38,7 +38,7 @@ def main(arguments: list[str] | None = None) -> int:
     """Serve until SIGTERM or SIGINT; returns the exit code."""
     options = _parser().parse_args(arguments)
     if options.list_effects:
-        print(effects_text())
+        print_text(effects_text())
         return 0
     sys.setswitchinterval(SWITCH_INTERVAL)
     with suppress(OSError):  # a controller has a computer of its own; not every user may have this

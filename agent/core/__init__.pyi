@@ -35,11 +35,7 @@ from .files import (
     written_whole as written_whole,
 )
 from .formats import counted as counted, csv_text as csv_text, error_text as error_text, plus_minus as plus_minus
-from .numerics import (
-    CubicSplines as CubicSplines,
-    keep_freed_memory as keep_freed_memory,
-    symmetric_eigen as symmetric_eigen,
-)
+from .numerics import keep_freed_memory as keep_freed_memory, symmetric_eigen as symmetric_eigen
 from .on_dask import DaskEngine as DaskEngine
 from .output import (
     flush_results as flush_results,

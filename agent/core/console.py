@@ -12,7 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from agent.core.output import patient
+from agent.core.output import flush_results, patient
 from drivers.texts import hide, hide_all, printable
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ LONGEST = 20_000
 _LONGEST_RESULT = 10_000_000
 #: What the agent's own lines begin with, after a line feed.
 _OWN_LINE = re.compile(r"\n\s*(?=agent: |warning: |\[ *\d+\.?\d* s\])")
-_SOON, _EARLY = 2.0, 0.1  # s, and a share of a stage: its first step may compile, and says little of the time left
+_SOON = 2.0  # s of a stage: its first step may compile, and says little of the time left
 _FRAME = 0.1  # s, between two pictures of the progress on a terminal
 _BAR = 20  # characters
 
@@ -61,7 +61,7 @@ class Console:
     def progress(self, text: str, done: float | None = None) -> None:
         """Show how far the running stage has come, at most every `interval` seconds off a terminal.
 
-        With `done`, from 0 to 1, the time left is shown after two seconds and a tenth of the stage.
+        With `done`, from 0 to 1, the time left is shown after two seconds of the stage.
         """
         if self.verbosity < 0:
             return
@@ -71,7 +71,7 @@ class Console:
         if terminal and getattr(patient(sys.stderr), "behind", False):
             return
         self._last, spent = now, now - self._stage
-        if done and _EARLY < done < 1 and spent > _SOON:
+        if done and done < 1 and spent > _SOON:
             text += f", about {max(1.0, spent * (1 - done) / done):.0f} s left"
         if terminal:
             _picture(self._rich, f"{self._stamp()}   {fit_to_show(text)}", done)
@@ -149,7 +149,7 @@ def end_progress() -> None:
 def print_text(text: str) -> None:
     """A result for people on stdout."""
     end_progress()
-    print(printable(hide(text), _LONGEST_RESULT, lines=True))
+    flush_results(printable(hide(text), _LONGEST_RESULT, lines=True) + "\n")
 
 
 def print_path(path: Path) -> None:
@@ -158,13 +158,13 @@ def print_path(path: Path) -> None:
     shown = fit_to_show(str(path))
     if sys.stdout.isatty() and os.environ.get("TERM", "dumb") != "dumb":
         shown = f"\033]8;;{path.resolve().as_uri()}\033\\{shown}\033]8;;\033\\"
-    print(shown)
+    flush_results(f"{shown}\n")
 
 
 def print_json(data: Any) -> None:
     """One JSON object on stdout; a number that is not finite becomes null."""
     end_progress()
-    sys.stdout.write(hide(json.dumps(finite(data), indent=2)) + "\n")
+    flush_results(hide(json.dumps(finite(data), indent=2)) + "\n")
 
 
 def fit_to_show(text: str) -> str:

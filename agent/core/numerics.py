@@ -1,4 +1,4 @@
-"""Linear algebra and splines that NumPy and SciPy lack, and memory for arrays."""
+"""Linear algebra that NumPy lacks, and memory for arrays."""
 
 from __future__ import annotations
 
@@ -18,27 +18,6 @@ def symmetric_eigen(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
         values, vectors = eigh(matrix, driver="ev")
     return values, vectors
-
-
-class CubicSplines:
-    """Cubic splines through values (K, m) at ascending knots (K,), four or more.
-
-    Not-a-knot at the ends (one cubic over the first two intervals, and one over the last two): the outer cubics go on
-    beyond them. `natural`: no bending at the ends, and straight on beyond them.
-    """
-
-    def __init__(self, knots: np.ndarray, values: np.ndarray, natural: bool = False):
-        from scipy.interpolate import CubicSpline  # heavy to import, needed only once there is something to fit
-
-        self._ends, self._natural = (knots[0], knots[-1]), natural
-        self._spline = CubicSpline(knots, values, bc_type="natural" if natural else "not-a-knot")
-
-    def __call__(self, places: np.ndarray) -> np.ndarray:
-        """(P, m) at points (P,)."""
-        if not self._natural:
-            return np.asarray(self._spline(places))
-        inside = np.clip(places, *self._ends)
-        return np.asarray(self._spline(inside) + (places - inside)[:, None] * self._spline(inside, 1))
 
 
 def keep_freed_memory() -> None:

@@ -11,9 +11,11 @@ import itertools
 import logging
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError
+from dataclasses import dataclass, field
 from typing import Any
 
 from agent.core.errors import AgentError, InputError
+from agent.core.formats import counted
 from agent.core.packages import needed
 from agent.core.parallel import Answer, Task, TaskDone, available_cores
 
@@ -38,6 +40,7 @@ _SETTINGS = {
 }
 
 
+@dataclass(eq=False)
 class DaskEngine:
     """Processes of this machine, one a core, or the workers of a Dask scheduler.
 
@@ -54,40 +57,32 @@ class DaskEngine:
         InputError: on entering it: Dask is not installed, or nobody answers at the address.
     """
 
-    def __init__(
-        self,
-        scheduler: str | None = None,
-        workers: int | None = None,
-        memory: str | None = None,
-        say: Callable[[str], None] = lambda text: None,
-        warn: Callable[[str], None] = lambda text: None,
-    ):
-        self._scheduler = scheduler
-        self._workers = workers or available_cores()
-        self._memory = memory
-        self._say = say
-        self._warn = warn
-        self._cluster: Any = None
-        self._client: Any = None
+    scheduler: str | None = None
+    workers: int | None = None
+    memory: str | None = None
+    say: Callable[[str], None] = lambda text: None
+    warn: Callable[[str], None] = lambda text: None
+    _cluster: Any = field(default=None, init=False)
+    _client: Any = field(default=None, init=False)
 
     def __enter__(self) -> DaskEngine:
         self._dask = needed("distributed", "work on many cores")
         logging.getLogger("distributed").setLevel(logging.CRITICAL)  # it tells of every worker that dies; we do, once
-        if self._scheduler is None:
+        if self.scheduler is None:
             self._start_local()
             return self
-        if not self._scheduler.startswith(_ENCRYPTED):
-            self._warn(
-                f"{self._scheduler}: this link is neither encrypted nor authenticated. Anyone who reaches the "
+        if not self.scheduler.startswith(_ENCRYPTED):
+            self.warn(
+                f"{self.scheduler}: this link is neither encrypted nor authenticated. Anyone who reaches the "
                 "scheduler can run code as the users of its workers; use a scheduler at tls://"
             )
-        self._say(f"{self._scheduler}: connecting to the scheduler")
+        self.say(f"{self.scheduler}: connecting to the scheduler")
         try:
             # a client of a malformed address would keep a thread, and the process would not end
-            self._dask.comm.get_address_host_port(self._scheduler)
+            self._dask.comm.get_address_host_port(self.scheduler)
             self._client = self._connect()
         except (OSError, ValueError) as error:
-            raise InputError(f"{self._scheduler}: no Dask scheduler answers there: {error or 'no time'}") from None
+            raise InputError(f"{self.scheduler}: no Dask scheduler answers there: {error or 'no time'}") from None
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -128,29 +123,30 @@ class DaskEngine:
         try:
             yield
         except (OSError, CancelledError):
-            where = self._scheduler or "local Dask cluster"
+            where = self.scheduler or "local Dask cluster"
             raise AgentError(f"{where}: the scheduler is gone; run the same command again to do the rest") from None
 
     def _lost(self, number: int, error: BaseException) -> TaskDone[Any]:
         if not isinstance(error, self._dask.KilledWorker):
             raise error
-        limit = f" (limit: {self._memory or 'its share of the memory'})" if self._scheduler is None else ""
+        limit = f" (limit: {self.memory or 'its share of the memory'})" if self.scheduler is None else ""
         return TaskDone(number, None, f"every worker that tried it was killed; memory is the likely reason{limit}")
 
     def _connect(self) -> Any:
-        return self._dask.Client(self._scheduler, timeout=_CONNECT, set_as_default=False)
+        return self._dask.Client(self.scheduler, timeout=_CONNECT, set_as_default=False)
 
     def _start_local(self) -> None:
         import dask
 
         needed("cryptography", "work on many cores")
         dask.config.set(_SETTINGS)
+        count = self.workers or available_cores()
         try:
             self._cluster = self._dask.LocalCluster(
-                n_workers=self._workers,
+                n_workers=count,
                 threads_per_worker=1,
                 processes=True,
-                memory_limit="auto" if self._memory is None else self._memory,
+                memory_limit="auto" if self.memory is None else self.memory,
                 dashboard_address="127.0.0.1:0",
                 silence_logs=logging.CRITICAL,
                 preload=[_WITHOUT_CTRL_C],
@@ -161,5 +157,4 @@ class DaskEngine:
         except (RuntimeError, OSError) as error:
             raise AgentError(f"local workers cannot be started: {error}; is there enough memory?") from None
         self._client = self._dask.Client(self._cluster, set_as_default=False)
-        count = f"{self._workers} local worker{'' if self._workers == 1 else 's'}"
-        self._say(f"{count}; dashboard {self._cluster.dashboard_link}")
+        self.say(f"{counted(count, 'local worker')}; dashboard {self._cluster.dashboard_link}")

@@ -192,12 +192,13 @@ def patient_messages(on_gone: Callable[[], None]) -> Iterator[None]:
             sys.stderr = before
 
 
-def flush_results() -> None:
-    """Hand over what was printed on standard output now, and not as the program ends.
+def flush_results(text: str = "") -> None:
+    """Hand over a text and what was printed on standard output before now, and not as the program ends.
 
     A reader that is gone wanted no more. Raises `OSError` for everything else.
     """
     try:
+        sys.stdout.write(text)
         sys.stdout.flush()
     except OSError as error:
         nowhere = os.open(os.devnull, os.O_WRONLY)

@@ -120,12 +120,13 @@ def _parse(value: Any, dimension: Dimension) -> float:
     expected = f"{dimension.description} is expected"
     if isinstance(value, bool) or not isinstance(value, (int, float, str)):
         raise InputError(f"{expected}, not {kind_of(value)}")
-    if isinstance(value, str):
-        return _finite(_parse_text(value, dimension, expected), expected)
     try:
-        return _finite(float(value), expected)
+        number = _parse_text(value, dimension, expected) if isinstance(value, str) else float(value)
     except OverflowError:
         raise InputError(f"{expected}, and this number is too large") from None
+    if not math.isfinite(number):
+        raise InputError(f"{expected}, and it must be finite")
+    return number
 
 
 def _parse_text(text: str, dimension: Dimension, expected: str) -> float:
@@ -141,12 +142,6 @@ def _parse_text(text: str, dimension: Dimension, expected: str) -> float:
     other = next((d for d in Dimension if unit in d.value.factors), None)
     what = f"{unit!r} is a unit of {other.value.name}" if other else f"{_shortened(unit)} is not a unit known here"
     raise InputError(f"{expected}; {what}")
-
-
-def _finite(number: float, expected: str) -> float:
-    if not math.isfinite(number):
-        raise InputError(f"{expected}, and it must be finite")
-    return number
 
 
 def kind_of(value: Any) -> str:

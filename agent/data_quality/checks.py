@@ -16,10 +16,9 @@ from agent.data_quality.channels import (
     unsigned_channels,
     velocity_mismatch,
 )
-from agent.data_quality.described import described_weight
+from agent.data_quality.described import described_weight, excessive_torque, excessive_weight, position_units
 from agent.data_quality.finding import QualityFinding, Recordings
 from agent.data_quality.mechanics import implausible_mechanics, wrong_lengths
-from agent.data_quality.ranges import excessive_torque, excessive_weight, position_units
 from agent.recording import Log
 from agent.robot import RobotDescription
 

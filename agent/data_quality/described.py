@@ -1,4 +1,4 @@
-"""Compares torques with the described masses: direction and presence of gravity, unit of torque.
+"""Compares positions and torques with what the description says: ranges, speeds, drives, reach, masses, gravity.
 
 A pendulum's torque fits gravity in any direction of its plane of motion, as its centre of mass is free; so do slow
 motions of an arm with gravity upside down, or torques without any. The gravity torque of the fit is known all the same,
@@ -14,14 +14,17 @@ from dataclasses import replace
 import numpy as np
 
 from agent.data_quality.finding import QualityFinding, Recordings
-from agent.data_quality.ranges import drive_torque, excessive_weight
-from agent.data_quality.rigid_fit import Bodies, FitSamples
+from agent.data_quality.rigid_fit import FitSamples
 from agent.estimation import placeholders
-from agent.robot import RobotDescription
+from agent.robot import Dynamics, RobotDescription
 
+_TOO_FAR = {"degrees": 5.0, "mm": 100.0}  # times the joint's range: a tenth of what the unit makes of it, at most
+_TOO_FAST = {"degrees": 10.0, "mm": 100.0}  # times its highest speed
+_LEAST = {"degrees": np.pi, "mm": 0.0}  # rad or m that some joint comes to, at least
+_TOO_STRONG = 100.0  # times what the description says of the drive or of gravity, from where on only N·mm is likely
+_HEAVIEST = 1000.0  # kg for each square metre of reach: of 13 arms, real and simulated, the heaviest has 510
 _REFUTED = 0.9  # of the gravity torque, root mean square, that the description leaves at least, and
 _FITS = 0.5  # at most, with one thing undone
-_THOUSAND = 100.0  # times the described gravity torque, from where on no unit but N·mm is likely
 _SEEN = 0.2  # of a torque, and of the heaviest joint's described gravity, that gravity must make up to be judged, or
 _TIMES_LEFT = 10.0  # times what a fit leaves of the torque
 _SCALES = (0.25, 4.0)  # times the described gravity torque: beyond them another unit is likely
@@ -37,6 +40,73 @@ WITH_GRAVITY = (
     "record joint torque that includes gravity: take the controller's total torque or the motor currents instead of "
     "the gravity-compensated effort (UR's ROS 2 driver takes gravity off by default; libfranka's tau_J includes it)"
 )
+
+
+def position_units(of: Recordings) -> Iterator[QualityFinding]:
+    """Degrees or mm: joints that go or run so far beyond the description that the unit must be another."""
+    joints = of.robot.joints
+    ends = [np.nan if j.lower is None or j.upper is None else max(abs(j.lower), abs(j.upper)) for j in joints]
+    ranges = np.where(np.array(ends) > 0, ends, np.nan)
+    furthest = np.max([np.abs(log.position).max(axis=0) for log in of.logs], axis=0)
+    speeds = np.array([_speed(log.t, log.position, log.sample_rate) for log in of.logs]).max(axis=0)
+    for which, unit, looks in ((of.turning, "rad", "degrees"), (~of.turning, "m", "mm")):
+        there = which & of.moving
+        if not there.any() or furthest[there].max() <= _LEAST[looks]:
+            continue
+        far, fast = (furthest / ranges)[there], (speeds / of.robot.max_velocity)[there]
+        far = far[np.isfinite(far)]
+        if (len(far) and np.median(far) > _TOO_FAR[looks]) or np.median(fast) > _TOO_FAST[looks]:
+            k = int(np.flatnonzero(there)[np.argmax(fast)])
+            yield QualityFinding(
+                f"positions look like {looks}: {joints[k].name} comes to {furthest[k]:.4g} {unit} and moves at "
+                f"{np.max(fast):.3g} times its highest speed",
+                of.named(there),
+            )
+            return
+
+
+def _speed(t: np.ndarray, position: np.ndarray, rate: float) -> np.ndarray:
+    """(n,) 98 % quantile of the mean speed over 0.05 s; 0 in a log that is too short."""
+    every = max(1, int(0.05 * rate))
+    step, time = np.abs(np.diff(position[::every], axis=0)), np.diff(t[::every])
+    return np.quantile(step / time[:, None], 0.98, axis=0) if len(time) else np.zeros(position.shape[1])
+
+
+def drive_torque(robot: RobotDescription) -> np.ndarray:
+    """(n,) what the description says that a drive can do [N·m or N]: its limit, else nominal; NaN where unknown."""
+    drives = np.array([np.nan if joint.max_torque is None else joint.max_torque for joint in robot.joints])
+    drives = np.where(drives > 0, drives, robot.nominal_torque)
+    return np.where(drives > 0, drives, np.nan)
+
+
+def excessive_torque(of: Recordings) -> Iterator[QualityFinding]:
+    """Torque a hundred times what the drives of turning joints that move can do."""
+    strong = np.max([np.quantile(np.abs(effort), 0.99, axis=0) for effort in of.efforts], axis=0)
+    times = (strong / drive_torque(of.robot))[of.turning & of.moving & (strong > 0)]
+    times = times[np.isfinite(times)]
+    if len(times) and np.median(times) > _TOO_STRONG:
+        text = f"torques look like N·mm: they are {np.median(times):.3g} times what the drives can do"
+        yield QualityFinding(text, of.robot.joint_names, scale=True)
+
+
+def excessive_weight(of: Recordings) -> Iterator[QualityFinding]:
+    """Torque for more weight than an arm of this reach has; the last doubt, as a force for a torque looks alike.
+
+    An arm is as long as its joints are apart, wherever its tip is: that of a surgical arm is near where its axes meet.
+    """
+    torque = max(float(np.quantile(np.abs(e[:, of.turning]), 0.99, axis=0).max(initial=0)) for e in of.efforts)
+    q = np.random.default_rng(0).uniform(-2, 2, (50, of.robot.dof)) * of.turning
+    dynamics = Dynamics(of.robot)
+    apart = np.linalg.norm(dynamics.chain[1][1:], axis=1).sum()
+    reach = max(float(np.linalg.norm(dynamics.tip_pose(q)[:, :3, 3], axis=1).max()), float(apart))
+    mass = 2 * torque / (9.81 * reach) if reach > 0 else 0.0
+    if mass > _HEAVIEST * reach**2:
+        yield QualityFinding(
+            f"torques look like N·mm: to need {torque:.3g} N·m at a reach of {reach:.2g} m an arm would weigh "
+            f"{mass:.2g} kg, more than any of its reach ({_HEAVIEST * reach**2:.2g} kg)",
+            of.named(of.turning),
+            scale=True,
+        )
 
 
 def gravity_axes(robot: RobotDescription) -> Iterator[tuple[float, float, float]]:
@@ -76,8 +146,8 @@ def described_gravity(
 
     def left(gravity: tuple[float, float, float]) -> float:
         """What the described masses leave of the gravity torque."""
-        dynamics = Bodies(replace(robot, gravity=gravity)).dynamics
-        return float(np.linalg.norm(varying(fitted) - varying(dynamics.regressor(s.q, 0 * s.q, 0 * s.q) @ masses)))
+        weight = Dynamics(replace(robot, gravity=gravity)).regressor(s.q, 0 * s.q, 0 * s.q) @ masses
+        return float(np.linalg.norm(varying(fitted) - varying(weight)))
 
     length = float(np.linalg.norm(varying(fitted)))
     least = min(_SEEN, _TIMES_LEFT * unexplained) * float(np.linalg.norm(varying(s.torque)))
@@ -98,7 +168,7 @@ def described_weight(of: Recordings) -> Iterator[QualityFinding]:
     robot, s, masses = of.robot, of.samples, _measured_masses(of.robot)
     if s is None or masses is None:
         return
-    dynamics = Bodies(robot).dynamics
+    dynamics = Dynamics(robot)
     weight, whole = (dynamics.regressor(s.q, *rest) @ masses for rest in ((0 * s.q, 0 * s.q), (s.qd, s.qdd)))
     heavy = np.flatnonzero(of.turning & (np.std(weight, axis=0) > _SEEN * np.std(weight * of.turning, axis=0).max()))
     times, alike, absent = [], [], []
@@ -129,7 +199,7 @@ def _other_unit(of: Recordings, joints: np.ndarray, times: np.ndarray, judged: i
     joints with enough weight to be judged."""
     robot = of.robot
     size = float(np.exp(np.mean(np.log(times))))
-    if size > _THOUSAND:
+    if size > _TOO_STRONG:
         weighed = f"torques look like N·mm: gravity on the joints is {size:.3g} times what the described masses weigh"
         yield from [*excessive_weight(of), QualityFinding(weighed, robot.joint_names, scale=True)][:1]
         return
@@ -156,7 +226,7 @@ def _other_unit(of: Recordings, joints: np.ndarray, times: np.ndarray, judged: i
 
 def _measured_masses(robot: RobotDescription) -> np.ndarray | None:
     """(10 n,) standard parameters of the description; None where nobody measured them."""
-    bodies = Bodies(robot)
-    masses = bodies.dynamics.standard_parameters()
-    too_light = masses[::10].sum() < _LIGHTEST * bodies.reach() ** 2
+    dynamics = Dynamics(robot)
+    masses = dynamics.standard_parameters()
+    too_light = masses[::10].sum() < _LIGHTEST * dynamics.reach**2
     return None if placeholders(masses) or too_light else masses

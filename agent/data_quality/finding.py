@@ -60,11 +60,6 @@ class Recordings:
         return [log.effort for log in self.logs if log.effort is not None]
 
     @cached_property
-    def furthest(self) -> np.ndarray:
-        """(n,) largest distance from zero [rad or m]."""
-        return np.max([np.abs(log.position).max(axis=0) for log in self.logs], axis=0)
-
-    @cached_property
     def moving(self) -> np.ndarray:
         """(n,) joints that move."""
         return travel(self.logs) > MOVING

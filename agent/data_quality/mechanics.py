@@ -10,7 +10,7 @@ description's own masses may.
 from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -24,9 +24,8 @@ from agent.data_quality.described import (
     gravity_text,
 )
 from agent.data_quality.finding import QualityFinding, Recordings
-from agent.data_quality.rigid_fit import FOLDS, Bodies, FitSamples, RigidFit, fit_samples, fitted_gravity
-from agent.recording import Log
-from agent.robot import RobotDescription
+from agent.data_quality.rigid_fit import FOLDS, RigidFit, fitted_gravity
+from agent.robot import Dynamics, RobotDescription
 
 _UNEXPLAINED = 0.5  # of the torque of all joints, root mean square
 _GAIN = 1.0  # of a mistake that is named, see rigid_fit
@@ -54,13 +53,8 @@ class _Mistake:
 
 def implausible_mechanics(of: Recordings) -> Iterator[QualityFinding]:
     """Findings of a fit to the samples. A mistake that only fits better must also do so with further logs, if any."""
-    if of.samples is not None:
-        yield from _mechanics(of.robot, of.samples, [*of.logs, *of.others] if of.others else [])
-
-
-def _mechanics(robot: RobotDescription, samples: FitSamples, more: Sequence[Log]) -> Iterator[QualityFinding]:
-    plain = RigidFit(Bodies(robot), samples)
-    if not plain.says_something():
+    robot, samples = of.robot, of.samples
+    if samples is None or not (plain := RigidFit(Dynamics(robot), samples)).says_something():
         return
     solution = plain.solution(samples.torque)
     pushing, driven_on = _pushing(plain, samples.torque)
@@ -78,18 +72,19 @@ def _mechanics(robot: RobotDescription, samples: FitSamples, more: Sequence[Log]
         found = likeliest or QualityFinding(f"torque and motion of {whose} have opposite signs", robot.joint_names)
         push = f"friction and inertia would drive {whose} on, by {100 * pushing.max():.0f} % of its torque"
         yield replace(found, text=f"{found.text}: {push}")
-    elif likeliest and not _refuted(robot, more):
+    elif likeliest and not _refuted(of):
         yield replace(likeliest, text=f"{likeliest.text}: much more of the torque would be explained")
     else:
         rest = 0 * samples.q
-        gravity = plain.bodies.regressor(samples.q, rest, rest) @ solution.parameters[: 11 * robot.dof]
+        gravity = plain.regressor(samples.q, rest, rest) @ solution.parameters[: 11 * robot.dof]
         yield from described_gravity(robot, samples, gravity, unexplained)
 
 
-def _refuted(robot: RobotDescription, more: Sequence[Log]) -> bool:
-    """Whether nothing speaks against these logs together; False where there are none."""
-    samples = fit_samples([log for log in more if log.effort is not None])
-    return samples is not None and not any(f.refuses for f in _mechanics(robot, samples, ()))
+def _refuted(of: Recordings) -> bool:
+    """Whether nothing speaks against the logs and the other ones together; False where there are no others."""
+    together = Recordings(of.robot, [log for log in (*of.logs, *of.others) if log.effort is not None])
+    doubts = (finding.refuses for finding in implausible_mechanics(together))
+    return len(of.others) > 0 and together.samples is not None and not any(doubts)
 
 
 def _likeliest(plain: RigidFit, pushing: np.ndarray, driven_on: np.ndarray) -> QualityFinding | None:
@@ -97,7 +92,7 @@ def _likeliest(plain: RigidFit, pushing: np.ndarray, driven_on: np.ndarray) -> Q
 
     Where joints are driven on, it is one that is about one of them, and undoing it drives none on.
     """
-    before, robot = plain.errors(plain.samples.torque), plain.bodies.robot
+    before, robot = plain.errors(plain.samples.torque), plain.robot
     tried: list[tuple[float, _Mistake]] = []
     for mistake in _mistakes(plain, pushing > 0):
         if len(driven_on) and not set(driven_on.tolist()) & set(mistake.about):
@@ -108,7 +103,7 @@ def _likeliest(plain: RigidFit, pushing: np.ndarray, driven_on: np.ndarray) -> Q
     best = max((gain for gain, _ in tried), default=0.0)
     for gain, mistake in tried:
         if gain > best - _AS_GOOD:
-            mended, advice = mistake.fit.bodies.robot.gravity, ""
+            mended, advice = mistake.fit.robot.gravity, ""
             if mended != robot.gravity:
                 advice = MEND_GRAVITY if any(mended) else WITH_GRAVITY
             return QualityFinding(mistake.text, tuple(robot.joint_names[k] for k in mistake.about), advice=advice)
@@ -126,8 +121,7 @@ def _mistakes(plain: RigidFit, driven: np.ndarray) -> Iterator[_Mistake]:
 
     Torque or position of a joint is flipped against the other only where the joint is `driven` (n,) on.
     """
-    bodies, s = plain.bodies, plain.samples
-    robot, torque = bodies.robot, s.torque
+    robot, s, torque = plain.robot, plain.samples, plain.samples.torque
     names, n = robot.joint_names, robot.dof
     everyone = tuple(range(n))
     given: np.ndarray = np.arange(n)
@@ -136,12 +130,12 @@ def _mistakes(plain: RigidFit, driven: np.ndarray) -> Iterator[_Mistake]:
     def moved(scale: np.ndarray | float = 1.0, order: np.ndarray = given) -> RigidFit:
         q, qd, qdd = (values[:, order] * scale for values in (s.q, s.qd, s.qdd))
         motion = replace(s, q=q, qd=qd, qdd=qdd, direction=s.direction[:, order] * np.sign(scale))
-        return RigidFit(bodies, motion, plain.precision)
+        return RigidFit(plain.dynamics, motion, plain.precision)
 
     def under(gravity: tuple[float, float, float]) -> RigidFit:
-        return RigidFit(Bodies(replace(robot, gravity=gravity)), s, plain.precision)
+        return RigidFit(Dynamics(replace(robot, gravity=gravity)), s, plain.precision)
 
-    for gravity in (*gravity_axes(robot), *_tilted(bodies, s)):
+    for gravity in (*gravity_axes(robot), *_tilted(plain)):
         yield _Mistake(gravity_text(robot, gravity), under(gravity), torque, everyone)
     yield _Mistake("these torques carry no gravity", under((0.0, 0.0, 0.0)), torque, everyone)
     if np.abs(s.q[:, turning]).max(initial=0.0) > np.pi:
@@ -165,9 +159,9 @@ def _mistakes(plain: RigidFit, driven: np.ndarray) -> Iterator[_Mistake]:
             yield _Mistake(f"{who} look swapped", swapped, torque[:, order], (a, b))
 
 
-def _tilted(bodies: Bodies, samples: FitSamples) -> Iterator[tuple[float, float, float]]:
+def _tilted(plain: RigidFit) -> Iterator[tuple[float, float, float]]:
     """The direction of gravity that fits best, unless it is nearly the described one."""
-    gravity, described = fitted_gravity(bodies, samples), np.array(bodies.robot.gravity)
+    gravity, described = fitted_gravity(plain), np.array(plain.robot.gravity)
     if described.any() and gravity @ described < np.cos(_TILT) * float(np.linalg.norm(described)) ** 2:
         x, y, z = gravity.tolist()
         yield x, y, z
@@ -189,17 +183,17 @@ def _pushing(fit: RigidFit, torque: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     Returns (n,) part of each joint's torque that does, where a positive one is wrong, and the joints (from 0) for which
     it is large and certain.
     """
-    s, columns, n = fit.samples, fit.columns, fit.bodies.robot.dof
+    s, columns, n = fit.samples, fit.columns, fit.robot.dof
     friction = slice(11 * n, 13 * n)
     push = np.zeros((n, columns.shape[2]))  # by a unit of each parameter
     some = s.q[:: max(1, len(s.q) // 10)]
-    at_rest = fit.bodies.regressor(some, 0 * some, 0 * some)
+    at_rest = fit.regressor(some, 0 * some, 0 * some)
     for k in range(n):
         speed = max(float(np.sqrt(np.mean(s.qd[:, k] ** 2))), 1e-12)
         moving = s.direction[:, k][np.abs(s.direction[:, k]) > 0.5]
         if len(moving) and min(np.mean(moving > 0), np.mean(moving < 0)) > _ONE_WAY:
             push[k, friction] = -np.mean(columns[:, k, friction] * s.qd[:, k, None], axis=0) / speed
-        inertia = (fit.bodies.regressor(some, 0 * some, np.tile(np.eye(n)[k], (len(some), 1))) - at_rest)[:, k]
+        inertia = (fit.regressor(some, 0 * some, np.tile(np.eye(n)[k], (len(some), 1))) - at_rest)[:, k]
         push[k, : 11 * n] = -np.mean(inertia, axis=0) * np.sqrt(np.mean(s.qdd[:, k] ** 2))
     square = np.sum(torque**2, axis=0)
     push /= np.sqrt(np.where(square > 0, square, len(torque)) / len(torque))[:, None]
@@ -212,7 +206,7 @@ def _pushing(fit: RigidFit, torque: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 def wrong_lengths(of: Recordings) -> Iterator[QualityFinding]:
     """The distance between two joints that explains clearly more with another length than the description has."""
     samples = of.samples
-    if samples is None or not (plain := RigidFit(Bodies(of.robot), samples)).says_something():
+    if samples is None or not (plain := RigidFit(Dynamics(of.robot), samples)).says_something():
         return
     before = plain.errors(samples.torque)
 
@@ -220,7 +214,7 @@ def wrong_lengths(of: Recordings) -> Iterator[QualityFinding]:
         other = _with_length(of.robot, joint, times)
         if other is None:
             return -np.inf, 0.0
-        return _gain(before, RigidFit(Bodies(other), samples, plain.precision).errors(samples.torque))
+        return _gain(before, RigidFit(Dynamics(other), samples, plain.precision).errors(samples.torque))
 
     tried = [(*gain(joint, times), joint) for joint in range(1, of.robot.dof) for times in _LENGTHS[:2]]
     better = [(mean, joint) for mean, error, joint in tried if mean > max(_LENGTH_GAIN, _CERTAIN * error)]

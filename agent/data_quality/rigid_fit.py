@@ -14,9 +14,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from agent.core import InputError
-from agent.estimation import FilterSettings, motions, resolve_cutoff
+from agent.estimation import FilterSettings, inverse, motions, resolve_cutoff, solve_scaled
 from agent.recording import Log
-from agent.robot import Dynamics, RobotDescription, rotor_regressor
+from agent.robot import Dynamics, rotor_regressor
 
 _CUTOFF = 10.0  # Hz
 _SAMPLES = 600  # of all logs together
@@ -25,7 +25,6 @@ _ROUNDS = 3  # of weights from residuals
 _PRIOR_WEIGHT = 10.0  # independent samples that the sizes of parameters count for
 _DOUBT = 2.5  # standard deviation of a parameter, relative to the largest that the torques could hold
 _LINK_RADIUS = 0.5  # of the reach: the size of such a link
-_OVERFITTED = 2.5  # times the error of a fit; of two real arms, as they are or mistaken, at most 1.5
 _SAMPLES_PER_PARAMETER = 4.0  # independent samples: a shorter log does not distinguish a mistake from chance
 _LEAST = 1e-10  # squared error of a joint, relative to its torque, below which round-off begins
 
@@ -42,6 +41,11 @@ class FitSamples:
     direction: np.ndarray
     fold: np.ndarray
     independent: float
+
+    @property
+    def rows_each(self) -> float:
+        """Samples for each independent one."""
+        return max(1.0, len(self.q) / max(self.independent, 1.0))
 
 
 def fit_samples(logs: Sequence[Log]) -> FitSamples | None:
@@ -69,46 +73,6 @@ def fit_samples(logs: Sequence[Log]) -> FitSamples | None:
     return FitSamples(q, qd, qdd, torque, direction, fold, independent)
 
 
-class Bodies:
-    """Rigid links and rotors of a robot, with Coulomb and viscous friction of its axles and offsets of its joints."""
-
-    def __init__(self, robot: RobotDescription):
-        self.robot = robot
-        self.dynamics = Dynamics(robot)
-
-    def columns(self, s: FitSamples) -> np.ndarray:
-        """(S, n, 14 n) along the samples."""
-        count, n = s.q.shape
-        coupling = self.robot.coupling
-        friction = [coupling.T[None] * column[:, None, :] for column in (s.direction, s.qd @ coupling.T)]
-        offset = np.broadcast_to(np.eye(n)[None], (count, n, n))
-        return np.concatenate([self.regressor(s.q, s.qd, s.qdd), *friction, offset], axis=2)
-
-    def regressor(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
-        """(S, n, 11 n) of links and rotors."""
-        return np.concatenate([self.dynamics.regressor(q, qd, qdd), rotor_regressor(self.robot, qdd)], axis=2)
-
-    def reach(self) -> float:
-        """Reach [m] of the tip, estimated from random postures."""
-        q = np.random.default_rng(0).uniform(-3, 3, (50, self.robot.dof))
-        return max(float(np.linalg.norm(self.dynamics.tip_pose(q)[:, :3, 3], axis=1).max()), 0.1)
-
-    def precision(self, s: FitSamples) -> np.ndarray:
-        """(14 n,) of a prior that knows of the parameters only what these torques could lift, speed up or rub."""
-        n = self.robot.dof
-        torque = np.maximum(np.abs(s.torque).max(axis=0), 1e-9)
-        reach = self.reach()
-        gravity = max(float(np.linalg.norm(self.robot.gravity)), 1.0)
-        mass, radius = torque.max() / gravity / reach, _LINK_RADIUS * reach
-        link = _DOUBT * mass * np.array([1.0, *[radius] * 3, *[radius**2] * 6])
-        acceleration = np.maximum(np.abs(s.qdd).max(axis=0), 0.01 * self.robot.max_acceleration)
-        speed = np.maximum(np.abs(s.qd).max(axis=0), 1e-6 * self.robot.max_velocity)
-        rotors = torque / acceleration / self.robot.gear_ratios**2
-        rows_each = max(1.0, len(s.q) / max(s.independent, 1.0))
-        sizes = np.concatenate([np.tile(link, n), rotors, torque, torque / speed, torque])
-        return _PRIOR_WEIGHT * rows_each / sizes**2
-
-
 @dataclass(frozen=True, eq=False)
 class Solution:
     """A fit to a torque (S, n): parameters (p,), their covariance (p, p), and the part of the torque that is left, of
@@ -121,133 +85,116 @@ class Solution:
 
 
 class RigidFit:
-    """Fits of links, rotors, friction and offsets to torques of one motion, every joint weighted by what it leaves.
+    """Fits of links, rotors, Coulomb and viscous friction of the axles and offsets of the joints, 14 n parameters, to
+    torques of one motion; every joint is weighted by what it leaves. All it needs of torque y and regressor X are the
+    second moments of [X y], joint by joint.
 
-    `precision` (p,) is that of the prior.
+    `precision` (14 n,) is that of the prior, by default that of these samples.
     """
 
-    def __init__(self, bodies: Bodies, s: FitSamples, precision: np.ndarray | None = None):
-        self.bodies, self.samples = bodies, s
-        self.columns = bodies.columns(s)
-        self.precision = bodies.precision(s) if precision is None else precision
-        self._folds = [np.flatnonzero(s.fold == fold) for fold in range(FOLDS)]
-        parts = [self.columns[rows].swapaxes(0, 1) for rows in self._folds]
-        self._own = np.array([part.swapaxes(1, 2) @ part for part in parts])
+    def __init__(self, dynamics: Dynamics, s: FitSamples, precision: np.ndarray | None = None):
+        self.dynamics, self.robot, self.samples = dynamics, dynamics.robot, s
+        coupling, offset = self.robot.coupling, np.eye(self.robot.dof)
+        friction = [coupling.T[None] * column[:, None, :] for column in (s.direction, s.qd @ coupling.T)]
+        bodies = self.regressor(s.q, s.qd, s.qdd)
+        self.columns = np.concatenate([bodies, *friction, np.broadcast_to(offset, (len(s.q), *offset.shape))], axis=2)
+        self.precision = self._sizes() ** -2 * _PRIOR_WEIGHT * s.rows_each if precision is None else precision
+
+    def regressor(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
+        """(S, n, 11 n) of links and rotors."""
+        return np.concatenate([self.dynamics.regressor(q, qd, qdd), rotor_regressor(self.robot, qdd)], axis=2)
+
+    def _sizes(self) -> np.ndarray:
+        """(14 n,) of the parameters, of which the prior knows only what these torques could lift, speed up or rub."""
+        robot, s, reach = self.robot, self.samples, self.dynamics.reach
+        torque = np.maximum(np.abs(s.torque).max(axis=0), 1e-9)
+        mass, radius = torque.max() / max(float(np.linalg.norm(robot.gravity)), 1.0) / reach, _LINK_RADIUS * reach
+        link = _DOUBT * mass * np.array([1.0, *[radius] * 3, *[radius**2] * 6])
+        acceleration = np.maximum(np.abs(s.qdd).max(axis=0), 0.01 * robot.max_acceleration)
+        speed = np.maximum(np.abs(s.qd).max(axis=0), 1e-6 * robot.max_velocity)
+        rotors = torque / acceleration / robot.gear_ratios**2
+        return np.concatenate([np.tile(link, robot.dof), rotors, torque, torque / speed, torque])
 
     def says_something(self) -> bool:
-        """Whether there are enough samples, and held-out ones are predicted well enough, to compare fits."""
+        """Whether there are enough samples to compare fits."""
         s = self.samples
         rows = self.columns.reshape(s.q.size, -1)
         length = np.linalg.norm(rows, axis=0)
         known = np.linalg.matrix_rank(rows / np.where(length > 0, length, 1.0), rtol=1e-7)
-        independent = s.q.shape[1] * min(len(s.q), s.independent)
-        return independent > _SAMPLES_PER_PARAMETER * known and not overfitted(self, s.torque)
+        return bool(s.q.shape[1] * min(len(s.q), s.independent) > _SAMPLES_PER_PARAMETER * known)
 
     def solution(self, torque: np.ndarray) -> Solution:
         """The fit to all samples of a torque (S, n)."""
-        cross, square, _ = self._moments(torque)
-        own, cross, square = self._own.sum(axis=0), cross.sum(axis=0), square.sum(axis=0)
-        parameters, weights = self._weighted(own, cross, square)
-        left = np.maximum(_squared(parameters, own, cross, square), 0.0)
-        each = max(1.0, len(torque) / max(self.samples.independent, 1.0))  # rows for each independent sample
-        matrix = _sum(weights, own) + np.diag(self.precision)
-        scale = 1 / np.sqrt(np.diagonal(matrix))
-        covariance = each * scale * np.linalg.inv(matrix * np.outer(scale, scale)) * scale[:, None]
+        moments = self._moments(torque).sum(axis=0)
+        parameters, weights = _fitted(moments, self)
+        left, square = np.maximum(_squared_error(moments, parameters), 0.0), moments[:, -1, -1]
+        matrix = np.tensordot(weights, moments[:, :-1, :-1], 1) + np.diag(self.precision)
         unexplained = float(np.sqrt(left.sum() / max(float(square.sum()), 1e-300)))
-        return Solution(parameters, covariance, np.sqrt(left / np.maximum(square, 1e-300)), unexplained)
+        each = np.sqrt(left / np.maximum(square, 1e-300))
+        return Solution(parameters, self.samples.rows_each * inverse(matrix), each, unexplained)
 
     def errors(self, torque: np.ndarray) -> np.ndarray:
         """(FOLDS, n) squared error held out of a torque (S, n), at most that of a constant one."""
-        cross, square, alone = self._moments(torque)
-        own_all, cross_all, square_all = self._own.sum(axis=0), cross.sum(axis=0), square.sum(axis=0)
-        _, weights = self._weighted(own_all, cross_all, square_all)
-        matrices = _sum(weights, own_all) - _sum(weights, self._own)
-        solutions = self._solve(matrices, weights @ (cross_all - cross))
-        held_out = [_squared(*of_fold) for of_fold in zip(solutions, self._own, cross, square, strict=True)]
-        least = _LEAST * square_all + 1e-300
-        return np.minimum(np.maximum(held_out, least), np.maximum(alone, least))
+        moments = self._moments(torque)
+        whole, found = moments.sum(axis=0), np.empty(moments.shape[:2])
+        weights = _fitted(whole, self)[1]
+        away = (torque - torque.mean(axis=0)) ** 2
+        for fold, part in enumerate(moments):
+            error = _squared_error(part, _solved(np.tensordot(weights, whole - part, 1), self.precision))
+            found[fold] = np.minimum(error, away[self.samples.fold == fold].sum(axis=0))
+        return np.maximum(found, _LEAST * whole[:, -1, -1] + 1e-300)
 
-    def _moments(self, torque: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Per fold and joint: torque times columns (FOLDS, n, p), squared torque, squared change of torque."""
-        cross = np.array([np.einsum("sj,sjp->jp", torque[rows], self.columns[rows]) for rows in self._folds])
-        square, alone = (
-            np.array([np.sum(values[rows] ** 2, axis=0) for rows in self._folds])
-            for values in (torque, torque - torque.mean(axis=0))
-        )
-        return cross, square, alone
-
-    def _weighted(self, own: np.ndarray, cross: np.ndarray, square: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Parameters (p,) and weights (n,) from moments (n, p, p), (n, p), (n,)."""
-        left, least = square, _LEAST * square + 1e-300
-        for _ in range(_ROUNDS):
-            weights = len(self.columns) / np.maximum(left, least)
-            parameters = self._solve(_sum(weights, own), weights @ cross)
-            left = _squared(parameters, own, cross, square)
-        return parameters, len(self.columns) / np.maximum(left, least)
-
-    def _solve(self, matrix: np.ndarray, side: np.ndarray) -> np.ndarray:
-        """(…, p) solutions of normal equations (…, p, p) with sides (…, p), the prior added."""
-        matrix = matrix + np.diag(self.precision)
-        scale = 1 / np.sqrt(np.diagonal(matrix, axis1=-2, axis2=-1))
-        scaled = matrix * (scale[..., :, None] * scale[..., None, :])
-        return np.asarray(scale * np.linalg.solve(scaled, (scale * side)[..., None])[..., 0])
+    def _moments(self, torque: np.ndarray) -> np.ndarray:
+        """(FOLDS, n, p + 1, p + 1) of a torque (S, n), the last row and column."""
+        rows = np.concatenate([self.columns, torque[:, :, None]], axis=2).swapaxes(0, 1)
+        parts = [rows[:, self.samples.fold == fold] for fold in range(FOLDS)]
+        return np.array([part.swapaxes(1, 2) @ part for part in parts])
 
 
-def overfitted(fit: RigidFit, torque: np.ndarray) -> bool:
-    """Whether the joints' median torque (S, n) is predicted far worse than it is fitted.
-
-    A log that short says nothing about mistakes.
-    """
-    left = np.sqrt(fit.errors(torque).sum(axis=0) / np.maximum(np.sum(torque**2, axis=0), 1e-300))
-    return bool(np.median(left / np.maximum(fit.solution(torque).left, 0.01)) > _OVERFITTED)
-
-
-def _sum(weights: np.ndarray, own: np.ndarray) -> np.ndarray:
-    """(…, p, p) sum over joints of moments (…, n, p, p), weighted (n,)."""
-    return np.tensordot(own, weights, axes=(-3, 0))
+def _fitted(moments: np.ndarray, fit: RigidFit, rounds: int = _ROUNDS) -> tuple[np.ndarray, np.ndarray]:
+    """Parameters (p,) and the joints' weights (n,) from moments (n, p + 1, p + 1) of all samples of a fit."""
+    rows, least = len(fit.samples.q), _LEAST * moments[:, -1, -1] + 1e-300
+    weights = rows / np.maximum(moments[:, -1, -1], least)
+    for _ in range(rounds):
+        parameters = _solved(np.tensordot(weights, moments, 1), fit.precision)
+        weights = rows / np.maximum(_squared_error(moments, parameters), least)
+    return parameters, weights
 
 
-def _squared(solution: np.ndarray, own: np.ndarray, cross: np.ndarray, square: np.ndarray) -> np.ndarray:
-    """(n,) squared error of a solution (p,) from moments (n, p, p), (n, p), (n,)."""
-    return np.asarray(square - 2 * cross @ solution + (own @ solution) @ solution)
+def _solved(moments: np.ndarray, precision: np.ndarray) -> np.ndarray:
+    """(p,) from the weighted sum of moments (p + 1, p + 1), the prior added."""
+    return solve_scaled(moments[:-1, :-1] + np.diag(precision), moments[:-1, -1])
 
 
-def fitted_gravity(bodies: Bodies, s: FitSamples) -> np.ndarray:
+def _squared_error(moments: np.ndarray, parameters: np.ndarray) -> np.ndarray:
+    """(n,) that parameters (p,) leave, from moments (n, p + 1, p + 1)."""
+    extended = np.append(parameters, -1.0)
+    return np.asarray(moments @ extended @ extended)
+
+
+def fitted_gravity(plain: RigidFit) -> np.ndarray:
     """(3,) gravity [m/s²] in the base frame of the described size, in the direction with which the samples fit best.
 
     Columns are linear in gravity, so that moments with each component of it serve all directions.
     """
     from scipy.optimize import minimize
 
-    size = float(np.linalg.norm(bodies.robot.gravity)) or 9.80665
-    none, *each = (
-        Bodies(replace(bodies.robot, gravity=tuple(gravity))).columns(s)
+    robot, s = plain.robot, plain.samples
+    size = float(np.linalg.norm(robot.gravity)) or 9.80665
+    without, *along = (
+        RigidFit(Dynamics(replace(robot, gravity=tuple(gravity))), s, plain.precision).columns
         for gravity in size * np.vstack([np.zeros(3), np.eye(3)])
     )
-    parts = np.array([none, *(columns - none for columns in each)]).transpose(2, 0, 1, 3)  # (n, 4, S, p)
-    own = np.array([np.einsum("isa,jsb->ijab", part, part, optimize=True) for part in parts])
-    cross = np.einsum("nisa,sn->nia", parts, s.torque)
-    square = np.sum(s.torque**2, axis=0)
-    prior = np.diag(bodies.precision(s))
+    rows = [np.dstack([without, s.torque]), *(np.dstack([one - without, 0 * s.torque]) for one in along)]
+    moments = np.einsum("isna,jsnb->ijnab", rows, rows, optimize=True)
 
-    def left(gravity: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        """(n,) squared error with gravity (3,) in this direction."""
-        along = np.append(1.0, gravity / np.linalg.norm(gravity))
-        own_all, cross_all = np.tensordot(own, np.outer(along, along), axes=([1, 2], [0, 1])), along @ cross
-        solution = np.linalg.solve(_sum(weights, own_all) + prior, weights @ cross_all)
-        return _squared(solution, own_all, cross_all, square)
+    def misfit(gravity: np.ndarray, rounds: int = _ROUNDS) -> float:
+        """Twice the negative log-likelihood, but for a constant."""
+        parts = np.append(1.0, gravity / np.linalg.norm(gravity))
+        weights = _fitted(np.tensordot(np.outer(parts, parts), moments, 2), plain, rounds)[1]
+        return -len(s.q) * float(np.log(weights).sum())
 
-    best, errors = np.zeros(3), square
-    for _ in range(_ROUNDS):
-        weights = len(s.q) / np.maximum(errors, 1e-12 * square + 1e-300)
-
-        def misfit(gravity: np.ndarray, weights: np.ndarray = weights) -> float:
-            return float(weights @ left(gravity, weights))
-
-        axes = np.vstack([np.eye(3), -np.eye(3)])
-        best = best / np.linalg.norm(best) if best.any() else min(axes, key=misfit)
-        around = best + 0.3 * np.vstack([np.zeros(3), np.eye(3)])
-        options = {"initial_simplex": around, "xatol": 1e-3, "fatol": 1e-3}
-        best = minimize(misfit, best, method="Nelder-Mead", options=options).x
-        errors = left(best, weights)
+    axis = min([*np.eye(3), *-np.eye(3)], key=lambda one: misfit(one, 1))
+    options = {"initial_simplex": axis + 0.3 * np.vstack([np.zeros(3), np.eye(3)]), "xatol": 1e-3, "fatol": 1e-3}
+    best = minimize(misfit, axis, method="Nelder-Mead", options=options).x
     return np.asarray(size * best / np.linalg.norm(best))

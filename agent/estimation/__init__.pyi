@@ -7,6 +7,7 @@ from .filtering import (
     smooth_and_differentiate as smooth_and_differentiate,
     used_text as used_text,
 )
+from .moments import inverse as inverse, solve_scaled as solve_scaled
 from .observation import Observation as Observation, check_log as check_log, observe as observe
 from .prior import DESCRIPTION as DESCRIPTION, EITHER as EITHER, physical_prior as physical_prior
 from .refitting import Refit as Refit, conditional_covariance as conditional_covariance, refit as refit

@@ -86,7 +86,7 @@ def mapped_joints(map_or_preset: Path | str) -> int:
     if isinstance(map_or_preset, str):
         return len(preset_map(map_or_preset, [])[0].entries.position.columns)
     columns = load_mapping(map_or_preset).entries.position.columns
-    return 7 if isinstance(columns, str) or columns == columns[:1] else len(columns)
+    return 7 if len(columns) == 1 else len(columns)
 
 
 def _assembled(source: _Source, output: Path) -> tuple[Log, np.ndarray | None]:
@@ -277,8 +277,8 @@ class _Source:
             return None
         measured = self.mapping.entries.position
         side = columns.side or measured.side or self.mapping.entries.side
-        offset = columns.offset if columns.offset is not None else measured.offset
-        return self._to_joints(self._raw(key, "position", columns, side), side) + self._offsets(f"{key}.offset", offset)
+        offsets = self._offsets(f"{key}.offset", columns.offset or measured.offset or [0.0])
+        return self._to_joints(self._raw(key, "position", columns, side), side) + offsets
 
     def velocity(self, columns: Columns) -> np.ndarray:
         """(S, n)."""
@@ -287,7 +287,7 @@ class _Source:
 
     def effort(self, columns: EffortColumns) -> tuple[np.ndarray | None, np.ndarray | None]:
         """Efforts (S, n), None for currents of a known recorder without torque constants; currents (S, n) [A]."""
-        units = self._per_joint("effort.unit", columns.unit, None)
+        units = self._per_joint("effort.unit", columns.unit)
         is_current, is_share = (np.array([unit in kind for unit in units]) for kind in (CURRENT, OF_NOMINAL))
         side = columns.side or ("motor" if is_current.any() else self.mapping.entries.side)
         if is_current.any() and side == "joint":
@@ -322,7 +322,7 @@ class _Source:
     def _raw(self, key: str, quantity: str, columns: Columns, side: str) -> np.ndarray:
         """(S, n) of the side that the columns are of, SI."""
         n = self.robot.dof
-        names = columns.columns if isinstance(columns.columns, list) else [columns.columns]
+        names = columns.columns
         if len(names) == 1 and isinstance(names[0], str):  # one name may stand for a matrix with a column per joint
             matrices = [matrix for table in self.tables if len(matrix := table.matrix(names[0])) == n]
             names = [*matrices[0]] if matrices else names
@@ -333,14 +333,14 @@ class _Source:
         rows = min(map(len, found))
         values = np.column_stack([column[:rows] for column in found])
         factors = []
-        for joint, unit in zip(self.robot.joints, self._per_joint(f"{key}.unit", columns.unit, None), strict=True):
+        for joint, unit in zip(self.robot.joints, self._per_joint(f"{key}.unit", columns.unit), strict=True):
             allowed = units_of(quantity, joint.prismatic and side == "joint")
             unit = next(iter(allowed)) if unit is None else unit
             if unit not in allowed:
                 what = f"{unit!r} is no unit of {quantity} for {joint.name} on the {side} side"
                 self.mapping.fault(f"{key}.unit", f"{what}; allowed are {', '.join(allowed)}")
             factors.append(allowed[unit])
-        scales = [self._scale(key, scale, table) for scale in self._per_joint(f"{key}.scale", columns.scale, 1.0)]
+        scales = [self._scale(key, scale, table) for scale in self._per_joint(f"{key}.scale", columns.scale)]
         return values * (np.array(scales) * np.array(factors))
 
     def _columns(
@@ -386,10 +386,10 @@ class _Source:
             self.mapping.fault(f"{key}.scale", f"{table.path.name}: {scale!r} is {value:g}; {USABLE}")
         return value
 
-    def _offsets(self, key: str, offset: float | str | list[float | str] | None) -> np.ndarray:
+    def _offsets(self, key: str, offsets: Sequence[float | str]) -> np.ndarray:
         """(n,) [rad, m]."""
         result = []
-        for joint, value in zip(self.robot.joints, self._per_joint(key, offset, 0.0), strict=True):
+        for joint, value in zip(self.robot.joints, self._per_joint(key, offsets), strict=True):
             try:
                 result.append(parse_quantity(value, Dimension.LENGTH if joint.prismatic else Dimension.ANGLE))
             except InputError as error:
@@ -398,10 +398,9 @@ class _Source:
 
     def _torque_constants(self, columns: EffortColumns) -> np.ndarray | None:
         """(n,) [N·m/A, motor side]; None where a known recorder's robot has none."""
-        given = columns.torque_constant
-        if given is None:
-            given = [np.nan if joint.torque_constant is None else joint.torque_constant for joint in self.robot.joints]
-        constants = np.array(self._per_joint("effort.torque_constant", given, None), dtype=float)
+        described = [np.nan if joint.torque_constant is None else joint.torque_constant for joint in self.robot.joints]
+        given = self._per_joint("effort.torque_constant", columns.torque_constant or described)
+        constants = np.array(given, dtype=float)
         if missing := self._missing(constants):
             if self.mapping.preset:
                 self.notes.append(f"currents are kept on {CURRENTS}; torques need the torque_constant of {missing}")
@@ -412,12 +411,10 @@ class _Source:
             self.notes.append(f"torques are currents times the torque constants {used} N·m/A (motor side)")
         return constants
 
-    def _per_joint(self, key: str, value: Any, default: Any) -> list[Any]:
-        """One value a joint from one for all or a list."""
+    def _per_joint(self, key: str, values: Sequence[Any]) -> list[Any]:
+        """One value a joint from one for all, or one a joint."""
         n = self.robot.dof
-        if not isinstance(value, list):
-            return [default if value is None else value] * n
-        if len(value) != n:
-            what = f"{counted(len(value), 'value')} for {counted(n, 'joint')}"
+        if len(values) not in (1, n):
+            what = f"{counted(len(values), 'value')} for {counted(n, 'joint')}"
             self.mapping.fault(key, f"{what}; give one for all, or one a joint")
-        return value
+        return [*values] * (n // len(values))

@@ -42,6 +42,12 @@ class Repair:
     def __str__(self) -> str:
         return f"{self.kind}: {self.count} at {self.time:.3f} s"
 
+    @classmethod
+    def of(cls, kind: str, times: np.ndarray, which: Any = slice(None)) -> list[Repair]:
+        """One for samples at times (S,) [s], by mask or number, at the earliest of them; none where there are none."""
+        found = times[which]
+        return [cls(kind, float(found.min()), len(found))] if len(found) else []
+
 
 @dataclass(frozen=True, eq=False)
 class Log:

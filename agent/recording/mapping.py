@@ -36,22 +36,22 @@ _LARGEST = 1e100
 
 
 def _one_or_list(what: str, *types: type) -> BeforeValidator:
-    """One value for all joints, or a list with one a joint."""
+    """One value for all joints, or a list with one a joint; it becomes a list either way."""
 
-    def check(value: Any) -> Any:
+    def check(value: Any) -> list[Any]:
         values = value if isinstance(value, list) else [value]
         if not values or not all(isinstance(item, types) and not isinstance(item, bool) for item in values):
             raise ValueError(f"{what} is expected, or a list with one for each joint")
-        return value
+        return values
 
     return BeforeValidator(check)
 
 
-def _usable(value: Any) -> Any:
-    for item in value if isinstance(value, list) else [value]:
+def _usable(values: list[Any]) -> list[Any]:
+    for item in values:
         if isinstance(item, (int, float)) and not 0 < abs(item) < _LARGEST:
             raise ValueError(f"{USABLE}, not {item}")
-    return value
+    return values
 
 
 def _column(value: Any) -> Any:
@@ -93,15 +93,11 @@ class TimeColumn(_MappingPart):
 
     def names(self) -> list[str | int]:
         """The columns to add up."""
-        if self.columns is None:
-            return [self.column]
-        return self.columns if isinstance(self.columns, list) else [self.columns]
+        return self.columns or [self.column]
 
     def units(self) -> list[str]:
         """One a column: seconds, and nanoseconds of a second column."""
-        if self.unit is None:
-            return ["s", "ns"][: len(self.names())]
-        return self.unit if isinstance(self.unit, list) else [self.unit]
+        return self.unit or ["s", "ns"][: len(self.names())]
 
 
 class RowSelection(_MappingPart):
@@ -116,9 +112,9 @@ class Columns(_MappingPart):
     """One quantity of all joints. SI = column · scale · unit."""
 
     columns: _Names
-    unit: _Unit = None
+    unit: _Unit = (None,)
     file: str | None = None
-    scale: _Scale = 1.0
+    scale: _Scale = (1.0,)
     side: Side | None = None
 
 

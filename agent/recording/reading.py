@@ -126,10 +126,8 @@ def _mended(
     """The table without samples that cannot be, samples to cut it before, and what there is to say."""
     jumps = Jumps() if robot is None else mend_jumps(table.stamp, table.arrays["position"], robot)
     spikes = find_spikes(table.arrays["effort"]) if "effort" in table.arrays else np.array([], int)
-    repairs = list(jumps.repairs)
-    if len(spikes):
-        kind = "samples whose torque stands out alone, dropped"
-        repairs.append(_repair(kind, table.stamp[spikes], int(table.stamp[0])))
+    time = (table.stamp - table.stamp[0]) / _NANO
+    repairs = [*jumps.repairs, *Repair.of("samples whose torque stands out alone, dropped", time, spikes)]
     dropped = np.union1d(jumps.dropped, spikes).astype(int)
     cuts = tuple(int(cut - np.searchsorted(dropped, cut)) for cut in jumps.cuts)
     if len(dropped):
@@ -138,7 +136,7 @@ def _mended(
     if velocity is not None and not velocity.any() and np.any(np.ptp(table.arrays["position"], axis=0) > _MOVED):
         del table.arrays["velocity"]
         kind = "samples with a velocity of zero though the arm moves, so all velocity left out"
-        repairs.append(_repair(kind, table.stamp, int(table.stamp[0])))
+        repairs.append(Repair(kind, 0.0, len(table.stamp)))
     return table, cuts, repairs
 
 
@@ -151,7 +149,7 @@ def _table(groups: list[Messages], names: tuple[str, ...], scratch: Scratch) -> 
     stamps = np.concatenate([group.stamp for group in ours])
     first = int(stamps[~far_off(stamps)].min())
     stamp = np.concatenate([group.stamp for group in usable])
-    keep = np.ones(len(stamp), bool)
+    time, keep = (stamp - first) / _NANO, np.ones(len(stamp), bool)
     repairs: list[Repair] = []
     arrays: dict[str, np.ndarray] = {}
     without_effort: tuple[str, ...] = ()
@@ -164,22 +162,20 @@ def _table(groups: list[Messages], names: tuple[str, ...], scratch: Scratch) -> 
             if field == "effort":
                 without_effort = bare
             if any(getattr(group, field) is not None for group in usable):
-                repairs.append(_repair(_without(field, bare, names), stamp[unknown], first))
+                repairs += Repair.of(_without(field, bare, names), time, unknown)
             continue
         wild = impossible(values, field) & ~unknown
         for rows, kind in ((unknown, f"without a finite {field}"), (wild, f"with a {field} that no arm can have")):
-            if (rows & keep).any():
-                repairs.append(_repair(f"samples {kind}, dropped", stamp[rows & keep], first))
+            repairs += Repair.of(f"samples {kind}, dropped", time, rows & keep)
             keep &= ~rows
         arrays[field] = values
     if not keep.any():
         return None
     for kind, left_out in (
-        ("messages of other joints, left out", [group for group in groups if group not in ours]),
-        ("samples with arrays of wrong length, dropped", [group for group in ours if not group.layout.whole]),
+        ("messages of other joints, left out", [group.stamp for group in groups if group not in ours]),
+        ("samples with arrays of wrong length, dropped", [group.stamp for group in ours if not group.layout.whole]),
     ):
-        if left_out:
-            repairs.append(_repair(kind, np.concatenate([group.stamp for group in left_out]), first))
+        repairs += Repair.of(kind, (np.concatenate([*left_out, stamp[:0]]) - first) / _NANO)
     in_file = np.argsort(np.concatenate([group.order for group in usable]), kind="stable")
     return _Table(first, stamp, arrays, tuple(repairs), without_effort).taken(in_file[keep[in_file]], scratch)
 
@@ -326,7 +322,3 @@ def _cycle_starts(run: dict[str, str], before: float, duration: float, repairs: 
         kind = "cycle_starts_s is no rising list of seconds within the log, used as far as possible; entries"
         repairs.append(Repair(kind, 0.0, len(starts)))
     return tuple(usable)
-
-
-def _repair(kind: str, stamps: np.ndarray, first: int) -> Repair:
-    return Repair(kind, (int(stamps.min()) - first) / _NANO, len(stamps))

@@ -201,18 +201,15 @@ def _read_parquet(path: Path) -> ColumnTable:
         sizes = [max(part.num_values, rows) for part, rows in parts if part.path_in_schema.split(".")[0] in names]
         _check_values(path, sum(sizes))
         content = file.read(names).flatten()  # fields of structs become columns
-    columns: dict[str, np.ndarray] = {}
+    found = _Variables()
     for name in content.column_names:
         values = content.column(name).to_numpy(zero_copy_only=False)
         if values.dtype.kind == "O" and len({np.shape(value) for value in values}) == 1 and np.ndim(values[0]) == 1:
             values = np.stack(values)
         if values.dtype.kind == "M":
             values = values.astype("datetime64[ns]").astype(np.int64) / 1e9
-        if values.dtype.kind in "biuf" and values.ndim == 2:
-            columns |= {f"{name}[{k + 1}]": column.astype(float) for k, column in enumerate(values.T)}
-        elif values.dtype.kind in "biuf":
-            columns[name] = values.astype(float)
-    return ColumnTable(path, columns)
+        found.add(name, values)
+    return ColumnTable(path, found.columns, found.constants)
 
 
 #: Kind of a file, and what reads it, by its ending.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import subprocess
 import sys
@@ -104,6 +105,11 @@ def test_lists_all_effects_with_units_and_a_working_example(arm):
     assert re.search(r"rise +\[N·m\] +required", listed)
     assert re.search(r"encoder_offset \(joints: one or more\)\n.*\n +offset +\[rad\]", listed)
     assert load_effect(json.loads(listed.splitlines()[1])).joints == ("joint_4",)
+    here, there = os.pipe()
+    os.close(here)  # a reader that has ended, as `head` does
+    with open(there, "wb") as nobody:
+        ended = subprocess.run(command, stdout=nobody, stderr=subprocess.PIPE, check=True, cwd=ROOT)
+    assert ended.stderr == b""
 
 
 def test_a_fault_takes_a_joint_by_name_or_number(tmp_path: Path):

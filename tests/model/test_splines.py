@@ -1,26 +1,25 @@
-"""Splines pass through their values, and natural ones go on straight."""
+"""The curve of a hose passes through its torques, and goes on straight."""
 
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from hypothesis import given, strategies as st
 
-from agent.core import CubicSplines
+from agent.model.effects.dress_pack import N_NODES, _curve
 
 
-@pytest.mark.parametrize("natural", [False, True])
-@given(seed=st.integers(0, 2**32 - 1), knots=st.integers(4, 40))
-def test_a_spline_passes_through_its_values_and_goes_on_smoothly(natural, seed, knots):
-    rng = np.random.default_rng(seed)
-    at = np.cumsum(rng.uniform(0.1, 1.0, knots))
-    values = rng.standard_normal((knots, 3))
-    np.testing.assert_allclose(CubicSplines(at, values, natural)(at), values, atol=1e-9)
+@given(st.floats(-3.0, 3.0), st.floats(0.1, 6.0), st.integers(0, 2**32 - 1))
+def test_a_curve_passes_through_its_values_and_goes_on_smoothly(low, width, seed):
+    high = low + width
+    values = np.random.default_rng(seed).standard_normal((N_NODES, 3))
+
+    def at(places: np.ndarray) -> np.ndarray:
+        return np.transpose(_curve(places, low, high)) @ values
+
+    np.testing.assert_allclose(at(np.linspace(low, high, N_NODES)), values, atol=1e-9)
     steps = np.linspace(0.0, 0.5, 6)
-    for end, beyond in ((at[0], at[0] - steps), (at[-1], at[-1] + steps)):
-        found = CubicSplines(at, values, natural)(beyond)
-        if natural:  # straight, with the slope at the end
-            step = np.sign(beyond[1] - end) * 1e-6
-            slope = (CubicSplines(at, values, True)(np.array([end, end - step])) * [[1], [-1]]).sum(axis=0) / step
-            expected = found[0] + (beyond - end)[:, None] * slope
-            np.testing.assert_allclose(found, expected, atol=1e-4 * max(1.0, np.abs(slope).max()))
+    for end, beyond in ((low, low - steps), (high, high + steps)):
+        step = np.sign(beyond[1] - end) * 1e-6
+        slope = (at(np.array([end, end - step])) * [[1], [-1]]).sum(axis=0) / step
+        expected = at(beyond)[0] + (beyond - end)[:, None] * slope
+        np.testing.assert_allclose(at(beyond), expected, atol=1e-4 * max(1.0, np.abs(slope).max()))

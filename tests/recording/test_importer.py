@@ -297,60 +297,48 @@ def test_without_pyarrow_it_says_what_to_install(convert, tmp_path, monkeypatch)
         convert("rate: 1\nposition: {columns: q}\n", tmp_path / "data.parquet")
 
 
+RATE, BOTH = "rate: 5\n", "position: {columns: [q1, q2]}\n"
+
+
 @pytest.mark.parametrize(
     ("mapping", "complaint"),
     [
-        ("position: {columns: [q1, q2]}\n", r"map.yaml:1: document: give either rate"),
-        ("rate: 5 m\nposition: {columns: [q1, q2]}\n", r"map.yaml:1: rate: .*frequency.*length"),
-        ("rate: 5\n", r"map.yaml:\d+: position: this key is required"),
-        ("rate: 5\nposition: {colums: [q1, q2]}\n", r"map.yaml:2: position.colums: unknown key.*did you mean columns"),
-        ("rate: 5\nposition: {columns: {a: 1}}\n", r"map.yaml:2: position.columns: a column, by name or by number"),
+        (BOTH, r"map.yaml:1: document: give either rate"),
+        ("rate: 5 m\n" + BOTH, r"map.yaml:1: rate: .*frequency.*length"),
+        (RATE, r"map.yaml:\d+: position: this key is required"),
+        (RATE + "position: {colums: [q1, q2]}\n", r"map.yaml:2: position.colums: unknown key.*did you mean columns"),
+        (RATE + "position: {columns: {a: 1}}\n", r"map.yaml:2: position.columns: a column, by name or by number"),
+        (RATE + "position: {columns: [q1]}\n", r"map.yaml:2: position.columns: 1 column for 2 joints \(turn, slide\)"),
+        (RATE + "position:\n  columns: [q1, q9]\n", r"map.yaml:3: position.columns: data.csv has no column q9; it has"),
+        (RATE + "position: {columns: [1, 12]}\n", r"map.yaml:2: position.columns: data.csv has no column 12"),
+        (RATE + "position: {columns: [q1, q2], file: x.csv}\n", r"map.yaml:2: position.file: no input is named"),
         (
-            "rate: 5\nposition: {columns: [q1]}\n",
-            r"map.yaml:2: position.columns: 1 column for 2 joints \(turn, slide\)",
-        ),
-        (
-            "rate: 5\nposition:\n  columns: [q1, q9]\n",
-            r"map.yaml:3: position.columns: data.csv has no column q9; it has",
-        ),
-        ("rate: 5\nposition: {columns: [1, 12]}\n", r"map.yaml:2: position.columns: data.csv has no column 12"),
-        ("rate: 5\nposition: {columns: [q1, q2], file: x.csv}\n", r"map.yaml:2: position.file: no input is named"),
-        (
-            "rate: 5\nposition:\n  columns: [q1, q2]\n  unit: deg\n",
+            RATE + "position:\n  columns: [q1, q2]\n  unit: deg\n",
             r"map.yaml:4: position.unit: 'deg' is no unit of position for slide on the joint side; allowed are m, cm",
         ),
-        ("rate: 5\nposition: {columns: [q1, q2], offset: [1 s, 0]}\n", r"position.offset: turn: an angle"),
-        ("rate: 5\nposition: {columns: [q1, q2], scale: gain}\n", r"position.scale: data.csv has no constant 'gain'"),
-        ("rate: 5\nposition: {columns: [q1, q2], scale: .nan}\n", r"map.yaml:2: position.scale: a finite number other"),
-        (
-            "rate: 5\nposition: {columns: [q1, q2], scale: [1, 0]}\n",
-            r"map.yaml:2: position.scale: a finite number other",
-        ),
+        (RATE + "position: {columns: [q1, q2], offset: [1 s, 0]}\n", r"position.offset: turn: an angle"),
+        (RATE + "position: {columns: [q1, q2], scale: gain}\n", r"position.scale: data.csv has no constant 'gain'"),
+        (RATE + "position: {columns: [q1, q2], scale: .nan}\n", r"map.yaml:2: position.scale: a finite number other"),
+        (RATE + "position: {columns: [q1, q2], scale: [1, 0]}\n", r"map.yaml:2: position.scale: a finite number other"),
         (
             f"rate: 5\nposition: {{columns: [q1, q2], scale: {'9' * 400}}}\n",
             r"map.yaml:2: position.scale: a finite number other",
         ),
-        ("rate: 1e12 Hz\nposition: {columns: [q1, q2]}\n", r"map.yaml:1: rate: .*less than or equal to 1000000"),
-        ("rate: 5\nposition: {columns: [q1, q2], scale: [1, 2, 3]}\n", r"position.scale: 3 values for 2 joints"),
-        ("rate: 5\nside: left\nposition: {columns: [q1, q2]}\n", r"map.yaml:2: side: .*'motor' or 'joint'"),
-        ("rate: 5\nwindow: {from: 2 s, to: 1 s}\nposition: {columns: [q1, q2]}\n", r"map.yaml:2: window: from 2 s"),
-        ("rate: 5\nwindow: {from: 900 s, to: 901 s}\nposition: {columns: [q1, q2]}\n", r"window: no row is in it"),
+        ("rate: 1e12 Hz\n" + BOTH, r"map.yaml:1: rate: .*less than or equal to 1000000"),
+        (RATE + "position: {columns: [q1, q2], scale: [1, 2, 3]}\n", r"position.scale: 3 values for 2 joints"),
+        (RATE + "side: left\n" + BOTH, r"map.yaml:2: side: .*'motor' or 'joint'"),
+        (RATE + "window: {from: 2 s, to: 1 s}\n" + BOTH, r"map.yaml:2: window: from 2 s"),
+        (RATE + "window: {from: 900 s, to: 901 s}\n" + BOTH, r"window: no row is in it"),
+        (RATE + "decimate: 1\n" + BOTH, r"map.yaml:2: decimate: .*greater than or equal to 2"),
         (
-            "rate: 5\ndecimate: 1\nposition: {columns: [q1, q2]}\n",
-            r"map.yaml:2: decimate: .*greater than or equal to 2",
-        ),
-        (
-            "rate: 5\nposition: {columns: [q1, q2]}\neffort: {columns: [e1, e2], unit: A, side: joint}\n",
+            RATE + BOTH + "effort: {columns: [e1, e2], unit: A, side: joint}\n",
             r"map.yaml:3: effort.side: currents are on the motor side",
         ),
-        (
-            "time: {column: when}\nposition: {columns: [q1, q2]}\n",
-            r"map.yaml:1: time.column: data.csv has no column when",
-        ),
-        ("rate: 5\ncycle_period: 1 s\nposition: {columns: [q1, q2]}\n", r"map.yaml:2: cycle_period: .*ten samples"),
-        ("rate: 5\ndecimate: 50\nposition: {columns: [q1, q2]}\n", r"map.yaml:2: decimate: 400 samples would leave"),
-        ("rate: 1e-9\nposition: {columns: [q1, q2]}\n", r"map.yaml:1: rate: times go up to 3.99e\+11 s: is the unit"),
-        ("time: {column: time, unit: m}\nposition: {columns: [q1, q2]}\n", r"time.unit: 'm' is no unit of time"),
+        ("time: {column: when}\n" + BOTH, r"map.yaml:1: time.column: data.csv has no column when"),
+        (RATE + "cycle_period: 1 s\n" + BOTH, r"map.yaml:2: cycle_period: .*ten samples"),
+        (RATE + "decimate: 50\n" + BOTH, r"map.yaml:2: decimate: 400 samples would leave"),
+        ("rate: 1e-9\n" + BOTH, r"map.yaml:1: rate: times go up to 3.99e\+11 s: is the unit"),
+        ("time: {column: time, unit: m}\n" + BOTH, r"time.unit: 'm' is no unit of time"),
     ],
 )
 def test_a_wrong_map_names_file_line_and_key(convert, table, mapping, complaint):

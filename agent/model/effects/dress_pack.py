@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from agent.core import CubicSplines
 from agent.model.effects.effect import Columns, Effect, FitContext, Joints, Numbers
 from agent.model.effects.experiments import WHOLE_RANGE
 from agent.model.friction_terms import dahl
@@ -82,5 +81,9 @@ class DressPack(Effect):
 
 
 def _curve(q: np.ndarray, low: float, high: float) -> list[np.ndarray]:
-    """(S,) per node: the natural spline that is 1 at this node and 0 at the others."""
-    return list(CubicSplines(np.linspace(low, high, N_NODES), np.eye(N_NODES), natural=True)(q).T)
+    """(S,) per node: the natural spline that is 1 at this node and 0 at the others, and goes on straight."""
+    from scipy.interpolate import CubicSpline  # slow to load
+
+    spline = CubicSpline(np.linspace(low, high, N_NODES), np.eye(N_NODES), bc_type="natural")
+    inside = np.clip(q, low, high)
+    return list((spline(inside) + (q - inside)[:, None] * spline(inside, 1)).T)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
-from agent.core import CubicSplines
 from agent.model.effects.effect import Columns, Effect, FitContext, Joints, Numbers
 from agent.model.effects.experiments import SHARP_REVERSALS
 from agent.model.friction_terms import axle_columns
@@ -77,13 +77,15 @@ class TimeDelay(Effect):
         return 0.5 < values["share"] < 1.5
 
 
-def _over_time(signals: MotionSignals, part: float | None) -> CubicSplines:
+def _over_time(signals: MotionSignals, part: float | None) -> Callable[[np.ndarray], np.ndarray]:
     """Of the torque that is shifted over time: that of set-points, or the model's, its friction turning over a `part`
     of the way; remembered, as many delays are tried."""
 
-    def made() -> CubicSplines:
+    def made() -> Callable[[np.ndarray], np.ndarray]:
+        from scipy.interpolate import CubicSpline  # slow to load
+
         torque = signals.predicted if part is None else _turning_faster(signals, part)
-        return CubicSplines(signals.time, torque if signals.driving is None else signals.driving)
+        return CubicSpline(signals.time, torque if signals.driving is None else signals.driving)
 
     return signals.remembered(("over time", part), made)
 
@@ -96,16 +98,10 @@ def _turns_slowly(model: RigidFrictionModel) -> bool:
 
 def _turning_faster(signals: MotionSignals, part: float) -> np.ndarray:
     """(S, n) torque of the model, its friction turning over a part of the way or speed."""
-    model = signals.reference.model
-    terms = tuple(
-        term
-        if term.reversal is None
-        else replace(term, reversal=replace(term.reversal, scale=part * term.reversal.scale))
-        for term in model.terms
-    )
+    model, coupling = signals.reference.model, signals.reference.coupling
+    faster = (t.reversal and replace(t.reversal, scale=part * t.reversal.scale) for t in model.terms)
+    terms = tuple(replace(term, reversal=reversal) for term, reversal in zip(model.terms, faster, strict=True))
     columns = axle_columns(terms, signals.axles) * model.friction_values
-    axles = [
-        [k for k, term in enumerate(terms) if term.axle == axle] for axle in range(len(signals.reference.coupling))
-    ]
+    axles = [[k for k, term in enumerate(terms) if term.axle == axle] for axle in range(len(coupling))]
     friction = np.stack([columns[:, own].sum(axis=1) for own in axles], axis=1)
-    return signals.rigid + friction @ signals.reference.coupling
+    return signals.rigid + friction @ coupling

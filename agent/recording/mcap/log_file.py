@@ -20,7 +20,6 @@ from agent.core import AgentError, InputError, package_version, written_whole
 from agent.recording.log import Log
 from agent.recording.mcap.foxglove import FOXGLOVE_LAYOUT, foxglove_layout
 from agent.recording.mcap.joint_state import SCHEMA_NAME, SCHEMA_TEXT, JointStateLayout, layout_for
-from agent.recording.repair.sequence import SequenceCheck
 from drivers.protocol import SampleBlock
 
 STATES = "/joint_states"
@@ -35,6 +34,8 @@ FLUSH_INTERVAL = 0.5
 #: Uncompressed size at which a chunk is closed [bytes]: 64 KiB, less the message that comes on top.
 _CHUNK_SIZE = 60 * 1024
 _ROWS = 1000  # samples encoded at a time
+#: Missing samples that may still come; older ones count as lost for good.
+_REMEMBERED = 256
 _NANO = 1_000_000_000
 
 
@@ -87,7 +88,7 @@ class LogFile:
     ):
         self._names = tuple(joint_names)
         self._clock = clock
-        self._sequence = SequenceCheck()
+        self._sequence = _SequenceCheck()
         self._missed = 0
         self._run = {"robot": robot, "motion": motion, **(facts or {})}
         if sample_rate is not None:
@@ -231,6 +232,47 @@ class LogFile:
             self._channels[topic] = self._writer.register_channel(topic, "cdr", schema)
             self._file.write(_record(Channel(self._channels[topic], topic, "cdr", {}, schema)))
         return self._channels[topic]
+
+
+class _SequenceCheck:
+    """Follows the sequence numbers of a stream that should count up by one.
+
+    A missing sample that comes late is kept. One that was there before is a repetition. A counter that starts anew
+    while controller time goes on is a restart: nothing counts as lost, and nothing is left out.
+    """
+
+    def __init__(self) -> None:
+        self.lost = 0
+        self.repeated = 0
+        self._next: int | None = None
+        self._time = -np.inf
+        self._missing: list[int] = []
+
+    def take(self, sequence: np.ndarray, time: np.ndarray) -> np.ndarray:
+        """(K,) mask of the samples to keep, from their sequence numbers and controller times (K,) [s]."""
+        numbers = np.asarray(sequence, np.int64)
+        if len(numbers) and np.array_equal(numbers, np.arange(len(numbers)) + (self._next or numbers[0])):
+            self._next, self._time = int(numbers[-1]) + 1, float(time[-1])
+            return np.ones(len(numbers), bool)
+        return np.array([self._take(*row) for row in zip(numbers.tolist(), time.tolist(), strict=True)], bool)
+
+    def _take(self, number: int, now: float) -> bool:
+        expected = number if self._next is None else self._next
+        if number in self._missing and now <= self._time:
+            self._missing.remove(number)
+            self.lost -= 1
+            return True
+        if number < expected and now <= self._time:
+            self.repeated += 1
+            return False
+        if number < expected:
+            self._missing = []
+        elif number > expected:
+            self.lost += number - expected
+            late = range(max(expected, number - _REMEMBERED), number)
+            self._missing = [*self._missing, *late][-_REMEMBERED:]
+        self._next, self._time = number + 1, now
+        return True
 
 
 class _KeptFile:

@@ -81,10 +81,8 @@ def mend_jumps(stamp: np.ndarray, position: np.ndarray, robot: RobotDescription)
     position[1:] -= _TURN * np.cumsum(np.where(wrapped, turns, 0.0), axis=0)
     time = (stamp - stamp[0]) / _NANO
     repairs = []
-    for k in np.flatnonzero(wrapped.any(axis=0)):
-        first, count = int(np.argmax(wrapped[:, k])) + 1, int(wrapped[:, k].sum())
-        kind = f"positions of {robot.joint_names[k]} that wrap around, made continuous"
-        repairs.append(Repair(kind, float(time[first]), count))
+    for name, turned in zip(robot.joint_names, wrapped.T, strict=True):
+        repairs += Repair.of(f"positions of {name} that wrap around, made continuous", time[1:], turned)
     dropped: list[int] = []
     cuts: list[int] = []
     known = 0  # first sample whose position is trusted again
@@ -97,8 +95,7 @@ def mend_jumps(stamp: np.ndarray, position: np.ndarray, robot: RobotDescription)
             cuts.append(known)
             how_far = f"{robot.joint_names[joint]} jumps by {step[before, joint]:.3g}, further than it can move"
             repairs.append(Repair(f"{how_far}; cut there", float(time[known]), 1))
-    if dropped:
-        repairs.append(Repair("samples with an impossible position, dropped", float(time[dropped[0]]), len(dropped)))
+    repairs += Repair.of("samples with an impossible position, dropped", time, dropped)
     return Jumps(tuple(dropped), tuple(cuts), repairs)
 
 

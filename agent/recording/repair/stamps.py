@@ -68,11 +68,11 @@ def put_in_order(stamp: np.ndarray, values: Sequence[np.ndarray], name: str) -> 
     far = far_off(stamp)
     rows = np.flatnonzero(~far)
     first = int(stamp[rows].min())
-    repairs = _summed("samples with stamps far off, dropped", (stamp - first) / _NANO, far)
+    repairs = Repair.of("samples with stamps far off, dropped", (stamp - first) / _NANO, far)
     back = np.append(False, np.diff(stamp[rows]) < 0)
     where = (stamp[rows] - first) / _NANO
     if back.any() and len(values) and (kept := _in_file_order(stamp[rows], values[0][rows])) is not None:
-        repairs += _summed("stamps out of order where positions are in order, only stamps sorted", where, back)
+        repairs += Repair.of("stamps out of order where positions are in order, only stamps sorted", where, back)
         if len(kept) < len(rows):
             when = float(where[back][0])
             repairs.append(Repair("samples with stamps of another time, dropped", when, len(rows) - len(kept)))
@@ -80,7 +80,7 @@ def put_in_order(stamp: np.ndarray, values: Sequence[np.ndarray], name: str) -> 
         ordered = np.sort(stamp[rows])
         back[:] = False
     else:
-        repairs += _summed("stamps out of order, sorted", where, back)
+        repairs += Repair.of("stamps out of order, sorted", where, back)
         rows = rows[np.argsort(stamp[rows], kind="stable")]
         ordered = stamp[rows]
     if stand_still(ordered):
@@ -98,10 +98,10 @@ def put_in_order(stamp: np.ndarray, values: Sequence[np.ndarray], name: str) -> 
     other = same_stamp & ~equal
     times = (ordered - first) / _NANO
     if other.sum() > max(0.05 * same_stamp.sum(), 0.01 * len(rows)):  # stamps are too coarse
-        repairs += _summed("samples share a stamp, spread evenly", times, same_stamp)
+        repairs += Repair.of("samples share a stamp, spread evenly", times, same_stamp)
         return Order(rows, _spread(ordered), tuple(repairs))
-    repairs += _summed("repeated samples, dropped", times, equal)
-    repairs += _summed("another sample with the same stamp, dropped", times, other)
+    repairs += Repair.of("repeated samples, dropped", times, equal)
+    repairs += Repair.of("another sample with the same stamp, dropped", times, other)
     return Order(rows[~same_stamp], ordered[~same_stamp], tuple(repairs))
 
 
@@ -152,7 +152,7 @@ def spacing_of(stamp: np.ndarray, nominal_rate: float | None = None) -> Spacing:
     gap = hole & too_long()
     repairs += _listed("gap, missing samples", time[:-1][gap], missing[gap])
     repairs += _listed("missing samples, short enough to interpolate", time[:-1][hole & ~gap], missing[hole & ~gap])
-    repairs += _summed("uneven intervals, kept", time[:-1], uneven())
+    repairs += Repair.of("uneven intervals, kept", time[:-1], uneven())
     edges = [0, *(np.flatnonzero(gap) + 1).tolist(), len(stamp)]
     return Spacing(rate, tuple(pairwise(edges)), tuple(repairs), even)
 
@@ -215,10 +215,6 @@ def _spread(stamp: np.ndarray) -> np.ndarray:
     end = distinct[-1] + (distinct[-1] - distinct[-2]) * count[-1] // count[-2]
     known = np.append(distinct, end) - distinct[0]
     return distinct[0] + np.interp(np.arange(len(stamp)), np.append(start, len(stamp)), known).astype(np.int64)
-
-
-def _summed(kind: str, times: np.ndarray, which: np.ndarray) -> list[Repair]:
-    return [Repair(kind, float(times[which][0]), int(which.sum()))] if which.any() else []
 
 
 def _listed(kind: str, times: np.ndarray, counts: np.ndarray) -> list[Repair]:
