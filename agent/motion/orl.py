@@ -18,11 +18,21 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from agent.core import InputError
-from agent.motion.frames import pose_in_robot_base, tool_frame
 from agent.motion.interpolator import MotionError
-from agent.motion.pdl2.pos import pose_to_pos
 from agent.motion.pdl2.settings import FlyTrajectory, FlyType, OrientationType, Pdl2Settings, SpeedOption, Termination
-from agent.motion.program import CartesianTarget, Delay, JointTarget, Move, MoveType, Statement, Target, matrix_of
+from agent.motion.pdl2.variables import pose_to_pos
+from agent.motion.program import (
+    CartesianTarget,
+    Delay,
+    JointTarget,
+    Move,
+    MoveType,
+    Statement,
+    Target,
+    matrix_of,
+    pose_in_robot_base,
+    tool_frame,
+)
 from agent.motion.trajectory import Trajectory
 from agent.robot import RobotDescription, kinematics_for
 

@@ -228,6 +228,8 @@ class RobotDescription:
         """
         open_ends = (("lower", -np.inf), ("upper", np.inf))
         joints = [joint | {end: value for end, value in open_ends if joint[end] is None} for joint in data["joints"]]
+        if len(data["gravity"]) != 3:
+            raise ValueError("gravity is three numbers")
         try:
             return _described().validate_python(data | {"name": _file_name(data["name"]), "joints": joints})
         except ValidationError as error:

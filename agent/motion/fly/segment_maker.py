@@ -21,7 +21,6 @@ from agent.motion.fly.move_geometry import (
     single_axis,
 )
 from agent.motion.fly.path import motion_error, solve_cartesian
-from agent.motion.frames import pose_in_robot_base, tool_frame
 from agent.motion.interpolator import MotionError
 from agent.motion.pdl2.settings import OrientationType, Pdl2Settings
 from agent.motion.program import (
@@ -34,6 +33,8 @@ from agent.motion.program import (
     Target,
     frame_of,
     matrix_of,
+    pose_in_robot_base,
+    tool_frame,
 )
 from agent.robot import Kinematics, KinematicsError, RobotDescription, kinematics_for
 
