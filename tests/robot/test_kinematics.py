@@ -18,6 +18,7 @@ from agent.robot.kinematics.base import SINGULAR_DISTANCE, pose_error
 from agent.robot.kinematics.configuration import Configuration, parse_configuration
 from agent.robot.kinematics.numerical import NumericalKinematics
 from agent.robot.kinematics.spherical_wrist import SphericalWristKinematics
+from tests.robot.conftest import check_branches
 
 seeds = st.integers(0, 2**31)
 signs = st.tuples(*[st.sampled_from((-1, 1))] * 6)
@@ -36,10 +37,6 @@ TOOL = Tool(np.array([[0, 0, 1, 0.1], [1, 0, 0, -0.05], [0, 1, 0, 0.2], [0, 0, 0
 CALIBRATION = np.radians([0.0, 0.0, -90.0, 0.0, 0.0, 0.0])
 
 
-def wrapped(angle: np.ndarray) -> np.ndarray:
-    return np.angle(np.exp(1j * angle))
-
-
 def test_forward_kinematics_and_jacobian_agree_with_the_dynamics(arms: dict[str, RobotDescription]) -> None:
     for name, robot in arms.items():
         q = np.random.default_rng(0).uniform(-2, 2, (50, robot.dof))
@@ -49,34 +46,13 @@ def test_forward_kinematics_and_jacobian_agree_with_the_dynamics(arms: dict[str,
             np.testing.assert_allclose(kinematics.jacobian(q), dynamics.tcp_jacobian(q), atol=1e-12, err_msg=name)
 
 
-def test_long_paths_are_continuous_across_blocks(ns16: RobotDescription) -> None:
-    kinematics = kinematics_for(ns16)
-    q = np.random.default_rng(0).uniform(-1, 1, (2345, 6))
-    some = [0, 999, 1000, 1999, 2000, 2344]
-    np.testing.assert_array_equal(kinematics.forward(q)[some], kinematics.forward(q[some]))
-    np.testing.assert_array_equal(kinematics.jacobian(q)[some], kinematics.jacobian(q[some]))
-
-
 @settings(max_examples=40, deadline=None)
 @given(geometry, seeds)
 def test_inverse_kinematics_round_trip_on_every_branch(make_spherical: Callable, shape: dict, seed: int) -> None:
     kinematics = kinematics_for(make_spherical(**shape), TOOL)
     assert isinstance(kinematics, SphericalWristKinematics)
     q = np.random.default_rng(seed).uniform(-np.pi, np.pi, (20, 6))
-    regular = kinematics.singularity(q).smallest > 0.01
-    q = q[regular]
-    poses = kinematics.forward(q)
-    found = kinematics.inverse(poses)
-    assert not found.unreachable.any()
-    sample, branch = np.nonzero(found.valid)
-    np.testing.assert_allclose(kinematics.forward(found.q[sample, branch]), poses[sample], atol=1e-8)
-    assert np.isnan(found.q[~found.valid]).all()
-    for k in range(len(q)):
-        mine = found.q[k, found.valid[k]]
-        apart = np.abs(wrapped(mine[:, None] - mine[None])).max(axis=2)
-        assert apart[~np.eye(len(mine), dtype=bool)].min(initial=1.0) > 1e-6, "two branches are one"
-        assert np.abs(wrapped(mine - q[k])).max(axis=1).min() < 1e-7, "the configuration itself is missing"
-        assert len({kinematics.branch(row) for row in mine}) == len(mine)
+    check_branches(kinematics, q[kinematics.singularity(q).smallest > 0.01], 1e-8)
 
 
 def test_finds_eight_solutions_in_the_working_range(ns16: RobotDescription) -> None:
@@ -219,7 +195,7 @@ def test_solve_on_branch_changes_branch_only_for_limits(ns16: RobotDescription, 
     if kinematics.singularity(np.array([near, q])).smallest.min() < 0.01:
         return
     pose = kinematics.forward(q[None])[0]
-    solved = kinematics.solve_on_branch(pose, near)
+    solved = kinematics.solve(pose, near, on_branch=True)
     assert kinematics.within_limits(solved)
     np.testing.assert_allclose(kinematics.forward(solved[None])[0], pose, atol=1e-8)
     found = kinematics.inverse(pose[None])

@@ -121,28 +121,17 @@ class Kinematics(ABC):
         under = np.ceil((self.lower - LIMIT_SLACK - q) / (2 * np.pi)).clip(min=0)
         return q + 2 * np.pi * np.where(self._revolute, under - over, 0.0)
 
-    def solve(self, pose: np.ndarray, near: np.ndarray) -> np.ndarray:
+    def solve(self, pose: np.ndarray, near: np.ndarray, on_branch: bool = False) -> np.ndarray:
         """(n,) the solution for one pose (4, 4) nearest to `near` (n,), within the joint limits.
+
+        With `on_branch` it is on the branch of `near` where an arm has such and a solution there keeps the limits: the
+        nearest joints may be on another branch, where the same pose bends hoses and loads gears otherwise.
 
         Raises:
             KinematicsError: no such solution; index 0.
         """
         pose, near = np.asarray(pose, dtype=float), np.asarray(near, dtype=float)
-        q, found = self._nearest(pose[None], near[None])
-        if not found[0]:
-            raise self.refusal(pose, near)
-        return q[0]
-
-    def solve_on_branch(self, pose: np.ndarray, near: np.ndarray) -> np.ndarray:
-        """(n,) as `solve`, on the branch of `near` (n,) where an arm has such and a solution there keeps the limits.
-
-        The nearest joints may be on another branch, where the same pose bends hoses and loads gears otherwise.
-
-        Raises:
-            KinematicsError: as `solve`.
-        """
-        pose, near = np.asarray(pose, dtype=float), np.asarray(near, dtype=float)
-        q, found = self.find_on_branch(pose[None], near[None])
+        q, found = (self.find_on_branch if on_branch else self._nearest)(pose[None], near[None])
         if not found[0]:
             raise self.refusal(pose, near)
         return q[0]
@@ -163,7 +152,7 @@ class Kinematics(ABC):
         return self._nearest(np.asarray(poses, dtype=float), np.asarray(near, dtype=float))
 
     def find_on_branch(self, poses: np.ndarray, near: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(S, n) what `solve_on_branch` says of each of poses (S, 4, 4), and where it does (S,)."""
+        """(S, n) what `solve` on the branch says of each of poses (S, 4, 4), and where it does (S,)."""
         return self.find(poses, near)
 
     def _nearest(self, poses: np.ndarray, near: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

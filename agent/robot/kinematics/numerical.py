@@ -170,9 +170,9 @@ class NumericalKinematics(Kinematics):
         product = np.sqrt(np.maximum(np.linalg.det(square), 0.0))
         return ~(product * max(others, 1) ** (0.5 * others) > 2.0 * SINGULAR_DISTANCE * whole ** (0.5 * others + 0.5))
 
-    def solve(self, pose: np.ndarray, near: np.ndarray) -> np.ndarray:
+    def solve(self, pose: np.ndarray, near: np.ndarray, on_branch: bool = False) -> np.ndarray:
         """As in `Kinematics`; a redundant arm's nearest solution is looked for from `near` itself first."""
-        return self.solve_on_branch(pose, near) if self.dof > 6 else super().solve(pose, near)
+        return super().solve(pose, near, on_branch or self.dof > 6)
 
     def find(self, poses: np.ndarray, near: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         if self.dof > 6:
