@@ -31,7 +31,7 @@ def segment_rules(segment: Segment, parameters: FlyParameters) -> np.ndarray:
         by_rotation = option is SpeedOption.SPD_ROT and segment.angle > 1e-6
         if not by_rotation:
             linear = settings.linear_speed * override
-        if by_rotation or option is SpeedOption.SPD_CONST or segment.length < 1e-6:
+        if by_rotation or option is SpeedOption.SPD_CONST or segment.curve.length < 1e-6:
             rotational = settings.rotational_speed * override
     return np.array(
         [

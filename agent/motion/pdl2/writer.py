@@ -130,7 +130,7 @@ class _Writer:
     def statement(self, statement: Statement, indent: int) -> list[str]:
         blank = " " * indent
         if isinstance(statement, Delay):
-            return [f"{blank}DELAY {_number(1000.0 * statement.seconds)}"]
+            return [f"{blank}DELAY {1000.0 * statement.seconds:.12g}"]
         head = (
             f"{blank}{'MOVEFLY' if statement.fly else 'MOVE'} {statement.type.value} TO {self.point(statement.target)}"
         )
@@ -164,8 +164,7 @@ class _Writer:
         kinds = {"POSITION": CartesianTarget, "JOINTPOS": JointTarget}
         for kind, target_type in kinds.items():
             names = [self.point(target) for target in self.points if isinstance(target, target_type)]
-            if names:
-                declarations += [f"{chunk} : {kind} FOR ARM[1]" for chunk in _chunks(names)]
+            declarations += [f"{', '.join(names[k : k + 12])} : {kind} FOR ARM[1]" for k in range(0, len(names), 12)]
         declared = ["VAR", *(f"  {declaration}" for declaration in declarations)] if declarations else []
         start = [f"  {self.point(target)} := {_target(target, self.robot)}" for target in self.points]
         said = [variable for variable in self.variables if getattr(self.globals, str(variable.field)) is not None]
@@ -188,7 +187,7 @@ def _value(variable: SystemVariable, settings: Pdl2Settings) -> str:
         return value.name
     if isinstance(value, Pos):
         return _pos(np.array(value.fields), "")
-    return _number(float(value))
+    return f"{float(value):.12g}"
 
 
 def _target(target: Target, robot: RobotDescription | None) -> str:
@@ -207,10 +206,6 @@ def _pos(fields: np.ndarray, configuration: str) -> str:
     return f"POS({', '.join(decimals(value) for value in fields)}, '{quoted}')"
 
 
-def _number(value: float) -> str:
-    return f"{value:.12g}"
-
-
 def _wrapped(items: list[str], head: str) -> list[str]:
     """Comma-separated items, each line beginning with `head` and ending in a comma."""
     lines, line = [], head
@@ -220,7 +215,3 @@ def _wrapped(items: list[str], head: str) -> list[str]:
             line = head
         line += f"{item}, "
     return [*lines, line.rstrip()]
-
-
-def _chunks(names: list[str]) -> list[str]:
-    return [", ".join(names[k : k + 12]) for k in range(0, len(names), 12)]
