@@ -281,11 +281,6 @@ def description_file(name_or_path: str | Path) -> Path:
     return path
 
 
-@cache
-def _load_builtin(path: Path) -> RobotDescription:
-    return _load_file(path)
-
-
 def _load_file(path: Path) -> RobotDescription:
     entry = load_document(path, _RobotFile)
     urdf_path = path.parent / entry.urdf
@@ -311,6 +306,9 @@ def _load_file(path: Path) -> RobotDescription:
     joints = [_joint(path, joint, elements) for joint in entry.joints]
     found = {"urdf": urdf, "joints": joints, "motor_coupling": _coupling(path, entry)}
     return RobotDescription.from_dict(entry.model_dump() | found)
+
+
+_load_builtin = cache(_load_file)
 
 
 def _joint(path: Path, entry: _JointEntry, elements: dict[str | None, ElementTree.Element]) -> dict[str, Any]:

@@ -135,7 +135,7 @@ class RunPlanner:
             if found:
                 _check_configuration(segment, parse_configuration(wanted), parse_configuration(found))
             if segment.settings.singularity_care and not isinstance(segment, JointSegment):
-                distance = float(segment.kinematics.singularity(path.q[here]).smallest.min())
+                distance = float(segment.kinematics.singularity(path.q[here]).min())
                 if distance < _SING_CARE:
                     raise MotionError(
                         f"{segment.label}: the path comes within {distance:.3g} of a singularity and $SING_CARE allows "

@@ -22,7 +22,6 @@ from agent.robot.kinematics.base import (
     InverseSolutions,
     Kinematics,
     KinematicsError,
-    SingularityDistance,
     pose_error,
     position_text,
     singular,
@@ -34,7 +33,7 @@ BRANCHES = tuple(product((1, -1), repeat=3))
 _SIGNS = np.array(BRANCHES, dtype=float).T
 SINGULARITIES = ("shoulder", "elbow", "wrist")
 _BEYOND = -2e-9  # a squared margin below this is out of reach, above it round-off at the border
-_REACHED = 1e-9  # m and rad: Newton steps that leave more have not converged
+_REACHED, _NEARLY = 1e-9, 1e-5  # m and rad: Newton steps that leave more have not converged, or do not converge
 
 
 class AtZero:
@@ -214,14 +213,14 @@ class ClosedFormKinematics(Kinematics):
             q[~found], found[~found] = self.find(poses[~found], near[~found])
         return q, found
 
-    def singularity(self, q: np.ndarray) -> SingularityDistance:
+    def singularity(self, q: np.ndarray) -> np.ndarray:
         """Distances in the order of `SINGULARITIES`.
 
         shoulder: reach of the wrist centre in the plane of the arm over the arm's length, 0 where axis 1 cannot move
         it across that plane; elbow: |sin γ|, 0 where stretched or folded; wrist: |sin β|, 0 where axes 4 and 6 are
         parallel (|sin q₅| on the NS16).
         """
-        return SingularityDistance(SINGULARITIES, np.abs(self._signed_distances(np.asarray(q, dtype=float))).T)
+        return np.abs(self._signed_distances(np.asarray(q, dtype=float))).T
 
     def branch(self, q: np.ndarray) -> tuple[int, int, int]:
         """Signs of shoulder, elbow and wrist at one configuration (n,)."""
@@ -356,9 +355,14 @@ class ClosedFormKinematics(Kinematics):
         """Newton steps (S, n) that remove what an inexact geometry leaves, and where (S,) they reach the poses."""
         if self._exact or len(q) == 0:
             return q, np.ones(len(q), dtype=bool)
-        for _ in range(3):
-            q = q + self.joint_rates(q, pose_error(poses, self.forward(q)))
-        return q, np.abs(pose_error(poses, self.forward(q))).max(axis=1) < _REACHED
+        left, late = pose_error(poses, self.forward(q)), np.arange(len(q))
+        for step in range(5):
+            q[late] += np.linalg.solve(self.jacobian(q[late]), left[late, :, None])[:, :, 0]
+            left[late] = pose_error(poses[late], self.forward(q[late]))
+            if step >= 2:  # near a singularity three steps may leave a little, which the next ones square
+                size = np.abs(left).max(axis=1)
+                late = np.flatnonzero((size >= _REACHED) & (size < _NEARLY))
+        return q, np.abs(left).max(axis=1) < _REACHED
 
     def _is_exact(self) -> bool:
         q = np.random.default_rng(0).uniform(-3.0, 3.0, (10, 6))
