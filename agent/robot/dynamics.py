@@ -13,7 +13,6 @@ import pinocchio as pin
 
 from agent.core import InputError
 from agent.robot.description import RobotDescription
-from agent.robot.kinematics.chain import joint_axes
 from agent.robot.parameter_layout import ParameterLayout
 
 #: Samples from which on a copy of the model costs less than as many calls.
@@ -105,10 +104,15 @@ class Dynamics:
         (n, 3) and whether it slides (n,)."""
         placements = list(self._model.jointPlacements)[1:]
         prismatic = np.array([joint.prismatic for joint in self.robot.joints])
+        pin.computeJointJacobians(self._model, self._data, pin.neutral(self._model))
+        own = [
+            pin.getJointJacobian(self._model, self._data, k + 1, pin.ReferenceFrame.LOCAL).reshape(6, -1)[:, k]
+            for k in range(self.dof)
+        ]
         return (
             np.array([placement.rotation for placement in placements]),
             np.array([placement.translation for placement in placements]),
-            joint_axes(self.robot),
+            np.array([screw[:3] if slides else screw[3:] for screw, slides in zip(own, prismatic, strict=True)]),
             prismatic,
         )
 
