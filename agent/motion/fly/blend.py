@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -130,8 +130,8 @@ class CartesianCorner(Corner):
     def deviation(self) -> float:
         """[m] of the path from the corner point, or for FLY_PASS of the path from the two moves."""
         before, after = self.before.curve, self.after.curve
-        if self._straight:
-            sides = self.into * after.way - self.out * before.way
+        if self._ways is not None:
+            sides = self.into * self._ways[1] - self.out * self._ways[0]
             return 2.0 * float(self.step.integral(np.array(0.5))) * rotation.length(sides)
         points = self.position(np.linspace(0.0, 1.0, 33))
         if not self.through:
@@ -179,9 +179,13 @@ class CartesianCorner(Corner):
         lengths = (along[: len(nodes)].reshape(-1, 3) @ _WEIGHTS) * 0.5 * cells
         return lengths, np.minimum(along[len(nodes) :] / apart[len(nodes) :], 1.0)
 
-    @property
-    def _straight(self) -> bool:
-        return not self.through and isinstance(self.before.curve, Line) and isinstance(self.after.curve, Line)
+    @cached_property
+    def _ways(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """(3,) [m] of both moves where their sum alone is the blend; else None."""
+        before, after = self.before.curve, self.after.curve
+        if self.through or not isinstance(before, Line) or not isinstance(after, Line):
+            return None
+        return before.way, after.way
 
     def _pull(self) -> np.ndarray:
         one, two = self.sigma(np.array([0.5]))
@@ -207,8 +211,8 @@ class CartesianCorner(Corner):
         """ds/dτ (S,) of the blend, and of its two moves one after the other."""
         before, after = self.before, self.after
         rate_one, rate_two = self.step.rate(tau, self.out, self.into)
-        if self._straight:
-            one, two = before.curve.way, after.curve.way
+        if self._ways is not None:
+            one, two = self._ways
             squares = rate_one * (rate_one * (one @ one) + rate_two * (2.0 * (one @ two))) + rate_two**2 * (two @ two)
         else:
             sigma_one, sigma_two = self.sigma(tau)
@@ -243,7 +247,8 @@ def corner_between(before: Segment, after: Segment, parameters: FlyParameters) -
     half = 0.5 * min(before.extent, after.extent)
     overlap = settings.fly_type is FlyType.FLY_NORM
     through = settings.fly_trajectory is FlyTrajectory.FLY_PASS
-    kind, turn = Corner, 0.5 * np.pi
+    kind: type[Corner] = Corner
+    turn = 0.5 * np.pi
     if isinstance(before, CartesianSegment) and isinstance(after, CartesianSegment):
         kind, turn = CartesianCorner, _deflection(before, after)
     family = "parabola" if parameters.blend == "circle" and turn < _STRAIGHT else parameters.blend
@@ -329,7 +334,8 @@ class StraightMoves:
             if not isinstance(curve, Line) or not isinstance(turn, SingleAxis) or turn.curve is not None:
                 return None
             rows.append((curve.start, curve.way, turn.start, turn.axis, turn.angle, one.turning))
-        return cls(*map(np.array, zip(*rows, strict=True)), corners)
+        start, way, turns, axis, angle, turning = map(np.array, zip(*rows, strict=True))
+        return cls(start, way, turns, axis, angle, turning, corners)
 
     def tau(self) -> np.ndarray:
         """(S,) parameters of the samples of all corners, but for their beginnings."""

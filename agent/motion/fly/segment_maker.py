@@ -223,20 +223,15 @@ def _end_joints(pending: Sequence[Segment], rest: np.ndarray) -> np.ndarray:
     return q
 
 
-def _end_of_sweep(segment: CartesianSegment, q: np.ndarray) -> np.ndarray:
-    try:
-        return _swept(segment, q, _SWEEP)
-    except MotionError as error:
-        if error.limit != "branch":
-            raise
-        return _swept(segment, q, 0.1 * _SWEEP)  # joints may turn fast near a singularity without crossing it
-
-
-def _swept(segment: CartesianSegment, q: np.ndarray, step: float) -> np.ndarray:
+def _end_of_sweep(segment: CartesianSegment, q: np.ndarray, step: float = _SWEEP) -> np.ndarray:
     count = int(np.clip((segment.curve.length + segment.angle) / step, 2, 5000)) + 1
-    sigma = np.linspace(0.0, 1.0, count)
-    move = np.full(count, segment.move)
-    return solve_cartesian([segment], move, segment.curve.position(sigma), segment.turn.orientation(sigma), q)[-1]
+    sigma, move = np.linspace(0.0, 1.0, count), np.full(count, segment.move)
+    try:
+        return solve_cartesian([segment], move, segment.curve.position(sigma), segment.turn.orientation(sigma), q)[-1]
+    except MotionError as error:
+        if error.limit != "branch" or step < _SWEEP:
+            raise
+        return _end_of_sweep(segment, q, 0.1 * _SWEEP)  # joints may turn fast near a singularity without crossing it
 
 
 def _label(index: int, move: Move) -> str:
