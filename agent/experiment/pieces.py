@@ -156,7 +156,7 @@ class Pieces:
         """Through the via-points of the genome: flown, or with a rest at each."""
         poses = self.problem.regions.poses(draw.genome)
         kinematics = self._candidates.kinematics
-        joints = [kinematics.solve_on_branch(poses[0], self._candidates.posture)]
+        joints = [kinematics.solve(poses[0], self._candidates.posture, on_branch=True)]
         for pose in poses[1:]:
             joints.append(kinematics.solve(pose, joints[-1]))
         settings = self._settings(draw.speed)
@@ -173,7 +173,7 @@ class Pieces:
     def _reversals(self, draw: Draw) -> tuple[Draw, np.ndarray, list[Statement]] | None:
         """One joint to and fro about a posture of the sub-region, further every time, with rests."""
         kinematics = self._candidates.kinematics
-        middle = kinematics.solve_on_branch(self.problem.regions.poses(draw.genome)[0], self._candidates.posture)
+        middle = kinematics.solve(self.problem.regions.poses(draw.genome)[0], self._candidates.posture, on_branch=True)
         turn = draw.turn
         while not self._inside(middle, draw.joint, turn):
             turn /= 2

@@ -1,12 +1,6 @@
 from .dialect import Dialect as Dialect
 from .fly.interpolator import FlyInterpolator as FlyInterpolator
 from .fly.parameters import FlyParameters as FlyParameters
-from .frames import (
-    left_open as left_open,
-    pose_in_robot_base as pose_in_robot_base,
-    tool_frame as tool_frame,
-    with_frames as with_frames,
-)
 from .interpolator import Interpolator as Interpolator, MotionError as MotionError
 from .learned import (
     LearnedLaw as LearnedLaw,
@@ -18,7 +12,6 @@ from .learning import Learner as Learner, RecordedMove as RecordedMove
 from .orl import ARM as ARM, CONTROLLER as CONTROLLER, LIBRARY as LIBRARY
 from .pdl2.evaluation import Memory as Memory, Value as Value, evaluate as evaluate, subscript as subscript
 from .pdl2.job import job_text as job_text
-from .pdl2.pos import pose_to_pos as pose_to_pos
 from .pdl2.program import Program as Program, parse_program as parse_program
 from .pdl2.settings import (
     FlyTrajectory as FlyTrajectory,
@@ -42,6 +35,7 @@ from .pdl2.syntax import (
     Pos as Pos,
     System as System,
 )
+from .pdl2.variables import pose_to_pos as pose_to_pos
 from .pdl2.writer import write_loop_program as write_loop_program, write_program as write_program
 from .program import (
     CartesianTarget as CartesianTarget,
@@ -53,9 +47,13 @@ from .program import (
     MoveType as MoveType,
     Statement as Statement,
     Target as Target,
+    left_open as left_open,
     loop_moves as loop_moves,
+    pose_in_robot_base as pose_in_robot_base,
     stop_to_stop as stop_to_stop,
+    tool_frame as tool_frame,
     way_key as way_key,
+    with_frames as with_frames,
 )
 from .regions import ViaRegions as ViaRegions
 from .registry import (

@@ -18,11 +18,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from agent.core import InputError
-from agent.motion.frames import pose_in_robot_base, tool_frame
 from agent.motion.interpolator import MotionError
-from agent.motion.pdl2.pos import pose_to_pos
 from agent.motion.pdl2.settings import FlyTrajectory, FlyType, OrientationType, Pdl2Settings, SpeedOption, Termination
-from agent.motion.program import CartesianTarget, Delay, JointTarget, Move, MoveType, Statement, Target, matrix_of
+from agent.motion.pdl2.variables import pose_to_pos
+from agent.motion.program import (
+    Delay,
+    JointTarget,
+    Move,
+    MoveType,
+    Statement,
+    Target,
+    matrix_of,
+    pose_in_robot_base,
+    tool_frame,
+)
 from agent.motion.trajectory import Trajectory
 from agent.robot import RobotDescription, kinematics_for
 
@@ -38,7 +47,7 @@ ARM = "CALIBRATION_ORL_ARM"
 _MOVING, _NEED_DATA, _FINAL, _IDLE = 0, 1, 2, -42
 #: One move is active and one more is scheduled; a third waits for NEED_DATA.
 _MOST_ANNOUNCED = 2
-_MOST_JOINTS = 10
+_MOST_JOINTS, _MOST_FLAGS = 10, 79
 #: [s] Longest chain of moves.
 _LONGEST = 3600.0
 #: [rad or m] A chain that ends further from its target than this was run by another arm or in other frames.
@@ -139,7 +148,11 @@ class OrlInterpolator:
             if status == _FINAL:
                 if announced < len(chain):
                     raise _refusal(chain[announced - 1][0], "the library ended the move before it asked for the next")
-                self._check_arrived(*chain[-1], steps[-1])
+                index, move = chain[-1]
+                if (away := float(self._away(move, steps[-1][None])[0])) > _ARRIVED:
+                    joints_given = isinstance(move.target, JointTarget)
+                    far = f"{np.degrees(away):.3g} degrees" if joints_given else f"{1e3 * away:.3g} mm"
+                    raise _refusal(index, f"the library ended {far} from the target: another arm or other frames?")
                 return steps
         raise _refusal(chain[-1][0], f"the move has not ended after {_LONGEST:g} s")
 
@@ -174,13 +187,6 @@ class OrlInterpolator:
         except _CallRefused as refused:
             raise _refusal(index, f"the library refuses the move: {refused}") from None
 
-    def _check_arrived(self, index: int, move: Move, step: np.ndarray) -> None:
-        away = float(self._away(move, step[None])[0])
-        if away > _ARRIVED:
-            degrees = isinstance(move.target, JointTarget)
-            far = f"{np.degrees(away):.3g} degrees" if degrees else f"{1e3 * away:.3g} mm"
-            raise _refusal(index, f"the library ended {far} from the target: another arm or other frames?")
-
     def _away(self, move: Move, q: np.ndarray) -> np.ndarray:
         """Distance (N,) [rad or m] of joint positions (N, n) from the move's target."""
         if isinstance(move.target, JointTarget):
@@ -205,7 +211,10 @@ class OrlInterpolator:
     def _place(self, target: Target) -> tuple[_CartesianPosition | None, _JointValue | None]:
         if isinstance(target, JointTarget):
             return None, self._joints(target.position)
-        return _pose(target.pose, _flags(target)), None
+        flags = target.configuration.encode()
+        if len(flags) > _MOST_FLAGS:
+            raise _CallRefused(f"a configuration of {len(flags)} characters: the library takes {_MOST_FLAGS}")
+        return _pose(target.pose, flags), None
 
     def _joints(self, q: np.ndarray) -> _JointValue:
         return _JointValue(_LINK_DEGREE, tuple(np.where(self._sliding, 1e3 * np.asarray(q), np.degrees(q)).tolist()))
@@ -286,14 +295,6 @@ _CALLS: dict[str, list[Any]] = {
 
 def _pose(matrix: np.ndarray, flags: bytes = b"") -> _CartesianPosition:
     return _CartesianPosition(_CARTESIAN, *pose_to_pos(matrix).tolist(), flags)
-
-
-def _flags(target: CartesianTarget) -> bytes:
-    """The target's configuration string; the library takes 79 characters."""
-    flags = target.configuration.encode()
-    if len(flags) > 79:
-        raise _CallRefused(f"a configuration of {len(flags)} characters: the library takes 79")
-    return flags
 
 
 # The library keeps one controller's state for the process: initialised once, however many interpolators there are.

@@ -1,16 +1,19 @@
 """A motion program as data: what a dialect writes and reads, and an interpolator runs.
 
-SI units throughout; millimetres and degrees exist in a dialect's text only.
+SI units throughout; millimetres and degrees exist in a dialect's text only. A program sets the frames of its positions,
+or leaves them to the controller.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Self, TypeVar
 
 import numpy as np
+
+from agent.core import InputError
 
 if TYPE_CHECKING:
     from agent.robot import Tool
@@ -73,6 +76,10 @@ class MotionSettings:
     def blend(self) -> str:
         """How the loop passes its via-points, for people."""
         return f"blends of {1000 * self.fly_distance:g} mm"
+
+
+#: The settings of one controller's language, or of all.
+Settings = TypeVar("Settings", bound=MotionSettings)
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,11 +157,88 @@ def loop_moves(poses: np.ndarray, settings: MotionSettings, joints: np.ndarray |
     Every cycle ends with an exact stop, so that cycles repeat exactly. `settings` hold for all moves. A redundant arm
     needs the `joints` (K, n) at the via-points too: a pose would let it come back to its first point with other joints.
     """
-    targets: list[Target] = (
-        [CartesianTarget(pose) for pose in poses] if joints is None else [JointTarget(q) for q in joints]
-    )
-    flying = [
-        Move(MoveType.LINEAR, target, settings, fly=True, name=f"p{k}") for k, target in enumerate(targets[1:], start=2)
-    ]
-    closing = settings.stopping()
-    return (*flying, Move(MoveType.LINEAR, targets[0], closing, name="p1"))
+    return cycle_moves(list(map(CartesianTarget, poses) if joints is None else map(JointTarget, joints)), settings)
+
+
+def cycle_moves(points: Sequence[Target], settings: MotionSettings) -> tuple[Move, ...]:
+    """The same over targets of either kind."""
+    flying = [Move(MoveType.LINEAR, point, settings, True, name=f"p{k}") for k, point in enumerate(points[1:], start=2)]
+    return (*flying, Move(MoveType.LINEAR, points[0], settings.stopping(), name="p1"))
+
+
+def loop_program(
+    name: str,
+    points: Sequence[Target],
+    settings: MotionSettings,
+    cycles: int,
+    approach: MotionSettings | None,
+    start: JointTarget | None,
+) -> tuple[Move, tuple[Move, ...]]:
+    """The approach and one cycle of a program that goes round its points: see `Dialect.write_loop`.
+
+    Raises:
+        InputError: fewer than two points, or no cycle.
+    """
+    if len(points) < 2:
+        raise InputError(f"program {name}: a loop needs at least 2 points, not {len(points)}")
+    if not 1 <= cycles <= 1_000_000:
+        raise InputError(f"program {name}: the number of cycles is 1 to 1000000, not {cycles}")
+    if approach is None:
+        approach = settings.changed(speed_override=min(0.1, settings.speed_override))
+    return Move(MoveType.JOINT, start or points[0], approach.stopping()), cycle_moves(points, settings)
+
+
+def decimals(value: float) -> str:
+    """A coordinate in a program's text, with nine decimals at most.
+
+    Raises:
+        InputError: not finite.
+    """
+    if not np.isfinite(value):
+        raise InputError(f"a coordinate of the program is {value} and must be finite")
+    text = f"{value:.9f}".rstrip("0").rstrip(".")
+    return "0" if text == "-0" else text
+
+
+def tool_frame(tool: Tool | None) -> np.ndarray:
+    """(4, 4) of the tool centre point in the flange's frame [m]."""
+    return np.eye(4) if tool is None else np.asarray(tool.frame, dtype=float)
+
+
+def with_frames(settings: Settings, tool: Tool | None) -> Settings:
+    """The settings for poses of this tool's centre point in the robot's base."""
+    return settings.carrying(tool).changed(base=NO_FRAME, tool=frame_of(tool_frame(tool)), uframe=NO_FRAME)
+
+
+def pose_in_robot_base(target: Target, settings: MotionSettings) -> np.ndarray:
+    """(4, 4) where a Cartesian target is [m]: base⁻¹ · uframe · pose.
+
+    `base` is where the robot stands in the world, `uframe` where the work is in it; a pose is given in `uframe`.
+    """
+    assert isinstance(target, CartesianTarget)
+    pose = np.asarray(target.pose, dtype=float)
+    if settings.uframe not in (None, NO_FRAME):
+        pose = matrix_of(settings.uframe) @ pose
+    return pose if settings.base in (None, NO_FRAME) else np.linalg.solve(matrix_of(settings.base), pose)
+
+
+def left_open(statements: Iterable[Statement], tool: Tool | None, names: Mapping[str, str]) -> Mapping[str, np.ndarray]:
+    """The frames (4, 4) [m] that a plan of these statements takes for granted, as the program does not set them.
+
+    A move to a pose needs all three, a straight line or an arc between joint positions the tool, and so does a joint
+    move that flies by its target, as the distance from it is the tool's; one that stops there needs none.
+
+    Args:
+        names: of the frames that the dialect has (`Dialect.frame_names`).
+    """
+    needed: set[str] = set()
+    for move in statements:
+        if not isinstance(move, Move):
+            continue
+        if any(isinstance(target, CartesianTarget) for target in (move.target, move.via)):
+            frames = {*names}
+        else:
+            frames = set() if move.type is MoveType.JOINT and not move.fly else {"tool"}
+        needed |= {frame for frame in frames if getattr(move.settings, frame) is None}
+    taken = {"base": np.eye(4), "tool": tool_frame(tool), "uframe": np.eye(4)}
+    return {names[frame]: taken[frame] for frame in names if frame in needed}

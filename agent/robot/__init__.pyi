@@ -25,7 +25,7 @@ from .kinematics.base import (
     KinematicsError as KinematicsError,
 )
 from .kinematics.chain import chain_of as chain_of, joint_axes as joint_axes
-from .kinematics.configuration import Configuration as Configuration, parse_configuration as parse_configuration
+from .kinematics.configuration import parse_configuration as parse_configuration
 from .kinematics.factory import kinematics_for as kinematics_for
 from .kinematics.numerical import NumericalKinematics as NumericalKinematics
 from .parameter_layout import (

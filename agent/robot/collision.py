@@ -14,7 +14,7 @@ import numpy as np
 import pinocchio as pin
 
 from agent.robot.description import Box, Capsule, RobotDescription
-from agent.robot.dynamics import frame_id, pinocchio_model
+from agent.robot.dynamics import Dynamics, frame_id, pinocchio_model
 from agent.robot.kinematics.chain import joint_axes
 
 #: Name of a box in a pair: this and the box's own name.
@@ -176,12 +176,9 @@ class CollisionModel:
 
 def skeleton(robot: RobotDescription, radius: float) -> tuple[Body, ...]:
     """A capsule for each link from its own joint to the next one, for an arm whose description has no bodies."""
-    model = pinocchio_model(robot)
-    ends = [placement.translation for placement in list(model.jointPlacements)[2:]]
-    ends.append(model.frames[frame_id(model, robot.tip_frame)].placement.translation)
     return tuple(
         Body(f"link of {name}", name, (Capsule((0.0, 0.0, 0.0), (float(x), float(y), float(z)), radius),))
-        for name, (x, y, z) in zip(robot.joint_names, ends, strict=True)
+        for name, (x, y, z) in zip(robot.joint_names, Dynamics(robot).link_ends(), strict=True)
     )
 
 

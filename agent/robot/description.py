@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, TypeAdapter, ValidationError
 
 from agent.core import InputError, load_document
 from agent.robot.urdf_checks import check_urdf, parse_robot_file
@@ -102,6 +102,8 @@ class Joint:
     `lower` and `upper` come from the URDF, infinite on a continuous joint and where they are missing.
     """
 
+    __pydantic_config__ = ConfigDict(extra="forbid")
+
     name: str
     prismatic: bool
     gear_ratio: float
@@ -119,6 +121,8 @@ class Joint:
 @dataclass(frozen=True)
 class CartesianLimits:
     """Limits at the tool centre point: m/s, m/s², rad/s, rad/s²."""
+
+    __pydantic_config__ = ConfigDict(extra="forbid")
 
     linear_speed: float
     linear_acceleration: float
@@ -217,26 +221,25 @@ class RobotDescription:
 
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> RobotDescription:
-        """The inverse of `to_dict`, also after a round trip through JSON."""
+        """The inverse of `to_dict`, also after a round trip through JSON.
+
+        Raises:
+            ValueError: a value that is none of a description; KeyError: one is missing of a joint.
+        """
         open_ends = (("lower", -np.inf), ("upper", np.inf))
-        joints = tuple(
-            Joint(**joint | {end: value for end, value in open_ends if joint[end] is None}) for joint in data["joints"]
-        )
-        limits = data["cartesian_limits"]
-        return cls(
-            name=_file_name(data["name"]),
-            urdf=data["urdf"],
-            tip_frame=data["tip_frame"],
-            gravity=_vector(data["gravity"], "gravity"),
-            cartesian_limits=None if limits is None else CartesianLimits(**limits),
-            joints=joints,
-            motor_coupling=tuple(tuple(row) for row in data["motor_coupling"]),
-            bodies={
-                link: tuple(Capsule(tuple(c["start"]), tuple(c["end"]), c["radius"]) for c in capsules)
-                for link, capsules in data["bodies"].items()
-            },
-            rated_payload=data.get("rated_payload"),
-        )
+        joints = [joint | {end: value for end, value in open_ends if joint[end] is None} for joint in data["joints"]]
+        if len(data["gravity"]) != 3:
+            raise ValueError("gravity is three numbers")
+        try:
+            return _described().validate_python(data | {"name": _file_name(data["name"]), "joints": joints})
+        except ValidationError as error:
+            fault = error.errors()[0]
+            raise ValueError(f"{'.'.join(map(str, fault['loc']))}: {fault['msg']}") from None
+
+
+@cache
+def _described() -> TypeAdapter[RobotDescription]:
+    return TypeAdapter(RobotDescription)
 
 
 def builtin_robots() -> tuple[str, ...]:
@@ -278,11 +281,6 @@ def description_file(name_or_path: str | Path) -> Path:
     return path
 
 
-@cache
-def _load_builtin(path: Path) -> RobotDescription:
-    return _load_file(path)
-
-
 def _load_file(path: Path) -> RobotDescription:
     entry = load_document(path, _RobotFile)
     urdf_path = path.parent / entry.urdf
@@ -305,30 +303,15 @@ def _load_file(path: Path) -> RobotDescription:
     for link in entry.bodies:
         if link not in links:
             raise InputError(f"{path}: bodies.{link}: the URDF has no such link")
-    return RobotDescription(
-        name=entry.name,
-        urdf=urdf,
-        tip_frame=entry.tip_frame,
-        gravity=_vector(entry.gravity, "gravity"),
-        cartesian_limits=None if entry.cartesian_limits is None else CartesianLimits(**entry.cartesian_limits.__dict__),
-        joints=tuple(_joint(path, joint, elements) for joint in entry.joints),
-        motor_coupling=_coupling(path, entry),
-        bodies={
-            link: tuple(Capsule(_vector(c.start), _vector(c.end), c.radius) for c in capsules)
-            for link, capsules in entry.bodies.items()
-        },
-        rated_payload=entry.rated_payload,
-    )
+    joints = [_joint(path, joint, elements) for joint in entry.joints]
+    found = {"urdf": urdf, "joints": joints, "motor_coupling": _coupling(path, entry)}
+    return RobotDescription.from_dict(entry.model_dump() | found)
 
 
-def _vector(values: list[float], name: str = "a point") -> tuple[float, float, float]:
-    if len(values) != 3:
-        raise ValueError(f"{name} is three numbers")
-    x, y, z = values
-    return x, y, z
+_load_builtin = cache(_load_file)
 
 
-def _joint(path: Path, entry: _JointEntry, elements: dict[str | None, ElementTree.Element]) -> Joint:
+def _joint(path: Path, entry: _JointEntry, elements: dict[str | None, ElementTree.Element]) -> dict[str, Any]:
     element = elements.get(entry.name)
     kind = None if element is None else element.get("type")
     if element is None or kind not in ("revolute", "continuous", "prismatic"):
@@ -339,16 +322,16 @@ def _joint(path: Path, entry: _JointEntry, elements: dict[str | None, ElementTre
     lower, upper = float(ends.get("lower", "-inf")), float(ends.get("upper", "inf"))
     if not lower < upper:
         raise InputError(f"{path}: joints: {entry.name}: the URDF's limits are {lower} to {upper}: an empty range")
-    return Joint(**entry.__dict__, prismatic=kind == "prismatic", lower=lower, upper=upper)
+    return entry.model_dump() | {"prismatic": kind == "prismatic", "lower": lower, "upper": upper}
 
 
-def _coupling(path: Path, entry: _RobotFile) -> tuple[tuple[float, ...], ...]:
+def _coupling(path: Path, entry: _RobotFile) -> list[list[float]]:
     n = len(entry.joints)
     if entry.motor_coupling is None:
-        return tuple(tuple(float(i == j) for j in range(n)) for i in range(n))
+        return [[float(i == j) for j in range(n)] for i in range(n)]
     matrix = entry.motor_coupling
     if len(matrix) != n or any(len(row) != n for row in matrix):
         raise InputError(f"{path}: motor_coupling: {n} rows of {n} numbers are expected")
     if abs(np.linalg.det(np.array(matrix))) < 1e-9:
         raise InputError(f"{path}: motor_coupling: the matrix is singular, so motors do not determine the joints")
-    return tuple(tuple(float(value) for value in row) for row in matrix)
+    return matrix

@@ -204,7 +204,7 @@ class Dynamics:
                 self._model, self._data, q[k], self._tip, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
             ).reshape(6, -1)  # a vector for a single joint
             lever = self._data.oMf[self._tip].rotation @ offset
-            jacobian[:3] -= _skew(lever) @ jacobian[3:]
+            jacobian[:3] -= pin.skew(lever) @ jacobian[3:]
             jacobians[k] = jacobian
         return jacobians
 
@@ -305,8 +305,3 @@ def _without_meshes(urdf: str) -> str:
             for key, value in (("lower", "-1e9"), ("upper", "1e9"), ("velocity", "1e9"), ("effort", "1e9")):
                 limit.set(key, value)
     return ElementTree.tostring(tree, encoding="unicode")
-
-
-def _skew(vector: np.ndarray) -> np.ndarray:
-    x, y, z = vector
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

@@ -9,9 +9,8 @@ import pytest
 
 from agent.core.errors import ControllerError, InputError
 from agent.motion import parse_program
-from agent.motion.frames import left_open
-from agent.motion.pdl2.pos import pos_to_pose
-from agent.motion.pdl2.variables import FRAMES
+from agent.motion.pdl2.variables import FRAMES, pos_to_pose
+from agent.motion.program import left_open
 from agent.robot import load_robot
 from agent.robot.drivetrain import torque_per_ampere
 from agent.robot.dynamics import Tool

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from agent.robot import Joint, RobotDescription
+from agent.robot.kinematics.closed_form import ClosedFormKinematics
 
 #: One joint: (kind, origin xyz, origin rpy, axis); kind "R" or "P".
 JointSpec = tuple[str, Sequence[float], Sequence[float], Sequence[float]]
@@ -82,6 +83,22 @@ def spherical(
         ],
         tip=((0.02, -0.01, hand), (0.3, -0.2, 0.7)),
     )
+
+
+def check_branches(kinematics: ClosedFormKinematics, q: np.ndarray, accuracy: float) -> None:
+    """All solutions of the poses at q (S, 6) reach them, each on a branch of its own, and q is one of them."""
+    poses = kinematics.forward(q)
+    found = kinematics.inverse(poses)
+    assert not found.unreachable.any()
+    sample, branch = np.nonzero(found.valid)
+    np.testing.assert_allclose(kinematics.forward(found.q[sample, branch]), poses[sample], atol=accuracy)
+    assert np.isnan(found.q[~found.valid]).all()
+    for there, solutions, valid in zip(q, found.q, found.valid, strict=True):
+        mine = solutions[valid]
+        apart, away = (np.abs(np.angle(np.exp(1j * (mine[:, None] - other)))).max(axis=2) for other in (mine, there))
+        assert apart[~np.eye(len(mine), dtype=bool)].min(initial=1.0) > 1e-6, "two branches are one"
+        assert away.min() < 1e-7, "the configuration itself is missing"
+        assert len({kinematics.branch(row) for row in mine}) == len(mine)
 
 
 #: Arms of the fixture `arms`.

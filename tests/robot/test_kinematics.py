@@ -15,9 +15,11 @@ from agent.core.errors import InputError
 from agent.robot import KinematicsError, RobotDescription, kinematics_for, load_robot
 from agent.robot.dynamics import Dynamics, Tool
 from agent.robot.kinematics.base import SINGULAR_DISTANCE, pose_error
+from agent.robot.kinematics.closed_form import SINGULARITIES
 from agent.robot.kinematics.configuration import Configuration, parse_configuration
 from agent.robot.kinematics.numerical import NumericalKinematics
 from agent.robot.kinematics.spherical_wrist import SphericalWristKinematics
+from tests.robot.conftest import check_branches
 
 seeds = st.integers(0, 2**31)
 signs = st.tuples(*[st.sampled_from((-1, 1))] * 6)
@@ -36,10 +38,6 @@ TOOL = Tool(np.array([[0, 0, 1, 0.1], [1, 0, 0, -0.05], [0, 1, 0, 0.2], [0, 0, 0
 CALIBRATION = np.radians([0.0, 0.0, -90.0, 0.0, 0.0, 0.0])
 
 
-def wrapped(angle: np.ndarray) -> np.ndarray:
-    return np.angle(np.exp(1j * angle))
-
-
 def test_forward_kinematics_and_jacobian_agree_with_the_dynamics(arms: dict[str, RobotDescription]) -> None:
     for name, robot in arms.items():
         q = np.random.default_rng(0).uniform(-2, 2, (50, robot.dof))
@@ -49,34 +47,13 @@ def test_forward_kinematics_and_jacobian_agree_with_the_dynamics(arms: dict[str,
             np.testing.assert_allclose(kinematics.jacobian(q), dynamics.tcp_jacobian(q), atol=1e-12, err_msg=name)
 
 
-def test_long_paths_are_continuous_across_blocks(ns16: RobotDescription) -> None:
-    kinematics = kinematics_for(ns16)
-    q = np.random.default_rng(0).uniform(-1, 1, (2345, 6))
-    some = [0, 999, 1000, 1999, 2000, 2344]
-    np.testing.assert_array_equal(kinematics.forward(q)[some], kinematics.forward(q[some]))
-    np.testing.assert_array_equal(kinematics.jacobian(q)[some], kinematics.jacobian(q[some]))
-
-
 @settings(max_examples=40, deadline=None)
 @given(geometry, seeds)
 def test_inverse_kinematics_round_trip_on_every_branch(make_spherical: Callable, shape: dict, seed: int) -> None:
     kinematics = kinematics_for(make_spherical(**shape), TOOL)
     assert isinstance(kinematics, SphericalWristKinematics)
     q = np.random.default_rng(seed).uniform(-np.pi, np.pi, (20, 6))
-    regular = kinematics.singularity(q).smallest > 0.01
-    q = q[regular]
-    poses = kinematics.forward(q)
-    found = kinematics.inverse(poses)
-    assert not found.unreachable.any()
-    sample, branch = np.nonzero(found.valid)
-    np.testing.assert_allclose(kinematics.forward(found.q[sample, branch]), poses[sample], atol=1e-8)
-    assert np.isnan(found.q[~found.valid]).all()
-    for k in range(len(q)):
-        mine = found.q[k, found.valid[k]]
-        apart = np.abs(wrapped(mine[:, None] - mine[None])).max(axis=2)
-        assert apart[~np.eye(len(mine), dtype=bool)].min(initial=1.0) > 1e-6, "two branches are one"
-        assert np.abs(wrapped(mine - q[k])).max(axis=1).min() < 1e-7, "the configuration itself is missing"
-        assert len({kinematics.branch(row) for row in mine}) == len(mine)
+    check_branches(kinematics, q[kinematics.singularity(q).min(axis=1) > 0.01], 1e-8)
 
 
 def test_finds_eight_solutions_in_the_working_range(ns16: RobotDescription) -> None:
@@ -159,8 +136,8 @@ def test_singular_poses_are_reported_not_returned(ns16: RobotDescription, kind: 
     q = np.array(q)
     q[{"wrist": 4, "elbow": 2, "shoulder": 1}[kind]] += aside
     distance = kinematics.singularity(q[None])
-    assert distance.names[distance.which[0]] == kind
-    assert distance.smallest[0] < SINGULAR_DISTANCE
+    assert SINGULARITIES[distance.argmin()] == kind
+    assert distance.min() < SINGULAR_DISTANCE
     pose = kinematics.forward(q[None])
     found = kinematics.inverse(pose)
     assert found.singular.any()
@@ -177,20 +154,9 @@ def test_singularity_distances_match_the_jacobian_determinant(ns16: RobotDescrip
     """The determinant of the Jacobian of a spherical-wrist arm is, up to a constant, the product of the three."""
     kinematics = kinematics_for(ns16)
     q = np.random.default_rng(seed).uniform(-3, 3, (5, 6))
-    product = kinematics.singularity(q).distances.prod(axis=1)
+    product = kinematics.singularity(q).prod(axis=1)
     constant = 0.7 * np.hypot(0.185, 0.624) * (0.7 + np.hypot(0.185, 0.624))
     np.testing.assert_allclose(np.abs(np.linalg.det(kinematics.jacobian(q))), constant * product, atol=1e-12)
-
-
-def test_joint_rates_reproduce_the_twist(arms: dict[str, RobotDescription]) -> None:
-    rng = np.random.default_rng(0)
-    for name in ("comau_ns16", "seven axes", "planar"):
-        kinematics = kinematics_for(arms[name])
-        q = rng.uniform(0.3, 1.2, (20, arms[name].dof))
-        rates = rng.normal(size=q.shape)
-        twist = np.einsum("sij,sj->si", kinematics.jacobian(q), rates)
-        solved = kinematics.joint_rates(q, twist)
-        np.testing.assert_allclose(np.einsum("sij,sj->si", kinematics.jacobian(q), solved), twist, atol=1e-9)
 
 
 @settings(max_examples=40, deadline=None)
@@ -199,7 +165,7 @@ def test_solve_takes_the_nearest_solution_within_limits(ns16: RobotDescription, 
     kinematics = kinematics_for(ns16)
     rng = np.random.default_rng(seed)
     q = rng.uniform(kinematics.lower, kinematics.upper, 6)
-    if kinematics.singularity(q[None]).smallest[0] < 0.01:
+    if kinematics.singularity(q[None]).min() < 0.01:
         return
     pose = kinematics.forward(q[None])[0]
     np.testing.assert_allclose(kinematics.solve(pose, q), q, atol=1e-8)
@@ -216,10 +182,10 @@ def test_solve_on_branch_changes_branch_only_for_limits(ns16: RobotDescription, 
     kinematics = kinematics_for(ns16)
     rng = np.random.default_rng(seed)
     near, q = rng.uniform(kinematics.lower, kinematics.upper, (2, 6))
-    if kinematics.singularity(np.array([near, q])).smallest.min() < 0.01:
+    if kinematics.singularity(np.array([near, q])).min() < 0.01:
         return
     pose = kinematics.forward(q[None])[0]
-    solved = kinematics.solve_on_branch(pose, near)
+    solved = kinematics.solve(pose, near, on_branch=True)
     assert kinematics.within_limits(solved)
     np.testing.assert_allclose(kinematics.forward(solved[None])[0], pose, atol=1e-8)
     found = kinematics.inverse(pose[None])
@@ -311,7 +277,7 @@ def test_recognises_the_development_arm(shared_data: Path) -> None:
 def test_configuration_flags_select_the_joint_solution(ns16: RobotDescription, seed: int) -> None:
     kinematics = kinematics_for(ns16, TOOL)
     q = np.random.default_rng(seed).uniform(kinematics.lower, kinematics.upper, 6)
-    if kinematics.singularity(q[None]).smallest[0] < 0.01:
+    if kinematics.singularity(q[None]).min() < 0.01:
         return
     text = kinematics.configuration_text(q)
     np.testing.assert_allclose(kinematics.solve_configuration(kinematics.forward(q[None])[0], text), q, atol=1e-8)

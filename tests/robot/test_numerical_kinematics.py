@@ -9,10 +9,12 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from agent.core.errors import InputError
-from agent.robot import KinematicsError, RobotDescription, kinematics_for
+from agent.robot import KinematicsError, RobotDescription, kinematics_for, load_robot
 from agent.robot.kinematics.base import SINGULAR_DISTANCE
 from agent.robot.kinematics.chain import chain_of
 from agent.robot.kinematics.numerical import NumericalKinematics
+from agent.robot.kinematics.parallel_axes import ParallelAxesKinematics
+from agent.robot.kinematics.spherical_wrist import SphericalWristKinematics
 
 NUMERICAL = ("slide", "planar", "anthropomorphic", "gantry", "scara", "skew", "seven axes")
 
@@ -62,18 +64,26 @@ def test_inverse_and_solve_find_the_pose(arms: dict[str, RobotDescription], name
     np.testing.assert_allclose(solved, q[0], atol=1e-6)
 
 
-def test_numerical_and_closed_form_solutions_agree(ns16: RobotDescription) -> None:
-    closed = kinematics_for(ns16)
-    numerical = NumericalKinematics(ns16, chain_of(ns16))
-    poses = closed.forward(np.random.default_rng(3).uniform(-1.2, 1.2, (10, 6)))
+UR = (ParallelAxesKinematics, [0.3, -1.2, 1.4, -1.5, -1.2, 0.4], 0.3, 5, 40)
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "middle", "around", "count", "missed"),
+    [("comau_ns16", SphericalWristKinematics, [0.0] * 6, 1.2, 10, 4), ("ur3e", *UR), ("ur5e", *UR), ("ur10e", *UR)],
+)
+def test_numerical_and_closed_form_solutions_agree(
+    name: str, kind: type, middle: list[float], around: float, count: int, missed: int
+) -> None:
+    robot = load_robot(name)
+    closed, numerical = kinematics_for(robot), NumericalKinematics(robot, chain_of(robot))
+    assert isinstance(closed, kind)
+    poses = closed.forward(middle + np.random.default_rng(3).uniform(-around, around, (count, 6)))
     exact, found = closed.inverse(poses), numerical.inverse(poses)
-    missed = 0
     for k in range(len(poses)):
         expected = exact.q[k, exact.valid[k]]
         for q in found.q[k, found.valid[k]]:
             assert np.abs(np.angle(np.exp(1j * (expected - q)))).max(axis=1).min() < 1e-7
-        missed += len(expected) - found.valid[k].sum()
-    assert 0 <= missed <= 4
+    assert 0 <= exact.valid.sum() - found.valid.sum() <= missed
 
 
 @pytest.mark.parametrize("name", NUMERICAL)
@@ -151,7 +161,7 @@ def test_the_singularity_bound_never_misses_a_singular_pose(arms: dict[str, Robo
     assert isinstance(kinematics, NumericalKinematics)
     q = np.random.default_rng(2).uniform(-np.pi, np.pi, (600, kinematics.dof))
     q[::4] *= 1e-6
-    singular = kinematics.singularity(q).smallest < SINGULAR_DISTANCE
+    singular = kinematics.singularity(q).min(axis=1) < SINGULAR_DISTANCE
     assert kinematics._suspects(q)[singular].all()
 
 

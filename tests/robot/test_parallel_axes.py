@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from agent.robot import KinematicsError, RobotDescription, kinematics_for, load_robot
-from agent.robot.kinematics.chain import chain_of
 from agent.robot.kinematics.numerical import NumericalKinematics
 from agent.robot.kinematics.parallel_axes import ParallelAxesKinematics
+from tests.robot.conftest import check_branches
 
 POSTURE = np.array([0.3, -1.2, 1.4, -1.5, -1.2, 0.4])
 
@@ -43,15 +43,7 @@ def test_inverse_kinematics_round_trip_on_every_branch(make_arm: Callable, seed:
     kinematics = kinematics_for(arm(make_arm, seed, off))
     assert isinstance(kinematics, ParallelAxesKinematics)
     q = np.random.default_rng(seed).uniform(-np.pi, np.pi, (20, 6))
-    q = q[kinematics.singularity(q).smallest > 0.1]
-    poses = kinematics.forward(q)
-    found = kinematics.inverse(poses)
-    sample, branch = np.nonzero(found.valid)
-    np.testing.assert_allclose(kinematics.forward(found.q[sample, branch]), poses[sample], atol=2e-9)
-    for there, solutions, valid in zip(q, found.q, found.valid, strict=True):
-        mine = solutions[valid]
-        assert np.abs(np.angle(np.exp(1j * (mine - there)))).max(axis=1).min() < 1e-7
-        assert len({kinematics.branch(row) for row in mine}) == len(mine)
+    check_branches(kinematics, q[kinematics.singularity(q).min(axis=1) > 0.1], 2e-9)
 
 
 @settings(max_examples=20)
@@ -62,21 +54,8 @@ def test_follow_keeps_branch_and_turns(make_arm: Callable, seed: int, off: float
     t = np.linspace(0.0, 1.0, 200)[:, None]
     q = POSTURE + rng.uniform(0.1, 0.2, 6) * np.sin(2 * np.pi * (t * rng.integers(1, 3, 6) + rng.uniform(0, 1, 6)))
     q[:, [0, 5]] += 2 * np.pi * rng.integers(-1, 2, 2) + 9.0 * t
-    if kinematics.singularity(q).smallest.min() > 0.05:
+    if kinematics.singularity(q).min() > 0.05:
         np.testing.assert_allclose(kinematics.follow(kinematics.forward(q), q[0]), q, atol=1e-7)
-
-
-@pytest.mark.parametrize("name", ["ur3e", "ur5e", "ur10e"])
-def test_it_agrees_with_the_numerical_inverse(name: str) -> None:
-    robot = load_robot(name)
-    closed, numerical = kinematics_for(robot), NumericalKinematics(robot, chain_of(robot))
-    assert isinstance(closed, ParallelAxesKinematics)
-    poses = closed.forward(POSTURE + np.random.default_rng(3).uniform(-0.3, 0.3, (5, 6)))
-    exact, found = closed.inverse(poses), numerical.inverse(poses)
-    for k in range(len(poses)):
-        expected = exact.q[k, exact.valid[k]]
-        for q in found.q[k, found.valid[k]]:
-            assert np.abs(np.angle(np.exp(1j * (expected - q)))).max(axis=1).min() < 1e-7
 
 
 @pytest.mark.parametrize(

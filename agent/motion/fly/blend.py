@@ -14,8 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
-from typing import Any
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -30,6 +29,8 @@ _CELLS, _MOST_CELLS = 24, 256
 _SMALLEST = 1e-4
 #: [rad] A circle through less is a parabola.
 _STRAIGHT = 1e-3
+#: The part e of a move that a blend takes, at most ½; or (S,) parts, of several blends worked out together.
+Part = float | np.ndarray
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(3)
 
 
@@ -66,24 +67,37 @@ class BlendStep:
         quintic = tau**4 * (2.5 + tau * (tau - 3.0))
         return (1.0 - self.shape) * cubic + self.shape * quintic
 
+    def sigma(self, tau: np.ndarray, out: Part, into: Part) -> tuple[np.ndarray, np.ndarray]:
+        """Parameters at τ of the move before and the move after, of which the blend takes the parts e₁ and e₂."""
+        leaving = self.integral(1.0 - tau)
+        return 1.0 - 2.0 * out * leaving, 2.0 * into * self.integral(tau)
+
+    def rate(self, tau: np.ndarray, out: Part, into: Part) -> tuple[np.ndarray, np.ndarray]:
+        """Their derivatives by τ."""
+        return 2.0 * out * self.value(1.0 - tau), 2.0 * into * self.value(tau)
+
 
 @dataclass(frozen=True, eq=False)
 class Corner:
-    """A blend between two moves: the parts e₁ and e₂ (at most ½) that it takes, and how finely it is sampled; of
-    several worked out together, an array (S,) of each part.
+    """A blend in joint space between two moves, one of which prescribes the joints, and how finely it is sampled.
 
-    `joint` blends in joint space (where a JOINT or WRIST_JNT move takes part), `through` passes the point (FLY_PASS),
+    `out` and `into` are the parts e₁ and e₂ (at most ½) that it takes of them. `through` passes the point (FLY_PASS),
     `overlap` lets the speed dip as the superposed moves do (FLY_NORM). `allowed` [m] is $FLY_DIST where it bounds.
     """
 
-    before: Any
-    after: Any
-    joint: bool
+    before: Segment
+    after: Segment
+    out: float
+    into: float
     through: bool
     overlap: bool
     cells: int
     step: BlendStep
-    allowed: float = np.inf
+    allowed: float
+
+    def deviation(self) -> float:
+        """[m] by which the path is away from the corner point, as far as that is known before it is built."""
+        return 0.0
 
     def tau(self) -> np.ndarray:
         """(cells + 1,) samples of the blend's parameter."""
@@ -91,20 +105,124 @@ class Corner:
 
     def sigma(self, tau: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Parameters of the move before and the move after."""
-        leaving = self.step.integral(1.0 - tau)
-        return 1.0 - 2.0 * self.before * leaving, 2.0 * self.after * self.step.integral(tau)
+        return self.step.sigma(tau, self.out, self.into)
+
+    def moves(self, tau: np.ndarray) -> np.ndarray:
+        """(S,) statement that a sample belongs to: in the first half that of the move before."""
+        return np.where(tau < 0.5, self.before.move, self.after.move)
 
     def scaled(self, factor: float) -> Corner:
         """The same blend, smaller."""
-        return replace(self, before=factor * self.before, after=factor * self.after)
+        return replace(self, out=factor * self.out, into=factor * self.into)
 
     def refined(self, fineness: float) -> Corner:
         """The same blend, sampled finer by a factor."""
         return replace(self, cells=2 * round(0.5 * fineness * self.cells))
 
-    def rate(self, tau: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Their derivatives by τ."""
-        return 2.0 * self.before * self.step.value(1.0 - tau), 2.0 * self.after * self.step.value(tau)
+
+@dataclass(frozen=True, eq=False)
+class CartesianCorner(Corner):
+    """A blend between two moves that prescribe the TCP's path and orientation."""
+
+    before: CartesianSegment
+    after: CartesianSegment
+
+    def deviation(self) -> float:
+        """[m] of the path from the corner point, or for FLY_PASS of the path from the two moves."""
+        before, after = self.before.curve, self.after.curve
+        if self._ways is not None:
+            sides = self.into * self._ways[1] - self.out * self._ways[0]
+            return 2.0 * float(self.step.integral(np.array(0.5))) * rotation.length(sides)
+        points = self.position(np.linspace(0.0, 1.0, 33))
+        if not self.through:
+            return float(np.min(np.linalg.norm(points - before.position(np.ones(1)), axis=1)))
+        fine = np.linspace(0.0, 1.0, 65)
+        sides = np.concatenate((before.position(1.0 - 1.2 * self.out * fine), after.position(1.2 * self.into * fine)))
+        return float(np.max(np.min(np.linalg.norm(points[:, None] - sides[None], axis=2), axis=1)))
+
+    def position(self, tau: np.ndarray) -> np.ndarray:
+        """(S, 3) TCP in the blend [m]."""
+        one, two = self.sigma(tau)
+        point = self.after.curve.position(np.zeros(1))
+        positions = self.before.curve.position(one) + self.after.curve.position(two) - point
+        if self.through:
+            positions = positions + bump(tau)[:, None] * self._pull()
+        return positions
+
+    def near(self, tau: np.ndarray) -> np.ndarray | None:
+        """(S, n) the straight ways in joint space in the blend; None where the pose alone says what the joints are."""
+        one, two = self.sigma(tau)
+        leaving, arriving = self.before.near(one), self.after.near(two)
+        if leaving is None or arriving is None or self.after.ends is None:
+            return None
+        return leaving + arriving - self.after.ends[0]
+
+    def orientation(self, tau: np.ndarray) -> np.ndarray:
+        """(S, 4) orientation in the blend."""
+        blended = self._turned(tau)
+        if self.through:
+            at_corner = self.after.turn.orientation(np.zeros(1))
+            missing = rotation.multiply(at_corner, rotation.conjugate(self._turned(np.array([0.5]))))[0]
+            pull = rotation.from_rotation_vector(bump(tau)[:, None] * rotation.rotation_vector(missing))
+            blended = rotation.multiply(pull, blended)
+        return blended
+
+    def lengths(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lengths of its cells (cells,) [m], and at `tau` how far the two moves add up (cells + 1,), 0..1."""
+        tau, (nodes, cells) = self.tau(), _nodes(self.cells)
+        if self.step.family == "parabola":
+            # It is run through at a constant rate of τ: one acceleration from the one velocity to the other.
+            along, apart = self._rates(tau)
+            way = self.out * self.before.extent + self.into * self.after.extent
+            return way * cells, np.minimum(along / apart, 1.0)
+        along, apart = self._rates(np.concatenate((nodes, tau)))
+        lengths = (along[: len(nodes)].reshape(-1, 3) @ _WEIGHTS) * 0.5 * cells
+        return lengths, np.minimum(along[len(nodes) :] / apart[len(nodes) :], 1.0)
+
+    @cached_property
+    def _ways(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """(3,) [m] of both moves where their sum alone is the blend; else None."""
+        before, after = self.before.curve, self.after.curve
+        if self.through or not isinstance(before, Line) or not isinstance(after, Line):
+            return None
+        return before.way, after.way
+
+    def _pull(self) -> np.ndarray:
+        one, two = self.sigma(np.array([0.5]))
+        point = self.after.curve.position(np.zeros(1))
+        return 2.0 * point - self.before.curve.position(one) - self.after.curve.position(two)
+
+    def _turned(self, tau: np.ndarray) -> np.ndarray:
+        """(S, 4) the orientation, not yet pulled through the point."""
+        before, after = self.before.turn, self.after.turn
+        if self.step.turn == "slerp":
+            # At both ends the rate is that of the step h.
+            u = tau + (float(self.step.value(np.ones(1))[0]) - 1.0) * tau * (1.0 - tau) * (1.0 - 2.0 * tau)
+            leaving = before.orientation(1.0 - self.out * (1.0 - u))
+            between = rotation.multiply(rotation.conjugate(leaving), after.orientation(self.into * u))
+            vectors = np.stack([rotation.rotation_vector(one) for one in between])
+            return rotation.multiply(leaving, rotation.from_rotation_vector(u[:, None] * vectors))
+        one, two = self.sigma(tau)
+        at_corner = after.orientation(np.zeros(1))
+        since_corner = rotation.multiply(rotation.conjugate(at_corner), after.orientation(two))
+        return rotation.multiply(before.orientation(one), since_corner)
+
+    def _rates(self, tau: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """ds/dτ (S,) of the blend, and of its two moves one after the other."""
+        before, after = self.before, self.after
+        rate_one, rate_two = self.step.rate(tau, self.out, self.into)
+        if self._ways is not None:
+            one, two = self._ways
+            squares = rate_one * (rate_one * (one @ one) + rate_two * (2.0 * (one @ two))) + rate_two**2 * (two @ two)
+        else:
+            sigma_one, sigma_two = self.sigma(tau)
+            velocity = rate_one[:, None] * before.curve.derivative(sigma_one)
+            velocity = velocity + rate_two[:, None] * after.curve.derivative(sigma_two)
+            if self.through:
+                velocity = velocity + (192.0 * (tau * (1.0 - tau)) ** 2 * (1.0 - 2.0 * tau))[:, None] * self._pull()
+            squares = np.einsum("si,si->s", velocity, velocity)
+        turned = before.turning * rate_one + after.turning * rate_two
+        return np.sqrt(np.maximum(squares, 0.0) + turned**2), before.extent * rate_one + after.extent * rate_two
 
 
 @lru_cache(maxsize=1000)
@@ -117,11 +235,6 @@ def bump(tau: np.ndarray) -> np.ndarray:
     return 64.0 * (tau * (1.0 - tau)) ** 3
 
 
-def bump_rate(tau: np.ndarray) -> np.ndarray:
-    """d bump / dτ"""
-    return 192.0 * (tau * (1.0 - tau)) ** 2 * (1.0 - 2.0 * tau)
-
-
 def corner_between(before: Segment, after: Segment, parameters: FlyParameters) -> Corner | None:
     """The FLY corner at the end of `before`, or None where the arm has to stop.
 
@@ -131,12 +244,13 @@ def corner_between(before: Segment, after: Segment, parameters: FlyParameters) -
     settings = before.settings
     if before.kinematics is not after.kinematics:
         return None
-    lines = (before, after) if isinstance(before, CartesianSegment) and isinstance(after, CartesianSegment) else None
-    sizes = before.extent, after.extent
-    half = 0.5 * min(sizes)
+    half = 0.5 * min(before.extent, after.extent)
     overlap = settings.fly_type is FlyType.FLY_NORM
     through = settings.fly_trajectory is FlyTrajectory.FLY_PASS
-    turn = 0.5 * np.pi if lines is None else _deflection(*lines)
+    kind: type[Corner] = Corner
+    turn = 0.5 * np.pi
+    if isinstance(before, CartesianSegment) and isinstance(after, CartesianSegment):
+        kind, turn = CartesianCorner, _deflection(before, after)
     family = "parabola" if parameters.blend == "circle" and turn < _STRAIGHT else parameters.blend
     step = BlendStep(parameters.blend_shape, family, turn, parameters.blend_turn)
     if turn > parameters.stop_angle:
@@ -145,23 +259,23 @@ def corner_between(before: Segment, after: Segment, parameters: FlyParameters) -
     fineness = max(1.0, 0.5 / np.cos(0.5 * turn), 2.0 * size / SPACING / _CELLS)
     cells = 2 * int(min(_MOST_CELLS, _CELLS * fineness) / 2)
 
-    bounded = settings.fly_trajectory in (FlyTrajectory.FLY_TOL, FlyTrajectory.FLY_PASS)
-    allowed = settings.fly_distance if bounded else np.inf
+    allowed = settings.fly_distance if through or settings.fly_trajectory is FlyTrajectory.FLY_TOL else np.inf
 
-    def corner(size: float) -> Corner:
-        return Corner(size / sizes[0], size / sizes[1], lines is None, through, overlap, cells, step, allowed)
+    def sized(size: float) -> Corner:
+        out, into = size / before.extent, size / after.extent
+        return kind(before, after, out, into, through, overlap, cells, step, allowed)
 
-    if bounded:
-        if lines is None:
-            # Where directions are not known before the arm's joints are: the widest the sum of two moves can be.
-            size = min(size, allowed / (4.0 * float(step.integral(np.array(0.5)))))
-        else:
-            for _ in range(12):
-                deviation = _deviation(corner(size), *lines)
-                if deviation <= allowed * (1.0 + 1e-9):
-                    break
-                size *= 0.9999 * allowed / deviation
-    return corner(size) if size >= _SMALLEST else None
+    if kind is Corner:
+        # Where directions are not known before the arm's joints are: the widest the sum of two moves can be.
+        size = min(size, allowed / (4.0 * float(step.integral(np.array(0.5)))))
+    corner = sized(size)
+    for _ in range(12):
+        deviation = corner.deviation()
+        if deviation <= allowed * (1.0 + 1e-9):
+            break
+        size *= 0.9999 * allowed / deviation
+        corner = sized(size)
+    return corner if size >= _SMALLEST else None
 
 
 def _reach(settings: Pdl2Settings, half: float, before: Segment, parameters: FlyParameters) -> float:
@@ -188,114 +302,6 @@ def _deflection(before: CartesianSegment, after: CartesianSegment) -> float:
     return float(np.arccos(min(max(one.dot(two) / sizes, -1.0), 1.0)))
 
 
-def _deviation(corner: Corner, before: CartesianSegment, after: CartesianSegment) -> float:
-    """[m] of the path from the corner point, or for FLY_PASS of the path from the two moves."""
-    if isinstance(before.curve, Line) and isinstance(after.curve, Line) and not corner.through:
-        sides = corner.after * after.curve.way - corner.before * before.curve.way
-        return 2.0 * float(corner.step.integral(np.array(0.5))) * rotation.length(sides)
-    tau = np.linspace(0.0, 1.0, 33)
-    points = blended_position(corner, before, after, tau)
-    if not corner.through:
-        return float(np.min(np.linalg.norm(points - before.curve.position(np.ones(1)), axis=1)))
-    fine = np.linspace(0.0, 1.0, 65)
-    sides = np.concatenate(
-        (before.curve.position(1.0 - 1.2 * corner.before * fine), after.curve.position(1.2 * corner.after * fine))
-    )
-    return float(np.max(np.min(np.linalg.norm(points[:, None] - sides[None], axis=2), axis=1)))
-
-
-def blended_position(corner: Corner, before: CartesianSegment, after: CartesianSegment, tau: np.ndarray) -> np.ndarray:
-    """(S, 3) TCP in the blend [m]."""
-    point = after.curve.position(np.zeros(1))
-    one, two = corner.sigma(tau)
-    positions = before.curve.position(one) + after.curve.position(two) - point
-    if corner.through:
-        positions = positions + bump(tau)[:, None] * _pull(corner, before, after)
-    return positions
-
-
-def blended_near(
-    corner: Corner, before: CartesianSegment, after: CartesianSegment, tau: np.ndarray
-) -> np.ndarray | None:
-    """(S, n) the straight ways in joint space in the blend; None where the pose alone says what the joints are."""
-    one, two = corner.sigma(tau)
-    leaving, arriving = before.near(one), after.near(two)
-    if leaving is None or arriving is None or after.ends is None:
-        return None
-    return leaving + arriving - after.ends[0]
-
-
-def _pull(corner: Corner, before: CartesianSegment, after: CartesianSegment) -> np.ndarray:
-    one, two = corner.sigma(np.array([0.5]))
-    point = after.curve.position(np.zeros(1))
-    return 2.0 * point - before.curve.position(one) - after.curve.position(two)
-
-
-def blended_orientation(
-    corner: Corner, before: CartesianSegment, after: CartesianSegment, tau: np.ndarray
-) -> np.ndarray:
-    """(S, 4) orientation in the blend."""
-
-    def blend(tau: np.ndarray) -> np.ndarray:
-        if corner.step.turn == "slerp":
-            return _slerped(corner, before, after, tau)
-        one, two = corner.sigma(tau)
-        since_corner = rotation.multiply(rotation.conjugate(at_corner), after.turn.orientation(two))
-        return rotation.multiply(before.turn.orientation(one), since_corner)
-
-    at_corner = after.turn.orientation(np.zeros(1))
-    blended = blend(tau)
-    if corner.through:
-        missing = rotation.multiply(at_corner, rotation.conjugate(blend(np.array([0.5]))))[0]
-        pull = rotation.from_rotation_vector(bump(tau)[:, None] * rotation.rotation_vector(missing))
-        blended = rotation.multiply(pull, blended)
-    return blended
-
-
-def _slerped(corner: Corner, before: CartesianSegment, after: CartesianSegment, tau: np.ndarray) -> np.ndarray:
-    # At both ends the rate is that of the step h.
-    u = tau + (float(corner.step.value(np.ones(1))[0]) - 1.0) * tau * (1.0 - tau) * (1.0 - 2.0 * tau)
-    leaving = before.turn.orientation(1.0 - corner.before * (1.0 - u))
-    between = rotation.multiply(rotation.conjugate(leaving), after.turn.orientation(corner.after * u))
-    part = rotation.from_rotation_vector(u[:, None] * np.stack([rotation.rotation_vector(one) for one in between]))
-    return rotation.multiply(leaving, part)
-
-
-def blended_length(
-    corner: Corner, before: CartesianSegment, after: CartesianSegment, tau: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Lengths of the blend's cells (S - 1,) [m], and at the samples how far the superposed moves add up (S,), 0..1."""
-    cells = np.diff(tau)
-    if corner.step.family == "parabola":
-        # It is run through at a constant rate of τ: one acceleration from the one velocity to the other.
-        along, apart = _rates(corner, before, after, tau)
-        way = corner.before * before.extent + corner.after * after.extent
-        return way * cells, np.minimum(along / apart, 1.0)
-    nodes = (tau[:-1, None] + cells[:, None] * 0.5 * (1.0 + _NODES)).ravel()
-    along, apart = _rates(corner, before, after, np.concatenate((nodes, tau)))
-    lengths = (along[: len(nodes)].reshape(-1, 3) @ _WEIGHTS) * 0.5 * cells
-    return lengths, np.minimum(along[len(nodes) :] / apart[len(nodes) :], 1.0)
-
-
-def _rates(
-    corner: Corner, before: CartesianSegment, after: CartesianSegment, tau: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """ds/dτ (S,) of the blend, and of its two moves one after the other."""
-    rate_one, rate_two = corner.rate(tau)
-    if isinstance(before.curve, Line) and isinstance(after.curve, Line) and not corner.through:
-        one, two = before.curve.way, after.curve.way
-        squares = rate_one * (rate_one * (one @ one) + rate_two * (2.0 * (one @ two))) + rate_two**2 * (two @ two)
-    else:
-        sigma_one, sigma_two = corner.sigma(tau)
-        velocity = rate_one[:, None] * before.curve.derivative(sigma_one)
-        velocity = velocity + rate_two[:, None] * after.curve.derivative(sigma_two)
-        if corner.through:
-            velocity = velocity + bump_rate(tau)[:, None] * _pull(corner, before, after)
-        squares = np.einsum("si,si->s", velocity, velocity)
-    turned = before.turning * rate_one + after.turning * rate_two
-    return np.sqrt(np.maximum(squares, 0.0) + turned**2), before.extent * rate_one + after.extent * rate_two
-
-
 @dataclass(frozen=True, eq=False)
 class StraightMoves:
     """Straight moves with a turn about one axis, and the blends between them, worked out together: a loop has a dozen
@@ -310,7 +316,7 @@ class StraightMoves:
     axis: np.ndarray
     angle: np.ndarray
     turning: np.ndarray
-    corners: tuple[Corner, ...]
+    corners: Sequence[Corner]
 
     @classmethod
     def of(cls, segments: Sequence[Segment], corners: Sequence[Corner]) -> StraightMoves | None:
@@ -320,29 +326,16 @@ class StraightMoves:
             for corner in corners
         ):
             return None
-        curves, turns, turning = [], [], []
-        for segment in segments:
-            if not isinstance(segment, CartesianSegment) or segment.ends is not None:
+        rows = []
+        for one in segments:
+            if not isinstance(one, CartesianSegment) or one.ends is not None:
                 return None
-            if (
-                not isinstance(segment.curve, Line)
-                or not isinstance(segment.turn, SingleAxis)
-                or segment.turn.curve is not None
-            ):
+            curve, turn = one.curve, one.turn
+            if not isinstance(curve, Line) or not isinstance(turn, SingleAxis) or turn.curve is not None:
                 return None
-            curves.append(segment.curve)
-            turns.append(segment.turn)
-            turning.append(segment.turning)
-        start = np.array([curve.start for curve in curves])
-        return cls(
-            start,
-            np.array([curve.end for curve in curves]) - start,
-            np.array([turn.start for turn in turns]),
-            np.array([turn.axis for turn in turns]),
-            np.array([turn.angle for turn in turns]),
-            np.array(turning),
-            tuple(corners),
-        )
+            rows.append((curve.start, curve.way, turn.start, turn.axis, turn.angle, one.turning))
+        start, way, turns, axis, angle, turning = map(np.array, zip(*rows, strict=True))
+        return cls(start, way, turns, axis, angle, turning, corners)
 
     def tau(self) -> np.ndarray:
         """(S,) parameters of the samples of all corners, but for their beginnings."""
@@ -352,9 +345,8 @@ class StraightMoves:
         """Positions (S, 3) [m] and orientations (S, 4), move by move at its parameters `sigmas`, then corner by corner
         at `tau`."""
         counts = [len(sigma) for sigma in sigmas]
-        tau = self.tau()
-        joined, before = self._joined(1)
-        one, two = joined.sigma(tau)
+        before, *parts = self._parts(1)
+        one, two = self.corners[0].step.sigma(self.tau(), *parts)
         which = np.concatenate((np.repeat(np.arange(len(sigmas)), counts), before, before + 1))
         sigma = np.concatenate((*sigmas, one, two))
         half = 0.5 * (sigma * self.angle[which])
@@ -363,9 +355,9 @@ class StraightMoves:
 
     def lengths(self) -> np.ndarray:
         """(S,) corner by corner, the lengths of its cells [m]."""
-        known = [_nodes(corner.cells) for corner in self.corners]
-        joined, before = self._joined(len(_NODES))
-        rate_one, rate_two = joined.rate(np.concatenate([nodes for nodes, _ in known]))
+        nodes, cells = map(np.concatenate, zip(*(_nodes(corner.cells) for corner in self.corners), strict=True))
+        before, *parts = self._parts(len(_NODES))
+        rate_one, rate_two = self.corners[0].step.rate(nodes, *parts)
         one, two = self.way[:-1], self.way[1:]
         squares = [
             np.array([a @ b for a, b in zip(*pair, strict=True)])[before]
@@ -374,14 +366,13 @@ class StraightMoves:
         size = rate_one * (rate_one * squares[0] + rate_two * (2.0 * squares[1])) + rate_two**2 * squares[2]
         turned = self.turning[before] * rate_one + self.turning[before + 1] * rate_two
         along = np.sqrt(np.maximum(size, 0.0) + turned**2)
-        return (along.reshape(-1, len(_NODES)) @ _WEIGHTS) * 0.5 * np.concatenate([cells for _, cells in known])
+        return (along.reshape(-1, len(_NODES)) @ _WEIGHTS) * 0.5 * cells
 
-    def _joined(self, repeats: int) -> tuple[Corner, np.ndarray]:
-        """One corner with parts (S,) for `repeats` samples of every cell of all corners, and the move before (S,)."""
+    def _parts(self, repeats: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(S,) of `repeats` samples of every cell of all corners: the move before, and the parts e₁ and e₂."""
         counts = [repeats * corner.cells for corner in self.corners]
-        parts = np.array([(corner.before, corner.after) for corner in self.corners])
-        before, after = np.repeat(parts, counts, axis=0).T
-        return replace(self.corners[0], before=before, after=after), np.repeat(np.arange(len(counts)), counts)
+        parts = np.array([(corner.out, corner.into) for corner in self.corners])
+        return np.repeat(np.arange(len(counts)), counts), *np.repeat(parts, counts, axis=0).T
 
 
 @lru_cache(maxsize=1000)

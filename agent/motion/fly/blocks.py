@@ -19,40 +19,11 @@ from agent.motion.fly.move_geometry import Segment
 from agent.motion.fly.parameters import FlyParameters
 from agent.motion.fly.path import Path
 from agent.motion.fly.profile import ArmLimits, PathShape, allowed_speed
-from agent.motion.fly.setpoints import Run, SetPoints, refuse_crawling, refuse_long, sampled, stretch_needed
+from agent.motion.fly.setpoints import BlockLaw, Run, refuse_crawling, refuse_long, sampled, stretch_needed
 
 _REPAIRS, _HALVINGS = 6, 50
 _SMALL = 1e-12
 _TOLERANCE = 5e-4
-
-
-@dataclass(frozen=True, eq=False)
-class BlockLaw:
-    """s over time: phases that begin at t (P,) with s, speed and acceleration (P,), each of constant jerk (P,)."""
-
-    t: np.ndarray
-    s: np.ndarray
-    speed: np.ndarray
-    acceleration: np.ndarray
-    jerk: np.ndarray
-    raw_duration: float
-    stretch: float = 1.0
-
-    @property
-    def duration(self) -> float:
-        """[s]"""
-        return self.raw_duration * self.stretch
-
-    def sample(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """s, ṡ, s̈ (S,) at times t (S,) [s] since the start of the run; stationary outside it."""
-        t = np.clip(t / self.stretch, 0.0, self.raw_duration)
-        k = np.clip(np.searchsorted(self.t, t, side="right") - 1, 0, len(self.t) - 1)
-        dt, a, jerk = t - self.t[k], self.acceleration[k], self.jerk[k]
-        speed = self.speed[k] + dt * (a + 0.5 * jerk * dt)
-        s = self.s[k] + dt * (self.speed[k] + dt * (0.5 * a + jerk * dt / 6.0))
-        at_rest = (t <= 0.0) | (t >= self.raw_duration)
-        acceleration = np.where(at_rest, 0.0, (a + jerk * dt) / self.stretch**2)
-        return s, np.where(at_rest, 0.0, speed / self.stretch), acceleration
 
 
 def plan_blocks(
@@ -81,19 +52,7 @@ def plan_blocks(
         if over.max() <= 1.0 + _TOLERANCE:
             break
         blocks = blocks.slower(np.where(over > 1.0, 0.99 / np.maximum(over, 1.0), 1.0))
-    return _within_limits(path, shape, limits, parameters, law, samples, period)
-
-
-def _within_limits(
-    path: Path,
-    shape: PathShape,
-    limits: ArmLimits,
-    parameters: FlyParameters,
-    law: BlockLaw,
-    samples: SetPoints,
-    period: float,
-) -> Run:
-    """The run, stretched in time until it keeps the arm's limits."""
+    # Then it is stretched in time until it keeps the arm's limits.
     tcp = replace(limits.cartesian, linear_acceleration=np.inf, rotational_acceleration=np.inf)
     joints = limits.acceleration / parameters.acceleration
     whole = ArmLimits(limits.speed, joints, np.full(len(joints), np.inf), tcp)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from functools import cached_property
+from collections.abc import Callable, Sequence
+from functools import cached_property, partial
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -113,7 +113,9 @@ class _Plan:
             np.concatenate(column, out=np.empty((self._samples, *column[0].shape[1:]), column[0].dtype))
             for column in columns
         )
-        return _Planned(self._of, q, qd, qdd, pose, speed, move, tuple(self._runs))
+        period = self._of.period
+        binding = partial(_binding_limits, self._runs, self._of._planner.limits, self._of.robot.joint_names, period)
+        return _Planned(pose, binding, t=np.arange(len(q)) * period, q=q, qd=qd, qdd=qdd, path_speed=speed, move=move)
 
     def _add_rest(self, index: int, count: int) -> None:
         pose = self._of._maker.pose_at(self.q)
@@ -151,23 +153,10 @@ class _Plan:
 
 
 class _Planned(Trajectory):
-    """Poses and binding limits are computed on first use: a search never uses them."""
+    """Poses, of rows (S, 7), and binding limits are computed on first use: a search never uses them."""
 
-    def __init__(
-        self,
-        of: FlyInterpolator,
-        q: np.ndarray,
-        qd: np.ndarray,
-        qdd: np.ndarray,
-        pose: np.ndarray,
-        speed: np.ndarray,
-        move: np.ndarray,
-        runs: tuple[tuple[float, Run], ...],
-    ):
-        values = {"t": np.arange(len(q)) * of.period, "q": q, "qd": qd, "qdd": qdd, "path_speed": speed, "move": move}
-        limits, names = of._planner.limits, of.robot.joint_names
-        # A frozen dataclass is set like this.
-        self.__dict__.update(values, _pose=pose, _runs=runs, _limits=limits, _names=names, _period=of.period)
+    def __init__(self, pose: np.ndarray, binding: Callable[[], tuple[BindingLimit, ...]], **values: np.ndarray):
+        self.__dict__.update(values, _pose=pose, _binding=binding)  # a frozen dataclass is set like this
 
     @cached_property
     def tcp(self) -> np.ndarray:
@@ -176,11 +165,18 @@ class _Planned(Trajectory):
 
     @cached_property
     def binding(self) -> tuple[BindingLimit, ...]:
-        limits, names, period, runs = (self.__dict__[name] for name in ("_limits", "_names", "_period", "_runs"))
-        return tuple(found for begin, run in runs for found in _binding_limits(run, limits, names, begin, period))
+        limits: tuple[BindingLimit, ...] = self.__dict__["_binding"]()
+        return limits
 
 
 def _binding_limits(
+    runs: list[tuple[float, Run]], limits: ArmLimits, joint_names: tuple[str, ...], period: float
+) -> tuple[BindingLimit, ...]:
+    """The limits in force where runs, each from its `begin` [s] on, are slower than programmed."""
+    return tuple(one for begin, run in runs for one in _of_run(run, limits, joint_names, begin, period))
+
+
+def _of_run(
     run: Run, limits: ArmLimits, joint_names: tuple[str, ...], begin: float, period: float
 ) -> list[BindingLimit]:
     """The limits in force where the run is slower than programmed, the fullest one at each time; `begin` [s].

@@ -201,11 +201,6 @@ class CartesianSegment:
         return None if self.ends is None else self.ends[0] + sigma[:, None] * (self.ends[1] - self.ends[0])
 
     @cached_property
-    def length(self) -> float:
-        """[m]"""
-        return self.curve.length
-
-    @cached_property
     def angle(self) -> float:
         """Angle that the orientation covers [rad]."""
         if isinstance(self.turn, SingleAxis) and self.turn.curve is None:
@@ -217,12 +212,12 @@ class CartesianSegment:
     @cached_property
     def turning(self) -> float:
         """[m] what the rotation adds to the path: 0 where the TCP travels enough to measure the path by its length."""
-        return _turning(self.length, self.angle, self.lever)
+        return self.lever * self.angle if self.curve.length < 0.5 * self.lever * self.angle else 0.0
 
     @cached_property
     def extent(self) -> float:
         """[m] size of the move: its TCP length, or its rotation times a lever where it does little else."""
-        return float(np.hypot(self.length, self.turning))
+        return float(np.hypot(self.curve.length, self.turning))
 
     @property
     def metric(self) -> float:
@@ -232,7 +227,10 @@ class CartesianSegment:
 
 @dataclass(frozen=True, eq=False)
 class JointSegment:
-    """A JOINT move: all joints (n,) start and stop together; `duration` [s] at the joints' full speed."""
+    """A JOINT move: all joints (n,) start and stop together.
+
+    `metric` is the change of the path parameter s over the move: its duration at the joints' full speed [s].
+    """
 
     move: int
     label: str
@@ -240,12 +238,7 @@ class JointSegment:
     kinematics: Any
     start: np.ndarray
     end: np.ndarray
-    duration: float
-
-    @property
-    def metric(self) -> float:
-        """Change of the path parameter s over the move: its duration at full speed [s]."""
-        return self.duration
+    metric: float
 
     @cached_property
     def extent(self) -> float:
@@ -254,10 +247,6 @@ class JointSegment:
         points = self.kinematics.forward(self.start + sigma * (self.end - self.start))[:, :3, 3]
         travel = float(np.sum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
         return max(travel, ROTATION_LEVER * float(np.max(np.abs(self.end - self.start))))
-
-
-def _turning(length: float, angle: float, lever: float = ROTATION_LEVER) -> float:
-    return lever * angle if length < 0.5 * lever * angle else 0.0
 
 
 Segment = CartesianSegment | JointSegment

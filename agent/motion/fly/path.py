@@ -9,18 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from agent.motion import rotation
-from agent.motion.fly.blend import (
-    Corner,
-    StraightMoves,
-    blended_length,
-    blended_near,
-    blended_orientation,
-    blended_position,
-    bump,
-)
+from agent.motion.fly.blend import CartesianCorner, Corner, StraightMoves, bump
 from agent.motion.fly.move_geometry import Arc, CartesianSegment, JointSegment, Segment, label_of
 from agent.motion.fly.parameters import SPACING, FlyParameters
-from agent.motion.fly.rules import corner_rules, segment_rules
+from agent.motion.fly.rules import path_rules
 from agent.motion.interpolator import MotionError
 from agent.robot import Kinematics, KinematicsError
 
@@ -64,7 +56,6 @@ class _PathPart:
     block: np.ndarray
     steps: np.ndarray
     move: np.ndarray
-    rules: np.ndarray
     overlap: np.ndarray
     position: np.ndarray | None = None
     orientation: np.ndarray | None = None
@@ -94,23 +85,22 @@ def build_path(
     running_out = q[None]
     while first < len(segments):
         last = first
-        while last < len(corners) and not corners[last].joint:
+        while last < len(corners) and isinstance(corners[last], CartesianCorner):
             last += 1
         lead = corners[first - 1] if first > 0 else None
         trail = corners[last] if last < len(corners) else None
         unit = segments[first : last + 1]
-        body = _body(unit, corners[first:last], lead, trail, parameters, fineness, first)
-        head, solved, tail = _solve(unit, body, lead, trail, q, parameters)
+        body = _body(unit, corners[first:last], lead, trail, fineness, first)
+        head, tail = _solve(unit, body, lead, trail, q)
         if lead is not None:
-            two = segments[first - 1], unit[0]
-            stretches.append(_joint_corner(2 * first - 1, *two, lead, running_out, head, speeds, parameters))
-            deviations[first - 1] = _deviation(lead, unit[0], running_out, head, stretches[-1])
+            stretches.append(_joint_corner(2 * first - 1, lead, running_out, head, speeds))
+            deviations[first - 1] = _deviation(lead, running_out, head, stretches[-1])
             body[0].steps[0] = stretches[-1].steps[-1]
             stretches[-1].steps = stretches[-1].steps[:-1]
-        stretches += solved
+        stretches += body
         running_out = tail
         q, first = tail[-1], last + 1
-    return _assemble(stretches, segments[0], tuple(deviations))
+    return _assemble(stretches, segments[0], path_rules(segments, parameters), tuple(deviations))
 
 
 def motion_error(error: KinematicsError, move: int, label: str) -> MotionError:
@@ -149,7 +139,6 @@ def _body(
     inner: Sequence[Corner],
     lead: Corner | None,
     trail: Corner | None,
-    parameters: FlyParameters,
     fineness: float,
     first: int,
 ) -> list[_PathPart]:
@@ -158,8 +147,8 @@ def _body(
     sigmas, steps = [], []
     for k, segment in enumerate(unit):
         before, after = corners[k], corners[k + 1]
-        begin = 0.0 if before is None else before.after
-        end = 1.0 if after is None else 1.0 - after.before
+        begin = 0.0 if before is None else before.into
+        end = 1.0 if after is None else 1.0 - after.out
         edges = [
             None if corner is None else 2.0 * part * segment.metric / corner.cells
             for corner, part in ((before, begin), (after, 1.0 - end))
@@ -172,12 +161,11 @@ def _body(
             steps[-1] = np.concatenate((travel[:1], steps[-1]))
     together = StraightMoves.of(unit, inner)
     if together is not None:
-        return _straight(unit, together, sigmas, steps, parameters, first)
+        return [_straight(unit, together, sigmas, steps, first)]
     body: list[_PathPart] = []
     for k, segment in enumerate(unit):
-        body.append(_on_segment(2 * (first + k), segment, sigmas[k], steps[k], parameters))
-        if k < len(inner):
-            body.append(_on_corner(2 * (first + k) + 1, inner[k], segment, unit[k + 1], parameters))
+        body.append(_on_segment(2 * (first + k), segment, sigmas[k], steps[k]))
+        body += [_on_corner(2 * (first + k) + 1, one) for one in inner[k : k + 1] if isinstance(one, CartesianCorner)]
     return body
 
 
@@ -186,48 +174,30 @@ def _straight(
     together: StraightMoves,
     sigmas: list[np.ndarray],
     steps: list[np.ndarray],
-    parameters: FlyParameters,
     first: int,
-) -> list[_PathPart]:
-    """As `_body`, of moves that are worked out together: `sigmas` and `steps` move by move."""
-    rules = [segment_rules(segment, parameters) for segment in unit]
-    table = np.empty((2 * len(unit) - 1, 7))
-    table[::2] = rules
-    for k, segment in enumerate(unit[:-1]):
-        table[2 * k + 1] = corner_rules(segment, rules[k], rules[k + 1], parameters)
+) -> _PathPart:
+    """All of a unit whose moves are worked out together: `sigmas` and `steps` move by move."""
     # Moves first, then corners, until all is put in the order of the way.
     moves = np.repeat(np.arange(len(unit)), [len(step) for step in steps])
     corners = np.repeat(np.arange(len(unit) - 1), [corner.cells for corner in together.corners])
     block = np.concatenate((2 * moves, 2 * corners + 1))
     order = np.argsort(block, kind="stable")
-    block = block[order]
     # The first half of a corner belongs to the move before it.
     nearest = np.concatenate((moves, corners + (together.tau() >= 0.5)))
     position, orientation = together.poses(sigmas)
-    return [
-        _PathPart(
-            2 * first + block,
-            np.concatenate((*steps, together.lengths()))[order],
-            np.array([segment.move for segment in unit])[nearest[order]],
-            table[block],
-            np.ones(len(order)),
-            position[order],
-            orientation[order],
-        )
-    ]
-
-
-def _on_segment(
-    block: int, segment: Segment, sigma: np.ndarray, steps: np.ndarray, parameters: FlyParameters
-) -> _PathPart:
-    count = len(sigma)
-    stretch = _PathPart(
-        np.full(count, block),
-        steps,
-        np.full(count, segment.move),
-        np.broadcast_to(segment_rules(segment, parameters), (count, 7)),
-        np.ones(count),
+    return _PathPart(
+        2 * first + block[order],
+        np.concatenate((*steps, together.lengths()))[order],
+        np.array([segment.move for segment in unit])[nearest[order]],
+        np.ones(len(order)),
+        position[order],
+        orientation[order],
     )
+
+
+def _on_segment(block: int, segment: Segment, sigma: np.ndarray, steps: np.ndarray) -> _PathPart:
+    count = len(sigma)
+    stretch = _PathPart(np.full(count, block), steps, np.full(count, segment.move), np.ones(count))
     if isinstance(segment, JointSegment):
         stretch.q = segment.start + sigma[:, None] * (segment.end - segment.start)
     else:
@@ -237,43 +207,31 @@ def _on_segment(
     return stretch
 
 
-def _on_corner(block: int, corner: Corner, before: Segment, after: Segment, parameters: FlyParameters) -> _PathPart:
-    assert isinstance(before, CartesianSegment)
-    assert isinstance(after, CartesianSegment)
-    tau = corner.tau()
-    lengths, along = blended_length(corner, before, after, tau)
+def _on_corner(block: int, corner: CartesianCorner) -> _PathPart:
+    tau = corner.tau()[1:]
+    lengths, along = corner.lengths()
     return _PathPart(
         np.full(corner.cells, block),
         lengths,
-        np.where(tau[1:] < 0.5, before.move, after.move),
-        np.broadcast_to(_corner_rules(before, after, parameters), (corner.cells, 7)),
+        corner.moves(tau),
         along[1:] if corner.overlap else np.ones(corner.cells),
-        blended_position(corner, before, after, tau[1:]),
-        blended_orientation(corner, before, after, tau[1:]),
-        near=blended_near(corner, before, after, tau[1:]),
+        corner.position(tau),
+        corner.orientation(tau),
+        near=corner.near(tau),
     )
 
 
-def _corner_rules(before: Segment, after: Segment, parameters: FlyParameters) -> np.ndarray:
-    return corner_rules(before, segment_rules(before, parameters), segment_rules(after, parameters), parameters)
-
-
 def _solve(
-    unit: Sequence[Segment],
-    body: list[_PathPart],
-    lead: Corner | None,
-    trail: Corner | None,
-    start: np.ndarray,
-    parameters: FlyParameters,
-) -> tuple[np.ndarray, list[_PathPart], np.ndarray]:
-    """Joints of a unit from `start` (n,): on the way in (lead.cells + 1, n), its knots, on the way out."""
+    unit: Sequence[Segment], body: list[_PathPart], lead: Corner | None, trail: Corner | None, start: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Solve the joints of a unit from `start` (n,): those on the way in (lead.cells + 1, n) and on the way out."""
     into = np.empty(0) if lead is None else lead.sigma(lead.tau())[1][:-1]
     out = np.empty(0) if trail is None else trail.sigma(trail.tau())[0][1:]
     ways = list(body)
     if lead is not None:
-        ways.insert(0, _on_segment(-1, unit[0], into, into, parameters))
+        ways.insert(0, _on_segment(-1, unit[0], into, into))
     if trail is not None:
-        ways.append(_on_segment(-1, unit[-1], out, out, parameters))
+        ways.append(_on_segment(-1, unit[-1], out, out))
     if isinstance(unit[0], CartesianSegment):
         position, orientation = (
             np.concatenate([getattr(way, name) for way in ways]) for name in ("position", "orientation")
@@ -285,18 +243,11 @@ def _solve(
             way.q = part
     else:
         q = np.concatenate([way.q for way in ways if way.q is not None])
-    return q[: len(into) + 1], body, q[len(q) - len(out) - 1 :]
+    return q[: len(into) + 1], q[len(q) - len(out) - 1 :]
 
 
 def _joint_corner(
-    block: int,
-    before: Segment,
-    after: Segment,
-    corner: Corner,
-    running_out: np.ndarray,
-    running_in: np.ndarray,
-    speeds: np.ndarray,
-    parameters: FlyParameters,
+    block: int, corner: Corner, running_out: np.ndarray, running_in: np.ndarray, speeds: np.ndarray
 ) -> _PathPart:
     """The knots between two units: joints superposed. One step more than knots: the last leads to the next unit."""
     tau = corner.tau()
@@ -311,21 +262,18 @@ def _joint_corner(
     count = corner.cells - 1
     return _PathPart(
         np.full(count, block),
-        before.metric * np.diff(one) + after.metric * np.diff(two),
-        np.where(tau[1:-1] < 0.5, before.move, after.move),
-        np.broadcast_to(_corner_rules(before, after, parameters), (count, 7)),
+        corner.before.metric * np.diff(one) + corner.after.metric * np.diff(two),
+        corner.moves(tau[1:-1]),
         0.5 * (along[:-1] + along[1:]) if corner.overlap else np.ones(count),
         q=q[1:-1],
     )
 
 
-def _deviation(
-    corner: Corner, segment: Segment, running_out: np.ndarray, running_in: np.ndarray, blend: _PathPart
-) -> float:
+def _deviation(corner: Corner, running_out: np.ndarray, running_in: np.ndarray, blend: _PathPart) -> float:
     if not np.isfinite(corner.allowed) or blend.q is None:
         return 0.0
-    moves = segment.kinematics.forward(np.concatenate((running_out, running_in)))[:, :3, 3]
-    points = segment.kinematics.forward(blend.q)[:, :3, 3]
+    forward = corner.after.kinematics.forward
+    moves, points = forward(np.concatenate((running_out, running_in)))[:, :3, 3], forward(blend.q)[:, :3, 3]
     if corner.through:
         away = float(np.max(np.min(np.linalg.norm(points[:, None] - moves[None], axis=2), axis=1)))
     else:
@@ -333,7 +281,7 @@ def _deviation(
     return away / max(corner.allowed, 1e-9)
 
 
-def _assemble(stretches: list[_PathPart], segment: Segment, deviations: tuple[float, ...]) -> Path:
+def _assemble(stretches: list[_PathPart], segment: Segment, rules: np.ndarray, deviations: tuple[float, ...]) -> Path:
     q = np.concatenate([stretch.q for stretch in stretches if stretch.q is not None])
     position, orientation = np.empty((len(q), 3)), np.empty((len(q), 4))
     unknown = np.concatenate([np.full(len(stretch.move), stretch.orientation is None) for stretch in stretches])
@@ -345,15 +293,16 @@ def _assemble(stretches: list[_PathPart], segment: Segment, deviations: tuple[fl
         poses = segment.kinematics.forward(q[unknown])
         position[unknown] = poses[:, :3, 3]
         orientation[unknown] = rotation.from_matrices(poses[:, :3, :3])
+    block = np.concatenate([stretch.block for stretch in stretches])
     return Path(
         np.cumsum(np.concatenate([stretch.steps for stretch in stretches])),
         q,
         position,
         rotation.continuous(orientation),
         np.concatenate([stretch.move for stretch in stretches]),
-        np.concatenate([stretch.rules for stretch in stretches]),
+        rules[block],
         np.concatenate([stretch.overlap for stretch in stretches]),
-        np.concatenate([stretch.block for stretch in stretches]),
+        block,
         deviations,
     )
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from agent.motion.fly.move_geometry import JointSegment, Segment
@@ -29,7 +31,7 @@ def segment_rules(segment: Segment, parameters: FlyParameters) -> np.ndarray:
         by_rotation = option is SpeedOption.SPD_ROT and segment.angle > 1e-6
         if not by_rotation:
             linear = settings.linear_speed * override
-        if by_rotation or option is SpeedOption.SPD_CONST or segment.length < 1e-6:
+        if by_rotation or option is SpeedOption.SPD_CONST or segment.curve.length < 1e-6:
             rotational = settings.rotational_speed * override
     return np.array(
         [
@@ -44,9 +46,15 @@ def segment_rules(segment: Segment, parameters: FlyParameters) -> np.ndarray:
     )
 
 
-def corner_rules(before: Segment, leaving: np.ndarray, arriving: np.ndarray, parameters: FlyParameters) -> np.ndarray:
-    """(7,) rules in the blend after a move: the stricter of those (7,) of both moves, and what `$STRESS_PER` leaves."""
-    rules = np.minimum(leaving, arriving)
+def path_rules(segments: Sequence[Segment], parameters: FlyParameters) -> np.ndarray:
+    """(2 M - 1, 7) rules of M moves and of the blends between them, in their order.
+
+    A blend has the stricter rules of both moves, and what `$STRESS_PER` of the move before leaves.
+    """
+    table = np.empty((2 * len(segments) - 1, 7))
+    table[::2] = [segment_rules(segment, parameters) for segment in segments]
+    table[1::2] = np.minimum(table[:-2:2], table[2::2])
     floor = parameters.stress_floor
-    rules[STRESS] = floor + (1.0 - floor) * before.settings.stress_percent / 100.0
-    return rules
+    for k, segment in enumerate(segments[:-1]):
+        table[2 * k + 1, STRESS] = floor + (1.0 - floor) * segment.settings.stress_percent / 100.0
+    return table

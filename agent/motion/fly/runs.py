@@ -16,7 +16,7 @@ from agent.motion.fly.path import Path, build_path
 from agent.motion.fly.profile import ArmLimits, PathShape, shape_of
 from agent.motion.fly.setpoints import Run, plan_run
 from agent.motion.interpolator import MotionError
-from agent.robot import Configuration, RobotDescription, parse_configuration
+from agent.robot import RobotDescription, parse_configuration
 
 #: Largest number of attempts at a path, with smaller joint-space blends or more knots, and largest factor of knots.
 _ATTEMPTS, _FINEST = 10, 32.0
@@ -133,9 +133,18 @@ class RunPlanner:
             wanted = segment.configuration if isinstance(segment, CartesianSegment) else ""
             found = segment.kinematics.configuration_text(path.q[here[-1]]) if wanted else ""
             if found:
-                _check_configuration(segment, parse_configuration(wanted), parse_configuration(found))
+                care, asked, has = segment.settings, parse_configuration(wanted), parse_configuration(found)
+                turned = care.turn_care and asked.turns != has.turns
+                if turned or (care.configuration_care and asked.signs != has.signs):
+                    raise MotionError(
+                        f"{segment.label}: the arm arrives in configuration '{has}' and the target says '{asked}'; a "
+                        "LINEAR or CIRCULAR move keeps its configuration: change it with a JOINT move before",
+                        segment.move,
+                        "configuration",
+                        1.0,
+                    )
             if segment.settings.singularity_care and not isinstance(segment, JointSegment):
-                distance = float(segment.kinematics.singularity(path.q[here]).smallest.min())
+                distance = float(segment.kinematics.singularity(path.q[here]).min())
                 if distance < _SING_CARE:
                     raise MotionError(
                         f"{segment.label}: the path comes within {distance:.3g} of a singularity and $SING_CARE allows "
@@ -144,19 +153,6 @@ class RunPlanner:
                         "singularity",
                         1.0 - distance / _SING_CARE,
                     )
-
-
-def _check_configuration(segment: Segment, wanted: Configuration, found: Configuration) -> None:
-    care = segment.settings
-    turned = care.turn_care and wanted.turns != found.turns
-    if (care.configuration_care and wanted.signs != found.signs) or turned:
-        raise MotionError(
-            f"{segment.label}: the arm arrives in configuration '{found}' and the target says '{wanted}'; a LINEAR or "
-            "CIRCULAR move keeps its configuration: change it with a JOINT move before",
-            segment.move,
-            "configuration",
-            1.0,
-        )
 
 
 def _parts(

@@ -21,7 +21,6 @@ from agent.motion.fly.move_geometry import (
     single_axis,
 )
 from agent.motion.fly.path import motion_error, solve_cartesian
-from agent.motion.frames import pose_in_robot_base, tool_frame
 from agent.motion.interpolator import MotionError
 from agent.motion.pdl2.settings import OrientationType, Pdl2Settings
 from agent.motion.program import (
@@ -34,6 +33,8 @@ from agent.motion.program import (
     Target,
     frame_of,
     matrix_of,
+    pose_in_robot_base,
+    tool_frame,
 )
 from agent.robot import Kinematics, KinematicsError, RobotDescription, kinematics_for
 
@@ -127,7 +128,7 @@ class SegmentMaker:
         segment = CartesianSegment(index, label, settings, kinematics, curve, turn, flags, lever=self._lever)
         if self.robot.dof > 6:
             segment = replace(segment, ends=self._ends(segment, move.target, _end_joints(pending, rest)))
-        return None if segment.length < _NOTHING and segment.angle < _NOTHING else segment
+        return None if segment.curve.length < _NOTHING and segment.angle < _NOTHING else segment
 
     def _ends(self, segment: CartesianSegment, target: Target, start: np.ndarray) -> np.ndarray:
         """(2, n) joints at start and target; where the target is a pose, those that the least motion leads to."""
@@ -204,7 +205,7 @@ class SegmentMaker:
 
 def _pose_of(kinematics: Kinematics, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Position (3,) [m] and orientation (4,) of the TCP at joints (n,)."""
-    pose = kinematics.chain.forward_and_jacobian(q[None])[0][0]  # compiled: of one posture much the quickest
+    pose = kinematics.forward(q[None])[0]
     return pose[:3, 3].copy(), rotation.from_matrix(pose[:3, :3])
 
 
@@ -222,20 +223,15 @@ def _end_joints(pending: Sequence[Segment], rest: np.ndarray) -> np.ndarray:
     return q
 
 
-def _end_of_sweep(segment: CartesianSegment, q: np.ndarray) -> np.ndarray:
+def _end_of_sweep(segment: CartesianSegment, q: np.ndarray, step: float = _SWEEP) -> np.ndarray:
+    count = int(np.clip((segment.curve.length + segment.angle) / step, 2, 5000)) + 1
+    sigma, move = np.linspace(0.0, 1.0, count), np.full(count, segment.move)
     try:
-        return _swept(segment, q, _SWEEP)
+        return solve_cartesian([segment], move, segment.curve.position(sigma), segment.turn.orientation(sigma), q)[-1]
     except MotionError as error:
-        if error.limit != "branch":
+        if error.limit != "branch" or step < _SWEEP:
             raise
-        return _swept(segment, q, 0.1 * _SWEEP)  # joints may turn fast near a singularity without crossing it
-
-
-def _swept(segment: CartesianSegment, q: np.ndarray, step: float) -> np.ndarray:
-    count = int(np.clip((segment.length + segment.angle) / step, 2, 5000)) + 1
-    sigma = np.linspace(0.0, 1.0, count)
-    move = np.full(count, segment.move)
-    return solve_cartesian([segment], move, segment.curve.position(sigma), segment.turn.orientation(sigma), q)[-1]
+        return _end_of_sweep(segment, q, 0.1 * _SWEEP)  # joints may turn fast near a singularity without crossing it
 
 
 def _label(index: int, move: Move) -> str:

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 
@@ -36,20 +35,6 @@ _TURNING = 6.0
 #: Tolerated stretch: speed 0.05 %, acceleration 0.1 %, jerk 0.15 % above the planned limits, which are 0.2 % below the
 #: arm's.
 _TOLERANCE = 5e-4
-
-
-class PathTiming(Protocol):
-    """s over time: its pieces begin at t (P,) [s] with s (P,), and it ends at `duration` [s]."""
-
-    @property
-    def t(self) -> np.ndarray: ...
-    @property
-    def s(self) -> np.ndarray: ...
-    @property
-    def duration(self) -> float: ...
-    def sample(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """s, ṡ, s̈ (S,) at times t (S,) [s]."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,10 +62,33 @@ class TimeLaw:
         return s, speed, acceleration
 
 
-def _time_law(path: Path, z: np.ndarray, window: float) -> TimeLaw:
-    """The run through `path` with z = ṡ² (K,) at the knots, linear in between, averaged over `window` [s]."""
-    time, speed, acceleration, integral = law_at(path.s, z)
-    return TimeLaw(time, path.s - path.s[0], speed, acceleration[:-1], integral, window)
+@dataclass(frozen=True, eq=False)
+class BlockLaw:
+    """s over time: phases that begin at t (P,) with s, speed and acceleration (P,), each of constant jerk (P,)."""
+
+    t: np.ndarray
+    s: np.ndarray
+    speed: np.ndarray
+    acceleration: np.ndarray
+    jerk: np.ndarray
+    raw_duration: float
+    stretch: float = 1.0
+
+    @property
+    def duration(self) -> float:
+        """[s]"""
+        return self.raw_duration * self.stretch
+
+    def sample(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """s, ṡ, s̈ (S,) at times t (S,) [s] since the start of the run; stationary outside it."""
+        t = np.clip(t / self.stretch, 0.0, self.raw_duration)
+        k = np.clip(np.searchsorted(self.t, t, side="right") - 1, 0, len(self.t) - 1)
+        dt, a, jerk = t - self.t[k], self.acceleration[k], self.jerk[k]
+        speed = self.speed[k] + dt * (a + 0.5 * jerk * dt)
+        s = self.s[k] + dt * (self.speed[k] + dt * (0.5 * a + jerk * dt / 6.0))
+        at_rest = (t <= 0.0) | (t >= self.raw_duration)
+        acceleration = np.where(at_rest, 0.0, (a + jerk * dt) / self.stretch**2)
+        return s, np.where(at_rest, 0.0, speed / self.stretch), acceleration
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,7 +160,9 @@ def plan_run(
     ramps = Ramps(path, shape, limits)
     step = _COARSE * period
     for _ in range(_REPAIRS):
-        law = _time_law(path, ramps.fastest(ceiling), window)
+        # z = ṡ² is linear between the knots
+        time, speed, acceleration, integral = law_at(path.s, ramps.fastest(ceiling))
+        law = TimeLaw(time, path.s - path.s[0], speed, acceleration[:-1], integral, window)
         refuse_long(path, law, segments)
         samples = sampled(path, shape, law, step)
         stretch = stretch_needed(path, samples, limits, step)
@@ -196,7 +206,7 @@ def refuse_crawling(path: Path, shape: PathShape, segments: Sequence[Segment], l
     )
 
 
-def refuse_long(path: Path, law: PathTiming, segments: Sequence[Segment]) -> None:
+def refuse_long(path: Path, law: TimeLaw | BlockLaw, segments: Sequence[Segment]) -> None:
     """Refuse a motion that takes too long (MotionError); names the move on which the longest of it is spent."""
     if law.duration <= LONGEST:
         return
@@ -211,7 +221,7 @@ def refuse_long(path: Path, law: PathTiming, segments: Sequence[Segment]) -> Non
     )
 
 
-def sampled(path: Path, shape: PathShape, law: PathTiming, period: float) -> SetPoints:
+def sampled(path: Path, shape: PathShape, law: TimeLaw | BlockLaw, period: float) -> SetPoints:
     """Samples of a path run through by a time law."""
     n = path.q.shape[1]
     t = np.arange(int(np.ceil(law.duration / period - 1e-9)) + 1) * period

@@ -12,9 +12,8 @@ import numpy as np
 from agent.motion.pdl2 import syntax
 from agent.motion.pdl2.checker import check
 from agent.motion.pdl2.evaluation import Memory, Scope, Value, assigned_value, evaluate, setting_value, subscript
-from agent.motion.pdl2.pos import pos_to_pose
 from agent.motion.pdl2.syntax import Pdl2Error, TextPosition
-from agent.motion.pdl2.variables import motion_settings, read
+from agent.motion.pdl2.variables import motion_settings, pos_to_pose, read
 from agent.motion.program import CartesianTarget, Delay, JointTarget, Move, MoveType, Statement, Target
 
 if TYPE_CHECKING:

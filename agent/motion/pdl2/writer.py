@@ -9,12 +9,22 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from agent.core import InputError
-from agent.motion.pdl2.pos import pose_to_pos
 from agent.motion.pdl2.program import parse_program
 from agent.motion.pdl2.settings import Pdl2Settings
 from agent.motion.pdl2.syntax import Constant, Pos
-from agent.motion.pdl2.variables import FRAMES, SYSTEM_VARIABLES, SystemVariable
-from agent.motion.program import CartesianTarget, Delay, JointTarget, MotionSettings, Move, MoveType, Statement, Target
+from agent.motion.pdl2.variables import FRAMES, SYSTEM_VARIABLES, SystemVariable, pose_to_pos
+from agent.motion.program import (
+    CartesianTarget,
+    Delay,
+    JointTarget,
+    MotionSettings,
+    Move,
+    MoveType,
+    Statement,
+    Target,
+    decimals,
+    loop_program,
+)
 
 if TYPE_CHECKING:
     from agent.robot import RobotDescription
@@ -78,16 +88,10 @@ def write_loop_program(
     Raises:
         InputError: fewer than two points, no cycle, or what `write_program` refuses.
     """
-    if len(points) < 2:
-        raise InputError(f"program {name}: a loop needs at least 2 points, not {len(points)}")
-    if not 1 <= cycles <= 1_000_000:
-        raise InputError(f"program {name}: the number of cycles is 1 to 1000000, not {cycles}")
-    if approach is None:
-        approach = settings.changed(speed_override=min(0.1, settings.speed_override))
-    first = Move(MoveType.JOINT, start or points[0], Pdl2Settings.of(approach).stopping())
-    loop = [Move(MoveType.LINEAR, point, settings, fly=True) for point in points[1:]]
-    loop.append(Move(MoveType.LINEAR, points[0], Pdl2Settings.of(settings).stopping()))
-    writer = _Writer([*loop, first], robot, globals_of=Pdl2Settings.of(settings))
+    own = Pdl2Settings.of(settings)
+    slowly = None if approach is None else Pdl2Settings.of(approach)
+    first, loop = loop_program(name, points, own, cycles, slowly, start)
+    writer = _Writer([*loop, first], robot, globals_of=own)
     for point in points:
         writer.point(point)
     lines = [*writer.statement(first, indent=2), f"  FOR cycle_number := 1 TO {cycles} DO"]
@@ -126,7 +130,7 @@ class _Writer:
     def statement(self, statement: Statement, indent: int) -> list[str]:
         blank = " " * indent
         if isinstance(statement, Delay):
-            return [f"{blank}DELAY {_number(1000.0 * statement.seconds)}"]
+            return [f"{blank}DELAY {1000.0 * statement.seconds:.12g}"]
         head = (
             f"{blank}{'MOVEFLY' if statement.fly else 'MOVE'} {statement.type.value} TO {self.point(statement.target)}"
         )
@@ -160,8 +164,7 @@ class _Writer:
         kinds = {"POSITION": CartesianTarget, "JOINTPOS": JointTarget}
         for kind, target_type in kinds.items():
             names = [self.point(target) for target in self.points if isinstance(target, target_type)]
-            if names:
-                declarations += [f"{chunk} : {kind} FOR ARM[1]" for chunk in _chunks(names)]
+            declarations += [f"{', '.join(names[k : k + 12])} : {kind} FOR ARM[1]" for k in range(0, len(names), 12)]
         declared = ["VAR", *(f"  {declaration}" for declaration in declarations)] if declarations else []
         start = [f"  {self.point(target)} := {_target(target, self.robot)}" for target in self.points]
         said = [variable for variable in self.variables if getattr(self.globals, str(variable.field)) is not None]
@@ -184,7 +187,7 @@ def _value(variable: SystemVariable, settings: Pdl2Settings) -> str:
         return value.name
     if isinstance(value, Pos):
         return _pos(np.array(value.fields), "")
-    return _number(float(value))
+    return f"{float(value):.12g}"
 
 
 def _target(target: Target, robot: RobotDescription | None) -> str:
@@ -195,23 +198,12 @@ def _target(target: Target, robot: RobotDescription | None) -> str:
         raise InputError(f"a joint target has {len(position)} joints; {robot.name} has {robot.dof}")
     prismatic = False if robot is None else np.array([joint.prismatic for joint in robot.joints])
     joints = np.where(prismatic, 1000.0 * position, np.degrees(position))
-    return "{" + ", ".join(_coordinate(value) for value in joints) + "}"
+    return "{" + ", ".join(decimals(value) for value in joints) + "}"
 
 
 def _pos(fields: np.ndarray, configuration: str) -> str:
     quoted = configuration.replace("'", "''")
-    return f"POS({', '.join(_coordinate(value) for value in fields)}, '{quoted}')"
-
-
-def _coordinate(value: float) -> str:
-    if not np.isfinite(value):
-        raise InputError(f"a coordinate of the program is {value} and must be finite")
-    text = f"{value:.9f}".rstrip("0").rstrip(".")
-    return "0" if text == "-0" else text
-
-
-def _number(value: float) -> str:
-    return f"{value:.12g}"
+    return f"POS({', '.join(decimals(value) for value in fields)}, '{quoted}')"
 
 
 def _wrapped(items: list[str], head: str) -> list[str]:
@@ -223,7 +215,3 @@ def _wrapped(items: list[str], head: str) -> list[str]:
             line = head
         line += f"{item}, "
     return [*lines, line.rstrip()]
-
-
-def _chunks(names: list[str]) -> list[str]:
-    return [", ".join(names[k : k + 12]) for k in range(0, len(names), 12)]

@@ -21,10 +21,11 @@ from agent.motion.program import (
     Delay,
     JointTarget,
     MotionSettings,
-    Move,
     MoveType,
     Statement,
     Target,
+    decimals,
+    loop_program,
     matrix_of,
 )
 from agent.motion.urscript.reader import read_program
@@ -79,16 +80,9 @@ def write_loop_program(
     Raises:
         InputError: fewer than two points, no cycle, or what `write_program` refuses.
     """
-    if len(points) < 2:
-        raise InputError(f"program {name}: a loop needs at least 2 points, not {len(points)}")
-    if not 1 <= cycles <= 1_000_000:
-        raise InputError(f"program {name}: the number of cycles is 1 to 1000000, not {cycles}")
-    if approach is None:
-        approach = settings.changed(speed_override=min(0.1, settings.speed_override))
+    first, loop = loop_program(name, points, settings, cycles, approach, start)
     writer = _ScriptWriter(robot)
-    lines = [*writer.statement(Move(MoveType.JOINT, start or points[0], approach), "  "), f"  {_REST}"]
-    loop = [Move(MoveType.LINEAR, point, settings, fly=True) for point in points[1:]]
-    loop.append(Move(MoveType.LINEAR, points[0], settings.stopping()))
+    lines = [*writer.statement(first, "  "), f"  {_REST}"]
     moves = [line for move in loop for line in writer.statement(move, "    ")]
     lines += ["  i = 0", f"  while i < {cycles}:", "    write_output_integer_register(24, i)"]
     return writer.text(name, [*lines, *moves, f"    {_REST}", "    i = i + 1", "  end"])
@@ -139,24 +133,17 @@ class _ScriptWriter:
         position = np.asarray(target.position, dtype=float)
         if self._robot is not None and len(position) != self._robot.dof:
             raise InputError(f"a joint target has {len(position)} joints; {self._robot.name} has {self._robot.dof}")
-        return f"[{', '.join(_coordinate(value) for value in position)}]"
+        return f"[{', '.join(decimals(value) for value in position)}]"
 
 
 def _frames(settings: UrSettings) -> list[str]:
     lines = [] if settings.tool is None else [f"set_tcp(p[{_pose(matrix_of(settings.tool))}])"]
     if settings.load is not None:
-        mass, *centre = (_coordinate(value) for value in settings.load)
+        mass, *centre = (decimals(value) for value in settings.load)
         lines.append(f"set_target_payload({mass}, [{', '.join(centre)}])")
     return lines
 
 
 def _pose(pose: np.ndarray) -> str:
     turned = rotation.rotation_vector(rotation.from_matrix(pose[:3, :3]))
-    return ", ".join(_coordinate(value) for value in (*pose[:3, 3], *turned))
-
-
-def _coordinate(value: float) -> str:
-    if not np.isfinite(value):
-        raise InputError(f"a coordinate of the program is {value} and must be finite")
-    text = f"{value:.9f}".rstrip("0").rstrip(".")
-    return "0" if text == "-0" else text
+    return ", ".join(decimals(value) for value in (*pose[:3, 3], *turned))

@@ -50,24 +50,6 @@ class InverseSolutions:
     unreachable: np.ndarray
 
 
-@dataclass(frozen=True, eq=False)
-class SingularityDistance:
-    """Normalised distances (S, k) of S configurations from the k kinds of singularity in `names`; 0 is singular."""
-
-    names: tuple[str, ...]
-    distances: np.ndarray
-
-    @property
-    def smallest(self) -> np.ndarray:
-        """(S,) distance from the nearest singularity."""
-        return self.distances.min(axis=1)
-
-    @property
-    def which(self) -> np.ndarray:
-        """(S,) index into `names` of the nearest singularity."""
-        return self.distances.argmin(axis=1)
-
-
 class Kinematics(ABC):
     """Kinematics of one arm with one tool. Joint positions q are (S, n) in rad (m on a prismatic joint)."""
 
@@ -92,16 +74,6 @@ class Kinematics(ABC):
         """(S, 6, n) Jacobian of the TCP in the base frame: rows linear, then angular velocity."""
         return self.chain.jacobian(q)
 
-    def joint_rates(self, q: np.ndarray, twist: np.ndarray) -> np.ndarray:
-        """(S, n) joint velocities that give the TCP the twist (S, 6), linear then angular, in the base frame.
-
-        The least-squares, least-norm solution where the arm has not six joints. Not meant for singular configurations.
-        """
-        jacobian = self.jacobian(q)
-        if self.dof == 6:
-            return np.linalg.solve(jacobian, twist[:, :, None])[:, :, 0]
-        return (np.linalg.pinv(jacobian) @ twist[:, :, None])[:, :, 0]
-
     def unit(self, joint: int) -> str:
         """Unit of a joint's position, for messages."""
         return "m" if self.chain.prismatic[joint] else "rad"
@@ -121,28 +93,17 @@ class Kinematics(ABC):
         under = np.ceil((self.lower - LIMIT_SLACK - q) / (2 * np.pi)).clip(min=0)
         return q + 2 * np.pi * np.where(self._revolute, under - over, 0.0)
 
-    def solve(self, pose: np.ndarray, near: np.ndarray) -> np.ndarray:
+    def solve(self, pose: np.ndarray, near: np.ndarray, on_branch: bool = False) -> np.ndarray:
         """(n,) the solution for one pose (4, 4) nearest to `near` (n,), within the joint limits.
+
+        With `on_branch` it is on the branch of `near` where an arm has such and a solution there keeps the limits: the
+        nearest joints may be on another branch, where the same pose bends hoses and loads gears otherwise.
 
         Raises:
             KinematicsError: no such solution; index 0.
         """
         pose, near = np.asarray(pose, dtype=float), np.asarray(near, dtype=float)
-        q, found = self._nearest(pose[None], near[None])
-        if not found[0]:
-            raise self.refusal(pose, near)
-        return q[0]
-
-    def solve_on_branch(self, pose: np.ndarray, near: np.ndarray) -> np.ndarray:
-        """(n,) as `solve`, on the branch of `near` (n,) where an arm has such and a solution there keeps the limits.
-
-        The nearest joints may be on another branch, where the same pose bends hoses and loads gears otherwise.
-
-        Raises:
-            KinematicsError: as `solve`.
-        """
-        pose, near = np.asarray(pose, dtype=float), np.asarray(near, dtype=float)
-        q, found = self.find_on_branch(pose[None], near[None])
+        q, found = (self.find_on_branch if on_branch else self.find)(pose[None], near[None])
         if not found[0]:
             raise self.refusal(pose, near)
         return q[0]
@@ -160,16 +121,13 @@ class Kinematics(ABC):
 
     def find(self, poses: np.ndarray, near: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(S, n) what `solve` says of each of poses (S, 4, 4), nearest to `near` (S, n), and where it does (S,)."""
-        return self._nearest(np.asarray(poses, dtype=float), np.asarray(near, dtype=float))
-
-    def find_on_branch(self, poses: np.ndarray, near: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(S, n) what `solve_on_branch` says of each of poses (S, 4, 4), and where it does (S,)."""
-        return self.find(poses, near)
-
-    def _nearest(self, poses: np.ndarray, near: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         candidates, _, allowed = self._options(poses, near)
         away = np.where(allowed, np.linalg.norm(candidates - near[:, None], axis=2), np.inf)
         return candidates[np.arange(len(poses)), away.argmin(axis=1)], np.any(allowed, axis=1)
+
+    def find_on_branch(self, poses: np.ndarray, near: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(S, n) what `solve` on the branch says of each of poses (S, 4, 4), and where it does (S,)."""
+        return self.find(poses, near)
 
     def _options(self, poses: np.ndarray, near: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Solutions (S, B, n) at the turns nearest to `near` that the limits allow, which are some (S, B), and which
@@ -221,8 +179,8 @@ class Kinematics(ABC):
         """
 
     @abstractmethod
-    def singularity(self, q: np.ndarray) -> SingularityDistance:
-        """How far configurations (S, n) are from singular ones."""
+    def singularity(self, q: np.ndarray) -> np.ndarray:
+        """(S, k) normalised distances of configurations (S, n) from each kind of singularity; 0 is singular."""
 
     def solve_configuration(self, pose: np.ndarray, configuration: str) -> np.ndarray:
         """(n,) the solution for a pose (4, 4) with these configuration flags and turns; limits are not checked then.

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import product
-from typing import Any, NoReturn, Self
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -22,7 +22,6 @@ from agent.robot.kinematics.base import (
     InverseSolutions,
     Kinematics,
     KinematicsError,
-    SingularityDistance,
     pose_error,
     position_text,
     singular,
@@ -34,7 +33,7 @@ BRANCHES = tuple(product((1, -1), repeat=3))
 _SIGNS = np.array(BRANCHES, dtype=float).T
 SINGULARITIES = ("shoulder", "elbow", "wrist")
 _BEYOND = -2e-9  # a squared margin below this is out of reach, above it round-off at the border
-_REACHED = 1e-9  # m and rad: Newton steps that leave more have not converged
+_REACHED, _NEARLY = 1e-9, 1e-5  # m and rad: Newton steps that leave more have not converged, or do not converge
 
 
 class AtZero:
@@ -90,7 +89,8 @@ class ArmGeometry:
     shoulder_offset a₁: from axis 1 to axis 2; lateral_offset b: of the wrist centre along y; upper_arm l₂, forearm l₃
     [m]; upper_arm_angle and forearm_angle: of both at zero; senses: +1 or -1, how the first joints count against B's
     axes; wrist_angle: β at q₅ = 0; selection (12, 16): takes a flattened pose to the wrist's rotation in B (9, row by
-    row) and the wrist centre in B (3).
+    row) and the wrist centre in B (3). One kind of arm has a hand [m] between forearm and wrist centre, at hand_angle;
+    the other a forearm_rotation (3, 3) from B to the wrist's axes (z axis 4, y axis 5).
     """
 
     shoulder_offset: float
@@ -102,6 +102,9 @@ class ArmGeometry:
     senses: tuple[float, ...]
     wrist_angle: float
     selection: np.ndarray
+    hand: float = 0.0
+    hand_angle: float = 0.0
+    forearm_rotation: np.ndarray = field(default_factory=lambda: np.eye(3))
 
     @classmethod
     def of(
@@ -112,10 +115,10 @@ class ArmGeometry:
         wrist: np.ndarray,
         wrist_angle: float,
         **more: Any,
-    ) -> Self:
+    ) -> ArmGeometry:
         """From an arm at zero, where its forearm ends, its wrist centre (3,), and the wrist's axes (3, 3) there.
 
-        `more`: what a subclass has beyond that.
+        `more`: what only one kind of arm has.
         """
         axes, points, base = arm.axes, arm.points, arm.base
         upper_arm, forearm = base.T @ (points[2] - points[1]), base.T @ (end - points[2])
@@ -210,14 +213,14 @@ class ClosedFormKinematics(Kinematics):
             q[~found], found[~found] = self.find(poses[~found], near[~found])
         return q, found
 
-    def singularity(self, q: np.ndarray) -> SingularityDistance:
+    def singularity(self, q: np.ndarray) -> np.ndarray:
         """Distances in the order of `SINGULARITIES`.
 
         shoulder: reach of the wrist centre in the plane of the arm over the arm's length, 0 where axis 1 cannot move
         it across that plane; elbow: |sin γ|, 0 where stretched or folded; wrist: |sin β|, 0 where axes 4 and 6 are
         parallel (|sin q₅| on the NS16).
         """
-        return SingularityDistance(SINGULARITIES, np.abs(self._signed_distances(np.asarray(q, dtype=float))).T)
+        return np.abs(self._signed_distances(np.asarray(q, dtype=float))).T
 
     def branch(self, q: np.ndarray) -> tuple[int, int, int]:
         """Signs of shoulder, elbow and wrist at one configuration (n,)."""
@@ -234,13 +237,22 @@ class ClosedFormKinematics(Kinematics):
         negative square is out of reach, and its angles are those of the border.
         """
 
-    @abstractmethod
     def _signed_distances(self, q: np.ndarray) -> np.ndarray:
         """(3, S): radial reach over arm length, sin γ, sin β; their signs are the branch."""
+        g = self._arm
+        upper = g.upper_arm_angle + g.senses[1] * q[:, 1]
+        elbow = g.senses[2] * q[:, 2] + g.forearm_angle - g.upper_arm_angle
+        radial = g.shoulder_offset + g.upper_arm * np.sin(upper) + g.forearm * np.sin(upper + elbow)
+        radial += g.hand * np.sin(upper + elbow + g.senses[3] * q[:, 3] + g.hand_angle - g.forearm_angle)
+        return np.stack([radial / g.reach, np.sin(elbow), np.sin(q[:, 4] + g.wrist_angle)])
 
-    @abstractmethod
     def _from_axis_2(self, wrist: np.ndarray, signs: Sequence[int]) -> float:
         """How far [m] the end of the forearm is from axis 2, for one pose's wrist (12,)."""
+        g = self._arm
+        _, radial, cos1, sin1 = self._shoulder(wrist[9], wrist[10], signs[0])
+        forward, up = cos1 * wrist[2] + sin1 * wrist[5], wrist[8]
+        hand = g.hand * signs[2] / max(np.hypot(forward, up), np.finfo(float).tiny)
+        return float(np.hypot(radial - g.shoulder_offset - hand * up, wrist[11] + hand * forward))
 
     @property
     def _meanings(self) -> tuple[str, str, str]:
@@ -343,9 +355,14 @@ class ClosedFormKinematics(Kinematics):
         """Newton steps (S, n) that remove what an inexact geometry leaves, and where (S,) they reach the poses."""
         if self._exact or len(q) == 0:
             return q, np.ones(len(q), dtype=bool)
-        for _ in range(3):
-            q = q + self.joint_rates(q, pose_error(poses, self.forward(q)))
-        return q, np.abs(pose_error(poses, self.forward(q))).max(axis=1) < _REACHED
+        left, late = pose_error(poses, self.forward(q)), np.arange(len(q))
+        for step in range(5):
+            q[late] += np.linalg.solve(self.jacobian(q[late]), left[late, :, None])[:, :, 0]
+            left[late] = pose_error(poses[late], self.forward(q[late]))
+            if step >= 2:  # near a singularity three steps may leave a little, which the next ones square
+                size = np.abs(left).max(axis=1)
+                late = np.flatnonzero((size >= _REACHED) & (size < _NEARLY))
+        return q, np.abs(left).max(axis=1) < _REACHED
 
     def _is_exact(self) -> bool:
         q = np.random.default_rng(0).uniform(-3.0, 3.0, (10, 6))

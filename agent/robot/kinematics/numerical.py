@@ -19,7 +19,6 @@ from agent.robot.kinematics.base import (
     InverseSolutions,
     Kinematics,
     KinematicsError,
-    SingularityDistance,
     pose_error,
     position_text,
     singular,
@@ -150,7 +149,7 @@ class NumericalKinematics(Kinematics):
     def _check_singularity(self, poses: np.ndarray, q: np.ndarray) -> None:
         suspects = self._suspects(q)
         distances = np.full(len(q), np.inf)
-        distances[suspects] = self.singularity(q[suspects]).smallest
+        distances[suspects] = self.singularity(q[suspects])[:, 0]
         if distances.min(initial=np.inf) < SINGULAR_DISTANCE:
             index = int(np.flatnonzero(distances < SINGULAR_DISTANCE)[0])
             raise singular(index, poses[index], float(distances.min()), f" for {self.robot.name}")
@@ -170,10 +169,6 @@ class NumericalKinematics(Kinematics):
         product = np.sqrt(np.maximum(np.linalg.det(square), 0.0))
         return ~(product * max(others, 1) ** (0.5 * others) > 2.0 * SINGULAR_DISTANCE * whole ** (0.5 * others + 0.5))
 
-    def solve(self, pose: np.ndarray, near: np.ndarray) -> np.ndarray:
-        """As in `Kinematics`; a redundant arm's nearest solution is looked for from `near` itself first."""
-        return self.solve_on_branch(pose, near) if self.dof > 6 else super().solve(pose, near)
-
     def find(self, poses: np.ndarray, near: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         if self.dof > 6:
             q, found = self.nearest(poses, near)
@@ -182,19 +177,19 @@ class NumericalKinematics(Kinematics):
             q, error = self._converge(poses, near)
             found = (error < ACCURACY * self.length) & (np.abs(q - near)[:, self._revolute] <= _NEIGHBOURS).all(axis=1)
         found &= self.within_limits(q)
-        found[found] = self.singularity(q[found]).smallest >= SINGULAR_DISTANCE
+        found[found] = self.singularity(q[found])[:, 0] >= SINGULAR_DISTANCE
         rest = np.flatnonzero(~found)
         for k in range(0, len(rest), _POSES_AT_ONCE):
             part = rest[k : k + _POSES_AT_ONCE]
-            q[part], found[part] = self._nearest(poses[part], near[part])
+            q[part], found[part] = super().find(poses[part], near[part])
         return q, found
 
-    def singularity(self, q: np.ndarray) -> SingularityDistance:
+    def singularity(self, q: np.ndarray) -> np.ndarray:
         """One kind, "arm": smallest over largest singular value of the Jacobian (rotations weighed by the length)."""
         jacobian = self.jacobian(q)
         jacobian[:, 3:] *= self.length
         values = np.linalg.svd(jacobian, compute_uv=False)
-        return SingularityDistance(("arm",), values[:, -1:] / np.maximum(values[:, :1], np.finfo(float).tiny))
+        return np.asarray(values[:, -1:] / np.maximum(values[:, :1], np.finfo(float).tiny))
 
     def _refuse(self, pose: np.ndarray) -> NoReturn:
         q, error = self._converge(np.repeat(pose[None], _SEEDS, axis=0), self._seeds)
@@ -208,7 +203,7 @@ class NumericalKinematics(Kinematics):
             seeds = np.concatenate([near[:, None], seeds], axis=1)
         tried = seeds.shape[1]
         q, error = self._converge(np.repeat(poses, tried, axis=0), seeds.reshape(-1, self.dof))
-        distance = self.singularity(q).smallest.reshape(samples, tried)
+        distance = self.singularity(q).reshape(samples, tried)
         q = self.nearest_turn(q, self.middle).reshape(samples, tried, self.dof)
         error = error.reshape(samples, tried)
         reached = error < ACCURACY * self.length
@@ -295,7 +290,7 @@ class NumericalKinematics(Kinematics):
         return True
 
     def _raise(self, index: int, pose: np.ndarray, q: np.ndarray, error: np.ndarray) -> NoReturn:
-        distance = float(self.singularity(q).smallest[0])
+        distance = float(self.singularity(q)[0, 0])
         if error[0] < _NEARLY * self.length and distance < np.sqrt(SINGULAR_DISTANCE):
             raise singular(index, pose, distance, f" for {self.robot.name}")
         raise KinematicsError(

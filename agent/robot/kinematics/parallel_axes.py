@@ -19,27 +19,14 @@ Institute of Technology (2013). An arm whose calibrated axes are parallel only n
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
-from agent.robot.description import RobotDescription
 from agent.robot.kinematics.chain import KinematicChain
 from agent.robot.kinematics.closed_form import ArmGeometry, AtZero, ClosedFormKinematics
 
 #: How far [rad, or as part of the arm's length] calibrated axes may be from parallel, perpendicular or meeting.
 TOLERANCE = 5e-3
-
-
-@dataclass(frozen=True, eq=False)
-class ParallelAxesGeometry(ArmGeometry):
-    """As `ArmGeometry`; hand d₅ [m]: from axis 4 to axis 6 along axis 5; hand_angle: H at zero.
-
-    The wrist's axes are axis 5, and the third of a right-handed frame, and axis 6, all at q₅ = q₆ = 0.
-    """
-
-    hand: float
-    hand_angle: float
 
 
 class ParallelAxesKinematics(ClosedFormKinematics):
@@ -48,12 +35,8 @@ class ParallelAxesKinematics(ClosedFormKinematics):
     at_shoulder = ": its wrist is as near to axis 1 as it can be"
     at_wrist = ": it has axes 4 and 6 parallel"
 
-    def __init__(self, robot: RobotDescription, chain: KinematicChain, geometry: ParallelAxesGeometry):
-        self.geometry = geometry
-        super().__init__(robot, chain, geometry)
-
     def _branch(self, wrist: np.ndarray, signs: Sequence[int] | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        g = self.geometry
+        g = self._arm
         r00, r01, r02, r10, r11, r12, r20, r21, r22, x, y, z = wrist
         margins = np.empty((3, wrist.shape[1]))
         margins[0], radial, cos1, sin1 = self._shoulder(x, y, signs[0])
@@ -77,25 +60,13 @@ class ParallelAxesKinematics(ClosedFormKinematics):
         q[5] = np.arctan2(-(ax * r01 + ay * r11 + cos_hand * r21), ax * r00 + ay * r10 + cos_hand * r20)
         return q, margins
 
-    def _signed_distances(self, q: np.ndarray) -> np.ndarray:
-        g = self.geometry
-        upper = g.upper_arm_angle + g.senses[1] * q[:, 1]
-        elbow = g.senses[2] * q[:, 2] + g.forearm_angle - g.upper_arm_angle
-        hand = upper + elbow + g.senses[3] * q[:, 3] + g.hand_angle - g.forearm_angle
-        radial = g.shoulder_offset + g.upper_arm * np.sin(upper) + g.forearm * np.sin(upper + elbow)
-        radial += g.hand * np.sin(hand)
-        return np.stack([radial / g.reach, np.sin(elbow), np.sin(q[:, 4] + g.wrist_angle)])
 
-    def _from_axis_2(self, wrist: np.ndarray, signs: Sequence[int]) -> float:
-        g = self.geometry
-        _, radial, cos1, sin1 = self._shoulder(wrist[9], wrist[10], signs[0])
-        forward, up = cos1 * wrist[2] + sin1 * wrist[5], wrist[8]
-        hand = g.hand * signs[2] / max(np.hypot(forward, up), np.finfo(float).tiny)
-        return float(np.hypot(radial - g.shoulder_offset - hand * up, wrist[11] + hand * forward))
+def recognise(chain: KinematicChain) -> ArmGeometry | None:
+    """The constants of an arm of this kind, or None for any other arm.
 
-
-def recognise(chain: KinematicChain) -> ParallelAxesGeometry | None:
-    """The constants of an arm of this kind, or None for any other arm."""
+    Its hand d₅ goes from axis 4 to axis 6 along axis 5. The wrist's axes are axis 5, and the third of a right-handed
+    frame, and axis 6, all at q₅ = q₆ = 0.
+    """
     if chain.dof != 6 or chain.prismatic.any():
         return None
     arm = AtZero(chain, TOLERANCE)
@@ -106,7 +77,7 @@ def recognise(chain: KinematicChain) -> ParallelAxesGeometry | None:
         return None
     fifth, sixth = arm.axes[4:]
     hand, last = arm.base.T @ fifth, arm.base.T @ sixth
-    return ParallelAxesGeometry.of(
+    return ArmGeometry.of(
         arm,
         end,
         centre,

@@ -16,11 +16,9 @@ Siciliano et al., Robotics (2009), 2.12.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
-from agent.robot.description import RobotDescription
 from agent.robot.kinematics.base import SINGULAR_DISTANCE
 from agent.robot.kinematics.chain import KinematicChain
 from agent.robot.kinematics.closed_form import ArmGeometry, AtZero, ClosedFormKinematics, frame_of
@@ -31,19 +29,8 @@ from agent.robot.kinematics.configuration import Configuration, parse_configurat
 TOLERANCE = 1e-4
 
 
-@dataclass(frozen=True, eq=False)
-class SphericalWristGeometry(ArmGeometry):
-    """As `ArmGeometry`; forearm_rotation (3, 3): from B to the wrist's axes (z axis 4, y axis 5)."""
-
-    forearm_rotation: np.ndarray
-
-
 class SphericalWristKinematics(ClosedFormKinematics):
     """Eight branches of an arm with a spherical wrist; they have flags in configuration strings."""
-
-    def __init__(self, robot: RobotDescription, chain: KinematicChain, geometry: SphericalWristGeometry):
-        self.geometry = geometry
-        super().__init__(robot, chain, geometry)
 
     def solve_configuration(self, pose: np.ndarray, configuration: str) -> np.ndarray:
         wanted = parse_configuration(configuration)
@@ -63,7 +50,7 @@ class SphericalWristKinematics(ClosedFormKinematics):
 
     def _branch(self, wrist: np.ndarray, signs: Sequence[int] | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """As in `ClosedFormKinematics`; sines and cosines of the first three joints come from the triangle itself."""
-        g = self.geometry
+        g = self._arm
         r00, r01, r02, r10, r11, r12, r20, r21, r22, x, y, z = wrist
         margins = np.empty((3, wrist.shape[1]))
         margins[0], radial, cos1, sin1 = self._shoulder(x, y, signs[0])
@@ -99,20 +86,8 @@ class SphericalWristKinematics(ClosedFormKinematics):
         np.arctan2(signs[2] * s6, signs[2] * c6, out=q[5])
         return q, margins
 
-    def _signed_distances(self, q: np.ndarray) -> np.ndarray:
-        """(3, S): radial reach over arm length, sin γ, sin β; their signs are the branch."""
-        g = self.geometry
-        upper = g.upper_arm_angle + g.senses[1] * q[:, 1]
-        elbow = g.senses[2] * q[:, 2] + g.forearm_angle - g.upper_arm_angle
-        radial = g.shoulder_offset + g.upper_arm * np.sin(upper) + g.forearm * np.sin(upper + elbow)
-        return np.stack([radial / g.reach, np.sin(elbow), np.sin(q[:, 4] + g.wrist_angle)])
 
-    def _from_axis_2(self, wrist: np.ndarray, signs: Sequence[int]) -> float:
-        _, radial, _, _ = self._shoulder(wrist[9], wrist[10], signs[0])
-        return float(np.hypot(radial - self.geometry.shoulder_offset, wrist[11]))
-
-
-def recognise(chain: KinematicChain) -> SphericalWristGeometry | None:
+def recognise(chain: KinematicChain) -> ArmGeometry | None:
     """The constants of an arm of this kind, or None for any other arm."""
     if chain.dof != 6 or chain.prismatic.any():
         return None
@@ -127,4 +102,4 @@ def recognise(chain: KinematicChain) -> SphericalWristGeometry | None:
     angle = float(np.arctan2(last[0], last[2]))
     c, s = np.cos(angle), np.sin(angle)
     turned = wrist @ np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
-    return SphericalWristGeometry.of(arm, centre, centre, turned, angle, forearm_rotation=wrist.T @ arm.base)
+    return ArmGeometry.of(arm, centre, centre, turned, angle, forearm_rotation=wrist.T @ arm.base)

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from agent.motion import pose_to_pos
-from agent.motion.pdl2.pos import pos_to_pose
+from agent.motion.pdl2.variables import pos_to_pose
 
 ANGLE = st.floats(-400, 400) | st.sampled_from([0.0, 90.0, 180.0, -180.0, 1e-7, 180.0 - 1e-7, 1e-12])
 POS = st.tuples(*[st.floats(-5000, 5000)] * 3, ANGLE, ANGLE, ANGLE)
