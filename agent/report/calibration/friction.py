@@ -3,19 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from agent.model import steady_columns
+from agent.model import IdentifiedModel, steady_columns
 from agent.report.page import Section
 from agent.report.plots import SERIES, UNLINKED, Panel, Plot, Series, worst_first
-from agent.robot import axle_motion, torque_units
-
-if TYPE_CHECKING:
-    from agent.model import IdentifiedModel
-    from agent.robot import RobotDescription
-    from agent.validation import Prediction
+from agent.robot import RobotDescription, axle_motion, torque_units
+from agent.validation import Prediction, pooled_rmse
 
 _GRID = 121
 #: Ranges of speed, and the fewest samples of one that is shown.
@@ -24,8 +19,6 @@ _BINS, _FEWEST = 60, 10
 
 def friction_section(predictions: Sequence[Prediction]) -> Section:
     """Curves of all axles, the joint with the largest error first, over measured torque minus that of the links."""
-    from agent.validation import pooled_rmse
-
     text = (
         "Line: friction of the model, with the 95 % band of its parameters, without load-dependent terms. Dots: "
         "measured torque minus the torque of the links, averaged over narrow ranges of speed.",
