@@ -67,7 +67,7 @@ def run_calibration(recipe: Recipe, console: Console, logs: Path, resume: Path |
             run.write_json("result.json", result)
             typical = typical_motion(predictions)
             write_analysis(run.file("analysis.mcap"), read_log(run.file(typical.log), recipe.robot), typical)
-            page = calibration_page(recipe, plan, result, model, predictions, health, log, run.path)
+            page = calibration_page(recipe, plan, result, predictions, health, log, run.path)
             run.write_text("report.html", page)
             run.complete(not rejected)
         register_run(run, console)

@@ -61,7 +61,7 @@ def _calibration(run: Path, recipe: Recipe, model: IdentifiedModel, result: dict
     predictions = [predict_log(model, log) for log in logs]
     plan, health = replan(recipe, run / "plan.json"), [LogHealth.of(log) for log in logs]
     log = read_log(run / EXCITATION, recipe.robot)
-    return calibration_page(recipe, plan, result, model, predictions, health, log, run)
+    return calibration_page(recipe, plan, result, predictions, health, log, run)
 
 
 def _recalibration(run: Path, recipe: Recipe, model: IdentifiedModel, result: dict[str, Any], console: Console) -> str:

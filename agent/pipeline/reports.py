@@ -117,13 +117,13 @@ def calibration_page(
     recipe: Recipe,
     plan: Plan,
     result: dict[str, Any],
-    model: IdentifiedModel,
     predictions: Sequence[Prediction],
     health: Sequence[LogHealth],
     log: Log,
     run: Path,
 ) -> str:
     """HTML of the report of a calibration in its folder; `health` is that of the validation logs."""
+    model = predictions[0].model
     return run_report(
         RunContent(
             run,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from scipy.stats import binned_statistic
 
 from agent.model import IdentifiedModel, steady_columns
 from agent.report.page import Section
@@ -87,11 +88,8 @@ def _plot(name: str, caption: str, panels: Sequence[Panel], robot: RobotDescript
 
 def _means(speed: np.ndarray, torque: np.ndarray, top: float) -> tuple[np.ndarray, np.ndarray]:
     """Mean speed and torque of narrow ranges of speed that hold enough samples, standstill left out."""
-    edges = top * np.linspace(-1, 1, _BINS + 1)
     moving = np.abs(speed) > 0.01 * top
-    place = np.clip(np.digitize(speed[moving], edges) - 1, 0, _BINS - 1)
-    count = np.bincount(place, minlength=_BINS)
-    enough = count >= _FEWEST
-    with np.errstate(invalid="ignore", divide="ignore"):
-        means = [np.bincount(place, weights=values[moving], minlength=_BINS) / count for values in (speed, torque)]
-    return means[0][enough], means[1][enough]
+    columns, ends = np.stack([speed, torque])[:, moving], (-top, top)
+    enough = np.histogram(columns[0], _BINS, ends)[0] >= _FEWEST
+    middle, mean = binned_statistic(columns[0], columns, "mean", _BINS, ends).statistic
+    return middle[enough], mean[enough]
