@@ -23,16 +23,16 @@ MOST_LINES = {
     "agent/model": 3_900,
     "agent/estimation agent/excitation agent/validation": 4_110,
     "agent/diagnosis agent/experiment": 6_868,
-    "agent/simulators": 3_057,
-    "agent/report": 2_900,
-    "agent/pipeline agent/runs agent/recipe": 6_958,
-    "agent/fleet": 1_932,
+    "agent/simulators": 3_056,
+    "agent/report": 2_782,
+    "agent/pipeline agent/runs agent/recipe": 6_940,
+    "agent/fleet": 1_882,
     "agent/blind_check": 1_030,
-    "agent/cli agent/notebook": 1_460,
+    "agent/cli agent/notebook": 1_366,
     "drivers": 8_001,
     "fake_controller": 9_849,
     "second_world benchmarks": 4_600,
-    "tests": 47_360,
+    "tests": 47_337,
 }
 
 
