@@ -11,6 +11,7 @@ from typing import Annotated
 import typer
 from typer import Argument, Option
 
+from agent import blind_check as blind, core, link, pipeline, recipe as recipes, runs as run_store
 from agent.cli import fleet, options as opt, shop_floor
 from agent.core import InputError
 
@@ -53,19 +54,15 @@ def init(
     cone: Annotated[str | None, Option(metavar="ANGLE", help="how far the tool may tilt")] = None,
 ) -> None:
     """Write a commented recipe. On a terminal, the command asks for values without an option."""
-    from agent.pipeline import write_recipe
-
     given = {"robot": robot, "driver": driver, "controller": controller, "centre": centre, "size": size}
-    print(write_recipe(recipe, {**given, "orientation": orientation, "cone": cone}))
+    print(pipeline.write_recipe(recipe, {**given, "orientation": orientation, "cone": cone}))
     print(f"next: agent check {recipe} (moves nothing)", file=sys.stderr)
 
 
 @app.command(rich_help_panel=opt.CALIBRATE, epilog="Example: agent check cell.yaml")
 def check(recipe: opt.RecipePath, as_json: opt.AsJson = False, messages: opt.Messages = None) -> None:
     """Check recipe, reach, limits and cell, and ping the controller. Moves nothing."""
-    from agent.pipeline import check_recipe
-
-    opt.print_found(as_json, findings := check_recipe(recipe, opt.console_for(messages)))
+    opt.print_found(as_json, findings := pipeline.check_recipe(recipe, opt.console_for(messages)))
     raise typer.Exit(findings.exit_code)
 
 
@@ -79,14 +76,11 @@ def plan(
     messages: opt.Messages = None,
 ) -> None:
     """Search for a calibration motion and write its program. Moves nothing and opens no port."""
-    from agent.pipeline import plan_recipe
-    from agent.recipe import load_recipe
-
-    loaded = load_recipe(recipe)
+    loaded = recipes.load_recipe(recipe)
     console = opt.console_for(messages)
     chosen = scheduler is not None or workers is not None
     with opt.engine_for(scheduler, workers, console) if chosen else nullcontext() as engine:
-        result = plan_recipe(loaded, out or Path(f"{recipe.stem}_plan"), console, engine)
+        result = pipeline.plan_recipe(loaded, out or Path(f"{recipe.stem}_plan"), console, engine)
     opt.print_found(as_json, result)
 
 
@@ -100,13 +94,9 @@ def calibrate(
     messages: opt.Messages = None,
 ) -> None:
     """Calibrate the robot: plan, record, estimate, validate and report. Prints the run folder."""
-    from agent.pipeline import run_calibration
-    from agent.recipe import load_recipe
-    from agent.runs import find_run
-
     console = opt.console_for(messages)
-    stopped = None if resume is None else find_run(logs, resume)
-    outcome = run_calibration(load_recipe(recipe), console, logs=logs, resume=stopped, yes=yes)
+    stopped = None if resume is None else run_store.find_run(logs, resume)
+    outcome = pipeline.run_calibration(recipes.load_recipe(recipe), console, logs=logs, resume=stopped, yes=yes)
     opt.end_job(as_json, outcome)
 
 
@@ -144,10 +134,8 @@ def diagnose(
     help_all: opt.HelpAll = False,
 ) -> None:
     """Find out why model and robot disagree: which joint, what causes it, how sure, and what to do next."""
-    from agent.pipeline import BUDGET, GapQuestion, budget_of, diagnose_files, diagnose_recording, planning_time
-
-    left_out, planning = tuple(without or ()), planning_time(planning_budget)
-    question = GapQuestion(
+    left_out, planning = tuple(without or ()), pipeline.planning_time(planning_budget)
+    question = pipeline.GapQuestion(
         model,
         joint_map,
         cutoff,
@@ -170,9 +158,9 @@ def diagnose(
     if record is not None:
         if logs or robot:
             raise InputError("diagnose: --record records new logs of the recipe's robot: leave out LOG and --robot")
-        motion = budget_of(BUDGET if budget is None else budget) if until_sure else None
+        motion = pipeline.budget_of(pipeline.BUDGET if budget is None else budget) if until_sure else None
         with opt.diagnosis_shown(as_json) as show:
-            diagnose_recording(record, question, console, runs, yes, motion, show)
+            pipeline.diagnose_recording(record, question, console, runs, yes, motion, show)
     elif until_sure:
         raise InputError("diagnose: --until-sure moves the robot: name the recipe to record with --record RECIPE")
     elif not logs or not (robot or model):
@@ -181,7 +169,7 @@ def diagnose(
         )
     else:
         with opt.diagnosis_shown(as_json) as show:
-            diagnose_files(robot, logs, question, console, show)
+            pipeline.diagnose_files(robot, logs, question, console, show)
 
 
 @app.command(rich_help_panel=opt.DATA, epilog="Example: agent record cell.yaml --program loop.pdl -o loop.mcap")
@@ -194,11 +182,8 @@ def record(
     messages: opt.Messages = None,
 ) -> None:
     """Send a program to the controller, run it and record the motion."""
-    from agent.link import record_program_file
-    from agent.recipe import load_recipe
-
     console = opt.console_for(messages)
-    recorded = record_program_file(load_recipe(recipe), program, out, console, yes=yes, payload=load)
+    recorded = link.record_program_file(recipes.load_recipe(recipe), program, out, console, yes=yes, payload=load)
     print(recorded.path)
 
 
@@ -221,9 +206,7 @@ def estimate(
     messages: opt.Messages = None,
 ) -> None:
     """Estimate a model from logs and write the model file."""
-    from agent.pipeline import estimate_files
-
-    model, text = estimate_files(
+    model, text = pipeline.estimate_files(
         robot, logs, out, cutoff, method, opt.console_for(messages), export, allow_mixed, force, structure, topic
     )
     opt.print_found(as_json, model, text)
@@ -240,10 +223,8 @@ def validate(
     messages: opt.Messages = None,
 ) -> None:
     """Compare predicted and measured torque on logs that took no part in the fit."""
-    from agent.pipeline import validate_files, validation_text
-
-    result = validate_files(model, logs, cutoff, opt.console_for(messages), allow_mixed, topic)
-    opt.print_found(as_json, result.to_dict(), validation_text(result))
+    result = pipeline.validate_files(model, logs, cutoff, opt.console_for(messages), allow_mixed, topic)
+    opt.print_found(as_json, result.to_dict(), pipeline.validation_text(result))
 
 
 @app.command(rich_help_panel=opt.TOOLS, epilog="Example: agent blind-check --cases 20 --seed 1 -o blind")
@@ -270,39 +251,36 @@ def blind_check(
     messages: opt.Messages = None,
 ) -> None:
     """Score the diagnosis, or another tool, on simulated robots with a hidden effect."""
-    from agent.blind_check import BlindCheck, export_runs, score_answers, summary_of, world_of
-
     console = opt.console_for(messages)
     if score is not None:
         if export is not None or key is not None or not answers:
             raise InputError("blind check: --score KEY.json takes files of answers, and neither --export nor --key")
-        scores = score_answers(score, answers, out)
-        opt.print_found(as_json, scores, summary_of(scores))
+        scores = blind.score_answers(score, answers, out)
+        opt.print_found(as_json, scores, blind.summary_of(scores))
         return
     if answers or (export is None) != (key is None):
         raise InputError("blind check: --export DIR and --key KEY.json go together; answers need --score KEY.json")
     with opt.engine_for(scheduler, workers, console) as engine:
         if export is not None and key is not None:
-            made = export_runs(world_of(world), export.absolute(), key.absolute(), cases, seed, console, engine)
+            made = blind.export_runs(
+                blind.world_of(world), export.absolute(), key.absolute(), cases, seed, console, engine
+            )
             opt.print_found(as_json, {"schema": "blind-export/1", "runs": len(made.runs)}, str(export))
             return
-        check = BlindCheck(world_of(world), cases, (out or Path("blind_check")).absolute(), seed)
+        check = blind.BlindCheck(blind.world_of(world), cases, (out or Path("blind_check")).absolute(), seed)
         scores = check.run(console, engine)
-    opt.print_found(as_json, scores, summary_of(scores))
+    opt.print_found(as_json, scores, blind.summary_of(scores))
 
 
 @app.command(rich_help_panel=opt.TOOLS, epilog="Example: agent trajectories --json")
 def trajectories(as_json: opt.AsJson = False) -> None:
     """List the stored calibration motions by robot, tool, sub-region and checksum."""
-    from agent.core import print_json
-    from agent.runs import stored_loops
-
     damaged: list[str] = []
-    loops = stored_loops(damaged=damaged)
+    loops = run_store.stored_loops(damaged=damaged)
     for said in damaged:
         print(f"warning: {said}", file=sys.stderr)
     if as_json:
-        print_json({"schema": "trajectories/1", "trajectories": [loop.to_dict() for loop in loops]})
+        core.print_json({"schema": "trajectories/1", "trajectories": [loop.to_dict() for loop in loops]})
         return
     for loop in loops:
         print(loop.line())
@@ -321,14 +299,12 @@ def import_(
     messages: opt.Messages = None,
 ) -> None:
     """Convert CSV, Excel, MAT, HDF5, NumPy or Parquet files to a log."""
-    from agent.pipeline import import_files
-
     if len(files) < 2:
         raise InputError("import: name at least one table and the log to write: agent import … IN OUT.mcap")
     columns = preset if mapping is None else mapping
     if columns is None or (mapping is not None and preset is not None):
         raise InputError("import: describe the columns with either --map MAP.yaml or --preset NAME")
-    for note in import_files(robot, columns, files[:-1], files[-1]):
+    for note in pipeline.import_files(robot, columns, files[:-1], files[-1]):
         opt.console_for(messages).say(note)
     print(files[-1])
 

@@ -12,6 +12,8 @@ import typer
 from typer import Argument, Option
 from typer.core import TyperCommand, TyperOption
 
+from agent import core, pipeline
+
 #: Groups of commands in the help, in this order.
 CALIBRATE, DIAGNOSE, DATA, TOOLS, FLEET = "Calibrate", "Diagnose", "Data and models", "Tools", "Fleet"
 
@@ -90,42 +92,34 @@ Workers = Annotated[int | None, Option("--workers", metavar="N", min=1, help="lo
 
 def engine_for(scheduler: str | None, workers: int | None, console: Any) -> Any:
     """Create the task engine: a Dask cluster, or processes of this machine."""
-    from agent.core import DaskEngine, InProcess, LocalProcesses, available_cores
-
     if scheduler is not None:
-        return DaskEngine(scheduler, say=console.say, warn=console.warn)
-    count = workers or available_cores()
-    return InProcess() if count == 1 else LocalProcesses(count)
+        return core.DaskEngine(scheduler, say=console.say, warn=console.warn)
+    count = workers or core.available_cores()
+    return core.InProcess() if count == 1 else core.LocalProcesses(count)
 
 
 def console_for(messages: bool | None) -> Any:
     """Create the console that shows messages and progress."""
-    from agent.core import Console
-
-    return Console(verbosity=0 if messages is None else 1 if messages else -1)
+    return core.Console(verbosity=0 if messages is None else 1 if messages else -1)
 
 
 def print_found(as_json: bool, found: Any, text: str | None = None) -> None:
     """Print a result on stdout: one JSON object, or for people `text`, by default that of `found`."""
-    from agent.core import print_json, print_text
-
     if as_json:
-        print_json(found if isinstance(found, dict) else found.to_dict())
+        core.print_json(found if isinstance(found, dict) else found.to_dict())
     else:
-        print_text(found.text() if text is None else text)
+        core.print_text(found.text() if text is None else text)
 
 
 def end_job(as_json: bool, outcome: Any) -> NoReturn:
     """Show what a job came to, and end with its exit code."""
-    from agent.core import print_json, print_path
-
     if as_json:
-        print_json(outcome.result)
+        core.print_json(outcome.result)
     elif outcome.run is None:
         print(outcome.text)
     else:
         print(outcome.text, file=sys.stderr)
-        print_path(outcome.run)
+        core.print_path(outcome.run)
     raise typer.Exit(0 if outcome.accepted else 3)
 
 
@@ -135,20 +129,17 @@ def diagnosis_shown(as_json: bool) -> Iterator[Callable[[dict[str, Any]], None]]
 
     As JSON it is one object on stdout: the last one, also where the work ends with an error.
     """
-    from agent.core import print_json, print_text
-    from agent.pipeline import diagnosis_text, planned_text
-
     last: dict[str, Any] = {}
 
     def show(found: dict[str, Any]) -> None:
         if not as_json and not last:
-            print_text(diagnosis_text(found))
+            core.print_text(pipeline.diagnosis_text(found))
         elif not as_json and found["next_experiment"] != last["next_experiment"]:
-            print_text(planned_text(found))
+            core.print_text(pipeline.planned_text(found))
         last.update(found)
 
     try:
         yield show
     finally:
         if as_json and last:
-            print_json(last)
+            core.print_json(last)

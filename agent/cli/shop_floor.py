@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 from typer import Argument, Option
 
+from agent import core, model as models, pipeline, recipe as recipes, runs as run_store, safety, simulators
 from agent.cli import options as opt
 from agent.core import InputError
 
@@ -25,12 +26,8 @@ def recalibrate(
     messages: opt.Messages = None,
 ) -> None:
     """Repeat the stored motion, re-estimate the friction and keep an accepted result. For cron and timers."""
-    from agent.pipeline import run_recalibration
-    from agent.recipe import load_recipe
-    from agent.safety import load_authorisation
-
-    allowed = None if authorisation is None else load_authorisation(authorisation)
-    outcome = run_recalibration(load_recipe(recipe), opt.console_for(messages), logs, yes, allowed)
+    allowed = None if authorisation is None else safety.load_authorisation(authorisation)
+    outcome = pipeline.run_recalibration(recipes.load_recipe(recipe), opt.console_for(messages), logs, yes, allowed)
     opt.end_job(as_json, outcome)
 
 
@@ -43,21 +40,17 @@ def schedule(
     install: Annotated[bool, Option("--install", help="write the systemd units of this user")] = False,
 ) -> None:
     """Print or install a timer (systemd or cron) that recalibrates."""
-    from agent.pipeline import install as write_units, make_schedule, next_steps
-    from agent.recipe import load_recipe
-    from agent.safety import load_authorisation
-
     if authorisation is None:
         print("without --authorisation FILE, nothing but an emulator on this computer will move", file=sys.stderr)
     else:
-        load_authorisation(authorisation)
-    made = make_schedule(load_recipe(recipe), logs, Path.cwd(), at, authorisation)
+        safety.load_authorisation(authorisation)
+    made = pipeline.make_schedule(recipes.load_recipe(recipe), logs, Path.cwd(), at, authorisation)
     if not install:
         print(made.text(), end="")
         return
-    for path in write_units(made):
+    for path in pipeline.install(made):
         print(path)
-    print(next_steps(made), file=sys.stderr)
+    print(pipeline.next_steps(made), file=sys.stderr)
 
 
 @app.command(rich_help_panel=opt.DIAGNOSE, epilog="Example: agent history --robot comau_ns16")
@@ -68,23 +61,18 @@ def history(
     as_json: opt.AsJson = False,
 ) -> None:
     """List past runs: result, errors and drift."""
-    from agent.runs import History, current_runs, history_json, history_table
-
-    past = History(logs)
+    past = run_store.History(logs)
     runs = past.runs(robot, serial)
     nothing = None if runs or past.damaged else past.why_none(robot, serial)
-    current, lost = current_runs(logs)
-    data = history_json(past, runs, current) if as_json else {}
+    current, lost = run_store.current_runs(logs)
+    data = run_store.history_json(past, runs, current) if as_json else {}
     future = [f"{run.run}: dated in the future; the trends leave it out" for run in runs if run.in_future()]
     for warning in (*past.damaged, *lost, *future):
         print(f"warning: {warning}", file=sys.stderr)
     if as_json:
-        from agent.core import print_json
-        from agent.runs import watch
-
-        print_json({**data, "watch": [one.to_dict() for one in watch(runs)]})
+        core.print_json({**data, "watch": [one.to_dict() for one in run_store.watch(runs)]})
         return
-    print(history_table(runs, current))
+    print(run_store.history_table(runs, current))
     if nothing is not None:
         print(nothing, file=sys.stderr)
 
@@ -98,12 +86,9 @@ def compare(
     messages: opt.Messages = None,
 ) -> None:
     """Show which parameters changed between runs by more than their uncertainty."""
-    from agent.pipeline import compare_runs
-    from agent.runs import find_run
-
     if len(runs) < 2:
         raise InputError("compare: name two runs or more: agent compare RUN RUN")
-    found = compare_runs([find_run(logs, run) for run in runs], opt.console_for(messages), report)
+    found = pipeline.compare_runs([run_store.find_run(logs, run) for run in runs], opt.console_for(messages), report)
     pairs = [comparison.to_dict() for comparison in found]
     document = pairs[0] if len(pairs) == 1 else {"schema": "comparisons/1", "comparisons": pairs}
     opt.print_found(as_json, document, "\n\n".join(comparison.text() for comparison in found))
@@ -120,17 +105,13 @@ def report(
     messages: opt.Messages = None,
 ) -> None:
     """Write the HTML page of a run, or of all runs. Prints its path."""
-    from agent.core import print_path
-    from agent.pipeline import rebuild_report, write_index
-    from agent.runs import find_run
-
     if (run is None) == (not index):
         raise InputError("report: name a run, or give --index for the page of all runs")
     if run is None:
-        page = write_index(logs, robot, serial)
+        page = pipeline.write_index(logs, robot, serial)
     else:
-        page = rebuild_report(find_run(logs, run), opt.console_for(messages))
-    print_path(page)
+        page = pipeline.rebuild_report(run_store.find_run(logs, run), opt.console_for(messages))
+    core.print_path(page)
     if show:
         import webbrowser
 
@@ -147,27 +128,24 @@ def export(
     ] = None,
 ) -> None:
     """Write a model as URDF, MuJoCo model, SDF, CSV and Foxglove layout, or print the load for a robot vendor."""
-    from agent.model import IdentifiedModel, possible_model
-    from agent.simulators import export_model, export_table, identified_load, load_text
-
     if (out is None) == (load is None):
         raise InputError("export: name a folder to write to with -o, or a robot vendor with --load; not both")
     if load is not None:
-        text, about = load_text(identified_load(IdentifiedModel.load(model)), load)
+        text, about = simulators.load_text(simulators.identified_load(models.IdentifiedModel.load(model)), load)
         print(about, end="\n" if about else "", file=sys.stderr)
         print(text)
     if out is None:
         return
     if out.exists() and not out.is_dir():
         raise InputError(f"{out}: is a file; name a folder to write to")
-    loaded = IdentifiedModel.load(model)
+    loaded = models.IdentifiedModel.load(model)
     if table:
-        paths = export_table(loaded, out)
+        paths = simulators.export_table(loaded, out)
     else:
-        loaded, note = possible_model(loaded)
+        loaded, note = models.possible_model(loaded)
         if note:
             print(f"warning: {note}", file=sys.stderr)
-        paths = export_model(loaded, out)
+        paths = simulators.export_model(loaded, out)
     for path in paths:
         print(path)
 
@@ -181,9 +159,7 @@ def learn_interpolator(
     messages: opt.Messages = None,
 ) -> None:
     """Learn the controller's interpolation from recorded set-points, for `search.interpolator` of a recipe."""
-    from agent.pipeline import learn_files
-
-    opt.print_found(as_json, learn_files(robot, logs, out, opt.console_for(messages)))
+    opt.print_found(as_json, pipeline.learn_files(robot, logs, out, opt.console_for(messages)))
 
 
 @app.command(rich_help_panel=opt.CALIBRATE, epilog="Example: agent apply 20260101T020000Z_comau_ns16")
@@ -196,11 +172,13 @@ def apply(
     as_json: opt.AsJson = False,
 ) -> None:
     """Make a run's model the robot's current model. Changes nothing on the controller."""
-    from agent.runs import apply_previous, apply_run, find_run
-
     if (run is None) == (not previous):
         raise InputError("apply: name the run whose model becomes current, or give --previous")
-    applied = apply_previous(logs, robot, serial) if run is None else apply_run(logs, find_run(logs, run))
+    applied = (
+        run_store.apply_previous(logs, robot, serial)
+        if run is None
+        else run_store.apply_run(logs, run_store.find_run(logs, run))
+    )
     if not as_json:
         print(f"{applied.robot} {applied.serial}: the current model is now that of run {applied.run}", file=sys.stderr)
     opt.print_found(as_json, applied, str(applied.model))
@@ -209,7 +187,5 @@ def apply(
 @app.command(rich_help_panel=opt.TOOLS, epilog="Example: agent doctor")
 def doctor(logs: opt.RunsFolder = Path("logs"), as_json: opt.AsJson = False) -> None:
     """Check versions, extras, compiled functions, serial ports, clock, disk and limits. Says how to fix a fault."""
-    from agent.pipeline import examine_installation
-
-    opt.print_found(as_json, findings := examine_installation(logs))
+    opt.print_found(as_json, findings := pipeline.examine_installation(logs))
     raise typer.Exit(findings.exit_code)

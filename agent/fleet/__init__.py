@@ -2,4 +2,9 @@
 
 import lazy_loader
 
+from agent.core import needed
+
+for _package in ("fsspec", "pyarrow"):
+    needed(_package, "a fleet")
+
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -8,8 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow.csv
+import pyarrow.parquet
+from scipy.stats import false_discovery_control, ranksums
 
-from agent.core import InputError, needed
+from agent.core import InputError
 from agent.runs import Trend
 
 #: False discovery rate: the expected share of findings that are chance. Low, as few worn machines give few findings.
@@ -53,10 +56,6 @@ def read_columns(paths: Sequence[Path]) -> dict[str, dict[str, str]]:
     Raises:
         InputError: a table that cannot be read, or has no column `robot`.
     """
-    needed("pyarrow", "a fleet")
-    import pyarrow.csv
-    import pyarrow.parquet
-
     found: dict[str, dict[str, str]] = {}
     for path in paths:
         read: Any = pyarrow.parquet.read_table if path.suffix == ".parquet" else pyarrow.csv.read_csv
@@ -86,8 +85,6 @@ def find_families(columns: Mapping[str, Mapping[str, str]], axles: Sequence[Tren
     deviation (Wilcoxon 1945), so that small changes shared by many machines are found. The false discovery rate is
     controlled over all these tests (Benjamini and Hochberg 1995).
     """
-    from scipy.stats import false_discovery_control
-
     tried = [
         one
         for joint in sorted({trend.joint for trend in axles})
@@ -102,8 +99,6 @@ def find_families(columns: Mapping[str, Mapping[str, str]], axles: Sequence[Tren
 
 def _tried(column: str, values: Mapping[str, str], joint: str, axles: Sequence[Trend]) -> Iterator[Family]:
     """The machines of every value of a column as a family, with the p-value of the test as level."""
-    from scipy.stats import ranksums
-
     here = np.array([values.get(one.runs.machine, "") for one in axles], dtype=object)
     changes = np.array([one.found.drift for one in axles])
     scores = changes / np.maximum([one.found.drift_deviation for one in axles], 1e-300)

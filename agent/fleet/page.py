@@ -12,7 +12,6 @@ import gzip
 import json
 import os
 from collections.abc import Sequence
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -23,6 +22,7 @@ from agent.fleet.machines import FleetMachine
 from agent.fleet.store import Store
 from agent.fleet.trends import FleetTrends, change_of, change_text, fleet_trends
 from agent.recipe import GateSection
+from agent.report import asset, filled
 from agent.runs import Trend
 
 #: Normalised RMSE that a calibration is let through with, where its recipe says nothing else.
@@ -51,8 +51,6 @@ def write_page(result: str, tables: Sequence[Path] = (), out: str | None = None)
 
 def _page(found: FleetTrends, base: str) -> str:
     """HTML text; links to the pages of runs begin with `base`."""
-    from jinja2 import Environment
-
     machines = sorted(
         (_machine(found, one, base) for one in found.machines), key=lambda one: (-one["urgency"], one["robot"])
     )
@@ -66,14 +64,15 @@ def _page(found: FleetTrends, base: str) -> str:
     }
     look = sum(bool(one["why"]) for one in machines)
     text = json.dumps(data, separators=(",", ":"), allow_nan=False, ensure_ascii=False)
-    environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
-    return environment.from_string(_asset("fleet.html")).render(
+    return filled(
+        "agent.fleet",
+        "fleet.html",
         found=found,
         look=look,
         runs=sum(len(one.runs) for one in found.machines),
         urgent=machines[: min(look, 15)],
-        script=_asset("fleet.js"),
-        css=_asset("fleet.css"),
+        script=asset("agent.fleet", "fleet.js"),
+        css=asset("agent.fleet", "fleet.css"),
         data=base64.b64encode(gzip.compress(text.encode(), 6, mtime=0)).decode("ascii"),
     )
 
@@ -150,7 +149,3 @@ def _link_base(source: str, page: Store) -> str:
         return f"{source}/" if source else ""
     here = page.local
     return f"{quote(os.path.relpath(there, here))}/" if here is not None else f"{there.absolute().as_uri()}/"
-
-
-def _asset(name: str) -> str:
-    return (files("agent.fleet") / "assets" / name).read_text(encoding="utf-8")

@@ -18,7 +18,10 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from agent.core import InputError, needed, swept_folder
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from agent.core import InputError, swept_folder
 from agent.fleet.store import SCRATCH, Store, StoreError
 
 ROWS, DONE, MODELS = "rows.parquet", "_done", "_models"
@@ -39,7 +42,6 @@ def schema(kind: str, source: str = "") -> Any:
     (report of the run in the source), `warnings`; `joints`, and with one value per joint `rmse` [N·m] and
     `normalised_rmse` (of nominal torque); `asked` and `inputs`, by which a rerun knows what is new.
     """
-    pa = needed("pyarrow", "a fleet")
     text, number, texts, numbers = pa.string(), pa.float64(), pa.list_(pa.string()), pa.list_(pa.float64())
 
     def table(**columns: Any) -> Any:
@@ -102,9 +104,6 @@ def open_rows(url: str, folder: Path) -> ResultRows:
 
 
 def _find_rows(store: Store, folder: Path) -> ResultRows | None:
-    needed("pyarrow", "a fleet")
-    import pyarrow.parquet as pq
-
     if (there := store.find(ROWS)) is None:
         return None
     path = store.fetch(there, folder)
@@ -177,9 +176,6 @@ class Result:
 
     def keep(self) -> None:
         """Save the finished rows, so that the next run can go on if this one is stopped."""
-        import pyarrow as pa
-        import pyarrow.parquet as pq
-
         if not self._fresh:
             return
         self._fresh.sort(key=lambda row: (row["robot"], row["run"]))
@@ -196,9 +192,6 @@ class Result:
         Raises:
             AgentError: they cannot be written; the old result is unchanged.
         """
-        import pyarrow as pa
-        import pyarrow.parquet as pq
-
         self.keep()
         files = self._files()
         order = _order(files)
@@ -222,15 +215,11 @@ class Result:
 
     def _files(self) -> list[Any]:
         """The result as it stands, then what was finished since; later rows replace earlier ones."""
-        import pyarrow.parquet as pq
-
         parts = [pq.ParquetFile(self._folder / name) for name in self._parts]
         return parts if self._before is None else [self._before, *parts]
 
     def _done_parts(self) -> list[str]:
         """Fetch the rows of earlier runs that were stopped; returns their file names."""
-        import pyarrow.parquet as pq
-
         names = []
         for name in self._store.names(DONE):
             path = self._folder / name

@@ -18,17 +18,17 @@ from dataclasses import astuple, dataclass, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 
-from agent.core import InputError, csv_text, needed
+from agent.core import InputError, csv_text
 from agent.fleet.result import ROWS, schema
 from agent.fleet.store import Store
-from agent.robot import RobotDescription, load_robot
-
-if TYPE_CHECKING:
-    from agent.recording import Log
+from agent.recording import Log, write_log
+from agent.robot import Dynamics, RobotDescription, load_robot
 
 #: Share of the machines with each kind of change, and its relative size.
 SHARES = {"cause": 0.05, "wear": 0.02, "step": 0.01}
@@ -132,8 +132,6 @@ def _run(name: str, week: int) -> str:
 
 
 def _write_logs(store: Store, fleet: Fleet, robot: RobotDescription, seed: int) -> list[str]:
-    from agent.recording import write_log
-
     still, rigid, friction = _motion(robot, seed)
     decay = (np.exp(-still.t / _DECAY) - 1)[:, None]
     for machine, name in enumerate(fleet.names):
@@ -159,9 +157,6 @@ def _write_logs(store: Store, fleet: Fleet, robot: RobotDescription, seed: int) 
 def _motion(robot: RobotDescription, seed: int) -> tuple[Log, np.ndarray, np.ndarray]:
     """The log of four sines a joint, the same for all machines, without noise; what torque (S, n) the bodies need, and
     friction. Within the joints' ranges, speeds and accelerations."""
-    from agent.recording import Log
-    from agent.robot import Dynamics
-
     rng = np.random.default_rng((seed, 1))
     t = np.arange(round(_CYCLES * _PERIOD * _RATE)) / _RATE
     lower, upper = (np.clip(limit, -3.0, 3.0) for limit in robot.position_limits)
@@ -218,9 +213,6 @@ def _description(robot: RobotDescription) -> str:
 
 def _write_rows(store: Store, fleet: Fleet, robot: RobotDescription, seed: int) -> list[str]:
     """The rows that `fleet estimate` would have made, as far as trends and the page look at them."""
-    needed("pyarrow", "a fleet")
-    import pyarrow.parquet as pq
-
     rng = np.random.default_rng((seed, 2))
     with TemporaryDirectory() as folder:
         path = Path(folder) / ROWS
@@ -233,8 +225,6 @@ def _write_rows(store: Store, fleet: Fleet, robot: RobotDescription, seed: int) 
 
 def _rows(fleet: Fleet, chosen: slice, robot: RobotDescription, rng: np.random.Generator) -> Any:
     """A table of some machines."""
-    import pyarrow as pa
-
     names, weeks, n, nominal = fleet.names[chosen], fleet.friction.shape[1], robot.dof, _nominal(robot)
     speeds = np.outer((0.15, 0.6), robot.max_velocity)
     factor = fleet.friction[chosen, :, None] * (1 + SCATTER * rng.normal(size=(len(names), weeks, 2, n)))

@@ -13,6 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
 
+import fsspec.core
+
 from agent.core import AgentError, InputError, needed, written_whole
 
 #: Prefix of the local folders for files on their way to or from a store.
@@ -48,13 +50,10 @@ class Store:
 
     def __init__(self, url: str):
         self.url = str(url)
-        needed("fsspec", "a fleet")
         if self.url.startswith(("s3:", "s3a:")):
             needed("s3fs", self.url)
-        from fsspec.core import url_to_fs
-
         try:
-            self._fs, root = url_to_fs(self.url)
+            self._fs, root = fsspec.core.url_to_fs(self.url)
         except (ValueError, ImportError) as error:
             raise InputError(f"{self.url}: no store can be opened by this URL: {error}") from None
         except OSError as error:  # some connect at once

@@ -16,13 +16,14 @@ from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from agent.core import InputError, sha256_text
+from agent.diagnosis import check_effects
+from agent.estimation import EstimationSettings
 from agent.fleet.store import Store, StoredFile
-
-if TYPE_CHECKING:
-    from agent.robot import RobotDescription
+from agent.pipeline import check_structure
+from agent.robot import RobotDescription, load_robot
 
 KINDS = ("estimate", "validate", "diagnose")
 #: Logs of a run folder of the agent that each kind of task uses; of any other folder all are used.
@@ -124,11 +125,6 @@ def make_question(kind: str, robot: str | None, model: str | None, **options: An
     Raises:
         InputError: a robot or a file that cannot be used, or an unknown effect, method, structure or cut-off.
     """
-    from agent.diagnosis import check_effects
-    from agent.estimation import EstimationSettings
-    from agent.pipeline import check_structure
-    from agent.robot import load_robot
-
     # what no run can answer is reported once, before any is run
     check_effects(options.get("without", ()))
     EstimationSettings.create(cutoff=options.get("cutoff"), method=options.get("method"))

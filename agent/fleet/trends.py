@@ -14,7 +14,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 from scipy.special import stdtrit
+from scipy.stats import false_discovery_control
 
 from agent.core import InputError, swept_folder
 from agent.fleet.families import RATE, Family, find_families, read_columns
@@ -104,8 +107,6 @@ def fleet_trends(result: str, tables: Sequence[Path] = ()) -> FleetTrends:
     Raises:
         InputError: no result, or a table that cannot be used.
     """
-    from scipy.stats import false_discovery_control
-
     columns = read_columns(tables)
     with swept_folder(SCRATCH) as folder:
         rows = open_rows(result, folder)
@@ -129,9 +130,6 @@ def write_trends(found: FleetTrends, out: str) -> None:
         InputError: a folder with a result in it.
         AgentError: it cannot be written.
     """
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
     rows = []
     for one in found.axles:
         row = _plain(one)

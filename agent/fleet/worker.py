@@ -14,16 +14,16 @@ import time
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from agent.core import AgentError, Console, InputError, finite, read_json, read_yaml, sha256_file, swept_folder
+from agent.excitation import one_blas_thread
 from agent.fleet.store import SCRATCH, Store, StoredFile, StoreError
 from agent.fleet.tasks import RUN_MODEL, RunQuestion, Task
-
-if TYPE_CHECKING:
-    from agent.model import IdentifiedModel
-    from agent.recording import Log
-    from agent.robot import RobotDescription
+from agent.model import IdentifiedModel
+from agent.pipeline import GapQuestion, conditions, diagnose_files, fit_files, validate_files
+from agent.recording import Log, read_log
+from agent.robot import SHARE, RobotDescription, builtin_robots
 
 #: Statuses that may pass; a rerun tries these rows again.
 PASSING = ("unavailable", "memory", "killed")
@@ -78,8 +78,6 @@ class _Inputs:
 
 def run_task(task: Task) -> TaskRow:
     """The row of one task; no input makes it raise."""
-    from agent.excitation import one_blas_thread
-
     began = time.process_time()
     with swept_folder(SCRATCH) as folder:
         inputs = _Inputs(Store(task.source), folder)
@@ -124,8 +122,6 @@ def _work(task: Task, inputs: _Inputs) -> tuple[dict[str, Any], bytes]:
 def _robot(task: Task, inputs: _Inputs) -> str | RobotDescription | None:
     """The robot of all, or the path of the description with its URDF; of a run folder of the agent without one, the
     robot of its model, or the built-in one that it names."""
-    from agent.robot import builtin_robots
-
     if task.question.robot is not None:
         return task.question.robot
     if task.description is None:
@@ -133,8 +129,6 @@ def _robot(task: Task, inputs: _Inputs) -> str | RobotDescription | None:
         return name if name in builtin_robots() else None
     path = inputs.fetch(task.description)
     if path.name == RUN_MODEL:
-        from agent.model import IdentifiedModel
-
         return IdentifiedModel.load(path).robot
     with contextlib.suppress(InputError, FileNotFoundError):  # whoever reads the description will say so
         data = read_yaml(path)
@@ -163,8 +157,6 @@ def answer(question: RunQuestion, robot: Any, model: Path | None, logs: list[Pat
 
 def _estimate(question: RunQuestion, robot: Any, logs: list[Path], notes: Notes) -> tuple[dict[str, Any], bytes]:
     """The columns, and the model file without its date, so that the same inputs give the same file."""
-    from agent.pipeline import fit_files
-
     if robot is None:
         raise InputError("there is no robot.yaml in or above this run; put one there, or name the robot with --robot")
     options = (question.allow_mixed, question.force, question.structure)
@@ -191,8 +183,6 @@ def _estimate(question: RunQuestion, robot: Any, logs: list[Path], notes: Notes)
 
 def _conditions(model: IdentifiedModel, logs: list[Log]) -> dict[str, Any]:
     """Friction and its change during the longest log, as a run folder has them."""
-    from agent.pipeline import conditions
-
     met = conditions(max(logs, key=lambda one: len(one.t)), model)
     rates = zip(*met["warm_up"].values(), strict=True) if met["cycles"] > 2 else ()
     warm_up = finite([{"rate_per_s": rate, "standard_deviation": deviation} for rate, deviation in rates])
@@ -200,8 +190,6 @@ def _conditions(model: IdentifiedModel, logs: list[Log]) -> dict[str, Any]:
 
 
 def _validate(question: RunQuestion, model: Path | None, logs: list[Path], notes: Notes) -> dict[str, Any]:
-    from agent.pipeline import validate_files
-
     if model is None:
         raise InputError(f"there is no {question.model or 'model'} in or above this run; name a model with --model")
     result = finite(validate_files(model, logs, question.cutoff, notes, question.allow_mixed).to_dict())
@@ -211,9 +199,6 @@ def _validate(question: RunQuestion, model: Path | None, logs: list[Path], notes
 
 
 def _diagnose(question: RunQuestion, robot: Any, model: Path | None, logs: list[Path], notes: Notes) -> dict[str, Any]:
-    from agent.pipeline import GapQuestion, diagnose_files
-    from agent.robot import SHARE
-
     if question.model and model is None:
         raise InputError(f"there is no {question.model} in or above this run; leave --model out, or name another")
     asked = GapQuestion(
@@ -252,8 +237,6 @@ def _told(state: Path | None) -> dict[str, Any]:
 
 def _when(task: Task, state: Path | None, logs: list[Path]) -> dict[str, Any]:
     """Date of the run (from its state, its first log or its name), and serial and tool (from its first log)."""
-    from agent.recording import read_log
-
     told, log, started = _told(state).get("started"), read_log(logs[0]), None
     with contextlib.suppress(ValueError, OverflowError):  # no such day
         if isinstance(told, str):

@@ -5,9 +5,10 @@ from __future__ import annotations
 import glob
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
 
-from agent.core import InputError
+from agent import diagnosis, estimation, pipeline, recipe as recipes, simulators
+from agent.core import InputError, write_atomically
+from agent.model import CATALOGUE, IdentifiedModel
 from agent.notebook.results import (
     Calibration,
     GapDiagnosis,
@@ -18,16 +19,17 @@ from agent.notebook.results import (
     TorqueValidation,
     quiet,
 )
+from agent.recipe import Recipe
 from agent.recording import Log
+from agent.report import Page, Section, diagnosis_report, parameters_section, render, residual_section
 from agent.robot import RobotDescription
-
-if TYPE_CHECKING:
-    from agent.model import IdentifiedModel
-    from agent.recipe import Recipe
+from agent.runs import check_output, find_run
+from agent.validation import predict_log
+from drivers.registry import available
 
 RobotLike = RobotDescription | str | Path
 LogsLike = Log | str | Path | Iterable[Log | str | Path]
-ModelLike: TypeAlias = "IdentifiedModel | str | Path"
+ModelLike = IdentifiedModel | str | Path
 
 
 def load_robot(robot: RobotLike) -> RobotDescription:
@@ -36,9 +38,7 @@ def load_robot(robot: RobotLike) -> RobotDescription:
     Raises:
         InputError: no such robot, or a file that is wrong.
     """
-    from agent.pipeline import load_arm
-
-    return robot if isinstance(robot, RobotDescription) else load_arm(str(robot))
+    return robot if isinstance(robot, RobotDescription) else pipeline.load_arm(str(robot))
 
 
 def load_recipe(recipe: Recipe | str | Path) -> Recipe:
@@ -47,9 +47,7 @@ def load_recipe(recipe: Recipe | str | Path) -> Recipe:
     Raises:
         InputError: every fault with its line.
     """
-    from agent.recipe import load_recipe as load
-
-    return load(recipe) if isinstance(recipe, (str, Path)) else recipe
+    return recipes.load_recipe(recipe) if isinstance(recipe, (str, Path)) else recipe
 
 
 def read_logs(logs: LogsLike, robot: RobotLike) -> Logs:
@@ -58,12 +56,10 @@ def read_logs(logs: LogsLike, robot: RobotLike) -> Logs:
     Raises:
         InputError: nothing matches, or a file that cannot be read as a log of this robot.
     """
-    from agent.pipeline import read_logs as read
-
     description = load_robot(robot)
     found: list[Log] = []
     for one in [logs] if isinstance(logs, (str, Path, Log)) else logs:
-        found += [one] if isinstance(one, Log) else read(_paths(one), description, quiet())
+        found += [one] if isinstance(one, Log) else pipeline.read_logs(_paths(one), description, quiet())
     return Logs(found)
 
 
@@ -82,15 +78,11 @@ def estimate(
         InputError: logs that cannot be used, of several machines (unless `allow_mixed`), or an unknown method.
         RejectedError: logs that no motion of this robot can have made, unless `force`.
     """
-    from agent.diagnosis import with_healthy_effects
-    from agent.estimation import EstimationSettings, estimate as fit
-    from agent.pipeline import check_one_machine, check_plausible
-
-    description, settings = load_robot(robot), EstimationSettings.create(cutoff=cutoff, method=method)
+    description, settings = load_robot(robot), estimation.EstimationSettings.create(cutoff=cutoff, method=method)
     given = read_logs(logs, description)
-    check_one_machine(given, None, allow_mixed)
-    check_plausible(description, given, force, quiet())
-    return Model.of(with_healthy_effects(fit(description, given, settings), given))
+    pipeline.check_one_machine(given, None, allow_mixed)
+    pipeline.check_plausible(description, given, force, quiet())
+    return Model.of(diagnosis.with_healthy_effects(estimation.estimate(description, given, settings), given))
 
 
 def validate(
@@ -101,14 +93,11 @@ def validate(
     Raises:
         InputError: a model or log that cannot be used, or (unless `allow_mixed`) logs of another machine.
     """
-    from agent.pipeline import check_one_machine
-    from agent.validation import predict_log
-
     known = _model(model)
     given = read_logs(logs, known.robot)
     if not given:
         raise InputError("no logs were given, so there is nothing to validate on")
-    check_one_machine(given, known, allow_mixed)
+    pipeline.check_one_machine(given, known, allow_mixed)
     return TorqueValidation(tuple(predict_log(known, log, cutoff) for log in given))
 
 
@@ -128,14 +117,11 @@ def diagnose(
         InputError: as in `estimate`, or an unknown effect in `without`.
         RejectedError: as in `estimate`.
     """
-    from agent.diagnosis import diagnose as search
-    from agent.pipeline import check_one_machine, check_plausible
-
     description, reference = load_robot(robot), None if model is None else _model(model)
     given = read_logs(logs, description)
-    check_one_machine(given, reference, allow_mixed, payload_counts=True)
-    check_plausible(description, given, force, quiet(), model=reference)
-    return GapDiagnosis(search(description, given, reference, cutoff, without))
+    pipeline.check_one_machine(given, reference, allow_mixed, payload_counts=True)
+    pipeline.check_plausible(description, given, force, quiet(), model=reference)
+    return GapDiagnosis(diagnosis.diagnose(description, given, reference, cutoff, without))
 
 
 def report(result: GapDiagnosis | TorqueValidation | Calibration | str | Path, out: str | Path | None = None) -> Path:
@@ -144,13 +130,8 @@ def report(result: GapDiagnosis | TorqueValidation | Calibration | str | Path, o
     Raises:
         InputError: `out` is missing or cannot be written, or the run folder is not complete.
     """
-    from agent.core import write_atomically
-    from agent.runs import check_output
-
     if isinstance(result, (Calibration, str, Path)):
-        from agent.pipeline import rebuild_report
-
-        return rebuild_report(result.run if isinstance(result, Calibration) else Path(result), quiet())
+        return pipeline.rebuild_report(result.run if isinstance(result, Calibration) else Path(result), quiet())
     if out is None:
         raise InputError("report: name the page to write, as in report(result, 'page.html')")
     check_output(Path(out), [])
@@ -163,9 +144,7 @@ def export(model: ModelLike, folder: str | Path) -> tuple[Path, ...]:
     Raises:
         RejectedError: no physical links have the model's base parameters; fit with method="consistent".
     """
-    from agent.simulators import export_model
-
-    return export_model(_model(model), Path(folder))
+    return simulators.export_model(_model(model), Path(folder))
 
 
 def plan(recipe: Recipe | str | Path, folder: str | Path | None = None) -> PlannedLoop:
@@ -174,10 +153,8 @@ def plan(recipe: Recipe | str | Path, folder: str | Path | None = None) -> Plann
     Raises:
         InputError: the recipe is wrong, out of reach, or the folder holds a plan.
     """
-    from agent.pipeline import plan_recipe
-
     loaded = load_recipe(recipe)
-    return PlannedLoop(plan_recipe(loaded, Path(folder or f"{loaded.path.stem}_plan"), quiet()))
+    return PlannedLoop(pipeline.plan_recipe(loaded, Path(folder or f"{loaded.path.stem}_plan"), quiet()))
 
 
 def calibrate(
@@ -188,24 +165,17 @@ def calibrate(
     Raises:
         AgentError, DriverError: as `agent calibrate`, before anything moves or after a controlled stop.
     """
-    from agent.pipeline import run_calibration
-    from agent.runs import find_run
-
     stopped = None if resume is None else find_run(Path(logs), str(resume))
-    return Calibration(run_calibration(load_recipe(recipe), quiet(), Path(logs), stopped, yes))
+    return Calibration(pipeline.run_calibration(load_recipe(recipe), quiet(), Path(logs), stopped, yes))
 
 
 def effects() -> Listing:
     """The effects that a diagnosis looks for, by name."""
-    from agent.model import CATALOGUE
-
     return Listing("effects", CATALOGUE, {name: effect.signature for name, effect in CATALOGUE.items()})
 
 
 def drivers() -> Listing:
     """The drivers that recipes may name: built-in ones and those of installed packages."""
-    from drivers.registry import available
-
     names = {name: f"`controller: {{driver: {name}}}` in a recipe" for name in available()}
     return Listing("drivers", names, names)
 
@@ -226,19 +196,12 @@ def _paths(pattern: str | Path) -> list[Path]:
 
 
 def _model(model: ModelLike) -> IdentifiedModel:
-    from agent.model import IdentifiedModel
-
     return IdentifiedModel.load(model) if isinstance(model, (str, Path)) else model
 
 
 def _page(result: GapDiagnosis | TorqueValidation) -> str:
     if isinstance(result, GapDiagnosis):
-        from agent.diagnosis import simulate
-        from agent.report import diagnosis_report
-
-        return diagnosis_report(result.diagnosis, simulate(result.diagnosis))
-    from agent.report import Page, Section, parameters_section, render, residual_section
-
+        return diagnosis_report(result.diagnosis, diagnosis.simulate(result.diagnosis))
     model = result.predictions[0].model
     sections = (
         Section("Prediction", listing=result.text()),

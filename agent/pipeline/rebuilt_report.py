@@ -10,7 +10,7 @@ from agent.model import IdentifiedModel
 from agent.pipeline.ending import current_run
 from agent.pipeline.gap.diagnose import diagnose_again
 from agent.pipeline.identify import read_logs
-from agent.pipeline.job import validation_logs
+from agent.pipeline.job import EXCITATION, validation_logs
 from agent.pipeline.plan import replan
 from agent.pipeline.reports import calibration_page, recalibration_page
 from agent.recipe import Recipe, load_recipe
@@ -59,12 +59,13 @@ def _calibration(run: Path, recipe: Recipe, model: IdentifiedModel, result: dict
     if not logs:
         raise InputError(f"{run}: its validation logs are gone, so its page cannot be made again")
     predictions = [predict_log(model, log) for log in logs]
-    plan = replan(recipe, run / "plan.json")
-    return calibration_page(recipe, plan, result, model, predictions, [LogHealth.of(log) for log in logs], run)
+    plan, health = replan(recipe, run / "plan.json"), [LogHealth.of(log) for log in logs]
+    log = read_log(run / EXCITATION, recipe.robot)
+    return calibration_page(recipe, plan, result, predictions, health, log, run)
 
 
 def _recalibration(run: Path, recipe: Recipe, model: IdentifiedModel, result: dict[str, Any], console: Console) -> str:
-    (log,) = read_logs([run / "excitation.mcap"], recipe.robot, console)
+    (log,) = read_logs([run / EXCITATION], recipe.robot, console)
     comparison = Comparison.from_dict(read_object(run / "comparison.json"))
     program = (run / f"program{recipe.dialect.suffix}").read_text(encoding="utf-8")
     return recalibration_page(recipe, program, result, comparison, log, predict_log(model, log), run)

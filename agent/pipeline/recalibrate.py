@@ -106,7 +106,7 @@ def run_recalibration(
 
             def with_further_motions() -> dict[str, Any]:
                 rounds.append(_further(job, reference.model, log))
-                return {**rounds[0].last[0].result, **rounds[0].to_dict()}
+                return {**rounds[0].last.result, **rounds[0].to_dict()}
 
             released = authorisation is not None and authorisation.document.new_motions is not None
             ask = with_further_motions if released else None
@@ -274,7 +274,7 @@ def _further(job: Job, model: IdentifiedModel, log: Log) -> Rounds:
     """Diagnose with further motions, as far as the authorisation releases them."""
 
     def find(further: Sequence[Path]) -> Found:
-        return diagnose(model.robot, [log, *(read_log(path, model.robot) for path in further)], model), [], None
+        return Found(diagnose(model.robot, [log, *(read_log(path, model.robot) for path in further)], model))
 
     assert job.allowed is not None
     assert job.allowed.document.new_motions is not None

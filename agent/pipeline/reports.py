@@ -25,18 +25,11 @@ from agent.report import (
     LogHealth,
     NextStep,
     RunContent,
-    RunData,
     ShownLoop,
     comparison_page,
-    comparison_section,
     diagnosis_summary,
-    friction_section,
-    further_sections,
     index_page,
-    log_section,
-    observation_section,
     recalibration_report,
-    residual_section,
     run_report,
     torque_plot,
 )
@@ -124,26 +117,28 @@ def calibration_page(
     recipe: Recipe,
     plan: Plan,
     result: dict[str, Any],
-    model: IdentifiedModel,
     predictions: Sequence[Prediction],
     health: Sequence[LogHealth],
+    log: Log,
     run: Path,
 ) -> str:
     """HTML of the report of a calibration in its folder; `health` is that of the validation logs."""
-    paths = [motion.loop.trajectory.tcp for motion in plan.validation]
-    content = RunContent(run, recipe, model, predictions, health)
-    log = content.excitation
+    model = predictions[0].model
     return run_report(
-        RunData(
-            result=result,
-            about=about_run("calibrate", recipe, result, run),
+        RunContent(
+            run,
+            recipe,
+            model,
+            predictions,
+            health,
+            log,
+            result,
+            about_run("calibrate", recipe, result, run),
             loop=_coloured(shown_loop(recipe, plan.excitation), log, predict_log(model, log.middle_part())),
-            search=plan.search,
-            model=model,
             rmse=np.array([p.rmse(moving=True) for p in predictions]),
-            prediction=torque_plot(typical_motion(predictions), pooled_rmse(predictions)),
-            further=further_sections(content),
-            validation_paths=np.array([_thinned(path) for path in paths]),
+            shown=torque_plot(typical_motion(predictions), pooled_rmse(predictions)),
+            search=plan.search,
+            validation_paths=np.array([_thinned(motion.loop.trajectory.tcp) for motion in plan.validation]),
         )
     )
 
@@ -179,23 +174,20 @@ def recalibration_page(
     cycles = [slice(*np.searchsorted(prediction.time, pair)) for pair in pairwise(ends)]
     # confidence bounds need a regressor for every sample, so they are computed for the cycle that is shown
     shown = predict_log(model, log.middle_part())
-    return recalibration_report(
-        RunData(
-            result=result,
-            about=about_run("recalibrate", recipe, result, run),
-            loop=_coloured(loop, log, prediction),
-            model=model,
-            rmse=np.array([_rmse(prediction, part) for part in cycles if _moves(prediction)[part].any()]),
-            prediction=torque_plot(shown, prediction.rmse(moving=True), *log.middle_cycle()),
-            further=(
-                comparison_section(comparison),
-                residual_section([prediction]),
-                friction_section([prediction]),
-                observation_section(model, log),
-                log_section([LogHealth.of(log)]),
-            ),
-        )
+    content = RunContent(
+        run,
+        recipe,
+        model,
+        [prediction],
+        [LogHealth.of(log)],
+        log,
+        result,
+        about_run("recalibrate", recipe, result, run),
+        loop=_coloured(loop, log, prediction),
+        rmse=np.array([_rmse(prediction, part) for part in cycles if _moves(prediction)[part].any()]),
+        shown=torque_plot(shown, prediction.rmse(moving=True), *log.middle_cycle()),
     )
+    return recalibration_report(content, comparison)
 
 
 def _coloured(loop: ShownLoop, log: Log, prediction: Prediction) -> ShownLoop:

@@ -13,5 +13,5 @@ from .recipe import (
     load_recipe as load_recipe,
     recipe_schema as recipe_schema,
 )
-from .recipe_text import template as template
+from .recipe_text import USUAL as USUAL, template as template
 from .schema import GateSection as GateSection, ViaPointsSection as ViaPointsSection

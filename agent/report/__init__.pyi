@@ -1,14 +1,9 @@
-from .calibration.comparison import comparison_page as comparison_page, comparison_section as comparison_section
-from .calibration.friction import friction_section as friction_section
+from .calibration.comparison import comparison_page as comparison_page
 from .calibration.motion import ShownLoop as ShownLoop, plan_report as plan_report
-from .calibration.pages import (
-    RunData as RunData,
-    recalibration_report as recalibration_report,
-    run_report as run_report,
-)
-from .calibration.parameters import observation_section as observation_section, parameters_section as parameters_section
+from .calibration.pages import recalibration_report as recalibration_report, run_report as run_report
+from .calibration.parameters import parameters_section as parameters_section
 from .calibration.prediction import torque_plot as torque_plot
-from .calibration.recordings import LogHealth as LogHealth, log_section as log_section
+from .calibration.recordings import LogHealth as LogHealth
 from .calibration.residuals import residual_section as residual_section
 from .calibration.sections import (
     RUN_SECTIONS as RUN_SECTIONS,
@@ -43,3 +38,4 @@ from .phrasing import (
 )
 from .plots import SERIES as SERIES, Panel as Panel, Plot as Plot, joint_series as joint_series
 from .stills import still as still
+from .templates import asset as asset, filled as filled

@@ -5,7 +5,6 @@ from __future__ import annotations
 import shlex
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 from urllib.parse import quote
 
 import numpy as np
@@ -13,9 +12,7 @@ import numpy as np
 from agent.core import counted
 from agent.report.page import About, NextStep, Page, Section, Table, render
 from agent.report.plots import SERIES, Panel, Plot, Series, joint_series
-
-if TYPE_CHECKING:
-    from agent.runs import PastRun, Trend, Watch
+from agent.runs import PastRun, Trend, Watch
 
 _MOST_RUNS = 1000
 _MOST_PARAMETERS = 24

@@ -7,8 +7,6 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from html import escape
-from importlib.resources import files
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -19,6 +17,7 @@ from agent.core import csv_text
 from agent.report.plots import Plot, for_screen, packed, plot_csv, spec
 from agent.report.scene import Scene, scene_part
 from agent.report.stills import still
+from agent.report.templates import asset, filled
 
 
 @dataclass(frozen=True)
@@ -137,20 +136,17 @@ class Page:
 
 def render(page: Page) -> str:
     """HTML text: no script or picture from anywhere else, light and dark, printable."""
-    from jinja2 import Environment
-
-    environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
-    template = environment.from_string(_asset("page.html"))
     names = _identifiers(page.sections)
     sections = [
         (name, one, [_part(part) for part in one.parts]) for name, one in zip(names, page.sections, strict=True)
     ]
     kinds = {type(part) for section in page.sections for part in section.parts}
     library = _uplot() if Plot in kinds else {}
-    scripts = [library["uPlot.iife.js"], _asset("plots.js")] if library else []
-    scripts += [_asset("scene.js")] if Scene in kinds else []
-    css = library.get("uPlot.min.css", "") + _asset("page.css")
-    return template.render(page=page, sections=sections, css=css, scripts=scripts, plots=bool(library))
+    scripts = [library["uPlot.iife.js"], asset("agent.report", "plots.js")] if library else []
+    scripts += [asset("agent.report", "scene.js")] if Scene in kinds else []
+    css = library.get("uPlot.min.css", "") + asset("agent.report", "page.css")
+    values = {"page": page, "sections": sections, "css": css, "scripts": scripts, "plots": bool(library)}
+    return filled("agent.report", "page.html", **values)
 
 
 def _identifiers(sections: Sequence[Section]) -> list[str]:
@@ -177,26 +173,19 @@ def _part(part: Table | Plot | Scene) -> dict[str, Any]:
 def table_html(table: Table) -> str:
     """The element `table`: pictures in its cells need no style sheet."""
     looks = [_look([_text(row[k]) for row in table.rows]) for k in range(len(table.header))]
-    classes = [f' class="{look}"' if look else "" for look in looks]
     scales = _scales(table)
-    caption = f"<caption>{escape(table.caption)}</caption>\n" if table.caption else ""
-    head = "".join(
-        f'<th scope="col"{look}>{_heading(cell, table.dense)}</th>'
-        for cell, look in zip(table.header, classes, strict=True)
-    )
-    dense = ' class="dense"' if table.dense else ""
-    lines = [f"<table{dense}>\n{caption}<thead><tr>{head}</tr></thead>\n<tbody>"]
-    for number, row in enumerate(table.rows):
-        cells = [_cell(cell, look, scales) for cell, look in zip(row, classes, strict=True)]
-        if table.links and table.links[number]:
-            cells[0] = f'<td{classes[0]}><a href="{escape(table.links[number])}">{escape(_text(row[0]))}</a></td>'
-        lines.append(f"<tr>{''.join(cells)}</tr>")
-    return "\n".join([*lines, "</tbody>\n</table>"])
 
+    def at(cell: Bars, place: float) -> float:
+        low, high = scales[Bars, cell.unit]
+        return 200.0 * (place - low) / (high - low)
 
-def _heading(cell: str, dense: bool) -> str:
-    text = escape(cell).replace("\n", "<br>")
-    return f"<span>{text}</span>" if dense else text
+    def opacity(cell: Shade) -> str:
+        _, high = scales[Shade, cell.unit]
+        share = round(100 * (0.05 + 0.5 * abs(cell.value) / high)) if math.isfinite(cell.value) else 0
+        return f"{round(2.55 * share):02x}"
+
+    drawing = {"at": at, "opacity": opacity, "finite": math.isfinite}
+    return filled("agent.report", "table.html", table=table, looks=looks, **drawing)
 
 
 def _scales(table: Table) -> dict[tuple[type, str], tuple[float, float]]:
@@ -206,32 +195,6 @@ def _scales(table: Table) -> dict[tuple[type, str], tuple[float, float]]:
         places = cell.places if isinstance(cell, Bars) else [abs(cell.value)]
         found.setdefault((type(cell), cell.unit), [0.0]).extend(filter(math.isfinite, places))
     return {key: (min(places), max(places) if max(places) > min(places) else 1.0) for key, places in found.items()}
-
-
-def _cell(cell: Cell, look: str, scales: dict[tuple[type, str], tuple[float, float]]) -> str:
-    if isinstance(cell, str):
-        return f"<td{look}>{escape(cell)}</td>"
-    low, high = scales[type(cell), cell.unit]
-    if isinstance(cell, Shade):
-        share = round(100 * (0.05 + 0.5 * abs(cell.value) / high)) if math.isfinite(cell.value) else 0
-        title = f' title="{escape(cell.title)}"' if cell.title else ""
-        return f'<td{look}{title} style="background:{cell.colour}{round(2.55 * share):02x}">{escape(cell.text)}</td>'
-
-    def at(place: float) -> float:
-        return 200.0 * (place - low) / (high - low)
-
-    drawn = [
-        f'<rect x="{min(at(bar.begin), at(bar.end)):.1f}" y="{14 * bar.top:.1f}" '
-        f'width="{abs(at(bar.end) - at(bar.begin)):.1f}" height="{14 * bar.height:.1f}" fill="{bar.colour}"/>'
-        for bar in cell.bars
-        if math.isfinite(bar.begin + bar.end)
-    ]
-    drawn += [
-        f'<path d="M{at(place):.1f} 0v14" stroke="{colour}" stroke-width="2"/>'
-        for place, colour in cell.marks
-        if math.isfinite(place)
-    ]
-    return f'<td><svg viewBox="-1 0 202 14" width="202" height="14" aria-hidden="true">{"".join(drawn)}</svg></td>'
 
 
 def _text(cell: Cell) -> str:
@@ -265,7 +228,3 @@ def _is_number(cell: str) -> bool:
     except ValueError:
         return False
     return True
-
-
-def _asset(name: str) -> str:
-    return (files("agent.report") / "assets" / name).read_text(encoding="utf-8")

@@ -9,14 +9,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from agent.core import csv_text
-
-if TYPE_CHECKING:
-    from agent.robot import RobotDescription
+from agent.robot import RobotDescription
 
 #: Seven colours that read on white and on near-black, and that the colour-blind distinguish (after Okabe and Ito).
 SERIES = ("#2a86c8", "#d55e00", "#009e73", "#c0649a", "#8f75d6", "#9a7d0a", "#3f9fb5")
@@ -73,6 +70,11 @@ class Plot:
     link: str = ""
     dates: bool = False
     columns: int = 1
+
+    @property
+    def abscissa_name(self) -> str:
+        """With its unit."""
+        return f"{self.x_label} [{self.x_unit}]" if self.x_unit else self.x_label
 
     def abscissa(self, panel: Panel) -> np.ndarray:
         """(S,) of a panel."""
@@ -138,13 +140,13 @@ def table(plot: Plot) -> tuple[list[str], list[np.ndarray]]:
     """Names and values of the columns behind a plot; those of panels with an abscissa of their own may be shorter."""
     header, columns = [], []
     if plot.x is not None:
-        header.append(_abscissa_name(plot))
+        header.append(plot.abscissa_name)
         columns.append(plot.x)
     several = len(plot.panels) > 1
     for panel in plot.panels:
         before = f"{panel.title} " if several and panel.title else ""
         if panel.x is not None:
-            header.append(before + _abscissa_name(plot))
+            header.append(before + plot.abscissa_name)
             columns.append(panel.x)
         for series in panel.series:
             ends = {"": series.values} if series.low is None else {" from": series.low, " to": series.values}
@@ -157,7 +159,7 @@ def table(plot: Plot) -> tuple[list[str], list[np.ndarray]]:
 def plot_csv(plot: Plot) -> str:
     """The same as text, six digits; cells are empty where there is nothing."""
     header, columns = table(plot)
-    dates = [plot.dates and name.endswith(_abscissa_name(plot)) for name in header]
+    dates = [plot.dates and name.endswith(plot.abscissa_name) for name in header]
     texts = [_cells(values, date) for values, date in zip(columns, dates, strict=True)]
     longest = max(map(len, texts))
     padded = [cells + [""] * (longest - len(cells)) for cells in texts]
@@ -200,10 +202,6 @@ def spec(plot: Plot) -> str:
         "link": plot.link or plot.name,
     }
     return json.dumps({**axis, "panels": panels}, ensure_ascii=False).replace("<", "\\u003c")
-
-
-def _abscissa_name(plot: Plot) -> str:
-    return f"{plot.x_label} [{plot.x_unit}]" if plot.x_unit else plot.x_label
 
 
 def _cells(values: np.ndarray, date: bool) -> list[str]:

@@ -5,16 +5,14 @@ from __future__ import annotations
 import json
 from collections.abc import Collection
 from dataclasses import dataclass, field
-from html import escape
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from agent.core import csv_text
 from agent.report.plots import packed
-
-if TYPE_CHECKING:
-    from agent.robot import RobotDescription
+from agent.report.templates import filled
+from agent.robot import Dynamics, RobotDescription, chain_of
 
 _MOST_POSTURES = 120
 #: Edge of the picture of one posture, and its margin [pt].
@@ -76,8 +74,6 @@ def arm_along(robot: RobotDescription, time: np.ndarray, q: np.ndarray, tool: np
 
     time (S,) and q (S, n) of a motion; `tool` (4, 4): the tool's frame at the flange.
     """
-    from agent.robot import Dynamics, chain_of
-
     chosen = np.linspace(0, len(q) - 1, min(len(q), _MOST_POSTURES)).round().astype(int)
     joints = chain_of(robot, tool).origins(q[chosen])
     joints = np.concatenate([np.zeros((len(chosen), 1, 3)), joints], axis=1)
@@ -98,8 +94,6 @@ def arm_along(robot: RobotDescription, time: np.ndarray, q: np.ndarray, tool: np
 
 def arm_picture(robot: RobotDescription, q: np.ndarray, marked: Collection[str]) -> str:
     """SVG text of the arm at (n,) joint positions, seen from the side that shows most of it, with joints `marked`."""
-    from agent.robot import chain_of
-
     points = np.vstack([np.zeros(3), chain_of(robot, None).origins(q[None])[0]])
     if not np.ptp(points, axis=0).max() > 0:
         return ""
@@ -107,20 +101,6 @@ def arm_picture(robot: RobotDescription, q: np.ndarray, marked: Collection[str])
     flat = np.column_stack([across - across.min(), points[:, 2].max() - points[:, 2]])
     flat = _MARGIN + flat * (_PICTURE - 2 * _MARGIN) / np.ptp(points, axis=0).max()
     wide, high = flat.max(axis=0) + _MARGIN
-    shapes = [
-        f'<polyline points="{" ".join(f"{x:.1f},{y:.1f}" for x, y in flat)}" fill="none" stroke="currentColor" '
-        'stroke-width="6" stroke-opacity="0.45" stroke-linecap="round" stroke-linejoin="round"/>'
-    ]
-    for name, (x, y) in zip(robot.joint_names, flat[1:], strict=False):
-        fill = "var(--bad)" if name in marked else "var(--paper)"
-        shapes.append(
-            f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{9 if name in marked else 4}" fill="{fill}" stroke="currentColor">'
-            f"<title>{escape(name)}</title></circle>"
-        )
-        if name in marked:
-            shapes.append(f'<text x="{x + 13:.1f}" y="{y + 4:.1f}" fill="currentColor">{escape(name)}</text>')
-    label = f"the arm, with {' and '.join(marked)} marked" if marked else "the arm"
-    return (
-        f'<svg viewBox="0 0 {wide + 70:.0f} {high:.0f}" role="img" aria-label="{escape(label)}" font-size="13" '
-        f'font-family="sans-serif">{"".join(shapes)}</svg>'
-    )
+    joints = list(zip(robot.joint_names, flat[1:].tolist(), strict=False))
+    shown = {"wide": wide + 70, "high": high, "points": flat.tolist(), "joints": joints, "marked": marked}
+    return filled("agent.report", "arm.svg", **shown)

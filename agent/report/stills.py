@@ -8,11 +8,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from html import escape
+from typing import Any
 
 import numpy as np
 
 from agent.report.plots import Panel, Plot, Series, thinned
+from agent.report.templates import filled
 
 _MOST_POINTS = 300
 #: Size of the picture of a panel that is alone in its row, and of one with a neighbour; margins of its axes [pt].
@@ -21,7 +22,6 @@ _LEFT, _RIGHT, _TOP, _BOTTOM = 57.6, 7.2, 6.0, 30.0
 _LETTER = 5.0  # mean width of a letter [pt]
 #: Distance of the ticks of an axis, at least [pt].
 _TICK_WIDE, _TICK_TALL = 75.0, 28.0
-_MARK = 'stroke="#8a949e" stroke-width="1" stroke-dasharray="1 1.7"'
 _DAY = 86400.0
 _DATE_STEPS = (
     *(1.0, 2.0, 5.0, 10.0, 30.0, 60.0, 120.0, 300.0, 600.0, 1800.0, 3600.0, 7200.0, 10800.0, 21600.0, 43200.0),
@@ -40,32 +40,19 @@ class Scale:
     begin: float
     end: float
 
-    def __call__(self, values: np.ndarray) -> np.ndarray:
-        shown: np.ndarray = self.begin + (values - self.low) * ((self.end - self.begin) / (self.high - self.low))
-        return shown
+    def __call__(self, values: Any) -> Any:
+        return self.begin + (values - self.low) * ((self.end - self.begin) / (self.high - self.low))
 
 
 def still(plot: Plot) -> str:
     """HTML of all panels with their legends and axes."""
     shape = (_NARROW if plot.columns > 1 else _WIDE, _LOW if len(plot.panels) > 1 else _TALL)
-    panels = "\n".join(
-        f'<div class="panel"><p>{_legend(panel)}</p>{_picture(plot, panel, f"{plot.name}-clip-{number}", shape)}</div>'
-        for number, panel in enumerate(plot.panels)
-    )
-    return f'<div class="panels">{panels}</div>'
+    pictures = [_picture(plot, panel, *shape) for panel in plot.panels]
+    return filled("agent.report", "still.html", plot=plot, shape=shape, pictures=pictures, signs=_SIGNS)
 
 
-def _legend(panel: Panel) -> str:
-    title = [f"<b>{escape(panel.title)}</b>"] if panel.title else []
-    signs = [(one.colour, "■" if one.low is not None else _SIGNS[one.look], one.label) for one in panel.series]
-    signs += [("#8a949e", "···", name) for name in panel.marks]
-    return " ".join(
-        [*title, *(f'<span style="color:{colour}">{sign}</span> {escape(label)}' for colour, sign, label in signs)]
-    )
-
-
-def _picture(plot: Plot, panel: Panel, clip: str, shape: tuple[float, float]) -> str:
-    wide, high = shape
+def _picture(plot: Plot, panel: Panel, wide: float, high: float) -> dict[str, Any]:
+    """A panel, its scales, and its texts, grid and curves in the picture."""
     x = plot.abscissa(panel)
     chosen = thinned(np.column_stack([one.values for one in panel.series]), _MOST_POINTS)
     outlines = list(_outlines(panel, chosen))
@@ -74,38 +61,23 @@ def _picture(plot: Plot, panel: Panel, clip: str, shape: tuple[float, float]) ->
     if panel.from_zero:
         low, top = 0.0, top if top > 0.0 else 1.0
     up = Scale(low, top, high - _BOTTOM, _TOP)
-    label = f"{plot.x_label} [{plot.x_unit}]" if plot.x_unit else plot.x_label
-    texts = [_text((across.begin + across.end) / 2, high - 3.0, label, "middle")]
-    grid = []
+    texts = [((across.begin + across.end) / 2, high - 3.0, plot.abscissa_name, "middle")]
+    grid = ""
     steps = dates if plot.dates else ticks
     for value, text in steps(across.low, across.high, int((across.end - across.begin) / _TICK_WIDE) + 1):
-        place = float(across(np.array(value)))
-        grid.append(f"M{place:.1f} {up.end:.1f}V{up.begin + 3.0:.1f}")
-        texts.append(_text(min(place, wide - 0.5 * _LETTER * len(text)), up.begin + 13.0, text, "middle"))
+        place = float(across(value))
+        grid += f"M{place:.1f} {up.end:.1f}V{up.begin + 3.0:.1f}"
+        texts.append((min(place, wide - 0.5 * _LETTER * len(text)), up.begin + 13.0, text, "middle"))
     for value, text in ticks(up.low, up.high, int((up.begin - up.end) / _TICK_TALL) + 1):
-        place = float(up(np.array(value)))
-        grid.append(f"M{across.begin - 3.0:.1f} {place:.1f}H{across.end:.1f}")
-        texts.append(_text(across.begin - 5.0, place + 3.0, text, "end"))
-    if panel.unit:
-        unit = _text(0.0, 0.0, f"[{panel.unit}]", "middle")
-        texts.append(f'<g transform="translate(12.6 {(up.begin + up.end) / 2:.1f}) rotate(-90)">{unit}</g>')
-    curves = [
-        f'<path d="M{across.begin:.1f} {float(up(np.array(m))):.1f}H{wide}" {_MARK}/>' for m in panel.marks.values()
-    ]
-    places = across(x[chosen])
+        place = float(up(value))
+        grid += f"M{across.begin - 3.0:.1f} {place:.1f}H{across.end:.1f}"
+        texts.append((across.begin - 5.0, place + 3.0, text, "end"))
+    ways, places = [], across(x[chosen])
     for one, (lower, upper) in outlines:
-        filled = one.look == "part" or one.low is not None
-        way = _area(places, up(lower), up(upper)) if filled else _way(places, up(upper), one.look == "points")
-        curves.append(f'<path d="{way}" {_ink(one)}/>')
-    frame = f"M{across.begin:.1f} {up.end:.1f}V{up.begin:.1f}"
-    return (
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {wide:g} {high:g}" font-family="sans-serif" '
-        f'font-size="9" fill="none" stroke-linejoin="round">\n<g fill="currentColor">{"".join(texts)}</g>\n'
-        f'<path d="{"".join(grid)}" stroke="currentColor" stroke-width="0.8" stroke-opacity="0.25"/>'
-        f'<path d="{frame}H{across.end:.1f}" stroke="currentColor" stroke-width="0.8"/>\n'
-        f'<clipPath id="{clip}"><path d="{frame}H{across.end:.1f}V{up.end:.1f}Z"/></clipPath>'
-        f'<g clip-path="url(#{clip})">{"".join(curves)}</g></svg>'
-    )
+        filled_in = one.look == "part" or one.low is not None
+        way = _area(places, up(lower), up(upper)) if filled_in else _way(places, up(upper), one.look == "points")
+        ways.append((one, way))
+    return {"panel": panel, "across": across, "up": up, "texts": texts, "grid": grid, "ways": ways}
 
 
 def _extent(columns: Sequence[np.ndarray]) -> tuple[float, float]:
@@ -139,10 +111,6 @@ def dates(low: float, high: float, most: int) -> list[tuple[float, str]]:
     return [(float(value), datetime.fromtimestamp(value, UTC).strftime(text)) for value in numbers]
 
 
-def _text(x: float, y: float, text: str, anchor: str) -> str:
-    return f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}">{escape(text)}</text>'
-
-
 def _outlines(panel: Panel, chosen: np.ndarray) -> Iterator[tuple[Series, tuple[np.ndarray, np.ndarray]]]:
     """Every curve with its lower and upper edge, twice the same of a line."""
     above, below = np.zeros((2, len(chosen)))
@@ -173,13 +141,3 @@ def _area(x: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> str:
     runs = np.split(np.arange(len(x)), np.flatnonzero(np.diff(known)) + 1)
     shown = [run for run in runs if len(run) and known[run[0]]]
     return "".join(f"{_way(x[run], upper[run])}L{_way(x[run[::-1]], lower[run[::-1]])[1:]}Z" for run in shown)
-
-
-def _ink(one: Series) -> str:
-    colour = escape(one.colour)
-    if one.look == "part" or one.low is not None:
-        return f'fill="{colour}" fill-opacity="{0.55 if one.look == "part" else 0.25}"'
-    if one.look == "points":
-        return f'stroke="{colour}" stroke-width="3" stroke-linecap="round"'
-    dashed = ' stroke-dasharray="3.7 1.6"' if one.look == "dashed" else ""
-    return f'stroke="{colour}" stroke-width="1"{dashed}'

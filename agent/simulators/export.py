@@ -28,7 +28,7 @@ from agent.core import RejectedError, csv_text, written_whole
 from agent.model import ODD, IdentifiedModel, check_physical, full_parameters, steady_columns
 from agent.recording import FOXGLOVE_LAYOUT, foxglove_layout
 from agent.robot import Dynamics, Joint, ParameterLayout, about_centre, joint_axes, rotor_mass_matrix
-from agent.simulators.urdf import child_of, digits, end_of, moved_links, rpy_of, set_inertial
+from agent.simulators.urdf import child_of, digits, end_of, mjcf_inertial, moved_links, rpy_of, set_inertial
 
 _TABLE = "parameters.csv"
 _STATES = 50
@@ -148,9 +148,7 @@ def mujoco_text(model: IdentifiedModel, links: Iterable[_Link], armature: np.nda
     for k, link in enumerate(links):
         body = SubElement(body, "body", {"name": link.name, **_placement(np.linalg.solve(before, link.pose))})
         before = link.pose
-        inertia = about_centre(link.block)[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
-        mass = digits(link.block[0])
-        SubElement(body, "inertial", pos=digits(*link.centre), mass=mass, fullinertia=digits(*inertia))
+        SubElement(body, "inertial", mjcf_inertial(link.block))
         kind = "slide" if link.joint.prismatic else "hinge"
         element = SubElement(body, "joint", name=link.joint.name, type=kind, axis=digits(*link.axis))
         if np.isfinite([link.joint.lower, link.joint.upper]).all():

@@ -224,6 +224,12 @@ def set_inertial(link: Element, block: np.ndarray) -> None:
     child_of(inertial, "inertia").attrib.update(keys)
 
 
+def mjcf_inertial(block: np.ndarray) -> dict[str, str]:
+    """Attributes of an MJCF's `inertial` element for an inertia (10,) about its body's frame."""
+    inertia = about_centre(block)[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+    return {"pos": digits(*block[1:4] / block[0]), "mass": digits(block[0]), "fullinertia": digits(*inertia)}
+
+
 def move_zero(joint: Element, offset: float) -> tuple[np.ndarray, np.ndarray]:
     """Move a joint's origin so that its zero lies `offset` [rad or m] lower; returns (4, 4) before and after."""
     axis = _numbers(joint.find("axis"), "xyz", "1 0 0")

@@ -1,5 +1,5 @@
 from .compare import BEYOND as BEYOND, Comparison as Comparison, compare_models as compare_models
-from .singular_values import Observability as Observability, observability as observability
+from .singular_values import observability as observability
 from .torque import (
     Prediction as Prediction,
     Validation as Validation,

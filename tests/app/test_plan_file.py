@@ -14,16 +14,8 @@ from agent.pipeline.plan import loop_problem, replan
 from agent.recipe import load_recipe
 from agent.runs.folder import RunFolder
 from tests.app.conftest import RECIPE
+from tests.damage import damaged
 
-WRONG = st.one_of(
-    st.none(),
-    st.booleans(),
-    st.integers(-(10**40), 10**40),
-    st.floats(),
-    st.text(max_size=5),
-    st.lists(st.floats(), max_size=3),
-    st.dictionaries(st.text(max_size=3), st.none(), max_size=2),
-)
 STATE = {
     "schema": "run/1",
     "robot": "comau_ns16",
@@ -36,26 +28,6 @@ STATE = {
     "inputs_sha256": {"recipe.yaml": "s"},
     "versions": {"python": "3.11"},
 }
-
-
-def _places(data, way=()):
-    yield way
-    items = data.items() if isinstance(data, dict) else enumerate(data[:2]) if isinstance(data, list) else ()
-    for key, value in items:
-        yield from _places(value, (*way, key))
-
-
-def _changed(document, draw):
-    """The document with one changed value."""
-    document = json.loads(json.dumps(document))
-    way, wrong = draw(st.sampled_from(list(_places(document)))), draw(WRONG)
-    if not way:
-        return wrong
-    holder = document
-    for key in way[:-1]:
-        holder = holder[key]
-    holder[way[-1]] = wrong
-    return document
 
 
 @pytest.fixture(scope="module")
@@ -74,7 +46,7 @@ def planned(tmp_path_factory):
 @given(st.data())
 def test_an_edited_plan_loads_or_gives_one_message(planned, data):
     recipe, path, plan = planned
-    path.write_text(json.dumps(_changed(plan, data.draw)), encoding="utf-8")
+    path.write_text(json.dumps(data.draw(damaged(plan))), encoding="utf-8")
     try:
         made = replan(recipe, path)
     except InputError as error:
@@ -97,7 +69,7 @@ def test_refuses_the_output_of_agent_plan_as_the_plan_of_a_run(planned, tmp_path
 @given(st.data())
 def test_an_edited_run_state_resumes_or_gives_one_message(tmp_path_factory, data):
     run = tmp_path_factory.mktemp("run")
-    (run / "state.json").write_text(json.dumps(_changed(STATE, data.draw)), encoding="utf-8")
+    (run / "state.json").write_text(json.dumps(data.draw(damaged(STATE))), encoding="utf-8")
     try:
         opened = RunFolder.open(run, "s")
     except InputError as error:

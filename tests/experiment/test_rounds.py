@@ -16,7 +16,7 @@ from agent.motion import Delay, write_program
 from agent.motion.pdl2.dialect import Pdl2
 from agent.pipeline.gap import until_sure as module
 from agent.pipeline.gap.next_experiment import NextMotion, NoMotion, check_next, other_test
-from agent.pipeline.gap.until_sure import until_sure
+from agent.pipeline.gap.until_sure import Found, until_sure
 from agent.pipeline.job import Job
 from agent.recipe import load_recipe, template
 from agent.recording import PARTS, PLANNED_PARTS
@@ -81,7 +81,7 @@ def ask(tmp_path: Path, monkeypatch):
                 raise verdict
             causes = [CAUSE] if verdict in ("explained", "ambiguous") else []
             dataset = SimpleNamespace(given=given)
-            return SimpleNamespace(result={"verdict": verdict, "causes": causes}, dataset=dataset), [], None
+            return Found(SimpleNamespace(result={"verdict": verdict, "causes": causes}, dataset=dataset))  # type: ignore[arg-type]
 
         plans = iter(motions or [Motion(), Motion(), NONE])
         made.clear()
@@ -129,7 +129,7 @@ def test_a_refused_log_ends_the_rounds_and_keeps_the_result(ask):
     refused = RejectedError("experiment_02.mcap: joint_5 looks flipped")
     found, seen = ask(["ambiguous", "ambiguous", refused], ["one", "two"])
     assert seen == [1, 2, 3]
-    assert found.last[0].result["verdict"] == "ambiguous"
+    assert found.last.result["verdict"] == "ambiguous"
     assert found.cut_short is refused
     assert found.end == "cut short: experiment_02.mcap: joint_5 looks flipped"
     assert [path.name for path in found.logs] == ["one.mcap"]
@@ -166,7 +166,7 @@ def test_an_error_in_planning_keeps_the_earlier_result(ask, why):
 def test_an_interrupted_round_keeps_the_earlier_result(ask, why):
     found, seen = ask(["ambiguous", "ambiguous"], ["one", why])
     assert found.cut_short is why
-    assert found.last[0].result["verdict"] == "ambiguous"
+    assert found.last.result["verdict"] == "ambiguous"
     assert seen == [1, 2]
     assert len(found.logs) == 1
     assert found.asked[-1]["verdict"] is None
@@ -203,7 +203,7 @@ def test_unauthorised_motions_end_the_rounds_and_keep_the_result(ask):
     found, _ = ask(["ambiguous"], ["one"], allowed=word())
     assert "releases no new motions" in found.end
     assert found.logs == []
-    assert found.last[0].result["verdict"] == "ambiguous"
+    assert found.last.result["verdict"] == "ambiguous"
 
 
 @pytest.mark.parametrize(("before", "after", "helps"), [(0.0, 0.5, True), (0.0, 0.2, False), (0.9, 0.92, False)])

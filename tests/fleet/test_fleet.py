@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -248,12 +251,13 @@ def test_a_file_in_place_of_a_folder_is_a_usage_error(command, estimated: Path, 
         command("fleet", "report", estimated, "-o", file / "page.html")
 
 
-def test_rows_without_pyarrow_say_what_to_install(arm: str, tmp_path: Path, monkeypatch):
-    import sys
-
-    monkeypatch.setitem(sys.modules, "pyarrow", None)
-    with pytest.raises(InputError, match=r"pip install 'calibration-agent\[fleet\]'"):
-        simulate.simulate_fleet(arm, 1, 1, 1, str(tmp_path), rows=True)
+@pytest.mark.parametrize("package", ["fsspec", "pyarrow"])
+def test_a_fleet_without_a_package_says_what_to_install(package: str, tmp_path: Path):
+    code = f"import sys; sys.modules[{package!r}] = None; from agent.cli import main; main()"
+    words = [sys.executable, "-c", code, "fleet", "simulate", "-n", "1", "-o", str(tmp_path / "out"), "--rows"]
+    run = subprocess.run(words, capture_output=True, text=True)
+    assert run.returncode == 2
+    assert re.fullmatch(rf"agent: a fleet needs {package}, .*: pip install 'calibration-agent\[fleet\]'\n", run.stderr)
 
 
 def test_a_simulation_refuses_an_existing_folder(arm: str, tmp_path: Path):

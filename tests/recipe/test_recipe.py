@@ -121,7 +121,7 @@ def test_the_shipped_recipes_load(name: str) -> None:
 
 
 def test_the_template_round_trips(recipe_file: Path) -> None:
-    text = template(address="10.0.0.7:9100", centre=("0.9 m", "0.1 m", "0.7 m"), cone="20 deg", count=5, cycles=3)
+    text = template(address="10.0.0.7:9100", centre="0.9 m, 0.1 m, 0.7 m", cone="20 deg", count=5, cycles=3)
     recipe = load_text(recipe_file, text)
     assert recipe.controller.address == "10.0.0.7:9100"
     assert recipe.motion.via_points.box.centre == (0.9, 0.1, 0.7)

@@ -27,6 +27,7 @@ from agent.runs.approved import approve, check_approved, differences, digest, pr
 from agent.runs.folder import RunFolder
 from agent.runs.loop_store import stored_loops
 from tests.conftest import drawn
+from tests.damage import damaged
 
 CATALOGUE = Path(agent.robot.__file__).parent / "catalogue" / "comau_ns16"
 TOOL = "tool: {frame: [0 mm, 0 mm, 120 mm, 0 deg, 0 deg, 0 deg], mass: 2.1 kg}\n"
@@ -109,20 +110,13 @@ def test_refuses_a_changed_or_missing_approval_record(planned):
 
 
 @settings(max_examples=20, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
-@given(
-    key=st.sampled_from(["steps", "inputs_sha256", "versions", "status", "schema", "approved", "robot", "started"]),
-    value=st.recursive(
-        st.none() | st.booleans() | st.integers() | st.text(max_size=4),
-        lambda inner: st.lists(inner, max_size=2) | st.dictionaries(st.text(max_size=3), inner, max_size=2),
-        max_leaves=4,
-    ),
-)
-def test_any_state_file_is_resumed_or_refused(planned, key: str, value: Any):
+@given(data=st.data())
+def test_any_state_file_is_resumed_or_refused(planned, data):
     recipe, run = planned
     path = run.path / "state.json"
     whole = path.read_bytes()
     try:
-        path.write_text(json.dumps({**json.loads(whole), key: value}), encoding="utf-8")
+        path.write_text(json.dumps(data.draw(damaged(json.loads(whole)))), encoding="utf-8")
         loaded = _loaded(recipe)
         with contextlib.suppress(InputError):
             RunFolder.open(run.path, loaded.sha256, check=lambda opened: check_approved(opened, loaded))

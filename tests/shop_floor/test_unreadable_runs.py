@@ -6,9 +6,7 @@ import contextlib
 import json
 import os
 import tempfile
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 from hypothesis import given, settings, strategies as st
@@ -21,6 +19,7 @@ from agent.runs.current import apply_previous, apply_run
 from agent.runs.folder import RunFolder
 from agent.runs.history import History, find_run, history_json, history_table
 from agent.runs.trends import watch
+from tests.damage import damaged
 from tests.shop_floor.conftest import edit, friction_runs, write_run
 
 QUIET = Console(verbosity=-1)
@@ -145,27 +144,6 @@ def test_reports_a_folder_without_runs(shop: Path, run_agent):
     assert not any((shop / "empty").iterdir())
 
 
-#: Values that may replace an expected one.
-WRONG = st.one_of(
-    st.none(),
-    st.booleans(),
-    st.integers(-(10**40), 10**40),
-    st.floats(),
-    st.text(max_size=5),
-    st.sampled_from(["\ud800", "\x1b[2J", "1e999"]),
-    st.lists(st.integers(), max_size=3),
-    st.dictionaries(st.text(max_size=3), st.none(), max_size=2),
-)
-
-
-def _places(data: Any, way: tuple = ()) -> Iterator[tuple]:
-    """Ways to every value of a JSON document."""
-    yield way
-    items = data.items() if isinstance(data, dict) else enumerate(data[:2]) if isinstance(data, list) else ()
-    for key, value in items:
-        yield from _places(value, (*way, key))
-
-
 @pytest.fixture(scope="module")
 def three_runs(tmp_path_factory):
     """Three whole runs, written again from memory for every example."""
@@ -184,16 +162,7 @@ def test_a_damaged_run_does_not_affect_the_others(three_runs, data):
         path.write_bytes(content)
     first, bad, last = sorted(logs.glob("2*"))
     file = bad / data.draw(st.sampled_from(["state.json", "result.json", "model.json"]))
-    document = json.loads(file.read_text(encoding="utf-8"))
-    way = data.draw(st.sampled_from(list(_places(document))))
-    wrong = data.draw(WRONG)
-    if way:
-        holder = document
-        for key in way[:-1]:
-            holder = holder[key]
-        holder[way[-1]] = wrong
-    else:
-        document = wrong
+    document = data.draw(damaged(json.loads(file.read_text(encoding="utf-8"))))
     file.write_text(json.dumps(document), encoding="utf-8")
     history = History(logs)
     runs = history.runs()

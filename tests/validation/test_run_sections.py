@@ -83,7 +83,7 @@ def test_a_section_needs_one_function_and_one_registration(monkeypatch, tmp_path
         return None
 
     monkeypatch.setattr("agent.report.calibration.sections.RUN_SECTIONS", [held_out, nothing])
-    made = further_sections(RunContent(tmp_path, None, SimpleNamespace(worst="joint_3"), [], []))
+    made = further_sections(RunContent(tmp_path, None, SimpleNamespace(worst="joint_3"), *[None] * 8))
     assert [section.title for section in made] == ["Held out"]
     assert "worst: joint_3" in render(Page("t", "h", "plain", made))
     assert len(RUN_SECTIONS) >= 5

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -62,14 +62,14 @@ def diagnose_files(
     source = robot.name if isinstance(robot, RobotDescription) else robot
     arm = load_arm(robot, paths, question.topic) if isinstance(robot, str) else robot
     question.check(paths)
-    found, simulated, simulator = _find(arm, paths, question, console)
+    found = _find(arm, paths, question, console)
 
     def publish(result: dict[str, Any]) -> None:
         steps = after_diagnosis(result, source, paths, question, question.next_recipe)
-        _publish(found, simulated, result, steps, question.report)
+        _publish(found, result, steps, question.report)
         told(dict(result))
 
-    return _answer(found, simulated, simulator, question, console, publish)
+    return _answer(found, question, console, publish)
 
 
 def diagnose_recording(
@@ -116,19 +116,18 @@ def diagnose_recording(
         def answer(rounds: Rounds | None) -> dict[str, Any]:
             """Write result and page of all motions into the run folder."""
             logs = [*paths, *(rounds.logs if rounds else ())]
-            found, simulated, _ = rounds.last if rounds else _find(loaded.robot, logs, question, console)
+            found = rounds.last if rounds else _find(loaded.robot, logs, question, console)
+            found = replace(found, simulator=simulator)
             shown = [*logs, *([rounds.uncounted] if rounds and rounds.uncounted else [])]
             where = question.next_recipe if rounds is None else rounds.recipe
 
             def publish(result: dict[str, Any]) -> None:
                 steps = after_diagnosis(result, loaded.robot_source, shown, question, where)
-                page = _publish(found, simulated, result, steps, run.file("report.html"))
+                _publish(found, result, steps, run.file("report.html"), question.report)
                 run.write_json("result.json", result)
-                if question.report is not None:
-                    write_atomically(question.report, page)
                 told(dict(result))
 
-            return _answer(found, simulated, simulator, question, console, publish, rounds)
+            return _answer(found, question, console, publish, rounds)
 
         rounds = None
         if budget is not None:
@@ -167,45 +166,43 @@ def diagnose_again(run: Path, robot: RobotDescription, source: str, console: Con
     # the log of a round that was cut short does not count in the result
     further = [Path(one["program"]).stem for one in recorded.get("rounds", ()) if one.get("verdict")]
     logs = [run / "excitation.mcap", *validation_logs(run), *(run / f"{name}.mcap" for name in further)]
-    found, simulated, _ = _find(robot, logs, question, console)
-    return diagnosis_report(found, simulated, after_diagnosis(recorded, source, logs, question), recorded)
+    found = _find(robot, logs, question, console)
+    return diagnosis_report(
+        found.diagnosis, found.simulated, after_diagnosis(recorded, source, logs, question), recorded
+    )
 
 
 def _answer(
-    found: Diagnosis,
-    simulated: list[Simulated],
-    simulator: Simulator | None,
+    found: Found,
     question: GapQuestion,
     console: Console,
     publish: Callable[[dict[str, Any]], None],
     rounds: Rounds | None = None,
 ) -> dict[str, Any]:
     """Make the result, publish it, then plan the next motion or write the model; `rounds` are those of these logs."""
-    for warning in found.warnings:
+    diagnosis, simulator = found.diagnosis, found.simulator
+    for warning in diagnosis.warnings:
         console.warn(warning)
-    result = {**found.result, "simulation": simulation_part(found, simulated)}
+    result = {**found.result, "simulation": simulation_part(diagnosis, found.simulated)}
     result |= rounds.to_dict() if rounds is not None else {}
-    result |= {} if simulator is None else run_forward(found, simulator, console)
+    result |= {} if simulator is None else run_forward(diagnosis, simulator, console)
     publish(result)
     if question.next_recipe is not None:
-        _plan(found, question, console, result, publish)
+        _plan(diagnosis, question, console, result, publish)
     elif question.out is not None and simulator is not None:
-        write_simulator(found, simulator, question.out, console)
+        write_simulator(diagnosis, simulator, question.out, console)
     elif question.out is not None:
-        _write_model(found, question.out, console)
+        _write_model(diagnosis, question.out, console)
     return result
 
 
-def _publish(
-    found: Diagnosis, simulated: list[Simulated], result: dict[str, Any], steps: Sequence[NextStep], page: Path | None
-) -> str:
-    """Put the summary into the result, and write the page if one is asked for; returns its HTML."""
+def _publish(found: Found, result: dict[str, Any], steps: Sequence[NextStep], *pages: Path | None) -> None:
+    """Put the summary into the result, and write the pages that are asked for."""
     result["summary"] = summary(result, steps)
-    if page is None:
-        return ""
-    html = diagnosis_report(found, simulated, steps, result)
-    write_atomically(page, html)
-    return html
+    if wanted := [page for page in pages if page is not None]:
+        html = diagnosis_report(found.diagnosis, found.simulated, steps, result)
+        for page in wanted:
+            write_atomically(page, html)
 
 
 def _plan(
@@ -215,35 +212,34 @@ def _plan(
     result: dict[str, Any],
     publish: Callable[[dict[str, Any]], None],
 ) -> None:
-    """Plan the next motion and publish the result with it; also with what stopped the planning."""
+    """Plan the next motion, then whether a known mass makes its answer clearer.
+
+    The result is published with each of them, and with what stopped the planning.
+    """
+    assert question.next_recipe is not None
+    assert question.out is not None
+    left = "the next motion"
     try:
-        for said in _next(found, question, console):
-            result["next_experiment"] = said
+        load = None if question.next_payload is None else payload_of(question.next_payload)
+        recipe = load_recipe(question.next_recipe)
+        deadline = Deadline(console.progress, question.planning_budget)
+        motion = plan_next(found, recipe, console, load=load, deadline=deadline)
+        if isinstance(motion, NoMotion):
+            if not motion.separates:
+                console.warn(f"{motion.text}; nothing is written to {question.out}")
+            result["next_experiment"] = motion.to_dict()
+            publish(result)
+            return
+        result["next_experiment"] = planned = write_next(motion, question.out)
+        left = "the motion with a known mass"
+        publish(result)
+        if (mass := clearer_with_mass(found, recipe, motion, console, deadline)) is not None:
+            result["next_experiment"] = {**planned, "with_a_mass": mass.to_dict()}
             publish(result)
     except BaseException as error:
-        planned = (result["next_experiment"] or {}).get("program")
-        left = "the motion with a known mass" if planned else "the next motion"
         result["warnings"] = [*result["warnings"], f"{left} was not planned: {words_of(error)}"]
         publish(result)
         raise
-
-
-def _next(found: Diagnosis, question: GapQuestion, console: Console) -> Iterator[dict[str, Any] | None]:
-    """`next_experiment`, written into its folder; then once more with the known mass that gives a clearer answer."""
-    assert question.next_recipe is not None
-    assert question.out is not None
-    load = None if question.next_payload is None else payload_of(question.next_payload)
-    recipe = load_recipe(question.next_recipe)
-    deadline = Deadline(console.progress, question.planning_budget)
-    motion = plan_next(found, recipe, console, load=load, deadline=deadline)
-    if isinstance(motion, NoMotion):
-        if not motion.separates:
-            console.warn(f"{motion.text}; nothing is written to {question.out}")
-        yield motion.to_dict()
-        return
-    yield (planned := write_next(motion, question.out))
-    if (mass := clearer_with_mass(found, recipe, motion, console, deadline)) is not None:
-        yield {**planned, "with_a_mass": mass.to_dict()}
 
 
 def _find(robot: RobotDescription | None, paths: Sequence[Path], question: GapQuestion, console: Console) -> Found:
@@ -285,7 +281,7 @@ def _find(robot: RobotDescription | None, paths: Sequence[Path], question: GapQu
     except (AgentError, ArithmeticError, ValueError) as error:
         failed = f"the forward simulation failed; the verdict does not depend on it: {error}"
     warnings = (*said, *found.answer.warnings, *filter(None, [failed]))
-    return replace(found, answer=replace(found.answer, warnings=warnings)), simulated, simulator
+    return Found(replace(found, answer=replace(found.answer, warnings=warnings)), simulated, simulator)
 
 
 def _at_rest(

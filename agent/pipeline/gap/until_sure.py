@@ -20,8 +20,19 @@ from agent.runs import run_key
 from agent.safety import FIRST_SPEED
 from agent.simulators import Simulator
 
-#: A diagnosis, its simulations, and the simulator's file that was read.
-Found = tuple[Diagnosis, list[Simulated], Simulator | None]
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """A diagnosis, its simulations, and the simulator's file that was read."""
+
+    diagnosis: Diagnosis
+    simulated: Sequence[Simulated] = ()
+    simulator: Simulator | None = None
+
+    @property
+    def result(self) -> dict[str, Any]:
+        """That of the diagnosis."""
+        return self.diagnosis.result
 
 
 @dataclass
@@ -52,7 +63,7 @@ class Rounds:
     @property
     def said(self) -> str:
         """Verdict and causes of all logs that count, in a line."""
-        return in_short(self.last[0].result)
+        return in_short(self.last.result)
 
     def to_dict(self) -> dict[str, Any]:
         """Keys of a result: `rounds`, `rounds_end`, and `next_experiment` where something else may settle it."""
@@ -94,13 +105,13 @@ def until_sure(
         try:
             deadline = Deadline(console.progress, planning)
             seconds = min(LONGEST, budget - moved)
-            motion = plan_next(rounds.last[0], slow, console, seconds, name, deadline=deadline)
+            motion = plan_next(rounds.last.diagnosis, slow, console, seconds, name, deadline=deadline)
             if isinstance(motion, NoMotion):
                 end, rounds.other = motion.text, motion
                 break
             program = job.run.write_text(f"{name}{recipe.dialect.suffix}", motion.text).name
             ran = replace(motion, brakes=False).to_dict(program)  # no log on the brakes was requested
-            verdict = rounds.last[0].result["verdict"]
+            verdict = rounds.last.result["verdict"]
             rounds.asked.append({"after": verdict, **ran, "verdict": None, "causes": []})
             word = allowed and allowed.for_new_motion(run_key(recipe)["loop"], sha256_text(motion.text), moved)
             with open_link(recipe, console, job.yes, job.logs, word, facts={PARTS: PLANNED_PARTS}) as link:
@@ -119,14 +130,14 @@ def until_sure(
 
 def _end(rounds: Rounds, left: float, console: Console) -> str:
     """Note what the last round found; returns why no further one follows, if so, with `left` [s] of the budget."""
-    result = rounds.last[0].result
+    result = rounds.last.result
     verdict = result["verdict"]
     if rounds.asked:
         causes = [{key: cause[key] for key in ("effect", "joints", "probability")} for cause in result["causes"]]
         rounds.asked[-1] |= {"verdict": verdict, "causes": causes}
         console.say(f"round {len(rounds.asked)}: {verdict}")
     if verdict in ("explained", "no_gap"):
-        absorbed = verdict == "no_gap" and not rounds.last[0].dataset.given
+        absorbed = verdict == "no_gap" and not rounds.last.diagnosis.dataset.given
         beyond = ". A model fitted to these logs can hide a gap: name an earlier model with --model"
         return f"settled: {verdict}{beyond if absorbed else ''}"
     if left < SHORTEST:

@@ -15,9 +15,11 @@ from importlib.metadata import Distribution, PackageNotFoundError, distribution,
 from pathlib import Path
 
 from packaging.requirements import Requirement
+from serial.tools.list_ports import comports
 
 from agent.core import available_cores, counted
 from agent.pipeline.setup.findings import CheckedItem, Findings
+from drivers.registry import available
 
 PACKAGE = "calibration-agent"
 #: Free space [MB] below which the next run may not fit: twice what the quickstart writes.
@@ -34,7 +36,7 @@ def examine_installation(runs: Path) -> Findings:
     ----------
     runs : folder of the runs, which need not exist yet.
     """
-    findings = [_python(), *_packages(), _compiled(), _drivers(), _serial_ports(), _clock(), _disk(runs), _limits()]
+    findings = [_python(), *_packages(), _compiled(), *_links(), _clock(), _disk(runs), _limits()]
     return Findings(tuple(findings), "doctor/1")
 
 
@@ -108,22 +110,15 @@ def _compiled() -> CheckedItem:
     return CheckedItem("compiled cache", f"{took}, {'compiled now and kept in' if fresh else 'read from'} {folder}")
 
 
-def _drivers() -> CheckedItem:
-    from drivers.registry import available
-
-    return CheckedItem("drivers", ", ".join(available()))
-
-
-def _serial_ports() -> CheckedItem:
-    from serial.tools.list_ports import comports
-
+def _links() -> Iterator[CheckedItem]:
+    yield CheckedItem("drivers", ", ".join(available()))
     ports = [port.device for port in sorted(comports())]
     closed = [port for port in ports if not os.access(port, os.R_OK | os.W_OK)]
     text = ", ".join(ports) or "none"
     if closed:
         todo = "to use it, join the group that owns it (often: sudo usermod -aG dialout $USER) and log in again"
         text += f"; this user may not open {', '.join(closed)}; {todo}"
-    return CheckedItem("serial ports", text)
+    yield CheckedItem("serial ports", text)
 
 
 def _clock() -> CheckedItem:

@@ -11,24 +11,22 @@ from typing import Any
 
 from agent.core import Bare, Dimension, InputError, counted, parse_quantity, write_atomically
 from agent.excitation import working_box
-from agent.recipe import BARE_ANGLE, BARE_LEAN, BARE_PLACE, BARE_REACH, load_recipe, recipe_schema, template
+from agent.recipe import BARE_ANGLE, BARE_LEAN, BARE_PLACE, BARE_REACH, USUAL, load_recipe, recipe_schema, template
 from agent.robot import builtin_robots, load_robot
 from agent.runs import check_output
 from drivers.registry import available
 
 #: Next to the recipe; editors with a YAML language server read it.
 SCHEMA = "recipe.schema.json"
-#: The robot that the default sub-region is for.
-_USUAL = "comau_ns16"
-#: By option: the question on a terminal, and the default.
+#: By option: the question on a terminal.
 _QUESTIONS = {
-    "robot": ("robot: built-in name, or path of a robot.yaml", _USUAL),
-    "driver": ("driver of the controller link", "tcp"),
-    "controller": ("address of the controller", "127.0.0.1:9100"),
-    "centre": ("centre of the sub-region, base frame: x, y, z", "1.0 m, 0 m, 0.8 m"),
-    "size": ("size of the sub-region: x, y, z", "500 mm, 600 mm, 400 mm"),
-    "orientation": ("tool orientation: Euler ZYZ a, e, r", "0 deg, 180 deg, 0 deg"),
-    "cone": ("how far the tool may lean from it", "30 deg"),
+    "robot": "robot: built-in name, or path of a robot.yaml",
+    "driver": "driver of the controller link",
+    "controller": "address of the controller",
+    "centre": "centre of the sub-region, base frame: x, y, z",
+    "size": "size of the sub-region: x, y, z",
+    "orientation": "tool orientation: Euler ZYZ a, e, r",
+    "cone": "how far the tool may lean from it",
 }
 #: By option: how many quantities, their dimension, and how a number without a unit is taken.
 _QUANTITIES = {
@@ -51,8 +49,8 @@ def write_recipe(path: Path, given: dict[str, str | None]) -> Path:
     on_terminal = sys.stdin.isatty() and sys.stderr.isatty()
     answers: dict[str, str] = {}
     box: dict[str, str] | None = None
-    for name, (words, default) in _QUESTIONS.items():
-        value = given.get(name)
+    for name, words in _QUESTIONS.items():
+        value, default = given.get(name), USUAL["address" if name == "controller" else name]
         if value is not None:
             try:
                 _check(name, value)
@@ -62,16 +60,10 @@ def write_recipe(path: Path, given: dict[str, str | None]) -> Path:
             box = _box_of(answers["robot"]) if box is None else box
             default = box.get(name, default)
         answers[name] = value or (_ask(name, words, default) if on_terminal else default)
-    robot = answers["robot"]
-    text = template(
-        robot=robot if robot in builtin_robots() else os.path.relpath(robot, path.parent),
-        address=answers["controller"],
-        driver=answers["driver"],
-        cone=answers["cone"],
-        centre=_parts(answers["centre"]),
-        size=_parts(answers["size"]),
-        orientation=_parts(answers["orientation"]),
-    )
+    robot, address = answers["robot"], answers.pop("controller")
+    answers |= {name: ", ".join(_parts(answers[name])) for name in ("centre", "size", "orientation")}
+    answers["robot"] = robot if robot in builtin_robots() else os.path.relpath(robot, path.parent)
+    text = template(address=address, **answers)
     write_atomically(path, f"# yaml-language-server: $schema={SCHEMA}\n{text}")
     try:
         load_recipe(path)
@@ -116,7 +108,7 @@ def _check_quantity(text: str, dimension: Dimension, bare: Bare) -> None:
 
 def _box_of(robot: str) -> dict[str, str]:
     """A sub-region that the arm reaches, by option; empty for the usual robot, and where none is found."""
-    if robot == _USUAL:
+    if robot == USUAL["robot"]:
         return {}
     arm = load_robot(robot)
     box = working_box(arm)

@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from agent.core import plus_minus
+from agent.model import IdentifiedModel
 from agent.report.calibration.friction import compared_friction
 from agent.report.calibration.recordings import percent
 from agent.report.calibration.residuals import regime_table
 from agent.report.page import About, Bar, Bars, NextStep, Page, Section, Table, render
 from agent.report.plots import SERIES
-
-if TYPE_CHECKING:
-    from agent.model import IdentifiedModel
-    from agent.validation import Comparison, Prediction
+from agent.validation import BEYOND, Comparison, Prediction
 
 _SHOWN = 30.0  # standard deviations at which a bar is cut
 
@@ -28,8 +25,6 @@ def comparison_section(
 
     `number` distinguishes several on one page.
     """
-    from agent.validation import BEYOND
-
     suffix = f"-{number + 1}" if number else ""
     moved = [change for change in comparison.parameters if change.moved]
     text = [

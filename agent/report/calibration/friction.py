@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.stats import binned_statistic
 
-from agent.model import steady_columns
+from agent.model import IdentifiedModel, steady_columns
 from agent.report.page import Section
 from agent.report.plots import SERIES, UNLINKED, Panel, Plot, Series, worst_first
-from agent.robot import axle_motion, torque_units
-
-if TYPE_CHECKING:
-    from agent.model import IdentifiedModel
-    from agent.robot import RobotDescription
-    from agent.validation import Prediction
+from agent.robot import RobotDescription, axle_motion, torque_units
+from agent.validation import Prediction, pooled_rmse
 
 _GRID = 121
 #: Ranges of speed, and the fewest samples of one that is shown.
@@ -24,8 +20,6 @@ _BINS, _FEWEST = 60, 10
 
 def friction_section(predictions: Sequence[Prediction]) -> Section:
     """Curves of all axles, the joint with the largest error first, over measured torque minus that of the links."""
-    from agent.validation import pooled_rmse
-
     text = (
         "Line: friction of the model, with the 95 % band of its parameters, without load-dependent terms. Dots: "
         "measured torque minus the torque of the links, averaged over narrow ranges of speed.",
@@ -94,11 +88,8 @@ def _plot(name: str, caption: str, panels: Sequence[Panel], robot: RobotDescript
 
 def _means(speed: np.ndarray, torque: np.ndarray, top: float) -> tuple[np.ndarray, np.ndarray]:
     """Mean speed and torque of narrow ranges of speed that hold enough samples, standstill left out."""
-    edges = top * np.linspace(-1, 1, _BINS + 1)
     moving = np.abs(speed) > 0.01 * top
-    place = np.clip(np.digitize(speed[moving], edges) - 1, 0, _BINS - 1)
-    count = np.bincount(place, minlength=_BINS)
-    enough = count >= _FEWEST
-    with np.errstate(invalid="ignore", divide="ignore"):
-        means = [np.bincount(place, weights=values[moving], minlength=_BINS) / count for values in (speed, torque)]
-    return means[0][enough], means[1][enough]
+    columns, ends = np.stack([speed, torque])[:, moving], (-top, top)
+    enough = np.histogram(columns[0], _BINS, ends)[0] >= _FEWEST
+    middle, mean = binned_statistic(columns[0], columns, "mean", _BINS, ends).statistic
+    return middle[enough], mean[enough]

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from agent.motion import Trajectory
+from agent.recipe import Recipe
 from agent.report.page import Page, Section, render
 from agent.report.plots import SERIES, Panel, Plot, Series, joint_series
 from agent.report.scene import Scene, arm_along
 from agent.safety import position_ranges
-
-if TYPE_CHECKING:
-    from agent.motion import Trajectory
-    from agent.recipe import Recipe
 
 #: Only each fifth sample of a cycle is shown over time.
 _EVERY = 5

@@ -2,67 +2,55 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
 
 from agent.core import counted
-from agent.report.calibration.motion import ShownLoop, motion_section, search_section
-from agent.report.calibration.parameters import parameters_section
+from agent.report.calibration.comparison import comparison_section
+from agent.report.calibration.friction import friction_section
+from agent.report.calibration.motion import motion_section, search_section
+from agent.report.calibration.parameters import observation_section, parameters_section
 from agent.report.calibration.prediction import error_table
-from agent.report.calibration.recordings import conditions_section, percent, provenance_section
+from agent.report.calibration.recordings import conditions_section, log_section, percent, provenance_section
+from agent.report.calibration.residuals import residual_section
+from agent.report.calibration.sections import RunContent, further_sections
 from agent.report.diagnosis.summary import diagnosis_sections
-from agent.report.page import About, Page, Section, Table, render
-from agent.report.plots import Plot
+from agent.report.page import Page, Section, Table, render
 from agent.report.scene import Scene
-
-if TYPE_CHECKING:
-    from agent.model import IdentifiedModel
+from agent.validation import Comparison
 
 
-@dataclass(frozen=True, eq=False)
-class RunData:
-    """Content of the report of a run.
-
-    result: the content of `result.json`; about: the first screen; rmse (motions or cycles, n) [N·m] on moving samples;
-    `prediction`: torque of one motion; `further` sections, in order; `search`, where there was one; `validation_paths`
-    (motions, k, 3) [m] of the TCP on the unseen motions.
-    """
-
-    result: dict[str, Any]
-    about: About
-    loop: ShownLoop
-    model: IdentifiedModel
-    rmse: np.ndarray
-    prediction: Plot
-    further: Sequence[Section] = ()
-    search: Mapping[str, Any] | None = None
-    validation_paths: np.ndarray | None = None
-
-
-def run_report(data: RunData) -> str:
+def run_report(data: RunContent) -> str:
     """HTML text of the report of a calibration."""
     result = data.result
     headline = f"{_headline(result)} {_current(result)}"
     if result["diagnosis"] is not None:
         headline = f"{headline} {result['diagnosis']['summary']}"
-    assert data.search is not None
-    return _page(data, "Calibration", headline, _validation(data), search_section(data.search))
+    search = search_section(data.search)
+    return _page(data, "Calibration", headline, _validation(data), search, further_sections(data))
 
 
-def recalibration_report(data: RunData) -> str:
-    """HTML text of the report of a recalibration."""
+def recalibration_report(data: RunContent, comparison: Comparison) -> str:
+    """HTML text of the report of a recalibration, with its model compared with the last accepted one."""
     result, loop = data.result, data.result["loop"]
     word = "Accepted" if result["accepted"] else f"Rejected: {result['reason']}"
     headline = f"{word}. {_current(result)} "
     headline += result["diagnosis"]["summary"] if result["diagnosis"] else f"{result['comparison']}."
     search = f"None this time: the stored loop of {loop['created']} was run again, fitness {loop['fitness']:.2f}."
-    return _page(data, "Recalibration", headline, _fresh_errors(data), Section("Search", (search,)))
+    further = (
+        comparison_section(comparison),
+        residual_section(data.predictions),
+        friction_section(data.predictions),
+        observation_section(data.model, data.excitation),
+        log_section(data.health),
+    )
+    return _page(data, "Recalibration", headline, _fresh_errors(data), Section("Search", (search,)), further)
 
 
-def _page(data: RunData, title: str, headline: str, prediction: Section, search: Section) -> str:
+def _page(
+    data: RunContent, title: str, headline: str, prediction: Section, search: Section, further: Sequence[Section]
+) -> str:
     """HTML text of a run's page; a diagnosis that was needed comes first."""
     result = data.result
     found = diagnosis_sections(result["diagnosis"], result["reference"])
@@ -71,7 +59,7 @@ def _page(data: RunData, title: str, headline: str, prediction: Section, search:
         *first,
         motion_section(data.loop),
         search,
-        *data.further,
+        *further,
         conditions_section(result["conditions"], result["validation"]["joints"]),
         parameters_section(data.model.rows(), result.get("estimation", {}).get("notes", ())),
         provenance_section(result),
@@ -117,8 +105,7 @@ def _headline(result: dict[str, Any]) -> str:
     )
 
 
-def _validation(data: RunData) -> Section:
-    assert data.validation_paths is not None
+def _validation(data: RunContent) -> Section:
     validation, gate = data.result["validation"], data.result["gate"]["normalised_rmse"]
     not_judged = data.result["gate"].get("not_judged", [])
     columns = (validation[key] for key in ("joints", "rmse", "normalised_rmse", "normalised_rmse_all_samples"))
@@ -149,12 +136,12 @@ def _validation(data: RunData) -> Section:
         Table("validation", header, rows),
         paths,
         error_table(data.rmse, data.model.robot.nominal_torque, validation["joints"], gate, errors),
-        replace(data.prediction, caption=typical),
+        replace(data.shown, caption=typical),
     )
     return Section("Prediction of unseen motions", text, parts)
 
 
-def _fresh_errors(data: RunData) -> Section:
+def _fresh_errors(data: RunContent) -> Section:
     validation, gate = data.result["validation"], data.result["gate"]["normalised_rmse"]
     columns = (validation[key] for key in ("joints", "rmse", "normalised_rmse", "normalised_rmse_before"))
     rows = []
@@ -172,6 +159,6 @@ def _fresh_errors(data: RunData) -> Section:
     parts = (
         Table("validation", header, rows),
         error_table(data.rmse, data.model.robot.nominal_torque, validation["joints"], gate, cycles),
-        replace(data.prediction, caption="Torque along one cycle of the loop."),
+        replace(data.shown, caption="Torque along one cycle of the loop."),
     )
     return Section("Prediction", text, parts)

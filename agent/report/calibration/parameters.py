@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from agent.core import counted, plus_minus
-from agent.model import USUAL_CONDITION
+from agent.model import USUAL_CONDITION, IdentifiedModel, judged_condition
+from agent.recording import Log
 from agent.report.page import Section, Shade, Table
 from agent.report.plots import SERIES, Panel, Plot, Series
-
-if TYPE_CHECKING:
-    from agent.model import IdentifiedModel
-    from agent.recording import Log
-    from agent.validation import Observability
+from agent.validation import observability
 
 _NORMAL_95 = 1.96
 _PRIOR = (
@@ -54,10 +50,7 @@ def _known(value: float, deviation: float) -> str:
 def observation_section(model: IdentifiedModel, log: Log) -> Section:
     """What a model's own motion shows of its parameters: condition number of the fit, singular values, the directions
     seen least, and what is not identifiable."""
-    from agent.model import judged_condition
-    from agent.validation import observability
-
-    found: Observability = observability(model, log)
+    found = observability(model, log)
     combined = counted(found.combined, "standard parameter")
     hidden = f" No motion of this arm shows {', '.join(found.never_acting)}." if found.never_acting else ""
     text = [

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from agent.report.page import Bar, Bars, Table
 from agent.report.plots import SERIES, Panel, Plot, Series, thinned, worst_first
 from agent.robot import torque_units
-
-if TYPE_CHECKING:
-    from agent.validation import Prediction
+from agent.validation import Prediction
 
 _PARTS = {"gravity": 0, "inertia": 2, "Coriolis": 3, "friction": 4, "effects": 5}  # their colours
 _INK = "#808890"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,9 +10,7 @@ from agent.model import REGIMES, regime_masks, standstill_speed
 from agent.report.page import Section, Table, shaded_table
 from agent.report.plots import SERIES, UNLINKED, Panel, Plot, Series, joint_series, worst_first
 from agent.robot import torque_units
-
-if TYPE_CHECKING:
-    from agent.validation import Prediction
+from agent.validation import Prediction
 
 #: Ranges of the abscissa, and the fewest samples of one that is shown.
 _BINS, _FEWEST = 60, 10

@@ -5,54 +5,64 @@ A new section is a module with such a function, and its line in `RUN_SECTIONS`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
+
+import numpy as np
 
 from agent.core import InputError
+from agent.estimation import EstimationSettings, estimate
+from agent.model import IdentifiedModel
+from agent.recipe import Recipe
+from agent.recording import Log
 from agent.report.calibration.comparison import comparison_section
 from agent.report.calibration.friction import friction_section
+from agent.report.calibration.motion import ShownLoop
 from agent.report.calibration.parameters import correlation_section, observation_section
 from agent.report.calibration.recordings import LogHealth, log_section
 from agent.report.calibration.residuals import residual_section
-from agent.report.page import Section, Table
-from agent.robot import torque_units
+from agent.report.page import About, Section, Table
+from agent.report.plots import Plot
+from agent.robot import Tool, torque_units
 from agent.runs import last_accepted
-
-if TYPE_CHECKING:
-    from agent.model import IdentifiedModel
-    from agent.recipe import Recipe
-    from agent.recording import Log
-    from agent.robot import Tool
-    from agent.validation import Prediction
+from agent.validation import Prediction, compare_models, pooled_rmse
 
 
 @dataclass(frozen=True, eq=False)
 class RunContent:
-    """What a section may be made from: run folder, recipe, identified model; of unseen motions predictions and health
-    of the logs."""
+    """What the page of a run and its sections are made from.
+
+    Attributes
+    ----------
+    run, recipe, model : run folder, recipe and identified model.
+    predictions, health : of the motions that the model is judged on, and of their logs.
+    excitation : the log that the model was fitted to.
+    result, about : content of `result.json`, and the first screen.
+    loop : the loop that was run.
+    rmse : (motions or cycles, n) [N·m] on moving samples.
+    shown : torque of one motion.
+    search, validation_paths : of a calibration: how the loop was found, and (motions, k, 3) [m] of the TCP.
+    """
 
     run: Path
     recipe: Recipe
     model: IdentifiedModel
     predictions: Sequence[Prediction]
     health: Sequence[LogHealth]
-
-    @cached_property
-    def excitation(self) -> Log:
-        """The log that the model was fitted to."""
-        from agent.recording import read_log
-
-        return read_log(self.run / "excitation.mcap", self.recipe.robot)
+    excitation: Log
+    result: dict[str, Any]
+    about: About
+    loop: ShownLoop
+    rmse: np.ndarray
+    shown: Plot
+    search: Mapping[str, Any] = field(default_factory=dict)
+    validation_paths: np.ndarray = field(default_factory=lambda: np.empty((0, 0, 3)))
 
 
 def _comparison(content: RunContent) -> Section | None:
     """Against the last accepted run of the same machine and loop, if there is one."""
-    from agent.model import IdentifiedModel
-    from agent.validation import compare_models
-
     last = last_accepted(content.run)
     if last is None:
         return None
@@ -64,9 +74,6 @@ def paper_section(
     model: IdentifiedModel, log: Log, predictions: Sequence[Prediction], tool: Tool | None = None
 ) -> Section | None:
     """RMSE on moving samples by axis, of the model and of `method: paper` on its log; None where that is the model."""
-    from agent.estimation import EstimationSettings, estimate
-    from agent.validation import pooled_rmse
-
     if model.method == "paper":
         return None
     settings = EstimationSettings.create(cutoff=model.cutoff, method="paper", order=model.order)

@@ -13,10 +13,9 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 
 from agent.core import InputError
-from agent.robot import about_centre
 from agent.simulators.arm import SimulatedArm
 from agent.simulators.corrected.xml_document import XmlDocument
-from agent.simulators.urdf import child_of, digits, move_zero, rpy_of, set_inertial
+from agent.simulators.urdf import child_of, digits, mjcf_inertial, move_zero, rpy_of, set_inertial
 
 _NO_BODY = ("equality", "fixed", "default", "sensor", "actuator", "custom", "tendon")
 _ORIENTATION = ("quat", "euler", "axisangle", "xyaxes", "zaxis", "diaginertia")
@@ -172,14 +171,10 @@ class MjcfEdits:
                 f"{self._source}: the body whose inertia is to be changed, moved by {self._arm.file_joints[k]}, stands "
                 f"in it {len(named)} times as text: {_SAVE_COMPILED}"
             )
-        inertial, tensor = child_of(owner, "inertial"), about_centre(block)
+        inertial = child_of(owner, "inertial")
         for key in _ORIENTATION:
             inertial.attrib.pop(key, None)
-        inertial.attrib.update(
-            pos=digits(*(block[1:4] / block[0])),
-            mass=digits(block[0]),
-            fullinertia=digits(*tensor[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]),
-        )
+        inertial.attrib.update(mjcf_inertial(block))
 
     def set_gravity(self, gravity: tuple[float, float, float]) -> None:
         """Set gravity of the world."""
