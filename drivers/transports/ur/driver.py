@@ -16,14 +16,14 @@ import numpy as np
 from drivers.errors import ConfigurationError, DriverError, MotionStopped, RefusedError
 from drivers.protocol import Identity, Status
 from drivers.texts import place_of
-from drivers.transports.base import WATCHDOG, LinkDriver, check_currents
+from drivers.transports.base import WATCHDOG, LinkDriver, check_currents, rotation
 from drivers.transports.tcp import parse_address
 from drivers.transports.ur import motion as states, rtde
 from drivers.transports.ur.dashboard import Dashboard, UrModel
 from drivers.transports.ur.link import UrLink
 from drivers.transports.ur.motion import UrMotion, safety_text
 from drivers.transports.ur.primary import ProgramChange, ProgramFault
-from drivers.transports.ur.program import UrProgram, rotation
+from drivers.transports.ur.program import UrProgram
 
 #: The arm's joints, as Universal Robots and its ROS descriptions call them.
 JOINTS = (
