@@ -28,7 +28,13 @@ def dropped(peer: str, error: OSError) -> DriverError:
     return DriverError(f"the link to {peer} dropped: {error.strerror or error}")
 
 
-def pose_of_frame(fields: Sequence[float]) -> np.ndarray:
+def poses_of_frames(base: Sequence[float], tool: Sequence[float], user: Sequence[float]) -> dict[str, np.ndarray]:
+    """`ReportsFrames` of frames as six fields of a POS each."""
+    frames = {"$BASE": base, "$TOOL": tool, "$UFRAME": user}
+    return {name: _pose_of_frame(fields) for name, fields in frames.items()}
+
+
+def _pose_of_frame(fields: Sequence[float]) -> np.ndarray:
     """Convert the six fields of a POS to a pose (4, 4) [m].
 
     The fields are x, y, z [mm] and the Euler angles a, e, r [deg] about the moving axes z, y, z.
@@ -169,6 +175,8 @@ class LinkDriver(Generic[Link, Motion]):
         joints). Beyond it the motion is stopped; the link itself never waits for the consumer.
     """
 
+    _watchdog = WATCHDOG  # that is asked for
+
     def __init__(
         self,
         address: str,
@@ -182,6 +190,12 @@ class LinkDriver(Generic[Link, Motion]):
         self._buffer_limit = buffer_limit
         self._link: Link | None = None
         self._motion: Motion | None = None
+
+    @property
+    def watchdog(self) -> float:
+        """The watchdog in force [s]: the one asked for, once connected the one of the link."""
+        link = self._link
+        return self._watchdog if link is None else link.watchdog
 
     @property
     def gaps(self) -> tuple[Gap, ...]:
