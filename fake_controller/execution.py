@@ -317,14 +317,19 @@ def _ramped(
         s[-1] = max(s[-1], length)
         needed = int(np.argmax(s >= length)) + 1
         s, rate = s[:needed], rate[:needed]
-    # Cubic Hermite between set-points, so that velocity stays the derivative of position.
     s, last = s / period, len(position) - 1
-    index = np.minimum(s.astype(int), max(last - 1, 0))
+    q, qd = between(position, velocity, s, period)
+    q[s >= last], qd[s >= last] = position[-1], 0.0
+    return np.vstack([position[:1], q]), np.vstack([velocity[:1], qd * rate[:, None]])
+
+
+def between(position: np.ndarray, velocity: np.ndarray, at: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:
+    """Set-points (K, n) at `at` (K,), in samples, by a cubic between those that were planned, and their derivative."""
+    last = len(position) - 1
+    index = np.minimum(at.astype(int), max(last - 1, 0))
     after = np.minimum(index + 1, last)
-    u = np.clip(s - index, 0.0, 1.0)[:, None]
+    u = np.clip(at - index, 0.0, 1.0)[:, None]
     p0, p1 = position[index], position[after]
     v0, v1 = velocity[index] * period, velocity[after] * period
-    q = p0 + u * (v0 + u * (3 * (p1 - p0) - 2 * v0 - v1 + u * (2 * (p0 - p1) + v0 + v1)))
-    dq = v0 + u * (2 * (3 * (p1 - p0) - 2 * v0 - v1) + u * 3 * (2 * (p0 - p1) + v0 + v1))
-    q[s >= last], dq[s >= last] = position[-1], 0.0
-    return np.vstack([position[:1], q]), np.vstack([velocity[:1], dq / period * rate[:, None]])
+    bend, twist = 3 * (p1 - p0) - 2 * v0 - v1, 2 * (p0 - p1) + v0 + v1
+    return p0 + u * (v0 + u * (bend + u * twist)), (v0 + u * (2 * bend + u * 3 * twist)) / period

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import selectors
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from socket import SHUT_RDWR
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -27,44 +28,54 @@ def dropped(peer: str, error: OSError) -> DriverError:
     return DriverError(f"the link to {peer} dropped: {error.strerror or error}")
 
 
-def pose_of_frame(fields: Sequence[float]) -> np.ndarray:
+def poses_of_frames(base: Sequence[float], tool: Sequence[float], user: Sequence[float]) -> dict[str, np.ndarray]:
+    """`ReportsFrames` of frames as six fields of a POS each."""
+    frames = {"$BASE": base, "$TOOL": tool, "$UFRAME": user}
+    return {name: _pose_of_frame(fields) for name, fields in frames.items()}
+
+
+def _pose_of_frame(fields: Sequence[float]) -> np.ndarray:
     """Convert the six fields of a POS to a pose (4, 4) [m].
 
     The fields are x, y, z [mm] and the Euler angles a, e, r [deg] about the moving axes z, y, z.
     """
+    z, y = np.eye(3)[[2, 1]]
     a, e, r = np.radians(fields[3:6])
     pose = np.eye(4)
-    pose[:3, :3] = _about_z(a) @ _about_y(e) @ _about_z(r)
+    pose[:3, :3] = rotation(a * z) @ rotation(e * y) @ rotation(r * z)
     pose[:3, 3] = np.asarray(fields[:3]) / 1000.0
     return pose
 
 
-def _about_z(angle: float) -> np.ndarray:
-    cosine, sine = np.cos(angle), np.sin(angle)
-    return np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
-
-
-def _about_y(angle: float) -> np.ndarray:
-    cosine, sine = np.cos(angle), np.sin(angle)
-    return np.array([[cosine, 0.0, sine], [0.0, 1.0, 0.0], [-sine, 0.0, cosine]])
+def rotation(vector: np.ndarray) -> np.ndarray:
+    """(3, 3) of a rotation vector (3,) [rad]."""
+    angle = float(np.linalg.norm(vector))
+    if angle < 1e-12:
+        return np.eye(3)
+    x, y, z = vector / angle
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross
 
 
 class LinkThread:
     """A thread that alone reads a link. It ends with an error, whatever the reason: `failure` from then on.
 
-    `on_failure(error)` is its last call. A subclass starts the thread. While `guarded`, a silence of `watchdog` [s]
-    ends a link that is read with `_each_turn`.
+    `on_failure(error)` is its last call. A subclass starts the thread, and keeps in `_handles` the sockets, or what is
+    like them, that end with the link. While `guarded`, a silence of `watchdog` [s] ends a link that is read with
+    `_each_turn`.
     """
 
     failure: DriverError | None = None
     guarded = False
     watchdog = WATCHDOG
+    _handles: Iterable[Any] = ()
     _heard = False  # something in this turn, that shows that the peer lives
 
     def __init__(self, peer: str, on_failure: Callable[[DriverError], None]) -> None:
         self.peer = peer
         self._on_failure = on_failure
         self._closing = threading.Event()
+        self._changed = threading.Condition()  # something has come, or the link has ended
         self._thread = threading.Thread(target=self._run, name=f"link {peer}", daemon=True)
 
     def check(self) -> None:
@@ -74,13 +85,27 @@ class LinkThread:
         if self.failure is not None:
             raise type(self.failure)(str(self.failure))
 
+    def wait(self, reached: Callable[[], bool], timeout: float) -> bool:
+        """Wait until something is so that what comes brings about; False where it is not in time [s]."""
+        with self._changed:
+            return self._changed.wait_for(lambda: reached() or self.failure is not None, timeout) and reached()
+
     def close(self) -> None:
         """End the link and its thread; never raises."""
-        raise NotImplementedError
+        self._closing.set()
+        self._hang_up()
+        self._join(5.0)
+        for handle in self._handles:
+            handle.close()
 
     def _join(self, timeout: float) -> None:
-        if threading.current_thread() is not self._thread:
+        if self._thread.is_alive() and threading.current_thread() is not self._thread:
             self._thread.join(timeout)
+
+    def _hang_up(self) -> None:
+        for handle in self._handles:
+            with contextlib.suppress(OSError):
+                handle.shutdown(SHUT_RDWR)
 
     def _run(self) -> None:
         try:
@@ -128,7 +153,10 @@ class LinkThread:
 
     def _end(self, failure: DriverError) -> None:
         """Set `failure`, hang up, and let nobody wait any longer."""
-        raise NotImplementedError
+        with self._changed:
+            self.failure = failure
+            self._changed.notify_all()
+        self._hang_up()
 
 
 Link = TypeVar("Link", bound=LinkThread)
@@ -147,6 +175,8 @@ class LinkDriver(Generic[Link, Motion]):
         joints). Beyond it the motion is stopped; the link itself never waits for the consumer.
     """
 
+    _watchdog = WATCHDOG  # that is asked for
+
     def __init__(
         self,
         address: str,
@@ -160,6 +190,12 @@ class LinkDriver(Generic[Link, Motion]):
         self._buffer_limit = buffer_limit
         self._link: Link | None = None
         self._motion: Motion | None = None
+
+    @property
+    def watchdog(self) -> float:
+        """The watchdog in force [s]: the one asked for, once connected the one of the link."""
+        link = self._link
+        return self._watchdog if link is None else link.watchdog
 
     @property
     def gaps(self) -> tuple[Gap, ...]:
@@ -216,7 +252,7 @@ class LinkDriver(Generic[Link, Motion]):
         if self._motion is not None and not self._motion.over:
             raise DriverError("the last motion is not over yet; read its samples to the end, or stop it")
 
-    @contextmanager
+    @contextlib.contextmanager
     def _start_of(self, motion: Motion) -> Iterator[Motion]:
         """Listen to a motion that is started in here. A refused start moved nothing; after any other failure the arm
         may move, so the link is closed, which stops it."""

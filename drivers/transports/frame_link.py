@@ -12,7 +12,6 @@ import queue
 import threading
 import time
 from collections.abc import Callable
-from socket import SHUT_RDWR
 from typing import Any, Protocol, TypeVar
 
 from drivers.errors import DriverError, ProtocolError
@@ -78,7 +77,7 @@ class FrameLink(LinkThread):
     ) -> None:
         super().__init__(peer, on_failure)
         self.watchdog = watchdog
-        self._channel = channel
+        self._channel, self._handles = channel, (channel,)
         self._decoder = decoder
         self._decode = decode
         self._on_message = on_message
@@ -155,13 +154,6 @@ class FrameLink(LinkThread):
             for request in asked:
                 self._waiting.pop(request, None)
 
-    def close(self) -> None:
-        """End the link and its thread; never raises."""
-        self._closing.set()
-        self._hang_up()
-        self._join(5.0)
-        self._channel.close()
-
     def _checked(self, answer: Any, reply: type[Reply], timeout: float, what: str) -> Reply:
         if answer is None:
             raise self._silent(what, timeout)
@@ -207,10 +199,6 @@ class FrameLink(LinkThread):
             "is it the calibration server that listens there?"
         )
 
-    def _hang_up(self) -> None:
-        with contextlib.suppress(OSError):
-            self._channel.shutdown(SHUT_RDWR)
-
     def _send(self, message: Any, request: int = 0) -> None:
         self.check()
         try:
@@ -225,8 +213,7 @@ class FrameLink(LinkThread):
     # From here on in the reader thread.
 
     def _end(self, failure: DriverError) -> None:
-        self.failure = failure
-        self._hang_up()
+        super()._end(failure)
         for answers in list(self._waiting.values()):
             answers.put(failure)
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from drivers.errors import ProtocolError, RefusedError
 from drivers.protocol import Identity, SampleBlock, Status
-from drivers.transports.base import WATCHDOG, LinkDriver, pose_of_frame
+from drivers.transports.base import WATCHDOG, LinkDriver, poses_of_frames
 from drivers.transports.frame_link import ACTING, Channel, FrameLink, Reply
 from drivers.transports.motion import MotionStream
 from drivers.wire.tcp import (
@@ -66,11 +66,6 @@ class FrameDriver(LinkDriver[FrameLink, MotionStream]):
         self._watchdog = watchdog
         self._measures_temperatures = True
 
-    @property
-    def watchdog(self) -> float:
-        """The watchdog in force [s]: the one asked for, once connected the one agreed on."""
-        return self._watchdog if self._link is None else self._link.watchdog
-
     def identify(self) -> Identity:
         """Ask the controller who it is."""
         reply = self._read(Identify(), IdentityReply, "identify")
@@ -104,10 +99,9 @@ class FrameDriver(LinkDriver[FrameLink, MotionStream]):
             reply = self._read(AskFrames(), FramesReply, "frames")
         except RefusedError:
             return {}
-        fields = {"$BASE": reply.base, "$TOOL": reply.tool, "$UFRAME": reply.uframe}
-        if any(len(numbers) != 6 for numbers in fields.values()):
+        if any(len(numbers) != 6 for numbers in vars(reply).values()):
             raise ProtocolError(f"the controller at {self.address} answered with frames that have not six numbers each")
-        return {name: pose_of_frame(numbers) for name, numbers in fields.items()}
+        return poses_of_frames(reply.base, reply.tool, reply.uframe)
 
     def upload(self, name: str, text: str) -> str:
         """Store a program; returns the SHA-256 (hex) of the text as the controller stored it.

@@ -8,6 +8,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from io import BytesIO
 from typing import Annotated, Any, ClassVar, Protocol, dataclass_transform, get_type_hints
 
 from drivers.errors import ProtocolError
@@ -15,33 +16,17 @@ from drivers.errors import ProtocolError
 MAX_TEXT = 4096
 
 
-class Cursor:
-    """Reads a payload front to back; never beyond its end."""
+def take(payload: BytesIO, count: int) -> bytes:
+    """The next `count` bytes.
 
-    def __init__(self, payload: bytes) -> None:
-        self._payload = payload
-        self._position = 0
-
-    def take(self, count: int) -> bytes:
-        """The next `count` bytes.
-
-        Raises:
-            ProtocolError: the payload is shorter.
-        """
-        end = self._position + count
-        if end > len(self._payload):
-            raise ProtocolError(f"a message ends after {len(self._payload)} bytes where at least {end} are needed")
-        piece = self._payload[self._position : end]
-        self._position = end
-        return piece
-
-    def finish(self) -> None:
-        """Raises:
-        ProtocolError: something is left over.
-        """
-        left = len(self._payload) - self._position
-        if left:
-            raise ProtocolError(f"a message has {left} bytes more than its fields")
+    Raises:
+        ProtocolError: the payload is shorter.
+    """
+    piece = payload.read(count)
+    if len(piece) < count:
+        end = payload.tell()
+        raise ProtocolError(f"a message ends after {end} bytes where at least {end - len(piece) + count} are needed")
+    return piece
 
 
 class FieldKind(Protocol):
@@ -49,7 +34,7 @@ class FieldKind(Protocol):
 
     def pack(self, value: Any) -> bytes: ...
 
-    def unpack(self, cursor: Cursor) -> Any: ...
+    def unpack(self, payload: BytesIO) -> Any: ...
 
 
 class Number:
@@ -63,8 +48,8 @@ class Number:
     def pack(self, value: Any) -> bytes:
         return self._struct.pack(value)
 
-    def unpack(self, cursor: Cursor) -> Any:
-        return self._struct.unpack(cursor.take(self.size))[0]
+    def unpack(self, payload: BytesIO) -> Any:
+        return self._struct.unpack(take(payload, self.size))[0]
 
 
 class Boolean:
@@ -73,8 +58,8 @@ class Boolean:
     def pack(self, value: bool) -> bytes:
         return b"\x01" if value else b"\x00"
 
-    def unpack(self, cursor: Cursor) -> bool:
-        byte = cursor.take(1)[0]
+    def unpack(self, payload: BytesIO) -> bool:
+        byte = take(payload, 1)[0]
         if byte > 1:
             raise ProtocolError(f"a truth value is {byte}, neither 0 nor 1")
         return bool(byte)
@@ -87,11 +72,11 @@ class Utf8:
         data = _cut(value, MAX_TEXT)
         return struct.pack("<H", len(data)) + data
 
-    def unpack(self, cursor: Cursor) -> str:
-        (size,) = struct.unpack("<H", cursor.take(2))
+    def unpack(self, payload: BytesIO) -> str:
+        (size,) = struct.unpack("<H", take(payload, 2))
         if size > MAX_TEXT:
             raise ProtocolError(f"a text of {size} bytes; at most {MAX_TEXT} are allowed")
-        return _decoded(cursor.take(size))
+        return _decoded(take(payload, size))
 
 
 class Blob:
@@ -100,9 +85,9 @@ class Blob:
     def pack(self, value: bytes) -> bytes:
         return struct.pack("<I", len(value)) + value
 
-    def unpack(self, cursor: Cursor) -> bytes:
-        (size,) = struct.unpack("<I", cursor.take(4))
-        return cursor.take(size)
+    def unpack(self, payload: BytesIO) -> bytes:
+        (size,) = struct.unpack("<I", take(payload, 4))
+        return take(payload, size)
 
 
 class Padded:
@@ -117,8 +102,8 @@ class Padded:
             raise ValueError(f"at most {self.size} bytes are expected, not {len(value)}")
         return value.ljust(self.size, b"\0")
 
-    def unpack(self, cursor: Cursor) -> bytes:
-        return cursor.take(self.size)
+    def unpack(self, payload: BytesIO) -> bytes:
+        return take(payload, self.size)
 
 
 class PaddedText:
@@ -131,8 +116,8 @@ class PaddedText:
     def pack(self, value: str) -> bytes:
         return _cut(value, self.size).ljust(self.size, b"\0")
 
-    def unpack(self, cursor: Cursor) -> str:
-        return _decoded(cursor.take(self.size).rstrip(b"\0"))
+    def unpack(self, payload: BytesIO) -> str:
+        return _decoded(take(payload, self.size).rstrip(b"\0"))
 
 
 class Many:
@@ -144,9 +129,9 @@ class Many:
     def pack(self, value: tuple[Any, ...]) -> bytes:
         return struct.pack("<B", len(value)) + b"".join(self._kind.pack(item) for item in value)
 
-    def unpack(self, cursor: Cursor) -> tuple[Any, ...]:
-        (count,) = cursor.take(1)
-        return tuple(self._kind.unpack(cursor) for _ in range(count))
+    def unpack(self, payload: BytesIO) -> tuple[Any, ...]:
+        (count,) = take(payload, 1)
+        return tuple(self._kind.unpack(payload) for _ in range(count))
 
 
 class FixedKind(FieldKind, Protocol):
@@ -170,8 +155,8 @@ class Repeated:
             raise ValueError(f"{len(value)} items, where {self._count} fit")
         return b"".join(map(self._kind.pack, value)).ljust(self.size, b"\0")
 
-    def unpack(self, cursor: Cursor) -> tuple[Any, ...]:
-        return tuple(self._kind.unpack(cursor) for _ in range(self._count))
+    def unpack(self, payload: BytesIO) -> tuple[Any, ...]:
+        return tuple(self._kind.unpack(payload) for _ in range(self._count))
 
 
 def _cut(text: str, size: int) -> bytes:
@@ -222,7 +207,8 @@ class FrameMessage:
 
     @classmethod
     def unpack(cls, payload: bytes) -> Any:
-        cursor = Cursor(payload)
-        values = {name: kind.unpack(cursor) for name, kind in cls.LAYOUT}
-        cursor.finish()
+        left = BytesIO(payload)
+        values = {name: kind.unpack(left) for name, kind in cls.LAYOUT}
+        if more := len(left.read()):
+            raise ProtocolError(f"a message has {more} bytes more than its fields")
         return cls(**values)

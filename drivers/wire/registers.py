@@ -6,10 +6,11 @@ import struct
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from io import BytesIO
 from typing import Any
 
 from drivers.errors import ProtocolError
-from drivers.wire.fields import Cursor, FixedKind, Number
+from drivers.wire.fields import FixedKind, Number
 
 U16, U32, F32, F64 = Number(">H", "u16"), Number(">I", "u32"), Number(">f", "f32"), Number(">d", "f64")
 
@@ -56,5 +57,5 @@ class Block:
         body, checksum = data[:-4], data[-4:]
         if len(registers) != self.registers or struct.pack(">I", zlib.crc32(body)) != checksum:
             raise ProtocolError(f"the {self.name} registers are damaged: their checksum is wrong")
-        cursor = Cursor(body)
-        return {field.name: field.kind.unpack(cursor) for field in self.fields}
+        left = BytesIO(body)
+        return {field.name: field.kind.unpack(left) for field in self.fields}

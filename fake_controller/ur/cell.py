@@ -14,7 +14,7 @@ import numpy as np
 from agent.robot import RobotDescription
 from drivers.wire.reasons import EndReason
 from fake_controller.clock import Clock, FastClock
-from fake_controller.execution import Astray, follow
+from fake_controller.execution import Astray, between, follow
 from fake_controller.faults import LIES, Fault, Faults
 from fake_controller.plant import Plant
 from fake_controller.state import State
@@ -368,7 +368,7 @@ class UrCell(UrState):
         if at[-1] >= event - 1e-9:
             count = int(np.argmax(at >= event - 1e-9)) + 1
         at, rates = np.minimum(at[:count], len(moving.position) - 1.0), rates[:count]
-        q, qd = _between(moving.position, moving.velocity, at, self.period)
+        q, qd = between(moving.position, moving.velocity, at, self.period)
         moving.at, self._rate = float(at[-1]), float(rates[-1])
         if self._rate == 0.0 and self._stopping:
             self._come_to_rest()
@@ -582,15 +582,3 @@ class UrCell(UrState):
         with self._lock:
             self.clear_registers()
             self.state = State(drives_on=False)
-
-
-def _between(
-    position: np.ndarray, velocity: np.ndarray, at: np.ndarray, period: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Set-points (K, 6) and their derivative at `at` (K,), in samples, by a cubic between those that were planned."""
-    index = np.minimum(at.astype(int), len(position) - 2)
-    u = (at - index)[:, None]
-    p0, p1 = position[index], position[index + 1]
-    v0, v1 = velocity[index] * period, velocity[index + 1] * period
-    bend, twist = 3 * (p1 - p0) - 2 * v0 - v1, 2 * (p0 - p1) + v0 + v1
-    return p0 + u * (v0 + u * (bend + u * twist)), (v0 + u * (2 * bend + 3 * u * twist)) / period

@@ -27,7 +27,7 @@ from fake_controller.faults import Fault, Faults
 from fake_controller.servers import BROKER, WIRES, Server, open_server
 from fake_controller.state import State, home
 from tests.conftest import drawn, patience
-from tests.link.test_ur_driver import FakeUr
+from tests.link.test_ur_driver import SIMULATED, FakeUr
 
 RECIPE = """
 robot: {robot}
@@ -46,8 +46,6 @@ record: {{rate: 500 Hz, cycles: 2}}
 """
 #: Faults of the wire that lose nothing; and of a controller that obeys no stop, where nobody asks for one.
 HARMLESS = ("delay", "reorder", "duplicate", "slow", "disobey")
-#: Allowed time for a simulated UR [s].
-UR_SILENCE = 5.0
 UR_RECIPE = """
 robot: ur5e
 controller: {{driver: ur, address: "{address}"}}
@@ -132,7 +130,7 @@ class Bench:
         goes_wrong = Faults(faults) if interrupt is None else Interrupting(faults, interrupt, number)
         if wire == "ur":
             if any(fault.name not in HARMLESS for fault in faults):
-                self._turns = 3 + math.ceil(max(UR_SILENCE, patience(2.0)))
+                self._turns = 3 + math.ceil(patience(2.0))
             fake = FakeUr(clock, goes_wrong)
             self._servers.append(fake)
             self.write_for(wire, fake.address)
@@ -178,6 +176,7 @@ def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp
     """The command line in this process, off a terminal, in the test's folder."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(lock, "FOLDERS", (tmp_path,))  # all loopback addresses are one machine, and UR's ports one
+    monkeypatch.setattr(SIMULATED, min(patience(2.0), 5.0))
     before = signal.getsignal(signal.SIGTERM)
 
     def call(*arguments: object) -> Ended:

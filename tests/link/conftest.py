@@ -9,19 +9,19 @@ import pytest
 
 from drivers.wire import tcp
 from tests.conftest import drawn
-from tests.link.cnr_peer import Bench
-
-
-def program(body: str) -> str:
-    """PDL2 text of the name `p`; `k` is an integer."""
-    return f"PROGRAM p HOLD, PROG_ARM=1\nVAR\n  k : INTEGER\nBEGIN\n{body}\nEND p\n"
-
+from tests.link.cnr_peer import Bench, program
 
 #: Where the small arm goes [degrees].
 FAR = drawn("{20, -30}", lambda rng: f"{{{rng.integers(15, 25)}, {-rng.integers(25, 35)}}}")
 #: A second of motion there and back, and minutes of it.
 SHORT = program(f"  MOVE JOINT TO {FAR}\n  MOVE JOINT TO {{0, 0}}")
 LONG = program(f"  FOR k := 1 TO 500 DO\n    MOVE JOINT TO {FAR}\n    MOVE JOINT TO {{-20, 30}}\n  ENDFOR")
+
+
+def start(driver, text):
+    """The samples of program `p` of this text, which is stored and started."""
+    driver.start("p", driver.upload("p", text))
+    return driver.samples()
 
 
 class Peer:

@@ -22,6 +22,7 @@ from fake_controller.servers.cnr.ftp import FtpFolder
 from fake_controller.servers.cnr.server import CnrServer
 from tests.conftest import patience
 from tests.faults.conftest import RECIPE
+from tests.link.conftest import start
 from tests.link.test_long_runs import emulator
 
 TEN_MINUTES = 600.0  # s
@@ -52,8 +53,7 @@ def test_a_broker_that_ends_in_motion_stops_the_arm(arm, own_broker):
     controller = build_controller(arm, seed=3, clock="fast")
     with closing(CnrServer(controller, watchdog=patience(2.0), broker=own_broker.address, waits=True)) as server:
         with connected(server.address, arm) as driver:
-            driver.start("p", driver.upload("p", ARM))
-            received = driver.samples()
+            received = start(driver, ARM)
             assert len(next(received)) > 0
             own_broker.kill()
             with pytest.raises(DriverError, match=f"mqtt=…:{own_broker.address[1]}"):
@@ -62,71 +62,62 @@ def test_a_broker_that_ends_in_motion_stops_the_arm(arm, own_broker):
         assert controller.motions_started == 1
 
 
-def test_torque_from_currents_equals_the_measured_torque(arm, broker):
+def test_torque_from_currents_equals_the_measured_torque(arm, bench):
     """Through currents and back: what the driver hands out is what the controller measured."""
-    controller = build_controller(arm, seed=3, clock="fast")
-    with (
-        closing(CnrServer(controller, watchdog=patience(2.0), broker=broker.address, waits=True)) as server,
-        connected(server.address, arm) as driver,
-    ):
-        driver.start("p", driver.upload("p", ARM.replace("2000", "1")))
-        blocks = list(driver.samples())
-    _, _, true = controller.fetch(0, 100_000)
+    with connected(bench.server.address, arm) as driver:
+        blocks = list(start(driver, ARM.replace("2000", "1")))
+    _, _, true = bench.controller.fetch(0, 100_000)
     got = {name: np.concatenate([getattr(block, name) for block in blocks]) for name in vars(true)}
     at = next(k for k, torque in enumerate(got["torque"]) if np.allclose(torque, true.torque[1], rtol=1e-9))
     for name, values in vars(true).items():
         np.testing.assert_allclose(got[name][at : at + len(values) - 1], values[1:], rtol=1e-9, atol=1e-9)
 
 
-def test_points_of_a_stopped_motion_are_not_kept_for_the_next(broker):
+def test_points_of_a_stopped_motion_are_not_kept_for_the_next(serve):
     """The programs go on with what was stopped only; nobody expects that of a start."""
     away, back = (ViaPoint(np.radians([turn, 0.0, -90.0, 0.0, 20.0, 0.0]), 0.0, 0.05) for turn in (10.0, 0.0))
-    controller = build_controller("comau_ns16", seed=3, clock="fast")
-    with closing(CnrServer(controller, watchdog=patience(2.0), broker=broker.address, waits=True)) as server:
-        with connected(server.address, "comau_ns16") as driver:  # the pose it begins in is singular
-            driver.start("p", driver.upload("p", "PROGRAM p\nBEGIN\n  MOVE JOINT TO {0, 0, -90, 0, 20, 0}\nEND p\n"))
-            assert sum(map(len, driver.samples())) > 0
-        with connected(f"{server.address},mode=points", "comau_ns16") as driver:
-            driver.load("swing", "0" * 64, [away, back])
-            driver.start("swing", "0" * 64)
-            received = driver.samples()
-            next(received)
-            driver.stop()
-            assert not controller.moving
-            assert sum(map(len, received)) > 0
-            assert controller.motions_started == 2
-            assert not driver._link.command(MessageType.START).success
-            driver.load("back", "1" * 64, [back])
-            driver.start("back", "1" * 64)
-            assert sum(map(len, driver.samples())) > 0
+    bench = serve("comau_ns16")
+    server, controller = bench.server, bench.controller
+    with connected(server.address, "comau_ns16") as driver:  # the pose it begins in is singular
+        samples = start(driver, "PROGRAM p\nBEGIN\n  MOVE JOINT TO {0, 0, -90, 0, 20, 0}\nEND p\n")
+        assert sum(map(len, samples)) > 0
+    with connected(f"{server.address},mode=points", "comau_ns16") as driver:
+        driver.load("swing", "0" * 64, [away, back])
+        driver.start("swing", "0" * 64)
+        received = driver.samples()
+        next(received)
+        driver.stop()
+        assert not controller.moving
+        assert sum(map(len, received)) > 0
+        assert controller.motions_started == 2
+        assert not driver._link.command(MessageType.START).success
+        driver.load("back", "1" * 64, [back])
+        driver.start("back", "1" * 64)
+        assert sum(map(len, driver.samples())) > 0
     assert controller.ends == [EndReason.DONE, EndReason.STOPPED, EndReason.DONE]
 
 
-def test_with_start_by_hand_an_operator_starts_and_stops(arm, broker):
+def test_with_start_by_hand_an_operator_starts_and_stops(arm, bench):
     """The socket programs know nothing of a program that was started by hand: they ignore a stop."""
     told = []
-    controller = build_controller(arm, seed=3, clock="fast")
-    with closing(CnrServer(controller, watchdog=patience(2.0), broker=broker.address, waits=True)) as server:
 
-        def person(text):
-            told.append(text)
-            if "press START" in text:
-                server.press_start()
-            if "press HOLD" in text:
-                controller.stop(EndReason.STOPPED, "by hand")
+    def person(text):
+        told.append(text)
+        if "press START" in text:
+            bench.server.press_start()
+        if "press HOLD" in text:
+            bench.controller.stop(EndReason.STOPPED, "by hand")
 
-        with connected(f"{server.address},start=hand", arm) as driver:
-            driver.tell = person
-            driver.start("p", driver.upload("p", ARM))
-            received = driver.samples()
-            next(received)
-            driver.stop()
-            assert not controller.moving
-            assert sum(map(len, received)) > 0
-            driver.start("p", driver.upload("p", ARM.replace("2000", "1")))
-            assert sum(map(len, driver.samples())) > 0
+    with connected(f"{bench.server.address},start=hand", arm) as driver:
+        driver.tell = person
+        received = start(driver, ARM)
+        next(received)
+        driver.stop()
+        assert not bench.controller.moving
+        assert sum(map(len, received)) > 0
+        assert sum(map(len, start(driver, ARM.replace("2000", "1")))) > 0
     assert ["select program p" in text for text in told] == [True, False, True]
-    assert controller.ends == [EndReason.STOPPED, EndReason.DONE]
+    assert bench.controller.ends == [EndReason.STOPPED, EndReason.DONE]
 
 
 @pytest.mark.verify
@@ -158,7 +149,7 @@ def test_ten_minutes_at_500_hz(tmp_path, broker, measured):
 
 
 @pytest.mark.parametrize("mended", [False, True])
-def test_warns_of_a_controller_without_a_confirmed_watchdog(arm, broker, tmp_path, mended, monkeypatch):
+def test_warns_of_a_controller_without_a_confirmed_watchdog(arm, serve, tmp_path, mended, monkeypatch):
     """By the driver, and by `agent check`."""
     write = FtpFolder.write_identity
 
@@ -171,13 +162,12 @@ def test_warns_of_a_controller_without_a_confirmed_watchdog(arm, broker, tmp_pat
 
     if not mended:
         monkeypatch.setattr(FtpFolder, "write_identity", write_less)
-    controller = build_controller(arm, seed=3, clock="fast")
-    with closing(CnrServer(controller, watchdog=patience(2.0), broker=broker.address, waits=True)) as server:
-        with connected(server.address, arm) as driver:
-            assert bool(driver.identify().unguarded) != mended
-        recipe = tmp_path / "recipe.yaml"
-        recipe.write_text(RECIPE.format(robot=arm, driver="cnr_comau", address=server.address), encoding="utf-8")
-        found = check_recipe(recipe, Console(-1))
-        (said,) = (finding for finding in found.findings if finding.subject == "controller")
-        assert said.exit_code == (0 if mended else 4)
-        assert ("the published programs run on" in said.message) != mended
+    server = serve().server
+    with connected(server.address, arm) as driver:
+        assert bool(driver.identify().unguarded) != mended
+    recipe = tmp_path / "recipe.yaml"
+    recipe.write_text(RECIPE.format(robot=arm, driver="cnr_comau", address=server.address), encoding="utf-8")
+    found = check_recipe(recipe, Console(-1))
+    (said,) = (finding for finding in found.findings if finding.subject == "controller")
+    assert said.exit_code == (0 if mended else 4)
+    assert ("the published programs run on" in said.message) != mended

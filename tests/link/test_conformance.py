@@ -104,7 +104,7 @@ class SocketBench(FakeBench):
     def stranger(self):
         return self._answering(b"HTTP/1.1 400 Bad Request\r\nConnection: close\r\n\r\n")
 
-    def _answering(self, answer):
+    def _answering(self, answer, greeting=b""):
         listener = socket.create_server(("127.0.0.1", 0))
         self.undo.callback(listener.close)
 
@@ -112,6 +112,7 @@ class SocketBench(FakeBench):
             with contextlib.suppress(OSError):
                 client, _ = listener.accept()
                 with client:
+                    client.sendall(greeting)
                     while client.recv(65536):
                         client.sendall(answer)
 

@@ -16,7 +16,7 @@ from fake_controller.build import build_controller
 from fake_controller.servers.modbus.server import ModbusServer
 from fake_controller.servers.tcp import TcpServer
 from tests.conftest import patience
-from tests.link.conftest import LONG, program
+from tests.link.conftest import LONG, program, start
 
 GOAL = np.radians([20.0, -30.0])
 
@@ -41,9 +41,8 @@ def driver(server):
         yield driver
 
 
-def run(driver, text, name="p"):
-    driver.start(name, driver.upload(name, text))
-    return list(driver.samples())
+def run(driver, text):
+    return list(start(driver, text))
 
 
 def test_reports_identity_and_status(driver, server):

@@ -18,7 +18,7 @@ from drivers.wire.reasons import EndReason
 from fake_controller.build import build_controller
 from fake_controller.servers.modbus.server import ModbusServer
 from tests.conftest import patience
-from tests.link.conftest import LONG, SHORT
+from tests.link.conftest import LONG, SHORT, start
 
 
 @pytest.fixture
@@ -32,11 +32,6 @@ def driver(server):
     with closing(ModbusDriver(server.address, watchdog=patience(2.0))) as driver:
         driver.connect()
         yield driver
-
-
-def start(driver, text):
-    driver.start("p", driver.upload("p", text))
-    return driver.samples()
 
 
 def sequence(blocks):

@@ -24,7 +24,7 @@ from fake_controller.servers.cable import Cable
 from fake_controller.servers.modbus.server import ModbusRtuServer
 from fake_controller.servers.serial import SerialServer
 from tests.conftest import patience
-from tests.link.conftest import LONG, SHORT, program
+from tests.link.conftest import LONG, SHORT, program, start
 
 FAST = 4_000_000
 
@@ -47,11 +47,6 @@ def line(arm):
             return cable, controller, driver
 
         yield lay
-
-
-def start(driver, text):
-    driver.start("p", driver.upload("p", text))
-    return driver.samples()
 
 
 def check_complete(driver, blocks):

@@ -1,8 +1,6 @@
 """The UR driver against a small controller of the tests and against the emulator, on real sockets."""
 
 import contextlib
-import socket
-import threading
 import time
 
 import numpy as np
@@ -15,8 +13,8 @@ from drivers.transports.ur import rtde
 from drivers.transports.ur.driver import JOINTS
 from fake_controller.build import build_ur_cell
 from fake_controller.ur.server import DASHBOARD, PRIMARY, RTDE, UrServer
-from tests.conftest import free_loopback, free_port, patience
-from tests.link.test_conformance import FakeBench, Relays
+from tests.conftest import free_loopback, patience
+from tests.link.test_conformance import Relays, SocketBench
 from tests.link.ur_peer import UrPeer
 
 HEAD = """def p():
@@ -48,7 +46,7 @@ def driver_for(place, **options):
     return driver
 
 
-class UrBench(FakeBench):
+class UrBench(SocketBench):
     joint_names = JOINTS
     short, long = SHORT, LONG
 
@@ -59,41 +57,25 @@ class UrBench(FakeBench):
         undo.callback(self.wire.close)
 
     def driver(self):
-        return self.created(self.wire.ports)
+        return self.created(*self.wire.ports)
 
-    def created(self, ports, **options):
-        driver = driver_for(address(ports), **options)
+    def created(self, *ports, **options):
+        ports = [port.rpartition(":")[2] for port in ports]
+        driver = driver_for(address(ports * 3 if len(ports) == 1 else ports), **options)
         self.undo.callback(driver.close)
         return driver
 
-    def nobody(self):
-        return self.created([free_port()] * 3)
-
-    def mute(self):
-        return self._answering(b"")
-
     def stranger(self):
-        return self._answering(b"SSH-2.0-OpenSSH_9.6\r\n")
-
-    def _answering(self, greeting):
-        listener = socket.create_server(("127.0.0.1", 0))
-        self.undo.callback(listener.close)
-
-        def serve():
-            with contextlib.suppress(OSError):
-                client, _ = listener.accept()
-                with client:
-                    client.sendall(greeting)
-                    while client.recv(65536):
-                        pass
-
-        threading.Thread(target=serve, daemon=True).start()
-        return self.created([listener.getsockname()[1]] * 3, timeout=patience(0.5))
+        return self._answering(b"", greeting=b"SSH-2.0-OpenSSH_9.6\r\n")
 
     def replay(self):
         """The registers first, so that they hold what they held last when the program arrives once more."""
         for relay in reversed(self.wire.all):
             relay.replay()
+
+
+#: The driver's patience [s] with a simulator, which nothing but its tests waits out.
+SIMULATED = "drivers.transports.ur.driver._SIMULATED"
 
 
 class FakeUr(UrServer):
@@ -140,7 +122,8 @@ class FakeUr(UrServer):
 
 class TestUr(DriverConformance):
     @pytest.fixture(params=[UrPeer, FakeUr])
-    def bench(self, request):
+    def bench(self, request, monkeypatch):
+        monkeypatch.setattr(SIMULATED, min(patience(2.0), 5.0))
         with contextlib.ExitStack() as undo:
             yield UrBench(undo, request.param())
 

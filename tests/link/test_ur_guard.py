@@ -18,7 +18,8 @@ from agent.runs import lock
 from fake_controller.ur.fields import Cycles
 from fake_controller.ur.ports import DashboardConnection, ScriptConnection
 from fake_controller.ur.rtde import RtdeConnection
-from tests.link.test_ur_driver import FakeUr
+from tests.conftest import patience
+from tests.link.test_ur_driver import SIMULATED, FakeUr
 
 RECIPE = """
 robot: ur5e
@@ -38,6 +39,7 @@ OTHER = f"def other():\n  while True:\n    movej({(START + 0.5).tolist()})\n    
 @pytest.fixture
 def fake(monkeypatch, tmp_path):
     monkeypatch.setattr(lock, "FOLDERS", (tmp_path,))  # all loopback addresses are one machine, and UR's ports one
+    monkeypatch.setattr(SIMULATED, min(patience(2.0), 5.0))
     with contextlib.closing(FakeUr()) as fake:
         yield fake
 

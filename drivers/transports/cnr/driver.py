@@ -19,7 +19,7 @@ import numpy as np
 
 from drivers.errors import DriverError, RefusedError, SafetyRefused
 from drivers.protocol import Identity, Status
-from drivers.transports.base import WATCHDOG, LinkDriver, check_currents, pose_of_frame
+from drivers.transports.base import LinkDriver, check_currents, poses_of_frames
 from drivers.transports.cnr.address import CnrAddress
 from drivers.transports.cnr.broker import BrokerLink
 from drivers.transports.cnr.files import CnrIdentity, ProgramFolder
@@ -75,11 +75,6 @@ class CnrDriver(LinkDriver[Sockets, CnrMotion]):
         offset = motion.match.offset()
         return facts if offset is None else {**facts, "clock_offset_s": f"{offset:.6f}"}
 
-    @property
-    def watchdog(self) -> float:
-        """Watchdog time [s] from the identity file."""
-        return WATCHDOG if self._machine is None else self._machine.watchdog
-
     def identify(self) -> Identity:
         """Who the identity file says that is there; without a broker, samples come as often as feedbacks."""
         self._connected()
@@ -129,8 +124,7 @@ class CnrDriver(LinkDriver[Sockets, CnrMotion]):
     def frames(self) -> dict[str, np.ndarray]:
         """`ReportsFrames`: as the last feedback has them."""
         feedback = self._connected().feedback()
-        frames = {"$BASE": feedback.base, "$TOOL": feedback.tool, "$UFRAME": feedback.user}
-        return {name: pose_of_frame(fields) for name, fields in frames.items()}
+        return poses_of_frames(feedback.base, feedback.tool, feedback.user)
 
     def upload(self, name: str, text: str) -> str:
         """Store a program by FTP; returns the SHA-256 (hex) of what was read back.

@@ -87,24 +87,20 @@ class Sockets(LinkThread):
         self._stop = stop
         self._answers: queue.SimpleQueue[tuple[int, CommandReply] | None] = queue.SimpleQueue()
         self._asking = threading.Lock()
-        self._changed = threading.Condition()
         self._counts = {Feedback: 0, StatusMessage: 0}
         self._latest: dict[type, Feedback | StatusMessage] = {}
-        with contextlib.ExitStack() as opened:
-
-            def connect(port: int) -> _Socket:
-                made = _Socket(address.host, port, timeout)
-                opened.callback(made.connection.close)
-                return made
-
-            self._trajectory = connect(address.trajectory)
-            self._feedback = connect(address.feedback)
-            self._status = connect(address.status)
-            self._sockets = {each.connection: each for each in (self._trajectory, self._feedback, self._status)}
+        self._sockets: dict[socket.socket, _Socket] = {}
+        self._handles = self._sockets
+        try:
+            for port in (address.trajectory, address.feedback, address.status):
+                opened = _Socket(address.host, port, timeout)
+                self._sockets[opened.connection] = opened
+            self._trajectory, self._feedback, self._status = self._sockets.values()
             self._thread.start()
-            opened.callback(self.close)
             self._greet()
-            opened.pop_all()
+        except BaseException:
+            self.close()
+            raise
 
     def feedback(self) -> Feedback:
         """The last one."""
@@ -124,16 +120,15 @@ class Sockets(LinkThread):
             raise DriverError(f"{self._status.peer} sends no status within {self._timeout:g} s; is its program on?")
         return self.last_status()
 
-    def wait(self, condition: Callable[[], bool], timeout: float) -> bool:
-        """Wait until something is true that changes with what comes; False if it does not become true in time.
+    def wait(self, reached: Callable[[], bool], timeout: float) -> bool:
+        """As of `LinkThread`.
 
         Raises:
             DriverError: the link is down.
         """
-        with self._changed:
-            self._changed.wait_for(lambda: condition() or self.failure is not None, timeout)
+        found = super().wait(reached, timeout)
         self.check()
-        return condition()
+        return found
 
     def command(
         self,
@@ -180,14 +175,6 @@ class Sockets(LinkThread):
             raise DriverError(f"{self._trajectory.peer} does not even answer a ping any more; look at the controller")
         return answer[1] if answer[0] == kind else None
 
-    def close(self) -> None:
-        """End the link and its thread; never raises."""
-        self._closing.set()
-        self._hang_up()
-        self._join(5.0)
-        for connection in self._sockets:
-            connection.close()
-
     def _comes(self, kind: type[Feedback | StatusMessage], count: int) -> bool:
         return self.wait(lambda: self._counts[kind] >= count, self._timeout)
 
@@ -226,18 +213,10 @@ class Sockets(LinkThread):
             self.check()
             raise dropped(target.peer, error) from None
 
-    def _hang_up(self) -> None:
-        for connection in self._sockets:
-            with contextlib.suppress(OSError):
-                connection.shutdown(socket.SHUT_RDWR)
-
     # From here on in the reader thread.
 
     def _end(self, failure: DriverError) -> None:
-        with self._changed:
-            self.failure = failure
-            self._changed.notify_all()
-        self._hang_up()
+        super()._end(failure)
         self._answers.put(None)
 
     def _work(self) -> None:

@@ -17,7 +17,7 @@ from pymodbus.client import ModbusTcpClient
 
 from drivers.errors import DriverError, ProtocolError, RefusedError
 from drivers.protocol import Identity, Status
-from drivers.transports.base import WATCHDOG, LinkDriver, pose_of_frame
+from drivers.transports.base import WATCHDOG, LinkDriver, poses_of_frames
 from drivers.transports.modbus.link import Client, ModbusLink, SilentError
 from drivers.transports.modbus.ring import RingMotion
 from drivers.transports.tcp import open_socket, parse_address
@@ -55,11 +55,6 @@ class ModbusDriver(LinkDriver[ModbusLink, RingMotion]):
         self._unit = unit
         self._closed = threading.Event()
         self._stopping = threading.Lock()
-
-    @property
-    def watchdog(self) -> float:
-        """The watchdog in force [s]: the one asked for, once connected the one agreed on."""
-        return self._watchdog if self._link is None else self._agreed
 
     def identify(self) -> Identity:
         """Ask the controller who it is."""
@@ -103,7 +98,7 @@ class ModbusDriver(LinkDriver[ModbusLink, RingMotion]):
             began = time.monotonic()
             link.read_registers(wire.RING, wire.MAX_READ)
             took.append(time.monotonic() - began)
-        left = max(0.0, 1.0 / min(took) - _OTHERS - 4 / self._agreed)
+        left = max(0.0, 1.0 / min(took) - _OTHERS - 4 / link.watchdog)
         return left * wire.MAX_READ / wire.slot_registers(self._joints)
 
     def frames(self) -> dict[str, np.ndarray]:
@@ -113,8 +108,7 @@ class ModbusDriver(LinkDriver[ModbusLink, RingMotion]):
             values = link.read(wire.FRAMES)
         except ProtocolError:
             return {}
-        fields = {"$BASE": values["base"], "$TOOL": values["tool"], "$UFRAME": values["uframe"]}
-        return {name: pose_of_frame(numbers) for name, numbers in fields.items()}
+        return poses_of_frames(values["base"], values["tool"], values["uframe"])
 
     def upload(self, name: str, text: str) -> str:
         """Store a program; returns the SHA-256 (hex) of the text as the controller stored it.
@@ -164,7 +158,6 @@ class ModbusDriver(LinkDriver[ModbusLink, RingMotion]):
         self._requests = itertools.count(1)
         self._beats = itertools.count(1)
         self._beating = False
-        self._agreed = self._watchdog
         self._beaten = 0.0
         self._closed.clear()
         self._link = link = ModbusLink(
@@ -176,6 +169,7 @@ class ModbusDriver(LinkDriver[ModbusLink, RingMotion]):
             self._on_failure,
             self._timeout,
         )
+        link.watchdog = self._watchdog
         identity = link.read(wire.IDENTITY)
         if identity["magic"] != wire.MAGIC:
             raise ProtocolError(f"{self.address} speaks Modbus, but is no calibration controller")
@@ -191,7 +185,7 @@ class ModbusDriver(LinkDriver[ModbusLink, RingMotion]):
         answer = self._command(wire.Command.OPEN, self._timeout, "the session", watchdog=self._wanted_watchdog())
         if not 10 <= answer["watchdog"] <= 60_000:
             raise ProtocolError(f"the controller at {self.address} wants a watchdog of {answer['watchdog']} ms")
-        self._agreed = answer["watchdog"] / 1000
+        link.watchdog = answer["watchdog"] / 1000
         self._beating = True
         link.call(lambda: None)  # wake the thread: its heart begins to beat
 
@@ -279,7 +273,7 @@ class ModbusDriver(LinkDriver[ModbusLink, RingMotion]):
 
     def _guard(self, link: ModbusLink) -> None:
         link.guarded = True
-        link.timeout = min(self._timeout, self._agreed, WATCHDOG)  # an answer that is lost must not cost more
+        link.timeout = min(self._timeout, link.watchdog, WATCHDOG)  # an answer that is lost must not cost more
         self._beat()  # from now on the ring shows samples from 0 on
 
     def _unguard(self, link: ModbusLink) -> None:
@@ -290,7 +284,7 @@ class ModbusDriver(LinkDriver[ModbusLink, RingMotion]):
         """A heartbeat if it is due, and a look at the motion if there is one; the time to the next turn [s]."""
         if not self._beating:
             return 60.0
-        interval, link, motion = self._agreed / 4, self._link, self._guarded_motion
+        watchdog, link, motion = self.watchdog, self._link, self._guarded_motion
         try:
             if motion is not None and motion.wants_room:
                 self._beat()
@@ -299,26 +293,26 @@ class ModbusDriver(LinkDriver[ModbusLink, RingMotion]):
         except SilentError:
             more = False  # one answer may be lost; silence is counted below
         if link is None or motion is None:
-            return interval
+            return watchdog / 4
         if motion.over:
             self._unguard(link)
-            return interval
+            return watchdog / 4
         if (full := motion.too_full()) is not None:
             self._give(link, wire.Command.STOP)
             motion.finish(full)
-        if motion.silence(self._agreed / 2) >= self._agreed:
+        if motion.silence(watchdog / 2) >= watchdog:
             raise DriverError(
-                f"the controller at {self.address} fell silent: no heartbeat for {self._agreed * 1000:.0f} ms while "
+                f"the controller at {self.address} fell silent: no heartbeat for {watchdog * 1000:.0f} ms while "
                 "the arm may move; go and look at it"
             )
-        return 0.0 if more else min(_POLL, interval / 2)
+        return 0.0 if more else min(_POLL, watchdog / 8)
 
     @property
     def _guarded_motion(self) -> RingMotion | None:
         return self._motion if self._link is not None and self._link.guarded else None
 
     def _beat_if_due(self) -> None:
-        if time.monotonic() - self._beaten >= self._agreed / 4:
+        if time.monotonic() - self._beaten >= self.watchdog / 4:
             self._beat()
 
     def _beat_meanwhile(self) -> None:

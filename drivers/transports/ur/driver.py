@@ -16,14 +16,14 @@ import numpy as np
 from drivers.errors import ConfigurationError, DriverError, MotionStopped, RefusedError
 from drivers.protocol import Identity, Status
 from drivers.texts import place_of
-from drivers.transports.base import WATCHDOG, LinkDriver, check_currents
+from drivers.transports.base import LinkDriver, check_currents, rotation
 from drivers.transports.tcp import parse_address
 from drivers.transports.ur import motion as states, rtde
 from drivers.transports.ur.dashboard import Dashboard, UrModel
 from drivers.transports.ur.link import UrLink
 from drivers.transports.ur.motion import UrMotion, safety_text
 from drivers.transports.ur.primary import ProgramChange, ProgramFault
-from drivers.transports.ur.program import UrProgram, rotation
+from drivers.transports.ur.program import UrProgram
 
 #: The arm's joints, as Universal Robots and its ROS descriptions call them.
 JOINTS = (
@@ -66,11 +66,6 @@ class UrDriver(LinkDriver[UrLink, UrMotion]):
         self._stored: tuple[str, UrProgram] | None = None
 
     @property
-    def watchdog(self) -> float:
-        """The program's [s]; a simulator, which moves no arm, may be late."""
-        return WATCHDOG if self._link is None else self._link.watchdog
-
-    @property
     def facts(self) -> dict[str, str]:
         """`ReportsDiagnostics`: when cycles began, by the program's register."""
         motion = self._motion
@@ -91,7 +86,7 @@ class UrDriver(LinkDriver[UrLink, UrMotion]):
             self._on_failure,
         )
         if self._link.simulated():
-            self._link.watchdog = _SIMULATED
+            self._link.watchdog = _SIMULATED  # it moves no arm
 
     def identify(self) -> Identity:
         """As the dashboard has it."""

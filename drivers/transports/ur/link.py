@@ -71,18 +71,16 @@ class UrLink(LinkThread):
         self._messages = PackageDecoder(messages.HEAD, messages.LONGEST, "the primary interface")
         self._early: list[bytes] = []  # samples may come before the answer to the start
         self._sending = threading.Lock()
-        self._changed = threading.Condition()
         self._last: np.void | None = None
         self.count = 0  # of samples that came
-        self._rtde = open_socket(data, timeout)
+        self._handles: list[socket.socket] = []
         try:
-            self._rtde.settimeout(timeout)
+            self._rtde = self._opened(data)
             self._outputs, self._inputs = self._agree()
-            self._primary = open_socket(primary, timeout)
+            self._primary = self._opened(primary)
         except BaseException:
-            self._rtde.close()
+            self.close()
             raise
-        self._primary.settimeout(timeout)
         self._thread.start()
 
     @property
@@ -99,16 +97,11 @@ class UrLink(LinkThread):
         """
         with self._changed:
             seen = self.count if since is None else since
-            self._changed.wait_for(lambda: self.count > seen or self.failure is not None, self._timeout)
+            self.wait(lambda: self.count > seen, self._timeout)
             self.check()
             if self._last is None or self.count == seen:
                 raise DriverError(f"{self.peer}: RTDE is silent: no sample within {self._timeout:g} s")
             return self._last
-
-    def wait(self, reached: Callable[[], bool], timeout: float) -> bool:
-        """Wait until something is so that samples or messages bring about; False where it is not in time."""
-        with self._changed:
-            return self._changed.wait_for(lambda: reached() or self.failure is not None, timeout) and reached()
 
     def simulated(self) -> bool:
         """Whether a simulator of the controller answers, without a robot.
@@ -153,13 +146,11 @@ class UrLink(LinkThread):
         self._permit = number
         self._beat()
 
-    def close(self) -> None:
-        """End both connections and the thread; never raises."""
-        self._closing.set()
-        self._hang_up()
-        self._join(5.0)
-        self._rtde.close()
-        self._primary.close()
+    def _opened(self, place: str) -> socket.socket:
+        handle = open_socket(place, self._timeout)
+        handle.settimeout(self._timeout)
+        self._handles.append(handle)
+        return handle
 
     def _agree(self) -> tuple[rtde.OutputRecipe, int]:
         """Set the messages that are sent and received from now on."""
@@ -199,20 +190,9 @@ class UrLink(LinkThread):
         with self._sending, contextlib.suppress(OSError):  # a link that is down is noticed by its reader
             self._rtde.sendall(rtde.input_package(self._inputs, *values))
 
-    def _hang_up(self) -> None:
-        for handle in (self._rtde, self._primary):
-            with contextlib.suppress(OSError):
-                handle.shutdown(socket.SHUT_RDWR)
-
-    def _end(self, failure: DriverError) -> None:
-        self.failure = failure
-        self._hang_up()
-        with self._changed:
-            self._changed.notify_all()
-
     def _work(self) -> None:
         self._take_samples(self._early)
-        for ready in self._each_turn((self._rtde, self._primary)):
+        for ready in self._each_turn(self._handles):
             if self._rtde in ready:
                 self._take_samples([c for k, c in self._packages.feed(self._read(self._rtde)) if k == rtde.DATA])
             if self._primary in ready:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.errors import RefusedError
-from drivers.transports.base import WATCHDOG
+from drivers.transports.base import WATCHDOG, rotation
 
 #: How a program that may be sent begins; `N` is a number that belongs to its text.
 LINES = (
@@ -94,16 +94,6 @@ class UrProgram:
             f"the payload at the pendant is {mass:.3f} kg at {_text(centre)}, the program is for {self.load[0]:.3f} kg "
             f"at {_text(self.load[1:])} [m]"
         )
-
-
-def rotation(vector: np.ndarray) -> np.ndarray:
-    """(3, 3) of a rotation vector (3,) [rad]."""
-    angle = float(np.linalg.norm(vector))
-    if angle < 1e-12:
-        return np.eye(3)
-    x, y, z = vector / angle
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross
 
 
 def _numbers(text: str, count: int) -> np.ndarray:
