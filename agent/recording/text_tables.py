@@ -6,10 +6,10 @@ date or time of day, or a vector, which becomes one column per element.
 
 from __future__ import annotations
 
+import codecs
 import contextlib
 import csv
 import re
-from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -37,6 +37,8 @@ _PACKED = {
     **{"VECTOR6INT32": ("i4", 6), "VECTOR6UINT32": ("u4", 6)},
 }
 _BLOCK = 2**16
+#: Bytes that are not UTF-8 are read as Windows writes them, one by one, such as the ° of `Angle [°]`.
+codecs.register_error("windows", lambda e: (e.object[e.start : e.end].decode("cp1252", "replace"), e.end))
 #: A number, the numbers of a vector, NaN for a word, None for what is missing.
 Cell = float | list[float] | None
 
@@ -119,8 +121,8 @@ def read_text(path: Path) -> ColumnTable:
     content = path.read_bytes()
     if (table := _packed_table(path, content)) is not None:
         return table
-    encoding = "utf-16" if content.startswith((BOM_UTF16_LE, BOM_UTF16_BE)) else "utf-8-sig"
-    lines = [line for line in content.decode(encoding, errors="replace").splitlines() if line.strip()]
+    encoding = "utf-16" if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else "utf-8-sig"
+    lines = [line for line in content.decode(encoding, errors="windows").splitlines() if line.strip()]
     return _plain_table(path, lines) or table_of_rows(path, _rows(lines))
 
 
