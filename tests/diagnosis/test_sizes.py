@@ -57,6 +57,8 @@ def test_an_interval_is_what_leaving_motions_out_says():
     assert repeats["twice"] == pytest.approx((6 - 2 * half, 6 + 2 * half), rel=1e-4)
     assert once["level"] == pytest.approx((7 - of_once, 7 + of_once), rel=1e-4)
     assert {*repeats} == {*once} == {"level", "twice"}, "what every fold says alike has none"
+    fit.folds = (2, 2)  # two motions that agree by chance
+    assert intervals(SimpleNamespace(fit=fit, causes=causes))[0]["level"][1] == pytest.approx(3 + 3.1824 / 2, rel=1e-4)
 
 
 GAP = {"joints": ["elbow"], "units": [SHARE], "before": [0.04], "after": [0.01]}
