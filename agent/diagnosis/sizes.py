@@ -32,6 +32,7 @@ _UNITS = {
     "at": "m",
     "delay": "s", "shift": "s", "blend": "s", "start": "s", "end": "s", "duration": "s", "time": "s",
 }  # fmt: skip
+_PARTS = (("cosine_1", "sine_1"), ("force_x", "force_y", "force_z"), ("tilt_1", "tilt_2"))
 _ROUNDING = 1e-9  # of a parameter: it is the same in every fold
 _SCALES = {"s": (1e3, "ms"), "rad": (1e3, "mrad")}  # where the figure is small
 
@@ -64,10 +65,10 @@ def size_text(
 def amplitude(
     parameters: Mapping[str, float], intervals: Mapping[str, tuple[float, float]]
 ) -> tuple[float, tuple[float, float] | None] | None:
-    """Of a cause that is a sum of harmonics, the amplitude of the first, with its interval where both parts have one;
-    None of any other."""
-    names = ("cosine_1", "sine_1")
-    if not all(name in parameters for name in names):
+    """Of a cause that is a sum of harmonics, the amplitude of the first; of a force or a tilt its size, whatever its
+    direction; with its interval where all parts have one. None of any other."""
+    names = next((names for names in _PARTS if all(name in parameters for name in names)), None)
+    if names is None:
         return None
     parts = np.array([parameters[name] for name in names])
     size = float(np.linalg.norm(parts))

@@ -85,6 +85,7 @@ def test_a_change_has_its_sign_and_a_sum_of_harmonics_its_amplitude():
     size, interval = amplitude(spring, {"cosine_1": (2.0, 4.0), "sine_1": (-5.0, -3.0)})
     assert (size, interval) == (5.0, pytest.approx((4.0, 6.0)))
     assert amplitude({"mass": 1.0}, {}) is None
+    assert amplitude({"force_x": 2.0, "force_y": -6.0, "force_z": 9.0}, {}) == (11.0, None)
 
 
 def test_the_headline_names_all_indistinguishable_causes():
@@ -121,3 +122,6 @@ def test_a_cause_closes_as_much_as_its_attribution_step():
         "It closes 61 % of the gap, offset 2 N·m. Most of the gap closes with: torque_offset of elbow (61 %)"
         in (summary(result)["what"])
     )
+    parts = {"force_x": 0.1, "force_y": -6.0, "force_z": 9.0}
+    result["causes"] = [cause | {"effect": "contact", "joints": [], "parameters": parts}]
+    assert "gap, force 10.82 N." in summary(result)["what"], "the whole force, not that of one axis"
