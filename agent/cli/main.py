@@ -70,12 +70,12 @@ def _unexpected(error: Exception) -> None:
             sys.exit(code)
         _fail(str(error), code)
     if isinstance(error, OSError) and (error.filename is not None or error.errno in _FULL):
-        advice = "; free space, or choose another place" if error.errno in _FULL else ""
+        advice = "; free space, or choose another folder" if error.errno in _FULL else ""
         _fail(f"{error.filename or 'the result cannot be written'}: {error.strerror}{advice}", 1)
     import traceback
 
     traceback.print_exc()
-    _fail("internal error: this is a fault of the agent; the lines above say where", 1)
+    _fail("internal error: a fault of the agent, or of a driver or effect added to it; the lines above say where", 1)
 
 
 def _fail(message: str, code: int) -> None:
