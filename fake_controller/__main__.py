@@ -38,6 +38,7 @@ def main(arguments: list[str] | None = None) -> int:
     """Serve until SIGTERM or SIGINT; returns the exit code."""
     options = _parser().parse_args(arguments)
     if options.list_effects:
+        signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # a reader such as `head` may end first
         print(effects_text())
         return 0
     sys.setswitchinterval(SWITCH_INTERVAL)
@@ -89,9 +90,7 @@ def _controller(options: argparse.Namespace) -> Controller | UrCell:
     if options.effects:
         data = read_json(options.effects)
         if not isinstance(data, list) or not all(isinstance(entry, dict) for entry in data):
-            raise InputError(
-                f"{options.effects}: a list of effects is expected, each with the keys effect, joints, parameters"
-            )
+            raise InputError(f"{options.effects}: a list of effects is expected, each with effect, joints, parameters")
         effects += data
     seed = setup.seed if options.seed is None else options.seed
     faults = [] if scenario is None else scenario.build_faults(options.robot)

@@ -122,6 +122,5 @@ def test_a_cause_closes_as_much_as_its_attribution_step():
         "It closes 61 % of the gap, offset 2 N·m. Most of the gap closes with: torque_offset of elbow (61 %)"
         in (summary(result)["what"])
     )
-    parts = {"force_x": 0.1, "force_y": -6.0, "force_z": 9.0}
-    result["causes"] = [cause | {"effect": "contact", "joints": [], "parameters": parts}]
-    assert "gap, force 10.82 N." in summary(result)["what"], "the whole force, not that of one axis"
+    push = {"effect": "contact", "joints": [], "parameters": {"force_x": 0.1, "force_y": -6.0, "force_z": 9.0}}
+    assert "gap, force 10.82 N." in summary(result | {"causes": [cause | push]})["what"], "not that of one axis"
