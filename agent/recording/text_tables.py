@@ -37,8 +37,6 @@ _PACKED = {
     **{"VECTOR6INT32": ("i4", 6), "VECTOR6UINT32": ("u4", 6)},
 }
 _BLOCK = 2**16
-#: Bytes that are not UTF-8 are read as Windows writes them, one by one, such as the ° of `Angle [°]`.
-codecs.register_error("windows", lambda e: (e.object[e.start : e.end].decode("cp1252", "replace"), e.end))
 #: A number, the numbers of a vector, NaN for a word, None for what is missing.
 Cell = float | list[float] | None
 
@@ -113,6 +111,16 @@ class Row:
         if len(self.fields) > 2 and not self.fields[0] and known in counts:
             return True
         return bool(known) and words and not any(text and text.lower() in _MISSING for text in self.fields)
+
+
+def _windows(error: UnicodeError) -> tuple[str, int]:
+    """What Windows means by bytes that are not UTF-8, such as the ° of `Angle [°]`, and where the rest begins."""
+    if not isinstance(error, UnicodeDecodeError):
+        raise error
+    return error.object[error.start : error.end].decode("cp1252", "replace"), error.end
+
+
+codecs.register_error("windows", _windows)
 
 
 def read_text(path: Path) -> ColumnTable:
