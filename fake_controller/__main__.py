@@ -89,9 +89,7 @@ def _controller(options: argparse.Namespace) -> Controller | UrCell:
     if options.effects:
         data = read_json(options.effects)
         if not isinstance(data, list) or not all(isinstance(entry, dict) for entry in data):
-            raise InputError(
-                f"{options.effects}: a list of effects is expected, each with the keys effect, joints, parameters"
-            )
+            raise InputError(f"{options.effects}: a list of effects is expected, each with effect, joints, parameters")
         effects += data
     seed = setup.seed if options.seed is None else options.seed
     faults = [] if scenario is None else scenario.build_faults(options.robot)

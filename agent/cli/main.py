@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import gc
 import os
 import sys
@@ -22,6 +23,7 @@ from agent.core import (
 _INTERRUPTED = 130
 #: New objects between two looks for garbage: modules that are imported make many, and none of it.
 _COLLECT_EVERY = 100_000
+_FULL = (errno.EDQUOT, errno.EFBIG, errno.ENOSPC, errno.EROFS)
 
 
 def main() -> None:
@@ -43,9 +45,7 @@ def _run() -> None:
         flush_results()
     except (KeyboardInterrupt, typer.Abort):
         _fail("interrupted", _INTERRUPTED)
-    except Ended as end:
-        _fail(str(end), end.exit_code)
-    except AgentError as error:
+    except (Ended, AgentError) as error:
         _fail(str(error), error.exit_code)
     except Exception as error:
         _unexpected(error)
@@ -65,17 +65,17 @@ def _called() -> object:
 def _unexpected(error: Exception) -> None:
     code = getattr(error, "exit_code", None)
     if isinstance(code, int):  # the errors of click and of the drivers
-        show = getattr(error, "show", None)
-        if show is not None:
+        if show := getattr(error, "show", None):
             show()
             sys.exit(code)
         _fail(str(error), code)
-    if isinstance(error, OSError) and error.filename is not None:
-        _fail(f"{error.filename}: {error.strerror}", 1)
+    if isinstance(error, OSError) and (error.filename is not None or error.errno in _FULL):
+        advice = "; free space, or choose another folder" if error.errno in _FULL else ""
+        _fail(f"{error.filename or 'the result cannot be written'}: {error.strerror}{advice}", 1)
     import traceback
 
     traceback.print_exc()
-    _fail("internal error: this is a fault of the agent; the lines above say where", 1)
+    _fail("internal error: a fault of the agent, or of a driver or effect added to it; the lines above say where", 1)
 
 
 def _fail(message: str, code: int) -> None:

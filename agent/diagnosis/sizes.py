@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -32,6 +32,7 @@ _UNITS = {
     "at": "m",
     "delay": "s", "shift": "s", "blend": "s", "start": "s", "end": "s", "duration": "s", "time": "s",
 }  # fmt: skip
+_PARTS = (("cosine_1", "sine_1"), ("force_x", "force_y", "force_z"), ("tilt_1", "tilt_2"))
 _ROUNDING = 1e-9  # of a parameter: it is the same in every fold
 _SCALES = {"s": (1e3, "ms"), "rad": (1e3, "mrad")}  # where the figure is small
 
@@ -64,10 +65,10 @@ def size_text(
 def amplitude(
     parameters: Mapping[str, float], intervals: Mapping[str, tuple[float, float]]
 ) -> tuple[float, tuple[float, float] | None] | None:
-    """Of a cause that is a sum of harmonics, the amplitude of the first, with its interval where both parts have one;
-    None of any other."""
-    names = ("cosine_1", "sine_1")
-    if not all(name in parameters for name in names):
+    """Of a cause that is a sum of harmonics, the amplitude of the first; of a force or a tilt its size, whatever its
+    direction; with its interval where all parts have one. None of any other."""
+    names = next((names for names in _PARTS if all(name in parameters for name in names)), None)
+    if names is None:
         return None
     parts = np.array([parameters[name] for name in names])
     size = float(np.linalg.norm(parts))
@@ -91,43 +92,37 @@ def leading_parameter(cause: Mapping[str, Any]) -> str | None:
 
 
 def intervals(finding: Finding) -> list[dict[str, tuple[float, float]]]:
-    """Of every cause the 95 % intervals of its fitted parameters, by leaving the held-out motions out one at a time.
+    """Of every cause the 95 % intervals of its fitted parameters: the wider of what leaving motions out gives, and
+    halves of them, as two motions may agree by chance.
 
     The delete-a-group jackknife: with θ_k fitted without group k of K, the variance is (K - 1) / K Σ (θ_k - mean)².
     Parameters that are chosen from a grid have none. Of what happens once every fold of motions holds all or nothing:
     it has those of the short segments that it is judged by.
     """
     fit = finding.fit
-    by_fold = {
-        once: [fit.fitted(fold)[1] for fold in folds] for once, folds in ((False, fit.folds), (True, fit.single))
-    }
+    motions, halves = ([fit.fitted(fold)[1] for fold in folds] for folds in (fit.folds, fit.single))
     found = []
     for number, candidate in enumerate(finding.causes):
-        folds = by_fold[candidate.once]
         settings = {name: float(value) for name, value in candidate.settings.items()}
 
         def reported(values: np.ndarray, candidate: Any = candidate, settings: Any = settings) -> dict[str, float]:
             named = {name: float(value) for name, value in zip(candidate.names, values, strict=True)}
             return dict(candidate.effect.reported(fit.reference, settings, named))
 
-        whole = reported(fit.values[number])
-        parts = [reported(values[number]) for values in folds]
-        count = len(parts)
+        groups = (halves,) if candidate.once else (motions, halves)
+        parts = [[reported(values[number]) for values in group] for group in groups]
         entry = {}
-        for name, value in whole.items():
-            spread = np.array([part[name] for part in parts])
-            deviation = (
-                float(np.sqrt((count - 1) / count * np.sum((spread - spread.mean()) ** 2))) if count > 1 else 0.0
-            )
-            if deviation > _ROUNDING * abs(value):
-                half = _student(count - 1) * deviation
+        for name, value in reported(fit.values[number]).items():
+            half = max(_jackknife([part[name] for part in group]) for group in parts)
+            if half > _ROUNDING * abs(value):
                 entry[name] = (value - half, value + half)
         found.append(entry)
     return found
 
 
-def _student(degrees_of_freedom: int) -> float:
-    """97.5 % quantile of Student's t, from three degrees of freedom on; fewer say too little to be taken literally."""
+def _jackknife(values: Sequence[float]) -> float:
+    """Half of the interval; Student's t is taken from three degrees of freedom on, fewer say too little for it."""
     from scipy.special import stdtrit
 
-    return float(stdtrit(max(degrees_of_freedom, 3), 0.975))
+    count = len(values)
+    return float(stdtrit(max(count - 1, 3), 0.975) * np.sqrt((count - 1) * np.var(values))) if count > 1 else 0.0

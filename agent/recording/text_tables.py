@@ -6,10 +6,10 @@ date or time of day, or a vector, which becomes one column per element.
 
 from __future__ import annotations
 
+import codecs
 import contextlib
 import csv
 import re
-from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -113,14 +113,24 @@ class Row:
         return bool(known) and words and not any(text and text.lower() in _MISSING for text in self.fields)
 
 
+def _windows(error: UnicodeError) -> tuple[str, int]:
+    """What Windows means by bytes that are not UTF-8, such as the ° of `Angle [°]`, and where the rest begins."""
+    if not isinstance(error, UnicodeDecodeError):
+        raise error
+    return error.object[error.start : error.end].decode("cp1252", "replace"), error.end
+
+
+codecs.register_error("windows", _windows)
+
+
 def read_text(path: Path) -> ColumnTable:
     """Comma, semicolon, tab, | or blanks between the fields, which may stand in double quotes; decimal commas where the
     comma separates nothing."""
     content = path.read_bytes()
     if (table := _packed_table(path, content)) is not None:
         return table
-    encoding = "utf-16" if content.startswith((BOM_UTF16_LE, BOM_UTF16_BE)) else "utf-8-sig"
-    lines = [line for line in content.decode(encoding, errors="replace").splitlines() if line.strip()]
+    encoding = "utf-16" if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else "utf-8-sig"
+    lines = [line for line in content.decode(encoding, errors="windows").splitlines() if line.strip()]
     return _plain_table(path, lines) or table_of_rows(path, _rows(lines))
 
 

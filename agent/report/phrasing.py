@@ -143,9 +143,9 @@ def sized(result: Mapping[str, Any], number: int = 0) -> str:
     key = leading_parameter(cause)
     if key is None:
         return ""
-    swing = amplitude(cause["parameters"], _intervals(result, number))
-    if key in ("cosine_1", "sine_1") and swing is not None:
-        return f"amplitude {size_text(cause, key, *swing)}"
+    label = {"cosine_1": "amplitude", "sine_1": "amplitude", "force_x": "force", "tilt_1": "tilt"}.get(key)
+    if label and (swing := amplitude(cause["parameters"], _intervals(result, number))):
+        return f"{label} {size_text(cause, key, *swing)}"
     return f"{key.rstrip('0123456789').replace('_', ' ').strip()} {parameter_text(result, number, key)}"
 
 

@@ -95,13 +95,13 @@ def standing(status: Status, robot: RobotDescription, address: str) -> np.ndarra
     """(n,) where the arm stands.
 
     Raises:
-        ControllerError: the controller tells positions of another number of joints.
+        ControllerError: the controller tells positions of another number of joints, or none that is a number.
     """
     position = np.asarray(status.position, dtype=float)
-    if position.shape != (robot.dof,):
+    if position.shape != (robot.dof,) or not np.isfinite(position).all():
         raise ControllerError(
-            f"{address}: the controller does not say where its {robot.dof} joints stand (it tells {position.size} "
-            "numbers); check the link, then run the command again"
+            f"{address}: the controller does not say where its {robot.dof} joints stand (it tells "
+            f"{np.isfinite(position).sum()} numbers); check the link, then run the command again"
         )
     return position
 

@@ -23,12 +23,12 @@ from scipy.spatial.transform import Rotation
 
 from agent.core import InputError, RejectedError
 from agent.model import CATALOGUE, IdentifiedModel, ModelEffect, ball, seen_from
-from agent.robot import about_centre
+from agent.robot import ParameterLayout, about_centre
 from agent.simulators.urdf import moved_links
 
 _EFFECT = "payload"
 _MOMENT = ("moment_x", "moment_y", "moment_z")
-_ROUND_OFF = 1e-9
+_ROUND_OFF, _UNFELT = 1e-9, 1e6  # kg·m, where no torque of the arm depends on a moment
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +78,8 @@ def identified_load(model: IdentifiedModel) -> IdentifiedLoad:
         )
     last_link = dynamics.link_poses(zero, moved_links(robot)[-1])[0]
     flange = np.linalg.solve(last_link, dynamics.tip_pose(zero)[0])
-    errors = _errors(entries[0], flange[:3, :3]) if len(entries) == 1 else (None, None, None)
+    unfelt = ~np.any(model.projection[:, ParameterLayout.of(robot).link(robot.dof - 1)][:, 1:4], axis=0)
+    errors = _errors(entries[0], flange[:3, :3], unfelt) if len(entries) == 1 else (None, None, None)
     seen = seen_from(block, flange)
     inertia = about_centre(seen)
     inertia = np.where(np.abs(inertia) < _ROUND_OFF * seen[0], 0.0, inertia)
@@ -106,15 +107,18 @@ def load_block(entry: ModelEffect) -> np.ndarray:
     return np.asarray(ball(values) @ added if "m0" in values else added)
 
 
-def _errors(entry: ModelEffect, turn: np.ndarray) -> tuple[float | None, np.ndarray | None, float | None]:
-    """Half the 95 % intervals of mass [kg], centre (3,) [m] in axes turned by `turn`, and a ball's inertia [kg·m²]."""
+def _errors(
+    entry: ModelEffect, turn: np.ndarray, unfelt: np.ndarray
+) -> tuple[float | None, np.ndarray | None, float | None]:
+    """Half the 95 % intervals of mass [kg], centre (3,) [m] turned by `turn`, infinite if `unfelt`, inertia [kg·m²]."""
     half = {name: (high - low) / 2 for name, (low, high) in entry.intervals.items()}
     if "mass" not in half:
         return None, None, None
     mass, moment = entry.parameters["mass"], np.array([entry.parameters[name] for name in _MOMENT])
-    own = np.array([half.get(name, 0.0) for name in _MOMENT])
+    own = np.where(unfelt, _UNFELT, [half.get(name, 0.0) for name in _MOMENT])
     along = np.hypot(own / mass, moment / mass * half["mass"] / mass)
-    return half["mass"], np.sqrt(turn.T**2 @ along**2), half.get("inertia")
+    centre = np.sqrt(turn.T**2 @ along**2)
+    return half["mass"], np.where(centre > 1.0, np.inf, centre), half.get("inertia")
 
 
 def _universal_robots(load: IdentifiedLoad) -> str:
@@ -133,9 +137,8 @@ def _kuka(load: IdentifiedLoad) -> str:
     moments, turn = load.principal()
     places = (*1e3 * load.centre, *np.degrees(turn.as_euler("ZYX")))
     centre = ",".join(f"{key} {_number(value)}" for key, value in zip("XYZABC", places, strict=True))
-    inertia = ",".join(f"{key} {_number(value)}" for key, value in zip("XYZ", moments, strict=True))
-    data = f"LOAD_DATA[1]={{M {_number(load.mass)},CM {{{centre}}},J {{{inertia}}}}}"
-    return f"; 1 stands for the number of the tool\n{data}"
+    own = ",".join(f"{key} {_number(value)}" for key, value in zip("XYZ", moments, strict=True))
+    return f"; 1 stands for the number of the tool\nLOAD_DATA[1]={{M {_number(load.mass)},CM {{{centre}}},J {{{own}}}}}"
 
 
 def _franka(load: IdentifiedLoad) -> str:
@@ -193,6 +196,8 @@ def _about(load: IdentifiedLoad) -> Iterator[str]:
         yield f"Mass: {load.mass:.4g} kg, 95 % interval ±{load.mass_error:.2g} kg."
         centre, error = (", ".join(f"{1e3 * x:.2f}" for x in row) for row in (load.centre, load.centre_error))
         yield f"Centre of mass: {centre} mm, 95 % interval ±{error} mm."
+        if "inf" in error:
+            yield "No torque of this arm depends on the centre along an axis of ±inf: take it from the drawing."
     if not np.any(load.inertia):
         yield "Inertia about the centre of mass: zero, as the motion showed a point mass. Prefer the drawing's value."
     elif load.inertia_error is not None:

@@ -12,8 +12,16 @@ import sys
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
+from agent.cli.app import app
+from agent.core.console import Console, print_path, print_text
+from agent.core.output import patient
+from agent.excitation import check_sub_region
+from agent.pipeline.plan import loop_problem
+from agent.recipe import load_recipe
 from tests.conftest import ROOT
+from tests.recording.conftest import write_foreign
 
 
 def test_help_loads_nothing_heavy():
@@ -31,10 +39,6 @@ def test_help_loads_nothing_heavy():
 
 
 def _help(*words: str) -> str:
-    from typer.testing import CliRunner
-
-    from agent.cli.app import app
-
     shown = CliRunner().invoke(app, [*words], env={"COLUMNS": "80"})
     assert shown.exit_code == 0
     return shown.output
@@ -105,6 +109,13 @@ def test_a_mistake_is_one_message_and_writes_nothing(write_recipe, run_agent, tm
     assert (tmp_path / "log.mcap").read_text(encoding="utf-8") == "x"
 
 
+@pytest.mark.parametrize(("streams", "code", "said"), [("<&- >&-", 0, "next: "), (">/dev/full", 1, "; free space")])
+def test_a_stream_that_is_closed_or_full_is_no_internal_error(tmp_path: Path, streams: str, code: int, said: str):
+    command = f"{sys.executable} -m agent init {tmp_path}/mine.yaml --robot comau_ns16 {streams}"
+    run = subprocess.run(command, shell=True, cwd=ROOT, stderr=subprocess.PIPE, text=True, check=False)
+    assert (run.returncode, said in run.stderr, "Traceback" in run.stderr) == (code, True, False), run.stderr
+
+
 def test_a_recipe_from_init_passes_the_offline_part_of_check(run_agent, tmp_path: Path):
     assert run_agent("init", "mine.yaml").returncode == 0
     again = run_agent("init", "mine.yaml")
@@ -115,6 +126,8 @@ def test_a_recipe_from_init_passes_the_offline_part_of_check(run_agent, tmp_path
     run = run_agent("check", "mine.yaml", "--json")
     findings = {entry["subject"]: entry for entry in json.loads(run.stdout)["findings"]}
     assert run.returncode == 4
+    assert "random loops at 1 m/s tried" in run.stderr
+    assert "checking controller" in run.stderr
     assert [name for name, entry in findings.items() if not entry["ok"]] == ["controller"]
     assert "no controller answers at 127.0.0.1:1" in findings["controller"]["message"]
 
@@ -150,8 +163,7 @@ def test_an_unreachable_controller_exits_with_4_and_names_the_step(only_run, wri
     assert "no controller answers at 127.0.0.1:1" in run.stderr
     folder = only_run(tmp_path / "logs")
     state = json.loads((folder / "state.json").read_text(encoding="utf-8"))
-    assert state["status"] == "stopped"
-    assert state["stopped"]["step"] == "plan"
+    assert (state["status"], state["stopped"]["step"]) == ("stopped", "plan")
     assert "search" not in run.stderr, "the controller is asked before the search"
     assert f"agent calibrate recipe.yaml --resume {folder.name}" in run.stderr
 
@@ -162,12 +174,6 @@ def test_prints_the_version(run_agent):
     assert re.fullmatch(r"[0-9]+(\.[0-9]+)+\S*\n", run.stdout)
 
 
-def test_check_shows_its_progress(run_agent, write_recipe):
-    run = run_agent("check", write_recipe("127.0.0.1:1"))
-    assert "random loops at 1 m/s tried" in run.stderr
-    assert "checking controller" in run.stderr
-
-
 def test_the_shell_completes_commands():
     program = Path(sys.executable).with_name("agent")
     words = {"_AGENT_COMPLETE": "complete_bash", "COMP_WORDS": "agent recal", "COMP_CWORD": "1"}
@@ -176,9 +182,6 @@ def test_the_shell_completes_commands():
 
 
 def test_progress_on_a_terminal_stays_below_messages_and_is_erased(monkeypatch):
-    from agent.core.console import Console, print_text
-    from agent.core.output import patient
-
     here, there = pty.openpty()
     with open(there, "w", encoding="utf-8") as terminal:
         monkeypatch.setattr("sys.stderr", terminal)
@@ -214,8 +217,6 @@ def test_progress_on_a_terminal_stays_below_messages_and_is_erased(monkeypatch):
 
 
 def test_progress_tells_the_time_left_and_paths_are_links_on_a_terminal(monkeypatch, capsys, tmp_path: Path):
-    from agent.core.console import Console, print_path
-
     now = [0.0]
     console = Console(clock=lambda: now[0])
     console.step("search")
@@ -245,8 +246,6 @@ def test_an_import_takes_a_map_or_a_preset(run_agent, tmp_path: Path):
 
 
 def test_a_topic_is_named_on_the_command_line(run_agent, tmp_path: Path):
-    from tests.recording.conftest import write_foreign
-
     names = [f"joint_{k}" for k in range(1, 7)]
     both = [
         {"topic": topic, "time": k / 100, "names": names, "position": [k / 1e3] * 6, "effort": [1.0] * 6}
@@ -265,10 +264,6 @@ def test_a_topic_is_named_on_the_command_line(run_agent, tmp_path: Path):
 
 def test_a_new_recipe_has_its_sub_region_within_reach(run_agent, tmp_path: Path):
     """Of a small arm as of the built-in one: `agent check` finds nothing out of reach."""
-    from agent.excitation import check_sub_region
-    from agent.pipeline.plan import loop_problem
-    from agent.recipe import load_recipe
-
     for robot in ("comau_ns16", str(ROOT / "recipes/examples/tx40/robot.yaml")):
         name = f"{Path(robot).parent.name}.yaml"
         assert run_agent("init", name, "--robot", robot).returncode == 0

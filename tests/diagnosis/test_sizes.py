@@ -57,6 +57,8 @@ def test_an_interval_is_what_leaving_motions_out_says():
     assert repeats["twice"] == pytest.approx((6 - 2 * half, 6 + 2 * half), rel=1e-4)
     assert once["level"] == pytest.approx((7 - of_once, 7 + of_once), rel=1e-4)
     assert {*repeats} == {*once} == {"level", "twice"}, "what every fold says alike has none"
+    fit.folds = (2, 2)  # two motions that agree by chance
+    assert intervals(SimpleNamespace(fit=fit, causes=causes))[0]["level"][1] == pytest.approx(3 + 3.1824 / 2, rel=1e-4)
 
 
 GAP = {"joints": ["elbow"], "units": [SHARE], "before": [0.04], "after": [0.01]}
@@ -83,6 +85,7 @@ def test_a_change_has_its_sign_and_a_sum_of_harmonics_its_amplitude():
     size, interval = amplitude(spring, {"cosine_1": (2.0, 4.0), "sine_1": (-5.0, -3.0)})
     assert (size, interval) == (5.0, pytest.approx((4.0, 6.0)))
     assert amplitude({"mass": 1.0}, {}) is None
+    assert amplitude({"force_x": 2.0, "force_y": -6.0, "force_z": 9.0}, {}) == (11.0, None)
 
 
 def test_the_headline_names_all_indistinguishable_causes():
@@ -119,3 +122,5 @@ def test_a_cause_closes_as_much_as_its_attribution_step():
         "It closes 61 % of the gap, offset 2 N·m. Most of the gap closes with: torque_offset of elbow (61 %)"
         in (summary(result)["what"])
     )
+    push = {"effect": "contact", "joints": [], "parameters": {"force_x": 0.1, "force_y": -6.0, "force_z": 9.0}}
+    assert "gap, force 10.82 N." in summary(result | {"causes": [cause | push]})["what"], "not that of one axis"

@@ -289,6 +289,7 @@ DESCRIPTIONS = {
         ("j1", "j2", "j3"),
         "c",
     ),
+    "pi with few digits": (ARM.replace("0.4 0.1 0", "-1.5708 0 0"), ("j1", "j2", "j3"), "c"),
     "axes not of unit length": (joint("j1", "revolute", "base", "a", "0 2 0"), ("j1",), "a"),
 }
 
@@ -307,7 +308,8 @@ def test_every_description_is_exported_and_read_back(tmp_path: Path, kind: str) 
     urdf, _, friction, *_ = export_model(model, tmp_path / "out")
     assert [axle["name"] for axle in json.loads(friction.read_text())["axles"]] == list(robot.joint_names)
     torque, motion = by_pinocchio(urdf, friction, *states(robot)), states(robot)
-    np.testing.assert_allclose(torque, model.rigid.torque(*motion, model.base_values), rtol=0, atol=1e-9)
+    left_out = 1e-4 if kind == "pi with few digits" else 0.0  # by base parameters
+    np.testing.assert_allclose(torque, model.rigid.torque(*motion, model.base_values), rtol=0, atol=1e-9 + left_out)
 
 
 def test_the_sdf_has_the_torques_of_the_bodies(ns16, tmp_path):

@@ -100,8 +100,7 @@ def test_refuses_a_fault_impossible_on_its_wire(arm):
 def test_lists_all_effects_with_units_and_a_working_example(arm):
     command = [sys.executable, "-m", "fake_controller", "--list-effects"]
     listed = subprocess.run(command, capture_output=True, text=True, check=True, cwd=ROOT).stdout
-    for effect in [*EFFECTS, *OUTSIDE]:
-        assert f"{effect} (joints: " in listed
+    assert [effect for effect in [*EFFECTS, *OUTSIDE] if f"{effect} (joints: " not in listed] == []
     assert re.search(r"rise +\[N·m\] +required", listed)
     assert re.search(r"encoder_offset \(joints: one or more\)\n.*\n +offset +\[rad\]", listed)
     assert load_effect(json.loads(listed.splitlines()[1])).joints == ("joint_4",)

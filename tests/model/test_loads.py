@@ -162,6 +162,10 @@ def test_exports_inertia_about_the_centre_of_mass_and_intervals_as_comments(bare
     assert "±0.001 kg·m²" in said
     half = re.search(r"20.00, -10.00, 80.00 mm, 95 % interval ±(.*) mm", said)[1]
     assert all(10 <= float(word) <= 20 for word in half.split(","))  # 10 mm by the moments, the rest by the mass
+    axes = joint("j1", "revolute", "base", "a") + joint("j2", "revolute", "a", "b")  # upright: no weight acts on them
+    upright = described(tmp_path, axes, ("j1", "j2"), "b")
+    model = replace(model_of(upright, bodies(upright), known=True), effects=(entry,))
+    assert re.search(r"±\d.*, \d.*, inf mm.\n.*±inf: take it from", load_text(identified_load(model), "ur")[0])
 
 
 def test_intervals_go_to_stderr_if_the_format_has_no_comments(bare: IdentifiedModel, tmp_path) -> None:

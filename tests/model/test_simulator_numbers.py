@@ -15,9 +15,8 @@ from agent.diagnosis.forward.rollout import MujocoEngine
 from agent.diagnosis.gap.torque_gap import held_out_gap
 from agent.diagnosis.hypotheses.finding import Finding
 from agent.diagnosis.hypotheses.search import Search
-from agent.diagnosis.hypotheses.testability import smallest_sizes
+from agent.diagnosis.hypotheses.testability import not_testable, smallest_sizes
 from agent.diagnosis.limits import LIMITS
-from agent.diagnosis.result import not_testable
 from agent.diagnosis.rows.dataset import Dataset, assemble
 from agent.diagnosis.simulator_file.calibration import ReleasedSimulator, calibration
 from agent.diagnosis.simulator_file.simulator import Explanation, _possible, numbers_instead, with_expected_error
@@ -155,7 +154,7 @@ def test_a_shoulder_spring_is_not_testable_if_its_link_was_corrected(tmp_path):
     search.run()
     said = {entry.joint: entry.why for entry in not_testable(found.moved, search) if entry.effect == "gravity_spring"}
     assert set(said) == {"lift"}
-    assert "and it matters from 1.0 % on" in said["lift"]
+    assert "and it matters from 1.0 times on" in said["lift"], "of the model's error: this file has no nominal torque"
 
 
 def explaining(left: float, *effects: str) -> Explanation:

@@ -217,10 +217,10 @@ def test_reads_text_tables_of_any_separator(convert, tmp_path, text):
         assert log.sample_rate == pytest.approx(100)
 
 
-@pytest.mark.parametrize("encoding", ["utf-16", "utf-8-sig"])
-def test_reads_tables_with_a_byte_order_mark(convert, tmp_path, encoding):
-    (tmp_path / "data.csv").write_text('"t, s",a,b\n0,1.5,2\n0.01,2.5,3\n0.02,3.5,4\n', encoding=encoding)
-    log, _ = convert("time: {column: 't, s'}\nposition: {columns: [a, b]}\n", tmp_path / "data.csv")
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-8-sig", "utf-8", "cp1252"])
+def test_reads_tables_in_the_encodings_of_windows(convert, tmp_path, encoding):
+    (tmp_path / "data.csv").write_text('"t, s",a [°],b\n0,1.5,2\n0.01,2.5,3\n0.02,3.5,4\n', encoding=encoding)
+    log, _ = convert("time: {column: 't, s'}\nposition: {columns: ['a [°]', b]}\n", tmp_path / "data.csv")
     np.testing.assert_array_equal(log.position, [[1.5, 2], [2.5, 3], [3.5, 4]])
 
 

@@ -79,7 +79,7 @@ def test_refuses_another_robot_or_serial(bench, told, error, said):
         ({"override": 1.5}, ControllerError, "150 %"),
         ({"moving": True}, ControllerError, "moving already"),
         ({"position": tuple(HOME + 0.03)}, ControllerError, "does not stand where its plan begins"),
-        ({"position": tuple(HOME + np.nan)}, ControllerError, "does not stand where its plan begins"),
+        ({"position": tuple(HOME + np.nan)}, ControllerError, "where its 6 joints stand .it tells 0 numbers"),
     ],
 )
 def test_refuses_to_start_in_any_forbidden_state(bench, state, error, said, program):
@@ -92,9 +92,9 @@ def test_refuses_to_start_in_any_forbidden_state(bench, state, error, said, prog
     assert bench.controller.starts == 0
 
 
-@pytest.mark.parametrize("joints", [0, 5, 7])
-def test_refuses_to_start_with_a_wrong_number_of_joints(bench, program, joints: int):
-    bench.controller.status = {"position": (0.1,) * joints}
+@pytest.mark.parametrize("position", [(), (0.1,) * 5, (0.1,) * 7, (*(0.1,) * 5, float("nan"))])
+def test_refuses_to_start_with_a_wrong_number_of_joints(bench, program, position: tuple[float, ...]):
+    bench.controller.status, joints = {"position": position}, sum(x == x for x in position)
     guard = bench.open()
     with pytest.raises(ControllerError, match=f"where its 6 joints stand .it tells {joints} numbers"):
         guard.position()

@@ -46,7 +46,9 @@ def not_testable(dataset: Dataset, search: Search) -> list[NotTestable]:
             if not why and (name, joints) not in sizes:
                 why = "" if effect.once else effect.why_absent
             elif not why and sizes[name, joints] > 1:
-                why = _why_small(effect, sizes[name, joints], dataset.given)
+                nominal = robot.nominal_torque[list(joints) if joints else slice(None)]
+                unit = "% of nominal torque" if np.isfinite(nominal).all() else "times the model's held-out error"
+                why = _why_small(effect, sizes[name, joints], dataset.given, unit)
             if why:
                 result.append(NotTestable(name, where, why))
     return result + [NotTestable(name, None, why) for why in _lacking_paths(dataset) for name in effects_of_path()]
@@ -72,11 +74,11 @@ def effects_of_path() -> list[str]:
     return [name for name, effect in CATALOGUE.items() if effect.shows_in == "path"]
 
 
-def _why_small(effect: Effect, size: float, given: bool) -> str:
+def _why_small(effect: Effect, size: float, given: bool, unit: str) -> str:
     """`size` in practical sizes: the smallest that would be found."""
     if not given:
         return "no model was given: the fit to these logs absorbs it"
-    found = f"it would be found from {100 * size * effect.practical:.1f} % of nominal torque on"
+    found = f"it would be found from {100 * size * effect.practical:.1f} {unit} on"
     if not size * effect.practical < 5:
         found = "no size would be found"
-    return f"on these motions {found}, and it matters from {100 * effect.practical:.1f} % on"
+    return f"on these motions {found}, and it matters from {100 * effect.practical:.1f} {unit.split()[0]} on"

@@ -37,5 +37,5 @@ POSTURES = SeparatingMotion(
 )
 SHARP_REVERSALS = SeparatingMotion(60, "short sharp reversals of this joint with the arm stretched and folded")
 THREE_LOADS = SeparatingMotion(
-    70, "constant speeds both ways on this joint at three loads (arm stretched, half, folded)"
+    70, "constant speeds both ways on this joint at three loads (arm stretched, half, folded, or with known masses)"
 )  # distinguishes most pairs

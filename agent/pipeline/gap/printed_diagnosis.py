@@ -61,7 +61,7 @@ def diagnosis_text(result: dict[str, Any]) -> str:
     lines += _planned_lines(result)
     if result["not_testable"]:
         names = sorted({entry["effect"] for entry in result["not_testable"]})
-        lines.append(f"not testable on some joints with these logs: {', '.join(names)}")
+        lines.append(f"effects that these logs may miss on some joints: {', '.join(names)}")
     return "\n".join(lines)
 
 
