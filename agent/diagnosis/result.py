@@ -83,8 +83,7 @@ def build(
     """
     robot = dataset.robot
     if dataset.given and calibrated is None and not finding.causes:
-        if gap.absorbed > 1 - dataset.limits.explained:
-            warnings = (*warnings, _within_uncertainty(gap.absorbed))
+        warnings = (*warnings, *_without_cause(dataset, gap, finding.verdict))
         gap = gap.unclosed
     causes, verdict, closure = causes_of(dataset, finding, gap), finding.verdict, gap.closure
     if motion is not None and motion.described:
@@ -141,11 +140,19 @@ def build(
     return Diagnosis(answer, finding, dataset, motion, gap, calibrated, held)
 
 
-def _within_uncertainty(share: float) -> str:
-    return (
-        f"the model's own parameters explain {100 * share:.0f} % of the squared error within their uncertainty: "
-        "estimate it again with motions like these"
-    )
+def _without_cause(dataset: Dataset, gap: HeldOutGap, verdict: str) -> Iterator[str]:
+    if gap.absorbed > 1 - dataset.limits.explained:
+        yield (
+            f"the model's own parameters explain {100 * gap.absorbed:.0f} % of the squared error within their "
+            "uncertainty: estimate it again with motions like these"
+        )
+    error = gap.before * gap.unit / dataset.model.held_out_rmse
+    if verdict == "no_gap" and error.max() > dataset.limits.usual_error:
+        name = dataset.robot.joint_names[int(error.argmax())]
+        yield (
+            f"the error of {name} is {error.max():.1f} times the model's own, which may differ from day to day on a "
+            "healthy arm: record more logs, or estimate the model again"
+        )
 
 
 def _left_by_numbers(dataset: Dataset, gap: HeldOutGap) -> str:

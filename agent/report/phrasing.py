@@ -30,7 +30,7 @@ FOUR = {"where": "Where", "what": "What", "how_sure": "How sure", "next": "Next"
 #: Title of the page's section on what these motions cannot show.
 NOT_TESTABLE = "Not testable here"
 _VERDICTS = {
-    "no_gap": "no gap: model and robot agree within the model's own prediction error",
+    "no_gap": "no gap: model and robot agree within what may differ on a healthy arm",
     "unknown": "there is a gap that no known effect explains",
 }
 #: Equivalents of a cause that are named, regimes and steps of an attribution, at most.

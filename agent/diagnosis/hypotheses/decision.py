@@ -106,10 +106,7 @@ def posterior(evidence: Evidence, found: Sequence[Evaluated], observed: Observed
 
 
 def _priors(evidence: Evidence, hypothesis: Evaluated) -> dict[frozenset[Where], float]:
-    """Log prior by which of the effects are faults; the healthy arm has more than usual of the others.
-
-    Over that of no fault, which is as likely as some fault.
-    """
+    """Log prior over no fault's, as likely as some, by which effects are faults; others are more than usual."""
     law, found = evidence.law, {}
     places = [evidence.pool.candidate(k).place for k in hypothesis.effects]
     sizes = zip(places, hypothesis.largest, strict=True)

@@ -150,6 +150,16 @@ def test_a_healthy_arm_on_another_path_has_no_gap(healthy, model, arm):
         assert not SIZED_GAP.search(said), said
 
 
+def test_an_error_that_only_a_usual_change_explains_is_said_although_nothing_is_named(healthy, model, arm):
+    """Friction that is 5 % higher differs no more than from day to day, by several times the model's own error."""
+    warmer = [
+        replace(log, effort=log.effort + 0.05 * model.predict_parts(log.position, log.velocity, 0 * log.position)[1])
+        for log in healthy
+    ]
+    said = ["; ".join(diagnose(arm, logs, model).warnings) for logs in (healthy, warmer)]
+    assert ["times the model's own" in one for one in said] == [False, True]
+
+
 def test_an_explained_path_gap_is_not_a_torque_gap(healthy, model, arm):
     logs = []
     for log in healthy:
