@@ -42,8 +42,8 @@ NS16 = PROGRAM.replace("FIRST", "20, 10, -80, 20, 20, 20").replace("SECOND", "0,
 
 
 @contextmanager
-def connected(address, robot):
-    with closing(create("cnr_comau", address)) as driver:
+def connected(address, robot, **options):
+    with closing(create("cnr_comau", address, **options)) as driver:
         driver.torque_per_ampere = torque_per_ampere(load_robot(robot))
         connect_when_free(driver)
         yield driver
@@ -118,6 +118,16 @@ def test_with_start_by_hand_an_operator_starts_and_stops(arm, bench):
         assert sum(map(len, start(driver, ARM.replace("2000", "1")))) > 0
     assert ["select program p" in text for text in told] == [True, False, True]
     assert bench.controller.ends == [EndReason.STOPPED, EndReason.DONE]
+
+
+def test_a_rest_in_a_program_that_was_started_by_hand_is_no_stop(arm, bench):
+    """Nobody presses HOLD, and the program rests for 1.5 s after every second move."""
+    with connected(f"{bench.server.address},start=hand", arm, start_timeout=patience(1.0)) as driver:
+        driver.tell = lambda text: bench.server.press_start() if "press START" in text else None
+        next(start(driver, ARM.replace("-20, 30}", "19, -30}\n    DELAY 1500")))
+        with pytest.raises(DriverError, match="does not report the arm at rest; use the emergency stop"):
+            driver.stop()
+        assert bench.controller.moving
 
 
 @pytest.mark.verify

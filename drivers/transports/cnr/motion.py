@@ -224,8 +224,8 @@ class CnrMotion(MotionStream):
             return
         self._quiet += 1
         if self.stopping:
-            # The flag falls as the arm begins to slow down, and rises some time after a start was taken.
-            if self._quiet >= _BELIEVED and rested >= _RESTING:
+            # The flag falls as the arm begins to slow down, and rises some time after a start. A DELAY is no stop.
+            if self._quiet >= _BELIEVED and rested >= (HAND_REST if self._is_over is None else _RESTING):
                 self._over((EndReason.STOPPED, ""), now)
         elif over and self.started:
             self._over((EndReason.DONE, ""), now)
