@@ -23,7 +23,7 @@ from .hypotheses.search import Search as Search
 from .hypotheses.testability import smallest_sizes as smallest_sizes
 from .labels import in_torque as in_torque, torque_gap as torque_gap
 from .randomisation import Range as Range, ranges as ranges, ranges_text as ranges_text
-from .result import Diagnosis as Diagnosis
+from .result import LARGE_ERROR as LARGE_ERROR, Diagnosis as Diagnosis
 from .rows.candidate import Candidate as Candidate
 from .rows.dataset import Dataset as Dataset, background_of as background_of
 from .rows.fit import Fit as Fit

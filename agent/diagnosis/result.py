@@ -35,6 +35,8 @@ from agent.robot import error_units
 from agent.simulators import servo_stiffness
 
 _WHEN_UNKNOWN = "slow single-joint ramps both ways on {joints}, then the same at full speed, each twice"
+#: In the warning of a gap that no effect explains better than what differs on a healthy arm.
+LARGE_ERROR = "times the model's own"
 _MUCH = 0.3  # of the gap of the joint that has most: a joint that is worth a motion of its own
 
 
@@ -150,7 +152,7 @@ def _without_cause(dataset: Dataset, gap: HeldOutGap, verdict: str) -> Iterator[
     if verdict == "no_gap" and error.max() > dataset.limits.usual_error:
         name = dataset.robot.joint_names[int(error.argmax())]
         yield (
-            f"the error of {name} is {error.max():.1f} times the model's own, which may differ from day to day on a "
+            f"the error of {name} is {error.max():.1f} {LARGE_ERROR}, which may differ from day to day on a "
             "healthy arm: record more logs, or estimate the model again"
         )
 

@@ -181,7 +181,6 @@ def _class_of(
     for (places, _), share in answers.items():
         for other in sorted(places - names) if place not in places else ():
             instead[other] = instead.get(other, 0.0) + share
-    alike = [other for other, share in instead.items() if share >= law.rare * own and near(place, other)]
-    alike = sorted(alike, key=lambda other: -instead[other])
-    alike = list(dict.fromkeys([*alike, *equal]))[:_RIVALS]
+    likely = [other for other, share in instead.items() if share >= law.rare * own and near(place, other)]
+    alike = list(dict.fromkeys([*sorted(likely, key=lambda other: -instead[other]), *equal]))[:_RIVALS]
     return tuple(alike), law.certain * min(1.0, own + sum(instead.get(other, 0.0) for other in alike))

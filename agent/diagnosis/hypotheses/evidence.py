@@ -326,11 +326,10 @@ class Evidence:
 
     def needed(self, against_nothing: bool) -> float:
         """Log Bayes factor from which on a name stands alone: over a rival, or over nothing."""
-        law = self.law
+        law, sure = self.law, self.law.sure / self.law.certain
         if not against_nothing:
             return float(-np.log(law.rare))
         prior = (1 - law.rare) / len(CATALOGUE) / self.joints
-        sure = law.sure / law.certain
         return float(np.log(sure / (1 - sure) / prior))
 
     def _at_best_size(

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from agent.diagnosis import SAME_MOTIONS
+from agent.diagnosis import LARGE_ERROR, SAME_MOTIONS
 from agent.model import CATALOGUE, PAYLOAD
 from agent.pipeline.gap.next_experiment import BRAKES, DRIVES_OFF
 from agent.pipeline.gap.question import PLANNING_BUDGET, GapQuestion
@@ -32,7 +32,8 @@ def after_diagnosis(
     )
     named = ["--robot", robot] if robot else []
     if result["verdict"] == "no_gap":
-        return [NextStep("nothing to do: keep the model.")]
+        large = any(LARGE_ERROR in warning for warning in result["warnings"])
+        return [NextStep("record more logs, or estimate again." if large else "nothing to do: keep the model.")]
     experiment = result["next_experiment"] or {}
     replaced = experiment.get("motion", "").startswith(SAME_MOTIONS)  # by logs with a torque that can be judged
     words, paths = ["agent", "diagnose", *named, *asked.options()], [] if replaced else list(map(str, logs))
@@ -42,8 +43,7 @@ def after_diagnosis(
         mass = experiment["with_a_mass"][PAYLOAD]
         folder = f"{question.out or 'next'}_with_a_mass"
         what = f"or, for a clearer answer, mount {mass} (or the mass you have) at the flange and plan for it:"
-        planned = [*words, "--next", str(recipe), "--payload", mass, "-o", folder, *paths]
-        loaded = [NextStep(what, shlex.join(planned))]
+        loaded = [NextStep(what, shlex.join([*words, "--next", str(recipe), "--payload", mass, "-o", folder, *paths]))]
     if question.next_recipe is not None and experiment.get("program"):
         program, mass = Path(experiment["program"]), experiment.get(PAYLOAD)
         record = ["agent", "record", str(question.next_recipe), "--program", str(program)]
