@@ -32,7 +32,7 @@ MOST_LINES = {
     "drivers": 7_937,
     "fake_controller": 9_840,
     "second_world benchmarks": 4_600,
-    "tests": 47_289,
+    "tests": 47_304,
 }
 
 

@@ -40,7 +40,8 @@ def test_all_logs_have_the_cut_off_of_the_slowest(observed):
     assert [(one.log_index, one.motion.cutoff) for one in observed.segments] == [(0, 15.0), (1, 15.0)]
     assert (len(observed.segments), observed.segments[1].log_index, observed.noisy) == (2, 1, None)
     for segment in observed.segments:
-        assert segment.time[0] == pytest.approx(8 - segment.time[-1], abs=0.1)
+        assert 6 < segment.time[-1] - segment.time[0] < 8
+        assert segment.time[0] == pytest.approx(8 - segment.time[-1], abs=0.02)
         assert segment.motion.torque is None
         np.testing.assert_allclose(segment.motion.set_points - segment.motion.q, 1, atol=0.05)
         exact = _multisine(2, segment.time, 1 + segment.log_index)[1]
@@ -52,7 +53,13 @@ def test_columns_times_parameters_are_the_torque(robot, observed):
     base = rigid.projection @ np.append(rigid.dynamics.standard_parameters(), np.full(2, 1e-4))
     values = np.append(base, [3.0, 2.0, 0.0])
     for segment in observed.segments:
-        for joint, (index, block) in enumerate(observed.joint_columns(segment, TERMS, base)):
+        columns = observed.joint_columns(segment, TERMS, base)
+        assert [index[-3:].tolist() for index, _ in columns] == [
+            [rigid.count, rigid.count + 1, rigid.count + 2],
+            [*columns[1][0][-3:-2], rigid.count + 1, rigid.count + 2],
+        ]
+        assert rigid.count not in columns[1][0], "friction of the first axle does not act on the second joint"
+        for joint, (index, block) in enumerate(columns):
             friction = {rigid.count + k for k, share in enumerate(robot.coupling[[0, 1, 1], joint]) if share}
             assert {*index} == {*rigid.support[joint], *friction}
             assert block.shape == (len(segment.time), len(index))
@@ -61,6 +68,7 @@ def test_columns_times_parameters_are_the_torque(robot, observed):
         sizes = observed.friction(segment, TERMS, base)
         load = rigid.torque(segment.motion.q, segment.motion.qd, segment.motion.qdd, base)[segment.motion.kept, 1]
         assert np.corrcoef(np.abs(sizes[:, 2]), np.abs(load))[0, 1] > 0.9
+        assert observed.friction(segment, ()).shape == (len(segment.time), 0)
         assert [block.shape[1] for _, block in observed.joint_columns(segment, ())] == [*map(len, rigid.support)]
 
 
@@ -117,9 +125,16 @@ def test_two_logs_are_cut_in_three_parts_each_and_more_are_folds_of_their_own():
     assert {guard for *_, guards in many for guard in guards} == {-1}
 
 
-def test_logs_without_the_torque_of_the_robot_are_refused(robot):
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"joint_names": ("a", "b")}, "its joints are a, b; those of arm are joint_1, joint_2"),
+        ({"effort": None}, r"no torque \(effort\) was recorded"),
+        ({"effort": np.zeros((10, 2))}, "the torque is zero throughout"),
+    ],
+)
+def test_logs_without_the_torque_of_the_robot_are_refused(robot, change, said):
     log = _log(robot, np.arange(10) / 10, np.zeros((10, 2)), np.ones((10, 2)))
     check_log(robot, log)
-    for change in ({"joint_names": ("a", "b")}, {"effort": None}, {"effort": 0 * log.effort}):
-        with pytest.raises(InputError):
-            check_log(robot, replace(log, **change))
+    with pytest.raises(InputError, match=said):
+        check_log(robot, replace(log, **change))
