@@ -177,6 +177,14 @@ class ViaPoint:
 
 
 @runtime_checkable
+class NamesEndpoints(Protocol):
+    """A driver whose address is more than `host:port`; two runs at one controller are kept apart by its endpoints."""
+
+    def endpoints(self) -> tuple[str, ...]:
+        """Where the address leads, by `socket_endpoints` or `serial_endpoints` of `drivers.endpoints`."""
+
+
+@runtime_checkable
 class MeasuresThroughput(Protocol):
     """A driver that can measure how many samples its link carries."""
 

@@ -1,4 +1,4 @@
-"""Drivers by name: the built-in ones, and what others install under the entry point group below.
+"""Drivers by name: those of `_BUILT_IN`, and what others install under the entry point group below.
 
 A driver is loaded when it is asked for. One that cannot be loaded is reported and left out.
 """
@@ -16,12 +16,11 @@ from drivers.secrets import refuse_in_address
 
 GROUP = "calibration_agent.drivers"
 
-# Named here too, so that a source tree that was never installed has them.
 _BUILT_IN = {
-    "tcp": "drivers.transports.tcp:TcpDriver",
+    "tcp": "drivers.transports.frames.driver:TcpDriver",
     "modbus": "drivers.transports.modbus.driver:ModbusDriver",
-    "serial": "drivers.transports.serial:create",
-    "cnr_comau": "drivers.transports.cnr.points:create",
+    "serial": "drivers.transports.frames.serial:create",
+    "cnr_comau": "drivers.transports.cnr.driver:create",
     "ur": "drivers.transports.ur.driver:UrDriver",
 }
 

@@ -1,4 +1,4 @@
-"""The kinds of field that a message or a block of registers is made of, and how a message is packed of them.
+"""The kinds of field that a message or a block of registers is made of.
 
 Messages are little-endian, registers big-endian; neither has padding between fields.
 """
@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
 from io import BytesIO
-from typing import Annotated, Any, ClassVar, Protocol, dataclass_transform, get_type_hints
+from typing import Any, Protocol
 
 from drivers.errors import ProtocolError
 
@@ -168,47 +167,3 @@ def _decoded(data: bytes) -> str:
         return data.decode("utf-8")
     except UnicodeDecodeError as error:
         raise ProtocolError(f"a text is not UTF-8: {error.reason}") from None
-
-
-U16 = Annotated[int, Number("<H")]
-U32 = Annotated[int, Number("<I")]
-U64 = Annotated[int, Number("<Q")]
-F64 = Annotated[float, Number("<d")]
-Flag = Annotated[bool, Boolean()]
-Text = Annotated[str, Utf8()]
-Texts = Annotated[tuple[str, ...], Many(Utf8())]
-Floats = Annotated[tuple[float, ...], Many(Number("<d"))]
-Bytes = Annotated[bytes, Blob()]
-Bytes16 = Annotated[bytes, Padded(16)]
-
-
-MESSAGES: dict[int, Any] = {}  # by type number
-
-
-@dataclass_transform(frozen_default=True)
-class FrameMessage:
-    """A frozen dataclass whose annotated fields are a message's layout, under a type number.
-
-    A subclass is written `class Stop(FrameMessage, number=0x08)`; it is packed field by field.
-    """
-
-    TYPE: ClassVar[int]
-    LAYOUT: ClassVar[tuple[tuple[str, FieldKind], ...]]
-
-    def __init_subclass__(cls, number: int) -> None:
-        dataclass(frozen=True)(cls)
-        hints = get_type_hints(cls, include_extras=True)
-        cls.TYPE = number
-        cls.LAYOUT = tuple((item.name, hints[item.name].__metadata__[0]) for item in fields(cls))  # type: ignore
-        MESSAGES[number] = cls
-
-    def pack(self) -> bytes:
-        return b"".join(kind.pack(getattr(self, name)) for name, kind in self.LAYOUT)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> Any:
-        left = BytesIO(payload)
-        values = {name: kind.unpack(left) for name, kind in cls.LAYOUT}
-        if more := len(left.read()):
-            raise ProtocolError(f"a message has {more} bytes more than its fields")
-        return cls(**values)

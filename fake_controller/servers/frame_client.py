@@ -8,7 +8,7 @@ from abc import ABC, abstractmethod
 from typing import Any
 
 from drivers.errors import ProtocolError
-from drivers.wire import tcp as wire
+from drivers.wire import frames as wire
 from drivers.wire.reasons import EndReason, Refusal
 from fake_controller.controller import CONTROLLER, PERIOD, VERSION, Controller
 from fake_controller.programs import RefusedRequest

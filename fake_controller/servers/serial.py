@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import serial
 
+from drivers.wire.frames import VERSION, End, Frame, Heartbeat, Hello, Welcome, encode
 from drivers.wire.reasons import EndReason, Refusal
 from drivers.wire.serial import (
     LONGEST_FRAME,
@@ -21,7 +22,6 @@ from drivers.wire.serial import (
     frame_time,
     samples_per_frame,
 )
-from drivers.wire.tcp import VERSION, End, Frame, Heartbeat, Hello, Welcome, encode
 from fake_controller.controller import Controller
 from fake_controller.execution import Slice
 from fake_controller.programs import RefusedRequest

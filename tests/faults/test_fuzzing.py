@@ -19,7 +19,7 @@ from pymodbus.framer.rtu import FramerRTU
 
 from drivers.errors import DriverError
 from drivers.registry import create
-from drivers.wire import modbus, tcp
+from drivers.wire import frames as tcp, modbus
 from drivers.wire.serial import LeanSamples
 from fake_controller.build import build_controller
 from fake_controller.servers import WIRES, open_server

@@ -13,7 +13,7 @@ from drivers.errors import ConfigurationError, DriverError, ProtocolError, Refus
 from drivers.protocol import AcceptsViaPoints, Driver, MeasuresCurrents, ReportsDiagnostics, RequiresOperator, ViaPoint
 from drivers.registry import create
 from drivers.transports.cnr.address import CnrAddress, parse_address
-from drivers.transports.cnr.points import _Feeder, trajectories
+from drivers.transports.cnr.driver import _Feeder, trajectories
 from drivers.transports.cnr.sockets import Sockets
 from drivers.wire import cnr
 from drivers.wire.cnr import MessageType, Point, QueueStatus

@@ -17,7 +17,7 @@ from agent.robot.dynamics import Tool
 from agent.safety.motion import PlannedProgram
 from agent.safety.preconditions import check_frames
 from drivers.registry import create
-from drivers.transports.tcp import TcpDriver
+from drivers.transports.frames.driver import TcpDriver
 from fake_controller.build import build_controller
 from fake_controller.servers import WIRES, open_server
 from fake_controller.servers.cnr.server import CnrServer
@@ -96,7 +96,7 @@ def test_every_wire_reports_the_active_frames(wire):
 
 def test_an_older_controller_reports_no_frames():
     """It refuses the question, or has no such registers; then it is as with a link that has no frames."""
-    from drivers.wire import modbus, tcp
+    from drivers.wire import frames as tcp, modbus
 
     known = {0x0C: tcp.MESSAGES.pop(0x0C)}
     try:

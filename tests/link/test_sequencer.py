@@ -8,7 +8,7 @@ from hypothesis import given, strategies as st
 
 from drivers.errors import ProtocolError
 from drivers.protocol import Gap, SampleBlock
-from drivers.transports.sequencer import Sequencer
+from drivers.transports.base.samples import Sequencer
 
 PERIOD = 0.002
 

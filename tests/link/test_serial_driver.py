@@ -14,10 +14,10 @@ from pymodbus.pdu import DecodePDU
 
 from drivers.errors import ConfigurationError, DriverError, ProtocolError
 from drivers.registry import create
+from drivers.transports.frames.serial import RtuDriver, SerialDriver
 from drivers.transports.modbus import driver as modbus_driver
-from drivers.transports.serial import RtuDriver, SerialDriver
-from drivers.wire import modbus, tcp
-from drivers.wire.rtu import without_strays
+from drivers.transports.modbus.rtu import without_strays
+from drivers.wire import frames as tcp, modbus
 from drivers.wire.serial import HuntingDecoder
 from fake_controller.build import build_controller
 from fake_controller.servers.cable import Cable
@@ -145,7 +145,7 @@ def test_a_damaged_answer_is_not_waited_for_to_its_limit(line, monkeypatch):
         sleep(seconds)
 
     cable.tamper = damage
-    monkeypatch.setattr("drivers.transports.serial.time.sleep", count)
+    monkeypatch.setattr("drivers.transports.modbus.rtu.time.sleep", count)
     assert not driver.status().moving
     assert sum(slept[damaged[0] :]) < 0.5
 

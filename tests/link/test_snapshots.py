@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from drivers.transports.cnr.samples import Joiner
-from drivers.transports.cnr.snapshots import Rows, SnapshotClock
+from drivers.transports.cnr.node import Joiner, Rows, SnapshotClock
 from drivers.wire import cnr
 from fake_controller.build import build_controller
 from fake_controller.servers.cnr.mqtt import JointPublisher

@@ -9,8 +9,8 @@ import pytest
 from drivers.conformance import DriverConformance
 from drivers.errors import ConfigurationError, DriverError, MotionStopped, RefusedError
 from drivers.registry import create
-from drivers.transports.ur import rtde
 from drivers.transports.ur.driver import JOINTS
+from drivers.wire import rtde
 from fake_controller.build import build_ur_cell
 from fake_controller.ur.server import DASHBOARD, PRIMARY, RTDE, UrServer
 from tests.conftest import free_loopback, patience

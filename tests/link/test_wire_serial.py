@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from drivers.errors import ConfigurationError, ProtocolError
-from drivers.transports.serial_port import parse_port
-from drivers.wire import serial as wire, tcp
+from drivers.transports.base.ports import parse_port
+from drivers.wire import frames as tcp, serial as wire
 
 DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "wire-serial.md"
 

@@ -21,8 +21,8 @@ from agent.safety.authorisation import Authorisation, AuthorisationDocument, Lim
 from agent.safety.first_run import CheckedPrograms
 from agent.safety.guard import GuardedLink
 from agent.safety.motion import PlannedProgram
-from drivers.transports.tcp import TcpDriver
-from drivers.wire import tcp
+from drivers.transports.frames.driver import TcpDriver
+from drivers.wire import frames as tcp
 from drivers.wire.reasons import EndReason, Refusal
 from tests.conftest import drawn, patience
 from tests.safety.following import HOME, at

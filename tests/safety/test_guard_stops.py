@@ -12,7 +12,7 @@ from agent.core.errors import AgentError, SafetyError
 from agent.safety.guard import GuardedLink
 from agent.safety.motion import PlannedProgram
 from drivers.errors import DriverError, RefusedError
-from drivers.transports.tcp import TcpDriver
+from drivers.transports.frames.driver import TcpDriver
 from drivers.wire.reasons import Refusal
 from tests.safety.following import HOME
 

@@ -18,7 +18,7 @@ from agent.safety.motion import SETTLING, pauses
 from agent.safety.preconditions import check_throughput
 from agent.safety.watch import TURN, MotionWatch
 from drivers.protocol import Identity
-from drivers.transports.tcp import TcpDriver
+from drivers.transports.frames.driver import TcpDriver
 from tests.safety.following import PERIOD, Clock
 
 WATCHDOG = 0.5

@@ -25,14 +25,13 @@ from agent.recording import LogWriter, read_log
 from drivers.errors import DriverError, ProtocolError
 from drivers.protocol import Identity, SampleBlock, Status
 from drivers.texts import ALARM, MANY, NAME, printable
+from drivers.transports.base.samples import SampleStream, Sequencer
 from drivers.transports.cnr.address import parse_address
-from drivers.transports.cnr.broker import BrokerLink
 from drivers.transports.cnr.files import ProgramFolder
-from drivers.transports.frames import to_block
-from drivers.transports.motion import MotionStream
-from drivers.transports.sequencer import Sequencer
+from drivers.transports.cnr.node import BrokerLink
+from drivers.transports.frames.driver import to_block
 from drivers.wire.cnr import decode_joints
-from drivers.wire.tcp import Samples
+from drivers.wire.frames import Samples
 
 MIB = 1 << 20
 #: Titles set, screens cleared, colours, answers asked for, bells, turned writing, halves of characters.
@@ -229,7 +228,7 @@ def test_a_nan_time_ends_the_motion(time: float, before: int):
 )
 def test_sample_frames_of_any_content_are_samples_or_a_protocol_error(frames: list[tuple[Any, ...]]):
     """As they come off the wire: the head fits the payload, the content does what it likes."""
-    motion = MotionStream(1 << 20)
+    motion = SampleStream(1 << 20)
     with contextlib.suppress(ProtocolError):
         for first, count, joints, time_ns, value, request in frames:
             head = Samples._HEAD.pack(first, count, joints)

@@ -9,7 +9,7 @@ from typing import Any
 from drivers.errors import ConfigurationError
 from drivers.secrets import ADVICE, check_source, refuse_in_address
 from drivers.texts import place_of
-from drivers.transports.tcp import parse_address as parse_host_and_port
+from drivers.transports.base.ports import parse_address as parse_host_and_port
 from drivers.wire import cnr as wire
 
 FTP_PORT, BROKER_PORT = 21, 1883

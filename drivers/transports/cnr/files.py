@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from drivers.errors import DriverError, ProtocolError, RefusedError
 from drivers.protocol import Identity
 from drivers.secrets import read_secret
-from drivers.transports.base import WATCHDOG
+from drivers.transports.base.link import WATCHDOG
 from drivers.transports.cnr.address import CnrAddress
 from drivers.wire import cnr as wire
 

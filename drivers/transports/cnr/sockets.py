@@ -15,9 +15,9 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from drivers.errors import DriverError, ProtocolError, RefusedError
-from drivers.transports.base import LinkThread, dropped
+from drivers.transports.base.link import LinkThread, dropped
+from drivers.transports.base.ports import open_socket
 from drivers.transports.cnr.address import CnrAddress
-from drivers.transports.tcp import open_socket
 from drivers.wire.cnr import (
     LITTLE,
     CommType as Comm,

@@ -17,10 +17,11 @@ from pymodbus.client import ModbusTcpClient
 
 from drivers.errors import DriverError, ProtocolError, RefusedError
 from drivers.protocol import Identity, Status
-from drivers.transports.base import WATCHDOG, LinkDriver, poses_of_frames
+from drivers.transports.base.link import WATCHDOG, LinkDriver
+from drivers.transports.base.ports import open_socket, parse_address
+from drivers.transports.base.poses import poses_of_frames
 from drivers.transports.modbus.link import Client, ModbusLink, SilentError
 from drivers.transports.modbus.ring import RingMotion
-from drivers.transports.tcp import open_socket, parse_address
 from drivers.wire import modbus as wire
 from drivers.wire.reasons import refusal_error
 

@@ -18,8 +18,8 @@ from pymodbus.exceptions import ConnectionException, ModbusException
 from pymodbus.pdu import ModbusPDU
 
 from drivers.errors import DriverError, ProtocolError, RefusedError
-from drivers.transports.base import LinkThread, dropped
-from drivers.wire.registers import Block
+from drivers.transports.base.link import LinkThread, dropped
+from drivers.wire.modbus import Block
 
 Client = ModbusTcpClient | ModbusSerialClient
 

@@ -9,15 +9,15 @@ import numpy as np
 
 from drivers.errors import DriverError, ProtocolError
 from drivers.protocol import SampleBlock
+from drivers.transports.base.samples import SampleStream
 from drivers.transports.modbus.link import ModbusLink
-from drivers.transports.motion import MotionStream
 from drivers.wire import modbus as wire
 
 _CHUNK = 64  # samples taken in one turn
 _ATTEMPTS = 3  # at a sample that arrives damaged; then it is lost
 
 
-class RingMotion(MotionStream):
+class RingMotion(SampleStream):
     """State of one motion. `expected` is the next sequence number; `shown_from` the first one in the ring.
 
     Called from the thread of the link.

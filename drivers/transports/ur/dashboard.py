@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 from drivers.errors import DriverError, ProtocolError, RefusedError
 from drivers.texts import ALARM, NAME, printable
-from drivers.transports.base import dropped
-from drivers.transports.tcp import open_socket
+from drivers.transports.base.link import dropped
+from drivers.transports.base.ports import open_socket
 
 _GREETING = "Connected: Universal Robots Dashboard Server"
 _LONGEST = 4096  # bytes of a line

@@ -16,14 +16,16 @@ import numpy as np
 from drivers.errors import ConfigurationError, DriverError, MotionStopped, RefusedError
 from drivers.protocol import Identity, Status
 from drivers.texts import place_of
-from drivers.transports.base import LinkDriver, check_currents, rotation
-from drivers.transports.tcp import parse_address
-from drivers.transports.ur import motion as states, rtde
+from drivers.transports.base.link import LinkDriver, check_currents
+from drivers.transports.base.ports import parse_address, socket_endpoints
+from drivers.transports.base.poses import rotation
+from drivers.transports.ur import motion as states
 from drivers.transports.ur.dashboard import Dashboard, UrModel
 from drivers.transports.ur.link import UrLink
 from drivers.transports.ur.motion import UrMotion, safety_text
-from drivers.transports.ur.primary import ProgramChange, ProgramFault
 from drivers.transports.ur.program import UrProgram
+from drivers.wire import rtde
+from drivers.wire.primary import ProgramChange, ProgramFault
 
 #: The arm's joints, as Universal Robots and its ROS descriptions call them.
 JOINTS = (
@@ -70,6 +72,10 @@ class UrDriver(LinkDriver[UrLink, UrMotion]):
         """`ReportsDiagnostics`: when cycles began, by the program's register."""
         motion = self._motion
         return {} if motion is None or not motion.markers else {"cycle_markers_s": json.dumps(motion.markers)}
+
+    def endpoints(self) -> tuple[str, ...]:
+        """`NamesEndpoints`: the port that moves the arm."""
+        return socket_endpoints(*parse_address(self._places["primary"]))
 
     def _open(self) -> None:
         """Ask the dashboard who is there, then open RTDE and the primary interface."""

@@ -16,10 +16,10 @@ from collections.abc import Callable
 import numpy as np
 
 from drivers.errors import DriverError, ProtocolError, RefusedError
-from drivers.transports.base import WATCHDOG, LinkThread, dropped
-from drivers.transports.tcp import open_socket
-from drivers.transports.ur import primary as messages, rtde
-from drivers.transports.ur.primary import Presence, ProgramChange, ProgramFault
+from drivers.transports.base.link import WATCHDOG, LinkThread, dropped
+from drivers.transports.base.ports import open_socket
+from drivers.wire import primary as messages, rtde
+from drivers.wire.primary import Presence, ProgramChange, ProgramFault
 from drivers.wire.stream import PackageDecoder
 
 _RECEIVE = 256 * 1024

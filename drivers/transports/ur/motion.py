@@ -8,9 +8,9 @@ import numpy as np
 
 from drivers.errors import DriverError
 from drivers.protocol import SampleBlock
-from drivers.transports.motion import MotionStream
-from drivers.transports.ur import rtde
-from drivers.transports.ur.primary import ProgramChange, ProgramFault
+from drivers.transports.base.samples import SampleStream
+from drivers.wire import rtde
+from drivers.wire.primary import ProgramChange, ProgramFault
 from drivers.wire.reasons import EndReason
 
 #: `runtime_state`, `robot_mode` and `safety_mode` of a robot that is well.
@@ -40,7 +40,7 @@ def safety_text(mode: int) -> str:
     return _SAFETY[mode - 1] if 1 <= mode <= len(_SAFETY) else f"safety mode {mode}"
 
 
-class UrMotion(MotionStream):
+class UrMotion(SampleStream):
     """Received data of one motion. Called from the thread of the link.
 
     Args:

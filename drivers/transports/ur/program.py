@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.errors import RefusedError
-from drivers.transports.base import WATCHDOG, rotation
+from drivers.transports.base.link import WATCHDOG
+from drivers.transports.base.poses import rotation
 
 #: How a program that may be sent begins; `N` is a number that belongs to its text.
 LINES = (

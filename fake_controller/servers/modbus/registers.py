@@ -13,8 +13,8 @@ from pymodbus.simulator import DataType, SimData, SimDevice
 
 from drivers.errors import ProtocolError
 from drivers.wire import modbus as wire
+from drivers.wire.modbus import Block
 from drivers.wire.reasons import EndReason, Refusal
-from drivers.wire.registers import Block
 from fake_controller.controller import CONTROLLER, PERIOD, VERSION, Controller
 from fake_controller.execution import Slice
 from fake_controller.programs import RefusedRequest

@@ -15,7 +15,7 @@ import numpy as np
 from drivers.errors import ConfigurationError, DriverError, ProtocolError, RefusedError
 from drivers.protocol import Gap, SampleBlock
 from drivers.texts import place_of
-from drivers.transports.motion import MotionStream
+from drivers.transports.base.samples import SampleStream
 
 #: Silence [s] after which either end takes the other for gone, where the controller grants what is asked for. A busy
 #: machine keeps a process waiting for up to 0.3 s.
@@ -26,35 +26,6 @@ _LAST_CALL = 1.0  # s, at most, from the failure of a link to the end of its mot
 def dropped(peer: str, error: OSError) -> DriverError:
     """The error of a link that the operating system reports as broken."""
     return DriverError(f"the link to {peer} dropped: {error.strerror or error}")
-
-
-def poses_of_frames(base: Sequence[float], tool: Sequence[float], user: Sequence[float]) -> dict[str, np.ndarray]:
-    """`ReportsFrames` of frames as six fields of a POS each."""
-    frames = {"$BASE": base, "$TOOL": tool, "$UFRAME": user}
-    return {name: _pose_of_frame(fields) for name, fields in frames.items()}
-
-
-def _pose_of_frame(fields: Sequence[float]) -> np.ndarray:
-    """Convert the six fields of a POS to a pose (4, 4) [m].
-
-    The fields are x, y, z [mm] and the Euler angles a, e, r [deg] about the moving axes z, y, z.
-    """
-    z, y = np.eye(3)[[2, 1]]
-    a, e, r = np.radians(fields[3:6])
-    pose = np.eye(4)
-    pose[:3, :3] = rotation(a * z) @ rotation(e * y) @ rotation(r * z)
-    pose[:3, 3] = np.asarray(fields[:3]) / 1000.0
-    return pose
-
-
-def rotation(vector: np.ndarray) -> np.ndarray:
-    """(3, 3) of a rotation vector (3,) [rad]."""
-    angle = float(np.linalg.norm(vector))
-    if angle < 1e-12:
-        return np.eye(3)
-    x, y, z = vector / angle
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross
 
 
 class LinkThread:
@@ -160,7 +131,7 @@ class LinkThread:
 
 
 Link = TypeVar("Link", bound=LinkThread)
-Motion = TypeVar("Motion", bound=MotionStream)
+Motion = TypeVar("Motion", bound=SampleStream)
 
 
 class LinkDriver(Generic[Link, Motion]):

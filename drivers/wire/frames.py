@@ -1,4 +1,4 @@
-"""Frames and messages of the binary TCP link; docs/wire-tcp.md is the same for people.
+"""Frames and messages of the binary link, over TCP and over serial lines; docs/wire-tcp.md is the same for people.
 
 A frame is ``magic(4) version(1) type(1) reserved(2) length(4) request(4) payload(length) crc32(4)``, little-endian;
 the CRC-32 (IEEE 802.3, as in zlib) covers everything before it. `request` pairs an answer with its question and is 0
@@ -9,26 +9,14 @@ from __future__ import annotations
 
 import struct
 import zlib
-from dataclasses import dataclass
-from typing import Any, ClassVar, Self
+from dataclasses import dataclass, fields
+from io import BytesIO
+from typing import Annotated, Any, ClassVar, Self, dataclass_transform, get_type_hints
 
 import numpy as np
 
 from drivers.errors import ProtocolError
-from drivers.wire.fields import (
-    F64,
-    MESSAGES,
-    U16,
-    U32,
-    U64,
-    Bytes,
-    Bytes16,
-    Flag,
-    Floats,
-    FrameMessage,
-    Text,
-    Texts,
-)
+from drivers.wire.fields import Blob, Boolean, FieldKind, Many, Number, Padded, Utf8
 from drivers.wire.stream import StreamDecoder
 
 MAGIC = b"CALK"
@@ -42,6 +30,48 @@ UPLOAD_BLOCK = 32 * 1024
 MAX_BATCH = 1000  # samples in one frame
 MAX_JOINTS = 16
 MAX_SEQUENCE = 2**62
+
+U16 = Annotated[int, Number("<H")]
+U32 = Annotated[int, Number("<I")]
+U64 = Annotated[int, Number("<Q")]
+F64 = Annotated[float, Number("<d")]
+Flag = Annotated[bool, Boolean()]
+Text = Annotated[str, Utf8()]
+Texts = Annotated[tuple[str, ...], Many(Utf8())]
+Floats = Annotated[tuple[float, ...], Many(Number("<d"))]
+Bytes = Annotated[bytes, Blob()]
+Bytes16 = Annotated[bytes, Padded(16)]
+
+MESSAGES: dict[int, Any] = {}  # by type number
+
+
+@dataclass_transform(frozen_default=True)
+class FrameMessage:
+    """A frozen dataclass whose annotated fields are a message's layout, under a type number.
+
+    A subclass is written `class Stop(FrameMessage, number=0x08)`; it is packed field by field.
+    """
+
+    TYPE: ClassVar[int]
+    LAYOUT: ClassVar[tuple[tuple[str, FieldKind], ...]]
+
+    def __init_subclass__(cls, number: int) -> None:
+        dataclass(frozen=True)(cls)
+        hints = get_type_hints(cls, include_extras=True)
+        cls.TYPE = number
+        cls.LAYOUT = tuple((item.name, hints[item.name].__metadata__[0]) for item in fields(cls))  # type: ignore
+        MESSAGES[number] = cls
+
+    def pack(self) -> bytes:
+        return b"".join(kind.pack(getattr(self, name)) for name, kind in self.LAYOUT)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Any:
+        left = BytesIO(payload)
+        values = {name: kind.unpack(left) for name, kind in cls.LAYOUT}
+        if more := len(left.read()):
+            raise ProtocolError(f"a message has {more} bytes more than its fields")
+        return cls(**values)
 
 
 class Hello(FrameMessage, number=0x01):
@@ -288,6 +318,7 @@ class FrameDecoder(StreamDecoder[Frame]):
     """Frames of at most `max_payload` bytes."""
 
     rejected = 0  # bytes that were in no frame; this decoder gives up at the first
+    decode = staticmethod(decode)
 
     def __init__(self, max_payload: int) -> None:
         super().__init__()

@@ -1,4 +1,4 @@
-"""The serial driver: frames over a line (docs/wire-serial.md), or Modbus RTU over the registers of docs/wire-modbus.md.
+"""The serial driver: frames over a line (docs/wire-serial.md), or Modbus RTU where the address says so.
 
 A line may be slower than the arm. The controller keeps what it cannot send yet, and the driver goes on reading after
 the motion; whoever wants to watch the arm asks for the `throughput` first.
@@ -7,27 +7,17 @@ the motion; whoever wants to watch the arm asks for the `throughput` first.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from typing import Any
 
-from pymodbus.client import ModbusSerialClient
-
 from drivers.errors import DriverError
-from drivers.transports.frame_link import FrameLink
-from drivers.transports.frames import FrameDriver
-from drivers.transports.modbus.driver import MakeClient, ModbusDriver
-from drivers.transports.modbus.link import Client
-from drivers.transports.motion import MotionStream
-from drivers.transports.serial_port import SerialChannel, open_port, parse_port
-from drivers.wire.rtu import without_strays
-from drivers.wire.serial import UPLOAD_BLOCK, HuntingDecoder, LeanSamples, decode, frame_time, samples_per_frame
-from drivers.wire.tcp import MAX_BATCH, End, Fetch, Samples, frame_bytes
+from drivers.transports.base.ports import SerialChannel, open_port, parse_port, serial_endpoints
+from drivers.transports.base.samples import SampleStream
+from drivers.transports.frames.driver import FrameDriver, FrameLink
+from drivers.transports.modbus.rtu import RtuDriver
+from drivers.wire.frames import MAX_BATCH, End, Fetch, Samples, frame_bytes
+from drivers.wire.serial import UPLOAD_BLOCK, HuntingDecoder, LeanSamples, frame_time, samples_per_frame
 
 _FRAMES_IN_WATCHDOG = 3
-_RTU_EXCHANGE = 8 + 255  # bytes of the longest request and its answer
-_RTU_TOGETHER = 4  # bytes: silence for their duration ends the answer
-_RTU_PAUSE = 0.001  # s, at least
-_RTU_REST = 0.1  # s: what has not come of an answer by then, once it has begun, was damaged
 _BUFFERED = 8192  # bytes that may be in transit, in buffers without access
 _PATIENCE = 0.25  # s, beyond the time of bytes in transit
 _REST_POLL = 0.05  # s
@@ -66,6 +56,10 @@ class SerialDriver(FrameDriver):
         self._starting = False
         self._moved: float | None = None  # when the first message of a motion came whose start is not answered yet
 
+    def endpoints(self) -> tuple[str, ...]:
+        """`NamesEndpoints`."""
+        return serial_endpoints(self._line.port)
+
     def start(self, name: str, checksum: str) -> None:
         """Run the stored program once."""
         self._progress = time.monotonic()
@@ -77,13 +71,13 @@ class SerialDriver(FrameDriver):
 
     def _channel_link(self) -> FrameLink:
         channel = SerialChannel(open_port(self._line, self._timeout))
-        return self._link_over(channel, self._line.port, HuntingDecoder(), decode)
+        return FrameLink(channel, self._line.port, HuntingDecoder(), self)
 
     def _sample_bytes(self, joints: int) -> float:
         count = samples_per_frame(joints)
         return frame_bytes(LeanSamples.size(count, joints)) / count
 
-    def _rests(self, motion: MotionStream) -> bool:
+    def _rests(self, motion: SampleStream) -> bool:
         """Wait until all samples have come, which may take much longer."""
         until = time.monotonic() + self._start_timeout
         while not motion.wait(_REST_POLL):
@@ -119,60 +113,3 @@ class SerialDriver(FrameDriver):
             first, count = motion.next_wanted()
             motion.fetching = self._fetching = link.post(Fetch(first, min(count, MAX_BATCH))), first
             self._fetched = now
-
-
-class _RtuClient(ModbusSerialClient):
-    """Waits by a monotonic clock; the library uses the wall clock."""
-
-    _begun = False  # the answer
-
-    def send(self, request: bytes, addr: tuple[Any, ...] | None = None) -> int:
-        """Send a request."""
-        self._begun = False
-        return super().send(request, addr)
-
-    def recv(self, size: int | None) -> bytes:
-        """Received bytes once no more follow; empty if none come within the timeout."""
-        port = self.socket
-        assert port is not None  # it was written to just now
-        limit = self.comm_params.timeout_connect
-        until = time.monotonic() + (min(limit, _RTU_REST) if self._begun else limit)
-        pause = max(_RTU_PAUSE, frame_time(self.comm_params.baudrate, _RTU_TOGETHER))
-        came, before = 0, 0
-        while time.monotonic() < until and (came == 0 or came != before):
-            time.sleep(pause)
-            before, came = came, port.in_waiting
-        self._begun = came > 0
-        return bytes(port.read(came))
-
-
-class RtuDriver(ModbusDriver):
-    """`drivers.protocol.Driver` over Modbus RTU; the address is `port,baud,rtu`."""
-
-    def _check_address(self, address: str) -> None:
-        self._port = parse_port(address)
-
-    def _wanted_watchdog(self) -> int:
-        shortest = _FRAMES_IN_WATCHDOG * frame_time(self._port.baud, _RTU_EXCHANGE)
-        return round(1000 * max(self._watchdog, shortest))
-
-    def _make_client(self) -> MakeClient:
-        port = open_port(self._port, self._timeout)
-        request = b""
-
-        def make(trace: Callable[[bool, bytes], bytes]) -> Client:
-            def pass_on(sending: bool, data: bytes) -> bytes:
-                nonlocal request
-                data = trace(sending, data)
-                if sending:
-                    request = data
-                return data if sending else without_strays(request, data)
-
-            client = _RtuClient(
-                self._port.port, baudrate=self._port.baud, timeout=self._timeout, retries=0, trace_packet=pass_on
-            )
-            port.inter_byte_timeout = client.inter_byte_timeout
-            client.socket = port
-            return client
-
-        return make
