@@ -13,10 +13,10 @@ from contextlib import suppress
 from pathlib import Path
 
 from agent.core import AgentError, InputError, print_text, read_json, write_atomically
+from fake_controller.actuation import effects_text
 from fake_controller.actuation.machine import weighs_nothing
 from fake_controller.build import build_controller, build_ur_cell
 from fake_controller.controller import Controller
-from fake_controller.effects_list import effects_text
 from fake_controller.interpolation import KINDS
 from fake_controller.scenario import SetupSection, load_scenario
 from fake_controller.servers import WIRES, NoBrokerError, Server, open_server

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 
 from agent.robot import Dynamics, Tool
@@ -16,9 +18,9 @@ class SimulatedPayload(ArmEffect):
     """A ball of `mass` [kg] and `radius` [m] at `centre` (3,) [m] of the tip frame."""
 
     POSITIVE = ("mass",)
-    mass: float
-    centre: tuple[float, ...] = (0.0, 0.0, 0.1)
-    radius: float = 0.08
+    mass: Annotated[float, "kg"]
+    centre: Annotated[tuple[float, ...], "m"] = (0.0, 0.0, 0.1)
+    radius: Annotated[float, "m"] = 0.08
 
     def build_into(self, machine: Machine) -> None:
         self.need(len(self.centre) == 3, "centre", "three numbers")
@@ -36,9 +38,9 @@ class SimulatedInertialMismatch(ArmEffect):
     """
 
     POSITIVE = ("scale",)
-    link: float
+    link: Annotated[float, "from 1"]
     scale: float = 1.0
-    points: tuple[tuple[float, ...], ...] = ()
+    points: Annotated[tuple[tuple[float, ...], ...], "kg, m, m, m"] = ()
 
     def build_into(self, machine: Machine) -> None:
         self.need(self.link in range(1, machine.robot.dof + 1), "link", f"a whole number from 1 to {machine.robot.dof}")
@@ -58,8 +60,8 @@ class SimulatedInertialMismatch(ArmEffect):
 class SimulatedBaseTilt(ArmEffect):
     """The base leans by `roll` about its x axis, then `pitch` about its y axis [rad]."""
 
-    roll: float = 0.0
-    pitch: float = 0.0
+    roll: Annotated[float, "rad"] = 0.0
+    pitch: Annotated[float, "rad"] = 0.0
 
     def build_into(self, machine: Machine) -> None:
         sr, cr, sp, cp = np.sin(self.roll), np.cos(self.roll), np.sin(self.pitch), np.cos(self.pitch)

@@ -8,7 +8,7 @@ import difflib
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from typing import Any, ClassVar, Self, TypeVar, dataclass_transform
+from typing import Any, ClassVar, Self, TypeVar, dataclass_transform, get_type_hints
 
 from agent.core import InputError
 from agent.robot import RobotDescription
@@ -38,7 +38,9 @@ def effect(name: str, forms: dict[str, type[SimulatedEffect]] = EFFECTS) -> Call
 
 @dataclasses.dataclass(kw_only=True)
 class SimulatedEffect(ABC):
-    """One effect with its parameters, which are the further fields of the subclass; those in `POSITIVE` are above 0.
+    """One effect with its parameters: the further fields of the subclass, with units as in `Annotated[float, "rad"]`.
+
+    Those in `POSITIVE` are above 0.
 
     `joints` are the names it sits on; an effect of the whole arm or base has none.
     """
@@ -72,6 +74,13 @@ class SimulatedEffect(ABC):
         return [robot.joint_names.index(joint) for joint in self.joints]
 
     @classmethod
+    def units(cls) -> dict[str, str]:
+        """Unit of each parameter, as its annotation says; empty for ratios and counts."""
+        hints = get_type_hints(cls, include_extras=True)
+        names = [field.name for field in dataclasses.fields(cls) if field.name != "joints"]
+        return {name: "".join(getattr(hints[name], "__metadata__", ())) for name in names}
+
+    @classmethod
     def from_parameters(cls, joints: tuple[str, ...], parameters: Mapping[str, Any]) -> Self:
         """Build from numbers and lists of numbers.
 
@@ -88,7 +97,7 @@ class SimulatedEffect(ABC):
                     f"effect {cls.name}: parameters: unknown key {key!r}{hint}; allowed are {', '.join(fields)}"
                 )
             values[key] = _plain(cls.name, key, value)
-            listed = str(fields[key].type).startswith("tuple")
+            listed = "tuple[" in str(fields[key].type)
             if listed != isinstance(values[key], tuple):
                 kind = "a list of numbers" if listed else "one number"
                 raise InputError(f"effect {cls.name}: parameters: {key}: {kind} is expected")

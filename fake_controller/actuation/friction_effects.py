@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from math import asinh, exp
+from typing import Annotated
 
 from fake_controller.actuation.effect import FrictionEffect, JointEffect, effect
 from fake_controller.actuation.machine import Machine
@@ -19,8 +20,8 @@ class SimulatedStribeck(FrictionEffect):
     """
 
     POSITIVE = ("speed", "shape")
-    rise: float
-    speed: float
+    rise: Annotated[float, "N·m"]
+    speed: Annotated[float, "rad/s"]
     shape: float = 2.0
 
     def level(self, level: float, speed: float, load: float) -> float:
@@ -45,7 +46,7 @@ class SimulatedAsymmetricFriction(FrictionEffect):
 class SimulatedLoadDependentFriction(FrictionEffect):
     """Teeth rub by `coefficient` N·m each N·m that they transmit, once they bear: below a tenth of nominal, less."""
 
-    coefficient: float
+    coefficient: Annotated[float, "N·m/(N·m)"]
 
     def install_on(self, machine: Machine, k: int) -> None:
         self._bearing = 0.1 * float(machine.nominal[k])
@@ -60,9 +61,9 @@ class SimulatedViscousNonlinearity(FrictionEffect):
     """A film that shears thin, `torque` · asinh(v / `speed`) (Eyring), and churning, `cubic` · v³ [N·m·s³/rad³]."""
 
     POSITIVE = ("speed",)
-    torque: float = 0.0
-    speed: float = 0.2
-    cubic: float = 0.0
+    torque: Annotated[float, "N·m"] = 0.0
+    speed: Annotated[float, "rad/s"] = 0.2
+    cubic: Annotated[float, "N·m·s³/rad³"] = 0.0
 
     def viscous(self, torque: float, speed: float) -> float:
         return torque + self.torque * asinh(speed / self.speed) + self.cubic * speed**3
@@ -96,12 +97,12 @@ class SimulatedThermalFriction(FrictionEffect):
     """
 
     POSITIVE = ("time_constant",)
-    start: float = 0.0
-    equilibrium: float = 0.0
-    resistance: float = 0.0
-    time_constant: float = 60.0
-    coulomb_rate: float = 0.0
-    viscous_rate: float = 0.0
+    start: Annotated[float, "K"] = 0.0
+    equilibrium: Annotated[float, "K"] = 0.0
+    resistance: Annotated[float, "K/W"] = 0.0
+    time_constant: Annotated[float, "s"] = 60.0
+    coulomb_rate: Annotated[float, "1/K"] = 0.0
+    viscous_rate: Annotated[float, "1/K"] = 0.0
 
     def install_on(self, machine: Machine, k: int) -> None:
         self.temperature: float = self.start
@@ -129,7 +130,7 @@ class SimulatedPresliding(FrictionEffect):
 
     POSITIVE = ("travel",)
     share: float
-    travel: float
+    travel: Annotated[float, "rad"]
 
     def install_on(self, machine: Machine, k: int) -> None:
         self.need(0.0 <= self.share <= 0.9, "share", "between 0 and 0.9")

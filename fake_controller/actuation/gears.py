@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from math import sqrt
+from typing import Annotated
 
 import numpy as np
 
@@ -31,7 +32,7 @@ class SimulatedJointElasticity(JointEffect):
     """The gear is a spring of `stiffness` [N·m/rad] between rotor and link, with a damper of `damping_ratio`."""
 
     POSITIVE = ("stiffness",)
-    stiffness: float
+    stiffness: Annotated[float, "N·m/rad"]
     damping_ratio: float = 0.03
 
     def install_on(self, machine: Machine, k: int) -> None:
@@ -53,8 +54,8 @@ class SimulatedBacklash(JointEffect):
     """
 
     POSITIVE = ("gap",)
-    gap: float
-    stiffness: float = 0.0
+    gap: Annotated[float, "rad"]
+    stiffness: Annotated[float, "N·m/rad"] = 0.0
     damping_ratio: float = 0.1
 
     def install_on(self, machine: Machine, k: int) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from math import cos, pi, sin, sqrt
+from typing import Annotated
 
 import numpy as np
 
@@ -19,9 +20,9 @@ class SimulatedTorqueRipple(JointEffect):
     `order` counts periods a motor turn: whole for cogging and current sensors, a fraction for gear angles.
     """
 
-    amplitude: float
-    order: float
-    phase: float = 0.0
+    amplitude: Annotated[float, "N·m"]
+    order: Annotated[float, "1/motor turn"]
+    phase: Annotated[float, "rad"] = 0.0
 
     def install_on(self, machine: Machine, k: int) -> None:
         self._per_angle = self.order * machine.robot.joints[k].gear_ratio
@@ -41,11 +42,11 @@ class SimulatedGravitySpring(JointEffect):
     """
 
     POSITIVE = ("anchor", "lever")
-    preload: float
-    rate: float = 0.0
-    anchor: float = 0.4
-    lever: float = 0.15
-    angle: float = 0.0
+    preload: Annotated[float, "N"]
+    rate: Annotated[float, "N/m"] = 0.0
+    anchor: Annotated[float, "m"] = 0.4
+    lever: Annotated[float, "m"] = 0.15
+    angle: Annotated[float, "rad"] = 0.0
 
     def install_on(self, machine: Machine, k: int) -> None:
         self.need(self.anchor != self.lever, "lever", "unlike the anchor: the pivots would meet")
@@ -68,11 +69,11 @@ class SimulatedDressPack(JointEffect):
     """
 
     POSITIVE = ("travel",)
-    stiffness: float
-    centre: float = 0.0
-    cubic: float = 0.0
-    hysteresis: float = 0.0
-    travel: float = 0.05
+    stiffness: Annotated[float, "N·m/rad"]
+    centre: Annotated[float, "rad"] = 0.0
+    cubic: Annotated[float, "N·m/rad³"] = 0.0
+    hysteresis: Annotated[float, "N·m"] = 0.0
+    travel: Annotated[float, "rad"] = 0.05
 
     def install_on(self, machine: Machine, k: int) -> None:
         self._limits = [self.travel * share for share in (0.25, 0.6, 1.0)]
@@ -96,9 +97,9 @@ class ContactForce(ArmEffect):
     """
 
     POSITIVE = ("duration",)
-    force: tuple[float, ...]
-    start: float
-    duration: float
+    force: Annotated[tuple[float, ...], "N"]
+    start: Annotated[float, "s"]
+    duration: Annotated[float, "s"]
 
     def build_into(self, machine: Machine) -> None:
         self.need(len(self.force) == 3, "force", "three numbers")

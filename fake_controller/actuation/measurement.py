@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 from scipy.interpolate import CubicSpline
 
@@ -28,7 +30,7 @@ class SimulatedTorqueConstant(JointEffect):
 class SimulatedTorqueOffset(JointEffect):
     """The current sensor reads too much by `offset` [N·m on the joint side], which its temperature swings by 5 %."""
 
-    offset: float
+    offset: Annotated[float, "N·m"]
 
     def install_on(self, machine: Machine, k: int) -> None:
         machine.torque_offset[k] += self.offset
@@ -41,7 +43,7 @@ class SimulatedTimeDelay(ArmEffect):
     Half of it is the way over the bus, the other half two filters of the drive, which also round corners.
     """
 
-    delay: float
+    delay: Annotated[float, "s"]
 
     def build_into(self, machine: Machine) -> None:
         machine.torque_delay += self.delay
@@ -51,7 +53,7 @@ class SimulatedTimeDelay(ArmEffect):
 class SimulatedEncoderOffset(JointEffect):
     """The joint reads `offset` [rad] more than it stands at, to controller and user alike."""
 
-    offset: float
+    offset: Annotated[float, "rad"]
 
     def install_on(self, machine: Machine, k: int) -> None:
         machine.encoder_offset[k] += self.offset
@@ -66,7 +68,7 @@ class SimulatedInterpolatorMismatch(ArmEffect):
 
     POSITIVE = ("rate",)
     rate: float = 1.0
-    blend: float = 0.0
+    blend: Annotated[float, "s"] = 0.0
 
     def build_into(self, machine: Machine) -> None:
         self.need(self.blend >= 0, "blend", "0 or more")

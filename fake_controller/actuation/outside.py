@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from math import exp, floor, sqrt, tanh
+from typing import Annotated
 
 import numpy as np
 
@@ -21,8 +22,8 @@ class RoughBearing(JointEffect):
     """
 
     POSITIVE = ("amplitude", "patch")
-    amplitude: float
-    patch: float = 0.1
+    amplitude: Annotated[float, "N·m"]
+    patch: Annotated[float, "rad"] = 0.1
     seed: float = 0.0
 
     def install_on(self, machine: Machine, k: int) -> None:
@@ -46,8 +47,8 @@ class WanderingTorque(JointEffect):
     """
 
     POSITIVE = ("amplitude", "memory")
-    amplitude: float
-    memory: float = 0.5
+    amplitude: Annotated[float, "N·m"]
+    memory: Annotated[float, "s"] = 0.5
     seed: float = 0.0
 
     def install_on(self, machine: Machine, k: int) -> None:
@@ -72,9 +73,9 @@ class RubbingBrake(FrictionEffect):
     """
 
     POSITIVE = ("drag", "on", "off")
-    drag: float
-    on: float = 0.4
-    off: float = 1.2
+    drag: Annotated[float, "N·m"]
+    on: Annotated[float, "s"] = 0.4
+    off: Annotated[float, "s"] = 1.2
     seed: float = 0.0
 
     def install_on(self, machine: Machine, k: int) -> None:
