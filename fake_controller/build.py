@@ -16,7 +16,7 @@ from fake_controller.interpolation import build_interpolator
 from fake_controller.interpreter import left_over
 from fake_controller.plant import Plant
 from fake_controller.ur.arm import MODELS
-from fake_controller.ur.cell import UrCell
+from fake_controller.ur.cell import IMPOSSIBLE, UrCell
 
 #: Version of the software of a UR controller.
 POLYSCOPE = (5, 12, 6, 1102099)
@@ -79,7 +79,7 @@ def build_ur_cell(
     if plant.machine.path_changes:
         raise InputError("interpolator_mismatch is not simulated on UR controllers; remove it from the effects")
     try:
-        check_wire(faults, "ur")
+        check_wire(faults, "ur", IMPOSSIBLE)
     except ValueError as error:
         raise InputError(str(error)) from None
     serial = f"2019{int(_digest(seed)[:6], 16):08d}"

@@ -2,13 +2,13 @@
 
 A fault waits for its phase and acts once. Those of the wire sit between a server and its line: servers send every
 frame through `Faults.send` and take what came through `Faults.heard`. Those of the machine are applied by the
-controller. Neither knows which wire it is; `NOT_ON` has what makes no sense on which.
+controller. Neither knows which wire it is; each wire says what makes no sense on it.
 """
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 #: When a fault strikes: at the greeting, upload of a program or start, after some time of motion, on a stop.
@@ -31,7 +31,7 @@ WIRE = {
     "sequence_error": frozenset({"upload"}),  # a point is taken for another than the next
 }
 #: Of these, those that go on until another client comes; a server asks whether they act.
-_LASTING = ("broker_gone", "topic_missing", "queue_full", "sequence_error")
+LASTING = ("broker_gone", "topic_missing", "queue_full", "sequence_error")
 #: Faults of the machine and its controller.
 MACHINE = {
     "emergency_stop": _EVERY,
@@ -59,29 +59,8 @@ MACHINE = {
     "untranslatable": frozenset({"upload"}),  # its translator does not take line `value`
 }
 FAULTS = {**WIRE, **MACHINE}
-_ONE_ANSWER = "it sends one answer at a time, so none can overtake another"
-_WITHOUT_BROKER = dict.fromkeys(
-    ("tcp", "modbus", "serial", "rtu", "ur"), "samples come by no broker there, points in no queue"
-)
 #: Faults of the samples only.
 LIES = ("mute", "no_end", "clock_back", "no_numbers", "columns")
-#: Faults that make no sense on a wire, and why.
-NOT_ON = {
-    "columns": {
-        **dict.fromkeys(("modbus", "rtu"), "its registers have their number of joints"),
-        "serial": "it packs samples anew, by its number of joints",
-        "cnr_comau": "its messages have ten axes",
-        "ur": "its fields have their number of joints",
-    },
-    **{name: {"ur": "no program is stored there"} for name in ("wrong_program", "full_memory")},
-    "clock_back": {"cnr_comau": "its node counts time by itself"},
-    "no_numbers": {"cnr_comau": "a message without numbers is damage there, as if it was lost"},
-    "reorder": {
-        **dict.fromkeys(("modbus", "rtu", "cnr_comau"), _ONE_ANSWER),
-        "ur": "each of its ports is a stream of its own",
-    },
-    **dict.fromkeys(_LASTING, _WITHOUT_BROKER),
-}
 _DEFAULT_VALUE = {
     "delay": 0.1,
     "override": 0.5,
@@ -126,14 +105,15 @@ class Fault:
         return self.value or _DEFAULT_VALUE.get(self.name, 0.0)
 
 
-def check_wire(faults: Iterable[Fault], wire: str) -> None:
-    """Raises:
-    ValueError: a fault makes no sense on this wire.
+def check_wire(faults: Iterable[Fault], wire: str, impossible: Mapping[str, str]) -> None:
+    """Check that all faults make sense on a wire; `impossible` has those that do not, and why.
+
+    Raises:
+        ValueError: one does not.
     """
     for fault in faults:
-        reason = NOT_ON.get(fault.name, {}).get(wire)
-        if reason is not None:
-            raise ValueError(f"{fault.name} makes no sense on {wire}: {reason}")
+        if fault.name in impossible:
+            raise ValueError(f"{fault.name} makes no sense on {wire}: {impossible[fault.name]}")
 
 
 class Faults:
@@ -167,7 +147,7 @@ class Faults:
                     self._silent = True
                 elif fault.name == "lost_client":
                     self._deaf = True
-                elif fault.name in _LASTING:
+                elif fault.name in LASTING:
                     self._lasting.add(fault.name)
                 elif fault.name in WIRE:
                     self._armed.append(fault)

@@ -10,8 +10,8 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 from agent.core import InputError, load_document
 from agent.recipe import Time
 from agent.robot import load_robot
-from fake_controller.faults import NOT_ON, Fault
-from fake_controller.servers import WIRES
+from fake_controller.faults import Fault
+from fake_controller.servers import IMPOSSIBLE, WIRES
 from fake_controller.state import State
 
 #: Those that come with the package.
@@ -85,7 +85,7 @@ class Scenario(_Section):
     @property
     def wires(self) -> list[str]:
         """Wires on which all of its faults are possible."""
-        return [wire for wire in WIRES if not any(wire in NOT_ON.get(section.fault, {}) for section in self.faults)]
+        return [wire for wire in WIRES if not any(section.fault in IMPOSSIBLE[wire] for section in self.faults)]
 
     def expected(self, wire: str) -> ExpectSection:
         """How it must end on this wire."""

@@ -5,16 +5,32 @@ from __future__ import annotations
 from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
-from fake_controller.faults import check_wire
+from fake_controller.faults import LASTING, check_wire
 from fake_controller.servers.base import BROKER, NoBrokerError, Server
 
 if TYPE_CHECKING:
     from fake_controller.controller import Controller
 
-__all__ = ["BROKER", "WIRES", "NoBrokerError", "Server", "open_server"]
+__all__ = ["BROKER", "IMPOSSIBLE", "WIRES", "NoBrokerError", "Server", "open_server"]
 
 #: Wires by name, with the name of the driver that speaks each.
 WIRES = {"tcp": "tcp", "modbus": "modbus", "serial": "serial", "rtu": "serial", "cnr_comau": "cnr_comau"}
+_NO_BROKER = dict.fromkeys(LASTING, "samples come by no broker there, points in no queue")
+_ONE_ANSWER = "it sends one answer at a time, so none can overtake another"
+_REGISTERS = {**_NO_BROKER, "columns": "its registers have their number of joints", "reorder": _ONE_ANSWER}
+#: Faults that make no sense on a wire, and why.
+IMPOSSIBLE = {
+    "tcp": _NO_BROKER,
+    "modbus": _REGISTERS,
+    "serial": {**_NO_BROKER, "columns": "it packs samples anew, by its number of joints"},
+    "rtu": _REGISTERS,
+    "cnr_comau": {
+        "columns": "its messages have ten axes",
+        "clock_back": "its node counts time by itself",
+        "no_numbers": "a message without numbers is damage there, as if it was lost",
+        "reorder": _ONE_ANSWER,
+    },
+}
 
 
 class _OnCable:
@@ -53,7 +69,7 @@ def open_server(
         OSError: the port is taken, or is not this machine's; a `NoBrokerError` where no broker answers.
         ValueError: a fault of the controller makes no sense on this wire.
     """
-    check_wire(controller.faults.waiting, wire)
+    check_wire(controller.faults.waiting, wire, IMPOSSIBLE[wire])
     if wire == "tcp":
         from fake_controller.servers.tcp import TcpServer
 

@@ -15,7 +15,7 @@ from agent.robot import RobotDescription
 from drivers.wire.reasons import EndReason
 from fake_controller.clock import Clock, FastClock
 from fake_controller.execution import Astray, between, follow
-from fake_controller.faults import LIES, Fault, Faults
+from fake_controller.faults import LASTING, LIES, Fault, Faults
 from fake_controller.plant import Plant
 from fake_controller.state import State
 from fake_controller.ur.arm import Unreachable
@@ -27,6 +27,13 @@ from fake_controller.ur.script import Go, Request, Run, Script, ScriptError
 from fake_controller.ur.state import SWITCHED_ON, UrState
 
 UNLOCK_AFTER = 5.0  # s
+#: Faults that make no sense here, and why.
+IMPOSSIBLE = {
+    **dict.fromkeys(LASTING, "samples come by no broker there, points in no queue"),
+    **dict.fromkeys(("wrong_program", "full_memory"), "no program is stored there"),
+    "columns": "its fields have their number of joints",
+    "reorder": "each of its ports is a stream of its own",
+}
 _TURNS = 5000  # of loops and calls that a thread may make in one cycle
 _TOOL_SPEED, _TOLERATED = 1.5, 1.02  # m/s, factory safety limit; share of a limit
 _SLIDER_SLEW, _STOP_SLEW, _LOWEST_SLIDER = 0.3, 0.15, 0.01  # s, s, share of full speed

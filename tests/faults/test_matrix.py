@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from drivers.wire.reasons import EndReason
-from fake_controller.faults import FAULTS, NOT_ON, PHASES, Fault
-from fake_controller.servers import WIRES
+from fake_controller.faults import FAULTS, PHASES, Fault
+from fake_controller.servers import IMPOSSIBLE, WIRES
+from fake_controller.ur.cell import IMPOSSIBLE as ON_UR
 from tests.faults.conftest import HARMLESS
 
 #: What would be harmless elsewhere, but FTP takes an answer that comes twice for that to the next command.
@@ -52,7 +53,7 @@ MATRIX = [
     for wire in (*WIRES, "ur")
     for name in FAULTS
     for phase in PHASES
-    if phase in FAULTS[name] and wire not in NOT_ON.get(name, {})
+    if phase in FAULTS[name] and name not in {**IMPOSSIBLE, "ur": ON_UR}[wire]
     if wire != "ur" or (name in UR_TRIED and phase == "streaming")
 ]
 
