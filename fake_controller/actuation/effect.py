@@ -10,10 +10,34 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, Self, TypeVar, dataclass_transform, get_type_hints
 
+import numpy as np
+
 from agent.core import InputError
-from agent.robot import RobotDescription
+from agent.robot import Dynamics, RobotDescription
 from fake_controller.actuation.friction import FrictionModifier
 from fake_controller.actuation.machine import Machine
+
+
+class Drawn:
+    """What an effect on joint `k` is drawn from: at a `size` of 1 it costs a few percent of `nominal` torque.
+
+    nominal [N·m] is 100 where the description has none, fastest [rad/s] the joint's limit; `sign` is 1 or -1, `seed`
+    for what the effect draws itself.
+    """
+
+    def __init__(self, robot: RobotDescription, k: int, size: float, rng: np.random.Generator) -> None:
+        self.robot, self.size, self.rng, self.uniform = robot, size, rng, rng.uniform
+        self.nominal = float(np.nan_to_num(robot.nominal_torque, nan=100.0)[k])
+        self.fastest = float(robot.max_velocity[k])
+        self.sign, self.seed = float(rng.choice([-1.0, 1.0])), float(rng.integers(1_000_000))
+        self._joint = k
+
+    @property
+    def inertia(self) -> float:
+        """[kg·m²] that the joint sees in the middle of its range."""
+        k, (lower, upper) = self._joint, (np.clip(limit, -np.pi, np.pi) for limit in self.robot.position_limits)
+        return float(Dynamics(self.robot).mass_matrix(0.5 * (lower + upper))[k, k])
+
 
 Form = TypeVar("Form", bound="type[SimulatedEffect]")
 
@@ -46,6 +70,8 @@ class SimulatedEffect(ABC):
     """
 
     name: ClassVar[str]
+    #: Parameters of an individual, as the blind check draws it.
+    USUAL: ClassVar[Callable[[Drawn], dict[str, Any]]]
     POSITIVE: ClassVar[tuple[str, ...]] = ()
     joints: tuple[str, ...] = ()
 

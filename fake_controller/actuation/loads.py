@@ -20,6 +20,13 @@ class SimulatedTorqueRipple(JointEffect):
     `order` counts periods a motor turn: whole for cogging and current sensors, a fraction for gear angles.
     """
 
+    USUAL = staticmethod(
+        lambda d: {
+            "amplitude": 0.06 * d.size * d.nominal,
+            "order": float(d.rng.choice([0.5, 1.0, 2.0])),
+            "phase": d.uniform(0, 6),
+        }
+    )
     amplitude: Annotated[float, "N·m"]
     order: Annotated[float, "1/motor turn"]
     phase: Annotated[float, "rad"] = 0.0
@@ -41,6 +48,13 @@ class SimulatedGravitySpring(JointEffect):
     τ = −F a b sin(q − angle) / l with l² = a² + b² − 2 a b cos(q − angle).
     """
 
+    USUAL = staticmethod(
+        lambda d: {
+            "preload": 0.6 * d.size * d.nominal,
+            "rate": d.uniform(0, 1) * d.size * d.nominal,
+            "angle": d.uniform(-1, 1),
+        }
+    )
     POSITIVE = ("anchor", "lever")
     preload: Annotated[float, "N"]
     rate: Annotated[float, "N/m"] = 0.0
@@ -68,6 +82,13 @@ class SimulatedDressPack(JointEffect):
     [rad] of a reversal (Iwan).
     """
 
+    USUAL = staticmethod(
+        lambda d: {
+            "stiffness": 0.05 * d.size * d.nominal,
+            "centre": d.uniform(-1, 1),
+            "hysteresis": 0.02 * d.size * d.nominal,
+        }
+    )
     POSITIVE = ("travel",)
     stiffness: Annotated[float, "N·m/rad"]
     centre: Annotated[float, "rad"] = 0.0
@@ -96,6 +117,13 @@ class ContactForce(ArmEffect):
     Time runs from when the arm was put to rest. The force swells and fades as sin² over a fifth of the duration.
     """
 
+    USUAL = staticmethod(
+        lambda d: {
+            "force": (way := d.rng.normal(size=3)) / np.linalg.norm(way) * 120 * d.size,
+            "start": d.uniform(5, 50),
+            "duration": d.uniform(0.5, 3),
+        }
+    )
     POSITIVE = ("duration",)
     force: Annotated[tuple[float, ...], "N"]
     start: Annotated[float, "s"]

@@ -21,6 +21,9 @@ class RoughBearing(JointEffect):
     The drag of each patch is drawn from `seed`, linear in between; it only opposes motion.
     """
 
+    USUAL = staticmethod(
+        lambda d: {"amplitude": 0.15 * d.size * d.nominal, "patch": d.uniform(0.04, 0.15), "seed": d.seed}
+    )
     POSITIVE = ("amplitude", "patch")
     amplitude: Annotated[float, "N·m"]
     patch: Annotated[float, "rad"] = 0.1
@@ -46,6 +49,13 @@ class WanderingTorque(JointEffect):
     Ornstein and Uhlenbeck's process, drawn from `seed`: a bus voltage that breathes, an amplifier about to fail.
     """
 
+    USUAL = staticmethod(
+        lambda d: {
+            "amplitude": 0.05 * d.size * d.nominal,
+            "memory": float(np.exp(d.uniform(np.log(0.2), np.log(2.0)))),
+            "seed": d.seed,
+        }
+    )
     POSITIVE = ("amplitude", "memory")
     amplitude: Annotated[float, "N·m"]
     memory: Annotated[float, "s"] = 0.5
@@ -72,6 +82,14 @@ class RubbingBrake(FrictionEffect):
     The moments are drawn from `seed`.
     """
 
+    USUAL = staticmethod(
+        lambda d: {
+            "drag": 0.1 * d.size * d.nominal,
+            "on": d.uniform(0.2, 0.8),
+            "off": d.uniform(0.5, 2),
+            "seed": d.seed,
+        }
+    )
     POSITIVE = ("drag", "on", "off")
     drag: Annotated[float, "N·m"]
     on: Annotated[float, "s"] = 0.4
