@@ -18,7 +18,7 @@ from drivers.registry import create
 from drivers.wire.cnr import IDENTITY_FILE, MessageType
 from drivers.wire.reasons import EndReason
 from fake_controller.build import build_controller
-from fake_controller.servers.cnr.ftp import FtpFolder
+from fake_controller.servers.cnr.files import FtpFolder
 from fake_controller.servers.cnr.server import CnrServer
 from tests.conftest import patience
 from tests.faults.conftest import RECIPE

@@ -11,7 +11,7 @@ from hypothesis import given, settings, strategies as st
 from drivers.transports.cnr.node import Joiner, Rows, SnapshotClock
 from drivers.wire import cnr
 from fake_controller.build import build_controller
-from fake_controller.servers.cnr.mqtt import JointPublisher
+from fake_controller.servers.cnr.node import JointPublisher
 from fake_controller.servers.cnr.server import CnrServer
 from tests.conftest import patience
 from tests.link.cnr_peer import SHORT

@@ -13,7 +13,7 @@ from drivers.wire.cnr import AXES, Feedback, Mode, StatusMessage
 from drivers.wire.reasons import EndReason
 from fake_controller.controller import PERIOD, Controller
 from fake_controller.execution import Slice
-from fake_controller.servers.cnr.mqtt import JointPublisher
+from fake_controller.servers.cnr.node import JointPublisher
 from fake_controller.servers.cnr.sockets import LockStep
 from fake_controller.servers.frame_client import IDLE_LIMIT
 
