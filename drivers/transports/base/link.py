@@ -144,9 +144,9 @@ class LinkDriver(Generic[Link, Motion]):
     start_timeout : the same for `start`, where the controller plans first, and for the arm to rest after `stop`.
     buffer_limit : bytes of samples kept for a consumer that is behind (the default: over an hour at 500 Hz and six
         joints). Beyond it the motion is stopped; the link itself never waits for the consumer.
+    watchdog : silence [s] after which either end takes the other for gone, where a client may ask for one; the
+        controller may answer another one.
     """
-
-    _watchdog = WATCHDOG  # that is asked for
 
     def __init__(
         self,
@@ -154,11 +154,13 @@ class LinkDriver(Generic[Link, Motion]):
         timeout: float = 5.0,
         start_timeout: float = 60.0,
         buffer_limit: int = 512 * 1024 * 1024,
+        watchdog: float = WATCHDOG,
     ) -> None:
         self.address = place_of(address)
         self._timeout = timeout
         self._start_timeout = start_timeout
         self._buffer_limit = buffer_limit
+        self._watchdog = watchdog
         self._link: Link | None = None
         self._motion: Motion | None = None
 

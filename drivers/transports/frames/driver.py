@@ -21,7 +21,7 @@ import numpy as np
 
 from drivers.errors import DriverError, ProtocolError, RefusedError
 from drivers.protocol import Identity, SampleBlock, Status
-from drivers.transports.base.link import WATCHDOG, LinkDriver, LinkThread, dropped
+from drivers.transports.base.link import LinkDriver, LinkThread, dropped
 from drivers.transports.base.ports import open_socket, parse_address
 from drivers.transports.base.poses import poses_of_frames
 from drivers.transports.base.samples import SampleStream
@@ -257,7 +257,6 @@ class FrameDriver(LinkDriver[FrameLink, SampleStream]):
     Parameters
     ----------
     address : in the notation of the subclass.
-    watchdog : silence [s] after which either end takes the other for gone; the controller may answer another one.
     options : of `LinkDriver`.
     """
 
@@ -265,9 +264,8 @@ class FrameDriver(LinkDriver[FrameLink, SampleStream]):
     UPLOAD_BLOCK = wire.UPLOAD_BLOCK
     BURST = 256  # questions at once that measure the link: their answers take several times what it delays any
 
-    def __init__(self, address: str, *, watchdog: float = WATCHDOG, **options: Any) -> None:
+    def __init__(self, address: str, **options: Any) -> None:
         super().__init__(address, **options)
-        self._watchdog = watchdog
         self._measures_temperatures = True
 
     def identify(self) -> Identity:

@@ -41,7 +41,6 @@ class ModbusDriver(LinkDriver[ModbusLink, RingMotion]):
     Parameters
     ----------
     address : of the controller.
-    watchdog : silence [s] after which either end takes the other for gone; the controller may answer another one.
     unit : Modbus unit, for a controller behind a gateway.
     options : of `LinkDriver`.
 
@@ -49,10 +48,9 @@ class ModbusDriver(LinkDriver[ModbusLink, RingMotion]):
         ConfigurationError: not an address.
     """
 
-    def __init__(self, address: str, *, watchdog: float = WATCHDOG, unit: int = wire.UNIT, **options: Any) -> None:
+    def __init__(self, address: str, *, unit: int = wire.UNIT, **options: Any) -> None:
         self._check_address(address)
         super().__init__(address, **options)
-        self._watchdog = watchdog
         self._unit = unit
         self._closed = threading.Event()
         self._stopping = threading.Lock()
@@ -183,7 +181,7 @@ class ModbusDriver(LinkDriver[ModbusLink, RingMotion]):
         if not 1 <= joints <= wire.MAX_JOINTS or not 1 <= slots <= wire.slot_count(joints):
             raise ProtocolError(f"the controller at {self.address} announces {joints} joints, {slots} slots")
         self._joints, self._slots = joints, slots
-        answer = self._command(wire.Command.OPEN, self._timeout, "the session", watchdog=self._wanted_watchdog())
+        answer = self._command(wire.Command.OPEN, self._timeout, "the session", watchdog=round(1000 * self._watchdog))
         if not 10 <= answer["watchdog"] <= 60_000:
             raise ProtocolError(f"the controller at {self.address} wants a watchdog of {answer['watchdog']} ms")
         link.watchdog = answer["watchdog"] / 1000
@@ -214,9 +212,6 @@ class ModbusDriver(LinkDriver[ModbusLink, RingMotion]):
             return client
 
         return make
-
-    def _wanted_watchdog(self) -> int:
-        return round(self._watchdog * 1000)
 
     def _command_stop(self) -> None:
         for _ in range(_STOPS - 1):

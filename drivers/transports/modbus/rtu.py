@@ -49,16 +49,16 @@ class _RtuClient(ModbusSerialClient):
 class RtuDriver(ModbusDriver):
     """`drivers.protocol.Driver` over Modbus RTU; the address is `port,baud,rtu`."""
 
+    def __init__(self, address: str, **options: Any) -> None:
+        super().__init__(address, **options)
+        self._watchdog = max(self._watchdog, _FRAMES_IN_WATCHDOG * frame_time(self._port.baud, _EXCHANGE))
+
     def endpoints(self) -> tuple[str, ...]:
         """`NamesEndpoints`."""
         return serial_endpoints(self._port.port)
 
     def _check_address(self, address: str) -> None:
         self._port = parse_port(address)
-
-    def _wanted_watchdog(self) -> int:
-        shortest = _FRAMES_IN_WATCHDOG * frame_time(self._port.baud, _EXCHANGE)
-        return round(1000 * max(self._watchdog, shortest))
 
     def _make_client(self) -> MakeClient:
         port = open_port(self._port, self._timeout)
