@@ -17,6 +17,7 @@ from fake_controller.interpreter import left_over
 from fake_controller.plant import Plant
 from fake_controller.ur.arm import MODELS
 from fake_controller.ur.cell import IMPOSSIBLE, UrCell
+from fake_controller.ur.state import Version
 
 #: Version of the software of a UR controller.
 POLYSCOPE = (5, 12, 6, 1102099)
@@ -60,7 +61,7 @@ def build_ur_cell(
     effects: Sequence[Mapping[str, Any]] = (),
     faults: Sequence[Fault] = (),
     model: Path | None = None,
-    version: tuple[int, int, int, int] = POLYSCOPE,
+    version: Version = POLYSCOPE,
     shortest_watchdog: float = 0.05,
 ) -> UrCell:
     """A UR controller with a stationary arm and a running clock.

@@ -18,7 +18,7 @@ from agent.robot import RobotDescription
 from drivers.wire.reasons import EndReason, Refusal
 from fake_controller.clock import Clock
 from fake_controller.execution import CannotMove, Chain, Execution, Planner, Slice, StopSwitch
-from fake_controller.faults import LIES, Fault, Faults
+from fake_controller.faults import Fault, Faults, FaultyController
 from fake_controller.frames import tool_point
 from fake_controller.interpreter import FACTORY, Interpreter
 from fake_controller.plant import Plant
@@ -61,7 +61,7 @@ class Listener(Protocol):
         """The arm rests; the motion had this number of samples."""
 
 
-class Controller:
+class Controller(FaultyController):
     """One robot controller. Thread-safe: servers call it from any thread.
 
     Args:
@@ -89,15 +89,11 @@ class Controller:
         faults: Faults | None = None,
         system: Mapping[str, Value] = FACTORY,
     ) -> None:
+        super().__init__(faults)
         self.robot, self.name, self.serial = robot, robot.name, serial
-        self.faults, self.clock, self.forward = faults or Faults(), clock, forward
-        self.state = State()
-        self.motions_started = 0
-        self.ends: list[EndReason] = []
+        self.clock, self.forward, self.state = clock, forward, State()
         self.when_restarting: list[Callable[[], object]] = []
         self._system = dict(system)
-        self._slowness, self._obeys = 1.0, True
-        self._lies: dict[str, Fault] = {}
         self._counter_zero = self._count = 0
         self._planner = Planner(interpolator)
         self._execution = Execution(plant, forward, robot.max_acceleration, PERIOD, clock.slice_samples)
@@ -116,7 +112,6 @@ class Controller:
 
     @property
     def moving(self) -> bool:
-        """Whether a program runs."""
         return self._switch is not None
 
     @property
@@ -152,20 +147,6 @@ class Controller:
         with self._lock:
             stored = self._programs.find(name)
         return b"" if stored is None else stored.text
-
-    def history(self) -> str:
-        """How often the arm was set in motion and how that ended, in one line."""
-        ends = ", ".join(reason.name.lower() for reason in self.ends)
-        where = "moving" if self.moving else "at rest"
-        return f"motions started {self.motions_started}; ended: {ends or 'none'}; {where}"
-
-    def reach(self, phase: str, motion_time: float = 0.0) -> None:
-        """A phase of `fake_controller.faults` is reached: its faults strike now.
-
-        A server says `connect` as it greets a client, before it answers; the other phases are the controller's own.
-        """
-        for fault in self.faults.strike(phase, motion_time):
-            self._apply_fault(fault)
 
     def check_upload(self, name: str, size: int) -> None:
         """Raises:
@@ -264,16 +245,12 @@ class Controller:
         self.stop(EndReason.SHUTDOWN, "the controller is switched off")
         self.wait(10.0)
 
-    def _apply_fault(self, fault: Fault) -> None:  # noqa: C901
+    def _apply_fault(self, fault: Fault) -> None:
         stop = self.state.apply_fault(fault.name)
         if stop is not None:
             self.stop(*stop)
-        if fault.name in LIES:
-            self._lies[fault.name] = fault
         self._execution.astray.apply_fault(fault)
         match fault.name:
-            case "disobey":
-                self._obeys = False
             case "override" | "off_speed":  # the second without a word
                 if fault.name == "override":
                     self.state.override = fault.amount
@@ -284,8 +261,6 @@ class Controller:
             case "reset_counters":
                 self._counter_zero = self._count
                 self._ring = Ring()
-            case "slow":
-                self._slowness = fault.amount
             case "wrong_program" if fault.phase == "upload":
                 self._programs.alter_next = True
             case "wrong_program":

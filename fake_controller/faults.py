@@ -11,6 +11,8 @@ import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
+from drivers.wire.reasons import EndReason
+
 #: When a fault strikes: at the greeting, upload of a program or start, after some time of motion, on a stop.
 PHASES = ("connect", "upload", "start", "streaming", "stop")
 _EVERY = frozenset(PHASES)
@@ -210,6 +212,44 @@ class Faults:
         transmit(frame)
         if held is not None:
             transmit(held)
+
+
+class FaultyController:
+    """What faults act on in a controller of any vendor; `motions_started` and `ends` count its motions."""
+
+    def __init__(self, faults: Faults | None) -> None:
+        self.faults = faults or Faults()
+        self.motions_started = 0
+        self.ends: list[EndReason] = []
+        self._lies: dict[str, Fault] = {}
+        self._obeys, self._slowness = True, 1.0
+
+    @property
+    def moving(self) -> bool:
+        """Whether a program runs."""
+        raise NotImplementedError
+
+    def history(self) -> str:
+        """How often the arm was set in motion and how that ended, in one line."""
+        ends = ", ".join(reason.name.lower() for reason in self.ends)
+        where = "moving" if self.moving else "at rest"
+        return f"motions started {self.motions_started}; ended: {ends or 'none'}; {where}"
+
+    def reach(self, phase: str, motion_time: float = 0.0) -> None:
+        """A phase of `PHASES` is reached: its faults strike now.
+
+        A server says `connect` as it greets a client, before it answers; the other phases are the controller's own.
+        """
+        for fault in self.faults.strike(phase, motion_time):
+            if fault.name in LIES:
+                self._lies[fault.name] = fault
+            self._obeys = self._obeys and fault.name != "disobey"
+            self._slowness = fault.amount if fault.name == "slow" else self._slowness
+            self._apply_fault(fault)
+
+    def _apply_fault(self, fault: Fault) -> None:
+        """What a fault does here."""
+        raise NotImplementedError
 
 
 def _damaged(frame: bytes) -> bytes:

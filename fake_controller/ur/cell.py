@@ -15,7 +15,7 @@ from agent.robot import RobotDescription
 from drivers.wire.reasons import EndReason
 from fake_controller.clock import Clock, FastClock
 from fake_controller.execution import Astray, between, follow
-from fake_controller.faults import LASTING, LIES, Fault, Faults
+from fake_controller.faults import LASTING, Fault, Faults
 from fake_controller.plant import Plant
 from fake_controller.state import State
 from fake_controller.ur.arm import Unreachable
@@ -24,7 +24,7 @@ from fake_controller.ur.functions import script_functions
 from fake_controller.ur.law import CB3, E_SERIES, PlannedSetpoints, UrInterpolator, UrMove
 from fake_controller.ur.messages import error_message, exception_message, key_message, text_message
 from fake_controller.ur.script import Go, Request, Run, Script, ScriptError
-from fake_controller.ur.state import SWITCHED_ON, UrState
+from fake_controller.ur.state import SWITCHED_ON, UrState, Version
 
 UNLOCK_AFTER = 5.0  # s
 #: Faults that make no sense here, and why.
@@ -111,14 +111,12 @@ class UrCell(UrState):
         clock: Clock,
         serial: str,
         seed: int,
-        version: tuple[int, int, int, int],
+        version: Version,
         faults: Faults | None = None,
         shortest_watchdog: float = 0.05,
     ) -> None:
-        super().__init__(robot, plant.machine, serial, seed, version)
-        self.clock, self.faults = clock, faults or Faults()
-        self.motions_started = 0
-        self.ends: list[EndReason] = []
+        super().__init__(robot, plant.machine, serial, seed, version, faults)
+        self.clock = clock
         self.listeners: list[CellListener] = []
         self.when_cut: list[Callable[[], object]] = []  # every connection, as at a restart
         self.when_local: list[Callable[[], object]] = []
@@ -128,7 +126,7 @@ class UrCell(UrState):
         self._functions = script_functions(self)
         self._lock, self._wake, self._closing = threading.RLock(), threading.Event(), threading.Event()
         self._refused_line = 0
-        self._obeys, self._hidden_rate, self._slowness, self._clock_back = True, 1.0, 1.0, 0.0
+        self._hidden_rate, self._clock_back = 1.0, 0.0
         self._program: _Program | None = None
         self._moving: _Moving | None = None
         self._next_script: Script | None = None
@@ -153,12 +151,6 @@ class UrCell(UrState):
     @property
     def _threads(self) -> list[_Thread]:
         return [] if self._program is None else self._program.threads
-
-    def history(self) -> str:
-        """How often a program was started and how that ended, in one line."""
-        ends = ", ".join(reason.name.lower() for reason in self.ends)
-        where = "moving" if self.moving else "at rest"
-        return f"motions started {self.motions_started}; ended: {ends or 'none'}; {where}"
 
     def hurry(self) -> None:
         """Somebody looks: the next samples come at once, where the clock is fast and nothing moves."""
@@ -271,11 +263,6 @@ class UrCell(UrState):
     def tell_text(self, text: str) -> None:
         """textmsg."""
         self._tell(text_message(self.time, text))
-
-    def reach(self, phase: str, motion_time: float = 0.0) -> None:
-        """A phase of `fake_controller.faults` is reached: whatever is to go wrong in it goes wrong now."""
-        for fault in self.faults.strike(phase, motion_time):
-            self._apply_fault(fault)
 
     def shut_down(self) -> None:
         """Bring the arm to rest, and end."""
@@ -547,8 +534,6 @@ class UrCell(UrState):
     # Faults
 
     def _apply_fault(self, fault: Fault) -> None:  # noqa: C901
-        if fault.name in LIES:
-            self._lies[fault.name] = fault
         self._astray.apply_fault(fault)
         match fault.name:
             case "protective_stop":
@@ -568,10 +553,6 @@ class UrCell(UrState):
                 self.state.override = fault.amount
             case "off_speed":
                 self._hidden_rate = fault.amount
-            case "slow":
-                self._slowness = fault.amount
-            case "disobey":
-                self._obeys = False
             case "clock_back" | "reset_counters":
                 self._clock_back = fault.amount or self.time
             case "wrong_robot":

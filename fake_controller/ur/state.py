@@ -9,14 +9,15 @@ import numpy as np
 
 from agent.robot import Dynamics, RobotDescription, Tool
 from fake_controller.actuation.machine import Machine
-from fake_controller.faults import Fault
+from fake_controller.faults import Faults, FaultyController
 from fake_controller.state import State, home
 from fake_controller.ur.arm import MODELS, DenavitHartenberg, poses_of
 
+Version = tuple[int, int, int, int]
 SWITCHED_ON = 60.0  # s that the controller has been on when it is first seen
 
 
-class UrState:
+class UrState(FaultyController):
     """State of a cell; what changes it is in `UrCell`, which alone knows what `_program` and `_moving` are.
 
     `tcp` (4, 4) is in the flange's frame; `payload` has mass, centre and inertia in the order of set_target_payload;
@@ -25,8 +26,9 @@ class UrState:
     """
 
     def __init__(
-        self, robot: RobotDescription, machine: Machine, serial: str, seed: int, version: tuple[int, int, int, int]
+        self, robot: RobotDescription, machine: Machine, serial: str, seed: int, version: Version, faults: Faults | None
     ) -> None:
+        super().__init__(faults)
         self.robot, self.machine, self.serial, self.version = robot, machine, serial, version
         *_, self.robot_type, self.model = MODELS[robot.name]
         self.nominal = DenavitHartenberg.nominal(robot.name)
@@ -41,7 +43,6 @@ class UrState:
         self._moving: Any = None
         self._paused = self._stopping = False
         self._rate = 1.0  # of motion, as a share of the planned one
-        self._lies: dict[str, Fault] = {}
         self.tcp, self.payload, self.gravity = np.eye(4), [0.0] * 10, np.array([0.0, 0.0, 9.80665])
         self.registers: dict[str, list[Any]] = {}
         self.clear_registers()
@@ -51,7 +52,6 @@ class UrState:
 
     @property
     def moving(self) -> bool:
-        """Whether set-points are being carried out."""
         return self._moving is not None
 
     @property

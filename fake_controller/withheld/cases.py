@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -54,14 +54,14 @@ def draw_cases(count: int, seed: int, robot: RobotDescription, mix: Mix = USUAL)
     """
     rng = np.random.default_rng([seed, 77])
     kinds = [str(kind) for kind in rng.permutation(_kinds(count, mix.shares))]
-    names, outside = _Deck(mix.names, rng), _Deck(tuple(OUTSIDE), rng)
+    names, outside = _deck(mix.names, rng), _deck(OUTSIDE, rng)
     cases = []
     for number, kind in enumerate(kinds):
         strength = float(np.exp(rng.uniform(*np.log(mix.strengths))))
-        chosen = [(outside if kind == "outside" else names).draw() for _ in range({"none": 0, "two": 2}.get(kind, 1))]
+        chosen = [next(outside if kind == "outside" else names) for _ in range({"none": 0, "two": 2}.get(kind, 1))]
         effects = tuple(draw_effect(name, robot, strength, rng) for name in chosen)
         while _collide(effects):
-            effects = tuple(draw_effect(name, robot, strength, rng) for name in (chosen[0], names.draw()))
+            effects = tuple(draw_effect(name, robot, strength, rng) for name in (chosen[0], next(names)))
         machine, motion = (int(part) for part in rng.integers(2**62, size=2))
         cases.append(Case(number, kind, machine, motion, strength, effects))
     return cases
@@ -77,17 +77,10 @@ def _kinds(count: int, shares: Mapping[str, float]) -> list[str]:
     return [kind for kind, times in counts.items() for _ in range(times)]
 
 
-class _Deck:
+def _deck(names: Iterable[str], rng: np.random.Generator) -> Iterator[str]:
     """Names in random order, each once before any comes again."""
-
-    def __init__(self, names: tuple[str, ...], rng: np.random.Generator):
-        self._names, self._rng = names, rng
-        self._left: list[str] = []
-
-    def draw(self) -> str:
-        if not self._left:
-            self._left = [str(name) for name in self._rng.permutation(self._names)]
-        return self._left.pop()
+    while True:
+        yield from map(str, rng.permutation(list(names))[::-1])
 
 
 def _collide(effects: tuple[dict[str, Any], ...]) -> bool:

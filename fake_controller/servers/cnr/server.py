@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 import secrets
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 
 import numpy as np
 
@@ -243,22 +243,17 @@ class CnrServer:
     ) -> None:
         self.controller = controller
         watchdog = max(watchdog, SHORTEST_WATCHDOG)
-        cut = self.drop_clients
+        faults, cut = controller.faults, self.drop_clients
         trajectory, feedback, status, ftp = (port + k if port else 0 for k in range(4))
         node = None if node_period is None else LoopingNode(node_period)
         with ExitStack() as undo:
-            self._publisher = JointPublisher(broker, controller.robot, controller.faults, cut, waits, node)
-            undo.callback(self._publisher.close)
-            self._folder = FtpFolder(controller, address, ftp, watchdog)
-            undo.callback(self._folder.close)
-            self._feedback = LockStep(MessageType.FEEDBACK, address, feedback, controller.faults, cut)
-            undo.callback(self._feedback.close)
-            self._status = LockStep(MessageType.STATUS, address, status, controller.faults, cut)
-            undo.callback(self._status.close)
-            self._reports = Reports(controller, self._feedback, self._status, self._publisher, cut, watchdog, waits)
-            undo.callback(self._reports.close)
-            self._trajectory = TrajectoryPort(self, address, trajectory)
-            undo.callback(self._trajectory.close)
+            publisher = undo.enter_context(closing(JointPublisher(broker, controller.robot, faults, cut, waits, node)))
+            self._folder = undo.enter_context(closing(FtpFolder(controller, address, ftp, watchdog)))
+            self._feedback = undo.enter_context(closing(LockStep(MessageType.FEEDBACK, address, feedback, faults, cut)))
+            self._status = undo.enter_context(closing(LockStep(MessageType.STATUS, address, status, faults, cut)))
+            reports = Reports(controller, self._feedback, self._status, publisher, cut, watchdog, waits)
+            self._reports = undo.enter_context(closing(reports))
+            self._trajectory = undo.enter_context(closing(TrajectoryPort(self, address, trajectory)))
             undo.callback(controller.shut_down)
             self._undo = undo.pop_all()
         self.ports = (self._trajectory.port, self._feedback.port, self._status.port, self._folder.port)
