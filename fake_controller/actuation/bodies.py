@@ -17,7 +17,7 @@ _SECOND_MOMENTS = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 1.0])
 class SimulatedPayload(ArmEffect):
     """A ball of `mass` [kg] and `radius` [m] at `centre` (3,) [m] of the tip frame."""
 
-    USUAL = staticmethod(lambda d: {"mass": 3 * d.size, "centre": [*d.uniform(-0.05, 0.05, 2), d.uniform(0.02, 0.2)]})
+    usual = staticmethod(lambda d: {"mass": 3 * d.size, "centre": [*d.uniform(-0.05, 0.05, 2), d.uniform(0.02, 0.2)]})
     POSITIVE = ("mass",)
     mass: Annotated[float, "kg"]
     centre: Annotated[tuple[float, ...], "m"] = (0.0, 0.0, 0.1)
@@ -38,7 +38,7 @@ class SimulatedInertialMismatch(ArmEffect):
     kg and m in the frame of the link's joint: whatever is drawn is a body.
     """
 
-    USUAL = staticmethod(
+    usual = staticmethod(
         lambda d: {
             "link": float(d.rng.integers(2, max(d.robot.dof, 3))),  # a changed last link is a payload by another name
             "scale": 1 + d.sign * 0.2 * d.size,
@@ -68,7 +68,7 @@ class SimulatedInertialMismatch(ArmEffect):
 class SimulatedBaseTilt(ArmEffect):
     """The base leans by `roll` about its x axis, then `pitch` about its y axis [rad]."""
 
-    USUAL = staticmethod(lambda d: {"roll": d.sign * 0.02 * d.size, "pitch": d.uniform(-0.02, 0.02) * d.size})
+    usual = staticmethod(lambda d: {"roll": d.sign * 0.02 * d.size, "pitch": d.uniform(-0.02, 0.02) * d.size})
     roll: Annotated[float, "rad"] = 0.0
     pitch: Annotated[float, "rad"] = 0.0
 
@@ -86,7 +86,7 @@ class SimulatedWristCoupling(SimulatedEffect):
     The controller moves the joints as they should; the torque it reports knows nothing of the coupling.
     """
 
-    USUAL = staticmethod(lambda d: {"factor": d.sign * 0.25 * d.size})
+    usual = staticmethod(lambda d: {"factor": d.sign * 0.25 * d.size})
     factor: float
 
     def install(self, machine: Machine) -> None:

@@ -70,8 +70,6 @@ class SimulatedEffect(ABC):
     """
 
     name: ClassVar[str]
-    #: Parameters of an individual, as the blind check draws it.
-    USUAL: ClassVar[Callable[[Drawn], dict[str, Any]]]
     POSITIVE: ClassVar[tuple[str, ...]] = ()
     joints: tuple[str, ...] = ()
 
@@ -83,6 +81,11 @@ class SimulatedEffect(ABC):
             InputError: joints that the machine does not have, or that the effect cannot sit on, or a parameter that
                 makes no sense.
         """
+
+    @staticmethod
+    def usual(d: Drawn) -> dict[str, Any]:
+        """Parameters of an individual, as the blind check draws it."""
+        raise NotImplementedError
 
     def indices(self, robot: RobotDescription) -> list[int]:
         """Indices of `joints` in the arm.

@@ -19,7 +19,7 @@ class SimulatedStribeck(FrictionEffect):
     Hess, Soom, J. Tribology 112 (1990): a longer tail than an exponential has.
     """
 
-    USUAL = staticmethod(lambda d: {"rise": 0.06 * d.size * d.nominal, "speed": d.uniform(0.02, 0.08) * d.fastest})
+    usual = staticmethod(lambda d: {"rise": 0.06 * d.size * d.nominal, "speed": d.uniform(0.02, 0.08) * d.fastest})
     POSITIVE = ("speed", "shape")
     rise: Annotated[float, "N·m"]
     speed: Annotated[float, "rad/s"]
@@ -33,7 +33,7 @@ class SimulatedStribeck(FrictionEffect):
 class SimulatedAsymmetricFriction(FrictionEffect):
     """Coulomb and viscous levels are higher by these fractions where the axle turns forward, lower backward."""
 
-    USUAL = staticmethod(
+    usual = staticmethod(
         lambda d: {"coulomb": d.sign * min(0.25 * d.size, 0.8), "viscous_fraction": d.sign * min(0.3 * d.size, 0.8)}
     )
     coulomb: float = 0.0
@@ -50,7 +50,7 @@ class SimulatedAsymmetricFriction(FrictionEffect):
 class SimulatedLoadDependentFriction(FrictionEffect):
     """Teeth rub by `coefficient` N·m each N·m that they transmit, once they bear: below a tenth of nominal, less."""
 
-    USUAL = staticmethod(lambda d: {"coefficient": 0.12 * d.size})
+    usual = staticmethod(lambda d: {"coefficient": 0.12 * d.size})
     coefficient: Annotated[float, "N·m/(N·m)"]
 
     def install_on(self, machine: Machine, k: int) -> None:
@@ -65,7 +65,7 @@ class SimulatedLoadDependentFriction(FrictionEffect):
 class SimulatedViscousNonlinearity(FrictionEffect):
     """A film that shears thin, `torque` · asinh(v / `speed`) (Eyring), and churning, `cubic` · v³ [N·m·s³/rad³]."""
 
-    USUAL = staticmethod(lambda d: {"torque": 0.08 * d.size * d.nominal, "speed": d.uniform(0.02, 0.06) * d.fastest})
+    usual = staticmethod(lambda d: {"torque": 0.08 * d.size * d.nominal, "speed": d.uniform(0.02, 0.06) * d.fastest})
     POSITIVE = ("speed",)
     torque: Annotated[float, "N·m"] = 0.0
     speed: Annotated[float, "rad/s"] = 0.2
@@ -79,7 +79,7 @@ class SimulatedViscousNonlinearity(FrictionEffect):
 class SimulatedFrictionChange(JointEffect):
     """Wear or another grease: the Coulomb and viscous levels are these multiples of what the machine had."""
 
-    USUAL = staticmethod(
+    usual = staticmethod(
         lambda d: {
             "coulomb": 1 + d.sign * min(0.4 * d.size, 0.7),
             "viscous": 1 + d.sign * min(d.uniform(0, 0.5) * d.size, 0.7),
@@ -108,7 +108,7 @@ class SimulatedThermalFriction(FrictionEffect):
     `resistance` [K/W], `time_constant` [s].
     """
 
-    USUAL = staticmethod(
+    usual = staticmethod(
         lambda d: {
             "start": -25.0,
             "time_constant": d.uniform(10, 60),
@@ -148,7 +148,7 @@ class SimulatedPresliding(FrictionEffect):
     of inner loops. The level in steady sliding stays what it was.
     """
 
-    USUAL = staticmethod(lambda d: {"share": d.uniform(0.6, 0.9), "travel": 0.02 * d.size})
+    usual = staticmethod(lambda d: {"share": d.uniform(0.6, 0.9), "travel": 0.02 * d.size})
     POSITIVE = ("travel",)
     share: float
     travel: Annotated[float, "rad"]

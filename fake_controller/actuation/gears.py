@@ -31,7 +31,7 @@ def _mount(machine: Machine, k: int, name: str, gear: Gear) -> None:
 class SimulatedJointElasticity(JointEffect):
     """The gear is a spring of `stiffness` [N·m/rad] between rotor and link, with a damper of `damping_ratio`."""
 
-    USUAL = staticmethod(lambda d: {"stiffness": d.inertia * (2 * np.pi * d.uniform(7, 11)) ** 2 / d.size})
+    usual = staticmethod(lambda d: {"stiffness": d.inertia * (2 * np.pi * d.uniform(7, 11)) ** 2 / d.size})
     POSITIVE = ("stiffness",)
     stiffness: Annotated[float, "N·m/rad"]
     damping_ratio: float = 0.03
@@ -54,7 +54,7 @@ class SimulatedBacklash(JointEffect):
     A stiffness of 0 stands for the usual: rotor against link at 60 Hz.
     """
 
-    USUAL = staticmethod(lambda d: {"gap": 0.002 * d.size})
+    usual = staticmethod(lambda d: {"gap": 0.002 * d.size})
     POSITIVE = ("gap",)
     gap: Annotated[float, "rad"]
     stiffness: Annotated[float, "N·m/rad"] = 0.0

@@ -20,7 +20,7 @@ class SimulatedTorqueRipple(JointEffect):
     `order` counts periods a motor turn: whole for cogging and current sensors, a fraction for gear angles.
     """
 
-    USUAL = staticmethod(
+    usual = staticmethod(
         lambda d: {
             "amplitude": 0.06 * d.size * d.nominal,
             "order": float(d.rng.choice([0.5, 1.0, 2.0])),
@@ -48,7 +48,7 @@ class SimulatedGravitySpring(JointEffect):
     τ = −F a b sin(q − angle) / l with l² = a² + b² − 2 a b cos(q − angle).
     """
 
-    USUAL = staticmethod(
+    usual = staticmethod(
         lambda d: {
             "preload": 0.6 * d.size * d.nominal,
             "rate": d.uniform(0, 1) * d.size * d.nominal,
@@ -82,7 +82,7 @@ class SimulatedDressPack(JointEffect):
     [rad] of a reversal (Iwan).
     """
 
-    USUAL = staticmethod(
+    usual = staticmethod(
         lambda d: {
             "stiffness": 0.05 * d.size * d.nominal,
             "centre": d.uniform(-1, 1),
@@ -117,7 +117,7 @@ class ContactForce(ArmEffect):
     Time runs from when the arm was put to rest. The force swells and fades as sin² over a fifth of the duration.
     """
 
-    USUAL = staticmethod(
+    usual = staticmethod(
         lambda d: {
             "force": (way := d.rng.normal(size=3)) / np.linalg.norm(way) * 120 * d.size,
             "start": d.uniform(5, 50),

@@ -19,7 +19,7 @@ class SimulatedTorqueConstant(JointEffect):
     sixth more at the nominal one and at most a third more.
     """
 
-    USUAL = staticmethod(lambda d: {"scale": 1 + d.sign * 0.1 * d.size})
+    usual = staticmethod(lambda d: {"scale": 1 + d.sign * 0.1 * d.size})
     POSITIVE = ("scale",)
     scale: float
 
@@ -31,7 +31,7 @@ class SimulatedTorqueConstant(JointEffect):
 class SimulatedTorqueOffset(JointEffect):
     """The current sensor reads too much by `offset` [N·m on the joint side], which its temperature swings by 5 %."""
 
-    USUAL = staticmethod(lambda d: {"offset": d.sign * 0.06 * d.size * d.nominal})
+    usual = staticmethod(lambda d: {"offset": d.sign * 0.06 * d.size * d.nominal})
     offset: Annotated[float, "N·m"]
 
     def install_on(self, machine: Machine, k: int) -> None:
@@ -45,7 +45,7 @@ class SimulatedTimeDelay(ArmEffect):
     Half of it is the way over the bus, the other half two filters of the drive, which also round corners.
     """
 
-    USUAL = staticmethod(lambda d: {"delay": 0.006 * d.size})
+    usual = staticmethod(lambda d: {"delay": 0.006 * d.size})
     delay: Annotated[float, "s"]
 
     def build_into(self, machine: Machine) -> None:
@@ -56,7 +56,7 @@ class SimulatedTimeDelay(ArmEffect):
 class SimulatedEncoderOffset(JointEffect):
     """The joint reads `offset` [rad] more than it stands at, to controller and user alike."""
 
-    USUAL = staticmethod(lambda d: {"offset": d.sign * 0.02 * d.size})
+    usual = staticmethod(lambda d: {"offset": d.sign * 0.02 * d.size})
     offset: Annotated[float, "rad"]
 
     def install_on(self, machine: Machine, k: int) -> None:
@@ -70,7 +70,7 @@ class SimulatedInterpolatorMismatch(ArmEffect):
     Start, end and rests of at least `blend` stay where they were.
     """
 
-    USUAL = staticmethod(lambda d: {"rate": 1 + d.sign * 0.02 * d.size, "blend": d.uniform(0, 0.08) * d.size})
+    usual = staticmethod(lambda d: {"rate": 1 + d.sign * 0.02 * d.size, "blend": d.uniform(0, 0.08) * d.size})
     POSITIVE = ("rate",)
     rate: float = 1.0
     blend: Annotated[float, "s"] = 0.0

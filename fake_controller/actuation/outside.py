@@ -21,7 +21,7 @@ class RoughBearing(JointEffect):
     The drag of each patch is drawn from `seed`, linear in between; it only opposes motion.
     """
 
-    USUAL = staticmethod(
+    usual = staticmethod(
         lambda d: {"amplitude": 0.15 * d.size * d.nominal, "patch": d.uniform(0.04, 0.15), "seed": d.seed}
     )
     POSITIVE = ("amplitude", "patch")
@@ -49,7 +49,7 @@ class WanderingTorque(JointEffect):
     Ornstein and Uhlenbeck's process, drawn from `seed`: a bus voltage that breathes, an amplifier about to fail.
     """
 
-    USUAL = staticmethod(
+    usual = staticmethod(
         lambda d: {
             "amplitude": 0.05 * d.size * d.nominal,
             "memory": float(np.exp(d.uniform(np.log(0.2), np.log(2.0)))),
@@ -82,7 +82,7 @@ class RubbingBrake(FrictionEffect):
     The moments are drawn from `seed`.
     """
 
-    USUAL = staticmethod(
+    usual = staticmethod(
         lambda d: {
             "drag": 0.1 * d.size * d.nominal,
             "on": d.uniform(0.2, 0.8),

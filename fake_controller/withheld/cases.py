@@ -24,11 +24,7 @@ class Mix:
 
 
 #: From a tenth of an effect's usual size, which is too small to matter, to twice the usual size.
-USUAL = Mix(
-    {"none": 0.35, "one": 0.45, "two": 0.1, "outside": 0.1},
-    (0.1, 2.0),
-    tuple(name for name in CATALOGUE if name in EFFECTS),
-)
+USUAL = Mix({"none": 0.35, "one": 0.45, "two": 0.1, "outside": 0.1}, (0.1, 2.0), tuple(filter(EFFECTS.get, CATALOGUE)))
 
 
 @dataclass(frozen=True)
@@ -101,7 +97,7 @@ def draw_effect(name: str, robot: RobotDescription, strength: float, rng: np.ran
     if name == "wrist_coupling":
         first, second = sorted(rng.choice(range(max(0, n - 3), n), 2, replace=False))
         joints = [robot.joint_names[first], robot.joint_names[second]]
-    drawn = (EFFECTS | OUTSIDE)[name].USUAL(Drawn(robot, joint, strength, rng))
+    drawn = (EFFECTS | OUTSIDE)[name].usual(Drawn(robot, joint, strength, rng))
     return {"effect": name, "joints": joints, "parameters": _plain(drawn)}
 
 

@@ -256,6 +256,7 @@ class CnrServer:
             self._trajectory = undo.enter_context(closing(TrajectoryPort(self, address, trajectory)))
             undo.callback(controller.shut_down)
             self._undo = undo.pop_all()
+        self.press_start = self._trajectory.press_start
         self.ports = (self._trajectory.port, self._feedback.port, self._status.port, self._folder.port)
         names = zip(("trajectory", "feedback", "status", "ftp"), self.ports, strict=True)
         host, port = broker
@@ -265,10 +266,6 @@ class CnrServer:
     def close(self) -> None:
         """Bring the arm to rest, tell so, and stop serving."""
         self._undo.close()
-
-    def press_start(self) -> None:
-        """As `TrajectoryPort.press_start`."""
-        self._trajectory.press_start()
 
     def drop_clients(self) -> None:
         """Cut every connection, as a pulled cable does."""
