@@ -10,7 +10,7 @@ from drivers.conformance import DriverConformance
 from drivers.errors import ConfigurationError, DriverError, MotionStopped, RefusedError
 from drivers.registry import create
 from drivers.transports.ur.driver import JOINTS
-from drivers.wire import rtde
+from drivers.wire import ur_rtde as rtde
 from fake_controller.build import build_ur_cell
 from fake_controller.ur.server import DASHBOARD, PRIMARY, RTDE, UrServer
 from tests.conftest import free_loopback, patience

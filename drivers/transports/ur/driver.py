@@ -24,8 +24,8 @@ from drivers.transports.ur.dashboard import Dashboard, UrModel
 from drivers.transports.ur.link import UrLink
 from drivers.transports.ur.motion import UrMotion, safety_text
 from drivers.transports.ur.program import UrProgram
-from drivers.wire import rtde
-from drivers.wire.primary import ProgramChange, ProgramFault
+from drivers.wire import ur_rtde as rtde
+from drivers.wire.ur_primary import ProgramChange, ProgramFault
 
 #: The arm's joints, as Universal Robots and its ROS descriptions call them.
 JOINTS = (

@@ -18,9 +18,9 @@ import numpy as np
 from drivers.errors import DriverError, ProtocolError, RefusedError
 from drivers.transports.base.link import WATCHDOG, LinkThread, dropped
 from drivers.transports.base.ports import open_socket
-from drivers.wire import primary as messages, rtde
-from drivers.wire.primary import Presence, ProgramChange, ProgramFault
+from drivers.wire import ur_primary as messages, ur_rtde as rtde
 from drivers.wire.stream import PackageDecoder
+from drivers.wire.ur_primary import Presence, ProgramChange, ProgramFault
 
 _RECEIVE = 256 * 1024
 #: Heartbeats to a watchdog, by the controller's clock.

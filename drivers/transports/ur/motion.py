@@ -9,9 +9,9 @@ import numpy as np
 from drivers.errors import DriverError
 from drivers.protocol import SampleBlock
 from drivers.transports.base.samples import SampleStream
-from drivers.wire import rtde
-from drivers.wire.primary import ProgramChange, ProgramFault
+from drivers.wire import ur_rtde as rtde
 from drivers.wire.reasons import EndReason
+from drivers.wire.ur_primary import ProgramChange, ProgramFault
 
 #: `runtime_state`, `robot_mode` and `safety_mode` of a robot that is well.
 STOPPED, PLAYING, RUNNING, NORMAL = 1, 2, 7, 1
