@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import socket
 import threading
 import time
@@ -9,12 +10,15 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, Protocol
 
 from drivers.wire.reasons import EndReason
+from fake_controller.faults import Faults
 
 if TYPE_CHECKING:
     from fake_controller.controller import Controller
 
 #: Host and port of the MQTT broker that `cnr_comau` publishes to.
 BROKER = ("127.0.0.1", 1883)
+#: Time [s] after which a client that takes nothing is dropped, and bytes taken at once.
+SEND_LIMIT, RECEIVE = 5.0, 64 * 1024
 
 
 class NoBrokerError(OSError):
@@ -65,4 +69,16 @@ def accepted(listener: socket.socket, closing: threading.Event) -> Iterator[sock
                 return
             time.sleep(0.1)  # out of file handles; some come back
             continue
+        connection.settimeout(SEND_LIMIT)
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         yield connection
+
+
+def received(connection: socket.socket, faults: Faults) -> Iterator[bytes]:
+    """What comes, as the faults let it through, until the client leaves."""
+    while True:
+        with contextlib.suppress(TimeoutError):
+            data = connection.recv(RECEIVE)
+            if not data:
+                return
+            yield faults.heard(data)

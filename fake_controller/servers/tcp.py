@@ -18,14 +18,12 @@ from drivers.wire.reasons import EndReason, Refusal
 from fake_controller.controller import Controller
 from fake_controller.execution import Slice
 from fake_controller.programs import RefusedRequest
-from fake_controller.servers.base import accepted, listening_socket, name_of
+from fake_controller.servers.base import RECEIVE, accepted, listening_socket, name_of
 from fake_controller.servers.frame_client import IDLE_LIMIT, FrameClient
 
 MAX_CONNECTIONS = 8
 WATCHDOG_RANGE = (0.05, 5.0)  # s
-SEND_LIMIT = 5.0  # s
 LINGER = 1.0  # s
-_RECEIVE = 64 * 1024
 
 
 class TcpServer:
@@ -105,8 +103,6 @@ class Session(FrameClient):
     def __init__(self, server: TcpServer, connection: socket.socket) -> None:
         super().__init__(server.controller)
         self._server, self._socket = server, connection
-        connection.settimeout(SEND_LIMIT)
-        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._send_lock, self._closed = threading.Lock(), threading.Event()
         self._thread = threading.Thread(target=self._serve, name="session", daemon=True)
         self.start, self.join = self._thread.start, partial(self._thread.join, 2 * LINGER)
@@ -150,7 +146,7 @@ class Session(FrameClient):
         with contextlib.suppress(OSError):
             while (left := until - time.monotonic()) > 0:
                 self._socket.settimeout(left)
-                if not self._socket.recv(_RECEIVE):
+                if not self._socket.recv(RECEIVE):
                     return
 
     def _read(self) -> None:
@@ -160,7 +156,7 @@ class Session(FrameClient):
             while not self._closed.is_set():
                 began, data = time.monotonic(), b""
                 if selector.select(self._watchdog / 4):
-                    data = self._socket.recv(_RECEIVE)
+                    data = self._socket.recv(RECEIVE)
                     if not data:
                         return
                 self._take(data, decoder, began)

@@ -10,12 +10,11 @@ import time
 from collections.abc import Callable
 
 from fake_controller.clock import FastClock
+from fake_controller.servers.base import SEND_LIMIT, received
 from fake_controller.ur.cell import UrCell
 from fake_controller.ur.fields import Cycles
 from fake_controller.ur.messages import error_message, state_message, version_message
 
-_RECEIVE = 64 * 1024
-_SEND_LIMIT = 5.0  # s after which a client that takes nothing is dropped
 _NEAR = 8 * 1024  # bytes on their way that a cell in no hurry is ahead of a client
 _STATE_PERIOD = 0.1  # s
 _LONGEST_SCRIPT = 4 * 1024 * 1024
@@ -36,8 +35,6 @@ class UrConnection:
     def __init__(self, cell: UrCell, connection: socket.socket) -> None:
         self.cell = cell
         self._socket = connection
-        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self._socket.settimeout(_SEND_LIMIT)
         if not self.hurried:  # whoever stops the arm must not be far behind it
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _NEAR)
         self._lock = threading.Lock()
@@ -48,14 +45,8 @@ class UrConnection:
         """Take in what comes until the client leaves."""
         with contextlib.suppress(OSError):
             self.greet()
-            while not self.closed.is_set():
-                try:
-                    data = self._socket.recv(_RECEIVE)
-                except TimeoutError:
-                    continue
-                if not data:
-                    break
-                self.hear(self.cell.faults.heard(data))
+            for data in received(self._socket, self.cell.faults):
+                self.hear(data)
         self.close()
         self.leave()
 
@@ -83,7 +74,7 @@ class UrConnection:
             self.close()
         if not self._unsent:
             self.say(data)
-        elif drops and time.monotonic() - self._stuck_since > _SEND_LIMIT:
+        elif drops and time.monotonic() - self._stuck_since > SEND_LIMIT:
             self.close()
 
     def close(self) -> None:

@@ -10,18 +10,13 @@ from collections.abc import Callable
 from drivers.errors import ProtocolError
 from drivers.wire.cnr import LITTLE, CommType, Message, MessageDecoder, MessageType, Record, ReplyCode, encode
 from fake_controller.faults import Faults
-from fake_controller.servers.base import accepted, listening_socket
-
-SEND_LIMIT = 5.0  # s
-_RECEIVE = 64 * 1024
+from fake_controller.servers.base import accepted, listening_socket, received
 
 
 class Client:
     """One connection. Its thread reads; any thread may send."""
 
     def __init__(self, connection: socket.socket, faults: Faults, cut: Callable[[], None]) -> None:
-        connection.settimeout(SEND_LIMIT)
-        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._socket, self._faults, self._cut = connection, faults, cut
         self._lock = threading.Lock()
 
@@ -37,14 +32,8 @@ class Client:
         """Hand on what comes until the connection ends or makes no sense."""
         decoder = MessageDecoder(LITTLE)
         with contextlib.suppress(OSError, ProtocolError):
-            while True:
-                try:
-                    data = self._socket.recv(_RECEIVE)
-                except TimeoutError:
-                    continue
-                if not data:
-                    return
-                for message in decoder.feed(self._faults.heard(data)):
+            for data in received(self._socket, self._faults):
+                for message in decoder.feed(data):
                     heard(message)
 
     def close(self) -> None:
