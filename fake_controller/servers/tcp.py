@@ -107,11 +107,11 @@ class Session(FrameClient):
         self._thread = threading.Thread(target=self._serve, name="session", daemon=True)
         self.start, self.join = self._thread.start, partial(self._thread.join, 2 * LINGER)
 
-    def close(self) -> None:
+    def close(self, how: int = socket.SHUT_WR) -> None:
         """Say that nothing more will come; the reader thread does the rest."""
         self._closed.set()
         with contextlib.suppress(OSError):
-            self._socket.shutdown(socket.SHUT_WR)
+            self._socket.shutdown(how)
 
     def on_samples(self, first: int, time_ns: np.ndarray, samples: Slice) -> None:
         """Stream what the arm just did; a client that is gone ends the motion."""
@@ -192,9 +192,5 @@ class Session(FrameClient):
     def _reply(self, message: Any, request: int = 0) -> None:
         frame = wire.encode(message, request)
         with self._send_lock:
-            self.controller.faults.send(frame, self._socket.sendall, self._cut, isinstance(message, wire.Heartbeat))
-
-    def _cut(self) -> None:
-        self._closed.set()
-        with contextlib.suppress(OSError):
-            self._socket.shutdown(socket.SHUT_RDWR)
+            heartbeat = isinstance(message, wire.Heartbeat)
+            self.controller.faults.send(frame, self._socket.sendall, partial(self.close, socket.SHUT_RDWR), heartbeat)
