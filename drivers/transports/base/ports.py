@@ -39,7 +39,7 @@ def parse_address(address: str) -> tuple[str, int]:
 
 
 def open_socket(address: str, timeout: float) -> socket.socket:
-    """A connected socket.
+    """A connected socket, whose operations take the timeout [s] at most.
 
     Raises:
         DriverError: nobody there.

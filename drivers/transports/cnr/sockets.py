@@ -50,7 +50,6 @@ class _Socket:
     def __init__(self, host: str, port: int, timeout: float) -> None:
         self.peer = f"{host}:{port}"
         self.connection = open_socket(self.peer if ":" not in host else f"[{host}]:{port}", timeout)
-        self.connection.settimeout(timeout)
         self.decoder = MessageDecoder()
         self.heard = False
 

@@ -71,13 +71,7 @@ class FrameLink(LinkThread):
         few times a watchdog, and its `_on_failure` last, when the link ends for any reason.
     """
 
-    def __init__(
-        self,
-        channel: Channel,
-        peer: str,
-        decoder: wire.FrameDecoder,
-        driver: FrameDriver,
-    ) -> None:
+    def __init__(self, channel: Channel, peer: str, decoder: wire.FrameDecoder, driver: FrameDriver) -> None:
         super().__init__(peer, driver._on_failure)
         self.watchdog = driver._watchdog
         self._channel, self._handles = channel, (channel,)
@@ -252,21 +246,13 @@ class FrameLink(LinkThread):
 
 
 class FrameDriver(LinkDriver[FrameLink, SampleStream]):
-    """`drivers.protocol.Driver` over frames; a subclass opens the channel that carries them.
-
-    Parameters
-    ----------
-    address : in the notation of the subclass.
-    options : of `LinkDriver`.
-    """
+    """`drivers.protocol.Driver` over frames; a subclass opens the channel that carries them."""
 
     READ_ATTEMPTS = 1  # of requests that change nothing
     UPLOAD_BLOCK = wire.UPLOAD_BLOCK
     BURST = 256  # questions at once that measure the link: their answers take several times what it delays any
 
-    def __init__(self, address: str, **options: Any) -> None:
-        super().__init__(address, **options)
-        self._measures_temperatures = True
+    _measures_temperatures = True  # until the controller says that it does not
 
     def identify(self) -> Identity:
         """Ask the controller who it is."""
@@ -338,7 +324,7 @@ class FrameDriver(LinkDriver[FrameLink, SampleStream]):
                 raise ProtocolError(f"the controller at {self.address} started another motion than it was asked to")
 
     def _open(self) -> None:
-        self._link = link = self._channel_link()
+        self._link = link = self._open_link()
         hello = wire.Hello(wire.VERSION, round(self._watchdog * 1000), "calibration-agent")
         welcome = link.request(hello, wire.Welcome, self._timeout, "the greeting")
         if welcome.version != wire.VERSION:
@@ -358,8 +344,8 @@ class FrameDriver(LinkDriver[FrameLink, SampleStream]):
         if motion is not None and not self._rests(motion):
             raise self._still_moves()
 
-    def _channel_link(self) -> FrameLink:
-        """A link over an open channel."""
+    def _open_link(self) -> FrameLink:
+        """A link over a channel that is open."""
         raise NotImplementedError
 
     def _read(self, question: Any, reply: type[Reply], what: str) -> Reply:
@@ -417,7 +403,6 @@ class TcpDriver(FrameDriver):
         parse_address(address)
         super().__init__(address, **options)
 
-    def _channel_link(self) -> FrameLink:
+    def _open_link(self) -> FrameLink:
         connection = open_socket(self.address, self._timeout)
-        connection.settimeout(self._timeout)
         return FrameLink(connection, self.address, wire.FrameDecoder(wire.MAX_REPLY_PAYLOAD), self)

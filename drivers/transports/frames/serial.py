@@ -69,7 +69,7 @@ class SerialDriver(FrameDriver):
         finally:
             self._starting = False
 
-    def _channel_link(self) -> FrameLink:
+    def _open_link(self) -> FrameLink:
         channel = SerialChannel(open_port(self._line, self._timeout))
         return FrameLink(channel, self._line.port, HuntingDecoder(), self)
 

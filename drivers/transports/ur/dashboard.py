@@ -49,7 +49,6 @@ class Dashboard:
         self._owed = 0  # answers that did not come in time
         self._rest = b""
         self._socket = open_socket(address, timeout)
-        self._socket.settimeout(timeout)
         try:
             greeting = self._line("the greeting of the dashboard")
         except BaseException:

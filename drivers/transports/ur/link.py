@@ -148,7 +148,6 @@ class UrLink(LinkThread):
 
     def _opened(self, place: str) -> socket.socket:
         handle = open_socket(place, self._timeout)
-        handle.settimeout(self._timeout)
         self._handles.append(handle)
         return handle
 
