@@ -61,6 +61,21 @@ class LinkThread:
         with self._changed:
             return self._changed.wait_for(lambda: reached() or self.failure is not None, timeout) and reached()
 
+    def transmit(self, handle: Any, data: bytes, peer: str) -> None:
+        """Send bytes, once.
+
+        Raises:
+            DriverError: the link is down, or the far end takes no data any more.
+        """
+        self.check()
+        try:
+            handle.sendall(data)
+        except TimeoutError:
+            raise DriverError(f"{peer} takes no data any more; the link is dead") from None
+        except OSError as error:
+            self.check()
+            raise dropped(peer, error) from None
+
     def close(self) -> None:
         """End the link and its thread; never raises."""
         self._closing.set()

@@ -15,7 +15,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from drivers.errors import DriverError, ProtocolError, RefusedError
-from drivers.transports.base.link import LinkThread, dropped
+from drivers.transports.base.link import LinkThread
 from drivers.transports.base.ports import open_socket
 from drivers.transports.cnr.address import CnrAddress
 from drivers.wire.cnr import (
@@ -202,15 +202,8 @@ class Sockets(LinkThread):
                 return answer
 
     def _send(self, target: _Socket, message: Message) -> None:
-        self.check()
         order = target.decoder.order or self._feedback.decoder.order or LITTLE
-        try:
-            target.connection.sendall(encode(message, order))
-        except TimeoutError:
-            raise DriverError(f"{target.peer} takes no data any more; the link is dead") from None
-        except OSError as error:
-            self.check()
-            raise dropped(target.peer, error) from None
+        self.transmit(target.connection, encode(message, order), target.peer)
 
     # From here on in the reader thread.
 

@@ -21,7 +21,7 @@ import numpy as np
 
 from drivers.errors import DriverError, ProtocolError, RefusedError
 from drivers.protocol import Identity, SampleBlock, Status
-from drivers.transports.base.link import LinkDriver, LinkThread, dropped
+from drivers.transports.base.link import LinkDriver, LinkThread
 from drivers.transports.base.ports import open_socket, parse_address
 from drivers.transports.base.poses import poses_of_frames
 from drivers.transports.base.samples import SampleStream
@@ -194,15 +194,8 @@ class FrameLink(LinkThread):
         )
 
     def _send(self, message: Any, request: int = 0) -> None:
-        self.check()
-        try:
-            with self._lock:
-                self._channel.sendall(wire.encode(message, request))
-        except TimeoutError:
-            raise DriverError(f"the controller at {self.peer} takes no data any more; the link is dead") from None
-        except OSError as error:
-            self.check()
-            raise dropped(self.peer, error) from None
+        with self._lock:
+            self.transmit(self._channel, wire.encode(message, request), self.peer)
 
     # From here on in the reader thread.
 

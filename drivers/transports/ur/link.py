@@ -130,11 +130,7 @@ class UrLink(LinkThread):
         Raises:
             DriverError: the link is down, or takes no data any more.
         """
-        self.check()
-        try:
-            self._primary.sendall(text.encode("utf-8"))
-        except OSError as error:
-            raise dropped(self.peer, error) from None
+        self.transmit(self._primary, text.encode("utf-8"), self.peer)
 
     def allow(self, number: int) -> None:
         """Let the program of this number move; 0 none.
