@@ -77,7 +77,7 @@ class Drive:
             level = coulomb + rise * exp(-ratio) if ratio < 20.0 else coulomb
             drag = viscous * speed / (1.0 + abs(speed) * per_knee)
             if terms[k]:
-                level, drag = self._alter(k, level, drag, speed, torque[k], dt)
+                level, drag = self._alter(k, level, drag, shaft[k], speed, torque[k], dt)
             # Implicit in the bristle, whose rate |v| k / g is far beyond the step's at full speed.
             stretch = stiffness * speed * dt
             bristles[k] = bristle = (bristles[k] + stretch) / (1.0 + abs(stretch) / level)
@@ -91,16 +91,16 @@ class Drive:
             load[k] = transmitted
         return load
 
-    def _alter(self, k: int, level: float, drag: float, speed: float, torque: float, dt: float) -> tuple[float, float]:
+    def _alter(
+        self, k: int, level: float, drag: float, angle: float, speed: float, torque: float, dt: float
+    ) -> tuple[float, float]:
         """Coulomb level and everything else that opposes the motion, with this axle's terms."""
         friction = self._bristles[k] + drag
-        acceleration = (speed - self._last_speed[k]) / dt
-        transmitted = torque - friction - self._rotors[k] * acceleration
+        transmitted = torque - friction - self._rotors[k] * ((speed - self._last_speed[k]) / dt)
         self._last_speed[k] = speed
-        floor = 0.05 * level
-        extra = 0.0
+        floor, extra = 0.05 * level, 0.0
         for term in self._terms[k]:
-            level = term.level(level, speed, transmitted)
+            level = term.level(level, speed, transmitted, angle)
             drag = term.viscous(drag, speed)
             extra += term.bristles(speed, dt)
             term.heat(friction * speed, dt)

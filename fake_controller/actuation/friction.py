@@ -50,8 +50,8 @@ class FrictionModifier:
 
     temperature: float | None = None
 
-    def level(self, level: float, speed: float, load: float) -> float:
-        """Coulomb level [N·m] at `speed` [rad/s] while the gear transmits `load` [N·m]."""
+    def level(self, level: float, speed: float, load: float, angle: float) -> float:
+        """Coulomb level [N·m] at `speed` [rad/s] and `angle` [rad] of the axle; its gear transmits `load` [N·m]."""
         return level
 
     def viscous(self, torque: float, speed: float) -> float:

@@ -25,7 +25,7 @@ class SimulatedStribeck(FrictionEffect):
     speed: Annotated[float, "rad/s"]
     shape: float = 2.0
 
-    def level(self, level: float, speed: float, load: float) -> float:
+    def level(self, level: float, speed: float, load: float, angle: float) -> float:
         return level + self.rise / (1.0 + (abs(speed) / self.speed) ** self.shape)
 
 
@@ -39,7 +39,7 @@ class SimulatedAsymmetricFriction(FrictionEffect):
     coulomb: float = 0.0
     viscous_fraction: float = 0.0
 
-    def level(self, level: float, speed: float, load: float) -> float:
+    def level(self, level: float, speed: float, load: float, angle: float) -> float:
         return level * (1.0 + self.coulomb if speed > 0 else 1.0 - self.coulomb)
 
     def viscous(self, torque: float, speed: float) -> float:
@@ -57,7 +57,7 @@ class SimulatedLoadDependentFriction(FrictionEffect):
         self._bearing = 0.1 * float(machine.nominal[k])
         super().install_on(machine, k)
 
-    def level(self, level: float, speed: float, load: float) -> float:
+    def level(self, level: float, speed: float, load: float, angle: float) -> float:
         return level + self.coefficient * load * load / (abs(load) + self._bearing)
 
 
@@ -128,7 +128,7 @@ class SimulatedThermalFriction(FrictionEffect):
         self.temperature: float = self.start
         super().install_on(machine, k)
 
-    def level(self, level: float, speed: float, load: float) -> float:
+    def level(self, level: float, speed: float, load: float, angle: float) -> float:
         return level * (1.0 - self.coulomb_rate * (self.temperature or 0.0))
 
     def viscous(self, torque: float, speed: float) -> float:
@@ -161,7 +161,7 @@ class SimulatedPresliding(FrictionEffect):
         self._stretch = [0.0] * _SPRINGS
         super().install_on(machine, k)
 
-    def level(self, level: float, speed: float, load: float) -> float:
+    def level(self, level: float, speed: float, load: float, angle: float) -> float:
         return level - self._torque
 
     def bristles(self, speed: float, dt: float) -> float:

@@ -102,7 +102,7 @@ class RubbingBrake(FrictionEffect):
         self._left = float(self._rng.exponential(self.off))
         super().install_on(machine, k)
 
-    def level(self, level: float, speed: float, load: float) -> float:
+    def level(self, level: float, speed: float, load: float, angle: float) -> float:
         return level + self.drag if self._drags else level
 
     def heat(self, power: float, dt: float) -> None:
