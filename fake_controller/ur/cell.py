@@ -177,13 +177,17 @@ class UrCell(UrState):
             self._next_script = script
         self._wake.set()
 
-    def stop(self, reason: EndReason = EndReason.STOPPED) -> None:
-        """End the program, by default as a client asks for it; the arm comes to rest on its path."""
+    def stop(self, reason: EndReason, message: str) -> None:
+        """End the program, the arm coming to rest on its path."""
         if reason is EndReason.STOPPED:
             self.reach("stop")
         with self._lock:
             if self._obeys or reason is not EndReason.STOPPED:
                 self._end_program(reason)
+
+    def stop_program(self) -> None:
+        """As a client asks for it."""
+        self.stop(EndReason.STOPPED, "a client stopped the program")
 
     def pause(self, paused: bool) -> bool:
         """Pause the program, or let it go on; False where it cannot be."""
@@ -262,7 +266,7 @@ class UrCell(UrState):
 
     def shut_down(self) -> None:
         """Bring the arm to rest, and end."""
-        self.stop(EndReason.SHUTDOWN)
+        self.stop(EndReason.SHUTDOWN, "the controller is switched off")
         until = time.monotonic() + 10.0
         while self.moving and time.monotonic() < until and self._thread.is_alive():
             self._wake.wait(0.01)
@@ -541,7 +545,7 @@ class UrCell(UrState):
                 stop = self.state.apply_fault(fault.name)
                 if stop is not None:
                     self._tell(error_message(self.time, 50, 0, _FAULT, stop[1]))
-                    self.stop(stop[0])
+                    self.stop(*stop)
                 if fault.name == "teach_mode":
                     for close in list(self.when_local):
                         close()
@@ -562,7 +566,7 @@ class UrCell(UrState):
         """Power off and on: connections and programs are gone, and the arm is off."""
         for cut in list(self.when_cut):
             cut()
-        self.stop(EndReason.SHUTDOWN)
+        self.stop(EndReason.SHUTDOWN, "the controller restarts")
         with self._lock:
             self.clear_registers()
             self.state = State(drives_on=False)

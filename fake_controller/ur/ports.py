@@ -168,7 +168,7 @@ class ScriptConnection(UrConnection):
     def _command(self, line: str) -> bool:
         """Whether it is one of the lines that are no script, which are carried out at once."""
         commands: dict[str, Callable[[], object]] = {
-            "stop program": self.cell.stop,
+            "stop program": self.cell.stop_program,
             "power on": lambda: self.cell.power(drives_on=False, idle=True),
             "power off": lambda: self.cell.power(drives_on=False, idle=False),
             "set robotmode run": lambda: self.cell.power(drives_on=True, idle=False),
@@ -226,7 +226,7 @@ def _release(cell: UrCell) -> str:
 def _stop(cell: UrCell) -> str:
     if not cell.running:
         return "Failed to execute: stop"
-    cell.stop()
+    cell.stop_program()
     return "Stopped"
 
 
