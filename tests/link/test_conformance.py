@@ -10,6 +10,7 @@ import serial
 
 from drivers.conformance import DriverConformance
 from drivers.registry import create
+from drivers.transports.modbus import driver as modbus_driver
 from fake_controller.build import build_controller
 from fake_controller.servers.cable import Cable
 from fake_controller.servers.cnr.server import CnrServer
@@ -271,7 +272,9 @@ class RtuBench(LineBench):
 
 
 @pytest.fixture
-def bench(request, arm):
+def bench(request, arm, monkeypatch):
+    # as the benches' own watchdogs: a machine with other work answers a heartbeat later
+    monkeypatch.setattr(modbus_driver, "WATCHDOG", patience(modbus_driver.WATCHDOG))
     with contextlib.ExitStack() as undo:
         needs = [request.getfixturevalue("broker")] if request.cls.bench is CnrBench else []
         yield request.cls.bench(arm, undo, *needs)
