@@ -19,9 +19,9 @@ from agent.notebook.results import (
     TorqueValidation,
     quiet,
 )
+from agent.pages import Page, Section, diagnosis_report, parameters_section, render, residual_section
 from agent.recipe import Recipe
 from agent.recording import Log
-from agent.report import Page, Section, diagnosis_report, parameters_section, render, residual_section
 from agent.robot import RobotDescription
 from agent.runs import check_output, find_run
 from agent.validation import predict_log

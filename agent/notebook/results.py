@@ -14,9 +14,9 @@ import numpy as np
 from agent.core import Console, counted, error_text
 from agent.diagnosis import Diagnosis
 from agent.model import IdentifiedModel
+from agent.pages import SERIES, Bar, Bars, Panel, Plot, Table, headline, joint_series, still, table_html
 from agent.pipeline import Outcome, PlanFiles, diagnosis_text, validation_text
 from agent.recording import Log
-from agent.report import SERIES, Bar, Bars, Panel, Plot, Table, headline, joint_series, still, table_html
 from agent.robot import SHARE, torque_units
 from agent.validation import Prediction, summary
 

@@ -14,12 +14,7 @@ from agent.core import AgentError, Console, InputError, write_atomically
 from agent.diagnosis import diagnose
 from agent.link import plan_statements
 from agent.model import IdentifiedModel, standstill_speed
-from agent.pipeline.ending import next_steps, whose
-from agent.pipeline.identify import read_logs
-from agent.pipeline.plan import Plan, shown_loop
-from agent.recipe import Recipe
-from agent.recording import FILTERED, PREDICTED, RESIDUAL, Log, write_log
-from agent.report import (
+from agent.pages import (
     About,
     IndexData,
     LogHealth,
@@ -33,6 +28,11 @@ from agent.report import (
     run_report,
     torque_plot,
 )
+from agent.pipeline.ending import next_steps, whose
+from agent.pipeline.identify import read_logs
+from agent.pipeline.plan import Plan, shown_loop
+from agent.recipe import Recipe
+from agent.recording import FILTERED, PREDICTED, RESIDUAL, Log, write_log
 from agent.runs import History, RunFolder, current_runs, last_accepted, parameter_trends, watch
 from agent.validation import Comparison, Prediction, compare_models, pooled_rmse, predict_log
 

@@ -46,8 +46,8 @@ def test_importing_the_agent_loads_no_heavy_package():
         "loaded = {'numpy', 'pydantic', 'rich', 'agent.notebook'} & set(sys.modules)\n"
         "assert not loaded, loaded\n"
         "assert len(ca.effects()) >= 22 and 'tcp' in ca.drivers()\n"
-        "import agent.report.page\n"
-        "assert callable(ca.report) and ca.report.page is agent.report.page\n"
+        "import agent.pages.page\n"
+        "assert callable(ca.report) and ca.pages.page is agent.pages.page\n"
     )
     run = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr
@@ -71,7 +71,7 @@ def test_no_module_of_the_agent_imports_the_python_api():
             continue
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(node, ast.ImportFrom) and node.module == "agent":
-                assert not {alias.name for alias in node.names} & set(ca.__all__) - {"report"}, path
+                assert not {alias.name for alias in node.names} & set(ca.__all__), path
             assert not (isinstance(node, ast.Import) and "agent" in {alias.name for alias in node.names}), path
 
 

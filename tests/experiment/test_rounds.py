@@ -14,15 +14,15 @@ from agent.core.console import Console
 from agent.model import CATALOGUE
 from agent.motion import Delay, write_program
 from agent.motion.pdl2.dialect import Pdl2
+from agent.pages.diagnosis.summary import planned_sections, rounds_sections
+from agent.pages.page import Page, render
+from agent.pages.phrasing import next_text
 from agent.pipeline.gap import until_sure as module
 from agent.pipeline.gap.next_experiment import NextMotion, NoMotion, check_next, other_test
 from agent.pipeline.gap.until_sure import Found, until_sure
 from agent.pipeline.job import Job
 from agent.recipe import load_recipe, template
 from agent.recording import PARTS, PLANNED_PARTS
-from agent.report.diagnosis.summary import planned_sections, rounds_sections
-from agent.report.page import Page, render
-from agent.report.phrasing import next_text
 from agent.robot import load_robot
 from agent.runs.folder import RunFolder
 from agent.safety.authorisation import Authorisation, AuthorisationDocument

@@ -17,12 +17,12 @@ from agent.experiment import open_pairs, tells_apart_by_load
 from agent.experiment.motion import GridMotion
 from agent.experiment.questions import OpenPair, Side
 from agent.motion.pdl2.dialect import Pdl2
+from agent.pages.diagnosis.summary import planned_sections
+from agent.pages.page import Page, render
 from agent.pipeline.gap import next_experiment
 from agent.pipeline.gap.next_experiment import NextMotion, with_a_mass
 from agent.pipeline.plan import loop_problem
 from agent.recipe import load_recipe, template
-from agent.report.diagnosis.summary import planned_sections
-from agent.report.page import Page, render
 from agent.robot import Tool, load_robot
 from fake_controller.plant import Plant
 from tests.small_arms import learn, make_arm, record

@@ -12,11 +12,11 @@ import pytest
 
 from agent.core import error_text
 from agent.core.console import finite
+from agent.pages.calibration.pages import _colour, _headline
+from agent.pages.calibration.prediction import error_table
 from agent.pipeline.calibrate import calibration_text
 from agent.pipeline.reports import worse_joints
 from agent.pipeline.result import judge
-from agent.report.calibration.pages import _colour, _headline
-from agent.report.calibration.prediction import error_table
 from agent.robot import RobotDescription, load_robot
 from agent.robot.torque_figures import figure_text, not_judged_text
 from agent.runs.history import History, history_json, history_table

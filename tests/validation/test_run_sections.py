@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from agent.estimation import EstimationSettings, estimate
-from agent.report import RUN_SECTIONS, RunContent, further_sections
-from agent.report.calibration.parameters import correlation, correlation_section
-from agent.report.calibration.sections import paper_section
-from agent.report.page import Page, Section, render
+from agent.pages import RUN_SECTIONS, RunContent, further_sections
+from agent.pages.calibration.parameters import correlation, correlation_section
+from agent.pages.calibration.sections import paper_section
+from agent.pages.page import Page, Section, render
 from agent.robot import load_robot
 from agent.validation import predict_log
 from tests.estimation.conftest import _log
@@ -82,7 +82,7 @@ def test_a_section_needs_one_function_and_one_registration(monkeypatch, tmp_path
     def nothing(content: RunContent) -> None:
         return None
 
-    monkeypatch.setattr("agent.report.calibration.sections.RUN_SECTIONS", [held_out, nothing])
+    monkeypatch.setattr("agent.pages.calibration.sections.RUN_SECTIONS", [held_out, nothing])
     made = further_sections(RunContent(tmp_path, None, SimpleNamespace(worst="joint_3"), *[None] * 8))
     assert [section.title for section in made] == ["Held out"]
     assert "worst: joint_3" in render(Page("t", "h", "plain", made))
@@ -90,7 +90,7 @@ def test_a_section_needs_one_function_and_one_registration(monkeypatch, tmp_path
 
 
 def test_the_friction_curve_shows_steady_sliding(logs):
-    from agent.report.calibration.friction import friction_curve
+    from agent.pages.calibration.friction import friction_curve
 
     robot, (fitted, _) = logs
     model = estimate(robot, [fitted], EstimationSettings.create(method="paper", cutoff=20))

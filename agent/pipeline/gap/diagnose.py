@@ -23,6 +23,7 @@ from agent.diagnosis import (
 )
 from agent.experiment import Deadline
 from agent.model import CATALOGUE, IdentifiedModel, payload_of
+from agent.pages import NextStep, diagnosis_report, summary
 from agent.pipeline.gap.corrected_simulator import run_forward, write_simulator
 from agent.pipeline.gap.next_experiment import NoMotion, check_arm, check_tool, clearer_with_mass, plan_next, write_next
 from agent.pipeline.gap.next_steps import after_diagnosis
@@ -33,7 +34,6 @@ from agent.pipeline.job import Job, validation_logs
 from agent.pipeline.plan import plan_once
 from agent.recipe import load_recipe
 from agent.recording import Log, read_log
-from agent.report import NextStep, diagnosis_report, summary
 from agent.robot import RobotDescription
 from agent.runs import robot_lock
 from agent.simulators import SIMULATOR, Simulator, is_simulator, load_joint_map, load_simulator

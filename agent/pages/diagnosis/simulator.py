@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from agent.diagnosis import Diagnosis, Range, forward_warning, ranges, ranges_text
-from agent.report.diagnosis.figures import waterfall
-from agent.report.page import Section, Table
-from agent.report.phrasing import capital
+from agent.pages.diagnosis.figures import waterfall
+from agent.pages.page import Section, Table
+from agent.pages.phrasing import capital
 
 
 def simulator_sections(diagnosis: Diagnosis, forward: Mapping[str, Any] | None) -> list[Section]:

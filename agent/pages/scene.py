@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from agent.core import csv_text
-from agent.report.plots import packed
-from agent.report.templates import filled
+from agent.pages.plots import packed
+from agent.pages.templates import filled
 from agent.robot import Dynamics, RobotDescription, chain_of
 
 _MOST_POSTURES = 120
@@ -103,4 +103,4 @@ def arm_picture(robot: RobotDescription, q: np.ndarray, marked: Collection[str])
     wide, high = flat.max(axis=0) + _MARGIN
     joints = list(zip(robot.joint_names, flat[1:].tolist(), strict=False))
     shown = {"wide": wide + 70, "high": high, "points": flat.tolist(), "joints": joints, "marked": marked}
-    return filled("agent.report", "arm.svg", **shown)
+    return filled("agent.pages", "arm.svg", **shown)

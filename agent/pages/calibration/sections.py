@@ -15,16 +15,16 @@ import numpy as np
 from agent.core import InputError
 from agent.estimation import EstimationSettings, estimate
 from agent.model import IdentifiedModel
+from agent.pages.calibration.comparison import comparison_section
+from agent.pages.calibration.friction import friction_section
+from agent.pages.calibration.motion import ShownLoop
+from agent.pages.calibration.parameters import correlation_section, observation_section
+from agent.pages.calibration.recordings import LogHealth, log_section
+from agent.pages.calibration.residuals import residual_section
+from agent.pages.page import About, Section, Table
+from agent.pages.plots import Plot
 from agent.recipe import Recipe
 from agent.recording import Log
-from agent.report.calibration.comparison import comparison_section
-from agent.report.calibration.friction import friction_section
-from agent.report.calibration.motion import ShownLoop
-from agent.report.calibration.parameters import correlation_section, observation_section
-from agent.report.calibration.recordings import LogHealth, log_section
-from agent.report.calibration.residuals import residual_section
-from agent.report.page import About, Section, Table
-from agent.report.plots import Plot
 from agent.robot import Tool, torque_units
 from agent.runs import last_accepted
 from agent.validation import Prediction, compare_models, pooled_rmse

@@ -7,17 +7,17 @@ from dataclasses import replace
 from typing import Any
 
 from agent.core import counted
-from agent.report.calibration.comparison import comparison_section
-from agent.report.calibration.friction import friction_section
-from agent.report.calibration.motion import motion_section, search_section
-from agent.report.calibration.parameters import observation_section, parameters_section
-from agent.report.calibration.prediction import error_table
-from agent.report.calibration.recordings import conditions_section, log_section, percent, provenance_section
-from agent.report.calibration.residuals import residual_section
-from agent.report.calibration.sections import RunContent, further_sections
-from agent.report.diagnosis.summary import diagnosis_sections
-from agent.report.page import Page, Section, Table, render
-from agent.report.scene import Scene
+from agent.pages.calibration.comparison import comparison_section
+from agent.pages.calibration.friction import friction_section
+from agent.pages.calibration.motion import motion_section, search_section
+from agent.pages.calibration.parameters import observation_section, parameters_section
+from agent.pages.calibration.prediction import error_table
+from agent.pages.calibration.recordings import conditions_section, log_section, percent, provenance_section
+from agent.pages.calibration.residuals import residual_section
+from agent.pages.calibration.sections import RunContent, further_sections
+from agent.pages.diagnosis.summary import diagnosis_sections
+from agent.pages.page import Page, Section, Table, render
+from agent.pages.scene import Scene
 from agent.validation import Comparison
 
 

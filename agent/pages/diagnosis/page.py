@@ -8,8 +8,7 @@ from typing import Any
 from agent.core import package_version
 from agent.diagnosis import Diagnosis, Simulated, reported_parameters, simulation_part, torque_gap
 from agent.model import CATALOGUE, PAYLOAD
-from agent.recording import Log, machines_of
-from agent.report.diagnosis.figures import (
+from agent.pages.diagnosis.figures import (
     band_map,
     gap_table,
     regime_map,
@@ -17,10 +16,10 @@ from agent.report.diagnosis.figures import (
     timeline,
     waterfall,
 )
-from agent.report.diagnosis.simulator import drift_section, simulator_sections
-from agent.report.diagnosis.summary import planned_sections, rounds_sections
-from agent.report.page import About, NextStep, Page, Section, Table, render
-from agent.report.phrasing import (
+from agent.pages.diagnosis.simulator import drift_section, simulator_sections
+from agent.pages.diagnosis.summary import planned_sections, rounds_sections
+from agent.pages.page import About, NextStep, Page, Section, Table, render
+from agent.pages.phrasing import (
     FOUR,
     NOT_TESTABLE,
     closes,
@@ -35,7 +34,8 @@ from agent.report.phrasing import (
     what,
     where_sentences,
 )
-from agent.report.scene import arm_picture
+from agent.pages.scene import arm_picture
+from agent.recording import Log, machines_of
 from agent.robot import figure_text
 
 #: Title of the section on candidates, and how many it lists.

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from agent.diagnosis import reported_parameters, size_text, torque_gap
-from agent.report.page import Section, Table
-from agent.report.phrasing import chances_text, diagnosis_summary, next_text, place, what
+from agent.pages.page import Section, Table
+from agent.pages.phrasing import chances_text, diagnosis_summary, next_text, place, what
 from agent.robot import SHARE, figure_text
 
 

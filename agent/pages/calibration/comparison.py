@@ -8,11 +8,11 @@ import numpy as np
 
 from agent.core import plus_minus
 from agent.model import IdentifiedModel
-from agent.report.calibration.friction import compared_friction
-from agent.report.calibration.recordings import percent
-from agent.report.calibration.residuals import regime_table
-from agent.report.page import About, Bar, Bars, NextStep, Page, Section, Table, render
-from agent.report.plots import SERIES
+from agent.pages.calibration.friction import compared_friction
+from agent.pages.calibration.recordings import percent
+from agent.pages.calibration.residuals import regime_table
+from agent.pages.page import About, Bar, Bars, NextStep, Page, Section, Table, render
+from agent.pages.plots import SERIES
 from agent.validation import BEYOND, Comparison, Prediction
 
 _SHOWN = 30.0  # standard deviations at which a bar is cut

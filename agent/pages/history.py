@@ -10,8 +10,8 @@ from urllib.parse import quote
 import numpy as np
 
 from agent.core import counted
-from agent.report.page import About, NextStep, Page, Section, Table, render
-from agent.report.plots import SERIES, Panel, Plot, Series, joint_series
+from agent.pages.page import About, NextStep, Page, Section, Table, render
+from agent.pages.plots import SERIES, Panel, Plot, Series, joint_series
 from agent.runs import PastRun, Trend, Watch
 
 _MOST_RUNS = 1000

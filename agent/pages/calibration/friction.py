@@ -8,8 +8,8 @@ import numpy as np
 from scipy.stats import binned_statistic
 
 from agent.model import IdentifiedModel, steady_columns
-from agent.report.page import Section
-from agent.report.plots import SERIES, UNLINKED, Panel, Plot, Series, worst_first
+from agent.pages.page import Section
+from agent.pages.plots import SERIES, UNLINKED, Panel, Plot, Series, worst_first
 from agent.robot import RobotDescription, axle_motion, torque_units
 from agent.validation import Prediction, pooled_rmse
 
