@@ -134,21 +134,20 @@ def diagnose(
     help_all: opt.HelpAll = False,
 ) -> None:
     """Find out why model and robot disagree: which joint, what causes it, how sure, and what to do next."""
-    left_out, planning = tuple(without or ()), pipeline.planning_time(planning_budget)
     question = pipeline.GapQuestion(
-        model,
-        joint_map,
-        cutoff,
-        left_out,
-        report,
-        out,
-        allow_mixed,
-        force,
-        next_recipe,
-        load,
-        drives_off,
-        topic,
-        planning,
+        model=model,
+        joint_map=joint_map,
+        cutoff=cutoff,
+        without=tuple(without or ()),
+        report=report,
+        out=out,
+        allow_mixed=allow_mixed,
+        force=force,
+        next_recipe=next_recipe,
+        next_payload=load,
+        drives_off=drives_off,
+        topic=topic,
+        planning_budget=pipeline.planning_time(planning_budget),
     )
     console = opt.console_for(messages)
     if budget is not None and not until_sure:

@@ -1,6 +1,6 @@
 from .calibration.comparison import comparison_page as comparison_page
 from .calibration.friction import friction_section as friction_section
-from .calibration.motion import ShownLoop as ShownLoop, plan_report as plan_report
+from .calibration.loop import ShownLoop as ShownLoop, plan_report as plan_report
 from .calibration.pages import recalibration_report as recalibration_report, run_report as run_report
 from .calibration.parameters import parameters_section as parameters_section
 from .calibration.prediction import torque_plot as torque_plot

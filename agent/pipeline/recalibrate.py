@@ -19,12 +19,13 @@ from agent.link import Recording, open_link
 from agent.model import IdentifiedModel
 from agent.motion import Move, Target
 from agent.pipeline.ending import current_run
-from agent.pipeline.gap.until_sure import Found, Rounds, until_sure
+from agent.pipeline.gap.finding import Found
+from agent.pipeline.gap.until_sure import Rounds, until_sure
 from agent.pipeline.identify import check_run, read_logs
 from agent.pipeline.job import EXCITATION, Job, Outcome
 from agent.pipeline.plan import PlannedMotion, loop_problem, program_text
 from agent.pipeline.reports import diagnose_if_worse, recalibration_page, worse_joints, write_analysis
-from agent.pipeline.result import conditions, gate_figures, judge, recorded, temperatures
+from agent.pipeline.result import conditions, gate_decision, gate_figures, recorded, temperatures
 from agent.recipe import Recipe
 from agent.recording import Log, read_log
 from agent.robot import outcome_text, torque_units, without_nominal
@@ -340,7 +341,7 @@ def gate_faults(
     met : the run's conditions, with the friction found.
     """
     robot = found.model.robot
-    _, reason = judge(gate, robot.joint_names, found.held_out / robot.nominal_torque, without_nominal(robot))
+    _, reason = gate_decision(gate, robot.joint_names, found.held_out / robot.nominal_torque, without_nominal(robot))
     faults = [reason] if reason else []
     for name in worse_joints(last, found.held_out):
         k = robot.joint_names.index(name)

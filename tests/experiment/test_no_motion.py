@@ -14,7 +14,7 @@ from agent.experiment import KINDS, Experiment, as_drawn
 from agent.experiment.pieces import Pieces
 from agent.motion.pdl2.dialect import Pdl2
 from agent.pipeline import GapQuestion, check_plausible, diagnose_files
-from agent.pipeline.gap import diagnose, next_experiment
+from agent.pipeline.gap import diagnose, finding, next_experiment
 from agent.pipeline.gap.next_experiment import LONGEST, NoMotion, check_arm, check_tool, plan_next
 from agent.pipeline.plan import loop_problem
 from agent.recipe import load_recipe, template
@@ -142,9 +142,10 @@ def asked(arm, logs, tmp_path: Path, monkeypatch):
     for path, log in zip(paths, logs, strict=True):
         write_log(path, log)
     monkeypatch.setattr(GapQuestion, "check", lambda *_: None)
-    monkeypatch.setattr(diagnose, "load_recipe", lambda path: path)
-    monkeypatch.setattr(diagnose, "check_arm", lambda *_: None)
-    monkeypatch.setattr(diagnose, "check_tool", lambda *_: None)
+    for module in (diagnose, finding):
+        monkeypatch.setattr(module, "load_recipe", lambda path: path)
+    monkeypatch.setattr(finding, "check_arm", lambda *_: None)
+    monkeypatch.setattr(finding, "check_tool", lambda *_: None)
     question = GapQuestion(
         tmp_path / "model.json", report=tmp_path / "page.html", out=tmp_path / "next", next_recipe=tmp_path / "job.yaml"
     )
@@ -165,7 +166,7 @@ def test_keeps_the_verdict_if_the_forward_simulation_fails(arm, logs, tmp_path: 
     for log in logs:
         write_log(tmp_path / log.name, log)
     question = GapQuestion(tmp_path / "model.json", report=tmp_path / "page.html")
-    monkeypatch.setattr(diagnose, "simulate", fails(InputError("the effect gives no finite torque")))
+    monkeypatch.setattr(finding, "simulate", fails(InputError("the effect gives no finite torque")))
     result = diagnose_files(arm, [tmp_path / log.name for log in logs], question, Console(-1))
     assert (result["verdict"], result["simulation"]) == ("no_gap", None)
     assert any("the forward simulation failed" in text and "finite torque" in text for text in result["warnings"])

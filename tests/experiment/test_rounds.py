@@ -18,8 +18,9 @@ from agent.pages.diagnosis.summary import planned_sections, rounds_sections
 from agent.pages.page import Page, render
 from agent.pages.phrasing import next_text
 from agent.pipeline.gap import until_sure as module
+from agent.pipeline.gap.finding import Found
 from agent.pipeline.gap.next_experiment import NextMotion, NoMotion, check_next, other_test
-from agent.pipeline.gap.until_sure import Found, until_sure
+from agent.pipeline.gap.until_sure import until_sure
 from agent.pipeline.job import Job
 from agent.recipe import load_recipe, template
 from agent.recording import PARTS, PLANNED_PARTS

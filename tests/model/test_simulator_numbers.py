@@ -23,8 +23,8 @@ from agent.diagnosis.simulator_file.simulator import Explanation, _possible, num
 from agent.model import CATALOGUE
 from agent.pages import headline, verdict_text
 from agent.pipeline import GapQuestion
-from agent.pipeline.gap.corrected_simulator import beyond_range
 from agent.pipeline.gap.next_steps import after_diagnosis
+from agent.pipeline.gap.simulator import beyond_range
 from agent.pipeline.identify import check_plausible
 from agent.recording import read_log
 from agent.simulators import load_simulator

@@ -9,7 +9,7 @@ from typing import Any
 from agent.core import counted
 from agent.pages.calibration.comparison import comparison_section
 from agent.pages.calibration.friction import friction_section
-from agent.pages.calibration.motion import motion_section, search_section
+from agent.pages.calibration.loop import motion_section, search_section
 from agent.pages.calibration.parameters import observation_section, parameters_section
 from agent.pages.calibration.prediction import error_table
 from agent.pages.calibration.recordings import conditions_section, log_section, percent, provenance_section

@@ -17,7 +17,7 @@ from agent.estimation import EstimationSettings, estimate
 from agent.model import IdentifiedModel
 from agent.pages.calibration.comparison import comparison_section
 from agent.pages.calibration.friction import friction_section
-from agent.pages.calibration.motion import ShownLoop
+from agent.pages.calibration.loop import ShownLoop
 from agent.pages.calibration.parameters import correlation_section, observation_section
 from agent.pages.calibration.recordings import LogHealth, log_section
 from agent.pages.calibration.residuals import residual_section
