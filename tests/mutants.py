@@ -27,7 +27,7 @@ NARROW = {
     "agent/diagnosis/forward/interval.py": ["tests/diagnosis/test_forward.py"],
     "agent/estimation/uncertainty.py": ["tests/estimation/test_uncertainty.py", "tests/estimation/test_paper.py"],
     "agent/pages/calibration/parameters.py": ["tests/validation/test_run_sections.py"],
-    "agent/pages/calibration/sections.py": ["tests/validation/test_run_sections.py"],
+    "agent/pages/calibration/paper_estimator.py": ["tests/validation/test_run_sections.py"],
 }
 #: Changes that give the same results, by module and reason: parts of the lines that they make.
 EQUIVALENT = tomllib.loads((ROOT / "tests/equivalent_mutants.toml").read_text("utf-8"))

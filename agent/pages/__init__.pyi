@@ -1,16 +1,15 @@
 from .calibration.comparison import comparison_page as comparison_page
 from .calibration.friction import friction_section as friction_section
 from .calibration.loop import ShownLoop as ShownLoop, plan_report as plan_report
-from .calibration.pages import recalibration_report as recalibration_report, run_report as run_report
+from .calibration.pages import (
+    RunContent as RunContent,
+    recalibration_report as recalibration_report,
+    run_report as run_report,
+)
 from .calibration.parameters import parameters_section as parameters_section
 from .calibration.prediction import torque_plot as torque_plot
 from .calibration.recordings import LogHealth as LogHealth
 from .calibration.residuals import residual_section as residual_section
-from .calibration.sections import (
-    RUN_SECTIONS as RUN_SECTIONS,
-    RunContent as RunContent,
-    further_sections as further_sections,
-)
 from .diagnosis.page import diagnosis_report as diagnosis_report
 from .history import IndexData as IndexData, index_page as index_page
 from .page import (

@@ -45,14 +45,16 @@ def index_page(data: IndexData) -> str:
         headline, verdict = "No friction drifts, and no limit is near.", "good"
     else:
         headline, verdict = too_few, "plain"
-    sections = [
-        _machine(one, parameters, number, data)
-        for number, (one, parameters) in enumerate(zip(data.watched, data.parameters, strict=True))
-    ]
     errors = [_errors(data, *machine, number) for number, machine in enumerate(machines)]
-    if plots := [plot for plot in errors if plot is not None]:
-        sections.append(Section("Prediction error", (), plots))
-    sections.append(_all_runs(data))
+    plots = [plot for plot in errors if plot is not None]
+    sections = [
+        *(
+            _machine(one, parameters, k, data)
+            for k, (one, parameters) in enumerate(zip(data.watched, data.parameters, strict=True))
+        ),
+        Section("Prediction error", (), plots) if plots else None,
+        _all_runs(data),
+    ]
     return render(Page(f"Calibrations of {names}", headline, verdict, sections, _about(data, alarms)))
 
 

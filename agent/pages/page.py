@@ -125,22 +125,25 @@ class About:
 
 @dataclass(frozen=True)
 class Page:
-    """A report. `verdict` is one of good, bad or plain and colours the headline, which is the answer."""
+    """A report. `verdict` is one of good, bad or plain and colours the headline, which is the answer.
+
+    A section that is None has nothing to show and is left out.
+    """
 
     title: str
     headline: str
     verdict: str
-    sections: Sequence[Section]
+    sections: Sequence[Section | None]
     about: About = About()
 
 
 def render(page: Page) -> str:
     """HTML text: no script or picture from anywhere else, light and dark, printable."""
-    names = _identifiers(page.sections)
+    shown = [section for section in page.sections if section is not None]
     sections = [
-        (name, one, [_part(part) for part in one.parts]) for name, one in zip(names, page.sections, strict=True)
+        (name, one, [_part(part) for part in one.parts]) for name, one in zip(_identifiers(shown), shown, strict=True)
     ]
-    kinds = {type(part) for section in page.sections for part in section.parts}
+    kinds = {type(part) for section in shown for part in section.parts}
     library = _uplot() if Plot in kinds else {}
     scripts = [library["uPlot.iife.js"], asset("agent.pages", "plots.js")] if library else []
     scripts += [asset("agent.pages", "scene.js")] if Scene in kinds else []

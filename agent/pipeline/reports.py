@@ -123,18 +123,16 @@ def calibration_page(
     run: Path,
 ) -> str:
     """HTML of the report of a calibration in its folder; `health` is that of the validation logs."""
-    model = predictions[0].model
+    prediction = predict_log(predictions[0].model, log.middle_part())
     return run_report(
         RunContent(
-            run,
-            recipe,
-            model,
-            predictions,
-            health,
-            log,
-            result,
-            about_run("calibrate", recipe, result, run),
-            loop=_coloured(shown_loop(recipe, plan.excitation), log, predict_log(model, log.middle_part())),
+            run=run,
+            result=result,
+            about=about_run("calibrate", recipe, result, run),
+            predictions=predictions,
+            health=health,
+            excitation=log,
+            loop=_coloured(shown_loop(recipe, plan.excitation), log, prediction),
             rmse=np.array([p.rmse(moving=True) for p in predictions]),
             shown=torque_plot(typical_motion(predictions), pooled_rmse(predictions)),
             search=plan.search,
@@ -167,22 +165,19 @@ def recalibration_page(
     run: Path,
 ) -> str:
     """HTML of a recalibration's report; `program` is the text of the loop, `prediction` is of its `log` in `run`."""
-    model = prediction.model
     *_, cycle = plan_statements(recipe, program, "program", log.position[0])[1]
     loop = ShownLoop(recipe, cycle, np.array(result["loop"]["via_points"]), len(log.cycle_starts))
     ends = [*log.cycle_starts, float(log.t[-1])] if log.cycle_starts else [0.0, float(log.t[-1])]
     cycles = [slice(*np.searchsorted(prediction.time, pair)) for pair in pairwise(ends)]
     # confidence bounds need a regressor for every sample, so they are computed for the cycle that is shown
-    shown = predict_log(model, log.middle_part())
+    shown = predict_log(prediction.model, log.middle_part())
     content = RunContent(
-        run,
-        recipe,
-        model,
-        [prediction],
-        [LogHealth.of(log)],
-        log,
-        result,
-        about_run("recalibrate", recipe, result, run),
+        run=run,
+        result=result,
+        about=about_run("recalibrate", recipe, result, run),
+        predictions=[prediction],
+        health=[LogHealth.of(log)],
+        excitation=log,
         loop=_coloured(loop, log, prediction),
         rmse=np.array([_rmse(prediction, part) for part in cycles if _moves(prediction)[part].any()]),
         shown=torque_plot(shown, prediction.rmse(moving=True), *log.middle_cycle()),

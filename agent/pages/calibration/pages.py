@@ -2,70 +2,127 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from agent.core import counted
-from agent.pages.calibration.comparison import comparison_section
+from agent.model import IdentifiedModel
+from agent.pages.calibration.comparison import against_last_accepted, comparison_section
 from agent.pages.calibration.friction import friction_section
-from agent.pages.calibration.loop import motion_section, search_section
-from agent.pages.calibration.parameters import observation_section, parameters_section
+from agent.pages.calibration.loop import ShownLoop, motion_section, search_section
+from agent.pages.calibration.paper_estimator import paper_section
+from agent.pages.calibration.parameters import correlation_section, observation_section, parameters_section
 from agent.pages.calibration.prediction import error_table
-from agent.pages.calibration.recordings import conditions_section, log_section, percent, provenance_section
+from agent.pages.calibration.recordings import (
+    LogHealth,
+    conditions_section,
+    log_section,
+    percent,
+    provenance_section,
+)
 from agent.pages.calibration.residuals import residual_section
-from agent.pages.calibration.sections import RunContent, further_sections
 from agent.pages.diagnosis.summary import diagnosis_sections
-from agent.pages.page import Page, Section, Table, render
+from agent.pages.page import About, Page, Section, Table, render
+from agent.pages.plots import Plot
 from agent.pages.scene import Scene
-from agent.validation import Comparison
+from agent.recording import Log
+from agent.validation import Comparison, Prediction
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RunContent:
+    """What the page of a run is made from.
+
+    Attributes
+    ----------
+    run : run folder.
+    result, about : content of `result.json`, and the first screen.
+    predictions, health : of the motions that the model is judged on, and of their logs.
+    excitation : the log that the model was fitted to.
+    loop : the loop that was run.
+    rmse : (motions or cycles, n) [N·m] on moving samples.
+    shown : torque of one motion.
+    search, validation_paths : of a calibration: how the loop was found, and (motions, k, 3) [m] of the TCP.
+    """
+
+    run: Path
+    result: dict[str, Any]
+    about: About
+    predictions: Sequence[Prediction]
+    health: Sequence[LogHealth]
+    excitation: Log
+    loop: ShownLoop
+    rmse: np.ndarray
+    shown: Plot
+    search: Mapping[str, Any] = field(default_factory=dict)
+    validation_paths: np.ndarray = field(default_factory=lambda: np.empty((0, 0, 3)))
+
+    @property
+    def model(self) -> IdentifiedModel:
+        """The identified model of the run."""
+        return self.predictions[0].model
 
 
 def run_report(data: RunContent) -> str:
     """HTML text of the report of a calibration."""
-    result = data.result
+    result, model = data.result, data.model
     headline = f"{_headline(result)} {_current(result)}"
     if result["diagnosis"] is not None:
         headline = f"{headline} {result['diagnosis']['summary']}"
-    search = search_section(data.search)
-    return _page(data, "Calibration", headline, _validation(data), search, further_sections(data))
+    sections = [
+        *_verdict_first(data, _validation(data)),
+        motion_section(data.loop),
+        search_section(data.search),
+        residual_section(data.predictions),
+        friction_section(data.predictions),
+        against_last_accepted(data.run, model, data.excitation),
+        observation_section(model, data.excitation),
+        correlation_section(model),
+        paper_section(model, data.excitation, data.predictions, data.loop.recipe.tool),
+        log_section([LogHealth.of(data.excitation), *data.health]),
+        conditions_section(result["conditions"], result["validation"]["joints"]),
+        parameters_section(model.rows(), result["estimation"].get("notes", ())),
+        provenance_section(result),
+    ]
+    return _page(data, "Calibration", headline, sections)
 
 
 def recalibration_report(data: RunContent, comparison: Comparison) -> str:
     """HTML text of the report of a recalibration, with its model compared with the last accepted one."""
-    result, loop = data.result, data.result["loop"]
+    result, model, loop = data.result, data.model, data.result["loop"]
     word = "Accepted" if result["accepted"] else f"Rejected: {result['reason']}"
     headline = f"{word}. {_current(result)} "
     headline += result["diagnosis"]["summary"] if result["diagnosis"] else f"{result['comparison']}."
     search = f"None this time: the stored loop of {loop['created']} was run again, fitness {loop['fitness']:.2f}."
-    further = (
+    sections = [
+        *_verdict_first(data, _fresh_errors(data)),
+        motion_section(data.loop),
+        Section("Search", (search,)),
         comparison_section(comparison),
         residual_section(data.predictions),
         friction_section(data.predictions),
-        observation_section(data.model, data.excitation),
+        observation_section(model, data.excitation),
         log_section(data.health),
-    )
-    return _page(data, "Recalibration", headline, _fresh_errors(data), Section("Search", (search,)), further)
-
-
-def _page(
-    data: RunContent, title: str, headline: str, prediction: Section, search: Section, further: Sequence[Section]
-) -> str:
-    """HTML text of a run's page; a diagnosis that was needed comes first."""
-    result = data.result
-    found = diagnosis_sections(result["diagnosis"], result["reference"])
-    first = [*found, prediction] if result["diagnosis"] else [prediction, *found]
-    sections = [
-        *first,
-        motion_section(data.loop),
-        search,
-        *further,
         conditions_section(result["conditions"], result["validation"]["joints"]),
-        parameters_section(data.model.rows(), result.get("estimation", {}).get("notes", ())),
+        parameters_section(model.rows()),
         provenance_section(result),
     ]
-    title = f"{title} of {result['robot']} {result['serial']}".rstrip()
-    return render(Page(title, headline, _colour(result), sections, data.about))
+    return _page(data, "Recalibration", headline, sections)
+
+
+def _verdict_first(data: RunContent, prediction: Section) -> list[Section]:
+    """How well the model predicts, and the diagnosis, which comes first if one was needed."""
+    found = diagnosis_sections(data.result["diagnosis"], data.result["reference"])
+    return [*found, prediction] if data.result["diagnosis"] else [prediction, *found]
+
+
+def _page(data: RunContent, title: str, headline: str, sections: Sequence[Section | None]) -> str:
+    title = f"{title} of {data.result['robot']} {data.result['serial']}".rstrip()
+    return render(Page(title, headline, _colour(data.result), sections, data.about))
 
 
 def _current(result: dict[str, Any]) -> str:
