@@ -8,7 +8,7 @@ from .mcap.foxglove import (
     foxglove_layout as foxglove_layout,
 )
 from .mcap.log_file import write_log as write_log
-from .mcap.relabel import first_stamp as first_stamp, relabelled as relabelled
+from .mcap.relabel import LogCopy as LogCopy
 from .mcap.writer import LogWriter as LogWriter
 from .reading import logged_joints as logged_joints, read_log as read_log
 from .repair.grid import line as line, sample_numbers as sample_numbers, settled as settled
