@@ -281,9 +281,9 @@ def trajectories(as_json: opt.AsJson = False) -> None:
     if as_json:
         core.print_json({"schema": "trajectories/1", "trajectories": [loop.to_dict() for loop in loops]})
         return
-    for loop in loops:
-        print(loop.line())
-    if not loops and not damaged:
+    if loops:
+        core.print_text("\n".join(loop.line() for loop in loops))
+    elif not damaged:
         print("no stored loops yet: `agent plan` and `agent calibrate` keep what they find", file=sys.stderr)
 
 

@@ -1,5 +1,10 @@
 """The errors a user meets. Each carries the exit code of the command line (0 is the absence of an error)."""
 
+import errno
+
+#: System errors of a place that is full or read-only: they end with 1, while one that is not there is a mistake (2).
+FULL_OR_READ_ONLY = (errno.EACCES, errno.EDQUOT, errno.EFBIG, errno.ENOSPC, errno.EPERM, errno.EROFS)
+
 
 class AgentError(Exception):
     """Something the user can act on: the message says what, where, which limit and what to do."""
