@@ -13,6 +13,8 @@ from agent.core import (
     FULL_OR_READ_ONLY,
     AgentError,
     Ended,
+    end_progress,
+    fit_to_show,
     flush_results,
     hang_up,
     open_standard_descriptors,
@@ -78,8 +80,6 @@ def _unexpected(error: Exception) -> None:
 
 
 def _fail(message: str, code: int) -> None:
-    from agent.core import end_progress, fit_to_show
-
     end_progress()
     print(f"agent: {fit_to_show(message)}", file=sys.stderr)
     sys.exit(code)
