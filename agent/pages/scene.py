@@ -56,11 +56,8 @@ def scene_part(scene: Scene) -> dict[str, Any]:
         "by": scene.coloured_by,
     }
     if scene.arm is not None:
-        arm = {
-            "time": scene.arm.time,
-            "ends": scene.arm.ends.reshape(len(scene.arm.time), -1),
-            "radius": scene.arm.radius,
-        }
+        time, ends = scene.arm.time, scene.arm.ends.reshape(len(scene.arm.time), -1)
+        arm = {"time": time, "ends": ends, "radius": scene.arm.radius}
         data["arm"] = {key: np.round(values, 3).tolist() for key, values in arm.items()}
     rows = [["what", "x [m]", "y [m]", "z [m]"]]
     for name, line in {**scene.lines, **scene.points}.items():

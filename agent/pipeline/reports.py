@@ -16,9 +16,7 @@ from agent.link import plan_statements
 from agent.model import IdentifiedModel, standstill_speed
 from agent.pages import (
     About,
-    IndexData,
     LogHealth,
-    NextStep,
     RunContent,
     ShownLoop,
     comparison_page,
@@ -110,7 +108,7 @@ def about_run(kind: str, recipe: Recipe, result: dict[str, Any], run: Path) -> A
         ("current model", whose(current, run.name)),
         ("program", f"calibration-agent {provenance.get('version of calibration-agent', '')}".strip()),
     ]
-    return About(asked=_ASKED[kind], next=[NextStep(what, command) for command, what in steps], identity=identity)
+    return About(asked=_ASKED[kind], next=steps, identity=identity)
 
 
 def calibration_page(
@@ -269,7 +267,7 @@ def write_index(logs: Path, robot: str | None = None, serial: str | None = None)
     watched = watch(runs)
     parameters = history.parameters({figures.run for one in watched for figures in one.figures})
     courses = [parameter_trends(one.figures, parameters) for one in watched]
-    return write_atomically(logs / "index.html", index_page(IndexData(runs, watched, courses, current_runs(logs)[0])))
+    return write_atomically(logs / "index.html", index_page(runs, watched, courses, current_runs(logs)[0]))
 
 
 def refresh_index(logs: Path, console: Console) -> None:

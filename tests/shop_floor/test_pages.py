@@ -12,6 +12,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
+
+from agent.cli.app import app
+from agent.core import Console
+from agent.pipeline import compare_runs, write_index
 
 FOREIGN = re.compile(r"""(?:src|href|action|data)\s*=\s*["'](?!data:|#)([^"']+)|url\(\s*["']?(?!#|data:)([^"')]+)""")
 
@@ -166,7 +171,8 @@ def test_a_rejected_calibration_names_the_axis(shop: Path, run_agent):
     figures = dict(zip(result["validation"]["joints"], result["validation"]["normalised_rmse"], strict=True))
     worst, second = sorted(figures, key=figures.get, reverse=True)[:2]
     gate = (figures[worst] + figures[second]) / 2
-    file.write_text(json.dumps(result | {"accepted": False, "gate": {"normalised_rmse": gate}}), encoding="utf-8")
+    result |= {"accepted": False, "gate": result["gate"] | {"normalised_rmse": gate}}
+    file.write_text(json.dumps(result), encoding="utf-8")
     run = run_agent("report", file.parent.name)
     assert run.returncode == 0, run.stderr
     page = (file.parent / "report.html").read_text(encoding="utf-8")
@@ -176,8 +182,6 @@ def test_a_rejected_calibration_names_the_axis(shop: Path, run_agent):
 
 
 def test_the_index_page_of_all_runs(write_runs, browse):
-    from agent.pipeline.reports import write_index
-
     logs = write_runs(20, 2, wear=1)
     page = write_index(logs)
     links = tuple(f"{path.name}/report.html" for path in logs.iterdir() if path.is_dir())
@@ -198,8 +202,6 @@ def test_the_browser_helper_reports_errors_and_requests(tmp_path: Path, browse):
 
 
 def test_the_index_page_without_trends(write_runs, browse):
-    from agent.pipeline.reports import write_index
-
     page = write_index(write_runs(2))
     assert "at least eight runs" in page.read_text(encoding="utf-8")
     assert browse(page)[:2] == ([], [])
@@ -224,9 +226,6 @@ def test_a_diagnosis_opens_the_report_when_the_last_model_predicts_worse(worn: P
 
 
 def test_compares_runs_side_by_side(shop: Path, browse):
-    from agent.core.console import Console
-    from agent.pipeline.reports import compare_runs
-
     (first,) = (path.parent for path in shop.glob("logs/*/model.json"))
     second = first.with_name("20300101T000000Z_comau_ns16")
     shutil.copytree(first, second)
@@ -250,9 +249,6 @@ def test_compares_runs_side_by_side(shop: Path, browse):
 
 
 def test_runs_of_two_machines_are_not_compared_as_changes(shop: Path):
-    from agent.core.console import Console
-    from agent.pipeline.reports import compare_runs
-
     first = min(path.parent for path in shop.glob("logs/*/model.json"))
     other = first.with_name("20300103T000000Z_comau_ns16")
     shutil.copytree(first, other)
@@ -270,10 +266,6 @@ def test_runs_of_two_machines_are_not_compared_as_changes(shop: Path):
 
 
 def test_a_run_refreshes_the_index_page(calibrated: Path, monkeypatch):
-    from typer.testing import CliRunner
-
-    from agent.cli.app import app
-
     index = calibrated / "logs/index.html"
     (run,) = (path.parent.name for path in calibrated.glob("logs/*/state.json"))
     assert run in index.read_text(encoding="utf-8")

@@ -17,13 +17,7 @@ from agent.pages.calibration.loop import ShownLoop, motion_section, search_secti
 from agent.pages.calibration.paper_estimator import paper_section
 from agent.pages.calibration.parameters import correlation_section, observation_section, parameters_section
 from agent.pages.calibration.prediction import error_table
-from agent.pages.calibration.recordings import (
-    LogHealth,
-    conditions_section,
-    log_section,
-    percent,
-    provenance_section,
-)
+from agent.pages.calibration.recordings import LogHealth, conditions_section, log_section, percent, provenance_section
 from agent.pages.calibration.residuals import residual_section
 from agent.pages.diagnosis.summary import diagnosis_sections
 from agent.pages.page import About, Page, Section, Table, render
@@ -85,7 +79,7 @@ def run_report(data: RunContent) -> str:
         paper_section(model, data.excitation, data.predictions, data.loop.recipe.tool),
         log_section([LogHealth.of(data.excitation), *data.health]),
         conditions_section(result["conditions"], result["validation"]["joints"]),
-        parameters_section(model.rows(), result["estimation"].get("notes", ())),
+        parameters_section(model.rows(), result["estimation"]["notes"]),
         provenance_section(result),
     ]
     return _page(data, "Calibration", headline, sections)
@@ -114,7 +108,7 @@ def recalibration_report(data: RunContent, comparison: Comparison) -> str:
     return _page(data, "Recalibration", headline, sections)
 
 
-def _verdict_first(data: RunContent, prediction: Section) -> list[Section]:
+def _verdict_first(data: RunContent, prediction: Section) -> list[Section | None]:
     """How well the model predicts, and the diagnosis, which comes first if one was needed."""
     found = diagnosis_sections(data.result["diagnosis"], data.result["reference"])
     return [*found, prediction] if data.result["diagnosis"] else [prediction, *found]
@@ -138,23 +132,18 @@ def _colour(result: dict[str, Any]) -> str:
     return "bad" if result["diagnosis"] else {True: "good", False: "bad", None: "plain"}[result["accepted"]]
 
 
-def _units(validation: dict[str, Any]) -> list[str]:
-    """Unit of each joint's torque; runs of earlier versions do not say it."""
-    return validation.get("units") or ["N·m"] * len(validation["joints"])
-
-
 def _headline(result: dict[str, Any]) -> str:
     validation, gate = result["validation"], result["gate"]
     shares = zip(validation["normalised_rmse"], validation["joints"], strict=True)
-    known = [(share, joint) for share, joint in shares if joint not in gate.get("not_judged", [])]
+    known = [(share, joint) for share, joint in shares if joint not in gate["not_judged"]]
     if not known:
-        errors = zip(validation["joints"], validation["rmse"], _units(validation), strict=True)
+        errors = zip(validation["joints"], validation["rmse"], validation["units"], strict=True)
         return (
             "Not judged: the robot description has no nominal torques. Prediction error on unseen motions in the "
             f"sub-region: {', '.join(f'{error:.3g} {unit} on {joint}' for joint, error, unit in errors)}."
         )
     worst, axis = max(known)
-    left_out = ", ".join(gate.get("not_judged", []))
+    left_out = ", ".join(gate["not_judged"])
     return (
         f"{'Accepted' if result['accepted'] else 'Rejected'}: the worst axis, {axis}, predicts unseen motions in the "
         f"sub-region to {100 * worst:.2f} % of its nominal torque; the gate is {100 * gate['normalised_rmse']:g} %."
@@ -164,13 +153,9 @@ def _headline(result: dict[str, Any]) -> str:
 
 def _validation(data: RunContent) -> Section:
     validation, gate = data.result["validation"], data.result["gate"]["normalised_rmse"]
-    not_judged = data.result["gate"].get("not_judged", [])
-    columns = (validation[key] for key in ("joints", "rmse", "normalised_rmse", "normalised_rmse_all_samples"))
-    rows = []
-    for name, rmse, moving, everything, unit in zip(*columns, _units(validation), strict=True):
-        judged = "not judged" if name in not_judged else "" if moving <= gate else "above the gate"
-        rows.append((name, f"{rmse:.3g}", unit, percent(moving), percent(everything), judged))
-    header = ("axis", "RMSE", "unit", "of nominal, moving [%]", "of nominal, all samples [%]", "")
+    shares = zip(validation["joints"], validation["normalised_rmse"], strict=True)
+    remarks = {name: "above the gate" for name, share in shares if share is None or not share <= gate}
+    remarks |= dict.fromkeys(data.result["gate"]["not_judged"], "not judged")
     text = [
         f"{validation['motions']} random motions at {validation['speed']:g} m/s that took no part in the fit.",
         "Normalised: RMSE over the axis's nominal joint torque. Moving samples decide; all samples include standstill.",
@@ -187,35 +172,38 @@ def _validation(data: RunContent) -> Section:
         lines={"validation paths": data.validation_paths},
         boxes=data.loop.boxes,
     )
+    header = ("axis", "RMSE", "unit", "of nominal, moving [%]", "of nominal, all samples [%]", "")
     errors = f"Prediction error on {motions} in the sub-region, per axis (the paper's Fig. 5b)."
+    figures, boxes = _errors(data, header, "normalised_rmse_all_samples", remarks, errors)
     typical = "Torque on one unseen motion, the one of median error (the paper's Fig. 6)."
-    parts = (
-        Table("validation", header, rows),
-        paths,
-        error_table(data.rmse, data.model.robot.nominal_torque, validation["joints"], gate, errors),
-        replace(data.shown, caption=typical),
-    )
-    return Section("Prediction of unseen motions", text, parts)
+    return Section("Prediction of unseen motions", text, (figures, paths, boxes, replace(data.shown, caption=typical)))
 
 
 def _fresh_errors(data: RunContent) -> Section:
-    validation, gate = data.result["validation"], data.result["gate"]["normalised_rmse"]
-    columns = (validation[key] for key in ("joints", "rmse", "normalised_rmse", "normalised_rmse_before"))
-    rows = []
-    for name, rmse, after, before, unit in zip(*columns, _units(validation), strict=True):
-        worse = "worse than it was" if name in validation["worse_before"] else ""
-        rows.append((name, f"{rmse:.3g}", unit, percent(after), percent(before), worse))
-    estimated = "friction alone was" if data.result["parameters"] == "friction" else "all parameters were"
+    result = data.result
+    estimated = "friction alone was" if result["parameters"] == "friction" else "all parameters were"
     text = (
-        f"The stored loop was run again and {estimated} estimated; the reference is {data.result['reference']}.",
+        f"The stored loop was run again and {estimated} estimated; the reference is {result['reference']}.",
         "All errors are held out: stretches left out in turn for the new model, the whole motion for the one before. "
-        f"They count moving samples, over the axis's nominal joint torque. The gate is {100 * gate:g} %.",
+        "They count moving samples, over the axis's nominal joint torque. The gate is "
+        f"{100 * result['gate']['normalised_rmse']:g} %.",
     )
     header = ("axis", "new model, RMSE", "unit", "new model [%]", "model before [%]", "")
+    remarks = dict.fromkeys(result["validation"]["worse_before"], "worse than it was")
     cycles = f"Error of the new model on each of {len(data.rmse)} cycles, per axis; it was fitted to them."
-    parts = (
-        Table("validation", header, rows),
-        error_table(data.rmse, data.model.robot.nominal_torque, validation["joints"], gate, cycles),
-        replace(data.shown, caption="Torque along one cycle of the loop."),
-    )
-    return Section("Prediction", text, parts)
+    parts = _errors(data, header, "normalised_rmse_before", remarks, cycles)
+    return Section("Prediction", text, (*parts, replace(data.shown, caption="Torque along one cycle of the loop.")))
+
+
+def _errors(
+    data: RunContent, header: Sequence[str], second: str, remarks: Mapping[str, str], caption: str
+) -> tuple[Table, Table]:
+    """Errors of every axis, with a `second` share of nominal torque and remarks, and as box plots under a caption."""
+    validation, gate = data.result["validation"], data.result["gate"]["normalised_rmse"]
+    columns = (validation[key] for key in ("joints", "rmse", "normalised_rmse", second))
+    rows = [
+        (name, f"{rmse:.3g}", unit, percent(share), percent(other), remarks.get(name, ""))
+        for name, rmse, share, other, unit in zip(*columns, validation["units"], strict=True)
+    ]
+    boxes = error_table(data.rmse, data.model.robot.nominal_torque, validation["joints"], gate, caption)
+    return Table("validation", header, rows), boxes
