@@ -2,7 +2,7 @@
 
 import errno
 
-#: System errors of a place that is full or read-only: they end with 1, while one that is not there is a mistake (2).
+#: System errors of a disk or folder that is full or read-only: exit code 1, while a folder that is missing gives 2.
 FULL_OR_READ_ONLY = (errno.EACCES, errno.EDQUOT, errno.EFBIG, errno.ENOSPC, errno.EPERM, errno.EROFS)
 
 

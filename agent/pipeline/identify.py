@@ -58,10 +58,7 @@ def read_logs(paths: Sequence[Path], robot: RobotDescription, console: Console, 
 
 
 def check_structure(structure: str) -> None:
-    """
-    Raises:
-        InputError: there is no such structure of a model.
-    """
+    """Raise InputError if there is no such structure of a model."""
     if structure not in ("rigid", "auto"):
         raise InputError(f"--structure {structure!r} is not known; choose rigid or auto")
 

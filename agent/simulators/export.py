@@ -37,9 +37,7 @@ _SPEEDS = np.linspace(0.02, 1.0, 50)  # of the highest: where the line through a
 
 
 def export_model(model: IdentifiedModel, folder: Path) -> tuple[Path, ...]:
-    """Write URDF, MuJoCo model, SDF, friction, parameters and a Foxglove layout into a folder, replacing older ones.
-
-    Returns their paths.
+    """Write URDF, MuJoCo model, SDF, friction, parameters and a Foxglove layout into a folder; returns their paths.
 
     Raises:
         RejectedError: no physical links have the model's base parameters, or what was written does not give them back.

@@ -16,7 +16,7 @@ import pytest
 from agent.core import AgentError
 from agent.pipeline.setup.init import schema_text, write_recipe
 from agent.recipe import load_recipe
-from agent.runs import check_output, make_folder
+from agent.runs import make_folder
 from tests.conftest import ROOT, environment
 from tests.shop_floor.conftest import agent
 
@@ -61,13 +61,13 @@ def test_a_folder_that_cannot_be_written_is_said_before_any_question(tmp_path: P
         raise OSError(number, os.strerror(number))
 
     monkeypatch.setattr("agent.runs.folder.TemporaryFile", refused)
-    with pytest.raises(AgentError, match=f"cell.yaml: cannot be written there: {os.strerror(number)}; name another"):
+    with pytest.raises(
+        AgentError, match=f"cell.yaml: cannot be written there: {os.strerror(number)}; name another"
+    ) as said:
         write_recipe(tmp_path / "cell.yaml", {})
+    assert said.value.exit_code == code
     with pytest.raises(AgentError, match=f"no folder for the export can be made there: {os.strerror(number)}; free"):
         make_folder(tmp_path / "out", "the export")
-    with pytest.raises(AgentError) as said:
-        check_output(tmp_path / "cell.yaml", ())
-    assert said.value.exit_code == code
 
 
 def test_asks_again_after_an_invalid_answer(tmp_path: Path):

@@ -137,9 +137,8 @@ def diagnose_again(run: Path, robot: RobotDescription, source: str, console: Con
     further = [Path(one["program"]).stem for one in recorded.get("rounds", ()) if one.get("verdict")]
     logs = [run / "excitation.mcap", *validation_logs(run), *(run / f"{name}.mcap" for name in further)]
     found = find(robot, logs, question, console)
-    return diagnosis_report(
-        found.diagnosis, found.simulated, after_diagnosis(recorded, source, logs, question), recorded
-    )
+    steps = after_diagnosis(recorded, source, logs, question)
+    return diagnosis_report(found.diagnosis, found.simulated, steps, recorded)
 
 
 def _answer_run(

@@ -30,19 +30,14 @@ class LogCopy:
 
         Parameters
         ----------
-        target : Path
-            File to write.
-        start : float
-            Stamp [s] of the copy's first sample; receive times are the stamps.
-        facts : Mapping
-            Entries of the record `run` in addition to robot, motion, rate and cycle starts.
-        padding : int
-            Bytes of padding, which hide how well the samples compress.
+        target : file to write.
+        start : stamp [s] of the copy's first sample; receive times are the stamps.
+        facts : entries of the record `run` in addition to robot, motion, rate and cycle starts.
+        padding : bytes of padding, which hide how well the samples compress.
 
         Returns
         -------
-        float
-            Stamp of the last sample [s].
+        Stamp of the last sample [s].
         """
         run, names = self._found.metadata[RUN], self._states[0].layout.names
         rate = float(run["sample_rate_hz"]) if "sample_rate_hz" in run else None
