@@ -3,11 +3,11 @@
 from agent.pages.calibration.comparison import comparison_page
 from agent.pages.calibration.friction import friction_section
 from agent.pages.calibration.loop import ShownLoop, plan_report
-from agent.pages.calibration.pages import RunContent, recalibration_report, run_report
 from agent.pages.calibration.parameters import parameters_section
 from agent.pages.calibration.prediction import torque_plot
 from agent.pages.calibration.recordings import LogHealth
 from agent.pages.calibration.residuals import residual_section
+from agent.pages.calibration.runs import RunContent, recalibration_report, run_report
 from agent.pages.diagnosis.page import diagnosis_report
 from agent.pages.history import index_page
 from agent.pages.page import About, Bar, Bars, NextStep, Page, Section, Table, render, table_html

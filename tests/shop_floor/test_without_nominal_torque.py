@@ -12,8 +12,8 @@ import pytest
 
 from agent.core import error_text
 from agent.core.console import finite
-from agent.pages.calibration.pages import _colour, _headline
 from agent.pages.calibration.prediction import error_table
+from agent.pages.calibration.runs import _colour, _headline
 from agent.pipeline.calibrate import calibration_text
 from agent.pipeline.reports import worse_joints
 from agent.pipeline.result import gate_decision
