@@ -7,7 +7,7 @@ from agent.pages.calibration.parameters import parameters_section
 from agent.pages.calibration.prediction import torque_plot
 from agent.pages.calibration.recordings import LogHealth
 from agent.pages.calibration.residuals import residual_section
-from agent.pages.calibration.runs import RunContent, recalibration_report, run_report
+from agent.pages.calibration.runs import RunContent, calibration_report, recalibration_report
 from agent.pages.diagnosis.page import diagnosis_report
 from agent.pages.history import index_page
 from agent.pages.page import About, Bar, Bars, NextStep, Page, Section, Table, render, table_html

@@ -19,11 +19,11 @@ from agent.pages import (
     LogHealth,
     RunContent,
     ShownLoop,
+    calibration_report,
     comparison_page,
     diagnosis_summary,
     index_page,
     recalibration_report,
-    run_report,
     torque_plot,
 )
 from agent.pipeline.ending import next_steps, whose
@@ -122,7 +122,7 @@ def calibration_page(
 ) -> str:
     """HTML of the report of a calibration in its folder; `health` is that of the validation logs."""
     prediction = predict_log(predictions[0].model, log.middle_part())
-    return run_report(
+    return calibration_report(
         RunContent(
             run=run,
             result=result,

@@ -61,7 +61,7 @@ class RunContent:
         return self.predictions[0].model
 
 
-def run_report(data: RunContent) -> str:
+def calibration_report(data: RunContent) -> str:
     """HTML text of the report of a calibration."""
     result, model = data.result, data.model
     headline = f"{_headline(result)} {_current(result)}"
