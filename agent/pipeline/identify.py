@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from agent.core import Console, InputError, RejectedError
+from agent.core import Console, InputError, RejectedError, error_text
 from agent.data_quality import check_quality, fitted_doubts, spoiled
 from agent.diagnosis import with_healthy_effects, with_structure
 from agent.estimation import EstimationSettings, FilterSettings, beyond_fit, estimate, used_text
@@ -284,12 +284,9 @@ def validation_text(result: Validation) -> str:
     width = max(12, *map(len, result.joints))
     lines = [f"{'joint':{width}} {'RMSE':>10} {'of nominal':>11} {'relative':>9}"]
     for k, name in enumerate(result.joints):
-        nominal, relative = (_percent(of[k]) for of in (overall.normalised_rmse, overall.relative_error))
+        nominal, relative = (error_text(of[k], None) for of in (overall.normalised_rmse, overall.relative_error))
         lines.append(f"{name:{width}} {overall.rmse[k]:10.4g} {nominal:>11} {relative:>9}")
     logs = ", ".join(log.log for log in result.logs)
-    lines.append(f"all joints: {_percent(overall.relative_error_all_joints)} at {result.cutoff_hz:g} Hz ({logs})")
+    error = error_text(overall.relative_error_all_joints, None)
+    lines.append(f"all joints: {error} at {result.cutoff_hz:g} Hz ({logs})")
     return "\n".join(lines)
-
-
-def _percent(share: float | None) -> str:
-    return "-" if share is None else f"{100 * share:.2f} %"

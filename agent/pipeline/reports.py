@@ -1,4 +1,4 @@
-"""Pages and comparisons made from run folders, and the diagnosis of a model that predicts worse than it did."""
+"""Pages made from run folders, and the diagnosis of a model that predicts worse than it did."""
 
 from __future__ import annotations
 
@@ -20,19 +20,17 @@ from agent.pages import (
     RunContent,
     ShownLoop,
     calibration_report,
-    comparison_page,
     diagnosis_summary,
     index_page,
     recalibration_report,
     torque_plot,
 )
 from agent.pipeline.ending import next_steps, whose
-from agent.pipeline.identify import read_logs
 from agent.pipeline.plan import Plan, shown_loop
 from agent.recipe import Recipe
 from agent.recording import FILTERED, PREDICTED, RESIDUAL, Log, write_log
 from agent.runs import History, RunFolder, current_runs, last_accepted, parameter_trends, watch
-from agent.validation import Comparison, Prediction, compare_models, pooled_rmse, predict_log
+from agent.validation import Comparison, Prediction, pooled_rmse, predict_log
 
 #: A joint is worse if its error exceeds this multiple of that at the model's own calibration, plus this share of
 #: nominal torque.
@@ -208,50 +206,6 @@ def write_analysis(path: Path, log: Log, prediction: Prediction) -> None:
     torques = {FILTERED: prediction.measured, PREDICTED: prediction.predicted, RESIDUAL: prediction.error}
     states = {topic: (prediction.time, position, prediction.velocity, torque) for topic, torque in torques.items()}
     write_log(path, replace(log, reference_position=None, planned_position=None), states)
-
-
-def compare_runs(runs: Sequence[Path], console: Console, report: Path | None = None) -> list[Comparison]:
-    """Compare the models of later run folders with the first, along the excitation that the last one recorded.
-
-    Writes a page to `report` where that is given.
-
-    Raises:
-        InputError: a run without a model or a log, or of different robots.
-    """
-    models = _models(runs)
-    log = next((run / "excitation.mcap" for run in reversed(runs) if (run / "excitation.mcap").exists()), None)
-    if log is None:
-        which = f"neither {runs[0]} nor {runs[1]} has its" if len(runs) == 2 else "none of these runs has its"
-        raise InputError(f"{which} excitation.mcap any more: no motion to compare along")
-    (motion,) = read_logs([log], models[-1].robot, console)
-    found = [
-        compare_models(models[0], model, motion, runs[0].name, run.name)
-        for run, model in zip(runs[1:], models[1:], strict=True)
-    ]
-    if report is not None:
-        by_name = {run.name: model for run, model in zip(runs, models, strict=True)}
-        write_atomically(report, comparison_page(by_name, found, [predict_log(model, motion) for model in models]))
-    return found
-
-
-def _models(runs: Sequence[Path]) -> list[IdentifiedModel]:
-    if len({run.name for run in runs}) < len(runs):
-        raise InputError("compare: a run is named twice; name two runs or more, each once")
-    for run in runs:
-        if not (run / "model.json").is_file():
-            raise InputError(
-                f"{run}: this run has no model (a diagnosis, or stopped before its end); only calibrations and "
-                "recalibrations can be compared"
-            )
-    models = [IdentifiedModel.load(run / "model.json") for run in runs]
-    first = models[0].robot
-    for run, model in zip(runs, models, strict=True):
-        if model.robot.joint_names != first.joint_names or model.robot.name != first.name:
-            raise InputError(
-                f"{runs[0].name} is of {first.name}, {run.name} of {model.robot.name}: there is nothing to compare "
-                "between different robots"
-            )
-    return models
 
 
 def write_index(logs: Path, robot: str | None = None, serial: str | None = None) -> Path:

@@ -13,8 +13,9 @@ from hypothesis import given, settings, strategies as st
 
 from agent.core.console import Console
 from agent.core.errors import AgentError, InputError
+from agent.pipeline.compare import compare_runs
 from agent.pipeline.rebuilt_report import rebuild_report
-from agent.pipeline.reports import compare_runs, write_index
+from agent.pipeline.reports import write_index
 from agent.runs.current import apply_previous, apply_run
 from agent.runs.folder import RunFolder
 from agent.runs.history import History, find_run, history_json, history_table
