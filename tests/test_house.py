@@ -92,7 +92,7 @@ def _offered(package: Path) -> set[str]:
 def test_no_module_shadows_an_exported_function():
     """A package loads an exported name on first use; a module of that name, imported before, would replace it."""
     hidden = []
-    for package in sorted(path.parent for path in (ROOT / "agent").rglob("__init__.pyi")):
+    for package in sorted(path.parent for path in (ROOT / "agent").rglob("__init__.py")):
         modules = {path.stem for path in package.iterdir() if path.suffix == ".py" or path.is_dir()}
         hidden += [f"{package.relative_to(ROOT).as_posix()}: {name}" for name in _offered(package) & modules]
     assert hidden == []

@@ -133,7 +133,7 @@ def test_listing_loads_nothing_heavy(write_runs):
     logs = write_runs(2)
     script = (
         "import sys; sys.argv = ['agent', 'history', '--logs', sys.argv[1]]\n"
-        "from agent.cli.main import main\n"
+        "from agent.cli import main\n"
         "try: main()\nexcept SystemExit as end: assert not end.code\n"
         "heavy = {'numpy', 'scipy', 'pinocchio', 'matplotlib', 'mcap', 'rich.console'} & set(sys.modules)\n"
         "assert not heavy, heavy\n"
