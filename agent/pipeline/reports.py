@@ -58,7 +58,7 @@ def against_last(run: RunFolder, log: Log, console: Console) -> dict[str, Any]:
     before = IdentifiedModel.load(last / "model.json")
     prediction = predict_log(before, log)
     worse = worse_joints(before, _rmse(prediction, slice(None)))
-    return {"reference": last.name, "diagnosis": diagnose_if_worse(before, worse, [log], run, console)}
+    return {"reference": last.name, "diagnosis": diagnose_if_worse(before, worse, [log], run, console)[0]}
 
 
 def diagnose_if_worse(
@@ -67,29 +67,29 @@ def diagnose_if_worse(
     logs: Sequence[Log],
     run: RunFolder,
     console: Console,
-    ask: Callable[[], dict[str, Any]] | None = None,
-) -> dict[str, Any] | None:
+    ask: Callable[[], tuple[dict[str, Any], BaseException | None]] | None = None,
+) -> tuple[dict[str, Any] | None, BaseException | None]:
     """Why the last accepted model predicts the joints `worse` worse than it did; None where there are none.
 
     Parameters
     ----------
-    ask : the result of a diagnosis with further motions; None: that of the `logs`.
+    ask : the result of a diagnosis with further motions, and what cut these short; None: that of the `logs`.
 
     Returns
     -------
-    `summary`, a sentence or two; `result`, as in docs/diagnosis.md (None where it could not be diagnosed), which
-    the run folder gets as `diagnosis.json`.
+    `summary`, a sentence or two, and `result`, as in docs/diagnosis.md (None where it could not be diagnosed), which
+    the run folder gets as `diagnosis.json`; and what cut the further motions short.
     """
     if not worse:
-        return None
+        return None, None
     opening = f"The last model predicts {', '.join(worse)} worse than it did."
     console.step(f"{opening} Diagnosing")
     try:
-        found = diagnose(model.robot, logs, model).result if ask is None else ask()
+        found, cut_short = (diagnose(model.robot, logs, model).result, None) if ask is None else ask()
     except AgentError as error:
-        return {"summary": f"{opening} It could not be diagnosed: {error}", "result": None}
+        return {"summary": f"{opening} It could not be diagnosed: {error}", "result": None}, None
     run.write_json("diagnosis.json", found)
-    return {"summary": f"{opening} {diagnosis_summary(found)}", "result": found}
+    return {"summary": f"{opening} {diagnosis_summary(found)}", "result": found}, cut_short
 
 
 def about_run(kind: str, recipe: Recipe, result: dict[str, Any], run: Path) -> About:
