@@ -205,9 +205,10 @@ def estimate(
     messages: opt.Messages = None,
 ) -> None:
     """Estimate a model from logs and write the model file."""
-    model, text = pipeline.estimate_files(
-        robot, logs, out, cutoff, method, opt.console_for(messages), export, allow_mixed, force, structure, topic
+    fit = pipeline.FitQuestion(
+        cutoff=cutoff, method=method, structure=structure, topic=topic, allow_mixed=allow_mixed, force=force
     )
+    model, text = pipeline.estimate_files(robot, logs, out, fit, opt.console_for(messages), export)
     opt.print_found(as_json, model, text)
 
 
