@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -152,8 +153,9 @@ def asked(arm, logs, tmp_path: Path, monkeypatch):
 
     def run(why):
         shown: list[dict] = []
-        with pytest.raises(type(why)):
+        with nullcontext() if why is None else pytest.raises(type(why)):
             diagnose_files(arm, paths, question, Console(-1), shown.append)
+        assert len(shown) > 1, "what came of the planning is shown too"
         assert shown[0]["verdict"] == shown[-1]["verdict"]
         assert not any("found out" in text for text in shown[0]["warnings"]), "the verdict comes before the planning"
         return question, shown[-1]
@@ -184,6 +186,11 @@ def test_keeps_diagnosis_and_page_if_planning_is_stopped(asked, monkeypatch, why
     assert any("the next motion was not planned" in text for text in shown["warnings"])
     assert "Gap between model and" in question.report.read_text(encoding="utf-8")
     assert not question.out.exists()
+
+
+def test_shows_the_diagnosis_again_if_nothing_is_open(asked, monkeypatch):
+    monkeypatch.setattr(diagnose, "plan_next", lambda *_, **__: NoMotion("nothing is open"))
+    assert asked(None)[1]["next_experiment"] is None
 
 
 @pytest.mark.parametrize("why", STOPS)

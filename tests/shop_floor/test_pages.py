@@ -34,9 +34,8 @@ def worn(shop: Path, start_controller) -> Path:
     return shop
 
 
-def _pages(calibrated: Path) -> dict[str, Path]:
-    run = next(path for path in (calibrated / "logs").iterdir() if (path / "state.json").exists())
-    return {"calibration": run / "report.html"}
+def _page(calibrated: Path) -> Path:
+    return next(calibrated.glob("logs/*/state.json")).with_name("report.html")
 
 
 def _check_file(page: Path, links: tuple[str, ...] = ()) -> str:
@@ -59,7 +58,7 @@ def _check_shown(browse, page: Path) -> str:
 
 
 def test_the_page_of_a_calibration(calibrated: Path, browse):
-    page = _pages(calibrated)["calibration"]
+    page = _page(calibrated)
     text = _check_file(page)
     assert _titles(text) == [
         "Prediction of unseen motions",
@@ -85,19 +84,19 @@ def test_the_page_of_a_calibration(calibrated: Path, browse):
 
 def test_figures_have_the_papers_numbers(calibrated: Path):
     """And Fig. 5a is every validation motion, not one."""
-    text = _pages(calibrated)["calibration"].read_text(encoding="utf-8")
+    text = _page(calibrated).read_text(encoding="utf-8")
     captions = html.unescape(" ".join(re.findall(r"<(?:fig)?caption>(.*?)</(?:fig)?caption>", text, flags=re.DOTALL)))
     assert re.findall(r"the paper's Fig\. (\d\w?)", captions) == ["5a", "5b", "6", "4b", "4a"]
     scenes = [
         json.loads(found) for found in re.findall(r'<script type="application/json">(\{"lines".*?)</script>', text)
     ]
     (paths,) = [scene["lines"]["validation paths"] for scene in scenes if "validation paths" in scene["lines"]]
-    plan = json.loads((_pages(calibrated)["calibration"].parent / "plan.json").read_text(encoding="utf-8"))
+    plan = json.loads((_page(calibrated).parent / "plan.json").read_text(encoding="utf-8"))
     assert np.shape(paths) == (len(plan["validation"]), 120, 3)
 
 
 def test_every_plot_and_table_offers_its_data(calibrated: Path):
-    text = _pages(calibrated)["calibration"].read_text(encoding="utf-8")
+    text = _page(calibrated).read_text(encoding="utf-8")
     plain = re.findall(r'download="([^"]+\.csv)" href="data:text/csv;base64,([^"]*)"', text)
     packed = re.findall(r'download="([^"]+\.csv)\.gz" href="data:application/gzip;base64,([^"]*)"', text)
     assert len(plain) == text.count("<table")

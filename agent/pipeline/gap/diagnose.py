@@ -201,13 +201,13 @@ def _results(found: Found, question: GapQuestion, console: Console, rounds: Roun
         motions = _planned(diagnosis, question, console)
         for what in ("the next motion", "the motion with a known mass"):
             try:
-                motion = next(motions, None)
+                planned = next(motions, {})
             except BaseException as error:
                 warning = f"{what} was not planned: {words_of(error)}"
                 yield {**result, "warnings": [*result["warnings"], warning]}
                 raise
-            if motion is not None:
-                result = {**result, "next_experiment": motion}
+            if planned:
+                result = {**result, **planned}
                 yield result
     elif question.out is not None and simulator is not None:
         write_simulator(diagnosis, simulator, question.out, console)
@@ -216,7 +216,7 @@ def _results(found: Found, question: GapQuestion, console: Console, rounds: Roun
 
 
 def _planned(found: Diagnosis, question: GapQuestion, console: Console) -> Iterator[dict[str, Any]]:
-    """`next_experiment` with the next motion, then with a known mass if that makes its answer clearer."""
+    """`next_experiment`: the next motion, then that with a known mass if it makes the answer clearer."""
     assert question.next_recipe is not None
     assert question.out is not None
     load = None if question.next_payload is None else payload_of(question.next_payload)
@@ -226,12 +226,12 @@ def _planned(found: Diagnosis, question: GapQuestion, console: Console) -> Itera
     if isinstance(motion, NoMotion):
         if not motion.separates:
             console.warn(f"{motion.text}; nothing is written to {question.out}")
-        yield motion.to_dict()
+        yield {"next_experiment": motion.to_dict()}
         return
     planned = write_next(motion, question.out)
-    yield planned
+    yield {"next_experiment": planned}
     if (mass := clearer_with_mass(found, recipe, motion, console, deadline)) is not None:
-        yield {**planned, "with_a_mass": mass.to_dict()}
+        yield {"next_experiment": {**planned, "with_a_mass": mass.to_dict()}}
 
 
 def _write_model(found: Diagnosis, out: Path, console: Console) -> None:
