@@ -58,8 +58,7 @@ def test_refuses_impossible_values_and_writes_nothing(tmp_path: Path, flag: str,
 
 @pytest.mark.parametrize(("number", "code"), [(errno.EROFS, 1), (errno.EACCES, 1), (errno.ENOENT, 2)])
 def test_a_folder_that_cannot_be_written_is_said_before_any_question(tmp_path: Path, monkeypatch, number, code):
-    refused = Mock(side_effect=OSError(number, os.strerror(number)))
-    monkeypatch.setattr("agent.runs.folder.TemporaryFile", refused)
+    monkeypatch.setattr("agent.runs.folder.TemporaryFile", Mock(side_effect=OSError(number, os.strerror(number))))
     with pytest.raises(
         AgentError, match=f"cell.yaml: cannot be written there: {os.strerror(number)}; name another"
     ) as said:
