@@ -22,8 +22,8 @@ from make_picture import HOSE, screen_of
 
 import agent as ca
 from agent.notebook import Model, TorqueValidation
+from agent.pages import Plot, friction_section, headline, still, torque_plot
 from agent.recording import import_log
-from agent.report import Plot, friction_section, headline, still, torque_plot
 from agent.robot import torque_units
 from agent.validation import pooled_rmse, summary
 

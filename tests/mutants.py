@@ -18,7 +18,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = {
     "agent/diagnosis": ["tests/diagnosis"],
     "agent/estimation": ["tests/estimation"],
-    "agent/report": ["tests/validation", "tests/shop_floor/test_pages.py"],
+    "agent/pages": ["tests/validation", "tests/shop_floor/test_pages.py"],
     "agent/runs": ["tests/shop_floor/test_trends.py", "tests/shop_floor/test_history.py"],
     "agent/validation": ["tests/validation"],
 }
@@ -26,8 +26,8 @@ PACKAGES = {
 NARROW = {
     "agent/diagnosis/forward/interval.py": ["tests/diagnosis/test_forward.py"],
     "agent/estimation/uncertainty.py": ["tests/estimation/test_uncertainty.py", "tests/estimation/test_paper.py"],
-    "agent/report/calibration/parameters.py": ["tests/validation/test_run_sections.py"],
-    "agent/report/calibration/sections.py": ["tests/validation/test_run_sections.py"],
+    "agent/pages/calibration/parameters.py": ["tests/validation/test_run_sections.py"],
+    "agent/pages/calibration/paper_estimator.py": ["tests/validation/test_run_sections.py"],
 }
 #: Changes that give the same results, by module and reason: parts of the lines that they make.
 EQUIVALENT = tomllib.loads((ROOT / "tests/equivalent_mutants.toml").read_text("utf-8"))

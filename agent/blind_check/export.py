@@ -156,14 +156,14 @@ def _recorded(world: World, task: tuple[Truth, Path]) -> bool:
 
 def _publish(source: Path, target: Path, serial: str, rng: np.random.Generator) -> None:
     """Copy a recorded run: description as it is, logs under common dates and a serial of no meaning."""
-    from agent.recording import first_stamp, relabelled
+    from agent.recording import LogCopy
 
     shutil.rmtree(target, ignore_errors=True)
     for session, begins in _SESSIONS.items():
         (target / session).mkdir(parents=True)
         at = float(begins)
-        for log in sorted((source / session).glob("*.mcap"), key=first_stamp):
-            padding = int(rng.uniform(0, _PADDING) * log.stat().st_size)
-            at = _PAUSE + relabelled(log, target / session / log.name, at, {"serial": serial}, padding)
+        for log in sorted(map(LogCopy, (source / session).glob("*.mcap")), key=lambda log: log.first_stamp):
+            padding = int(rng.uniform(0, _PADDING) * log.source.stat().st_size)
+            at = _PAUSE + log.write(target / session / log.source.name, at, {"serial": serial}, padding)
     for name in ("robot.yaml", str(read_yaml(source / "robot.yaml")["urdf"])):
         shutil.copyfile(source / name, target / name)

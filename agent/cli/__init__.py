@@ -1,5 +1,3 @@
 """The command line: parse, call, print, exit code. No mathematics."""
 
-from agent.cli.main import main
-
-__all__ = ["main"]
+from agent.cli.entry_point import main

@@ -134,21 +134,20 @@ def diagnose(
     help_all: opt.HelpAll = False,
 ) -> None:
     """Find out why model and robot disagree: which joint, what causes it, how sure, and what to do next."""
-    left_out, planning = tuple(without or ()), pipeline.planning_time(planning_budget)
     question = pipeline.GapQuestion(
-        model,
-        joint_map,
-        cutoff,
-        left_out,
-        report,
-        out,
-        allow_mixed,
-        force,
-        next_recipe,
-        load,
-        drives_off,
-        topic,
-        planning,
+        model=model,
+        joint_map=joint_map,
+        cutoff=cutoff,
+        without=tuple(without or ()),
+        report=report,
+        out=out,
+        allow_mixed=allow_mixed,
+        force=force,
+        next_recipe=next_recipe,
+        next_payload=load,
+        drives_off=drives_off,
+        topic=topic,
+        planning_budget=pipeline.planning_time(planning_budget),
     )
     console = opt.console_for(messages)
     if budget is not None and not until_sure:
@@ -206,9 +205,10 @@ def estimate(
     messages: opt.Messages = None,
 ) -> None:
     """Estimate a model from logs and write the model file."""
-    model, text = pipeline.estimate_files(
-        robot, logs, out, cutoff, method, opt.console_for(messages), export, allow_mixed, force, structure, topic
+    fit = pipeline.FitQuestion(
+        cutoff=cutoff, method=method, structure=structure, topic=topic, allow_mixed=allow_mixed, force=force
     )
+    model, text = pipeline.estimate_files(robot, logs, out, fit, opt.console_for(messages), export)
     opt.print_found(as_json, model, text)
 
 
@@ -282,9 +282,9 @@ def trajectories(as_json: opt.AsJson = False) -> None:
     if as_json:
         core.print_json({"schema": "trajectories/1", "trajectories": [loop.to_dict() for loop in loops]})
         return
-    for loop in loops:
-        print(loop.line())
-    if not loops and not damaged:
+    if loops:
+        core.print_text("\n".join(loop.line() for loop in loops))
+    elif not damaged:
         print("no stored loops yet: `agent plan` and `agent calibrate` keep what they find", file=sys.stderr)
 
 

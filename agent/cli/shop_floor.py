@@ -72,7 +72,7 @@ def history(
     if as_json:
         core.print_json({**data, "watch": [one.to_dict() for one in run_store.watch(runs)]})
         return
-    print(run_store.history_table(runs, current))
+    core.print_text(run_store.history_table(runs, current))
     if nothing is not None:
         print(nothing, file=sys.stderr)
 
@@ -133,7 +133,7 @@ def export(
     if load is not None:
         text, about = simulators.load_text(simulators.identified_load(models.IdentifiedModel.load(model)), load)
         print(about, end="\n" if about else "", file=sys.stderr)
-        print(text)
+        core.print_text(text)
     if out is None:
         return
     if out.exists() and not out.is_dir():
@@ -146,8 +146,7 @@ def export(
         if note:
             print(f"warning: {note}", file=sys.stderr)
         paths = simulators.export_model(loaded, out)
-    for path in paths:
-        print(path)
+    core.print_text("\n".join(map(str, paths)))
 
 
 @app.command(rich_help_panel=opt.TOOLS, epilog="Example: agent learn-interpolator --robot arm.yaml -o law.yaml a.mcap")

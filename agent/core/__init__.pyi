@@ -19,6 +19,7 @@ from .documents import (
     without_faults as without_faults,
 )
 from .errors import (
+    FULL_OR_READ_ONLY as FULL_OR_READ_ONLY,
     AgentError as AgentError,
     BusyError as BusyError,
     ControllerError as ControllerError,

@@ -208,13 +208,9 @@ def without_faults(data: Any, faults: Iterable[tuple[Any, ...]]) -> Any:
 def line_of(data: Any, location: tuple[Any, ...]) -> int:
     """Line (from 1) of the deepest part of `location` that the document has."""
     line = 1
-    for key in location:
-        try:
-            position = data.lc.data[key]
-            data = data[key]
-        except (AttributeError, KeyError, TypeError, IndexError):
-            break
-        line = position[0] + 1
+    with contextlib.suppress(AttributeError, KeyError, TypeError, IndexError):
+        for key in location:
+            line, data = data.lc.data[key][0] + 1, data[key]
     return line
 
 

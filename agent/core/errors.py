@@ -1,5 +1,10 @@
 """The errors a user meets. Each carries the exit code of the command line (0 is the absence of an error)."""
 
+import errno
+
+#: System errors of a disk or folder that is full or read-only: exit code 1, while a folder that is missing gives 2.
+FULL_OR_READ_ONLY = (errno.EACCES, errno.EDQUOT, errno.EFBIG, errno.ENOSPC, errno.EPERM, errno.EROFS)
+
 
 class AgentError(Exception):
     """Something the user can act on: the message says what, where, which limit and what to do."""

@@ -1,5 +1,6 @@
 """Whether logs can be used: every check of recorded data, its finding, and what to do about it."""
 
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+from agent.data_quality.channels import unsigned_torque
+from agent.data_quality.checks import check_quality, spoiled
+from agent.data_quality.finding import QualityFinding
+from agent.data_quality.fitted import fitted_doubts

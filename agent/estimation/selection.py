@@ -31,11 +31,9 @@ def choose(found: dict[str, Estimate]) -> tuple[str, Estimate]:
     better = [name for name, error in errors.items() if clearly_better(errors[first], error, _METHOD_GAIN)]
     best = min(better, key=lambda name: errors[name].sum(), default=first)
     table = ", ".join(f"{name} {np.sqrt(error.sum() / errors[first].sum()):.3f}" for name, error in errors.items())
-    reason = (
-        f"{best} predicts held-out segments clearly better than {first}"
-        if better
-        else f"no other predicts held-out segments clearly better than {first}"
-    )
+    others = [f"{name} {'by less' if name in better else 'does not'}" for name in errors if name not in (first, best)]
+    reason = f"{best if better else 'no other'} predicts held-out segments clearly better than {first}"
+    reason += f", {', '.join(others)}" if better else ""
     notes = [f"Method: {best}; {reason} (held-out error over that of {first}: {table}).", found[best].note]
     if errors["consistent"].sum() > _NOT_PHYSICAL**2 * errors[first].sum():
         notes.append(

@@ -21,8 +21,8 @@ import numpy as np
 from agent.fleet.machines import FleetMachine
 from agent.fleet.store import Store
 from agent.fleet.trends import FleetTrends, change_of, change_text, fleet_trends
+from agent.pages import asset, filled
 from agent.recipe import GateSection
-from agent.report import asset, filled
 from agent.runs import Trend
 
 #: Normalised RMSE that a calibration is let through with, where its recipe says nothing else.

@@ -36,7 +36,7 @@ _STATE, _ROBOT, _PAGE = "state.json", "robot.yaml", "report.html"
 #: In a run folder of the agent; it holds the robot's description as well.
 RUN_MODEL = "model.json"
 #: Packages of the agent that no figure depends on, and libraries that all depend on.
-_NO_FIGURES, _LIBRARIES = ("cli", "notebook", "report"), ("numpy", "scipy", "pin", "clarabel")
+_NO_FIGURES, _LIBRARIES = ("cli", "notebook", "pages"), ("numpy", "scipy", "pin", "clarabel")
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from agent.excitation import one_blas_thread
 from agent.fleet.store import SCRATCH, Store, StoredFile, StoreError
 from agent.fleet.tasks import RUN_MODEL, RunQuestion, Task
 from agent.model import IdentifiedModel
-from agent.pipeline import GapQuestion, conditions, diagnose_files, fit_files, validate_files
+from agent.pipeline import FitQuestion, GapQuestion, conditions, diagnose_files, fit_files, validate_files
 from agent.recording import Log, read_log
 from agent.robot import SHARE, RobotDescription, builtin_robots
 
@@ -159,8 +159,8 @@ def _estimate(question: RunQuestion, robot: Any, logs: list[Path], notes: Notes)
     """The columns, and the model file without its date, so that the same inputs give the same file."""
     if robot is None:
         raise InputError("there is no robot.yaml in or above this run; put one there, or name the robot with --robot")
-    options = (question.allow_mixed, question.force, question.structure)
-    fitted, read = fit_files(robot, logs, question.cutoff, question.method, notes, *options)
+    keys = ("cutoff", "method", "structure", "allow_mixed", "force")
+    fitted, read = fit_files(robot, logs, FitQuestion(**{key: getattr(question, key) for key in keys}), notes)
     content = finite(fitted.to_dict())
     content["provenance"].pop("created", None)
     nominal = fitted.robot.nominal_torque

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from agent.core import InputError
+from agent.core import InputError, first_fault, write_atomically
 from agent.model.document import ModelDocument, check_model
 from agent.model.friction_terms import FrictionTerm, Reversal
 from agent.model.rigid_friction import HealthyEffect, ModelEffect, ParameterPrior, RigidFrictionModel
@@ -171,8 +171,6 @@ class IdentifiedModel(RigidFrictionModel):
         Raises:
             AgentError: the disk is full or not writable; what was there stays.
         """
-        from agent.core import write_atomically
-
         write_atomically(Path(path), json.dumps(self.to_dict(), allow_nan=False))
 
     @classmethod
@@ -182,15 +180,15 @@ class IdentifiedModel(RigidFrictionModel):
         Raises:
             InputError: missing, not JSON, of another schema, or incomplete; names the key.
         """
-        from agent.core import first_fault
-
         path = Path(path)
         try:
             data = json.loads(path.read_text(encoding="utf-8"))
         except FileNotFoundError:
             raise InputError(f"{path}: no such model file") from None
         except (OSError, ValueError, RecursionError) as error:
-            raise InputError(f"{path}: cannot be read as a model: {error}") from None
+            why = error.strerror if isinstance(error, OSError) else f"it is not JSON ({error})"
+            advice = "name a model.json that `agent estimate` or `agent calibrate` has written"
+            raise InputError(f"{path}: cannot be read as a model: {why}; {advice}") from None
         schema = data.get("schema") if isinstance(data, dict) else None
         if schema != SCHEMA:
             raise InputError(f"{path}: not a model file of schema {SCHEMA!r} (it says {schema!r})")

@@ -1,5 +1,17 @@
 """The functions behind `import agent as ca`, and results that print themselves in a notebook."""
 
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+from agent.notebook.functions import (
+    calibrate,
+    diagnose,
+    drivers,
+    effects,
+    estimate,
+    export,
+    load_recipe,
+    load_robot,
+    plan,
+    read_logs,
+    report,
+    validate,
+)
+from agent.notebook.results import Calibration, GapDiagnosis, Logs, Model, PlannedLoop, TorqueValidation

@@ -9,19 +9,10 @@ from pathlib import Path
 from agent import diagnosis, estimation, pipeline, recipe as recipes, simulators
 from agent.core import InputError, write_atomically
 from agent.model import CATALOGUE, IdentifiedModel
-from agent.notebook.results import (
-    Calibration,
-    GapDiagnosis,
-    Listing,
-    Logs,
-    Model,
-    PlannedLoop,
-    TorqueValidation,
-    quiet,
-)
+from agent.notebook.results import Calibration, GapDiagnosis, Listing, Logs, Model, PlannedLoop, TorqueValidation, quiet
+from agent.pages import Page, Section, diagnosis_report, parameters_section, render, residual_section
 from agent.recipe import Recipe
 from agent.recording import Log
-from agent.report import Page, Section, diagnosis_report, parameters_section, render, residual_section
 from agent.robot import RobotDescription
 from agent.runs import check_output, find_run
 from agent.validation import predict_log

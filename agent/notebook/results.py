@@ -14,9 +14,9 @@ import numpy as np
 from agent.core import Console, counted, error_text
 from agent.diagnosis import Diagnosis
 from agent.model import IdentifiedModel
+from agent.pages import SERIES, Bar, Bars, Panel, Plot, Table, headline, joint_series, still, table_html
 from agent.pipeline import Outcome, PlanFiles, diagnosis_text, validation_text
 from agent.recording import Log
-from agent.report import SERIES, Bar, Bars, Panel, Plot, Table, headline, joint_series, still, table_html
 from agent.robot import SHARE, torque_units
 from agent.validation import Prediction, summary
 
@@ -79,9 +79,8 @@ class Logs(Shown, tuple[Log, ...]):
         return "\n".join(rows)
 
     def picture(self) -> Plot | None:
-        return (
-            _lines(self[0].t, self[0].joint_names, self[0].position, f"position, {self[0].name}", "") if self else None
-        )
+        log = next(iter(self), None)
+        return None if log is None else _lines(log.t, log.joint_names, log.position, f"position, {log.name}", "")
 
 
 class Model(Shown, IdentifiedModel):
@@ -105,11 +104,10 @@ class Model(Shown, IdentifiedModel):
         return IdentifiedModel.text(self)
 
     def picture(self) -> Table:
-        nominal = self.robot.nominal_torque
-        if not np.all(np.isfinite(nominal)):
-            return _bars(self.robot.joint_names, torque_units(self.robot), {"held out": self.held_out_rmse})
-        shares = {"held out": self.held_out_rmse / nominal}
-        return _bars(self.robot.joint_names, [SHARE] * self.robot.dof, shares)
+        errors, units = self.held_out_rmse / self.robot.nominal_torque, (SHARE,) * self.robot.dof
+        if not np.all(np.isfinite(errors)):
+            errors, units = self.held_out_rmse, torque_units(self.robot)
+        return _bars(self.robot.joint_names, units, {"held out": errors})
 
 
 @dataclass(frozen=True, eq=False, repr=False)

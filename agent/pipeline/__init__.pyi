@@ -1,4 +1,5 @@
 from .calibrate import run_calibration as run_calibration
+from .compare import compare_runs as compare_runs
 from .gap.diagnose import diagnose_files as diagnose_files, diagnose_recording as diagnose_recording
 from .gap.printed_diagnosis import diagnosis_text as diagnosis_text, planned_text as planned_text
 from .gap.question import (
@@ -8,6 +9,7 @@ from .gap.question import (
     planning_time as planning_time,
 )
 from .identify import (
+    FitQuestion as FitQuestion,
     check_one_machine as check_one_machine,
     check_plausible as check_plausible,
     check_structure as check_structure,
@@ -24,7 +26,7 @@ from .learn import learn_files as learn_files
 from .plan import PlanFiles as PlanFiles, plan_recipe as plan_recipe
 from .rebuilt_report import rebuild_report as rebuild_report
 from .recalibrate import run_recalibration as run_recalibration
-from .reports import compare_runs as compare_runs, write_index as write_index
+from .reports import write_index as write_index
 from .result import conditions as conditions
 from .setup.check import check_recipe as check_recipe
 from .setup.doctor import examine_installation as examine_installation

@@ -10,6 +10,7 @@ from agent.diagnosis import with_healthy_effects
 from agent.estimation import EstimationSettings, estimate
 from agent.link import answering
 from agent.model import IdentifiedModel, judged_condition
+from agent.pages import LogHealth
 from agent.pipeline.ending import current_run
 from agent.pipeline.identify import check_one_machine, check_run, read_logs
 from agent.pipeline.job import EXCITATION, Job, Outcome, validation_logs
@@ -18,7 +19,6 @@ from agent.pipeline.reports import against_last, calibration_page, typical_motio
 from agent.pipeline.result import calibration_result, conditions, temperatures
 from agent.recipe import Recipe
 from agent.recording import read_log
-from agent.report import LogHealth
 from agent.robot import outcome_text
 from agent.runs import RunFolder, check_approved, register_run, robot_lock, run_key
 from agent.safety import check_period

@@ -7,6 +7,7 @@ import shlex
 from pathlib import Path
 
 from agent.core import InputError, MismatchError
+from agent.pages import NextStep
 from agent.recipe import Recipe
 from agent.runs import RunFolder, current_model
 
@@ -27,7 +28,7 @@ def ending_text(run: RunFolder, recipe: Recipe) -> str:
     current = current_run(run.path.parent, run.state["robot"], run.state["serial"])
     kind, accepted = run.state["kind"], run.state["status"] == "finished"
     steps = next_steps(kind, accepted, run.path, recipe, recipe.path, current)
-    following = "; ".join(f"{what} {command}" for command, what in steps)
+    following = "; ".join(f"{step.what} {step.command}" for step in steps)
     return f"{'current model':20}{whose(current, run.path.name)}\n{'next':20}{following}"
 
 
@@ -38,31 +39,30 @@ def whose(current: str | None, run: str) -> str:
     return "this run" if current == run else f"unchanged (run {current})"
 
 
-def next_steps(
-    kind: str, accepted: bool, run: Path, recipe: Recipe, path: Path, current: str | None
-) -> list[tuple[str, str]]:
-    """Commands that may follow a complete run, and what each is for.
+def next_steps(kind: str, accepted: bool, run: Path, recipe: Recipe, path: Path, current: str | None) -> list[NextStep]:
+    """Commands that may follow a complete run.
 
     `path` is the recipe as the commands name it, `current` the run of the robot's current model.
     """
     logs = run.parent
     where = "" if logs == _LOGS else f" --logs {shlex.quote(str(logs))}"
     name, job = run.name, shlex.quote(str(path))
-    apply = f"agent apply {name}{where}", "to make this model the current one:"
+    apply = NextStep("to make this model the current one:", f"agent apply {name}{where}")
     if kind != "diagnose" and accepted:
         if current == name:
-            again, repeat = f"agent recalibrate {job}{where}", f"agent schedule {job}{where}"
-            return [(again, "when it is due:"), (repeat, "to repeat this automatically:")]
-        compare = f"agent compare {current} {name}{where}", "to see what changed:"
+            repeat = NextStep("to repeat this automatically:", f"agent schedule {job}{where}")
+            return [NextStep("when it is due:", f"agent recalibrate {job}{where}"), repeat]
+        compare = NextStep("to see what changed:", f"agent compare {current} {name}{where}")
         return [apply] if current is None else [compare, apply]
     calibrate = f"agent calibrate {job}{where}"
     if kind == "calibrate":
         folder = shlex.quote(str(run))
         logs_of = f"--model {folder}/model.json {folder}/validation_*.mcap"
-        return [(f"agent diagnose --robot {shlex.quote(recipe.robot_source)} {logs_of}", "to find the reason:")]
+        diagnose = f"agent diagnose --robot {shlex.quote(recipe.robot_source)} {logs_of}"
+        return [NextStep("to find the reason:", diagnose)]
     if kind == "recalibrate":
-        return [(calibrate, "after fixing what the report names:")]
-    return [(f"agent history{where}", "to list earlier results:"), (calibrate, "after a repair:")]
+        return [NextStep("after fixing what the report names:", calibrate)]
+    return [NextStep("to list earlier results:", f"agent history{where}"), NextStep("after a repair:", calibrate)]
 
 
 def going_on(run: RunFolder, step: str, error: BaseException) -> str:

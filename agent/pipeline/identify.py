@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from agent.core import Console, InputError, RejectedError
+from agent.core import Console, InputError, RejectedError, error_text
 from agent.data_quality import check_quality, fitted_doubts, spoiled
 from agent.diagnosis import with_healthy_effects, with_structure
 from agent.estimation import EstimationSettings, FilterSettings, beyond_fit, estimate, used_text
@@ -57,11 +57,30 @@ def read_logs(paths: Sequence[Path], robot: RobotDescription, console: Console, 
     return logs
 
 
+@dataclass(frozen=True)
+class FitQuestion:
+    """How logs become a model.
+
+    Attributes
+    ----------
+    cutoff : cut-off frequency of the torque filter [Hz].
+    method : estimator; None: the best on held-out data.
+    structure : `rigid`, or `auto` to add the effects that these logs clearly show (`agent.diagnosis.structure`).
+    topic : topic of the joint states in the logs.
+    allow_mixed : logs may be of several machines or tools.
+    force : continue although a log is implausible.
+    """
+
+    cutoff: float | None = None
+    method: str | None = None
+    structure: str = "rigid"
+    topic: str | None = None
+    allow_mixed: bool = False
+    force: bool = False
+
+
 def check_structure(structure: str) -> None:
-    """
-    Raises:
-        InputError: there is no such structure of a model.
-    """
+    """Raise InputError if there is no such structure of a model."""
     if structure not in ("rigid", "auto"):
         raise InputError(f"--structure {structure!r} is not known; choose rigid or auto")
 
@@ -179,26 +198,19 @@ def estimate_files(
     robot: str,
     paths: list[Path],
     out: Path,
-    cutoff: float | None,
-    method: str | None,
+    question: FitQuestion,
     console: Console,
     export: Path | None = None,
-    allow_mixed: bool = False,
-    force: bool = False,
-    structure: str = "rigid",
-    topic: str | None = None,
 ) -> tuple[dict[str, Any], str]:
     """Fit a model to logs and write its file; returns its content and a table for people.
-
-    `structure` "auto" adds the effects of the catalogue that these logs clearly show (`agent.diagnosis.structure`).
 
     With a folder to `export` to, the links have to be bodies that could exist: the method is then `consistent` unless
     another is named.
     """
     check_output(out, paths)
-    if export is not None and method is None:
-        method = "consistent"
-    model, _ = fit_files(robot, paths, cutoff, method, console, allow_mixed, force, structure, topic)
+    if export is not None and question.method is None:
+        question = replace(question, method="consistent")
+    model, _ = fit_files(robot, paths, question, console)
     model.save(out)
     written = [out]
     if export is not None:
@@ -207,29 +219,21 @@ def estimate_files(
 
 
 def fit_files(
-    robot: str | RobotDescription,
-    paths: list[Path],
-    cutoff: float | None,
-    method: str | None,
-    console: Console,
-    allow_mixed: bool,
-    force: bool,
-    structure: str,
-    topic: str | None = None,
+    robot: str | RobotDescription, paths: list[Path], question: FitQuestion, console: Console
 ) -> tuple[IdentifiedModel, list[Log]]:
     """The model that `estimate_files` writes, and its logs without velocities."""
-    check_structure(structure)
-    description = load_arm(robot, paths, topic) if isinstance(robot, str) else robot
-    logs = read_logs(paths, description, console, topic)
+    check_structure(question.structure)
+    description = load_arm(robot, paths, question.topic) if isinstance(robot, str) else robot
+    logs = read_logs(paths, description, console, question.topic)
     bare = [log for log in logs if not log.metadata.get(PAYLOAD)]
-    check_one_machine(logs, None, allow_mixed, payload_counts=bool(bare))
+    check_one_machine(logs, None, question.allow_mixed, payload_counts=bool(bare))
     logs, loaded = bare or logs, [log for log in logs if log.metadata.get(PAYLOAD)]
-    check_plausible(description, logs, force, console)
+    check_plausible(description, logs, question.force, console)
     say_spoiled(description, logs, console)
     # the fit needs neither, and they take much memory
     logs = [replace(log, velocity=None, planned_position=None) for log in logs]
-    model = estimate(description, logs, EstimationSettings.create(cutoff=cutoff, method=method))
-    if structure == "auto":
+    model = estimate(description, logs, EstimationSettings.create(cutoff=question.cutoff, method=question.method))
+    if question.structure == "auto":
         console.step("searching for effects beyond links and friction")
         model = with_structure(description, logs, model, console.progress)
     for finding in fitted_doubts(model, logs):
@@ -287,12 +291,9 @@ def validation_text(result: Validation) -> str:
     width = max(12, *map(len, result.joints))
     lines = [f"{'joint':{width}} {'RMSE':>10} {'of nominal':>11} {'relative':>9}"]
     for k, name in enumerate(result.joints):
-        nominal, relative = (_percent(of[k]) for of in (overall.normalised_rmse, overall.relative_error))
+        nominal, relative = (error_text(of[k], None) for of in (overall.normalised_rmse, overall.relative_error))
         lines.append(f"{name:{width}} {overall.rmse[k]:10.4g} {nominal:>11} {relative:>9}")
     logs = ", ".join(log.log for log in result.logs)
-    lines.append(f"all joints: {_percent(overall.relative_error_all_joints)} at {result.cutoff_hz:g} Hz ({logs})")
+    error = error_text(overall.relative_error_all_joints, None)
+    lines.append(f"all joints: {error} at {result.cutoff_hz:g} Hz ({logs})")
     return "\n".join(lines)
-
-
-def _percent(share: float | None) -> str:
-    return "-" if share is None else f"{100 * share:.2f} %"

@@ -13,9 +13,9 @@ from agent.core import Console, InputError, TaskEngine, read_json, sha256_file, 
 from agent.excitation import Candidates, Loop, LoopProblem, LoopScore, check_sub_region, search, via_joints
 from agent.link import check_cell, check_load, plan_statements
 from agent.motion import CartesianTarget, JointTarget, Target, Trajectory, ViaRegions, dialect_of, pose_of, with_frames
+from agent.pages import ShownLoop, plan_report
 from agent.recipe import Recipe
 from agent.recording import read_log
-from agent.report import ShownLoop, plan_report
 from agent.robot import Dynamics, TorqueLimits, kinematics_for
 from agent.runs import RunFolder, keep_loop, make_folder, write_json
 

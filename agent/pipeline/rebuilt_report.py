@@ -7,6 +7,7 @@ from typing import Any
 
 from agent.core import Console, InputError, sha256_file, write_atomically
 from agent.model import IdentifiedModel
+from agent.pages import LogHealth
 from agent.pipeline.ending import current_run
 from agent.pipeline.gap.diagnose import diagnose_again
 from agent.pipeline.identify import read_logs
@@ -15,7 +16,6 @@ from agent.pipeline.plan import replan
 from agent.pipeline.reports import calibration_page, recalibration_page
 from agent.recipe import Recipe, load_recipe
 from agent.recording import read_log
-from agent.report import LogHealth
 from agent.runs import PastRun, read_object, read_run, readable
 from agent.validation import Comparison, predict_log
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from functools import partial
 from itertools import chain, islice, repeat
 from pathlib import Path
 from typing import Any
@@ -19,12 +20,13 @@ from agent.link import Recording, open_link
 from agent.model import IdentifiedModel
 from agent.motion import Move, Target
 from agent.pipeline.ending import current_run
-from agent.pipeline.gap.until_sure import Found, Rounds, until_sure
+from agent.pipeline.gap.finding import Found
+from agent.pipeline.gap.until_sure import until_sure
 from agent.pipeline.identify import check_run, read_logs
 from agent.pipeline.job import EXCITATION, Job, Outcome
 from agent.pipeline.plan import PlannedMotion, loop_problem, program_text
 from agent.pipeline.reports import diagnose_if_worse, recalibration_page, worse_joints, write_analysis
-from agent.pipeline.result import conditions, gate_figures, judge, recorded, temperatures
+from agent.pipeline.result import conditions, gate_decision, gate_figures, recorded, temperatures
 from agent.recipe import Recipe
 from agent.recording import Log, read_log
 from agent.robot import outcome_text, torque_units, without_nominal
@@ -102,16 +104,10 @@ def run_recalibration(
             prediction = predict_log(found.model, log)
             met = conditions(log, found.model, prediction) | temperatures(recording)
             result = _result(job, reference, recording, found, comparison, met)
-            rounds: list[Rounds] = []
-
-            def with_further_motions() -> dict[str, Any]:
-                rounds.append(_further(job, reference.model, log))
-                return {**rounds[0].last.result, **rounds[0].to_dict()}
-
             released = authorisation is not None and authorisation.document.new_motions is not None
-            ask = with_further_motions if released else None
+            ask = partial(_with_further_motions, job, reference.model, log) if released else None
             worse = result["validation"]["worse_before"]
-            result["diagnosis"] = diagnose_if_worse(reference.model, worse, [log], run, console, ask)
+            result["diagnosis"], cut_short = diagnose_if_worse(reference.model, worse, [log], run, console, ask)
             current = current_run(logs, recipe.robot.name, run.state["serial"])
             result["current_model"] = run.path.name if result["accepted"] else current
         with job.step("report"):
@@ -131,8 +127,8 @@ def run_recalibration(
         outcome = job.end(result, recalibration_text(result, run.path))
     for line in watched:
         console.warn(line)
-    if rounds and rounds[0].cut_short is not None:
-        raise rounds[0].cut_short
+    if cut_short is not None:
+        raise cut_short
     return outcome
 
 
@@ -270,15 +266,16 @@ def _record(job: Job, reference: Reference) -> Recording:
         return job.record_program(link, loop.program, path, "excitation", EXCITATION, what)
 
 
-def _further(job: Job, model: IdentifiedModel, log: Log) -> Rounds:
-    """Diagnose with further motions, as far as the authorisation releases them."""
+def _with_further_motions(job: Job, model: IdentifiedModel, log: Log) -> tuple[dict[str, Any], BaseException | None]:
+    """Diagnose with further motions, as far as the authorisation releases them; what cut them short, if anything."""
 
     def find(further: Sequence[Path]) -> Found:
         return Found(diagnose(model.robot, [log, *(read_log(path, model.robot) for path in further)], model))
 
     assert job.allowed is not None
     assert job.allowed.document.new_motions is not None
-    return until_sure(find, [], replace(job, yes=False), job.allowed.document.new_motions.duration)
+    rounds = until_sure(find, [], replace(job, yes=False), job.allowed.document.new_motions.duration)
+    return {**rounds.last.result, **rounds.to_dict()}, rounds.cut_short
 
 
 def _estimate(job: Job, reference: Reference) -> tuple[Log, Refit, Comparison]:
@@ -340,7 +337,7 @@ def gate_faults(
     met : the run's conditions, with the friction found.
     """
     robot = found.model.robot
-    _, reason = judge(gate, robot.joint_names, found.held_out / robot.nominal_torque, without_nominal(robot))
+    _, reason = gate_decision(gate, robot.joint_names, found.held_out / robot.nominal_torque, without_nominal(robot))
     faults = [reason] if reason else []
     for name in worse_joints(last, found.held_out):
         k = robot.joint_names.index(name)

@@ -1,4 +1,4 @@
-"""Pages and comparisons made from run folders, and the diagnosis of a model that predicts worse than it did."""
+"""Pages made from run folders, and the diagnosis of a model that predicts worse than it did."""
 
 from __future__ import annotations
 
@@ -14,27 +14,23 @@ from agent.core import AgentError, Console, InputError, write_atomically
 from agent.diagnosis import diagnose
 from agent.link import plan_statements
 from agent.model import IdentifiedModel, standstill_speed
-from agent.pipeline.ending import next_steps, whose
-from agent.pipeline.identify import read_logs
-from agent.pipeline.plan import Plan, shown_loop
-from agent.recipe import Recipe
-from agent.recording import FILTERED, PREDICTED, RESIDUAL, Log, write_log
-from agent.report import (
+from agent.pages import (
     About,
-    IndexData,
     LogHealth,
-    NextStep,
     RunContent,
     ShownLoop,
-    comparison_page,
+    calibration_report,
     diagnosis_summary,
     index_page,
     recalibration_report,
-    run_report,
     torque_plot,
 )
+from agent.pipeline.ending import next_steps, whose
+from agent.pipeline.plan import Plan, shown_loop
+from agent.recipe import Recipe
+from agent.recording import FILTERED, PREDICTED, RESIDUAL, Log, write_log
 from agent.runs import History, RunFolder, current_runs, last_accepted, parameter_trends, watch
-from agent.validation import Comparison, Prediction, compare_models, pooled_rmse, predict_log
+from agent.validation import Comparison, Prediction, pooled_rmse, predict_log
 
 #: A joint is worse if its error exceeds this multiple of that at the model's own calibration, plus this share of
 #: nominal torque.
@@ -62,7 +58,7 @@ def against_last(run: RunFolder, log: Log, console: Console) -> dict[str, Any]:
     before = IdentifiedModel.load(last / "model.json")
     prediction = predict_log(before, log)
     worse = worse_joints(before, _rmse(prediction, slice(None)))
-    return {"reference": last.name, "diagnosis": diagnose_if_worse(before, worse, [log], run, console)}
+    return {"reference": last.name, "diagnosis": diagnose_if_worse(before, worse, [log], run, console)[0]}
 
 
 def diagnose_if_worse(
@@ -71,29 +67,29 @@ def diagnose_if_worse(
     logs: Sequence[Log],
     run: RunFolder,
     console: Console,
-    ask: Callable[[], dict[str, Any]] | None = None,
-) -> dict[str, Any] | None:
+    ask: Callable[[], tuple[dict[str, Any], BaseException | None]] | None = None,
+) -> tuple[dict[str, Any] | None, BaseException | None]:
     """Why the last accepted model predicts the joints `worse` worse than it did; None where there are none.
 
     Parameters
     ----------
-    ask : the result of a diagnosis with further motions; None: that of the `logs`.
+    ask : the result of a diagnosis with further motions, and what cut these short; None: that of the `logs`.
 
     Returns
     -------
-    `summary`, a sentence or two; `result`, as in docs/diagnosis.md (None where it could not be diagnosed), which
-    the run folder gets as `diagnosis.json`.
+    `summary`, a sentence or two, and `result`, as in docs/diagnosis.md (None where it could not be diagnosed), which
+    the run folder gets as `diagnosis.json`; and what cut the further motions short.
     """
     if not worse:
-        return None
+        return None, None
     opening = f"The last model predicts {', '.join(worse)} worse than it did."
     console.step(f"{opening} Diagnosing")
     try:
-        found = diagnose(model.robot, logs, model).result if ask is None else ask()
+        found, cut_short = (diagnose(model.robot, logs, model).result, None) if ask is None else ask()
     except AgentError as error:
-        return {"summary": f"{opening} It could not be diagnosed: {error}", "result": None}
+        return {"summary": f"{opening} It could not be diagnosed: {error}", "result": None}, None
     run.write_json("diagnosis.json", found)
-    return {"summary": f"{opening} {diagnosis_summary(found)}", "result": found}
+    return {"summary": f"{opening} {diagnosis_summary(found)}", "result": found}, cut_short
 
 
 def about_run(kind: str, recipe: Recipe, result: dict[str, Any], run: Path) -> About:
@@ -110,7 +106,7 @@ def about_run(kind: str, recipe: Recipe, result: dict[str, Any], run: Path) -> A
         ("current model", whose(current, run.name)),
         ("program", f"calibration-agent {provenance.get('version of calibration-agent', '')}".strip()),
     ]
-    return About(asked=_ASKED[kind], next=[NextStep(what, command) for command, what in steps], identity=identity)
+    return About(asked=_ASKED[kind], next=steps, identity=identity)
 
 
 def calibration_page(
@@ -123,18 +119,16 @@ def calibration_page(
     run: Path,
 ) -> str:
     """HTML of the report of a calibration in its folder; `health` is that of the validation logs."""
-    model = predictions[0].model
-    return run_report(
+    prediction = predict_log(predictions[0].model, log.middle_part())
+    return calibration_report(
         RunContent(
-            run,
-            recipe,
-            model,
-            predictions,
-            health,
-            log,
-            result,
-            about_run("calibrate", recipe, result, run),
-            loop=_coloured(shown_loop(recipe, plan.excitation), log, predict_log(model, log.middle_part())),
+            run=run,
+            result=result,
+            about=about_run("calibrate", recipe, result, run),
+            predictions=predictions,
+            health=health,
+            excitation=log,
+            loop=_coloured(shown_loop(recipe, plan.excitation), log, prediction),
             rmse=np.array([p.rmse(moving=True) for p in predictions]),
             shown=torque_plot(typical_motion(predictions), pooled_rmse(predictions)),
             search=plan.search,
@@ -167,22 +161,19 @@ def recalibration_page(
     run: Path,
 ) -> str:
     """HTML of a recalibration's report; `program` is the text of the loop, `prediction` is of its `log` in `run`."""
-    model = prediction.model
     *_, cycle = plan_statements(recipe, program, "program", log.position[0])[1]
     loop = ShownLoop(recipe, cycle, np.array(result["loop"]["via_points"]), len(log.cycle_starts))
     ends = [*log.cycle_starts, float(log.t[-1])] if log.cycle_starts else [0.0, float(log.t[-1])]
     cycles = [slice(*np.searchsorted(prediction.time, pair)) for pair in pairwise(ends)]
     # confidence bounds need a regressor for every sample, so they are computed for the cycle that is shown
-    shown = predict_log(model, log.middle_part())
+    shown = predict_log(prediction.model, log.middle_part())
     content = RunContent(
-        run,
-        recipe,
-        model,
-        [prediction],
-        [LogHealth.of(log)],
-        log,
-        result,
-        about_run("recalibrate", recipe, result, run),
+        run=run,
+        result=result,
+        about=about_run("recalibrate", recipe, result, run),
+        predictions=[prediction],
+        health=[LogHealth.of(log)],
+        excitation=log,
         loop=_coloured(loop, log, prediction),
         rmse=np.array([_rmse(prediction, part) for part in cycles if _moves(prediction)[part].any()]),
         shown=torque_plot(shown, prediction.rmse(moving=True), *log.middle_cycle()),
@@ -217,50 +208,6 @@ def write_analysis(path: Path, log: Log, prediction: Prediction) -> None:
     write_log(path, replace(log, reference_position=None, planned_position=None), states)
 
 
-def compare_runs(runs: Sequence[Path], console: Console, report: Path | None = None) -> list[Comparison]:
-    """Compare the models of later run folders with the first, along the excitation that the last one recorded.
-
-    Writes a page to `report` where that is given.
-
-    Raises:
-        InputError: a run without a model or a log, or of different robots.
-    """
-    models = _models(runs)
-    log = next((run / "excitation.mcap" for run in reversed(runs) if (run / "excitation.mcap").exists()), None)
-    if log is None:
-        which = f"neither {runs[0]} nor {runs[1]} has its" if len(runs) == 2 else "none of these runs has its"
-        raise InputError(f"{which} excitation.mcap any more: no motion to compare along")
-    (motion,) = read_logs([log], models[-1].robot, console)
-    found = [
-        compare_models(models[0], model, motion, runs[0].name, run.name)
-        for run, model in zip(runs[1:], models[1:], strict=True)
-    ]
-    if report is not None:
-        by_name = {run.name: model for run, model in zip(runs, models, strict=True)}
-        write_atomically(report, comparison_page(by_name, found, [predict_log(model, motion) for model in models]))
-    return found
-
-
-def _models(runs: Sequence[Path]) -> list[IdentifiedModel]:
-    if len({run.name for run in runs}) < len(runs):
-        raise InputError("compare: a run is named twice; name two runs or more, each once")
-    for run in runs:
-        if not (run / "model.json").is_file():
-            raise InputError(
-                f"{run}: this run has no model (a diagnosis, or stopped before its end); only calibrations and "
-                "recalibrations can be compared"
-            )
-    models = [IdentifiedModel.load(run / "model.json") for run in runs]
-    first = models[0].robot
-    for run, model in zip(runs, models, strict=True):
-        if model.robot.joint_names != first.joint_names or model.robot.name != first.name:
-            raise InputError(
-                f"{runs[0].name} is of {first.name}, {run.name} of {model.robot.name}: there is nothing to compare "
-                "between different robots"
-            )
-    return models
-
-
 def write_index(logs: Path, robot: str | None = None, serial: str | None = None) -> Path:
     """Write `index.html` over all runs of a folder, or of one robot in it; returns its path.
 
@@ -274,7 +221,7 @@ def write_index(logs: Path, robot: str | None = None, serial: str | None = None)
     watched = watch(runs)
     parameters = history.parameters({figures.run for one in watched for figures in one.figures})
     courses = [parameter_trends(one.figures, parameters) for one in watched]
-    return write_atomically(logs / "index.html", index_page(IndexData(runs, watched, courses, current_runs(logs)[0])))
+    return write_atomically(logs / "index.html", index_page(runs, watched, courses, current_runs(logs)[0]))
 
 
 def refresh_index(logs: Path, console: Console) -> None:

@@ -39,7 +39,9 @@ def calibration_result(
     overall = summary(predictions).overall
     rmse = pooled_rmse(predictions)
     shares = rmse / model.robot.nominal_torque
-    accepted, reason = judge(recipe.gate.normalised_rmse, model.robot.joint_names, shares, without_nominal(model.robot))
+    accepted, reason = gate_decision(
+        recipe.gate.normalised_rmse, model.robot.joint_names, shares, without_nominal(model.robot)
+    )
     return {
         "schema": "calibration/1",
         "robot": recipe.robot.name,
@@ -97,7 +99,7 @@ def recorded(run: RunFolder, recordings: Sequence[Recording]) -> dict[str, Any]:
     }
 
 
-def judge(
+def gate_decision(
     gate: float, joints: Sequence[str], figures: Sequence[float] | np.ndarray, not_judged: Sequence[str]
 ) -> tuple[bool | None, str]:
     """The gate's decision on the errors over nominal torque, and why not; None where it can judge no joint."""

@@ -1,5 +1,11 @@
 """Logs of motions: written while the motion runs, read from whoever wrote them, imported from tables."""
 
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+from agent.recording.importer import import_log, mapped_joints
+from agent.recording.log import PARTS, PLANNED_PARTS, Log, machines_of
+from agent.recording.mcap.foxglove import FILTERED, FOXGLOVE_LAYOUT, PREDICTED, RESIDUAL, foxglove_layout
+from agent.recording.mcap.log_file import write_log
+from agent.recording.mcap.relabel import LogCopy
+from agent.recording.mcap.writer import LogWriter
+from agent.recording.reading import logged_joints, read_log
+from agent.recording.repair.grid import line, sample_numbers, settled
+from agent.recording.scratch import Scratch

@@ -13,6 +13,7 @@ from tempfile import TemporaryFile
 from typing import Any, Literal, TypeVar
 
 from agent.core import (
+    FULL_OR_READ_ONLY,
     AgentError,
     InputError,
     finite,
@@ -174,17 +175,20 @@ def make_folder(folder: Path, what: str) -> None:
     """Make a folder for `what`, and those above it, where it is not there.
 
     Raises:
-        AgentError: it cannot be made.
+        AgentError: it cannot be made, or nothing can be written into it.
     """
     with _made(folder, what):
         folder.mkdir(parents=True, exist_ok=True)
+        with TemporaryFile(dir=folder):
+            pass
 
 
 def check_output(out: Path, paths: Sequence[Path]) -> None:
     """Refuse a file that cannot be written before the work starts, or that is one of the inputs (`paths`).
 
     Raises:
-        InputError: a folder, a file in no folder or in a read-only one, or an input.
+        InputError: a folder, a file in no folder, or an input.
+        AgentError: the folder is read-only, or full.
     """
     folder = out.absolute().parent
     if out.is_dir():
@@ -196,7 +200,8 @@ def check_output(out: Path, paths: Sequence[Path]) -> None:
             with TemporaryFile(dir=folder):
                 pass
         except OSError as error:
-            raise InputError(f"{out}: cannot be written there: {error.strerror}; name another file") from None
+            kind = AgentError if error.errno in FULL_OR_READ_ONLY else InputError
+            raise kind(f"{out}: cannot be written there: {error.strerror}; name another file") from None
     if out.exists() and any(path.exists() and path.samefile(out) for path in paths):
         raise InputError(f"{out}: is one of the logs or models that are read; name another file to write")
 

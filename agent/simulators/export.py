@@ -27,6 +27,7 @@ from agent.core import RejectedError, csv_text, write_atomically, written_whole
 from agent.model import ODD, IdentifiedModel, check_physical, full_parameters, steady_columns
 from agent.recording import FOXGLOVE_LAYOUT, foxglove_layout
 from agent.robot import Dynamics, Joint, ParameterLayout, about_centre, joint_axes, rotor_mass_matrix
+from agent.runs import make_folder
 from agent.simulators.urdf import child_of, digits, end_of, mjcf_inertial, moved_links, rpy_of, set_inertial
 
 _TABLE = "parameters.csv"
@@ -36,13 +37,11 @@ _SPEEDS = np.linspace(0.02, 1.0, 50)  # of the highest: where the line through a
 
 
 def export_model(model: IdentifiedModel, folder: Path) -> tuple[Path, ...]:
-    """Write URDF, MuJoCo model, SDF, friction, parameters and a Foxglove layout into a folder, replacing older ones.
-
-    Returns their paths.
+    """Write URDF, MuJoCo model, SDF, friction, parameters and a Foxglove layout into a folder; returns their paths.
 
     Raises:
         RejectedError: no physical links have the model's base parameters, or what was written does not give them back.
-        OSError: the folder cannot be written.
+        AgentError, OSError: the folder cannot be written.
     """
     standard = full_parameters(model)
     check_physical(model.robot, standard)
@@ -56,7 +55,7 @@ def export_model(model: IdentifiedModel, folder: Path) -> tuple[Path, ...]:
         folder / _TABLE: csv_text(model.rows()),
         folder / FOXGLOVE_LAYOUT: foxglove_layout(model.robot.joint_names),
     }
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder, "the export")
     with ExitStack() as stack:
         parts = [stack.enter_context(written_whole(path)) for path in texts]
         for part, text in zip(parts, texts.values(), strict=True):
@@ -70,9 +69,9 @@ def export_table(model: IdentifiedModel, folder: Path) -> tuple[Path, ...]:
     """Write only the table of parameters, which every model has; returns its path in a tuple.
 
     Raises:
-        AgentError, OSError: the folder cannot be written.
+        AgentError: the folder cannot be written.
     """
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder, "the export")
     return (write_atomically(folder / _TABLE, csv_text(model.rows())),)
 
 

@@ -27,7 +27,7 @@ from tests.recording.conftest import write_foreign
 def test_help_loads_nothing_heavy():
     script = (
         "import sys; sys.argv = ['agent', '--help']\n"
-        "from agent.cli.main import main\n"
+        "from agent.cli import main\n"
         "try: main()\nexcept SystemExit as end: assert not end.code\n"
         "heavy = {'numpy', 'scipy', 'pinocchio', 'matplotlib', 'numba', 'pydantic', 'mcap', 'lark'}\n"
         "heavy &= set(sys.modules)\n"
@@ -72,8 +72,7 @@ def test_the_help_of_diagnose_fits_on_one_screen_and_help_all_shows_the_rest():
 def test_reports_a_signal_received_in_compiled_code_as_a_signal():
     """Python says SystemError where a handler raises while a function in C returns a result."""
     script = (
-        "import importlib\n"
-        "entry = importlib.import_module('agent.cli.main')\n"
+        "from agent.cli import entry_point as entry\n"
         "def hit(standalone_mode):\n"
         "    raise SystemError('returned a result with an exception set') from KeyboardInterrupt()\n"
         "entry.app = hit\n"

@@ -14,7 +14,7 @@ from agent.core.console import Console
 from agent.core.errors import AgentError
 from agent.model import IdentifiedModel
 from agent.pipeline.gap.diagnose import GapQuestion, diagnose_files
-from agent.pipeline.identify import estimate_files, import_files, validate_files
+from agent.pipeline.identify import FitQuestion, estimate_files, import_files, validate_files
 from agent.recording import read_log
 from agent.recording.mcap.log_file import STATES, LogFile
 from agent.robot import load_robot
@@ -107,7 +107,7 @@ def analyse(arm: str, paths: list[Path], folder: Path, diagnose: bool) -> None:
     """Estimate, validate and diagnose."""
     quiet, model = Console(-1), folder / "model.json"
     model.unlink(missing_ok=True)
-    if answers(lambda: estimate_files(arm, paths, model, None, None, quiet)):
+    if answers(lambda: estimate_files(arm, paths, model, FitQuestion(), quiet)):
         assert np.all(np.isfinite(IdentifiedModel.load(model).values))
     else:
         assert not model.exists()

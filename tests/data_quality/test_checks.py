@@ -12,7 +12,7 @@ from agent.core.console import Console
 from agent.core.errors import InputError, RejectedError
 from agent.data_quality import check_quality, fitted_doubts, spoiled
 from agent.estimation import estimate
-from agent.pipeline.identify import check_plausible, estimate_files, validate_files
+from agent.pipeline.identify import FitQuestion, check_plausible, estimate_files, validate_files
 from agent.recording import read_log, write_log
 from agent.robot import Dynamics, load_robot
 from agent.simulators import load_simulator
@@ -278,10 +278,10 @@ def test_zero_effort_is_refused_by_estimate_and_validate(robot, tmp_path, shared
     good = motion(arm, 20)
     write_log(path, replace(good, effort=0 * good.effort))
     write_log(tmp_path / "good.mcap", good)
-    estimate_files(description, [tmp_path / "good.mcap"], out, 10.0, "weighted", Console(-1))
+    estimate_files(description, [tmp_path / "good.mcap"], out, FitQuestion(10.0, "weighted"), Console(-1))
     for refused in (
         lambda: validate_files(out, [path], None, Console(-1)),
-        lambda: estimate_files(description, [path], tmp_path / "new.json", 10.0, "weighted", Console(-1)),
+        lambda: estimate_files(description, [path], tmp_path / "new.json", FitQuestion(10.0, "weighted"), Console(-1)),
     ):
         with pytest.raises((InputError, RejectedError), match=r"torque is zero throughout|never changes"):
             refused()
@@ -290,10 +290,10 @@ def test_zero_effort_is_refused_by_estimate_and_validate(robot, tmp_path, shared
 def test_estimate_and_validate_warn_of_spoiled_samples(tmp_path, shared_robot, capsys):
     arm, description = shared_robot
     log = bad(motion(arm, 21), zeroed)
-    write_log(tmp_path / "log.mcap", log)
-    estimate_files(description, [tmp_path / "log.mcap"], tmp_path / "m.json", 10.0, "weighted", Console(-1))
+    write_log(path := tmp_path / "log.mcap", log)
+    estimate_files(description, [path], tmp_path / "m.json", FitQuestion(10.0, "weighted"), Console(-1))
     assert "the torque of joint_2 is exactly zero for 7.6 % of the samples" in capsys.readouterr().err
-    validate_files(tmp_path / "m.json", [tmp_path / "log.mcap"], None, Console(-1))
+    validate_files(tmp_path / "m.json", [path], None, Console(-1))
     assert "the torque of joint_2 is exactly zero for 7.6 % of the samples" in capsys.readouterr().err
 
 

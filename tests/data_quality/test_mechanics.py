@@ -14,7 +14,7 @@ from agent.core.console import Console
 from agent.core.errors import InputError, RejectedError
 from agent.data_quality import QualityFinding, check_quality
 from agent.estimation import estimate
-from agent.pipeline.identify import check_plausible, estimate_files, validate_files
+from agent.pipeline.identify import FitQuestion, check_plausible, estimate_files, validate_files
 from agent.recording import read_log, write_log
 from agent.robot import load_robot
 from fake_controller.plant import Plant
@@ -253,9 +253,9 @@ def test_nothing_is_written_unless_forced(healthy, tmp_path, capsys):
     flipped = tmp_path / "flipped.mcap"
     write_log(flipped, replace(log, effort=-log.effort, metadata={**log.metadata, "robot": "panda"}))
     with pytest.raises(RejectedError, match=r"robot panda, not of comau_ns16.*opposite signs.*--force"):
-        estimate_files(robot, [flipped], out, 10.0, "weighted", quiet)
+        estimate_files(robot, [flipped], out, FitQuestion(10.0, "weighted"), quiet)
     assert not out.exists()
-    estimate_files(robot, [flipped], out, 10.0, "weighted", quiet, force=True)
+    estimate_files(robot, [flipped], out, FitQuestion(10.0, "weighted", force=True), quiet)
     assert out.exists()
     assert "the logs say that they are of robot panda, not of comau_ns16" in capsys.readouterr().err
 
@@ -270,9 +270,9 @@ def test_logs_of_two_machines_or_tools_are_not_pooled(healthy, tmp_path, capsys)
         write_log(paths[-1], replace(part, metadata={"serial": serial, "tool": tool}))
     first, other, gripped = paths
     with pytest.raises(InputError, match=r"serial A-1 \(A-1_none.mcap\) and B-2 \(B-2_none.mcap\).*--allow-mixed"):
-        estimate_files(robot, [first, other], out, 10.0, "weighted", quiet)
+        estimate_files(robot, [first, other], out, FitQuestion(10.0, "weighted"), quiet)
     assert not out.exists()
-    estimate_files(robot, [first], out, 10.0, "weighted", quiet)
+    estimate_files(robot, [first], out, FitQuestion(10.0, "weighted"), quiet)
     with pytest.raises(InputError, match=r"serial A-1 \(the model\) and B-2"):
         validate_files(out, [other], None, quiet)
     with pytest.raises(InputError, match=r"tool gripper .* and none \(the model\)"):
@@ -289,7 +289,7 @@ def test_validate_comments_on_an_absurd_error(healthy, tmp_path, capsys):
     robot, out, quiet = "comau_ns16", tmp_path / "model.json", Console(-1)
     for name, factor in (("right", 1.0), ("wrong", 1000.0)):
         write_log(tmp_path / f"{name}.mcap", replace(log, effort=factor * log.effort))
-    estimate_files(robot, [tmp_path / "wrong.mcap"], out, 10.0, "weighted", quiet, force=True)
+    estimate_files(robot, [tmp_path / "wrong.mcap"], out, FitQuestion(10.0, "weighted", force=True), quiet)
     capsys.readouterr()
     validate_files(out, [tmp_path / "right.mcap"], None, quiet)
     assert "predicting no torque at all would be better" in capsys.readouterr().err

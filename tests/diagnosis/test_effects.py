@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 import agent.diagnosis
-import agent.report
+import agent.pages
 from agent.diagnosis import check_effects, diagnose, extended_model
 from agent.estimation import estimate
 from agent.model import CATALOGUE, IdentifiedModel
 from agent.model.effects import GROUP
-from agent.report.diagnosis.page import diagnosis_report
+from agent.pages.diagnosis.page import diagnosis_report
 from agent.validation import validate
 from fake_controller.plant import Plant
 from tests.small_arms import make_arm, record
@@ -48,7 +48,7 @@ def plug_in(tmp_path, monkeypatch):
 
 def test_no_effect_name_appears_in_the_procedure_and_its_pages():
     folder = Path(agent.diagnosis.__file__).parent
-    pages = Path(agent.report.__file__).parent
+    pages = Path(agent.pages.__file__).parent
     named = re.compile("|".join(rf"""["']{name}["']""" for name in CATALOGUE))
     found = {
         path.name: named.findall(path.read_text(encoding="utf-8"))

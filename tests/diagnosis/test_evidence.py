@@ -15,7 +15,7 @@ from agent.diagnosis.hypotheses.search import Search
 from agent.diagnosis.rows.dataset import assemble
 from agent.estimation import EstimationSettings, estimate
 from agent.model import IdentifiedModel
-from agent.pipeline import estimate_files
+from agent.pipeline import FitQuestion, estimate_files
 from agent.recording import write_log
 from fake_controller.plant import Plant
 from tests.small_arms import make_arm, record
@@ -128,6 +128,6 @@ def test_estimate_stores_the_effects_of_the_healthy_arm(robot, baseline, tmp_pat
     paths = [tmp_path / f"{number}.mcap" for number in range(len(logs))]
     for path, log in zip(paths, logs, strict=True):
         write_log(path, log)
-    estimate_files(robot, paths, tmp_path / "model.json", None, None, Console(-1))
+    estimate_files(robot, paths, tmp_path / "model.json", FitQuestion(), Console(-1))
     learned = {one.effect: one.size for one in IdentifiedModel.load(tmp_path / "model.json").healthy}
     assert learned["torque_offset"] > 0.01

@@ -14,9 +14,9 @@ from agent.core import Console
 from agent.core.errors import InputError
 from agent.diagnosis import diagnose
 from agent.model import CATALOGUE
+from agent.pages.diagnosis.page import diagnosis_report
 from agent.pipeline import GapQuestion, diagnose_files
 from agent.pipeline.gap.printed_diagnosis import diagnosis_text
-from agent.report.diagnosis.page import diagnosis_report
 
 VOCABULARY = [
     "stribeck",

@@ -11,7 +11,7 @@ from hypothesis import given, strategies as st
 
 from agent.core import plus_minus
 from agent.diagnosis.sizes import amplitude, intervals, leading_parameter, reported_parameters, size_text, unit_of
-from agent.report import closes, headline, summary
+from agent.pages import closes, headline, summary
 from agent.robot import SHARE
 
 NUMBER = re.compile(r"-?[\d.]+(?:e[-+]?\d+)?")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,7 +15,7 @@ from agent.experiment import KINDS, Experiment, as_drawn
 from agent.experiment.pieces import Pieces
 from agent.motion.pdl2.dialect import Pdl2
 from agent.pipeline import GapQuestion, check_plausible, diagnose_files
-from agent.pipeline.gap import diagnose, next_experiment
+from agent.pipeline.gap import diagnose, finding, next_experiment
 from agent.pipeline.gap.next_experiment import LONGEST, NoMotion, check_arm, check_tool, plan_next
 from agent.pipeline.plan import loop_problem
 from agent.recipe import load_recipe, template
@@ -142,17 +143,19 @@ def asked(arm, logs, tmp_path: Path, monkeypatch):
     for path, log in zip(paths, logs, strict=True):
         write_log(path, log)
     monkeypatch.setattr(GapQuestion, "check", lambda *_: None)
-    monkeypatch.setattr(diagnose, "load_recipe", lambda path: path)
-    monkeypatch.setattr(diagnose, "check_arm", lambda *_: None)
-    monkeypatch.setattr(diagnose, "check_tool", lambda *_: None)
+    for module in (diagnose, finding):
+        monkeypatch.setattr(module, "load_recipe", lambda path: path)
+    monkeypatch.setattr(finding, "check_arm", lambda *_: None)
+    monkeypatch.setattr(finding, "check_tool", lambda *_: None)
     question = GapQuestion(
         tmp_path / "model.json", report=tmp_path / "page.html", out=tmp_path / "next", next_recipe=tmp_path / "job.yaml"
     )
 
     def run(why):
         shown: list[dict] = []
-        with pytest.raises(type(why)):
+        with nullcontext() if why is None else pytest.raises(type(why)):
             diagnose_files(arm, paths, question, Console(-1), shown.append)
+        assert len(shown) > 1, "what came of the planning is shown too"
         assert shown[0]["verdict"] == shown[-1]["verdict"]
         assert not any("found out" in text for text in shown[0]["warnings"]), "the verdict comes before the planning"
         return question, shown[-1]
@@ -165,7 +168,7 @@ def test_keeps_the_verdict_if_the_forward_simulation_fails(arm, logs, tmp_path: 
     for log in logs:
         write_log(tmp_path / log.name, log)
     question = GapQuestion(tmp_path / "model.json", report=tmp_path / "page.html")
-    monkeypatch.setattr(diagnose, "simulate", fails(InputError("the effect gives no finite torque")))
+    monkeypatch.setattr(finding, "simulate", fails(InputError("the effect gives no finite torque")))
     result = diagnose_files(arm, [tmp_path / log.name for log in logs], question, Console(-1))
     assert (result["verdict"], result["simulation"]) == ("no_gap", None)
     assert any("the forward simulation failed" in text and "finite torque" in text for text in result["warnings"])
@@ -183,6 +186,11 @@ def test_keeps_diagnosis_and_page_if_planning_is_stopped(asked, monkeypatch, why
     assert any("the next motion was not planned" in text for text in shown["warnings"])
     assert "Gap between model and" in question.report.read_text(encoding="utf-8")
     assert not question.out.exists()
+
+
+def test_shows_the_diagnosis_again_if_nothing_is_open(asked, monkeypatch):
+    monkeypatch.setattr(diagnose, "plan_next", lambda *_, **__: NoMotion("nothing is open"))
+    assert asked(None)[1]["next_experiment"] is None
 
 
 @pytest.mark.parametrize("why", STOPS)

@@ -14,15 +14,16 @@ from agent.core.console import Console
 from agent.model import CATALOGUE
 from agent.motion import Delay, write_program
 from agent.motion.pdl2.dialect import Pdl2
+from agent.pages.diagnosis.summary import planned_section, rounds_section
+from agent.pages.page import Page, render
+from agent.pages.phrasing import next_text
 from agent.pipeline.gap import until_sure as module
+from agent.pipeline.gap.finding import Found
 from agent.pipeline.gap.next_experiment import NextMotion, NoMotion, check_next, other_test
-from agent.pipeline.gap.until_sure import Found, until_sure
+from agent.pipeline.gap.until_sure import until_sure
 from agent.pipeline.job import Job
 from agent.recipe import load_recipe, template
 from agent.recording import PARTS, PLANNED_PARTS
-from agent.report.diagnosis.summary import planned_sections, rounds_sections
-from agent.report.page import Page, render
-from agent.report.phrasing import next_text
 from agent.robot import load_robot
 from agent.runs.folder import RunFolder
 from agent.safety.authorisation import Authorisation, AuthorisationDocument
@@ -253,24 +254,24 @@ def test_a_planned_motion_asks_for_the_drives_off_record_first(brakes):
 
 def test_the_page_has_question_motion_and_answer_of_every_round(ask):
     found, _ = ask(["ambiguous", "explained"], ["one"])
-    page = render(Page("Gap", "it is", "plain", rounds_sections(**to_sections(found))))
+    page = render(Page("Gap", "it is", "plain", [rounds_section(**to_sections(found))]))
     for text in ("stribeck on joint_2 or presliding on joint_2", "reversals of joint_2 (20 s)", "0.51, 0.93"):
         assert text in page
     assert "explained: " in page
     cut, _ = ask(["ambiguous"], [DriverError("the link dropped")])
-    assert "cut short" in render(Page("Gap", "it is", "plain", rounds_sections(**to_sections(cut))))
-    assert rounds_sections(None, "") == []
-    assert "No further motion was run." in render(Page("Gap", "it is", "plain", rounds_sections([], "settled: no_gap")))
+    assert "cut short" in render(Page("Gap", "it is", "plain", [rounds_section(**to_sections(cut))]))
+    assert rounds_section(None, "") is None
+    assert "No further motion was run." in rounds_section([], "settled: no_gap").text
 
 
 def test_the_page_has_the_motion_that_was_planned_and_what_it_is_expected_to_tell():
     planned = {**Motion(brakes=False).to_dict("next/program.pdl"), "separates": []}
     planned["probability"] = [{**PAIR, "smallest_over_practical": 0.4}]
-    page = render(Page("Gap", "it is", "plain", planned_sections(planned)))
+    page = render(Page("Gap", "it is", "plain", [planned_section(planned)]))
     for text in ("reversals of joint_2 (20 s, next/program.pdl)", "stribeck on joint_2 or presliding on joint_2"):
         assert text in page
     assert all(figure in page for figure in ("0.51", "0.93", "0.4"))
-    assert planned_sections(None) == planned_sections(NONE.to_dict()) == []
+    assert planned_section(None) is planned_section(NONE.to_dict()) is None
     assert next_text(NONE.to_dict()).startswith("No motion would tell"), "there is nothing to run"
 
 

@@ -17,12 +17,12 @@ from agent.experiment import open_pairs, tells_apart_by_load
 from agent.experiment.motion import GridMotion
 from agent.experiment.questions import OpenPair, Side
 from agent.motion.pdl2.dialect import Pdl2
+from agent.pages.diagnosis.summary import planned_section
+from agent.pages.page import Page, render
 from agent.pipeline.gap import next_experiment
 from agent.pipeline.gap.next_experiment import NextMotion, with_a_mass
 from agent.pipeline.plan import loop_problem
 from agent.recipe import load_recipe, template
-from agent.report.diagnosis.summary import planned_sections
-from agent.report.page import Page, render
 from agent.robot import Tool, load_robot
 from fake_controller.plant import Plant
 from tests.small_arms import learn, make_arm, record
@@ -108,7 +108,7 @@ def test_the_page_shows_the_mass_next_to_the_bare_arm_motion(ask):
     experiment = SimpleNamespace(expected=(), pieces=[SimpleNamespace(text=lambda robot: "a loop")])
     text = "PROGRAM x\nBEGIN\n  DELAY 4000\nEND x\n"
     said = NextMotion(experiment, text, (), robot, Pdl2()).to_dict("x.pdl") | {"with_a_mass": mass.to_dict()}  # type: ignore[arg-type]
-    assert mass.text() in unescape(render(Page("Gap", "it is", "plain", planned_sections(said))))
+    assert mass.text() in unescape(render(Page("Gap", "it is", "plain", [planned_section(said)])))
 
 
 def test_a_load_separates_load_dependent_friction_from_other_friction():

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.cli.main import main
+from agent.cli import main
 from agent.motion import JointTarget, Move, MoveType, create_dialect, with_frames
 from agent.motion.urscript.settings import UrSettings
 from agent.recording import read_log

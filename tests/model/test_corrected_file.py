@@ -154,7 +154,7 @@ def test_changes_only_the_edited_bytes_of_an_xml_file(text):
 
 
 def test_a_format_that_the_simulator_does_not_have_is_refused(tmp_path):
-    from agent.pipeline.gap.corrected_simulator import check_simulator_out
+    from agent.pipeline.gap.simulator import check_simulator_out
 
     simulator(tmp_path, "urdf")
     with pytest.raises(InputError, match="here it is a URDF"):

@@ -23,13 +23,13 @@ from agent.diagnosis.rows.dataset import assemble
 from agent.diagnosis.simulator_file.simulator import _possible, with_expected_error
 from agent.model import CATALOGUE
 from agent.model.identified import IdentifiedModel
-from agent.pipeline.gap.corrected_simulator import write_simulator
+from agent.pages.diagnosis.page import diagnosis_report
 from agent.pipeline.gap.diagnose import GapQuestion, diagnose_again, diagnose_files
+from agent.pipeline.gap.finding import Found
 from agent.pipeline.gap.printed_diagnosis import diagnosis_text
-from agent.pipeline.gap.until_sure import Found
+from agent.pipeline.gap.simulator import write_simulator
 from agent.recording import read_log
 from agent.recording.mcap.log_file import write_log
-from agent.report.diagnosis.page import diagnosis_report
 from agent.simulators import load_simulator
 from tests.model.bench import CHAIN, RATE, URDF, recorded, scene, states, written
 
@@ -296,7 +296,7 @@ def test_the_page_of_a_recorded_run_shows_drift_and_intervals(nominal, tmp_path,
     forward |= {side: error for side in sides} | {f"{side}_interval": [[[0.1, 0.4], [0.1, 0.4]]] for side in sides}
     (tmp_path / "state.json").write_text(json.dumps({"question": {"cutoff": None, "without": []}}))
     (tmp_path / "result.json").write_text(json.dumps({**nominal[2].result, "forward": forward}))
-    monkeypatch.setattr("agent.pipeline.gap.diagnose._find", lambda *_: Found(nominal[2]))
+    monkeypatch.setattr("agent.pipeline.gap.diagnose.find", lambda *_: Found(nominal[2]))
     page = diagnose_again(tmp_path, nominal[0].robot, "bench", Console(-1))
     for text in ("How far it drifts", "0.3 (0.1 to 0.4)", "For training policies", "schema: randomisation/1"):
         assert text in page

@@ -21,12 +21,12 @@ from agent.diagnosis.rows.dataset import Dataset, assemble
 from agent.diagnosis.simulator_file.calibration import ReleasedSimulator, calibration
 from agent.diagnosis.simulator_file.simulator import Explanation, _possible, numbers_instead, with_expected_error
 from agent.model import CATALOGUE
+from agent.pages import headline, verdict_text
 from agent.pipeline import GapQuestion
-from agent.pipeline.gap.corrected_simulator import beyond_range
 from agent.pipeline.gap.next_steps import after_diagnosis
+from agent.pipeline.gap.simulator import beyond_range
 from agent.pipeline.identify import check_plausible
 from agent.recording import read_log
-from agent.report import headline, verdict_text
 from agent.simulators import load_simulator
 from tests.model.bench import CHAIN, URDF, recorded, scene, written
 

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from agent.cli.main import main as agent
+from agent.cli import main as agent
 from agent.core.errors import InputError
 from agent.excitation import Candidates, LoopProblem
 from agent.motion import ViaRegions, write_program

@@ -13,9 +13,9 @@ import pytest
 from hypothesis import given, strategies as st
 
 from agent.core import csv_text
-from agent.report.page import Page, Section, Table, render
-from agent.report.plots import Panel, Plot, Series
-from agent.report.scene import Scene
+from agent.pages.page import Page, Section, Table, render
+from agent.pages.plots import Panel, Plot, Series
+from agent.pages.scene import Scene
 
 ATTACKS = [
     "=1+1",

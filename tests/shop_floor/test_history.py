@@ -74,6 +74,12 @@ def test_the_table_ends_with_the_latest_trend(write_runs):
     assert "joint_1 stepped" not in table
 
 
+def test_a_reader_of_a_long_list_may_leave(write_runs):
+    listing = f"{sys.executable} -m agent history --logs {write_runs(100)} | true; exit ${{PIPESTATUS[0]}}"
+    run = subprocess.run(["bash", "-c", listing], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert (run.returncode, run.stderr) == (0, "")
+
+
 def test_the_current_model_is_marked_in_the_table_and_on_the_index(write_runs):
     logs = write_runs(3)
     runs = sorted(path for path in logs.iterdir() if path.is_dir())
@@ -127,7 +133,7 @@ def test_listing_loads_nothing_heavy(write_runs):
     logs = write_runs(2)
     script = (
         "import sys; sys.argv = ['agent', 'history', '--logs', sys.argv[1]]\n"
-        "from agent.cli.main import main\n"
+        "from agent.cli import main\n"
         "try: main()\nexcept SystemExit as end: assert not end.code\n"
         "heavy = {'numpy', 'scipy', 'pinocchio', 'matplotlib', 'mcap', 'rich.console'} & set(sys.modules)\n"
         "assert not heavy, heavy\n"

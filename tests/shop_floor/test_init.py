@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import pty
 import subprocess
 import sys
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
-from agent.pipeline.setup.init import schema_text
+from agent.core import AgentError
+from agent.pipeline.setup.init import schema_text, write_recipe
 from agent.recipe import load_recipe
+from agent.runs import make_folder
 from tests.conftest import ROOT, environment
 from tests.shop_floor.conftest import agent
 
@@ -50,6 +54,18 @@ def test_refuses_impossible_values_and_writes_nothing(tmp_path: Path, flag: str,
     assert why in run.stderr
     assert "Traceback" not in run.stderr
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(("number", "code"), [(errno.EROFS, 1), (errno.EACCES, 1), (errno.ENOENT, 2)])
+def test_a_folder_that_cannot_be_written_is_said_before_any_question(tmp_path: Path, monkeypatch, number, code):
+    monkeypatch.setattr("agent.runs.folder.TemporaryFile", Mock(side_effect=OSError(number, os.strerror(number))))
+    with pytest.raises(
+        AgentError, match=f"cell.yaml: cannot be written there: {os.strerror(number)}; name another"
+    ) as said:
+        write_recipe(tmp_path / "cell.yaml", {})
+    assert said.value.exit_code == code
+    with pytest.raises(AgentError, match=f"no folder for the export can be made there: {os.strerror(number)}; free"):
+        make_folder(tmp_path / "out", "the export")
 
 
 def test_asks_again_after_an_invalid_answer(tmp_path: Path):

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from agent.pages.page import About, Bar, Bars, NextStep, Page, Section, Shade, Table, render, shaded_table
+from agent.pages.plots import Panel, Plot, Series
+from agent.pages.scene import ArmPoses, Scene
 from agent.pipeline.reports import write_index
-from agent.report.page import About, Bar, Bars, NextStep, Page, Section, Shade, Table, render, shaded_table
-from agent.report.plots import Panel, Plot, Series
-from agent.report.scene import ArmPoses, Scene
 from tests.browser import differs, picture
 
 WIDTHS = (390, 1440, 2560)
@@ -174,7 +174,7 @@ def test_a_page_matches_its_stored_screenshot(small: Path, browser, width: int, 
 
 
 def test_thinning_keeps_the_extremes(small: Path):
-    from agent.report.plots import thinned
+    from agent.pages.plots import thinned
 
     rng = np.random.default_rng(0)
     values = rng.normal(size=(50_000, 3))

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from agent.report.calibration.prediction import error_table
-from agent.report.page import Bar, Bars, Table, shaded_table, table_html
-from agent.report.plots import Panel, Plot, Series
-from agent.report.stills import dates, still, ticks
+from agent.pages.calibration.prediction import error_table
+from agent.pages.page import Bar, Bars, Table, shaded_table, table_html
+from agent.pages.plots import Panel, Plot, Series
+from agent.pages.stills import dates, still, ticks
 
 T = np.linspace(0.0, 6.0, 1001)
 CURVE = Series("speed <v>", np.sin(T))

@@ -12,11 +12,11 @@ import pytest
 
 from agent.core import error_text
 from agent.core.console import finite
+from agent.pages.calibration.prediction import error_table
+from agent.pages.calibration.runs import _colour, _headline
 from agent.pipeline.calibrate import calibration_text
 from agent.pipeline.reports import worse_joints
-from agent.pipeline.result import judge
-from agent.report.calibration.pages import _colour, _headline
-from agent.report.calibration.prediction import error_table
+from agent.pipeline.result import gate_decision
 from agent.robot import RobotDescription, load_robot
 from agent.robot.torque_figures import figure_text, not_judged_text
 from agent.runs.history import History, history_json, history_table
@@ -91,7 +91,7 @@ def test_history_without_nominal_torque(tmp_path: Path, shares, row):
 )
 def test_a_gate_that_can_judge_no_joint_accepts_nothing(shares, word):
     missing = [name for name, share in zip(NAMES, shares, strict=True) if np.isnan(share)]
-    accepted, reason = judge(0.03, NAMES, shares, missing)
+    accepted, reason = gate_decision(0.03, NAMES, shares, missing)
     assert accepted is word
     assert ("the gate is 3.00 %" in reason) == (word is False)
 

@@ -10,9 +10,9 @@ from typing import Any
 
 from agent.diagnosis import LARGE_ERROR, SAME_MOTIONS
 from agent.model import CATALOGUE, PAYLOAD
+from agent.pages import NextStep
 from agent.pipeline.gap.next_experiment import BRAKES, DRIVES_OFF
 from agent.pipeline.gap.question import PLANNING_BUDGET, GapQuestion
-from agent.report import NextStep
 from agent.simulators import is_simulator
 
 #: Names of logs that are still to be recorded, in commands that people copy.

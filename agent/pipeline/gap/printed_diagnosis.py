@@ -10,7 +10,7 @@ from typing import Any
 
 from agent.core import counted
 from agent.diagnosis import forward_lines, reported_parameters, size_text, torque_gap
-from agent.report import FOUR, chances_text, next_text, place, summary
+from agent.pages import FOUR, chances_text, next_text, place, summary
 from agent.robot import SHARE, figure_text
 
 

@@ -8,31 +8,16 @@ from pathlib import Path
 from typing import Any
 
 from agent.core import Console, sha256_text, words_of
-from agent.diagnosis import Diagnosis, Simulated
 from agent.experiment import Deadline
 from agent.link import Recording, open_link
+from agent.pages import in_short
+from agent.pipeline.gap.finding import Found
 from agent.pipeline.gap.next_experiment import LONGEST, NoMotion, plan_next
 from agent.pipeline.gap.question import SHORTEST
 from agent.pipeline.job import Job
 from agent.recording import PARTS, PLANNED_PARTS
-from agent.report import in_short
 from agent.runs import run_key
 from agent.safety import FIRST_SPEED
-from agent.simulators import Simulator
-
-
-@dataclass(frozen=True, eq=False)
-class Found:
-    """A diagnosis, its simulations, and the simulator's file that was read."""
-
-    diagnosis: Diagnosis
-    simulated: Sequence[Simulated] = ()
-    simulator: Simulator | None = None
-
-    @property
-    def result(self) -> dict[str, Any]:
-        """That of the diagnosis."""
-        return self.diagnosis.result
 
 
 @dataclass

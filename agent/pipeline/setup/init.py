@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 import sys
 from pathlib import Path
-from typing import Any
 
-from agent.core import Bare, Dimension, InputError, counted, parse_quantity, write_atomically
+from agent.core import Dimension, InputError, counted, parse_quantity, write_atomically
 from agent.excitation import working_box
 from agent.recipe import BARE_ANGLE, BARE_LEAN, BARE_PLACE, BARE_REACH, USUAL, load_recipe, recipe_schema, template
 from agent.robot import builtin_robots, load_robot
@@ -96,14 +94,7 @@ def _check(name: str, text: str) -> None:
         if len(parts) != count:
             raise InputError(f"three quantities with commas between are expected, not {len(parts)}")
         for part in parts:
-            _check_quantity(part, dimension, bare)
-
-
-def _check_quantity(text: str, dimension: Dimension, bare: Bare) -> None:
-    number: Any = text
-    with contextlib.suppress(ValueError):
-        number = float(text)
-    parse_quantity(number, dimension, bare)
+            parse_quantity(part, dimension, bare)
 
 
 def _box_of(robot: str) -> dict[str, str]:

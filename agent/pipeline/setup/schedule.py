@@ -13,6 +13,7 @@ import re
 import shlex
 import sys
 from dataclasses import dataclass
+from importlib.resources import files
 from pathlib import Path
 
 from agent.core import InputError, read_text, write_atomically
@@ -71,35 +72,20 @@ def make_schedule(recipe: Recipe, logs: Path, folder: Path, at: str, authorisati
     folder = folder.resolve()
     for word in (*words, str(folder), recipe.robot.name):
         _check_word(word)
-    service = [
-        "[Unit]",
-        f"Description=Recalibration of {_escaped(recipe.robot.name)} ({_escaped(recipe.path.name)})",
-        "",
-        "[Service]",
-        "Type=oneshot",
-        f"WorkingDirectory={_escaped(str(folder))}",
-        f"ExecStart={' '.join(_quoted(word) for word in words)}",
-        "# SIGTERM stops the arm in a controlled way, which takes time; nothing restarts it by itself",
-        "KillSignal=SIGTERM",
-        "TimeoutStopSec=60",
-        "Restart=no",
-    ]
-    timer = [
-        "[Unit]",
-        f"Description=Clock of {name}.service",
-        "",
-        "[Timer]",
-        f"OnCalendar={f'*-*-* *:{minute:02d}:00' if hourly else f'*-*-* {hour:02d}:{minute:02d}:00'}",
-        "# a run missed while the computer was off is skipped: no robot moves because of a boot",
-        "Persistent=false",
-        "AccuracySec=1min",
-        "",
-        "[Install]",
-        "WantedBy=timers.target",
-    ]
+    service = _unit("service").format(
+        robot=_escaped(recipe.robot.name),
+        recipe=_escaped(recipe.path.name),
+        folder=_escaped(str(folder)),
+        command=" ".join(_quoted(word) for word in words),
+    )
+    calendar = f"*-*-* *:{minute:02d}:00" if hourly else f"*-*-* {hour:02d}:{minute:02d}:00"
     when = f"{minute} * * * *" if hourly else f"{minute} {hour} * * *"
     command = f"cd {shlex.quote(str(folder))} && {shlex.join(words)}".replace("%", r"\%")
-    return Schedule(name, "\n".join([*service, ""]), "\n".join([*timer, ""]), f"{when} {command}")
+    return Schedule(name, service, _unit("timer").format(name=name, when=calendar), f"{when} {command}")
+
+
+def _unit(kind: str) -> str:
+    return (files("agent.pipeline.setup") / "assets" / f"recalibrate.{kind}").read_text(encoding="utf-8")
 
 
 def install(schedule: Schedule, folder: Path | None = None) -> list[Path]:

@@ -13,46 +13,44 @@ from agent.recording.mcap.scan import scan
 _NANO = 1_000_000_000
 
 
-def relabelled(source: Path, target: Path, start: float, facts: Mapping[str, str], padding: int) -> float:
-    """Copy joint states and set-points as they are, faults of the recorder included, under another first stamp.
+class LogCopy:
+    """A log to copy as it is, faults of the recorder included, under another first stamp; it is read once.
 
-    Parameters
-    ----------
-    source, target : Path
-        Log to read, and the file to write.
-    start : float
-        Stamp [s] of the copy's first sample; receive times are the stamps.
-    facts : Mapping
-        Entries of the record `run` in addition to robot, motion, rate and cycle starts.
-    padding : int
-        Bytes of padding, which hide how well the samples compress.
-
-    Returns
-    -------
-    float
-        Stamp of the last sample [s].
+    `first_stamp` is that of its first sample [ns].
     """
-    found = scan(source)
-    run = found.metadata[RUN]
-    states = found.topics[STATES]
-    first = min(int(group.stamp.min()) for group in states)
-    last = max(int(group.stamp.max()) for group in states)
-    rate = float(run["sample_rate_hz"]) if "sample_rate_hz" in run else None
-    with written_whole(target) as unfinished:
-        file = LogFile(unfinished, states[0].layout.names, run["robot"], run["motion"], rate, lambda: start, facts)
-        try:
-            for topic in (STATES, REFERENCES, PLANNED):
-                for group in found.topics.get(topic, ()):
-                    times = start + (group.stamp - first) / _NANO
-                    file.write_states(topic, times, group.position, group.velocity, group.effort)
-            for cycle in json.loads(run.get("cycle_starts_s", "[]")):
-                file.cycle_start(start + cycle)
-            file.finish(padding)
-        finally:
-            file.close()
-    return start + (last - first) / _NANO
 
+    def __init__(self, source: Path):
+        self.source = source
+        self._found = scan(source)
+        self._states = self._found.topics[STATES]
+        self.first_stamp = min(int(group.stamp.min()) for group in self._states)
 
-def first_stamp(path: Path) -> int:
-    """Stamp of a log's first sample [ns]."""
-    return min(int(group.stamp.min()) for group in scan(path).topics[STATES])
+    def write(self, target: Path, start: float, facts: Mapping[str, str], padding: int) -> float:
+        """Write joint states and set-points.
+
+        Parameters
+        ----------
+        target : file to write.
+        start : stamp [s] of the copy's first sample; receive times are the stamps.
+        facts : entries of the record `run` in addition to robot, motion, rate and cycle starts.
+        padding : bytes of padding, which hide how well the samples compress.
+
+        Returns
+        -------
+        Stamp of the last sample [s].
+        """
+        run, names = self._found.metadata[RUN], self._states[0].layout.names
+        rate = float(run["sample_rate_hz"]) if "sample_rate_hz" in run else None
+        with written_whole(target) as unfinished:
+            file = LogFile(unfinished, names, run["robot"], run["motion"], rate, lambda: start, facts)
+            try:
+                for topic in (STATES, REFERENCES, PLANNED):
+                    for group in self._found.topics.get(topic, ()):
+                        times = start + (group.stamp - self.first_stamp) / _NANO
+                        file.write_states(topic, times, group.position, group.velocity, group.effort)
+                for cycle in json.loads(run.get("cycle_starts_s", "[]")):
+                    file.cycle_start(start + cycle)
+                file.finish(padding)
+            finally:
+                file.close()
+        return start + (max(int(group.stamp.max()) for group in self._states) - self.first_stamp) / _NANO

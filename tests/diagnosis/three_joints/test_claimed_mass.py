@@ -8,7 +8,7 @@ import pytest
 
 from agent.diagnosis import diagnose
 from agent.model import PAYLOAD
-from agent.report.diagnosis.page import about_diagnosis
+from agent.pages.diagnosis.page import about_diagnosis
 from fake_controller.plant import Plant
 from tests.small_arms import record
 

@@ -13,9 +13,9 @@ from agent.diagnosis import diagnose, simulate
 from agent.diagnosis.rows.dataset import assemble
 from agent.diagnosis.sizes import intervals
 from agent.model.effects import CATALOGUE
+from agent.pages import diagnosis_report
 from agent.pipeline import GapQuestion
 from agent.pipeline.gap.next_steps import after_diagnosis
-from agent.report import diagnosis_report
 from agent.robot.dynamics import Dynamics
 from fake_controller.plant import Plant
 from tests.small_arms import record

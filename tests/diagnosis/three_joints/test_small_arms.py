@@ -13,10 +13,10 @@ from agent.diagnosis import Diagnosis, diagnose, extended_model, simulate, simul
 from agent.diagnosis.rows.dataset import Dataset, assemble
 from agent.model import CATALOGUE, IdentifiedModel
 from agent.model.identified import ModelEffect
+from agent.pages import diagnosis_report, diagnosis_summary, headline
+from agent.pages.diagnosis.summary import diagnosis_section
 from agent.pipeline.gap.printed_diagnosis import diagnosis_text
 from agent.recording.log import Log
-from agent.report import diagnosis_report, diagnosis_summary, headline
-from agent.report.diagnosis.summary import diagnosis_section
 from agent.validation import predict_log
 from fake_controller.plant import Plant
 from tests.small_arms import learn, make_arm, record

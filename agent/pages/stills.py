@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from agent.report.plots import Panel, Plot, Series, thinned
-from agent.report.templates import filled
+from agent.pages.plots import Panel, Plot, Series, thinned
+from agent.pages.templates import filled
 
 _MOST_POINTS = 300
 #: Size of the picture of a panel that is alone in its row, and of one with a neighbour; margins of its axes [pt].
@@ -48,7 +48,7 @@ def still(plot: Plot) -> str:
     """HTML of all panels with their legends and axes."""
     shape = (_NARROW if plot.columns > 1 else _WIDE, _LOW if len(plot.panels) > 1 else _TALL)
     pictures = [_picture(plot, panel, *shape) for panel in plot.panels]
-    return filled("agent.report", "still.html", plot=plot, shape=shape, pictures=pictures, signs=_SIGNS)
+    return filled("agent.pages", "still.html", plot=plot, shape=shape, pictures=pictures, signs=_SIGNS)
 
 
 def _picture(plot: Plot, panel: Panel, wide: float, high: float) -> dict[str, Any]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import gc
 import os
 import sys
@@ -11,8 +10,11 @@ import typer
 
 from agent.cli.app import app
 from agent.core import (
+    FULL_OR_READ_ONLY,
     AgentError,
     Ended,
+    end_progress,
+    fit_to_show,
     flush_results,
     hang_up,
     open_standard_descriptors,
@@ -23,7 +25,6 @@ from agent.core import (
 _INTERRUPTED = 130
 #: New objects between two looks for garbage: modules that are imported make many, and none of it.
 _COLLECT_EVERY = 100_000
-_FULL = (errno.EDQUOT, errno.EFBIG, errno.ENOSPC, errno.EROFS)
 
 
 def main() -> None:
@@ -69,9 +70,9 @@ def _unexpected(error: Exception) -> None:
             show()
             sys.exit(code)
         _fail(str(error), code)
-    if isinstance(error, OSError) and (error.filename is not None or error.errno in _FULL):
-        advice = "; free space, or choose another folder" if error.errno in _FULL else ""
-        _fail(f"{error.filename or 'the result cannot be written'}: {error.strerror}{advice}", 1)
+    if isinstance(error, OSError) and (error.filename is not None or error.errno in FULL_OR_READ_ONLY):
+        place = error.filename or "the result cannot be written"
+        _fail(f"{place}: {error.strerror}; free space or rights? Otherwise choose another folder", 1)
     import traceback
 
     traceback.print_exc()
@@ -79,8 +80,6 @@ def _unexpected(error: Exception) -> None:
 
 
 def _fail(message: str, code: int) -> None:
-    from agent.core import end_progress, fit_to_show
-
     end_progress()
     print(f"agent: {fit_to_show(message)}", file=sys.stderr)
     sys.exit(code)

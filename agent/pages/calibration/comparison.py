@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 
 from agent.core import plus_minus
 from agent.model import IdentifiedModel
-from agent.report.calibration.friction import compared_friction
-from agent.report.calibration.recordings import percent
-from agent.report.calibration.residuals import regime_table
-from agent.report.page import About, Bar, Bars, NextStep, Page, Section, Table, render
-from agent.report.plots import SERIES
-from agent.validation import BEYOND, Comparison, Prediction
+from agent.pages.calibration.friction import compared_friction
+from agent.pages.calibration.recordings import percent
+from agent.pages.calibration.residuals import regime_table
+from agent.pages.page import About, Bar, Bars, NextStep, Page, Section, Table, render
+from agent.pages.plots import SERIES
+from agent.recording import Log
+from agent.runs import last_accepted
+from agent.validation import BEYOND, Comparison, Prediction, compare_models
 
 _SHOWN = 30.0  # standard deviations at which a bar is cut
 
@@ -58,6 +61,15 @@ def comparison_section(
         Table(f"parameter-changes{suffix}", header, rows),
     )
     return Section(title, text, parts)
+
+
+def against_last_accepted(run: Path, model: IdentifiedModel, excitation: Log) -> Section | None:
+    """Comparison with the last accepted run of the same machine and loop; None if there is none."""
+    last = last_accepted(run)
+    if last is None:
+        return None
+    before = IdentifiedModel.load(last / "model.json")
+    return comparison_section(compare_models(before, model, excitation, last.name, run.name))
 
 
 def comparison_page(

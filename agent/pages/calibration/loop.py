@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from agent.motion import Trajectory
+from agent.pages.page import Page, Section, render
+from agent.pages.plots import SERIES, Panel, Plot, Series, joint_series
+from agent.pages.scene import Scene, arm_along
 from agent.recipe import Recipe
-from agent.report.page import Page, Section, render
-from agent.report.plots import SERIES, Panel, Plot, Series, joint_series
-from agent.report.scene import Scene, arm_along
 from agent.safety import position_ranges
 
 #: Only each fifth sample of a cycle is shown over time.

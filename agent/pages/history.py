@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
 from urllib.parse import quote
 
 import numpy as np
 
 from agent.core import counted
-from agent.report.page import About, NextStep, Page, Section, Table, render
-from agent.report.plots import SERIES, Panel, Plot, Series, joint_series
+from agent.pages.page import About, NextStep, Page, Section, Table, render
+from agent.pages.plots import SERIES, Panel, Plot, Series, joint_series
 from agent.runs import PastRun, Trend, Watch
 
 _MOST_RUNS = 1000
@@ -20,43 +19,38 @@ _MOST_PARAMETERS = 24
 _GATE_SHOWN = 2.0
 
 
-@dataclass(frozen=True, eq=False)
-class IndexData:
-    """All runs, oldest first; the trends per machine and program, and the course of its parameters.
+def index_page(
+    runs: Sequence[PastRun], watched: Sequence[Watch], parameters: Sequence[Sequence[Trend]], current: Collection[str]
+) -> str:
+    """HTML text; links lead to reports in the folders next to the page.
 
-    `current` names the runs that the robots' current models are of.
+    Runs stand oldest first, trends by machine and program with the course of its `parameters`. `current` names the runs
+    that the robots' current models are of.
     """
-
-    runs: Sequence[PastRun]
-    watched: Sequence[Watch]
-    parameters: Sequence[Sequence[Trend]]
-    current: Collection[str] = ()
-
-
-def index_page(data: IndexData) -> str:
-    """HTML text; links lead to reports in the folders next to the page."""
-    alarms = [(one, line) for one in data.watched for line in one.lines()]
-    machines = sorted({(run.robot, run.serial) for run in data.runs})
+    alarms = [(one, line) for one in watched for line in one.lines()]
+    machines = sorted({(run.robot, run.serial) for run in runs})
     names = ", ".join(f"{robot} {serial}".strip() for robot, serial in machines)
-    too_few = f"{counted(len(data.runs), 'run')}; trends need at least eight runs of one program."
+    too_few = f"{counted(len(runs), 'run')}; trends need at least eight runs of one program."
     if alarms:
         headline, verdict = " · ".join(line for _, line in alarms[:4]), "bad"
-    elif data.watched:
+    elif watched:
         headline, verdict = "No friction drifts, and no limit is near.", "good"
     else:
         headline, verdict = too_few, "plain"
+    errors = [_errors(runs, current, *machine, number) for number, machine in enumerate(machines)]
+    plots = [plot for plot in errors if plot is not None]
     sections = [
-        _machine(one, parameters, number, data)
-        for number, (one, parameters) in enumerate(zip(data.watched, data.parameters, strict=True))
+        *(
+            _machine(one, course, k, runs, current)
+            for k, (one, course) in enumerate(zip(watched, parameters, strict=True))
+        ),
+        Section("Prediction error", (), plots) if plots else None,
+        _all_runs(runs, current),
     ]
-    errors = [_errors(data, *machine, number) for number, machine in enumerate(machines)]
-    if plots := [plot for plot in errors if plot is not None]:
-        sections.append(Section("Prediction error", (), plots))
-    sections.append(_all_runs(data))
-    return render(Page(f"Calibrations of {names}", headline, verdict, sections, _about(data, alarms)))
+    return render(Page(f"Calibrations of {names}", headline, verdict, sections, _about(runs, current, alarms)))
 
 
-def _about(data: IndexData, alarms: Sequence[tuple[Watch, str]]) -> About:
+def _about(runs: Sequence[PastRun], current: Collection[str], alarms: Sequence[tuple[Watch, str]]) -> About:
     steps = []
     if alarms:
         one = alarms[0][0]
@@ -64,27 +58,29 @@ def _about(data: IndexData, alarms: Sequence[tuple[Watch, str]]) -> About:
         command = f"agent history --robot {shlex.quote(one.robot)}{serial} --json"
         steps.append(NextStep("all figures of that machine", command))
     identity = [
-        ("runs", f"{len(data.runs)}, {sum(run.accepted for run in data.runs)} accepted"),
-        ("newest", f"{data.runs[-1].started[:16].replace('T', ' ')} UTC"),
-        ("current models", ", ".join(sorted(data.current)) or "none"),
+        ("runs", f"{len(runs)}, {sum(run.accepted for run in runs)} accepted"),
+        ("newest", f"{runs[-1].started[:16].replace('T', ' ')} UTC"),
+        ("current models", ", ".join(sorted(current)) or "none"),
     ]
     return About("How are the machines and their models doing?", (), steps, identity)
 
 
-def _all_runs(data: IndexData) -> Section:
+def _all_runs(runs: Sequence[PastRun], current: Collection[str]) -> Section:
     rows, links = [], []
-    for run in reversed(data.runs):
+    for run in reversed(runs):
         cycles = str(run.data["conditions"].get("cycles", "-"))
-        outcome = run.outcome_with(data.current)
+        outcome = run.outcome_with(current)
         rows.append((run.run, outcome, run.worst_text, run.kind, run.serial or "-", cycles, run.reason))
         links.append(f"{quote(run.run)}/report.html" if run.complete else "")
-    accepted = sum(run.accepted for run in data.runs)
+    accepted = sum(run.accepted for run in runs)
     text = (f"{counted(len(rows), 'run')}, {accepted} accepted; the newest first.",)
     header = ("run", "result", "worst axis", "kind", "serial", "cycles", "cause or reason")
     return Section("Runs", text, (Table("runs", header, rows, links),))
 
 
-def _machine(one: Watch, parameters: Sequence[Trend], number: int, data: IndexData) -> Section:
+def _machine(
+    one: Watch, parameters: Sequence[Trend], number: int, runs: Sequence[PastRun], current: Collection[str]
+) -> Section:
     text = one.lines() or ["No drift or step is both significant and of practical size."]
     rows = []
     for trend in sorted(one.trends, key=lambda trend: (not trend.alarm, trend.probability)):
@@ -97,7 +93,7 @@ def _machine(one: Watch, parameters: Sequence[Trend], number: int, data: IndexDa
         "By chance: probability that scatter alone causes as much. Alarms use the friction at a speed, as single "
         "parameters are correlated."
     )
-    parts: list[Plot | Table] = [_course(one, parameters, number, data)]
+    parts: list[Plot | Table] = [_course(one, parameters, number, runs, current)]
     parts.append(Table(f"friction-trends-{number}", header, rows))
     if parameters:
         parts.append(_parameter_table(parameters, number))
@@ -114,11 +110,13 @@ def _parameter_table(parameters: Sequence[Trend], number: int) -> Table:
     return Table(f"parameters-{number}", header, rows)
 
 
-def _course(one: Watch, parameters: Sequence[Trend], number: int, data: IndexData) -> Plot:
+def _course(
+    one: Watch, parameters: Sequence[Trend], number: int, runs: Sequence[PastRun], current: Collection[str]
+) -> Plot:
     """Friction, temperature and parameters over the dates of the runs that the trends look at."""
-    runs = {run.run: run for run in data.runs}
-    chosen = [runs[figures.run] for figures in one.figures]
-    panels = [_friction(one.trends, data.current), *_temperatures(chosen)]
+    by_name = {run.run: run for run in runs}
+    chosen = [by_name[figures.run] for figures in one.figures]
+    panels = [_friction(one.trends, current), *_temperatures(chosen)]
     for trend in parameters[:_MOST_PARAMETERS]:
         band = Series("two std. dev.", trend.values + 2 * trend.deviations, low=trend.values - 2 * trend.deviations)
         panels.append(Panel(trend.name, trend.unit, (band, Series("value", trend.values, "points"))))
@@ -157,16 +155,16 @@ def _temperatures(runs: Sequence[PastRun]) -> list[Panel]:
     return [Panel("motors at the end of the run", "°C", joint_series(joints, values))]
 
 
-def _errors(data: IndexData, robot: str, serial: str, number: int) -> Plot | None:
+def _errors(runs: Sequence[PastRun], current: Collection[str], robot: str, serial: str, number: int) -> Plot | None:
     """Error of the worst axis of every run of one machine; None if fewer than two runs have one."""
-    runs = [run for run in data.runs if (run.robot, run.serial) == (robot, serial)]
-    shares = any(run.worst is not None for run in runs)
-    known = [run for run in runs if (run.worst if shares else run.worst_torque) is not None][-_MOST_RUNS:]
+    own = [run for run in runs if (run.robot, run.serial) == (robot, serial)]
+    shares = any(run.worst is not None for run in own)
+    known = [run for run in own if (run.worst if shares else run.worst_torque) is not None][-_MOST_RUNS:]
     if len(known) < 2:
         return None
     worst = np.array([run.worst if shares else run.worst_torque for run in known], dtype=float) * (100 if shares else 1)
     accepted = np.array([run.accepted for run in known], dtype=bool)
-    marked = np.array([run.run in data.current for run in known], dtype=bool)
+    marked = np.array([run.run in current for run in known], dtype=bool)
     caption = f"Prediction error of the worst axis of every run of {robot} {serial}".rstrip() + "; dates in UTC."
     series = [
         Series("accepted", np.where(accepted, worst, np.nan), "points", SERIES[2]),

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 
 from agent.core import csv_text
-from agent.report.plots import Plot, for_screen, packed, plot_csv, spec
-from agent.report.scene import Scene, scene_part
-from agent.report.stills import still
-from agent.report.templates import asset, filled
+from agent.pages.plots import Plot, for_screen, packed, plot_csv, spec
+from agent.pages.scene import Scene, scene_part
+from agent.pages.stills import still
+from agent.pages.templates import asset, filled
 
 
 @dataclass(frozen=True)
@@ -125,28 +125,31 @@ class About:
 
 @dataclass(frozen=True)
 class Page:
-    """A report. `verdict` is one of good, bad or plain and colours the headline, which is the answer."""
+    """A report. `verdict` is one of good, bad or plain and colours the headline, which is the answer.
+
+    A section that is None has nothing to show and is left out.
+    """
 
     title: str
     headline: str
     verdict: str
-    sections: Sequence[Section]
+    sections: Sequence[Section | None]
     about: About = About()
 
 
 def render(page: Page) -> str:
     """HTML text: no script or picture from anywhere else, light and dark, printable."""
-    names = _identifiers(page.sections)
+    shown = [section for section in page.sections if section is not None]
     sections = [
-        (name, one, [_part(part) for part in one.parts]) for name, one in zip(names, page.sections, strict=True)
+        (name, one, [_part(part) for part in one.parts]) for name, one in zip(_identifiers(shown), shown, strict=True)
     ]
-    kinds = {type(part) for section in page.sections for part in section.parts}
+    kinds = {type(part) for section in shown for part in section.parts}
     library = _uplot() if Plot in kinds else {}
-    scripts = [library["uPlot.iife.js"], asset("agent.report", "plots.js")] if library else []
-    scripts += [asset("agent.report", "scene.js")] if Scene in kinds else []
-    css = library.get("uPlot.min.css", "") + asset("agent.report", "page.css")
+    scripts = [library["uPlot.iife.js"], asset("agent.pages", "plots.js")] if library else []
+    scripts += [asset("agent.pages", "scene.js")] if Scene in kinds else []
+    css = library.get("uPlot.min.css", "") + asset("agent.pages", "page.css")
     values = {"page": page, "sections": sections, "css": css, "scripts": scripts, "plots": bool(library)}
-    return filled("agent.report", "page.html", **values)
+    return filled("agent.pages", "page.html", **values)
 
 
 def _identifiers(sections: Sequence[Section]) -> list[str]:
@@ -185,7 +188,7 @@ def table_html(table: Table) -> str:
         return f"{round(2.55 * share):02x}"
 
     drawing = {"at": at, "opacity": opacity, "finite": math.isfinite}
-    return filled("agent.report", "table.html", table=table, looks=looks, **drawing)
+    return filled("agent.pages", "table.html", table=table, looks=looks, **drawing)
 
 
 def _scales(table: Table) -> dict[tuple[type, str], tuple[float, float]]:

@@ -6,12 +6,12 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from agent.diagnosis import reported_parameters, size_text, torque_gap
-from agent.report.page import Section, Table
-from agent.report.phrasing import chances_text, diagnosis_summary, next_text, place, what
-from agent.robot import SHARE, figure_text
+from agent.pages.page import Section, Table
+from agent.pages.phrasing import chances_text, diagnosis_summary, next_text, place, what
+from agent.robot import figure_text
 
 
-def diagnosis_sections(diagnosis: dict[str, Any] | None, reference: str) -> list[Section]:
+def diagnosis_sections(diagnosis: dict[str, Any] | None, reference: str) -> list[Section | None]:
     """What the diagnosis of a run found, or why it did not run; `reference`: the last accepted run, if there is one."""
     if diagnosis is None:
         why = "there is no earlier model to compare with."
@@ -21,7 +21,7 @@ def diagnosis_sections(diagnosis: dict[str, Any] | None, reference: str) -> list
     result = diagnosis["result"]
     if result is None:
         return [Section("Diagnosis", (diagnosis["summary"],))]
-    return [diagnosis_section(result), *rounds_sections(result.get("rounds"), result.get("rounds_end", ""))]
+    return [diagnosis_section(result), rounds_section(result.get("rounds"), result.get("rounds_end", ""))]
 
 
 def diagnosis_section(result: dict[str, Any]) -> Section:
@@ -36,12 +36,11 @@ def diagnosis_section(result: dict[str, Any]) -> Section:
         equals = ", ".join(other["effect"] for other in cause["equivalent_to"]) or "-"
         causes.append((what(cause["effect"], result), place(cause), closed, probability, "; ".join(sizes), equals))
     gap = result["gap"]
-    units = gap.get("units", [SHARE] * len(gap["joints"]))  # earlier versions do not say it
     # where there is no gap in torque, no joint has a share of it
     shares = {entry["joint"]: entry["share"] for entry in result["where"] if torque_gap(result)}
     where = [
         (joint, figure_text(before, unit, 3), figure_text(after, unit, 3), _percent(shares.get(joint)))
-        for joint, before, after, unit in zip(gap["joints"], gap["before"], gap["after"], units, strict=True)
+        for joint, before, after, unit in zip(gap["joints"], gap["before"], gap["after"], gap["units"], strict=True)
     ]
     causes_header = ("effect", "joints", "closes [%]", "probability", "parameters", "equally good")
     where_header = ("joint", "error without", "error with these effects", "share of the gap [%]")
@@ -53,10 +52,10 @@ def _percent(value: float | None) -> str:
     return "-" if value is None else f"{100 * value:.0f}"
 
 
-def planned_sections(experiment: Mapping[str, Any] | None) -> list[Section]:
-    """The section on the planned motion, if there is one."""
+def planned_section(experiment: Mapping[str, Any] | None) -> Section | None:
+    """The planned motion, if there is one."""
     if experiment is None or not experiment.get("program"):
-        return []
+        return None
     rows = [chances_text(entry) for entry in experiment["probability"]]
     text = [
         f"{next_text(experiment)}.",
@@ -65,13 +64,13 @@ def planned_sections(experiment: Mapping[str, Any] | None) -> list[Section]:
     ]
     text += [f"{experiment['with_a_mass']['text']}."] if "with_a_mass" in experiment else []
     header = ("open", "right answer now", "after it (for each cause)", "smallest size that it detects")
-    return [Section("The next motion", text, (Table("planned", header, rows),))]
+    return Section("The next motion", text, (Table("planned", header, rows),))
 
 
-def rounds_sections(rounds: Sequence[Mapping[str, Any]] | None, end: str) -> list[Section]:
-    """The section on further motions, `end` being why no other followed; none if no rounds were asked for (None)."""
+def rounds_section(rounds: Sequence[Mapping[str, Any]] | None, end: str) -> Section | None:
+    """Further motions, `end` being why no other followed; None if no rounds were asked for."""
     if rounds is None:
-        return []
+        return None
     rows = []
     for number, one in enumerate(rounds, start=1):
         pairs = "; ".join(" or ".join(entry["pair"]) for entry in one["probability"])
@@ -80,7 +79,7 @@ def rounds_sections(rounds: Sequence[Mapping[str, Any]] | None, end: str) -> lis
     first = "Each round runs the motion that most likely settles what is still open."
     text = [first if rows else "No further motion was run.", *([f"After that: {end}."] if end else [])]
     header = ("round", "question", "motion", "right answer, before and after", "answer")
-    return [Section("Results of further motions", text, (Table("rounds", header, rows),) if rows else ())]
+    return Section("Results of further motions", text, (Table("rounds", header, rows),) if rows else ())
 
 
 def _answer(one: Mapping[str, Any]) -> str:

@@ -8,19 +8,11 @@ from typing import Any
 from agent.core import package_version
 from agent.diagnosis import Diagnosis, Simulated, reported_parameters, simulation_part, torque_gap
 from agent.model import CATALOGUE, PAYLOAD
-from agent.recording import Log, machines_of
-from agent.report.diagnosis.figures import (
-    band_map,
-    gap_table,
-    regime_map,
-    simulated_torque,
-    timeline,
-    waterfall,
-)
-from agent.report.diagnosis.simulator import drift_section, simulator_sections
-from agent.report.diagnosis.summary import planned_sections, rounds_sections
-from agent.report.page import About, NextStep, Page, Section, Table, render
-from agent.report.phrasing import (
+from agent.pages.diagnosis.figures import band_map, gap_table, regime_map, simulated_torque, timeline, waterfall
+from agent.pages.diagnosis.simulator import drift_section, ranges_section, waterfall_section
+from agent.pages.diagnosis.summary import planned_section, rounds_section
+from agent.pages.page import About, NextStep, Page, Section, Table, render
+from agent.pages.phrasing import (
     FOUR,
     NOT_TESTABLE,
     closes,
@@ -35,7 +27,8 @@ from agent.report.phrasing import (
     what,
     where_sentences,
 )
-from agent.report.scene import arm_picture
+from agent.pages.scene import arm_picture
+from agent.recording import Log, machines_of
 from agent.robot import figure_text
 
 #: Title of the section on candidates, and how many it lists.
@@ -60,13 +53,15 @@ def diagnosis_report(
     # the drift comes before anything of torque where that was not measured
     first = bool(forward) and diagnosis.answer.torque_of == "servos"
     sections = [
-        *([drift_section(forward)] if forward and first else []),
+        drift_section(forward) if first else None,
         _cause_section(diagnosis, None if said_by_rounds(result) else result["next_experiment"]),
-        *planned_sections(result["next_experiment"]),
-        *rounds_sections(result.get("rounds"), result.get("rounds_end", "")),
+        planned_section(result["next_experiment"]),
+        rounds_section(result.get("rounds"), result.get("rounds_end", "")),
         _where_section(diagnosis),
         _closure_section(diagnosis, simulated),
-        *simulator_sections(diagnosis, None if first else forward),
+        waterfall_section(diagnosis),
+        None if first else drift_section(forward),
+        ranges_section(diagnosis),
         _hypotheses_section(diagnosis),
         _testability_section(diagnosis),
     ]

@@ -1,33 +1,29 @@
-"""Sections of a diagnosis against a simulator's file: its errors step by step, its drift, and ranges for training."""
+"""Sections of a diagnosis against an MJCF or URDF: its errors step by step, its drift, and ranges for training."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 from agent.diagnosis import Diagnosis, Range, forward_warning, ranges, ranges_text
-from agent.report.diagnosis.figures import waterfall
-from agent.report.page import Section, Table
-from agent.report.phrasing import capital
+from agent.pages.diagnosis.figures import waterfall
+from agent.pages.page import Section, Table
+from agent.pages.phrasing import capital
 
 
-def simulator_sections(diagnosis: Diagnosis, forward: Mapping[str, Any] | None) -> list[Section]:
-    """Sections of a diagnosis against an MJCF or URDF; none if the model was not such a file."""
-    if diagnosis.calibrated is None:
-        return []
-    sections = []
-    if diagnosis.result.get("waterfall"):
-        text, table = waterfall(diagnosis.result["waterfall"])
-        sections.append(Section("What the simulator gets wrong", (text,), (table,)))
-    if forward:
-        sections.append(drift_section(forward))
-    if found := ranges(diagnosis):
-        sections.append(_ranges_section(found))
-    return sections
+def waterfall_section(diagnosis: Diagnosis) -> Section | None:
+    """What each corrected number closes of the gap."""
+    if diagnosis.calibrated is None or not diagnosis.result.get("waterfall"):
+        return None
+    text, table = waterfall(diagnosis.result["waterfall"])
+    return Section("What the simulator gets wrong", (text,), (table,))
 
 
-def _ranges_section(found: Sequence[Range]) -> Section:
+def ranges_section(diagnosis: Diagnosis) -> Section | None:
     """Ranges of the corrected parameters for training."""
+    found: tuple[Range, ...] = () if diagnosis.calibrated is None else ranges(diagnosis)
+    if not found:
+        return None
     rows = [
         (f"{one.of}, {one.parameter}", f"{one.value:.4g}", f"{one.low:.4g} to {one.high:.4g}", one.unit)
         for one in found
@@ -38,11 +34,13 @@ def _ranges_section(found: Sequence[Range]) -> Section:
         "range, but not all at once. As YAML below.",
     )
     table = Table("ranges", ("number", "value", "range", "unit"), rows)
-    return Section("For training policies", text, (table,), ranges_text(tuple(found)))
+    return Section("For training policies", text, (table,), ranges_text(found))
 
 
-def drift_section(forward: Mapping[str, Any]) -> Section:
-    """Section on the drift of the simulator from the measured motion."""
+def drift_section(forward: Mapping[str, Any] | None) -> Section | None:
+    """Drift of the simulator from the measured motion; None if it was not run forward."""
+    if not forward:
+        return None
     text = [
         f"The simulator runs in {forward['engine']} from {forward['windows']} measured states with the recorded "
         f"{forward['driven_by'].replace('_', '-')}, as given and as corrected by the other motions. The tables show "

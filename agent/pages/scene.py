@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from agent.core import csv_text
-from agent.report.plots import packed
-from agent.report.templates import filled
+from agent.pages.plots import packed
+from agent.pages.templates import filled
 from agent.robot import Dynamics, RobotDescription, chain_of
 
 _MOST_POSTURES = 120
@@ -56,11 +56,8 @@ def scene_part(scene: Scene) -> dict[str, Any]:
         "by": scene.coloured_by,
     }
     if scene.arm is not None:
-        arm = {
-            "time": scene.arm.time,
-            "ends": scene.arm.ends.reshape(len(scene.arm.time), -1),
-            "radius": scene.arm.radius,
-        }
+        time, ends = scene.arm.time, scene.arm.ends.reshape(len(scene.arm.time), -1)
+        arm = {"time": time, "ends": ends, "radius": scene.arm.radius}
         data["arm"] = {key: np.round(values, 3).tolist() for key, values in arm.items()}
     rows = [["what", "x [m]", "y [m]", "z [m]"]]
     for name, line in {**scene.lines, **scene.points}.items():
@@ -103,4 +100,4 @@ def arm_picture(robot: RobotDescription, q: np.ndarray, marked: Collection[str])
     wide, high = flat.max(axis=0) + _MARGIN
     joints = list(zip(robot.joint_names, flat[1:].tolist(), strict=False))
     shown = {"wide": wide + 70, "high": high, "points": flat.tolist(), "joints": joints, "marked": marked}
-    return filled("agent.report", "arm.svg", **shown)
+    return filled("agent.pages", "arm.svg", **shown)

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from scipy.stats import binned_statistic
 
 from agent.model import IdentifiedModel, steady_columns
-from agent.report.page import Section
-from agent.report.plots import SERIES, UNLINKED, Panel, Plot, Series, worst_first
+from agent.pages.page import Section
+from agent.pages.plots import SERIES, UNLINKED, Panel, Plot, Series, worst_first
 from agent.robot import RobotDescription, axle_motion, torque_units
 from agent.validation import Prediction, pooled_rmse
 
@@ -89,7 +88,7 @@ def _plot(name: str, caption: str, panels: Sequence[Panel], robot: RobotDescript
 def _means(speed: np.ndarray, torque: np.ndarray, top: float) -> tuple[np.ndarray, np.ndarray]:
     """Mean speed and torque of narrow ranges of speed that hold enough samples, standstill left out."""
     moving = np.abs(speed) > 0.01 * top
-    columns, ends = np.stack([speed, torque])[:, moving], (-top, top)
-    enough = np.histogram(columns[0], _BINS, ends)[0] >= _FEWEST
-    middle, mean = binned_statistic(columns[0], columns, "mean", _BINS, ends).statistic
-    return middle[enough], mean[enough]
+    weights = (None, speed[moving], torque[moving])
+    count, *sums = (np.histogram(speed[moving], _BINS, (-top, top), weights=values)[0] for values in weights)
+    middle, mean = (values[count >= _FEWEST] / count[count >= _FEWEST] for values in sums)
+    return middle, mean

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from agent.core import counted
+from agent.pages.page import Section, Table
 from agent.recording import Log
-from agent.report.page import Section, Table
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from agent.report.page import Bar, Bars, Table
-from agent.report.plots import SERIES, Panel, Plot, Series, thinned, worst_first
+from agent.pages.page import Bar, Bars, Table
+from agent.pages.plots import SERIES, Panel, Plot, Series, thinned, worst_first
 from agent.robot import torque_units
 from agent.validation import Prediction
 

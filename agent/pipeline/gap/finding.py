@@ -1,0 +1,110 @@
+"""From logs and a model to what a diagnosis found, and what it was compared with."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from agent.core import AgentError, Console, InputError, counted
+from agent.diagnosis import Diagnosis, Simulated, channel_zero, diagnose, simulate, with_servo_torque
+from agent.model import IdentifiedModel
+from agent.pipeline.gap.next_experiment import check_arm, check_tool
+from agent.pipeline.gap.question import GapQuestion
+from agent.pipeline.identify import check_one_machine, check_plausible, read_logs, say_used
+from agent.recipe import load_recipe
+from agent.recording import Log, read_log
+from agent.robot import RobotDescription
+from agent.simulators import SIMULATOR, Simulator, is_simulator, load_joint_map, load_simulator
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """A diagnosis, its simulations, and the simulator's file that was read."""
+
+    diagnosis: Diagnosis
+    simulated: Sequence[Simulated] = ()
+    simulator: Simulator | None = None
+
+    @property
+    def result(self) -> dict[str, Any]:
+        """That of the diagnosis."""
+        return self.diagnosis.result
+
+
+def find(robot: RobotDescription | None, paths: Sequence[Path], question: GapQuestion, console: Console) -> Found:
+    """Read logs and model, check that they fit together, diagnose and simulate."""
+    reference, simulator = read_reference(robot, paths, question, console)
+    described = robot is not None or simulator is None
+    if reference is not None and (robot is None or reference.method == SIMULATOR):
+        robot = reference.robot  # of the file, with the drives of the description
+    if robot is not None and reference is not None and robot.name != reference.robot.name:
+        console.warn(
+            f"{question.model} is a model of {reference.robot.name}, but --robot names {robot.name}, whose "
+            "nominal torques scale the errors: leave --robot out, or name a model of that arm"
+        )
+    if robot is None:
+        raise InputError("diagnose: name the robot (--robot R), or a model that describes the arm (--model MODEL)")
+    further = None if question.next_recipe is None else load_recipe(question.next_recipe)
+    if further is not None:
+        check_arm(further, robot)
+    console.step(f"reading {counted(len(paths), 'log')}")
+    logs = read_logs(list(paths), robot, console, question.topic)
+    if further is not None and not question.allow_mixed:
+        check_tool(further, logs, {} if reference is None else reference.provenance)
+    at_rest = read_at_rest(robot, reference, question, console)
+    of_machine = logs if at_rest is None else [*logs, at_rest]
+    check_one_machine(of_machine, reference, question.allow_mixed, payload_counts=True)
+    said: tuple[str, ...] = ()
+    if simulator is not None:
+        simulator, logs, said = with_servo_torque(simulator, logs)
+    if not said:
+        check_plausible(robot, logs, question.force, console, described=described, model=reference)
+    console.step("comparing model and robot")
+    found = diagnose(robot, logs, reference, question.cutoff, question.without, console.progress, drives_off=at_rest)
+    say_used(logs, found.dataset.cutoff, found.dataset.model.order, console)
+    console.step("simulating with and without the effects")
+    simulated: list[Simulated] = []
+    failed = ""
+    try:
+        simulated = simulate(found)
+    except (AgentError, ArithmeticError, ValueError) as error:
+        failed = f"the forward simulation failed; the verdict does not depend on it: {error}"
+    warnings = (*said, *found.answer.warnings, *filter(None, [failed]))
+    return Found(replace(found, answer=replace(found.answer, warnings=warnings)), simulated, simulator)
+
+
+def read_at_rest(
+    robot: RobotDescription, reference: IdentifiedModel | None, question: GapQuestion, console: Console
+) -> Log | None:
+    """The log with the drives off, which has to show a zero; None if none is named.
+
+    Raises:
+        InputError: it cannot be read, or shows none.
+    """
+    if question.drives_off is None:
+        return None
+    (log,) = read_logs([question.drives_off], robot, console, question.topic)
+    channel_zero(robot, log, reference)
+    return log
+
+
+def read_reference(
+    robot: RobotDescription | None, paths: Sequence[Path], question: GapQuestion, console: Console
+) -> tuple[IdentifiedModel | None, Simulator | None]:
+    """The model to compare with, and the simulator's file that it was read from; None if none is named.
+
+    Raises:
+        InputError: a file that cannot be used, or of another arm.
+    """
+    if question.model is None or not is_simulator(question.model):
+        if question.joint_map is not None:
+            raise InputError("diagnose: --map names joints of an MJCF or URDF: give one with --model arm.xml|arm.urdf")
+        return (None if question.model is None else IdentifiedModel.load(question.model)), None
+    names = None if question.joint_map is None else load_joint_map(question.joint_map)
+    log_joints = () if robot is not None else read_log(paths[0], topic=question.topic).joint_names
+    found = load_simulator(question.model, robot, log_joints, names)
+    for note in found.notes:
+        console.warn(f"{question.model.name}: {note}")
+    return found.model, found

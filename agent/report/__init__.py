@@ -1,5 +1,0 @@
-"""Reports: one self-contained HTML page each."""
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
