@@ -7,7 +7,7 @@ from .payload import (
     planned_load as planned_load,
     with_payload as with_payload,
 )
-from .planned import (
+from .planning import (
     check_cell as check_cell,
     check_load as check_load,
     plan_statements as plan_statements,

@@ -117,7 +117,7 @@ class RobotLink:
 
     def _run_slowly(self, program: PlannedProgram, log: Path) -> PlannedProgram:
         """Run the slow version; returns the program planned anew, from where the arm stands now."""
-        from agent.link.planned import check_cell, plan_statements
+        from agent.link.planning import check_cell, plan_statements
         from agent.motion import create_interpolator
         from agent.safety import FIRST_SPEED, slow_version
 
@@ -281,7 +281,7 @@ def record_program_file(
     """
     from agent.core import InputError
     from agent.link.payload import check_payload, known_of
-    from agent.link.planned import check_cell, check_load, plan_statements, torque_limits
+    from agent.link.planning import check_cell, check_load, plan_statements, torque_limits
     from agent.model import known_payload
 
     if program.is_dir():

@@ -26,7 +26,7 @@ _MAX_DRAWS = 2000
 
 
 @dataclass(frozen=True, eq=False)
-class PlannedMotion:
+class LoopMotion:
     """A loop that will be run `cycles` times at `speed` [m/s]. `kind` is `excitation` or `validation`."""
 
     name: str
@@ -40,9 +40,9 @@ class PlannedMotion:
 class Plan:
     """The excitation loop, how it was found (`fitness`, `evaluated`, `history`), and the validation motions."""
 
-    excitation: PlannedMotion
+    excitation: LoopMotion
     search: dict[str, Any]
-    validation: tuple[PlannedMotion, ...]
+    validation: tuple[LoopMotion, ...]
 
 
 def plan_once(recipe: Recipe, run: RunFolder, console: Console) -> Plan:
@@ -87,7 +87,7 @@ def make_plan(recipe: Recipe, console: Console) -> Plan:
 
 def search_loop(
     recipe: Recipe, console: Console, engine: TaskEngine | None = None
-) -> tuple[PlannedMotion, dict[str, Any]]:
+) -> tuple[LoopMotion, dict[str, Any]]:
     """Search for the excitation loop and store it; returns it with how it was found.
 
     Raises:
@@ -140,7 +140,7 @@ def loop_problem(recipe: Recipe, speed: float) -> LoopProblem:
     )
 
 
-def program_text(recipe: Recipe, motion: PlannedMotion) -> str:
+def program_text(recipe: Recipe, motion: LoopMotion) -> str:
     """Program of a planned motion. It sets every frame, so earlier programs do not change its meaning."""
     settings = with_frames(recipe.motion.settings_at(motion.speed), recipe.tool)
     approach = settings.changed(speed_override=APPROACH_SPEED)
@@ -150,7 +150,7 @@ def program_text(recipe: Recipe, motion: PlannedMotion) -> str:
 
 
 def programs(
-    recipe: Recipe, motions: Sequence[PlannedMotion], start: np.ndarray
+    recipe: Recipe, motions: Sequence[LoopMotion], start: np.ndarray
 ) -> list[tuple[str, list[Trajectory], float]]:
     """Text, set-points from stop to stop, and duration [s] of motions that run one after the other from `start` (n,).
 
@@ -243,13 +243,13 @@ def replan(recipe: Recipe, path: Path) -> Plan:
         raise InputError(f"{path}: no plan for this recipe ({what}); start a new run") from None
 
 
-def _excitation(recipe: Recipe, loop: Loop) -> PlannedMotion:
-    return PlannedMotion("excite", "excitation", loop, recipe.motion.speed, recipe.record.cycles)
+def _excitation(recipe: Recipe, loop: Loop) -> LoopMotion:
+    return LoopMotion("excite", "excitation", loop, recipe.motion.speed, recipe.record.cycles)
 
 
-def _validation(recipe: Recipe, loops: Sequence[Loop]) -> Iterator[PlannedMotion]:
+def _validation(recipe: Recipe, loops: Sequence[Loop]) -> Iterator[LoopMotion]:
     for number, loop in enumerate(loops, 1):
-        yield PlannedMotion(f"valid{number:02d}", "validation", loop, recipe.validate.speed, 1)
+        yield LoopMotion(f"valid{number:02d}", "validation", loop, recipe.validate.speed, 1)
 
 
 def _draw_validation(recipe: Recipe, console: Console) -> list[Loop]:
@@ -360,7 +360,7 @@ def plan_recipe(recipe: Recipe, folder: Path, console: Console, engine: TaskEngi
     return files
 
 
-def shown_loop(recipe: Recipe, motion: PlannedMotion) -> ShownLoop:
+def shown_loop(recipe: Recipe, motion: LoopMotion) -> ShownLoop:
     """A planned loop, for a page."""
     loop = motion.loop
     return ShownLoop(recipe, loop.trajectory, loop.poses[:, :3, 3], motion.cycles)

@@ -8,7 +8,7 @@ from .first_run import (
     slow_version as slow_version,
 )
 from .guard import GuardedLink as GuardedLink
-from .motion import PlannedProgram as PlannedProgram, is_there as is_there, pauses as pauses
+from .planned_program import PlannedProgram as PlannedProgram, is_there as is_there, pauses as pauses
 from .preconditions import (
     check_frames as check_frames,
     check_identity as check_identity,

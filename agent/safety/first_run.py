@@ -16,7 +16,7 @@ import numpy as np
 
 from agent.core import InputError
 from agent.motion import Move, Statement, stop_to_stop, way_key
-from agent.safety.motion import PlannedProgram
+from agent.safety.planned_program import PlannedProgram
 
 if TYPE_CHECKING:
     from agent.motion import Dialect, Interpolator, Trajectory

@@ -19,7 +19,7 @@ from agent.core import ControllerError, InputError, SafetyError, stop_to_come, u
 from agent.robot import RobotDescription
 from agent.safety.adherence import Adherence
 from agent.safety.first_run import FIRST_SPEED, CheckedPrograms
-from agent.safety.motion import PlannedProgram, rest_at
+from agent.safety.planned_program import PlannedProgram, rest_at
 from agent.safety.preconditions import (
     check_frames,
     check_identity,

@@ -9,7 +9,7 @@ import numpy as np
 
 from agent.core import ControllerError, InputError, MismatchError, SafetyError
 from agent.robot import RobotDescription
-from agent.safety.motion import PlannedProgram
+from agent.safety.planned_program import PlannedProgram
 from drivers.protocol import Driver, Identity, MeasuresThroughput, ReportsFrames, Status
 
 #: The arm may stand so far from where its plan begins: servo error and sag, not a jog [rad, or m].

@@ -11,7 +11,7 @@ from agent.motion import create_interpolator, parse_program, write_loop_program,
 from agent.motion.pdl2.settings import FlyTrajectory, FlyType, Pdl2Settings, Termination
 from agent.motion.program import CartesianTarget, JointTarget, Move, MoveType, stop_to_stop
 from agent.robot import kinematics_for, load_robot
-from agent.safety.motion import PlannedProgram
+from agent.safety.planned_program import PlannedProgram
 
 ROBOT = load_robot("comau_ns16")
 START = np.radians([0.0, 0.0, -90.0, 0.0, 0.0, 0.0])

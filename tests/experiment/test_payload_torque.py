@@ -85,8 +85,8 @@ def test_refuses_an_overloading_program_before_motion(monkeypatch, tmp_path: Pat
         yield SimpleNamespace(position=lambda: still.q[0], run=lambda *_: ran.append(facts) or SimpleNamespace(lost=0))
 
     monkeypatch.setattr(record, "open_link", link)
-    monkeypatch.setattr("agent.link.planned.plan_statements", lambda *_: ("p", [still]))
-    monkeypatch.setattr("agent.link.planned.check_cell", lambda *_: None)
+    monkeypatch.setattr("agent.link.planning.plan_statements", lambda *_: ("p", [still]))
+    monkeypatch.setattr("agent.link.planning.check_cell", lambda *_: None)
     bare = torque(still.q, still.qd, still.qdd).max(axis=0)
     recipe = SimpleNamespace(robot=limited(bare * 1.05 + 0.1), tool=None)
 

@@ -14,7 +14,7 @@ from agent.motion.program import left_open
 from agent.robot import load_robot
 from agent.robot.drivetrain import torque_per_ampere
 from agent.robot.dynamics import Tool
-from agent.safety.motion import PlannedProgram
+from agent.safety.planned_program import PlannedProgram
 from agent.safety.preconditions import check_frames
 from drivers.registry import create
 from drivers.transports.tcp import TcpDriver

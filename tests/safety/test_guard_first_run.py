@@ -15,7 +15,7 @@ from agent.motion.pdl2.dialect import Pdl2
 from agent.motion.pdl2.settings import Pdl2Settings
 from agent.motion.program import Delay, JointTarget, Move, MoveType, stop_to_stop
 from agent.safety.first_run import FIRST_SPEED, CheckedPrograms, slow_version
-from agent.safety.motion import PlannedProgram
+from agent.safety.planned_program import PlannedProgram
 from drivers.errors import DriverError
 from tests.safety.following import HOME
 

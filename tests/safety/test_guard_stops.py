@@ -10,7 +10,7 @@ import pytest
 
 from agent.core.errors import AgentError, SafetyError
 from agent.safety.guard import GuardedLink
-from agent.safety.motion import PlannedProgram
+from agent.safety.planned_program import PlannedProgram
 from drivers.errors import DriverError, RefusedError
 from drivers.transports.tcp import TcpDriver
 from drivers.wire.reasons import Refusal

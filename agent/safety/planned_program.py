@@ -1,4 +1,4 @@
-"""The motion that is about to run."""
+"""A program that was planned and checked, as it is about to run."""
 
 from __future__ import annotations
 
