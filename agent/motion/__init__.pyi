@@ -36,6 +36,7 @@ from .pdl2.syntax import (
     System as System,
 )
 from .pdl2.variables import pose_to_pos as pose_to_pos
+from .pdl2.via_points import via_points as via_points
 from .pdl2.writer import write_loop_program as write_loop_program, write_program as write_program
 from .program import (
     CartesianTarget as CartesianTarget,
@@ -49,7 +50,6 @@ from .program import (
     Target as Target,
     left_open as left_open,
     loop_moves as loop_moves,
-    pose_in_robot_base as pose_in_robot_base,
     stop_to_stop as stop_to_stop,
     tool_frame as tool_frame,
     way_key as way_key,

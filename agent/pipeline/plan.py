@@ -11,12 +11,12 @@ import numpy as np
 
 from agent.core import Console, InputError, TaskEngine, read_json, sha256_file, sha256_text, write_atomically
 from agent.excitation import Candidates, Loop, LoopProblem, LoopScore, check_sub_region, search, via_joints
-from agent.link import check_cell, check_load, plan_statements
-from agent.motion import CartesianTarget, JointTarget, Target, Trajectory, ViaRegions, dialect_of, pose_of, with_frames
+from agent.link import check_cell, trajectories
+from agent.motion import CartesianTarget, JointTarget, Target, ViaRegions, dialect_of, pose_of, with_frames
 from agent.recipe import Recipe
 from agent.recording import read_log
 from agent.report import ShownLoop, plan_report
-from agent.robot import Dynamics, TorqueLimits, kinematics_for
+from agent.robot import Dynamics, kinematics_for
 from agent.runs import RunFolder, keep_loop, make_folder, write_json
 
 #: Share of the joint speeds at which the arm goes to the first point.
@@ -149,42 +149,6 @@ def program_text(recipe: Recipe, motion: LoopMotion) -> str:
     return recipe.dialect.write_loop(motion.name, points, settings, motion.cycles, approach, recipe.robot, start)
 
 
-def programs(
-    recipe: Recipe, motions: Sequence[LoopMotion], start: np.ndarray
-) -> list[tuple[str, list[Trajectory], float]]:
-    """Text, set-points from stop to stop, and duration [s] of motions that run one after the other from `start` (n,).
-
-    Every approach and every loop is checked against the cell before the first of them moves.
-
-    Raises:
-        InputError: an approach or a loop breaks a limit.
-    """
-    ready = []
-    for motion in motions:
-        text = program_text(recipe, motion)
-        _, chains = checked_chains(recipe, text, f"{motion.name}{recipe.dialect.suffix}", start)
-        start = chains[-1].q[-1]
-        ready.append((text, chains, float(sum(chain.duration for chain in chains))))
-    return ready
-
-
-def checked_chains(
-    recipe: Recipe, text: str, path: str, start: np.ndarray, limits: TorqueLimits | None = None
-) -> tuple[str, list[Trajectory]]:
-    """Name of a program, and its set-points from stop to stop from `start` (n,), checked against the cell.
-
-    With a known mass at the flange, the torque is checked against the `limits` of the drives.
-
-    Raises:
-        InputError: one of them breaks a limit.
-    """
-    name, chains = plan_statements(recipe, text, path, start)
-    for chain in {id(chain): chain for chain in chains}.values():
-        check_cell(recipe, chain)
-        check_load(limits, chain)
-    return name, chains
-
-
 def via_regions(recipe: Recipe) -> Any:
     """The recipe's sub-region as the search needs it."""
     via = recipe.motion.via_points
@@ -205,7 +169,8 @@ def _task_poses(recipe: Recipe, path: Path) -> np.ndarray:
         return Dynamics(recipe.robot, recipe.tool).tcp_pose(q[:: max(1, len(q) // 2000)])
 
     kinematics = kinematics_for(recipe.robot, recipe.tool)
-    _, chains = plan_statements(recipe, _job(recipe, path)[0], str(path), kinematics.middle, dialect_of(path))
+    text, dialect = _job(recipe, path)[0], dialect_of(path) or recipe.dialect
+    chains = trajectories(recipe, dialect.read(text, str(path), recipe.robot).run(), kinematics.middle)
     if not chains:
         raise InputError(f"{path}: nothing in this program moves the arm; name the program that does")
     job = chains[1:] or chains  # the first leads from an arbitrary start to the job

@@ -5,7 +5,7 @@ from .first_run import (
     FILE as FILE,
     FIRST_SPEED as FIRST_SPEED,
     CheckedPrograms as CheckedPrograms,
-    slow_version as slow_version,
+    slow_text as slow_text,
 )
 from .guard import GuardedLink as GuardedLink
 from .planned_program import PlannedProgram as PlannedProgram, is_there as is_there, pauses as pauses

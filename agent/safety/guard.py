@@ -297,7 +297,7 @@ class GuardedLink:
             check_ready(status, self.address, program.name, program.checksum)
             position = standing(status, self.robot, self.address)
             check_plan(program, self.robot, position, self.address)
-            check_frames(program, self._driver, self.address)
+            check_frames(program.name, program.frames, self._driver, self.address)
         return position
 
     def _settle(

@@ -163,7 +163,7 @@ def record_motions(
         ControllerError, SafetyError, DriverError: the arm did not do it.
         InputError: a program that cannot be planned.
     """
-    from agent.link import open_link, plan_statements
+    from agent.link import open_link
 
     folder.mkdir(parents=True, exist_ok=True)
     recipe, logs = recipe or link_recipe(robot), []
@@ -173,8 +173,7 @@ def record_motions(
             for name, text in programs.items():
                 log = folder / f"{name}.mcap"
                 log.unlink(missing_ok=True)  # of a check that was stopped in the middle of it
-                program, chains = plan_statements(there, text, f"{name}.pdl", link.position())
-                link.run(program, text, log, name, chains)
+                link.run(link.plan(text, f"{name}.pdl"), log, name)
                 logs.append(log)
     return logs
 
