@@ -10,17 +10,16 @@ from .learned import (
 )
 from .learning import Learner as Learner, RecordedMove as RecordedMove
 from .orl import ARM as ARM, CONTROLLER as CONTROLLER, LIBRARY as LIBRARY
-from .pdl2.evaluation import Memory as Memory, Value as Value, evaluate as evaluate, subscript as subscript
-from .pdl2.job import job_text as job_text
-from .pdl2.program import Program as Program, parse_program as parse_program
-from .pdl2.settings import (
+from .path_settings import (
     FlyTrajectory as FlyTrajectory,
     FlyType as FlyType,
     OrientationType as OrientationType,
-    Pdl2Settings as Pdl2Settings,
     SpeedOption as SpeedOption,
-    Termination as Termination,
 )
+from .pdl2.evaluation import Memory as Memory, Value as Value, evaluate as evaluate, subscript as subscript
+from .pdl2.job import job_text as job_text
+from .pdl2.program import Program as Program, parse_program as parse_program
+from .pdl2.settings import Pdl2Settings as Pdl2Settings, Termination as Termination
 from .pdl2.syntax import (
     Assignment as Assignment,
     Block as Block,

@@ -19,7 +19,8 @@ import numpy as np
 
 from agent.core import InputError
 from agent.motion.interpolator import MotionError
-from agent.motion.pdl2.settings import FlyTrajectory, FlyType, OrientationType, Pdl2Settings, SpeedOption, Termination
+from agent.motion.path_settings import FlyTrajectory, FlyType, OrientationType, SpeedOption
+from agent.motion.pdl2.settings import Pdl2Settings, Termination
 from agent.motion.pdl2.variables import pose_to_pos
 from agent.motion.program import (
     Delay,

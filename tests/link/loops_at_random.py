@@ -19,7 +19,8 @@ import pinocchio
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from agent.motion import FlyInterpolator, MotionError, parse_program, stop_to_stop, write_loop_program
-from agent.motion.pdl2.settings import FlyTrajectory, FlyType, Pdl2Settings
+from agent.motion.path_settings import FlyTrajectory, FlyType
+from agent.motion.pdl2.settings import Pdl2Settings
 from agent.motion.program import CartesianTarget, JointTarget, frame_of
 from agent.robot import Box, Tool
 from agent.robot.drivetrain import torque_per_ampere

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from agent.motion import FlyInterpolator, MotionError, Trajectory
-from agent.motion.pdl2.settings import FlyTrajectory, FlyType
+from agent.motion import FlyInterpolator, FlyTrajectory, FlyType, MotionError, Trajectory
 from agent.motion.program import Move, MoveType
 
 PERIOD = 0.002

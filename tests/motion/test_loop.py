@@ -7,7 +7,8 @@ import pytest
 
 from agent.core.errors import InputError
 from agent.motion import FlyInterpolator, ViaRegions, create_interpolator, interpolator_names, loop_moves
-from agent.motion.pdl2.settings import FlyTrajectory, FlyType, Pdl2Settings, Termination
+from agent.motion.path_settings import FlyTrajectory, FlyType
+from agent.motion.pdl2.settings import Pdl2Settings, Termination
 from agent.motion.program import MoveType
 
 SETTINGS = Pdl2Settings(

@@ -287,9 +287,8 @@ def test_cost_depends_on_clearance_not_on_the_number_of_samples(trajectory_throu
 def test_cpu_time_of_checking_a_loop(measured):
     import time
 
-    from agent.motion import FlyInterpolator, ViaRegions, loop_moves
+    from agent.motion import FlyInterpolator, FlyTrajectory, FlyType, Pdl2Settings, ViaRegions, loop_moves
     from agent.motion.interpolator import MotionError
-    from agent.motion.pdl2.settings import FlyTrajectory, FlyType, Pdl2Settings
     from agent.robot import KinematicsError, kinematics_for
 
     regions = ViaRegions.from_box(6, (1.0, 0.0, 0.8), (0.5, 0.6, 0.4), (0.0, np.pi, 0.0), np.radians(30))

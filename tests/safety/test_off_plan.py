@@ -15,8 +15,7 @@ import pytest
 
 from agent.core.errors import InputError
 from agent.excitation import Candidates, LoopProblem
-from agent.motion import ViaRegions
-from agent.motion.pdl2.settings import FlyTrajectory, FlyType, Pdl2Settings, Termination
+from agent.motion import FlyTrajectory, FlyType, Pdl2Settings, Termination, ViaRegions
 from agent.motion.trajectory import Trajectory
 from agent.robot import load_robot
 from agent.robot.dynamics import Dynamics

@@ -22,7 +22,7 @@ from agent.compiled import blended
 from agent.motion import rotation
 from agent.motion.fly.move_geometry import CartesianSegment, JointSegment, Line, Segment, SingleAxis
 from agent.motion.fly.parameters import SPACING, FlyParameters
-from agent.motion.pdl2.settings import FlyTrajectory, FlyType, Pdl2Settings
+from agent.motion.path_settings import FlyTrajectory, FlyType, PathSettings
 
 _CELLS, _MOST_CELLS = 24, 256
 #: [m] Blends smaller than this are stops.
@@ -278,7 +278,7 @@ def corner_between(before: Segment, after: Segment, parameters: FlyParameters) -
     return corner if size >= _SMALLEST else None
 
 
-def _reach(settings: Pdl2Settings, half: float, before: Segment, parameters: FlyParameters) -> float:
+def _reach(settings: PathSettings, half: float, before: Segment, parameters: FlyParameters) -> float:
     """[m] how far before the corner the blend may start, by $FLY_TYPE and $FLY_TRAJ."""
     if settings.fly_trajectory is FlyTrajectory.FLY_FROM:
         size = settings.fly_distance

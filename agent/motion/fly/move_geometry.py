@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from agent.motion import rotation
-from agent.motion.pdl2.settings import Pdl2Settings
+from agent.motion.path_settings import PathSettings
 
 #: [m/rad] converts a rotation into travel, where a move does little but rotate.
 ROTATION_LEVER = 0.1
@@ -188,7 +188,7 @@ class CartesianSegment:
 
     move: int
     label: str
-    settings: Pdl2Settings
+    settings: PathSettings
     kinematics: Any
     curve: Line | Arc
     turn: SingleAxis | EulerAngles
@@ -234,7 +234,7 @@ class JointSegment:
 
     move: int
     label: str
-    settings: Pdl2Settings
+    settings: PathSettings
     kinematics: Any
     start: np.ndarray
     end: np.ndarray

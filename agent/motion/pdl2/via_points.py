@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from agent.core import InputError
-from agent.motion.pdl2.settings import FlyTrajectory, FlyType, Pdl2Settings, SpeedOption
+from agent.motion.path_settings import FlyTrajectory, FlyType, SpeedOption
+from agent.motion.pdl2.settings import Pdl2Settings
 from agent.motion.program import (
     CartesianTarget,
     Move,

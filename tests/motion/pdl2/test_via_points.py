@@ -9,7 +9,8 @@ import pytest
 
 from agent.core.errors import InputError
 from agent.motion import create_interpolator, parse_program, write_loop_program, write_program
-from agent.motion.pdl2.settings import FlyTrajectory, FlyType, Pdl2Settings, Termination
+from agent.motion.path_settings import FlyTrajectory, FlyType
+from agent.motion.pdl2.settings import Pdl2Settings, Termination
 from agent.motion.pdl2.via_points import JOINT_STEP, JOINT_TOLERANCE, via_points
 from agent.motion.program import CartesianTarget, JointTarget, Move, MoveType, stop_to_stop
 from agent.robot import kinematics_for, load_robot
