@@ -16,24 +16,8 @@ from .path_settings import (
     OrientationType as OrientationType,
     SpeedOption as SpeedOption,
 )
-from .pdl2.evaluation import Memory as Memory, Value as Value, evaluate as evaluate, subscript as subscript
-from .pdl2.job import job_text as job_text
-from .pdl2.program import Program as Program, parse_program as parse_program
+from .pdl2.program import parse_program as parse_program
 from .pdl2.settings import Pdl2Settings as Pdl2Settings, Termination as Termination
-from .pdl2.syntax import (
-    Assignment as Assignment,
-    Block as Block,
-    Constant as Constant,
-    DelayStatement as DelayStatement,
-    Element as Element,
-    Expression as Expression,
-    ForLoop as ForLoop,
-    Joints as Joints,
-    MoveStatement as MoveStatement,
-    Pdl2Error as Pdl2Error,
-    Pos as Pos,
-    System as System,
-)
 from .pdl2.variables import pose_to_pos as pose_to_pos
 from .pdl2.via_points import via_points as via_points
 from .pdl2.writer import write_loop_program as write_loop_program, write_program as write_program

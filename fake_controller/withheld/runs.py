@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from agent.core import Console, ControllerError, InputError
-from agent.link import check_cell, moving_segments
+from agent.link import check_cell, moving_segments, open_link
 from agent.motion import (
     JointTarget,
     Move,
@@ -163,8 +163,6 @@ def record_motions(
         ControllerError, SafetyError, DriverError: the arm did not do it.
         InputError: a program that cannot be planned.
     """
-    from agent.link import open_link
-
     folder.mkdir(parents=True, exist_ok=True)
     recipe, logs = recipe or link_recipe(robot), []
     with fake_controller(robot, machine, effects) as address:
