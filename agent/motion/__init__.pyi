@@ -16,7 +16,6 @@ from .path_settings import (
     OrientationType as OrientationType,
     SpeedOption as SpeedOption,
 )
-from .pdl2.program import parse_program as parse_program
 from .pdl2.settings import Pdl2Settings as Pdl2Settings, Termination as Termination
 from .pdl2.variables import pose_to_pos as pose_to_pos
 from .pdl2.via_points import via_points as via_points

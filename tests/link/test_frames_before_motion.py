@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from agent.core.errors import ControllerError, InputError
-from agent.motion import parse_program
+from agent.motion.pdl2 import parse_program
 from agent.motion.pdl2.variables import FRAMES, pos_to_pose
 from agent.motion.program import left_open
 from agent.robot import load_robot

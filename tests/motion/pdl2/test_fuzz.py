@@ -5,8 +5,7 @@ import itertools
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from agent.motion import parse_program
-from agent.motion.pdl2 import Pdl2Error
+from agent.motion.pdl2 import Pdl2Error, parse_program
 from agent.motion.program import Delay, Move
 
 PROGRAM = """PROGRAM loop HOLD, PROG_ARM=1

@@ -7,8 +7,7 @@ import re
 import numpy as np
 import pytest
 
-from agent.motion import parse_program
-from agent.motion.pdl2 import Pdl2Error
+from agent.motion.pdl2 import Pdl2Error, parse_program
 from agent.motion.pdl2.job import job_text
 from agent.motion.program import JointTarget, Move
 from agent.robot import load_robot
