@@ -18,8 +18,7 @@ import numpy as np
 import pinocchio
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from agent.motion import FlyInterpolator, MotionError, stop_to_stop, write_loop_program
-from agent.motion.path_settings import FlyTrajectory, FlyType
+from agent.motion import FlyInterpolator, FlyTrajectory, FlyType, MotionError, stop_to_stop, write_loop_program
 from agent.motion.pdl2 import parse_program
 from agent.motion.pdl2.settings import Pdl2Settings
 from agent.motion.program import CartesianTarget, JointTarget, frame_of

@@ -13,8 +13,7 @@ import pytest
 from agent.core import Console, InputError
 from agent.link import planning
 from agent.link.record import RobotLink
-from agent.motion import Delay, JointTarget, Move, MoveType, with_frames, write_program
-from agent.motion.pdl2.settings import Pdl2Settings
+from agent.motion import Delay, JointTarget, Move, MoveType, Pdl2Settings, with_frames, write_program
 from agent.recipe import load_recipe, template
 from agent.robot import Box, TorqueLimits, kinematics_for
 from tests.conftest import ROOT

@@ -7,8 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from agent.motion import FlyInterpolator
-from agent.motion.path_settings import FlyTrajectory, FlyType, OrientationType, SpeedOption
+from agent.motion import FlyInterpolator, FlyTrajectory, FlyType, OrientationType, SpeedOption
 from agent.motion.pdl2.settings import Pdl2Settings, Termination
 from agent.motion.program import CartesianTarget, Delay, JointTarget, Move, MoveType, Statement
 from agent.motion.regions import pose_of

@@ -10,10 +10,8 @@ import numpy as np
 import pytest
 
 from agent.core.errors import ControllerError, InputError
-from agent.motion import Trajectory
+from agent.motion import Delay, JointTarget, Move, MoveType, Pdl2Settings, Trajectory, stop_to_stop
 from agent.motion.pdl2.dialect import Pdl2
-from agent.motion.pdl2.settings import Pdl2Settings
-from agent.motion.program import Delay, JointTarget, Move, MoveType, stop_to_stop
 from agent.safety.first_run import FIRST_SPEED, CheckedPrograms, slow_text
 from agent.safety.planned_program import PlannedProgram
 from drivers.errors import DriverError

@@ -6,9 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from agent.motion.path_settings import FlyTrajectory, FlyType, OrientationType, SpeedOption
+from agent.motion import FlyTrajectory, FlyType, OrientationType, Pdl2Settings, SpeedOption, Termination
 from agent.motion.pdl2 import Pdl2Error, parse_program
-from agent.motion.pdl2.settings import Pdl2Settings, Termination
 from agent.motion.program import NO_FRAME, CartesianTarget, Delay, JointTarget, MoveType
 from agent.robot.description import load_robot
 

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from agent.core.errors import InputError
-from agent.motion import create_interpolator, write_loop_program, write_program
-from agent.motion.path_settings import FlyTrajectory, FlyType
+from agent.motion import FlyTrajectory, FlyType, create_interpolator, write_loop_program, write_program
 from agent.motion.pdl2 import parse_program
 from agent.motion.pdl2.settings import Pdl2Settings, Termination
 from agent.motion.pdl2.via_points import JOINT_STEP, JOINT_TOLERANCE, via_points

@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from agent.core.errors import InputError
-from agent.motion import write_loop_program, write_program
-from agent.motion.path_settings import FlyTrajectory, FlyType, OrientationType, SpeedOption
+from agent.motion import FlyTrajectory, FlyType, OrientationType, SpeedOption, write_loop_program, write_program
 from agent.motion.pdl2 import parse_program
 from agent.motion.pdl2.settings import Pdl2Settings, Termination
 from agent.motion.pdl2.variables import pos_to_pose
