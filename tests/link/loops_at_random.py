@@ -22,8 +22,7 @@ from agent.motion import FlyInterpolator, FlyTrajectory, FlyType, MotionError, s
 from agent.motion.pdl2 import parse_program
 from agent.motion.pdl2.settings import Pdl2Settings
 from agent.motion.program import CartesianTarget, JointTarget, frame_of
-from agent.robot import Box, Tool
-from agent.robot.drivetrain import torque_per_ampere
+from agent.robot import Box, Tool, torque_per_ampere
 from agent.safety.cell import TOOL_RADIUS, Cell
 from drivers.registry import create
 from fake_controller.build import build_controller

@@ -11,9 +11,7 @@ from agent.core.errors import ControllerError, InputError
 from agent.motion.pdl2 import parse_program
 from agent.motion.pdl2.variables import FRAMES, pos_to_pose
 from agent.motion.program import left_open
-from agent.robot import load_robot
-from agent.robot.drivetrain import torque_per_ampere
-from agent.robot.dynamics import Tool
+from agent.robot import Tool, load_robot, torque_per_ampere
 from agent.safety.preconditions import check_frames
 from drivers.registry import create
 from drivers.transports.tcp import TcpDriver

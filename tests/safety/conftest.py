@@ -17,10 +17,8 @@ from scipy.interpolate import CubicSpline
 
 from agent.motion.trajectory import Trajectory
 from agent.robot import load_robot
+from agent.safety import CheckedPrograms, GuardedLink, PlannedProgram
 from agent.safety.authorisation import Authorisation, AuthorisationDocument, Limits
-from agent.safety.first_run import CheckedPrograms
-from agent.safety.guard import GuardedLink
-from agent.safety.planned_program import PlannedProgram
 from drivers.transports.tcp import TcpDriver
 from drivers.wire import tcp
 from drivers.wire.reasons import EndReason, Refusal

@@ -7,11 +7,8 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from agent.core.errors import InputError
-from agent.robot import Box
-from agent.robot.description import Capsule, load_robot
-from agent.robot.dynamics import Dynamics, Tool
-from agent.safety.cell import Cell
-from agent.safety.clearance import CellReport
+from agent.robot import Box, Capsule, Dynamics, Tool, load_robot
+from agent.safety import Cell, CellReport
 
 ROBOT = load_robot("comau_ns16")
 REACHING = np.radians([0.0, 20.0, -90.0, 0.0, 70.0, 0.0])

@@ -12,8 +12,7 @@ import pytest
 from agent.core.errors import ControllerError, InputError
 from agent.motion import Delay, JointTarget, Move, MoveType, Pdl2Settings, Trajectory, stop_to_stop
 from agent.motion.pdl2.dialect import Pdl2
-from agent.safety.first_run import FIRST_SPEED, CheckedPrograms, slow_text
-from agent.safety.planned_program import PlannedProgram
+from agent.safety import FIRST_SPEED, CheckedPrograms, PlannedProgram, slow_text
 from drivers.errors import DriverError
 from tests.safety.following import HOME
 

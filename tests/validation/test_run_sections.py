@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from agent.estimation import EstimationSettings, estimate
-from agent.report import RUN_SECTIONS, RunContent, further_sections
+from agent.report import RUN_SECTIONS, Page, RunContent, Section, further_sections, render
 from agent.report.calibration.parameters import correlation, correlation_section
 from agent.report.calibration.sections import paper_section
-from agent.report.page import Page, Section, render
 from agent.robot import load_robot
 from agent.validation import predict_log
 from tests.estimation.conftest import _log
