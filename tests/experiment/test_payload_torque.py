@@ -77,9 +77,8 @@ def test_every_piece_planned_with_a_mass_keeps_the_torque_limits():
 
 def test_refuses_an_overloading_program_before_motion(monkeypatch, tmp_path: Path):
     """A person may name any mass for any program."""
-    start, goal = np.full(6, 0.3), np.full(6, 0.35)
-    move = Move(MoveType.JOINT, JointTarget(goal), with_frames(Pdl2Settings(), None))
-    program = tmp_path / "p.pdl"
+    start, program = np.full(6, 0.3), tmp_path / "p.pdl"
+    move = Move(MoveType.JOINT, JointTarget(start + 0.05), with_frames(Pdl2Settings(), None))
     program.write_text(write_program("p", [move], ARM), encoding="utf-8")
     chain = FlyInterpolator(ARM, period=0.002).plan([move], start)
     bare = torque(chain.q, chain.qd, chain.qdd).max(axis=0)

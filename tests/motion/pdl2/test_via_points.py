@@ -10,7 +10,7 @@ import pytest
 from agent.core.errors import InputError
 from agent.motion import FlyTrajectory, FlyType, create_interpolator, write_loop_program, write_program
 from agent.motion.pdl2 import parse_program
-from agent.motion.pdl2.settings import Pdl2Settings, Termination
+from agent.motion.pdl2.settings import Pdl2Settings
 from agent.motion.pdl2.via_points import JOINT_STEP, JOINT_TOLERANCE, via_points
 from agent.motion.program import CartesianTarget, JointTarget, Move, MoveType, stop_to_stop
 from agent.robot import kinematics_for, load_robot
@@ -21,13 +21,7 @@ START = np.radians([0.0, 0.0, -90.0, 0.0, 0.0, 0.0])
 CORNERS = np.radians(
     [[10.0, 0.0, -90.0, 0.0, 40.0, 0.0], [20.0, 5.0, -95.0, 0.0, 45.0, 0.0], [5.0, 8.0, -85.0, 5.0, 50.0, 0.0]]
 )
-FLY = Pdl2Settings(
-    fly_type=FlyType.FLY_CART,
-    fly_trajectory=FlyTrajectory.FLY_TOL,
-    fly_distance=0.02,
-    linear_speed=0.4,
-    termination=Termination.COARSE,
-)
+FLY = Pdl2Settings(fly_type=FlyType.FLY_CART, fly_trajectory=FlyTrajectory.FLY_TOL, fly_distance=0.02, linear_speed=0.4)
 
 
 def planned(text, start=START):
@@ -70,8 +64,7 @@ def test_a_loop_blends_at_its_points_and_stops_after_each_cycle(loop):
 
 
 def test_a_joint_move_becomes_short_lines(loop):
-    chain = loop.chains[0]
-    points = points_of(loop)
+    chain, points = loop.chains[0], points_of(loop)
     approach = points[: next(k for k, point in enumerate(points) if point.fly_tolerance == 0) + 1]
     way = np.array([START, *[point.position for point in approach]])
     assert np.abs(np.diff(way, axis=0)).max() <= JOINT_STEP * 1.01
@@ -94,28 +87,16 @@ def test_a_slower_program_gives_a_slower_motion():
 
 
 @pytest.mark.parametrize(
-    ("moves", "said"),
+    ("kind", "changed", "said"),
     [
-        ([Move(MoveType.JOINT, JointTarget(CORNERS[1]), FLY, fly=True)], "only MOVE LINEAR"),
-        (
-            [Move(MoveType.LINEAR, JointTarget(CORNERS[1]), FLY.changed(fly_type=FlyType.FLY_NORM), fly=True)],
-            "FLY_CART",
-        ),
-        (
-            [
-                Move(
-                    MoveType.LINEAR,
-                    JointTarget(CORNERS[1]),
-                    FLY.changed(fly_trajectory=FlyTrajectory.FLY_AUTO),
-                    fly=True,
-                )
-            ],
-            "FLY_TOL",
-        ),
+        (MoveType.JOINT, {}, "only MOVE LINEAR"),
+        (MoveType.LINEAR, {"fly_type": FlyType.FLY_NORM}, "FLY_CART"),
+        (MoveType.LINEAR, {"fly_trajectory": FlyTrajectory.FLY_AUTO}, "FLY_TOL"),
     ],
 )
-def test_refuses_moves_without_a_via_point_form_and_names_the_line(moves, said):
-    text = write_program("p", [*moves, Move(MoveType.LINEAR, JointTarget(CORNERS[2]), FLY)], ROBOT)
+def test_refuses_moves_without_a_via_point_form_and_names_the_line(kind, changed, said):
+    flown = Move(kind, JointTarget(CORNERS[1]), FLY.changed(**changed), fly=True)
+    text = write_program("p", [flown, Move(MoveType.LINEAR, JointTarget(CORNERS[2]), FLY)], ROBOT)
     with pytest.raises(InputError, match=said) as refused:
         points_of(planned(text, CORNERS[0]))
     assert "line" in str(refused.value)
