@@ -1,7 +1,7 @@
 from .dialect import Dialect as Dialect
 from .fly.interpolator import FlyInterpolator as FlyInterpolator
 from .fly.parameters import FlyParameters as FlyParameters
-from .interpolator import Interpolator as Interpolator, MotionError as MotionError
+from .interpolator import Interpolator as Interpolator, MotionError as MotionError, Trajectory as Trajectory
 from .learned import (
     LearnedLaw as LearnedLaw,
     is_file_name as is_file_name,
@@ -47,4 +47,3 @@ from .registry import (
     interpolator_names as interpolator_names,
 )
 from .rotation import pose_of as pose_of
-from .trajectory import Trajectory as Trajectory

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from agent.motion.trajectory import Trajectory
+from agent.motion.interpolator import Trajectory
 from agent.robot import load_robot
 from agent.safety import CheckedPrograms, GuardedLink, PlannedProgram
 from agent.safety.authorisation import Authorisation, AuthorisationDocument, Limits

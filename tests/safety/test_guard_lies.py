@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from agent.core.errors import SafetyError
-from agent.motion.trajectory import Trajectory
+from agent.motion.interpolator import Trajectory
 from agent.safety.planned_program import PlannedProgram
 from drivers.errors import DriverError
 from tests.conftest import drawn, patience

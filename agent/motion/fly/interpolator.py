@@ -16,9 +16,8 @@ from agent.motion.fly.profile import ArmLimits
 from agent.motion.fly.runs import RunPlanner
 from agent.motion.fly.segment_maker import SegmentMaker
 from agent.motion.fly.setpoints import Run
-from agent.motion.interpolator import MotionError
+from agent.motion.interpolator import BindingLimit, MotionError, Trajectory
 from agent.motion.program import Delay, Statement
-from agent.motion.trajectory import BindingLimit, Trajectory
 from agent.robot import RobotDescription
 
 if TYPE_CHECKING:
@@ -119,18 +118,8 @@ class _Unfinished:
         )
 
     def _add_rest(self, index: int, count: int) -> None:
-        pose = self._maker.pose_at(self.q)
-        still = np.zeros((count, len(self.q)))
-        self._parts.append(
-            (
-                np.tile(self.q, (count, 1)),
-                still,
-                still,
-                np.tile(pose, (count, 1)),
-                np.zeros(count),
-                np.full(count, index),
-            )
-        )
+        q, pose = np.tile(self.q, (count, 1)), np.tile(self._maker.pose_at(self.q), (count, 1))
+        self._parts.append((q, np.zeros_like(q), np.zeros_like(q), pose, np.zeros(count), np.full(count, index)))
         self._count(count, index)
 
     def _add(self, run: Run) -> None:

@@ -17,8 +17,7 @@ from agent.motion.fly.parameters import FlyParameters
 from agent.motion.fly.path import Path, build_path
 from agent.motion.fly.profile import ArmLimits, PathShape, shape_of
 from agent.motion.fly.setpoints import Run, plan_run
-from agent.motion.interpolator import MotionError
-from agent.motion.trajectory import BindingLimit
+from agent.motion.interpolator import BindingLimit, MotionError
 from agent.robot import RobotDescription, parse_configuration
 
 #: Largest number of attempts at a path, with smaller joint-space blends or more knots, and largest factor of knots.
@@ -81,8 +80,7 @@ class RunPlanner:
 
     def binding_limits(self, runs: Sequence[tuple[float, Run]]) -> tuple[BindingLimit, ...]:
         """The limits in force where runs, each from its `begin` [s] on, are slower than programmed."""
-        names = self.robot.joint_names
-        return tuple(one for begin, run in runs for one in _of_run(run, self.limits, names, begin, self.period))
+        return tuple(one for begin, run in runs for one in _slowing(run, begin, self))
 
     def _run(self, segments: Sequence[Segment], corners: list[Corner], start: np.ndarray) -> Run:
         path, shape = self._path(segments, corners, start)
@@ -187,13 +185,12 @@ def _parts(
     return parts
 
 
-def _of_run(
-    run: Run, limits: ArmLimits, joint_names: tuple[str, ...], begin: float, period: float
-) -> list[BindingLimit]:
+def _slowing(run: Run, begin: float, planner: RunPlanner) -> list[BindingLimit]:
     """The limits in force where the run is slower than programmed, the fullest one at each time; `begin` [s].
 
     Stress and overrides reduce a limit, so the limit that is named may be below the arm's own.
     """
+    limits, period = planner.limits, planner.period
     samples, path = run.samples, run.path
     pick = slice(None, None, _EVERY)
     s, speed = samples.s[pick] + path.s[0], samples.speed[pick]
@@ -228,8 +225,14 @@ def _of_run(
             (speed / turning)[None],
         )
     )
-    names = [f"{name} {what}" for what in ("speed", "acceleration", "jerk") for name in joint_names]
-    names += ["linear speed", "rotational speed", "linear acceleration", "rotational acceleration", "FLY_NORM overlap"]
+    names = [f"{name} {what}" for what in ("speed", "acceleration", "jerk") for name in planner.robot.joint_names]
+    names += [
+        "linear speed",
+        "rotational speed",
+        "linear acceleration",
+        "rotational acceleration",
+        "FLY_NORM overlap",
+    ]
     names += ["programmed rotational speed"]
     slowed = speed < _REACHED * programmed
     slowed[[0, -1]] = len(s) > 2 and slowed[1], len(s) > 2 and slowed[-2]

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from agent.core import InputError
+from agent.motion.interpolator import Trajectory
 from agent.motion.path_settings import FlyTrajectory, FlyType, SpeedOption
 from agent.motion.pdl2.settings import Pdl2Settings
 from agent.motion.program import (
@@ -19,7 +20,6 @@ from agent.motion.program import (
     stop_to_stop,
     tool_frame,
 )
-from agent.motion.trajectory import Trajectory
 from drivers.protocol import ViaPoint
 
 if TYPE_CHECKING:
@@ -55,19 +55,14 @@ def via_points(
             if move.settings.tool is not None and np.abs(np.array(move.settings.tool) - own).max() > _SAME:
                 raise InputError(_cannot(name, move, "one tool, the recipe's"))
         if left and _is_plan_of(left[0], moves):
-            points += _points(moves, left.pop(0), name, robot, tool)
+            chain = left.pop(0)
+            if len(moves) == 1 and moves[0].type is MoveType.JOINT:
+                points += _along(chain)
+            else:
+                points += [_point(move, index, chain, name, robot, tool) for index, move in enumerate(moves)]
     if left:
         raise InputError(f"program {name}: its plan and its moves do not belong together; plan again")
     return tuple(points)
-
-
-def _points(
-    moves: list[Move], chain: Trajectory, name: str, robot: RobotDescription, tool: Tool | None
-) -> list[ViaPoint]:
-    """From stop to stop."""
-    if len(moves) == 1 and moves[0].type is MoveType.JOINT:
-        return _along(chain)
-    return [_point(move, index, chain, name, robot, tool) for index, move in enumerate(moves)]
 
 
 def _point(

@@ -20,10 +20,9 @@ from agent.motion.fly.path import Path
 from agent.motion.fly.profile import ArmLimits, PathShape
 from agent.motion.fly.runs import RunPlanner
 from agent.motion.fly.setpoints import Run
-from agent.motion.interpolator import MotionError
+from agent.motion.interpolator import BindingLimit, MotionError, Trajectory
 from agent.motion.path_settings import FlyTrajectory, FlyType, PathSettings
 from agent.motion.program import Move, MoveType, Statement
-from agent.motion.trajectory import BindingLimit, Trajectory
 from agent.motion.urscript.settings import UrSettings
 from agent.robot import CartesianLimits, RobotDescription, Tool
 

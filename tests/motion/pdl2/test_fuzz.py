@@ -42,7 +42,7 @@ WORDS = [*PROGRAM.replace("(", " ( ").replace(",", " , ").split(), *ODD_WORDS.sp
 def outcome(text: str) -> None:
     error = None
     try:
-        statements = list(itertools.islice(parse_program(text).run(cycles=2, limit=500), 500))
+        statements = list(itertools.islice(parse_program(text).run(limit=500), 500))
         assert all(isinstance(statement, Move | Delay) for statement in statements)
     except Pdl2Error as raised:
         error = raised
