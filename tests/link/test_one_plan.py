@@ -1,4 +1,4 @@
-"""What a robot runs is planned and checked in one place: nothing else makes a program that a link would take."""
+"""What a robot runs is planned and checked by one function: nothing else makes a program that a link would take."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class LinkToNewMachine(RobotLink):
         self.ran.append((motion, program))
 
 
-def test_a_program_to_run_is_made_in_one_place_only():
+def test_a_program_to_run_is_made_by_one_function_only():
     """A link runs nothing but a `PlannedProgram`, and that has been checked where it is made."""
     texts = {path.relative_to(ROOT / "agent"): path.read_text("utf-8") for path in (ROOT / "agent").rglob("*.py")}
 
