@@ -25,7 +25,7 @@ MOST_LINES = {
     "agent/diagnosis agent/experiment": 6_868,
     "agent/simulators": 3_057,
     "agent/report": 2_782,
-    "agent/pipeline agent/runs agent/recipe": 6_908,
+    "agent/pipeline agent/runs agent/recipe": 6_940,
     "agent/fleet": 1_882,
     "agent/blind_check": 1_030,
     "agent/cli agent/notebook": 1_366,
