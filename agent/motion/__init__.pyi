@@ -19,7 +19,6 @@ from .path_settings import (
 from .pdl2.settings import Pdl2Settings as Pdl2Settings, Termination as Termination
 from .pdl2.variables import pose_to_pos as pose_to_pos
 from .pdl2.via_points import via_points as via_points
-from .pdl2.writer import write_loop_program as write_loop_program, write_program as write_program
 from .program import (
     CartesianTarget as CartesianTarget,
     Delay as Delay,

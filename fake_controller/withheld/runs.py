@@ -16,16 +16,8 @@ import numpy as np
 
 from agent.core import Console, ControllerError, InputError
 from agent.link import check_cell, moving_segments, open_link
-from agent.motion import (
-    JointTarget,
-    Move,
-    MoveType,
-    Pdl2Settings,
-    Termination,
-    create_interpolator,
-    with_frames,
-    write_program,
-)
+from agent.motion import JointTarget, Move, MoveType, Pdl2Settings, Termination, create_interpolator, with_frames
+from agent.motion.pdl2 import write_program
 from agent.recipe import Recipe, load_recipe
 from agent.recording import Log
 from agent.robot import RobotDescription

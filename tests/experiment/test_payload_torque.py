@@ -16,8 +16,8 @@ from agent.excitation import LoopProblem
 from agent.experiment.pieces import Pieces
 from agent.link import check_load, record, record_program_file, torque_limits
 from agent.model import payload_of
-from agent.motion import FlyInterpolator, JointTarget, Move, MoveType, ViaRegions, with_frames, write_program
-from agent.motion.path_settings import FlyTrajectory, FlyType
+from agent.motion import FlyInterpolator, FlyTrajectory, FlyType, JointTarget, Move, MoveType, ViaRegions, with_frames
+from agent.motion.pdl2 import write_program
 from agent.motion.pdl2.settings import Pdl2Settings
 from agent.motion.regions import BoxRegion
 from agent.recipe import load_recipe, template

@@ -12,7 +12,8 @@ import pytest
 from agent.core import AgentError, InputError, RejectedError, sha256_text, write_atomically
 from agent.core.console import Console
 from agent.model import CATALOGUE
-from agent.motion import Delay, write_program
+from agent.motion import Delay
+from agent.motion.pdl2 import write_program
 from agent.motion.pdl2.dialect import Pdl2
 from agent.pipeline.gap import until_sure as module
 from agent.pipeline.gap.next_experiment import NextMotion, NoMotion, check_next, other_test

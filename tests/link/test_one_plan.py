@@ -12,7 +12,8 @@ import pytest
 
 from agent.core import Console, InputError
 from agent.link import RobotLink, planning
-from agent.motion import JointTarget, Move, MoveType, Pdl2Settings, with_frames, write_program
+from agent.motion import JointTarget, Move, MoveType, Pdl2Settings, with_frames
+from agent.motion.pdl2 import write_program
 from agent.recipe import load_recipe, template
 from agent.robot import Box, TorqueLimits, kinematics_for
 from tests.conftest import ROOT

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from agent.core.errors import ControllerError, InputError
-from agent.motion import Delay, JointTarget, Move, MoveType, Pdl2Settings, Trajectory, stop_to_stop
+from agent.motion import Delay, FlyInterpolator, JointTarget, Move, MoveType, Pdl2Settings, Trajectory, stop_to_stop
+from agent.motion.pdl2 import write_program
 from agent.motion.pdl2.dialect import Pdl2
 from agent.safety import FIRST_SPEED, CheckedPrograms, PlannedProgram, slow_text
 from drivers.errors import DriverError
@@ -111,8 +112,6 @@ def turns(*angles: float) -> list[Move]:
 
 def slow_ways(bench, moves: list[Move]) -> list[Trajectory]:
     """What the slow version of a program with these moves makes, from stop to stop."""
-    from agent.motion import FlyInterpolator, write_program
-
     interpolator = FlyInterpolator(bench.robot, period=0.002)
     text = slow_text(read(write_program("swing", moves, bench.robot)), bench.robot, Pdl2(), interpolator, HOME)
     ways: list[Trajectory] = []
@@ -139,8 +138,6 @@ def test_the_slow_version_makes_every_way_once_below_the_first_run_speed(bench, 
 
 
 def test_a_nan_speed_is_not_slow(bench, program):
-    from agent.motion import write_program
-
     class Blind:
         def plan(self, moves, start):
             return replace(program().chains[0], path_speed=np.full(500, np.nan))

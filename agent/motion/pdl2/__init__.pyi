@@ -14,3 +14,4 @@ from .syntax import (
     Pos as Pos,
     System as System,
 )
+from .writer import write_loop_program as write_loop_program, write_program as write_program

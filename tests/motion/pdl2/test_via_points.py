@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from agent.core.errors import InputError
-from agent.motion import FlyTrajectory, FlyType, create_interpolator, write_loop_program, write_program
-from agent.motion.pdl2 import parse_program
-from agent.motion.pdl2.settings import Pdl2Settings
+from agent.motion import FlyTrajectory, FlyType, Pdl2Settings, create_interpolator
+from agent.motion.pdl2 import parse_program, write_loop_program, write_program
 from agent.motion.pdl2.via_points import JOINT_STEP, JOINT_TOLERANCE, via_points
 from agent.motion.program import CartesianTarget, JointTarget, Move, MoveType, stop_to_stop
 from agent.robot import kinematics_for, load_robot
