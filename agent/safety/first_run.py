@@ -121,14 +121,15 @@ def _place(position: np.ndarray) -> bytes:
 def _slowed(
     moves: list[Move], interpolator: Interpolator, start: np.ndarray, name: str
 ) -> tuple[list[Move], Trajectory]:
-    for _ in range(_ATTEMPTS):
+    for attempt in range(_ATTEMPTS):
         trajectory = interpolator.plan(tuple(moves), start)
         peak = (1.0 + _ROUNDING) * float(np.max(trajectory.path_speed))
         if peak <= FIRST_SPEED:
             return moves, trajectory
         if not np.isfinite(peak):
             break
-        moves = [_with_speed(move, 0.98 * FIRST_SPEED / peak) for move in moves]
+        # A short move does not reach its programmed speed, and hardly gets slower at first.
+        moves = [_with_speed(move, 0.98 * 0.9**attempt * FIRST_SPEED / peak) for move in moves]
     raise InputError(
         f"program {name}: its first run cannot be planned at {FIRST_SPEED:g} m/s (it still reaches {peak:.2f} m/s); "
         "lower the speeds in the program"

@@ -125,6 +125,7 @@ def slow_ways(bench, moves: list[Move]) -> list[Trajectory]:
     [
         ([20.0, -20.0] * 5, [20.0, -20.0, 20.0]),  # one cycle: the fourth stretch would be the second again
         ([5.0, 0.0, -5.0, 0.0] * 2, [5.0, 0.0, -5.0, 0.0]),
+        ([5.0, 9.0], [5.0, 9.0]),  # too short to reach its speed
         ([20.0, -20.0, 20.0, -20.0, 40.0], [20.0, -20.0, 20.0, -20.0, 40.0]),
         # cycles that end where they begin are left out, what is new after them is not
         ([20.0, -20.0, 20.0, -20.0, 20.0, -20.0, 20.0, 40.0, 20.0], [20.0, -20.0, 20.0, 40.0, 20.0]),
