@@ -103,8 +103,6 @@ def slow_text(
         if new:
             ways[key] = _slowed(moves, interpolator, start, program.name)
         slow, trajectory = ways[key]
-        if not np.ptp(trajectory.q, axis=0).any():
-            continue
         if new:
             statements += slow if _place(start) == _place(stand) else [*again, *slow]
             again, stand = [], trajectory.q[-1]
