@@ -16,7 +16,7 @@ ROOT = Path(__file__).parents[1]
 #: Lines of Python that a part may have; more needs a decision record in docs/decisions.
 MOST_LINES = {
     "agent/core": 1_620,
-    "agent/robot agent/compiled": 3_916,
+    "agent/robot agent/compiled": 3_925,
     "agent/motion": 6_699,
     "agent/recording agent/data_quality": 4_945,
     "agent/link agent/safety": 3_214,

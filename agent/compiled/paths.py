@@ -1,4 +1,4 @@
-"""Splines through the knots of a path, for `agent.motion.fly.profile`."""
+"""Orientations on a path and splines through its knots, for `agent.motion.fly`."""
 
 from __future__ import annotations
 
@@ -21,6 +21,15 @@ def _multiply(left: np.ndarray, right: np.ndarray, product: np.ndarray) -> None:
 @compiled("void(f8[::1], f8[::1])")
 def _conjugate(quaternion: np.ndarray, found: np.ndarray) -> None:
     found[0], found[1], found[2], found[3] = quaternion[0], -quaternion[1], -quaternion[2], -quaternion[3]
+
+
+@compiled("f8[:,::1](f8[:,::1], f8[:,::1])")
+def products(left: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """(S, 4) Hamilton products of quaternions; a single one (1, 4) on either side goes with all of the other."""
+    found = np.empty((len(left) if len(right) == 1 else len(right), 4))
+    for k in range(len(found)):
+        _multiply(left[min(k, len(left) - 1)], right[min(k, len(right) - 1)], found[k])
+    return found
 
 
 @compiled("f8[:,::1](f8[::1], f8[:,:])")

@@ -17,6 +17,7 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
+from agent.compiled import products
 from agent.motion import rotation
 from agent.motion.fly.move_geometry import CartesianSegment, JointSegment, Line, Segment
 from agent.motion.fly.parameters import SPACING, FlyParameters
@@ -194,8 +195,7 @@ class CartesianCorner(Corner):
             vectors = np.stack([rotation.rotation_vector(one) for one in between])
             return rotation.multiply(leaving, rotation.from_rotation_vector(u[:, None] * vectors))
         at_corner = after.orientation(np.zeros(1))
-        since_corner = rotation.multiply(rotation.conjugate(at_corner), after.orientation(two))
-        return rotation.multiply(before.orientation(one), since_corner)
+        return products(before.orientation(one), products(rotation.conjugate(at_corner), after.orientation(two)))
 
     def _rates(self, tau: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """ds/dτ (S,) of the blend, and of its two moves one after the other."""

@@ -27,8 +27,7 @@ if TYPE_CHECKING:
 class FlyInterpolator:
     """Plans MOVE and MOVEFLY programs at the controller's period.
 
-    `tool` is the TCP of moves that name no $TOOL; `period` [s]; `parameters`: see `FlyParameters`. `planner` plans the
-    moves from stop to stop.
+    `tool` is the TCP of moves that name no $TOOL; `period` [s]; `planner` is for the moves from one stop to the next.
     """
 
     def __init__(

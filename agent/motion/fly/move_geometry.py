@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from agent.compiled import products
 from agent.motion import rotation
 from agent.motion.path_settings import PathSettings
 
@@ -131,7 +132,7 @@ class SingleAxis:
 
     def orientation(self, sigma: np.ndarray) -> np.ndarray:
         """(S, 4) unit quaternions."""
-        turned = rotation.multiply(rotation.about(self.axis, sigma * self.angle), self.start)
+        turned = products(rotation.about(self.axis, sigma * self.angle), self.start[None])
         return turned if self.curve is None else rotation.multiply(self.curve.path_frame(sigma), turned)
 
 
