@@ -13,7 +13,8 @@ from typing import Protocol
 
 import numpy as np
 
-from agent.motion import Interpolator, Pdl2Error, Pos, Value
+from agent.motion import Interpolator
+from agent.motion.pdl2 import Pdl2Error, Pos, Value
 from agent.robot import RobotDescription
 from drivers.wire.reasons import EndReason, Refusal
 from fake_controller.clock import Clock

@@ -6,7 +6,7 @@ import hashlib
 import re
 from dataclasses import dataclass, replace
 
-from agent.motion import Pdl2Error, Program, parse_program
+from agent.motion.pdl2 import Pdl2Error, Program, parse_program
 from agent.robot import RobotDescription
 from drivers.wire.reasons import Refusal
 

@@ -1,4 +1,4 @@
-"""Knots of a path and the splines through them: the loops of `agent.motion.fly` and `agent.motion.fly.profile`."""
+"""Orientations on a path and splines through its knots, for `agent.motion.fly`."""
 
 from __future__ import annotations
 
@@ -23,43 +23,12 @@ def _conjugate(quaternion: np.ndarray, found: np.ndarray) -> None:
     found[0], found[1], found[2], found[3] = quaternion[0], -quaternion[1], -quaternion[2], -quaternion[3]
 
 
-@compiled("f8[:,::1](f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], i8[::1], i8[::1], f8[::1], f8[::1], f8[::1])")
-def blended(
-    start: np.ndarray,
-    way: np.ndarray,
-    turn: np.ndarray,
-    axis: np.ndarray,
-    which: np.ndarray,
-    before: np.ndarray,
-    sigma: np.ndarray,
-    cosine: np.ndarray,
-    sine: np.ndarray,
-) -> np.ndarray:
-    """(S, 7) positions and orientations on straight moves, then in the blends between them.
-
-    Of the M moves start and way (M, 3), orientation at the start (M, 4) and axis of the turn (M, 3). `which` move,
-    `sigma` on it, and cosine and sine of half the angle turned by there: those of samples on moves, then for the B
-    samples of blends that of the move which runs out, then that of the one that runs in; `before` (B,) is the former.
-    """
-    count, blends = len(which), len(before)
-    poses, found = np.empty((count, 7)), np.empty((count - blends, 7))
-    turned, inverse, since = np.empty(4), np.empty(4), np.empty(4)
-    for k in range(count):
-        move = which[k]
-        turned[0] = cosine[k]
-        for row in range(3):
-            poses[k, row] = start[move, row] + sigma[k] * way[move, row]
-            turned[row + 1] = sine[k] * axis[move, row]
-        _multiply(turned, turn[move], poses[k, 3:])
-    on_moves = count - 2 * blends
-    found[:on_moves] = poses[:on_moves]
-    for k in range(blends):
-        leaving, arriving, after = poses[on_moves + k], poses[on_moves + blends + k], before[k] + 1
-        for row in range(3):
-            found[on_moves + k, row] = leaving[row] + arriving[row] - start[after, row]
-        _conjugate(turn[after], inverse)
-        _multiply(inverse, arriving[3:], since)
-        _multiply(leaving[3:], since, found[on_moves + k, 3:])
+@compiled("f8[:,::1](f8[:,::1], f8[:,::1])")
+def products(left: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """(S, 4) Hamilton products of quaternions; a single one (1, 4) on either side goes with all of the other."""
+    found = np.empty((len(left) if len(right) == 1 else len(right), 4))
+    for k in range(len(found)):
+        _multiply(left[min(k, len(left) - 1)], right[min(k, len(right) - 1)], found[k])
     return found
 
 

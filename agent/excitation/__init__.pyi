@@ -2,4 +2,4 @@ from .candidates import Candidates as Candidates, Loop as Loop, LoopProblem as L
 from .criterion import Criterion as Criterion, one_blas_thread as one_blas_thread
 from .genetic import LoopScore as LoopScore, ranking as ranking
 from .loop_search import search as search
-from .sub_region import check_sub_region as check_sub_region, working_box as working_box
+from .reach import check_sub_region as check_sub_region, working_box as working_box

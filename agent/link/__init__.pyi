@@ -7,11 +7,11 @@ from .payload import (
     planned_load as planned_load,
     with_payload as with_payload,
 )
-from .planned import (
+from .planning import (
     check_cell as check_cell,
-    check_load as check_load,
-    plan_statements as plan_statements,
+    plan_program as plan_program,
     torque_limits as torque_limits,
+    trajectories as trajectories,
 )
 from .record import (
     MotionOfMany as MotionOfMany,

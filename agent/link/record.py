@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -14,13 +14,14 @@ import numpy as np
 from agent.core import Console
 from agent.link.alignment import Aligner
 from agent.link.controller import create_driver, torque_facts
+from agent.link.planning import interpolator_of, plan_program, torque_limits
 from agent.recipe import Recipe
 from agent.runs import robot_lock
-from agent.safety import FILE, CheckedPrograms, GuardedLink, PlannedProgram, pauses
+from agent.safety import FILE, FIRST_SPEED, CheckedPrograms, GuardedLink, PlannedProgram, slow_text
 from drivers.protocol import Identity, SampleBlock
 
 if TYPE_CHECKING:
-    from agent.motion import Trajectory
+    from agent.robot import TorqueLimits
     from agent.safety import Authorisation
 
 
@@ -61,11 +62,19 @@ class MotionOfMany:
 class RobotLink:
     """An open controller link behind its guard, and the logs of what runs through it."""
 
-    def __init__(self, guard: GuardedLink, recipe: Recipe, console: Console, facts: dict[str, str]):
+    def __init__(
+        self,
+        guard: GuardedLink,
+        recipe: Recipe,
+        console: Console,
+        facts: dict[str, str],
+        limits: TorqueLimits | None = None,
+    ):
         self._guard = guard
         self._recipe = recipe
         self._console = console
         self._facts = facts  # for the logs: how torque is obtained, and what else is known
+        self._limits = limits  # with a mass at the flange
 
     @property
     def identity(self) -> Identity:
@@ -89,77 +98,54 @@ class RobotLink:
         """(n,) where the arm stands now [rad]."""
         return self._guard.position()
 
-    def run(
-        self,
-        name: str,
-        text: str,
-        log: Path,
-        motion: str,
-        chains: Sequence[Trajectory],
-        place: MotionOfMany = MotionOfMany(),
-    ) -> Recording:
+    def plan(self, text: str, path: str, start: np.ndarray | None = None, stands_for: str = "") -> PlannedProgram:
+        """`plan_program` for this link, from where the arm stands now or from another `start` (n,).
+
+        Raises:
+            InputError: the program, or its way to the first point, breaks a limit.
+        """
+        from agent.motion import tool_frame, via_points
+
+        recipe = self._recipe
+        start = self.position() if start is None else start
+        program = plan_program(recipe, text, path, start, self._limits, stands_for)
+        if not self._guard.takes_points:
+            return program
+        # The points are joint positions, and the straight lines between them the tool's.
+        return replace(
+            program,
+            points=via_points(program.name, program.statements, program.chains, recipe.robot, recipe.tool),
+            frames={recipe.dialect.frame_names["tool"]: tool_frame(recipe.tool)},
+        )
+
+    def run(self, program: PlannedProgram, log: Path, motion: str, place: MotionOfMany = MotionOfMany()) -> Recording:
         """Upload, check, start once, and record until the program ends.
 
         A program that is new to a machine runs slowly first, into a separate log.
 
         Args:
-            chains: the plan from stop to stop, in order: written to the log together with the set-points.
+            program: what `plan` returned; its set-points are written to the log together with the controller's.
             `place`: index of this motion in the run, for the progress line.
 
         Raises:
             ControllerError, SafetyError, InputError: not ready to move, not allowed, or stopped while moving.
             DriverError: the link failed; what was received is in the log.
         """
-        program = self.planned(name, text, chains)
         if self._guard.needs_slow_run(program):
             program = self._run_slowly(program, log)
         return self._record(program, log, motion, place)
 
     def _run_slowly(self, program: PlannedProgram, log: Path) -> PlannedProgram:
         """Run the slow version; returns the program planned anew, from where the arm stands now."""
-        from agent.link.planned import check_cell, plan_statements
-        from agent.motion import create_interpolator
-        from agent.safety import FIRST_SPEED, slow_version
-
-        recipe = self._recipe
-        interpolator = create_interpolator(
-            recipe.interpolator, recipe.robot, recipe.tool, period=1.0 / recipe.record.rate
-        )
-        slow = slow_version(program, recipe.robot, recipe.dialect, interpolator, self.position())
-        for chain in slow.chains:
-            check_cell(recipe, chain)
-        if self._guard.takes_points:
-            slow = self._with_points(slow)
+        recipe, start = self._recipe, self.position()
+        text = slow_text(program, recipe.robot, recipe.dialect, interpolator_of(recipe), start)
+        slow = self.plan(text, program.name, start, stands_for=program.checksum)
         self._console.step(
             f"{program.name} is new to serial {self.identity.serial}: first at no more than {FIRST_SPEED:g} m/s, "
             f"{slow.duration:.0f} s of motion; watch it"
         )
         self._record(slow, _free(log.with_suffix(".first_run.mcap")), "first_run")
-        name, chains = plan_statements(recipe, program.text, program.name, self.position())
-        for chain in {id(chain): chain for chain in chains}.values():
-            check_cell(recipe, chain)
-        return self.planned(name, program.text, chains)
-
-    def planned(self, name: str, text: str, chains: Sequence[Trajectory]) -> PlannedProgram:
-        """A program as it would be run, with what was planned of it from stop to stop."""
-        from agent.motion import left_open
-
-        statements = list(self._recipe.dialect.read(text, name, self._recipe.robot).run())
-        frames = left_open(statements, self._recipe.tool, self._recipe.dialect.frame_names)
-        program = PlannedProgram(name, text, tuple(chains), pauses=pauses(statements), frames=frames)
-        return self._with_points(program) if self._guard.takes_points else program
-
-    def _with_points(self, program: PlannedProgram) -> PlannedProgram:
-        from agent.link.via_points import via_points
-        from agent.motion import tool_frame
-
-        robot, tool = self._recipe.robot, self._recipe.tool
-        # The points are joint positions, and the straight lines between them the tool's.
-        return replace(
-            program,
-            points=via_points(program, robot, tool),
-            frames={self._recipe.dialect.frame_names["tool"]: tool_frame(tool)},
-        )
+        return self.plan(program.text, program.name)
 
     def _record(
         self, program: PlannedProgram, log: Path, motion: str, place: MotionOfMany = MotionOfMany()
@@ -221,6 +207,7 @@ def open_link(
     authorisation: Authorisation | None = None,
     watching: bool = False,
     facts: Mapping[str, str] = MappingProxyType({}),
+    limits: TorqueLimits | None = None,
 ) -> Iterator[RobotLink]:
     """Lock the robot, connect, and check who is there.
 
@@ -229,6 +216,7 @@ def open_link(
         authorisation: written permission for unattended motion.
         watching: nothing will be identified from the recording.
         facts: further facts for the logs.
+        limits: torque limits that programs are checked against, where a mass is at the flange.
 
     Raises:
         BusyError: another run holds this robot.
@@ -257,7 +245,7 @@ def open_link(
             guard.open()
             who = guard.identity
             console.detail(f"{who.robot}, serial {who.serial}, {who.controller} {who.version}")
-            yield RobotLink(guard, recipe, console, {**torque_facts(recipe, driver), **facts})
+            yield RobotLink(guard, recipe, console, {**torque_facts(recipe, driver), **facts}, limits)
         finally:
             guard.close()
 
@@ -281,7 +269,6 @@ def record_program_file(
     """
     from agent.core import InputError
     from agent.link.payload import check_payload, known_of
-    from agent.link.planned import check_cell, check_load, plan_statements, torque_limits
     from agent.model import known_payload
 
     if program.is_dir():
@@ -298,14 +285,11 @@ def record_program_file(
     if load is not None:
         check_payload(recipe.robot, recipe.tool, load)
     limits = None if load is None else torque_limits(recipe, load, console)
-    with open_link(recipe, console, yes, runs, watching=True, facts=facts) as link:
-        name, chains = plan_statements(recipe, text, str(program), link.position())
-        for chain in chains:
-            check_cell(recipe, chain)
-            check_load(limits, chain)
-        if not chains:
+    with open_link(recipe, console, yes, runs, watching=True, facts=facts, limits=limits) as link:
+        planned = link.plan(text, str(program))
+        if not planned.chains:
             raise InputError(f"{program}: the program moves nothing, so there is nothing to record; add a MOVE")
-        recording = link.run(name, text, log, program.stem, chains)
+        recording = link.run(planned, log, program.stem)
     report_losses(recording, console)
     return recording
 

@@ -1,7 +1,7 @@
 from .dialect import Dialect as Dialect
 from .fly.interpolator import FlyInterpolator as FlyInterpolator
 from .fly.parameters import FlyParameters as FlyParameters
-from .interpolator import Interpolator as Interpolator, MotionError as MotionError
+from .interpolator import Interpolator as Interpolator, MotionError as MotionError, Trajectory as Trajectory
 from .learned import (
     LearnedLaw as LearnedLaw,
     is_file_name as is_file_name,
@@ -10,33 +10,15 @@ from .learned import (
 )
 from .learning import Learner as Learner, RecordedMove as RecordedMove
 from .orl import ARM as ARM, CONTROLLER as CONTROLLER, LIBRARY as LIBRARY
-from .pdl2.evaluation import Memory as Memory, Value as Value, evaluate as evaluate, subscript as subscript
-from .pdl2.job import job_text as job_text
-from .pdl2.program import Program as Program, parse_program as parse_program
-from .pdl2.settings import (
+from .path_settings import (
     FlyTrajectory as FlyTrajectory,
     FlyType as FlyType,
     OrientationType as OrientationType,
-    Pdl2Settings as Pdl2Settings,
     SpeedOption as SpeedOption,
-    Termination as Termination,
 )
-from .pdl2.syntax import (
-    Assignment as Assignment,
-    Block as Block,
-    Constant as Constant,
-    DelayStatement as DelayStatement,
-    Element as Element,
-    Expression as Expression,
-    ForLoop as ForLoop,
-    Joints as Joints,
-    MoveStatement as MoveStatement,
-    Pdl2Error as Pdl2Error,
-    Pos as Pos,
-    System as System,
-)
+from .pdl2.settings import Pdl2Settings as Pdl2Settings, Termination as Termination
 from .pdl2.variables import pose_to_pos as pose_to_pos
-from .pdl2.writer import write_loop_program as write_loop_program, write_program as write_program
+from .pdl2.via_points import via_points as via_points
 from .program import (
     CartesianTarget as CartesianTarget,
     Delay as Delay,
@@ -49,7 +31,6 @@ from .program import (
     Target as Target,
     left_open as left_open,
     loop_moves as loop_moves,
-    pose_in_robot_base as pose_in_robot_base,
     stop_to_stop as stop_to_stop,
     tool_frame as tool_frame,
     way_key as way_key,
@@ -65,4 +46,3 @@ from .registry import (
     interpolator_names as interpolator_names,
 )
 from .rotation import pose_of as pose_of
-from .trajectory import Trajectory as Trajectory

@@ -4,9 +4,9 @@ A program is data (`agent.motion.program`: moves with targets, speeds and blend 
 text of a vendor's language and back. To add one:
 
 1. Make a folder next to `pdl2` with a class that has the members of `Dialect`, and name it in `agent.motion.registry`.
-2. If a move needs settings that only that vendor has, derive a class from `MotionSettings` with a class method `of`
-   that accepts any settings (`agent.motion.pdl2.settings` is an example). Writer and interpolator call `of`, so a
-   program read in one dialect runs in another.
+2. If a move needs settings that only that vendor has, derive a class from `MotionSettings`, or from `PathSettings`
+   where it says how paths are blended. Writer and interpolator call its `of`, so a program read in one dialect runs in
+   another.
 3. Name the interpolation law of its controllers there too; `Dialect.interpolators` lists its laws.
 4. Give the drivers of those controllers a class attribute `dialect` with the dialect's name (`drivers.registry`).
 

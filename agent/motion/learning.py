@@ -15,7 +15,7 @@ import numpy as np
 from agent.motion.fly.interpolator import FlyInterpolator
 from agent.motion.fly.parameters import FlyParameters
 from agent.motion.interpolator import MotionError
-from agent.motion.pdl2.settings import FlyTrajectory, FlyType, Pdl2Settings
+from agent.motion.path_settings import FlyTrajectory, FlyType, PathSettings
 from agent.motion.program import Move
 from agent.robot import RobotDescription, kinematics_for
 
@@ -117,7 +117,7 @@ class Learner:
         return self._time(path)
 
     def _path(self) -> FlyParameters:
-        flying = [Pdl2Settings.of(move.settings) for stretch, _ in self._taught for move in stretch.moves if move.fly]
+        flying = [PathSettings.of(move.settings) for stretch, _ in self._taught for move in stretch.moves if move.fly]
         if not flying:
             return FlyParameters()
         free = []

@@ -18,8 +18,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from agent.core import InputError
-from agent.motion.interpolator import MotionError
-from agent.motion.pdl2.settings import FlyTrajectory, FlyType, OrientationType, Pdl2Settings, SpeedOption, Termination
+from agent.motion.interpolator import MotionError, Trajectory
+from agent.motion.path_settings import FlyTrajectory, FlyType, OrientationType, SpeedOption
+from agent.motion.pdl2.settings import Pdl2Settings, Termination
 from agent.motion.pdl2.variables import pose_to_pos
 from agent.motion.program import (
     Delay,
@@ -32,7 +33,6 @@ from agent.motion.program import (
     pose_in_robot_base,
     tool_frame,
 )
-from agent.motion.trajectory import Trajectory
 from agent.robot import RobotDescription, kinematics_for
 
 if TYPE_CHECKING:

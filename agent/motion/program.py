@@ -7,7 +7,7 @@ or leaves them to the controller.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from enum import Enum
 from typing import TYPE_CHECKING, Self, TypeVar
 
@@ -59,6 +59,13 @@ class MotionSettings:
     base: Frame | None = None
     tool: Frame | None = None
     uframe: Frame | None = None
+
+    @classmethod
+    def of(cls, settings: MotionSettings) -> Self:
+        """Any settings as this class has them; what they do not say has its default."""
+        if isinstance(settings, cls):
+            return settings
+        return cls(**{field.name: getattr(settings, field.name) for field in fields(MotionSettings)})
 
     def changed(self, **values: object) -> Self:
         """A copy with some settings changed."""

@@ -16,17 +16,7 @@ def length(vector: np.ndarray) -> float:
 
 
 def multiply(left: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """(S, 4) Hamilton product; either side may be one quaternion (4,), or both, in plain numbers."""
-    if left.ndim == right.ndim == 1:
-        (w, x, y, z), (a, b, c, d) = left.tolist(), right.tolist()
-        return np.array(
-            (
-                w * a - x * b - y * c - z * d,
-                w * b + x * a + y * d - z * c,
-                w * c - x * d + y * a + z * b,
-                w * d + x * c - y * b + z * a,
-            )
-        )
+    """(S, 4) Hamilton product; either side may be one quaternion (4,), or both."""
     w1, x1, y1, z1 = left.T
     w2, x2, y2, z2 = right.T
     product = np.empty(np.broadcast_shapes(left.shape, right.shape))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,12 +11,12 @@ from typing import Any
 from agent.core import AgentError, Console, ControllerError, InputError, counted, sha256_file
 from agent.link import MotionOfMany, Recording, RobotLink, open_link, report_losses
 from agent.pipeline.ending import ending_text, going_on
-from agent.pipeline.plan import Plan, checked_chains, programs
+from agent.pipeline.plan import LoopMotion, Plan, program_text
 from agent.pipeline.reports import refresh_index
 from agent.recipe import Recipe
 from agent.robot import not_judged_text
 from agent.runs import RunFolder, approve
-from agent.safety import Authorisation
+from agent.safety import Authorisation, PlannedProgram
 
 EXCITATION = "excitation.mcap"
 
@@ -115,14 +115,14 @@ class Job:
                 if done:
                     _check_machine(run, link)
                 run.note(serial=link.identity.serial)
-                ready = programs(self.recipe, list(missing.values()), link.position())
-                left = sum(total for *_, total in ready)
+                ready = self._programs(link, missing.values())
+                left = sum(program.duration for program in ready)
                 console.step(f"recording {counted(len(missing), 'motion')}, {left:.0f} s in all")
-                for (name, motion), (text, chains, total) in zip(missing.items(), ready, strict=True):
+                for (name, motion), program in zip(missing.items(), ready, strict=True):
                     _set_aside(run.file(name))
-                    left -= total
+                    left -= program.duration
                     place = MotionOfMany(f"motion {list(motions).index(name) + 1} of {len(motions)}, ", left)
-                    recording = link.run(motion.name, text, run.file(name), motion.kind, chains, place)
+                    recording = link.run(program, run.file(name), motion.kind, place)
                     done[name] = self._keep(recording)
         return [done[name] for name in motions]
 
@@ -135,9 +135,18 @@ class Job:
             InputError: an approach or a loop breaks a limit.
             ControllerError, SafetyError, DriverError: not ready to move, or stopped while moving.
         """
-        name, chains = checked_chains(self.recipe, text, path, link.position())
-        self.console.step(f"recording {what}, {link.planned(name, text, chains).duration:.0f} s of motion")
-        return self._keep(link.run(name, text, self.run.file(log), motion, chains))
+        program = link.plan(text, path)
+        self.console.step(f"recording {what}, {program.duration:.0f} s of motion")
+        return self._keep(link.run(program, self.run.file(log), motion))
+
+    def _programs(self, link: RobotLink, motions: Iterable[LoopMotion]) -> list[PlannedProgram]:
+        """Programs that run one after the other, all of them planned and checked before the first one moves."""
+        programs, start = [], link.position()
+        for motion in motions:
+            path = f"{motion.name}{self.recipe.dialect.suffix}"
+            programs.append(link.plan(program_text(self.recipe, motion), path, start))
+            start = programs[-1].chains[-1].q[-1]
+        return programs
 
     def _keep(self, recording: Recording) -> Recording:
         report_losses(recording, self.console)

@@ -11,12 +11,12 @@ import numpy as np
 
 from agent.core import Console, InputError, TaskEngine, read_json, sha256_file, sha256_text, write_atomically
 from agent.excitation import Candidates, Loop, LoopProblem, LoopScore, check_sub_region, search, via_joints
-from agent.link import check_cell, check_load, plan_statements
-from agent.motion import CartesianTarget, JointTarget, Target, Trajectory, ViaRegions, dialect_of, pose_of, with_frames
+from agent.link import check_cell, trajectories
+from agent.motion import CartesianTarget, JointTarget, Target, ViaRegions, dialect_of, pose_of, with_frames
 from agent.pages import ShownLoop, plan_report
 from agent.recipe import Recipe
 from agent.recording import read_log
-from agent.robot import Dynamics, TorqueLimits, kinematics_for
+from agent.robot import Dynamics, kinematics_for
 from agent.runs import RunFolder, keep_loop, make_folder, write_json
 
 #: Share of the joint speeds at which the arm goes to the first point.
@@ -26,7 +26,7 @@ _MAX_DRAWS = 2000
 
 
 @dataclass(frozen=True, eq=False)
-class PlannedMotion:
+class LoopMotion:
     """A loop that will be run `cycles` times at `speed` [m/s]. `kind` is `excitation` or `validation`."""
 
     name: str
@@ -40,9 +40,9 @@ class PlannedMotion:
 class Plan:
     """The excitation loop, how it was found (`fitness`, `evaluated`, `history`), and the validation motions."""
 
-    excitation: PlannedMotion
+    excitation: LoopMotion
     search: dict[str, Any]
-    validation: tuple[PlannedMotion, ...]
+    validation: tuple[LoopMotion, ...]
 
 
 def plan_once(recipe: Recipe, run: RunFolder, console: Console) -> Plan:
@@ -87,7 +87,7 @@ def make_plan(recipe: Recipe, console: Console) -> Plan:
 
 def search_loop(
     recipe: Recipe, console: Console, engine: TaskEngine | None = None
-) -> tuple[PlannedMotion, dict[str, Any]]:
+) -> tuple[LoopMotion, dict[str, Any]]:
     """Search for the excitation loop and store it; returns it with how it was found.
 
     Raises:
@@ -140,49 +140,13 @@ def loop_problem(recipe: Recipe, speed: float) -> LoopProblem:
     )
 
 
-def program_text(recipe: Recipe, motion: PlannedMotion) -> str:
+def program_text(recipe: Recipe, motion: LoopMotion) -> str:
     """Program of a planned motion. It sets every frame, so earlier programs do not change its meaning."""
     settings = with_frames(recipe.motion.settings_at(motion.speed), recipe.tool)
     approach = settings.changed(speed_override=APPROACH_SPEED)
     points = _targets(recipe, motion.loop)
     start = JointTarget(np.asarray(motion.loop.start, dtype=float))
     return recipe.dialect.write_loop(motion.name, points, settings, motion.cycles, approach, recipe.robot, start)
-
-
-def programs(
-    recipe: Recipe, motions: Sequence[PlannedMotion], start: np.ndarray
-) -> list[tuple[str, list[Trajectory], float]]:
-    """Text, set-points from stop to stop, and duration [s] of motions that run one after the other from `start` (n,).
-
-    Every approach and every loop is checked against the cell before the first of them moves.
-
-    Raises:
-        InputError: an approach or a loop breaks a limit.
-    """
-    ready = []
-    for motion in motions:
-        text = program_text(recipe, motion)
-        _, chains = checked_chains(recipe, text, f"{motion.name}{recipe.dialect.suffix}", start)
-        start = chains[-1].q[-1]
-        ready.append((text, chains, float(sum(chain.duration for chain in chains))))
-    return ready
-
-
-def checked_chains(
-    recipe: Recipe, text: str, path: str, start: np.ndarray, limits: TorqueLimits | None = None
-) -> tuple[str, list[Trajectory]]:
-    """Name of a program, and its set-points from stop to stop from `start` (n,), checked against the cell.
-
-    With a known mass at the flange, the torque is checked against the `limits` of the drives.
-
-    Raises:
-        InputError: one of them breaks a limit.
-    """
-    name, chains = plan_statements(recipe, text, path, start)
-    for chain in {id(chain): chain for chain in chains}.values():
-        check_cell(recipe, chain)
-        check_load(limits, chain)
-    return name, chains
 
 
 def via_regions(recipe: Recipe) -> Any:
@@ -205,7 +169,8 @@ def _task_poses(recipe: Recipe, path: Path) -> np.ndarray:
         return Dynamics(recipe.robot, recipe.tool).tcp_pose(q[:: max(1, len(q) // 2000)])
 
     kinematics = kinematics_for(recipe.robot, recipe.tool)
-    _, chains = plan_statements(recipe, _job(recipe, path)[0], str(path), kinematics.middle, dialect_of(path))
+    text, dialect = _job(recipe, path)[0], dialect_of(path) or recipe.dialect
+    chains = trajectories(recipe, dialect.read(text, str(path), recipe.robot).run(), kinematics.middle)
     if not chains:
         raise InputError(f"{path}: nothing in this program moves the arm; name the program that does")
     job = chains[1:] or chains  # the first leads from an arbitrary start to the job
@@ -243,13 +208,13 @@ def replan(recipe: Recipe, path: Path) -> Plan:
         raise InputError(f"{path}: no plan for this recipe ({what}); start a new run") from None
 
 
-def _excitation(recipe: Recipe, loop: Loop) -> PlannedMotion:
-    return PlannedMotion("excite", "excitation", loop, recipe.motion.speed, recipe.record.cycles)
+def _excitation(recipe: Recipe, loop: Loop) -> LoopMotion:
+    return LoopMotion("excite", "excitation", loop, recipe.motion.speed, recipe.record.cycles)
 
 
-def _validation(recipe: Recipe, loops: Sequence[Loop]) -> Iterator[PlannedMotion]:
+def _validation(recipe: Recipe, loops: Sequence[Loop]) -> Iterator[LoopMotion]:
     for number, loop in enumerate(loops, 1):
-        yield PlannedMotion(f"valid{number:02d}", "validation", loop, recipe.validate.speed, 1)
+        yield LoopMotion(f"valid{number:02d}", "validation", loop, recipe.validate.speed, 1)
 
 
 def _draw_validation(recipe: Recipe, console: Console) -> list[Loop]:
@@ -360,7 +325,7 @@ def plan_recipe(recipe: Recipe, folder: Path, console: Console, engine: TaskEngi
     return files
 
 
-def shown_loop(recipe: Recipe, motion: PlannedMotion) -> ShownLoop:
+def shown_loop(recipe: Recipe, motion: LoopMotion) -> ShownLoop:
     """A planned loop, for a page."""
     loop = motion.loop
     return ShownLoop(recipe, loop.trajectory, loop.poses[:, :3, 3], motion.cycles)

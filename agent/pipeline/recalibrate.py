@@ -24,7 +24,7 @@ from agent.pipeline.gap.finding import Found
 from agent.pipeline.gap.until_sure import until_sure
 from agent.pipeline.identify import check_run, read_logs
 from agent.pipeline.job import EXCITATION, Job, Outcome
-from agent.pipeline.plan import PlannedMotion, loop_problem, program_text
+from agent.pipeline.plan import LoopMotion, loop_problem, program_text
 from agent.pipeline.reports import diagnose_if_worse, recalibration_page, worse_joints, write_analysis
 from agent.pipeline.result import conditions, gate_decision, gate_figures, recorded, temperatures
 from agent.recipe import Recipe
@@ -219,7 +219,7 @@ def check_loop(recipe: Recipe, loop: StoredLoop) -> None:
         own = Candidates(loop_problem(recipe, recipe.motion.speed)).loop(np.array(loop.genome))
     except InputError as error:
         raise InputError(f"{recipe.path}: {refused}: {error}; {advice}") from None
-    motion = PlannedMotion(loop.program_name, "excitation", own, recipe.motion.speed, 1)
+    motion = LoopMotion(loop.program_name, "excitation", own, recipe.motion.speed, 1)
     approach, *cycle = moves(program_text(recipe, motion))
     found = moves(loop.program)
     expected = chain([approach], chain.from_iterable(repeat(cycle)))

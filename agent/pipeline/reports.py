@@ -12,7 +12,7 @@ import numpy as np
 
 from agent.core import AgentError, Console, InputError, write_atomically
 from agent.diagnosis import diagnose
-from agent.link import plan_statements
+from agent.link import trajectories
 from agent.model import IdentifiedModel, standstill_speed
 from agent.pages import (
     About,
@@ -161,7 +161,8 @@ def recalibration_page(
     run: Path,
 ) -> str:
     """HTML of a recalibration's report; `program` is the text of the loop, `prediction` is of its `log` in `run`."""
-    *_, cycle = plan_statements(recipe, program, "program", log.position[0])[1]
+    statements = recipe.dialect.read(program, "program", recipe.robot).run()
+    *_, cycle = trajectories(recipe, statements, log.position[0])
     loop = ShownLoop(recipe, cycle, np.array(result["loop"]["via_points"]), len(log.cycle_starts))
     ends = [*log.cycle_starts, float(log.t[-1])] if log.cycle_starts else [0.0, float(log.t[-1])]
     cycles = [slice(*np.searchsorted(prediction.time, pair)) for pair in pairwise(ends)]

@@ -67,7 +67,7 @@ class CellDescription:
 
 
 @dataclass(frozen=True)
-class MotionPlan:
+class LoopDescription:
     """The loop's FLY settings at the recipe's speed, and its sub-region, `like` a path from here."""
 
     settings: MotionSettings
@@ -98,7 +98,7 @@ class Recipe:
     tool: Tool | None
     controller: ControllerSection
     cell: CellDescription
-    motion: MotionPlan
+    motion: LoopDescription
     search: SearchSection
     record: RecordSection
     estimate: EstimateSection
@@ -294,7 +294,7 @@ def _recipe(path: Path, document: RecipeDocument, robot: RobotDescription) -> Re
             tuple(Box(entry.name, entry.box.min, entry.box.max) for entry in document.cell.keep_out),
             {name: _joint_range(name, document, robot) for name in document.cell.joint_ranges},
         ),
-        "motion": MotionPlan(settings, via_points),
+        "motion": LoopDescription(settings, via_points),
         "search": search,
     }
     return Recipe(**written | resolved)

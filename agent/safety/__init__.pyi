@@ -5,10 +5,10 @@ from .first_run import (
     FILE as FILE,
     FIRST_SPEED as FIRST_SPEED,
     CheckedPrograms as CheckedPrograms,
-    slow_version as slow_version,
+    slow_text as slow_text,
 )
 from .guard import GuardedLink as GuardedLink
-from .motion import PlannedProgram as PlannedProgram, is_there as is_there, pauses as pauses
+from .planned_program import PlannedProgram as PlannedProgram, is_there as is_there, pauses as pauses
 from .preconditions import (
     check_frames as check_frames,
     check_identity as check_identity,

@@ -22,8 +22,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from agent.safety.motion import is_there
-from agent.safety.planned_path import PlannedPath
+from agent.safety.planned_program import is_there
+from agent.safety.reference_path import ReferencePath
 
 if TYPE_CHECKING:
     from agent.motion import Trajectory
@@ -99,7 +99,7 @@ class Adherence:
         self._dynamics = Dynamics(robot, tool)
         if len(chains) > 1 and is_there(chains[0]):
             chains = chains[1:]
-        self._path = PlannedPath.of(chains, self._dynamics, self._margin)
+        self._path = ReferencePath.of(chains, self._dynamics, self._margin)
         self._period = period
         self._began = np.nan
         self._last = 0.0

@@ -16,7 +16,7 @@ import numpy as np
 
 from agent.core import InputError
 from agent.motion import Move, Statement, stop_to_stop, way_key
-from agent.safety.motion import PlannedProgram
+from agent.safety.planned_program import PlannedProgram
 
 if TYPE_CHECKING:
     from agent.motion import Dialect, Interpolator, Trajectory
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 #: Highest speed of the tool centre point in a first run [m/s].
 FIRST_SPEED = 0.25
 _ATTEMPTS = 12
+_ROUNDING = 1e-6  # of speeds, by that of coordinates in a text
 _SLOWEST = 0.01  # PDL2 takes whole percents of speed
 #: Beside the runs.
 FILE = "checked_programs.json"
@@ -79,10 +80,12 @@ class CheckedPrograms:
             ) from None
 
 
-def slow_version(
+def slow_text(
     program: PlannedProgram, robot: RobotDescription, dialect: Dialect, interpolator: Interpolator, start: np.ndarray
-) -> PlannedProgram:
-    """The program's stretches from stop to stop, up to the first that comes again, slowed down.
+) -> str:
+    """Text of a program that makes every different stretch of a program, from stop to stop, slowly.
+
+    Stretches that come again are left out where they lead back to where they begin.
 
     Args:
         start: (n,) where the arm stands.
@@ -91,34 +94,40 @@ def slow_version(
         InputError: it cannot be planned, or not so slowly.
     """
     statements: list[Statement] = []
-    chains: list[Trajectory] = []
-    seen: set[tuple[bytes, tuple[object, ...]]] = set()
-    for moves in stop_to_stop(dialect.read(program.text, program.name, robot).run()):
-        key = np.round(start, 6).tobytes(), way_key(moves)
-        if key in seen:
-            break
-        seen.add(key)
-        slow, trajectory = _slowed(moves, interpolator, start, program.name)
+    again: list[Move] = []  # stretches since the last of `statements` that are in there already
+    ways: dict[tuple[bytes, tuple[object, ...]], tuple[list[Move], Trajectory]] = {}
+    stand = start  # at the end of `statements`
+    for moves in stop_to_stop(program.statements):
+        key = _place(start), way_key(moves)
+        new = key not in ways
+        if new:
+            ways[key] = _slowed(moves, interpolator, start, program.name)
+        slow, trajectory = ways[key]
+        if new:
+            statements += slow if _place(start) == _place(stand) else [*again, *slow]
+            again, stand = [], trajectory.q[-1]
+        else:
+            again += slow
         start = trajectory.q[-1]
-        if np.ptp(trajectory.q, axis=0).any():
-            statements += slow
-            chains.append(trajectory)
-    name = f"{program.name[:26]}_slow"
-    text = dialect.write(name, statements, robot)
-    return PlannedProgram(name, text, tuple(chains), stands_for=program.checksum, frames=program.frames)
+    return dialect.write(f"{program.name[:26]}_slow", statements, robot)
+
+
+def _place(position: np.ndarray) -> bytes:
+    return (np.round(position, 6) + 0.0).tobytes()
 
 
 def _slowed(
     moves: list[Move], interpolator: Interpolator, start: np.ndarray, name: str
 ) -> tuple[list[Move], Trajectory]:
-    for _ in range(_ATTEMPTS):
+    for attempt in range(_ATTEMPTS):
         trajectory = interpolator.plan(tuple(moves), start)
-        peak = float(np.max(trajectory.path_speed))
+        peak = (1.0 + _ROUNDING) * float(np.max(trajectory.path_speed))
         if peak <= FIRST_SPEED:
             return moves, trajectory
         if not np.isfinite(peak):
             break
-        moves = [_with_speed(move, 0.98 * FIRST_SPEED / peak) for move in moves]
+        # A short move does not reach its programmed speed, and hardly gets slower at first.
+        moves = [_with_speed(move, 0.98 * 0.9**attempt * FIRST_SPEED / peak) for move in moves]
     raise InputError(
         f"program {name}: its first run cannot be planned at {FIRST_SPEED:g} m/s (it still reaches {peak:.2f} m/s); "
         "lower the speeds in the program"

@@ -19,7 +19,7 @@ from agent.core import ControllerError, InputError, SafetyError, stop_to_come, u
 from agent.robot import RobotDescription
 from agent.safety.adherence import Adherence
 from agent.safety.first_run import FIRST_SPEED, CheckedPrograms
-from agent.safety.motion import PlannedProgram, rest_at
+from agent.safety.planned_program import PlannedProgram, rest_at
 from agent.safety.preconditions import (
     check_frames,
     check_identity,
@@ -297,7 +297,7 @@ class GuardedLink:
             check_ready(status, self.address, program.name, program.checksum)
             position = standing(status, self.robot, self.address)
             check_plan(program, self.robot, position, self.address)
-            check_frames(program, self._driver, self.address)
+            check_frames(program.name, program.frames, self._driver, self.address)
         return position
 
     def _settle(

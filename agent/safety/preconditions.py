@@ -9,7 +9,7 @@ import numpy as np
 
 from agent.core import ControllerError, InputError, MismatchError, SafetyError
 from agent.robot import RobotDescription
-from agent.safety.motion import PlannedProgram
+from agent.safety.planned_program import PlannedProgram
 from drivers.protocol import Driver, Identity, MeasuresThroughput, ReportsFrames, Status
 
 #: The arm may stand so far from where its plan begins: servo error and sag, not a jog [rad, or m].
@@ -142,26 +142,26 @@ def check_plan(program: PlannedProgram, robot: RobotDescription, position: np.nd
         )
 
 
-def check_frames(program: PlannedProgram, driver: Driver, address: str) -> None:
-    """The controller has the frames that the plan takes for granted.
+def check_frames(program: str, frames: Mapping[str, np.ndarray], driver: Driver, address: str) -> None:
+    """The controller has the `frames` (4, 4) [m], by name, that the plan of a program takes for granted.
 
     Raises:
         ControllerError: it has others; the message names both.
         InputError: the program leaves them open, and this link cannot read them.
     """
-    if not program.frames:
+    if not frames:
         return
     found = driver.frames() if isinstance(driver, ReportsFrames) else {}
-    if not program.frames.keys() <= found.keys():
-        missing = " and ".join(program.frames)
-        lines = "; ".join(f"{name} := {pos_text(frame)}" for name, frame in program.frames.items())
+    if not frames.keys() <= found.keys():
+        missing = " and ".join(frames)
+        lines = "; ".join(f"{name} := {pos_text(frame)}" for name, frame in frames.items())
         raise InputError(
-            f"{address}: program {program.name} does not set {missing}, so its way depends on what ran before it, "
+            f"{address}: program {program} does not set {missing}, so its way depends on what ran before it, "
             f"and this link cannot read that. Set it before the first move; the plan was made for {lines}"
         )
     wrong = [
         f"{name} is {pos_text(found[name])}, the plan is for {pos_text(frame)}"
-        for name, frame in program.frames.items()
+        for name, frame in frames.items()
         if not np.abs(found[name] - frame).max() <= SAME_FRAME
     ]
     if wrong:

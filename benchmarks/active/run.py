@@ -26,7 +26,7 @@ from agent.estimation import estimate
 from agent.experiment import KINDS, Outlook, Pick, as_drawn, d_optimal, pieces_otherwise
 from agent.link import planned_load
 from agent.model import CATALOGUE, PAYLOAD, IdentifiedModel, payload_of, payload_text
-from agent.pipeline.gap.next_experiment import LONGEST, NextMotion, Runs, clearer_with_mass, motion_duration, plan_next
+from agent.pipeline.gap.next_experiment import LONGEST, NextMotion, Runs, clearer_with_mass, plan_next
 from agent.pipeline.plan import Plan, loop_problem, make_plan, program_text
 from agent.recipe import Recipe, load_recipe, template
 from agent.recording import PARTS, PLANNED_PARTS, Log, read_log
@@ -157,7 +157,7 @@ class ActiveRun:
                 return WayMotion("", 0.0, mass=motion.mass and payload_text(motion.mass.load))
             mass = clearer_with_mass(found, self._recipe, motion, _QUIET) if ask_mass else None
             expected = motion.to_dict("further")["probability"]
-            return WayMotion(motion.text, motion.duration, expected, mass and payload_text(mass.load))
+            return WayMotion(motion.text, motion.planned.duration, expected, mass and payload_text(mass.load))
         if way == "loop_again":
             cycle = self._plan.excitation.loop.trajectory.duration
             again = replace(self._plan.excitation, name="further", cycles=max(1, round(seconds / cycle)))
@@ -286,5 +286,4 @@ def run_otherwise(
     if not pieces_otherwise(pick, loop_problem(recipe, recipe.motion.speed), seconds, seed, runs, kinds):
         return None
     assert runs.motion is not None
-    text, chains = runs.motion
-    return text, motion_duration(text, chains, recipe.robot, recipe.dialect)
+    return runs.motion.text, runs.motion.duration

@@ -15,17 +15,9 @@ from typing import Any
 import numpy as np
 
 from agent.core import Console, ControllerError, InputError
-from agent.link import check_cell, moving_segments
-from agent.motion import (
-    JointTarget,
-    Move,
-    MoveType,
-    Pdl2Settings,
-    Termination,
-    create_interpolator,
-    with_frames,
-    write_program,
-)
+from agent.link import check_cell, moving_segments, open_link
+from agent.motion import JointTarget, Move, MoveType, Pdl2Settings, Termination, create_interpolator, with_frames
+from agent.motion.pdl2 import write_program
 from agent.recipe import Recipe, load_recipe
 from agent.recording import Log
 from agent.robot import RobotDescription
@@ -163,8 +155,6 @@ def record_motions(
         ControllerError, SafetyError, DriverError: the arm did not do it.
         InputError: a program that cannot be planned.
     """
-    from agent.link import open_link, plan_statements
-
     folder.mkdir(parents=True, exist_ok=True)
     recipe, logs = recipe or link_recipe(robot), []
     with fake_controller(robot, machine, effects) as address:
@@ -173,8 +163,7 @@ def record_motions(
             for name, text in programs.items():
                 log = folder / f"{name}.mcap"
                 log.unlink(missing_ok=True)  # of a check that was stopped in the middle of it
-                program, chains = plan_statements(there, text, f"{name}.pdl", link.position())
-                link.run(program, text, log, name, chains)
+                link.run(link.plan(text, f"{name}.pdl"), log, name)
                 logs.append(log)
     return logs
 

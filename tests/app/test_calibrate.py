@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.estimation import FilterSettings
-from agent.estimation.filtering import motions
+from agent.estimation import FilterSettings, motions
 from agent.model import IdentifiedModel
 from agent.recording import read_log
 from agent.robot import load_robot

@@ -10,15 +10,13 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, assume, example, given, settings, strategies as st
 
-from agent.core.console import Console
-from agent.core.errors import AgentError
+from agent.core import AgentError, Console
 from agent.model import IdentifiedModel
 from agent.pipeline.gap.diagnose import GapQuestion, diagnose_files
 from agent.pipeline.identify import FitQuestion, estimate_files, import_files, validate_files
 from agent.recording import read_log
 from agent.recording.mcap.log_file import STATES, LogFile
-from agent.robot import load_robot
-from agent.robot.dynamics import Dynamics
+from agent.robot import Dynamics, load_robot
 
 RATE, SAMPLES = 125.0, 1000
 VALUES = st.sampled_from([0.0, -0.0, 5e-324, -1e-200, 1e-9, 3.0, -40.0, 1e4, 1e9, -1.4e200, np.inf, -np.inf, np.nan])

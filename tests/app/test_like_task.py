@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from agent.core.console import Console
-from agent.core.errors import InputError
+from agent.core import Console, InputError
 from agent.pipeline.plan import search_loop, via_regions
 from agent.recipe import load_recipe
 from agent.runs.approved import problem

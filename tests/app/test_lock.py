@@ -14,8 +14,7 @@ from pathlib import Path
 import pytest
 
 from agent.core.errors import AgentError, BusyError
-from agent.runs import lock
-from agent.runs.lock import robot_lock
+from agent.runs import lock, robot_lock
 from drivers.endpoints import endpoints
 
 

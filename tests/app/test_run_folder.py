@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from agent.core import sha256_text, write_atomically
-from agent.core.errors import AgentError, ControllerError, InputError, SafetyError
+from agent.core import AgentError, ControllerError, InputError, SafetyError, sha256_text, write_atomically
 from agent.link.alignment import moving_segments
 from agent.runs.folder import RunFolder
 from agent.safety.preconditions import check_ready, confirm_clear_cell

@@ -8,8 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from agent.core.console import Console
-from agent.core.errors import InputError, RejectedError
+from agent.core import Console, InputError, RejectedError
 from agent.data_quality import check_quality, fitted_doubts, spoiled
 from agent.estimation import estimate
 from agent.pipeline.identify import FitQuestion, check_plausible, estimate_files, validate_files

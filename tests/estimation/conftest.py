@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from agent.recording.log import Log
-from agent.robot import RobotDescription
-from agent.robot.bodies import rigid_bodies
+from agent.robot import RobotDescription, rigid_bodies
 from tests.arms import AXES, Bar, serial_arm
 
 

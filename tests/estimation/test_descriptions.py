@@ -8,8 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from agent.estimation import EstimationSettings, estimate
-from agent.estimation.selection import placeholders
+from agent.estimation import EstimationSettings, estimate, placeholders
 from agent.robot.bodies import rigid_bodies
 
 

@@ -15,11 +15,9 @@ from typer.testing import CliRunner
 
 from agent.cli.app import app
 from agent.core.errors import RejectedError
-from agent.model import IdentifiedModel
-from agent.model.friction_terms import FrictionTerm, Reversal
+from agent.model import FrictionTerm, IdentifiedModel, Reversal
 from agent.model.standard_parameters import check_physical, full_parameters, possible_model, pseudo_inertia
-from agent.robot import RobotDescription, load_robot
-from agent.robot.bodies import rigid_bodies
+from agent.robot import RobotDescription, load_robot, rigid_bodies
 from agent.simulators.export import export_model
 
 try:

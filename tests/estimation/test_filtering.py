@@ -10,8 +10,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from agent.core.errors import InputError
-from agent.estimation import filtering
-from agent.estimation.filtering import FilterSettings, motions, smooth_and_differentiate
+from agent.estimation import FilterSettings, filtering, motions, smooth_and_differentiate
 from agent.estimation.workflow import observe_predictable
 from agent.robot.bodies import rigid_bodies
 

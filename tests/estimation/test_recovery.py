@@ -9,9 +9,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 
 from agent.core.errors import InputError
-from agent.estimation import EstimationSettings, estimate
+from agent.estimation import EstimationSettings, FilterSettings, estimate
 from agent.estimation.estimators import weighted
-from agent.estimation.filtering import FilterSettings
 from agent.estimation.observation import observe, partition
 from agent.estimation.prior import link_prior
 from agent.estimation.problem import Problem

@@ -7,14 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from agent.estimation import EstimationSettings, conditional_covariance, estimate
-from agent.estimation.filtering import FilterSettings
+from agent.estimation import EstimationSettings, FilterSettings, conditional_covariance, estimate, refit
 from agent.estimation.observation import observe, partition
 from agent.estimation.problem import Problem
-from agent.estimation.refitting import refit
 from agent.model import FrictionTerm, ModelEffect, Reversal
-from agent.robot import Tool
-from agent.robot.bodies import rigid_bodies
+from agent.robot import Tool, rigid_bodies
 
 DOF = 2
 CYCLE = 8.0  # s

@@ -7,9 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from agent.estimation import EstimationSettings, estimate
+from agent.estimation import EstimationSettings, FilterSettings, estimate
 from agent.estimation.estimators import weighted
-from agent.estimation.filtering import FilterSettings
 from agent.estimation.observation import observe, partition
 from agent.estimation.prior import link_prior
 from agent.estimation.problem import Problem

@@ -7,8 +7,7 @@ from typing import Any
 import pytest
 
 from agent.excitation import LoopProblem
-from agent.motion import ViaRegions
-from agent.motion.pdl2.settings import FlyTrajectory, FlyType, Pdl2Settings
+from agent.motion import FlyTrajectory, FlyType, Pdl2Settings, ViaRegions
 from agent.robot import load_robot
 
 

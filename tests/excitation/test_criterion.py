@@ -7,9 +7,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from agent.excitation.criterion import Criterion, log_determinant, torque_weights
-from agent.robot import RobotDescription, load_robot
-from agent.robot.base_reduction import base_parameters
-from agent.robot.dynamics import Dynamics
+from agent.robot import Dynamics, RobotDescription, base_parameters, load_robot
 
 
 @pytest.fixture(scope="module")

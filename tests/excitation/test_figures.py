@@ -6,8 +6,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from agent.excitation import Candidates, LoopProblem, search
-from agent.excitation.criterion import one_blas_thread
+from agent.excitation import Candidates, LoopProblem, one_blas_thread, search
 
 
 @pytest.mark.verify

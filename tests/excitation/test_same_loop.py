@@ -16,9 +16,8 @@ import pytest
 
 from agent.core import InProcess
 from agent.excitation import LoopProblem, search
-from agent.motion import FlyInterpolator, ViaRegions, loop_moves
-from agent.motion.pdl2.settings import FlyTrajectory, FlyType, OrientationType, Pdl2Settings, SpeedOption
-from agent.motion.program import CartesianTarget, Move, MoveType
+from agent.motion import CartesianTarget, FlyInterpolator, Move, MoveType, Pdl2Settings, ViaRegions, loop_moves
+from agent.motion.path_settings import FlyTrajectory, FlyType, OrientationType, SpeedOption
 from agent.robot import kinematics_for, load_robot
 
 STORED = Path(__file__).with_name("same_loop.json")

@@ -8,11 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agent.core import sha256_text
-from agent.core.errors import AgentError, InputError
+from agent.core import AgentError, InputError, sha256_text
 from agent.recipe import Recipe, load_recipe, template
-from agent.runs import StoredLoop, find_loop, keep_loop, stored_loops
-from agent.runs.loop_store import run_key
+from agent.runs import StoredLoop, find_loop, keep_loop, run_key, stored_loops
 
 
 @pytest.fixture

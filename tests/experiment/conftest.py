@@ -7,8 +7,7 @@ import pytest
 
 from agent.diagnosis import Diagnosis
 from agent.excitation import LoopProblem
-from agent.motion import ViaRegions
-from agent.motion.pdl2.settings import FlyTrajectory, FlyType, Pdl2Settings
+from agent.motion import FlyTrajectory, FlyType, Pdl2Settings, ViaRegions
 from agent.motion.regions import BoxRegion
 from agent.robot import RobotDescription, kinematics_for
 from tests.experiment.examples import one_sided

@@ -12,7 +12,8 @@ import pytest
 from agent.core import InputError, sha256_text
 from agent.link.payload import PROGRAM_SHA256, SCHEMA, check_payload, known_of, with_payload
 from agent.model import PAYLOAD, payload_of
-from agent.motion import Delay, parse_program, write_program
+from agent.motion import Delay
+from agent.motion.pdl2 import parse_program, write_program
 from agent.recording import PARTS
 from agent.robot import Tool, load_robot
 

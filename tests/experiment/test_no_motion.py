@@ -21,6 +21,7 @@ from agent.pipeline.plan import loop_problem
 from agent.recipe import load_recipe, template
 from agent.recording import write_log
 from agent.robot import load_robot
+from agent.safety import PlannedProgram
 from benchmarks.active import run as active
 from fake_controller.plant import Plant
 from tests.small_arms import learn, make_arm, record
@@ -198,7 +199,9 @@ def test_keeps_the_bare_arm_motion_if_planning_with_a_mass_is_stopped(asked, mon
     piece = SimpleNamespace(text=lambda robot: "a loop of the bare arm")
     experiment = SimpleNamespace(expected=(), pieces=[piece])
     text = "PROGRAM x\nBEGIN\n  DELAY 4000\nEND x\n"
-    planned = next_experiment.NextMotion(experiment, text, (), load_robot("comau_ns16"), Pdl2())  # type: ignore[arg-type]
+    planned = next_experiment.NextMotion(
+        experiment, PlannedProgram("experiment", text, ()), load_robot("comau_ns16"), Pdl2()
+    )  # type: ignore[arg-type]
     monkeypatch.setattr(diagnose, "plan_next", lambda *_, **__: planned)
     monkeypatch.setattr(diagnose, "clearer_with_mass", fails(why))
     question, shown = asked(why)

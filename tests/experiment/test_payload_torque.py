@@ -14,11 +14,14 @@ from hypothesis import given, settings, strategies as st
 from agent.core import Console, InputError
 from agent.excitation import LoopProblem
 from agent.experiment.pieces import Pieces
-from agent.link import check_load, record, record_program_file, torque_limits
+from agent.link import record, record_program_file, torque_limits
+from agent.link.planning import check_load
 from agent.model import payload_of
-from agent.motion import ViaRegions
-from agent.motion.pdl2.settings import FlyTrajectory, FlyType, Pdl2Settings
+from agent.motion import FlyInterpolator, FlyTrajectory, FlyType, JointTarget, Move, MoveType, ViaRegions, with_frames
+from agent.motion.pdl2 import write_program
+from agent.motion.pdl2.settings import Pdl2Settings
 from agent.motion.regions import BoxRegion
+from agent.recipe import load_recipe, template
 from agent.robot import Dynamics, TorqueLimits, kinematics_for
 from tests.small_arms import make_arm
 
@@ -75,20 +78,23 @@ def test_every_piece_planned_with_a_mass_keeps_the_torque_limits():
 
 def test_refuses_an_overloading_program_before_motion(monkeypatch, tmp_path: Path):
     """A person may name any mass for any program."""
-    program = tmp_path / "p.pdl"
-    program.write_text("PROGRAM p", encoding="utf-8")
-    still = SimpleNamespace(q=np.full((20, 6), 0.3), qd=np.zeros((20, 6)), qdd=np.zeros((20, 6)), duration=1.0)
+    start, program = np.full(6, 0.3), tmp_path / "p.pdl"
+    move = Move(MoveType.JOINT, JointTarget(start + 0.05), with_frames(Pdl2Settings(), None))
+    program.write_text(write_program("p", [move], ARM), encoding="utf-8")
+    chain = FlyInterpolator(ARM, period=0.002).plan([move], start)
+    bare = torque(chain.q, chain.qd, chain.qdd).max(axis=0)
+    (tmp_path / "recipe.yaml").write_text(template(), encoding="utf-8")
+    recipe = replace(load_recipe(tmp_path / "recipe.yaml"), robot=limited(bare * 1.05 + 0.1), tool=None)
     ran = []
 
     @contextmanager
-    def link(*_, facts, **__):
-        yield SimpleNamespace(position=lambda: still.q[0], run=lambda *_: ran.append(facts) or SimpleNamespace(lost=0))
+    def link(recipe, console, *_, facts, limits, **__):
+        guard = SimpleNamespace(position=lambda: start, takes_points=False, needs_slow_run=lambda program: False)
+        opened = record.RobotLink(guard, recipe, console, {}, limits)
+        monkeypatch.setattr(opened, "_record", lambda *_: ran.append(facts) or SimpleNamespace(lost=0))
+        yield opened
 
     monkeypatch.setattr(record, "open_link", link)
-    monkeypatch.setattr("agent.link.planned.plan_statements", lambda *_: ("p", [still]))
-    monkeypatch.setattr("agent.link.planned.check_cell", lambda *_: None)
-    bare = torque(still.q, still.qd, still.qdd).max(axis=0)
-    recipe = SimpleNamespace(robot=limited(bare * 1.05 + 0.1), tool=None)
 
     def run(load: str | None) -> None:
         record_program_file(recipe, program, tmp_path / "p.mcap", Console(-1), True, payload=load)

@@ -12,7 +12,8 @@ import pytest
 from agent.core import AgentError, InputError, RejectedError, sha256_text, write_atomically
 from agent.core.console import Console
 from agent.model import CATALOGUE
-from agent.motion import Delay, write_program
+from agent.motion import Delay
+from agent.motion.pdl2 import write_program
 from agent.motion.pdl2.dialect import Pdl2
 from agent.pages.diagnosis.summary import planned_section, rounds_section
 from agent.pages.page import Page, render
@@ -26,6 +27,7 @@ from agent.recipe import load_recipe, template
 from agent.recording import PARTS, PLANNED_PARTS
 from agent.robot import load_robot
 from agent.runs.folder import RunFolder
+from agent.safety import PlannedProgram
 from agent.safety.authorisation import Authorisation, AuthorisationDocument
 from agent.safety.first_run import FIRST_SPEED
 from drivers.errors import DriverError
@@ -212,14 +214,7 @@ def test_a_motion_that_separates_one_side_only_still_helps(before, after, helps)
     expected = [SimpleNamespace(before_if=(before, None), after_if=(after, None))]
     expected += [SimpleNamespace(before_if=(1.0, 0.0), after_if=(1.0, 0.1))]
     experiment = SimpleNamespace(expected=expected)
-    assert NextMotion(experiment, "", (), None, Pdl2()).helps() is helps  # type: ignore[arg-type]
-
-
-def test_motion_time_includes_pauses():
-    robot = load_robot("comau_ns16")
-    text = write_program("experiment", [Delay(4.0), Delay(2.5)], robot)
-    chains = (SimpleNamespace(duration=3.0),)
-    assert NextMotion(SimpleNamespace(), text, chains, robot, Pdl2()).duration == pytest.approx(9.5)  # type: ignore[arg-type]
+    assert NextMotion(experiment, PlannedProgram("experiment", "", ()), None, Pdl2()).helps() is helps  # type: ignore[arg-type]
 
 
 def pair(first: str, second: str):
@@ -246,7 +241,7 @@ def test_names_where_to_look_for_either_cause_if_no_motion_helps():
 def test_a_planned_motion_asks_for_the_drives_off_record_first(brakes):
     robot, piece = load_robot("comau_ns16"), SimpleNamespace(text=lambda robot: "reversals of joint_2")
     experiment, text = SimpleNamespace(expected=(), pieces=[piece]), write_program("experiment", [Delay(4.0)], robot)
-    motion = NextMotion(experiment, text, (), robot, Pdl2(), brakes=brakes)  # type: ignore[arg-type]
+    motion = NextMotion(experiment, PlannedProgram("experiment", text, ()), robot, Pdl2(), brakes=brakes)  # type: ignore[arg-type]
     said = motion.to_dict("program.pdl")["motion"]
     assert said.endswith("reversals of joint_2")
     assert ("--drives-off" in said) is brakes

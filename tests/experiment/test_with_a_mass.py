@@ -24,6 +24,7 @@ from agent.pipeline.gap.next_experiment import NextMotion, with_a_mass
 from agent.pipeline.plan import loop_problem
 from agent.recipe import load_recipe, template
 from agent.robot import Tool, load_robot
+from agent.safety import PlannedProgram
 from fake_controller.plant import Plant
 from tests.small_arms import learn, make_arm, record
 
@@ -107,7 +108,9 @@ def test_the_page_shows_the_mass_next_to_the_bare_arm_motion(ask):
     robot = load_robot("comau_ns16")
     experiment = SimpleNamespace(expected=(), pieces=[SimpleNamespace(text=lambda robot: "a loop")])
     text = "PROGRAM x\nBEGIN\n  DELAY 4000\nEND x\n"
-    said = NextMotion(experiment, text, (), robot, Pdl2()).to_dict("x.pdl") | {"with_a_mass": mass.to_dict()}  # type: ignore[arg-type]
+    said = NextMotion(experiment, PlannedProgram("experiment", text, ()), robot, Pdl2()).to_dict("x.pdl") | {
+        "with_a_mass": mass.to_dict()
+    }  # type: ignore[arg-type]
     assert mass.text() in unescape(render(Page("Gap", "it is", "plain", [planned_section(said)])))
 
 

@@ -10,10 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from agent.core.console import Console
-from agent.core.on_dask import DaskEngine
-from agent.fleet import make_question, run_fleet
-from agent.fleet.simulate import simulate_fleet
+from agent.core import Console, DaskEngine
+from agent.fleet import make_question, run_fleet, simulate_fleet
 
 #: Estimates that are made up, of the size of real ones, by two local workers; prints the client's memory [MiB].
 SCRIPT = """

@@ -16,11 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.core import on_dask, swept_folder
-from agent.core.console import Console
-from agent.core.errors import AgentError, InputError
-from agent.core.on_dask import DaskEngine
-from agent.core.parallel import InProcess
+from agent.core import AgentError, Console, DaskEngine, InProcess, InputError, on_dask, swept_folder
 from agent.excitation import LoopProblem, search
 from agent.fleet import make_question, run_fleet
 from agent.motion import Pdl2Settings, ViaRegions

@@ -11,8 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from agent.fleet.page import write_page
-from agent.fleet.simulate import simulate_fleet
+from agent.fleet import simulate_fleet, write_page
 from tests.browser import Browser
 
 

@@ -19,8 +19,7 @@ from agent.core.errors import InputError
 from agent.fleet.families import find_families, read_columns
 from agent.fleet.simulate import simulate_fleet
 from agent.fleet.trends import change_text, fleet_trends
-from agent.runs.changes import Background
-from agent.runs.trends import MachineRuns, RunFigures, Trend
+from agent.runs import Background, MachineRuns, RunFigures, Trend
 
 
 def _planted(table: Path) -> list[dict[str, str]]:

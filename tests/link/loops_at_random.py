@@ -18,11 +18,10 @@ import numpy as np
 import pinocchio
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from agent.motion import FlyInterpolator, MotionError, parse_program, stop_to_stop, write_loop_program
-from agent.motion.pdl2.settings import FlyTrajectory, FlyType, Pdl2Settings
+from agent.motion import FlyInterpolator, FlyTrajectory, FlyType, MotionError, Pdl2Settings, stop_to_stop
+from agent.motion.pdl2 import parse_program, write_loop_program
 from agent.motion.program import CartesianTarget, JointTarget, frame_of
-from agent.robot import Box, Tool
-from agent.robot.drivetrain import torque_per_ampere
+from agent.robot import Box, Tool, torque_per_ampere
 from agent.safety.cell import TOOL_RADIUS, Cell
 from drivers.registry import create
 from fake_controller.build import build_controller

@@ -9,8 +9,7 @@ import pytest
 
 from agent.core.console import Console
 from agent.pipeline.setup.check import check_recipe
-from agent.robot import load_robot
-from agent.robot.drivetrain import torque_per_ampere
+from agent.robot import load_robot, torque_per_ampere
 from drivers.conformance import _connect_when_free as connect_when_free
 from drivers.errors import DriverError
 from drivers.protocol import ViaPoint

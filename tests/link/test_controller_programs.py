@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.motion import job_text, parse_program
+from agent.motion.pdl2 import parse_program
+from agent.motion.pdl2.job import job_text
 from agent.motion.pdl2.syntax import Pos
 from agent.robot import load_robot
 from fake_controller.interpolation import build_interpolator

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from agent.motion.program import Delay, JointTarget, Move, MoveType
-from agent.motion.trajectory import Trajectory
+from agent.motion import Delay, JointTarget, Move, MoveType, Trajectory
 from fake_controller.clock import FastClock, RealClock
 from fake_controller.execution import Planner, retimed
 

@@ -7,8 +7,8 @@ import pinocchio
 import pytest
 from hypothesis import Phase, given, settings, strategies as st
 
-from agent.motion import FlyInterpolator, parse_program, pose_to_pos, write_program
-from agent.motion.pdl2.settings import FlyTrajectory, FlyType, Pdl2Settings, Termination
+from agent.motion import FlyInterpolator, FlyTrajectory, FlyType, Pdl2Settings, Termination, pose_to_pos
+from agent.motion.pdl2 import parse_program, write_program
 from agent.motion.pdl2.variables import SYSTEM_VARIABLES, pos_to_pose
 from agent.motion.program import NO_FRAME, CartesianTarget, JointTarget, Move, MoveType, frame_of
 from agent.robot import kinematics_for

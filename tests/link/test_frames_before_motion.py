@@ -8,13 +8,10 @@ import numpy as np
 import pytest
 
 from agent.core.errors import ControllerError, InputError
-from agent.motion import parse_program
+from agent.motion.pdl2 import parse_program
 from agent.motion.pdl2.variables import FRAMES, pos_to_pose
 from agent.motion.program import left_open
-from agent.robot import load_robot
-from agent.robot.drivetrain import torque_per_ampere
-from agent.robot.dynamics import Tool
-from agent.safety.motion import PlannedProgram
+from agent.robot import Tool, load_robot, torque_per_ampere
 from agent.safety.preconditions import check_frames
 from drivers.registry import create
 from drivers.transports.frames.driver import TcpDriver
@@ -33,10 +30,6 @@ END p
 """
 
 
-def planned(tool: np.ndarray) -> PlannedProgram:
-    return PlannedProgram("loop", "", (), frames={"$TOOL": tool})
-
-
 def test_reports_both_frames_if_they_differ(broker):
     robot = load_robot("comau_ns16")
     controller = build_controller("comau_ns16", seed=3, clock="fast")
@@ -48,17 +41,17 @@ def test_reports_both_frames_if_they_differ(broker):
         driver.connect()
         left = controller.frames[2]
         with pytest.raises(ControllerError) as refused:
-            check_frames(planned(MOUNTED), driver, "here")
+            check_frames("loop", {"$TOOL": MOUNTED}, driver, "here")
         assert refused.value.exit_code == 4
         assert f"$TOOL is POS({left[0]:g}, {left[1]:g}" in str(refused.value)
         assert "POS(0, 0, 120, 0, 0, 0, '')" in str(refused.value)
         driver.start("p", driver.upload("p", SET))
         assert sum(map(len, driver.samples())) > 0
-        check_frames(planned(MOUNTED), driver, "here")
+        check_frames("loop", {"$TOOL": MOUNTED}, driver, "here")
         expected = pos_to_pose(np.array([10, 20, 30, 40, 50, 60]))
         np.testing.assert_allclose(driver.frames()["$BASE"], expected, atol=1e-6)
         with pytest.raises(ControllerError, match=r"\$TOOL"):
-            check_frames(planned(np.eye(4)), driver, "here")
+            check_frames("loop", {"$TOOL": np.eye(4)}, driver, "here")
 
 
 def test_a_non_finite_frame_differs():
@@ -67,7 +60,7 @@ def test_a_non_finite_frame_differs():
             return {"$TOOL": MOUNTED * np.nan}
 
     with pytest.raises(ControllerError, match=r"\$TOOL is POS\(nan"):
-        check_frames(planned(MOUNTED), Lost("127.0.0.1:1"), "here")
+        check_frames("loop", {"$TOOL": MOUNTED}, Lost("127.0.0.1:1"), "here")
 
 
 def test_refuses_motion_if_the_needed_frame_is_not_reported():
@@ -76,7 +69,7 @@ def test_refuses_motion_if_the_needed_frame_is_not_reported():
             return {"$UFRAME": MOUNTED}
 
     with pytest.raises(InputError, match=r"does not set \$TOOL"):
-        check_frames(planned(MOUNTED), Other("127.0.0.1:1"), "here")
+        check_frames("loop", {"$TOOL": MOUNTED}, Other("127.0.0.1:1"), "here")
 
 
 @pytest.mark.parametrize("wire", [wire for wire in WIRES if wire != "cnr_comau"])
@@ -91,7 +84,7 @@ def test_every_wire_reports_the_active_frames(wire):
         for name, fields in (("$BASE", base), ("$TOOL", tool), ("$UFRAME", uframe)):
             np.testing.assert_allclose(driver.frames()[name], pos_to_pose(np.array(fields)), atol=1e-9)
         with pytest.raises(ControllerError, match=r"\$TOOL is POS\(.*the plan is for POS\(0, 0, 120, 0, 0, 0"):
-            check_frames(planned(MOUNTED), driver, "here")
+            check_frames("loop", {"$TOOL": MOUNTED}, driver, "here")
 
 
 def test_an_older_controller_reports_no_frames():
@@ -118,9 +111,9 @@ def test_refuses_a_program_without_frames_on_a_link_that_reads_none():
             return {}
 
     driver = Older("127.0.0.1:1")
-    check_frames(PlannedProgram("loop", "", ()), driver, "here")
+    check_frames("loop", {}, driver, "here")
     with pytest.raises(InputError, match=r"does not set \$TOOL.*\$TOOL := POS\(0, 0, 120"):
-        check_frames(planned(MOUNTED), driver, "here")
+        check_frames("loop", {"$TOOL": MOUNTED}, driver, "here")
 
 
 @pytest.mark.parametrize(

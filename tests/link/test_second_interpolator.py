@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import Phase, given, settings, strategies as st
 
-from agent.motion import MotionError
-from agent.motion.pdl2.settings import FlyTrajectory, FlyType, OrientationType, Pdl2Settings, Termination
+from agent.motion import FlyTrajectory, FlyType, MotionError, OrientationType, Pdl2Settings, Termination
 from agent.motion.program import CartesianTarget, JointTarget, Move, MoveType, frame_of
 from fake_controller.interpolation import build_interpolator
 from fake_controller.interpolation.parts import InterpolationLaw, drawn_law

@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 
 from agent.model.rigid_friction import ModelEffect
-from agent.simulators import load_simulator
-from agent.simulators.corrected.correction import Released, correct
+from agent.simulators import Released, correct, load_simulator
 from tests.model.bench import written
 
 NAMES = ("pan", "lift", "turn")

@@ -14,22 +14,18 @@ import numpy as np
 import pytest
 from ruamel.yaml import YAML
 
-from agent.core import InputError
-from agent.core.console import Console
-from agent.diagnosis import diagnose, extended_model
+from agent.core import Console, InputError
+from agent.diagnosis import diagnose, extended_model, ranges, ranges_text
 from agent.diagnosis.forward import windows as forward_windows
-from agent.diagnosis.randomisation import ranges, ranges_text
 from agent.diagnosis.rows.dataset import assemble
 from agent.diagnosis.simulator_file.simulator import _possible, with_expected_error
-from agent.model import CATALOGUE
-from agent.model.identified import IdentifiedModel
+from agent.model import CATALOGUE, IdentifiedModel
 from agent.pages.diagnosis.page import diagnosis_report
 from agent.pipeline.gap.diagnose import GapQuestion, diagnose_again, diagnose_files
 from agent.pipeline.gap.finding import Found
 from agent.pipeline.gap.printed_diagnosis import diagnosis_text
 from agent.pipeline.gap.simulator import write_simulator
-from agent.recording import read_log
-from agent.recording.mcap.log_file import write_log
+from agent.recording import read_log, write_log
 from agent.simulators import load_simulator
 from tests.model.bench import CHAIN, RATE, URDF, recorded, scene, states, written
 

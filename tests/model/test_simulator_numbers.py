@@ -10,11 +10,9 @@ import numpy as np
 import pytest
 
 from agent.core import Console
-from agent.diagnosis import diagnose
+from agent.diagnosis import Finding, Search, diagnose
 from agent.diagnosis.forward.rollout import MujocoEngine
 from agent.diagnosis.gap.torque_gap import held_out_gap
-from agent.diagnosis.hypotheses.finding import Finding
-from agent.diagnosis.hypotheses.search import Search
 from agent.diagnosis.hypotheses.testability import not_testable, smallest_sizes
 from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.dataset import Dataset, assemble
@@ -22,10 +20,9 @@ from agent.diagnosis.simulator_file.calibration import ReleasedSimulator, calibr
 from agent.diagnosis.simulator_file.simulator import Explanation, _possible, numbers_instead, with_expected_error
 from agent.model import CATALOGUE
 from agent.pages import headline, verdict_text
-from agent.pipeline import GapQuestion
+from agent.pipeline import GapQuestion, check_plausible
 from agent.pipeline.gap.next_steps import after_diagnosis
 from agent.pipeline.gap.simulator import beyond_range
-from agent.pipeline.identify import check_plausible
 from agent.recording import read_log
 from agent.simulators import load_simulator
 from tests.model.bench import CHAIN, URDF, recorded, scene, written

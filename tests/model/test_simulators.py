@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.core.console import Console
-from agent.core.errors import InputError, RejectedError
+from agent.core import Console, InputError, RejectedError
 from agent.diagnosis.forward.rollout import MujocoEngine
 from agent.model.identified import IdentifiedModel
 from agent.pipeline.gap.diagnose import GapQuestion, diagnose_files

@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from agent.motion import FlyInterpolator
-from agent.motion.pdl2.settings import FlyTrajectory, FlyType, OrientationType, Pdl2Settings, SpeedOption, Termination
+from agent.motion import FlyInterpolator, FlyTrajectory, FlyType, OrientationType, SpeedOption
+from agent.motion.pdl2.settings import Pdl2Settings, Termination
 from agent.motion.program import CartesianTarget, Delay, JointTarget, Move, MoveType, Statement
 from agent.motion.regions import pose_of
 from agent.robot import Kinematics, RobotDescription, kinematics_for

@@ -6,9 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from agent.motion import parse_program, write_loop_program
-from agent.motion.interpolator import Interpolator
-from agent.motion.pdl2.settings import FlyTrajectory, FlyType, Pdl2Settings
+from agent.motion import FlyTrajectory, FlyType, Interpolator, Pdl2Settings
+from agent.motion.pdl2 import parse_program, write_loop_program
 from agent.motion.program import NO_FRAME, CartesianTarget, JointTarget, Move
 from agent.recording import LogWriter
 from agent.robot import RobotDescription, kinematics_for

@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from agent.motion import FlyInterpolator, MotionError, Trajectory
-from agent.motion.pdl2.settings import FlyTrajectory, FlyType
-from agent.motion.program import Move, MoveType
+from agent.motion import FlyInterpolator, FlyTrajectory, FlyType, MotionError, Move, MoveType, Trajectory
 
 PERIOD = 0.002
 SEEDS = st.integers(0, 2**32 - 1)

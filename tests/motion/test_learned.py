@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from agent.core.errors import InputError
-from agent.motion import FlyInterpolator, FlyParameters, create_interpolator, parse_program
-from agent.motion.learned import load_law
-from agent.motion.learning import Learner, RecordedMove
+from agent.motion import FlyInterpolator, FlyParameters, Learner, RecordedMove, create_interpolator, load_law
+from agent.motion.pdl2 import parse_program
 from agent.pipeline import learn as learning
 from agent.pipeline.learn import learn_files
 from agent.recording import read_log

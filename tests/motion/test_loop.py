@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from agent.core.errors import InputError
-from agent.motion import FlyInterpolator, ViaRegions, create_interpolator, interpolator_names, loop_moves
-from agent.motion.pdl2.settings import FlyTrajectory, FlyType, Pdl2Settings, Termination
-from agent.motion.program import MoveType
+from agent.motion import FlyInterpolator, MoveType, ViaRegions, create_interpolator, interpolator_names, loop_moves
+from agent.motion.path_settings import FlyTrajectory, FlyType
+from agent.motion.pdl2.settings import Pdl2Settings, Termination
 
 SETTINGS = Pdl2Settings(
     fly_type=FlyType.FLY_CART, fly_trajectory=FlyTrajectory.FLY_TOL, fly_distance=0.02, linear_speed=0.6

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from agent.motion import FlyInterpolator, FlyParameters
-from agent.motion.pdl2.settings import FlyTrajectory, FlyType, OrientationType, Pdl2Settings, SpeedOption
+from agent.motion import FlyInterpolator, FlyParameters, FlyTrajectory, FlyType, OrientationType, SpeedOption
+from agent.motion.pdl2.settings import Pdl2Settings
 from agent.motion.program import CartesianTarget, Delay, JointTarget, Move, MoveType
 from agent.motion.regions import pose_of
 

@@ -12,9 +12,8 @@ import numpy as np
 import pytest
 
 from agent.core.errors import InputError
-from agent.motion import MotionError, create_interpolator
+from agent.motion import FlyTrajectory, FlyType, MotionError, Pdl2Settings, Termination, create_interpolator
 from agent.motion.orl import ARM, CONTROLLER, LIBRARY, OrlInterpolator
-from agent.motion.pdl2.settings import FlyTrajectory, FlyType, Pdl2Settings, Termination
 from agent.motion.program import CartesianTarget, Delay, JointTarget, Move, MoveType
 from agent.motion.regions import pose_of
 

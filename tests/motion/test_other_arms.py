@@ -7,9 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from agent.motion import FlyInterpolator
-from agent.motion.pdl2.settings import Pdl2Settings
-from agent.motion.program import CartesianTarget, JointTarget, Move, MoveType
+from agent.motion import CartesianTarget, FlyInterpolator, JointTarget, Move, MoveType, Pdl2Settings
 from agent.robot import RobotDescription, kinematics_for
 from tests.robot.conftest import build
 

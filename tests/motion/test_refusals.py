@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from agent.core.errors import InputError
-from agent.motion import FlyInterpolator, MotionError
-from agent.motion.pdl2.settings import FlyTrajectory, FlyType, OrientationType, Pdl2Settings
+from agent.motion import FlyInterpolator, FlyTrajectory, FlyType, MotionError, OrientationType, Pdl2Settings
 from agent.motion.program import CartesianTarget, Delay, JointTarget, Move, MoveType
 
 PLAIN = Pdl2Settings(fly_type=FlyType.FLY_CART, fly_trajectory=FlyTrajectory.FLY_TOL, fly_distance=0.02)

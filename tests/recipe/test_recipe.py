@@ -11,9 +11,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 from pydantic import BaseModel
 
-from agent.core.documents import read_yaml
-from agent.core.units import Dimension
-from agent.motion.pdl2.settings import FlyTrajectory, FlyType
+from agent.core import Dimension, read_yaml
+from agent.motion import FlyTrajectory, FlyType
 from agent.recipe import load_recipe, recipe_schema, template
 from agent.recipe.schema import ESTIMATION_METHODS, SEARCH_METHODS, RecipeDocument, ToolSection
 from tests.recipe.recipes import FULL, MINIMAL, POINTS, TUBE, load_text, with_via_points

@@ -9,8 +9,7 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, example, given, settings, strategies as st
 
-from agent.core.errors import InputError
-from agent.core.units import Dimension
+from agent.core import Dimension, InputError
 from agent.motion.pdl2.dialect import Pdl2
 from agent.recipe import examine_recipe, load_recipe
 from agent.robot import load_robot

@@ -6,8 +6,7 @@ import math
 import pytest
 from hypothesis import given, strategies as st
 
-from agent.core.errors import InputError
-from agent.core.units import Dimension, parse_quantity
+from agent.core import Dimension, InputError, parse_quantity
 
 EVERY_UNIT = [(dimension, unit) for dimension in Dimension for unit in dimension.value.factors]
 

@@ -11,8 +11,7 @@ from agent.core.errors import InputError
 from agent.link.controller import create_driver, torque_facts
 from agent.recipe import load_recipe
 from agent.recording import LogWriter, read_log
-from agent.robot import load_robot
-from agent.robot.drivetrain import torque_per_ampere
+from agent.robot import load_robot, torque_per_ampere
 from drivers.protocol import SampleBlock
 from tests.conftest import ROOT
 

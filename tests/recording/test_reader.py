@@ -11,8 +11,7 @@ from mcap.writer import CompressionType, IndexType
 
 from agent.core.errors import InputError
 from agent.recording import read_log
-from agent.robot import load_robot
-from agent.robot.description import Joint, RobotDescription
+from agent.robot import Joint, RobotDescription, load_robot
 
 
 def robot_with(*names: str) -> RobotDescription:

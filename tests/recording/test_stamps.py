@@ -8,8 +8,7 @@ from hypothesis import given, settings, strategies as st
 
 from agent.core.errors import InputError
 from agent.estimation.filtering import FilterSettings, motions, used_text
-from agent.recording import read_log
-from agent.recording.repair.grid import sample_numbers, settled
+from agent.recording import read_log, sample_numbers, settled
 
 
 @pytest.fixture

@@ -9,10 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.robot import RobotDescription, load_robot
-from agent.robot.base_reduction import base_parameters
-from agent.robot.drivetrain import rotor_regressor
-from agent.robot.dynamics import Dynamics
+from agent.robot import Dynamics, RobotDescription, base_parameters, load_robot, rotor_regressor
 from tests.robot.conftest import NAMES
 
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from agent.robot import RobotDescription, builtin_robots, kinematics_for, load_robot
-from agent.robot.dynamics import Dynamics, Tool
+from agent.robot import Dynamics, RobotDescription, Tool, builtin_robots, kinematics_for, load_robot
 from tests.small_arms import make_arm
 
 #: a [m], d [m], alpha [deg], sign, bias [deg] of the standard Denavit-Hartenberg convention.

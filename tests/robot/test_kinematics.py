@@ -12,8 +12,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from agent.core.errors import InputError
-from agent.robot import KinematicsError, RobotDescription, kinematics_for, load_robot
-from agent.robot.dynamics import Dynamics, Tool
+from agent.robot import Dynamics, KinematicsError, RobotDescription, Tool, kinematics_for, load_robot
 from agent.robot.kinematics.base import SINGULAR_DISTANCE, pose_error
 from agent.robot.kinematics.closed_form import SINGULARITIES
 from agent.robot.kinematics.configuration import Configuration, parse_configuration

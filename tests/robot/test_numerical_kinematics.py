@@ -9,10 +9,8 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from agent.core.errors import InputError
-from agent.robot import KinematicsError, RobotDescription, kinematics_for, load_robot
+from agent.robot import KinematicsError, NumericalKinematics, RobotDescription, chain_of, kinematics_for, load_robot
 from agent.robot.kinematics.base import SINGULAR_DISTANCE
-from agent.robot.kinematics.chain import chain_of
-from agent.robot.kinematics.numerical import NumericalKinematics
 from agent.robot.kinematics.parallel_axes import ParallelAxesKinematics
 from agent.robot.kinematics.spherical_wrist import SphericalWristKinematics
 

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from agent.robot import KinematicsError, RobotDescription, kinematics_for, load_robot
-from agent.robot.kinematics.numerical import NumericalKinematics
+from agent.robot import KinematicsError, NumericalKinematics, RobotDescription, kinematics_for, load_robot
 from agent.robot.kinematics.parallel_axes import ParallelAxesKinematics
 from tests.robot.conftest import check_branches
 

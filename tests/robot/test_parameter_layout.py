@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from agent.robot import load_robot
-from agent.robot.bodies import rigid_bodies
-from agent.robot.dynamics import Dynamics
-from agent.robot.parameter_layout import ParameterLayout
+from agent.robot import Dynamics, ParameterLayout, load_robot, rigid_bodies
 
 
 def test_the_layout_fits_the_regressor_and_its_names():

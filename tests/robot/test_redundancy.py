@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from agent.excitation.candidates import posture
-from agent.motion import FlyInterpolator, ViaRegions, loop_moves, rotation
-from agent.motion.pdl2.settings import FlyTrajectory, FlyType, Pdl2Settings
+from agent.motion import FlyInterpolator, FlyTrajectory, FlyType, Pdl2Settings, ViaRegions, loop_moves, rotation
 from agent.motion.program import CartesianTarget, JointTarget, Move, MoveType
 from agent.robot import RobotDescription, kinematics_for
 

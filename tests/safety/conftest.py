@@ -15,12 +15,10 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from agent.motion.trajectory import Trajectory
+from agent.motion.interpolator import Trajectory
 from agent.robot import load_robot
+from agent.safety import CheckedPrograms, GuardedLink, PlannedProgram
 from agent.safety.authorisation import Authorisation, AuthorisationDocument, Limits
-from agent.safety.first_run import CheckedPrograms
-from agent.safety.guard import GuardedLink
-from agent.safety.motion import PlannedProgram
 from drivers.transports.frames.driver import TcpDriver
 from drivers.wire import frames as tcp
 from drivers.wire.reasons import EndReason, Refusal

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from agent.motion.trajectory import Trajectory
+from agent.motion.interpolator import Trajectory
 from agent.robot import load_robot
 from agent.safety.adherence import Adherence
 from drivers.protocol import SampleBlock

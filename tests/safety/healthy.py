@@ -19,8 +19,8 @@ import numpy as np
 from agent.cli import main as agent
 from agent.core.errors import InputError
 from agent.excitation import Candidates, LoopProblem
-from agent.motion import ViaRegions, write_program
-from agent.motion.pdl2.settings import FlyTrajectory, FlyType, Pdl2Settings
+from agent.motion import FlyTrajectory, FlyType, Pdl2Settings, ViaRegions
+from agent.motion.pdl2 import write_program
 from agent.motion.program import NO_FRAME, Delay, JointTarget, Move, MoveType, Statement
 from agent.robot import load_robot
 from fake_controller.servers import WIRES

@@ -93,8 +93,8 @@ ALWAYS_NUMBERS: dict[str, dict[str, str]] = {
         "short.min(axis=1) >= 0": "of distances that were found to be numbers",
     },
     "freshness.py": {"silent < WAITS": "chooses the words"},
-    "motion.py": {"np.ptp(chain.q, axis=0).max() < THERE": "of a plan that was checked"},
-    "planned_path.py": {
+    "planned_program.py": {"np.ptp(chain.q, axis=0).max() < THERE": "of a plan that was checked"},
+    "reference_path.py": {
         "passed[k] > gap": "of times that are numbers",
         "np.diff(found) > 1": "indices",
         "places.start < places.stop": "indices",
@@ -121,7 +121,7 @@ ALWAYS_NUMBERS: dict[str, dict[str, str]] = {
 }
 
 #: Conditions of a quick path that gives the same as a slow one; a test compares the two.
-QUICK_WAYS = {"planned_path.py": {"whole and one_run[k]": "tests/safety/test_laying.py"}}
+QUICK_WAYS = {"reference_path.py": {"whole and one_run[k]": "tests/safety/test_laying.py"}}
 
 
 @dataclass(frozen=True)

@@ -7,11 +7,8 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from agent.core.errors import InputError
-from agent.robot import Box
-from agent.robot.description import Capsule, load_robot
-from agent.robot.dynamics import Dynamics, Tool
-from agent.safety.cell import Cell
-from agent.safety.clearance import CellReport
+from agent.robot import Box, Capsule, Dynamics, Tool, load_robot
+from agent.safety import Cell, CellReport
 
 ROBOT = load_robot("comau_ns16")
 REACHING = np.radians([0.0, 20.0, -90.0, 0.0, 70.0, 0.0])
@@ -287,9 +284,8 @@ def test_cost_depends_on_clearance_not_on_the_number_of_samples(trajectory_throu
 def test_cpu_time_of_checking_a_loop(measured):
     import time
 
-    from agent.motion import FlyInterpolator, ViaRegions, loop_moves
+    from agent.motion import FlyInterpolator, FlyTrajectory, FlyType, Pdl2Settings, ViaRegions, loop_moves
     from agent.motion.interpolator import MotionError
-    from agent.motion.pdl2.settings import FlyTrajectory, FlyType, Pdl2Settings
     from agent.robot import KinematicsError, kinematics_for
 
     regions = ViaRegions.from_box(6, (1.0, 0.0, 0.8), (0.5, 0.6, 0.4), (0.0, np.pi, 0.0), np.radians(30))

@@ -7,10 +7,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from scipy.optimize import lsq_linear
 
-from agent.robot import Box
-from agent.robot.collision import Body, CollisionModel
-from agent.robot.description import Capsule, load_robot
-from agent.robot.dynamics import Dynamics
+from agent.robot import Body, Box, Capsule, CollisionModel, Dynamics, load_robot
 
 ROBOT = load_robot("comau_ns16")
 BOXES = (Box("table", (0.4, -1.0, 0.0), (1.6, 1.0, 0.3)), Box("post", (-0.2, 0.7, 0.0), (0.2, 0.9, 1.8)))

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from agent.core.errors import ControllerError, InputError, SafetyError
-from agent.safety.motion import PlannedProgram
+from agent.safety.planned_program import PlannedProgram
 from drivers.errors import DriverError
 from drivers.transports.frames.driver import TcpDriver
 from tests.safety.following import HOME

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from agent.safety.adherence import MEASURED, SET_POINTS, TOGETHER, Adherence
-from agent.safety.motion import rest_at
+from agent.safety.planned_program import rest_at
 from drivers.protocol import SampleBlock
 from tests.safety.following import HOME, PERIOD, ROBOT, at, follow, paced, run, watcher
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -11,11 +10,10 @@ import numpy as np
 import pytest
 
 from agent.core.errors import ControllerError, InputError
+from agent.motion import Delay, FlyInterpolator, JointTarget, Move, MoveType, Pdl2Settings, Trajectory, stop_to_stop
+from agent.motion.pdl2 import write_program
 from agent.motion.pdl2.dialect import Pdl2
-from agent.motion.pdl2.settings import Pdl2Settings
-from agent.motion.program import Delay, JointTarget, Move, MoveType, stop_to_stop
-from agent.safety.first_run import FIRST_SPEED, CheckedPrograms, slow_version
-from agent.safety.motion import PlannedProgram
+from agent.safety import FIRST_SPEED, CheckedPrograms, PlannedProgram, slow_text
 from drivers.errors import DriverError
 from tests.safety.following import HOME
 
@@ -102,44 +100,52 @@ def test_stores_the_list_of_checked_programs(tmp_path: Path):
             again.has("a", "p")
 
 
-def test_the_slow_version_is_one_cycle_below_the_first_run_speed(bench):
-    from agent.motion import FlyInterpolator, parse_program, write_program
+def read(text: str) -> PlannedProgram:
+    return PlannedProgram("swing", text, (), statements=tuple(Pdl2().read(text).run()))
 
-    settings = Pdl2Settings().changed(linear_speed=1.0)
-    targets = [JointTarget(HOME + np.radians([angle, 0, 0, 0, 0, 0])) for angle in (20.0, -20.0)]
-    swing = [Move(MoveType.JOINT, target, settings) for target in targets]
-    text = write_program("swing", swing * 5, bench.robot)
+
+def turns(*angles: float) -> list[Move]:
+    """Moves of the first joint to angles [deg] from HOME."""
+    goals = [JointTarget(HOME + np.radians([angle, 0, 0, 0, 0, 0])) for angle in angles]
+    return [Move(MoveType.JOINT, goal, Pdl2Settings()) for goal in goals]
+
+
+def slow_ways(bench, moves: list[Move]) -> list[Trajectory]:
+    """What the slow version of a program with these moves makes, from stop to stop."""
     interpolator = FlyInterpolator(bench.robot, period=0.002)
-    slow = slow_version(PlannedProgram("swing", text, ()), bench.robot, Pdl2(), interpolator, HOME)
-    assert slow.stands_for == hashlib.sha256(text.encode()).hexdigest()
-    assert 0.5 * FIRST_SPEED < slow.speed <= FIRST_SPEED
-    assert len(slow.chains) == 3, "from home, there, and back: the fourth stretch would be the second again"
-    planned = interpolator.plan(tuple(list(parse_program(slow.text, "slow").run())[:1]), HOME)
-    np.testing.assert_allclose(planned.q[-1], targets[0].position, atol=1e-9)
-    assert planned.path_speed.max() <= FIRST_SPEED
+    text = slow_text(read(write_program("swing", moves, bench.robot)), bench.robot, Pdl2(), interpolator, HOME)
+    ways: list[Trajectory] = []
+    for way in stop_to_stop(read(text).statements):
+        ways.append(interpolator.plan(way, ways[-1].q[-1] if ways else HOME))
+    return ways
 
 
-def test_every_new_path_runs_slowly_first(bench):
-    from agent.motion import FlyInterpolator, write_program
-
-    goals = [HOME + np.radians([angle, 0, 0, 0, 0, 0]) for angle in (5.0, 0.0, -5.0, 0.0)]
-    moves = [Move(MoveType.JOINT, JointTarget(goal), Pdl2Settings()) for goal in goals]
-    text = write_program("ways", moves * 2, bench.robot)
-    interpolator = FlyInterpolator(bench.robot, period=0.002)
-    slow = slow_version(PlannedProgram("ways", text, ()), bench.robot, Pdl2(), interpolator, HOME)
-    assert len(slow.chains) == 4
+@pytest.mark.parametrize(
+    ("angles", "ends"),
+    [
+        ([20.0, -20.0] * 5, [20.0, -20.0, 20.0]),  # one cycle: the fourth stretch would be the second again
+        ([5.0, 0.0, -5.0, 0.0] * 2, [5.0, 0.0, -5.0, 0.0]),
+        ([5.0, 9.0], [5.0, 9.0]),  # too short to reach its speed
+        ([20.0, -20.0, 20.0, -20.0, 40.0], [20.0, -20.0, 20.0, -20.0, 40.0]),
+        # cycles that end where they begin are left out, what is new after them is not
+        ([20.0, -20.0, 20.0, -20.0, 20.0, -20.0, 20.0, 40.0, 20.0], [20.0, -20.0, 20.0, 40.0, 20.0]),
+        ([20.0, 40.0, 20.0, 40.0, 20.0, -20.0], [20.0, 40.0, 20.0, -20.0]),
+    ],
+)
+def test_the_slow_version_makes_every_way_once_below_the_first_run_speed(bench, angles, ends):
+    slow = slow_ways(bench, turns(*angles))
+    assert 0.5 * FIRST_SPEED < max(way.path_speed.max() for way in slow) <= FIRST_SPEED
+    np.testing.assert_allclose([np.degrees(way.q[-1] - HOME)[0] for way in slow], ends, atol=1e-6)
 
 
 def test_a_nan_speed_is_not_slow(bench, program):
-    from agent.motion import write_program
-
     class Blind:
         def plan(self, moves, start):
             return replace(program().chains[0], path_speed=np.full(500, np.nan))
 
-    text = write_program("swing", [Move(MoveType.JOINT, JointTarget(HOME + 0.1), Pdl2Settings())], bench.robot)
+    text = write_program("swing", turns(5.0), bench.robot)
     with pytest.raises(InputError, match="it still reaches nan m/s"):
-        slow_version(PlannedProgram("swing", text, ()), bench.robot, Pdl2(), Blind(), HOME)
+        slow_text(read(text), bench.robot, Pdl2(), Blind(), HOME)
 
 
 def test_a_slow_run_ends_where_the_arm_stops():

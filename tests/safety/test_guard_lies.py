@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from agent.core.errors import SafetyError
-from agent.motion.trajectory import Trajectory
-from agent.safety.motion import PlannedProgram
+from agent.motion.interpolator import Trajectory
+from agent.safety.planned_program import PlannedProgram
 from drivers.errors import DriverError
 from tests.conftest import drawn, patience
 from tests.safety.following import HOME

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from agent.core.errors import AgentError, InputError, SafetyError
-from agent.motion.trajectory import Trajectory
+from agent.motion.interpolator import Trajectory
 from agent.robot import Box, load_robot
 from agent.safety.authorisation import LONGEST
 from agent.safety.cell import Cell, position_ranges

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from agent.core.errors import AgentError, SafetyError
-from agent.safety.guard import GuardedLink
-from agent.safety.motion import PlannedProgram
+from agent.safety import GuardedLink, PlannedProgram
 from drivers.errors import DriverError, RefusedError
 from drivers.transports.frames.driver import TcpDriver
 from drivers.wire.reasons import Refusal

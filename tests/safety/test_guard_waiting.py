@@ -14,7 +14,7 @@ from agent.core.errors import ControllerError, SafetyError
 from agent.motion.program import Delay
 from agent.robot import load_robot
 from agent.safety.freshness import DRIFT, HELD_UP, WAITS, Freshness
-from agent.safety.motion import SETTLING, pauses
+from agent.safety.planned_program import SETTLING, pauses
 from agent.safety.preconditions import check_throughput
 from agent.safety.watch import TURN, MotionWatch
 from drivers.protocol import Identity

@@ -5,16 +5,16 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import given, strategies as st
 
-from agent.safety.planned_path import PlannedPath
+from agent.safety.reference_path import ReferencePath
 
 GAP, WITHIN = 0.1, 0.3
 STEP = 0.02
 
 
-def path_of(count: int) -> PlannedPath:
+def path_of(count: int) -> ReferencePath:
     nothing = np.zeros((count, 1))
     when = STEP * np.arange(count)
-    return PlannedPath(np.arange(count), when, nothing, nothing, nothing, nothing, nothing, np.ones(1), STEP)
+    return ReferencePath(np.arange(count), when, nothing, nothing, nothing, nothing, nothing, np.ones(1), STEP)
 
 
 def place_by_place(path, fits, reached, first, passed, ahead):

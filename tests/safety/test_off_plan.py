@@ -15,11 +15,8 @@ import pytest
 
 from agent.core.errors import InputError
 from agent.excitation import Candidates, LoopProblem
-from agent.motion import ViaRegions
-from agent.motion.pdl2.settings import FlyTrajectory, FlyType, Pdl2Settings, Termination
-from agent.motion.trajectory import Trajectory
-from agent.robot import load_robot
-from agent.robot.dynamics import Dynamics
+from agent.motion import FlyTrajectory, FlyType, Pdl2Settings, Termination, Trajectory, ViaRegions
+from agent.robot import Dynamics, load_robot
 from agent.safety.adherence import MEASURED, SET_POINTS, Adherence
 from drivers.protocol import SampleBlock
 from drivers.wire.reasons import EndReason

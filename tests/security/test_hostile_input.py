@@ -17,9 +17,8 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 
-from agent.core.console import Console, fit_to_show
+from agent.core import Console, InputError, fit_to_show
 from agent.core.documents import LARGEST_JSON, read_json, read_yaml
-from agent.core.errors import InputError
 from agent.recipe import examine_recipe, template
 from agent.recording import LogWriter, read_log
 from drivers.errors import DriverError, ProtocolError

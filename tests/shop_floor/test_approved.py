@@ -17,15 +17,12 @@ import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 
 import agent.robot
-from agent.core import sha256_file, sha256_text
-from agent.core.console import Console
-from agent.core.errors import InputError
+from agent.core import Console, InputError, sha256_file, sha256_text
 from agent.pipeline.plan import plan_once, replan
 from agent.pipeline.recalibrate import check_loop
 from agent.recipe import Recipe, load_recipe, template
+from agent.runs import RunFolder, stored_loops
 from agent.runs.approved import approve, check_approved, differences, digest, problem
-from agent.runs.folder import RunFolder
-from agent.runs.loop_store import stored_loops
 from tests.conftest import drawn
 from tests.damage import damaged
 

@@ -9,10 +9,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given, strategies as st
 
-from agent.runs.folder import RunFolder
-from agent.runs.history import History
-from agent.runs.past_run import PastRun, too_early, wrong_clock
-from agent.runs.trends import watch
+from agent.runs import History, PastRun, RunFolder, too_early, watch, wrong_clock
 from tests.shop_floor.conftest import edit
 
 NOW = datetime(2026, 6, 1, 2, 0, tzinfo=UTC)

@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.runs.history import History
-from agent.runs.trends import watch
+from agent.runs import History, watch
 
 RUNS = 20
 JOINTS = [f"joint_{k + 1}" for k in range(6)]

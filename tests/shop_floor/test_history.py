@@ -14,8 +14,7 @@ import pytest
 
 from agent.core.errors import InputError
 from agent.pipeline.reports import write_index
-from agent.runs.current import apply_run
-from agent.runs.history import History, find_run, history_json, history_table
+from agent.runs import History, apply_run, find_run, history_json, history_table
 from tests.conftest import ROOT
 from tests.shop_floor.conftest import agent, edit
 

@@ -11,15 +11,9 @@ from pathlib import Path
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from agent.core.console import Console
-from agent.core.errors import AgentError, InputError
-from agent.pipeline.compare import compare_runs
-from agent.pipeline.rebuilt_report import rebuild_report
-from agent.pipeline.reports import write_index
-from agent.runs.current import apply_previous, apply_run
-from agent.runs.folder import RunFolder
-from agent.runs.history import History, find_run, history_json, history_table
-from agent.runs.trends import watch
+from agent.core import AgentError, Console, InputError
+from agent.pipeline import compare_runs, rebuild_report, write_index
+from agent.runs import History, RunFolder, apply_previous, apply_run, find_run, history_json, history_table, watch
 from tests.damage import damaged
 from tests.shop_floor.conftest import edit, friction_runs, write_run
 

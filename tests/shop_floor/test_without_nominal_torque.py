@@ -10,15 +10,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from agent.core import error_text
-from agent.core.console import finite
+from agent.core import error_text, finite
 from agent.pages.calibration.prediction import error_table
 from agent.pages.calibration.runs import _colour, _headline
 from agent.pipeline.calibrate import calibration_text
 from agent.pipeline.reports import worse_joints
 from agent.pipeline.result import gate_decision
-from agent.robot import RobotDescription, load_robot
-from agent.robot.torque_figures import figure_text, not_judged_text
+from agent.robot import RobotDescription, figure_text, load_robot, not_judged_text
 from agent.runs.history import History, history_json, history_table
 
 NAMES = ("j1", "j2")

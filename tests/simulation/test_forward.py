@@ -10,8 +10,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from scipy.integrate import solve_ivp
 
-from agent.robot.drivetrain import rotor_mass_matrix
-from agent.robot.dynamics import Dynamics
+from agent.robot import Dynamics, rotor_mass_matrix
 from agent.simulators import ForwardSimulation, RigidActuation, ServoGains
 from fake_controller.actuation.drive import Drive, SteppedSimulation, rigid_actuation
 from fake_controller.actuation.machine import draw_machine

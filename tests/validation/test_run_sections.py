@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from agent.estimation import EstimationSettings, estimate
+from agent.pages import Page, Section, render
 from agent.pages.calibration.paper_estimator import paper_section
 from agent.pages.calibration.parameters import correlation, correlation_section
-from agent.pages.page import Page, Section, render
 from agent.robot import load_robot
 from agent.validation import predict_log
 from tests.estimation.conftest import _log

@@ -9,13 +9,11 @@ import numpy as np
 import pytest
 
 from agent.core.errors import InputError
-from agent.estimation import EstimationSettings, estimate
-from agent.estimation.filtering import FilterSettings, motions
+from agent.estimation import EstimationSettings, FilterSettings, estimate, motions
 from agent.model import ModelEffect
 from agent.pipeline import validation_text
 from agent.robot import load_robot
-from agent.validation import pooled_rmse, predict_log, summary, validate
-from agent.validation.torque import flipped_joints, predicts, same_scale
+from agent.validation import flipped_joints, pooled_rmse, predict_log, predicts, same_scale, summary, validate
 from tests.estimation.conftest import _log
 
 

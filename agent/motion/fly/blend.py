@@ -12,25 +12,22 @@ that touches both, θ the angle between them: what other controllers do. Nothing
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
 
-from agent.compiled import blended
+from agent.compiled import products
 from agent.motion import rotation
-from agent.motion.fly.move_geometry import CartesianSegment, JointSegment, Line, Segment, SingleAxis
+from agent.motion.fly.move_geometry import CartesianSegment, JointSegment, Line, Segment
 from agent.motion.fly.parameters import SPACING, FlyParameters
-from agent.motion.pdl2.settings import FlyTrajectory, FlyType, Pdl2Settings
+from agent.motion.path_settings import FlyTrajectory, FlyType, PathSettings
 
 _CELLS, _MOST_CELLS = 24, 256
 #: [m] Blends smaller than this are stops.
 _SMALLEST = 1e-4
 #: [rad] A circle through less is a parabola.
 _STRAIGHT = 1e-3
-#: The part e of a move that a blend takes, at most ½; or (S,) parts, of several blends worked out together.
-Part = float | np.ndarray
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(3)
 
 
@@ -67,12 +64,12 @@ class BlendStep:
         quintic = tau**4 * (2.5 + tau * (tau - 3.0))
         return (1.0 - self.shape) * cubic + self.shape * quintic
 
-    def sigma(self, tau: np.ndarray, out: Part, into: Part) -> tuple[np.ndarray, np.ndarray]:
-        """Parameters at τ of the move before and the move after, of which the blend takes the parts e₁ and e₂."""
+    def sigma(self, tau: np.ndarray, out: float, into: float) -> tuple[np.ndarray, np.ndarray]:
+        """Parameters at τ of the moves before and after, of which the blend takes the parts e₁ and e₂, at most ½."""
         leaving = self.integral(1.0 - tau)
         return 1.0 - 2.0 * out * leaving, 2.0 * into * self.integral(tau)
 
-    def rate(self, tau: np.ndarray, out: Part, into: Part) -> tuple[np.ndarray, np.ndarray]:
+    def rate(self, tau: np.ndarray, out: float, into: float) -> tuple[np.ndarray, np.ndarray]:
         """Their derivatives by τ."""
         return 2.0 * out * self.value(1.0 - tau), 2.0 * into * self.value(tau)
 
@@ -133,39 +130,28 @@ class CartesianCorner(Corner):
         if self._ways is not None:
             sides = self.into * self._ways[1] - self.out * self._ways[0]
             return 2.0 * float(self.step.integral(np.array(0.5))) * rotation.length(sides)
-        points = self.position(np.linspace(0.0, 1.0, 33))
+        some = np.linspace(0.0, 1.0, 33)
+        points = self._position(some, *self.sigma(some))
         if not self.through:
             return float(np.min(np.linalg.norm(points - before.position(np.ones(1)), axis=1)))
         fine = np.linspace(0.0, 1.0, 65)
         sides = np.concatenate((before.position(1.0 - 1.2 * self.out * fine), after.position(1.2 * self.into * fine)))
         return float(np.max(np.min(np.linalg.norm(points[:, None] - sides[None], axis=2), axis=1)))
 
-    def position(self, tau: np.ndarray) -> np.ndarray:
-        """(S, 3) TCP in the blend [m]."""
+    def poses(self, tau: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+        """Position (S, 3) [m] and orientation (S, 4) in the blend, and the straight ways in joint space (S, n); None
+        where the pose alone says what the joints are."""
         one, two = self.sigma(tau)
-        point = self.after.curve.position(np.zeros(1))
-        positions = self.before.curve.position(one) + self.after.curve.position(two) - point
+        orientation = self._turned(tau, one, two)
         if self.through:
-            positions = positions + bump(tau)[:, None] * self._pull()
-        return positions
-
-    def near(self, tau: np.ndarray) -> np.ndarray | None:
-        """(S, n) the straight ways in joint space in the blend; None where the pose alone says what the joints are."""
-        one, two = self.sigma(tau)
-        leaving, arriving = self.before.near(one), self.after.near(two)
-        if leaving is None or arriving is None or self.after.ends is None:
-            return None
-        return leaving + arriving - self.after.ends[0]
-
-    def orientation(self, tau: np.ndarray) -> np.ndarray:
-        """(S, 4) orientation in the blend."""
-        blended = self._turned(tau)
-        if self.through:
-            at_corner = self.after.turn.orientation(np.zeros(1))
-            missing = rotation.multiply(at_corner, rotation.conjugate(self._turned(np.array([0.5]))))[0]
+            at_corner, half = self.after.turn.orientation(np.zeros(1)), np.array([0.5])
+            missing = rotation.multiply(at_corner, rotation.conjugate(self._turned(half, *self.sigma(half))))[0]
             pull = rotation.from_rotation_vector(bump(tau)[:, None] * rotation.rotation_vector(missing))
-            blended = rotation.multiply(pull, blended)
-        return blended
+            orientation = rotation.multiply(pull, orientation)
+        leaving, arriving, near = self.before.near(one), self.after.near(two), None
+        if leaving is not None and arriving is not None and self.after.ends is not None:
+            near = leaving + arriving - self.after.ends[0]
+        return self._position(tau, one, two), orientation, near
 
     def lengths(self) -> tuple[np.ndarray, np.ndarray]:
         """Lengths of its cells (cells,) [m], and at `tau` how far the two moves add up (cells + 1,), 0..1."""
@@ -192,8 +178,14 @@ class CartesianCorner(Corner):
         point = self.after.curve.position(np.zeros(1))
         return 2.0 * point - self.before.curve.position(one) - self.after.curve.position(two)
 
-    def _turned(self, tau: np.ndarray) -> np.ndarray:
-        """(S, 4) the orientation, not yet pulled through the point."""
+    def _position(self, tau: np.ndarray, one: np.ndarray, two: np.ndarray) -> np.ndarray:
+        """(S, 3) at parameters of the move before and the move after."""
+        point = self.after.curve.position(np.zeros(1))
+        positions = self.before.curve.position(one) + self.after.curve.position(two) - point
+        return positions + bump(tau)[:, None] * self._pull() if self.through else positions
+
+    def _turned(self, tau: np.ndarray, one: np.ndarray, two: np.ndarray) -> np.ndarray:
+        """(S, 4) the orientation there, not yet pulled through the point."""
         before, after = self.before.turn, self.after.turn
         if self.step.turn == "slerp":
             # At both ends the rate is that of the step h.
@@ -202,10 +194,8 @@ class CartesianCorner(Corner):
             between = rotation.multiply(rotation.conjugate(leaving), after.orientation(self.into * u))
             vectors = np.stack([rotation.rotation_vector(one) for one in between])
             return rotation.multiply(leaving, rotation.from_rotation_vector(u[:, None] * vectors))
-        one, two = self.sigma(tau)
         at_corner = after.orientation(np.zeros(1))
-        since_corner = rotation.multiply(rotation.conjugate(at_corner), after.orientation(two))
-        return rotation.multiply(before.orientation(one), since_corner)
+        return products(before.orientation(one), products(rotation.conjugate(at_corner), after.orientation(two)))
 
     def _rates(self, tau: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """ds/dτ (S,) of the blend, and of its two moves one after the other."""
@@ -278,7 +268,7 @@ def corner_between(before: Segment, after: Segment, parameters: FlyParameters) -
     return corner if size >= _SMALLEST else None
 
 
-def _reach(settings: Pdl2Settings, half: float, before: Segment, parameters: FlyParameters) -> float:
+def _reach(settings: PathSettings, half: float, before: Segment, parameters: FlyParameters) -> float:
     """[m] how far before the corner the blend may start, by $FLY_TYPE and $FLY_TRAJ."""
     if settings.fly_trajectory is FlyTrajectory.FLY_FROM:
         size = settings.fly_distance
@@ -300,79 +290,6 @@ def _deflection(before: CartesianSegment, after: CartesianSegment) -> float:
     if sizes < 1e-12:
         return 0.0
     return float(np.arccos(min(max(one.dot(two) / sizes, -1.0), 1.0)))
-
-
-@dataclass(frozen=True, eq=False)
-class StraightMoves:
-    """Straight moves with a turn about one axis, and the blends between them, worked out together: a loop has a dozen
-    short stretches, and calls would cost more than what is done in them.
-
-    M moves: start and way of the TCP (M, 3) [m], its orientation (M, 4) at the start, axis (M, 3) and angle (M,) of
-    the turn [rad], what the rotation adds to the path (M,) [m]; and the M - 1 corners between them."""
-
-    start: np.ndarray
-    way: np.ndarray
-    turn: np.ndarray
-    axis: np.ndarray
-    angle: np.ndarray
-    turning: np.ndarray
-    corners: Sequence[Corner]
-
-    @classmethod
-    def of(cls, segments: Sequence[Segment], corners: Sequence[Corner]) -> StraightMoves | None:
-        """Of moves and the corners between them; None where they have to be worked out one by one."""
-        if not corners or any(
-            corner.through or corner.overlap or corner.step.family != "polynomial" or corner.step.turn != "path"
-            for corner in corners
-        ):
-            return None
-        rows = []
-        for one in segments:
-            if not isinstance(one, CartesianSegment) or one.ends is not None:
-                return None
-            curve, turn = one.curve, one.turn
-            if not isinstance(curve, Line) or not isinstance(turn, SingleAxis) or turn.curve is not None:
-                return None
-            rows.append((curve.start, curve.way, turn.start, turn.axis, turn.angle, one.turning))
-        start, way, turns, axis, angle, turning = map(np.array, zip(*rows, strict=True))
-        return cls(start, way, turns, axis, angle, turning, corners)
-
-    def tau(self) -> np.ndarray:
-        """(S,) parameters of the samples of all corners, but for their beginnings."""
-        return np.concatenate([corner.tau()[1:] for corner in self.corners])
-
-    def poses(self, sigmas: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-        """Positions (S, 3) [m] and orientations (S, 4), move by move at its parameters `sigmas`, then corner by corner
-        at `tau`."""
-        counts = [len(sigma) for sigma in sigmas]
-        before, *parts = self._parts(1)
-        one, two = self.corners[0].step.sigma(self.tau(), *parts)
-        which = np.concatenate((np.repeat(np.arange(len(sigmas)), counts), before, before + 1))
-        sigma = np.concatenate((*sigmas, one, two))
-        half = 0.5 * (sigma * self.angle[which])
-        found = blended(self.start, self.way, self.turn, self.axis, which, before, sigma, np.cos(half), np.sin(half))
-        return found[:, :3], found[:, 3:]
-
-    def lengths(self) -> np.ndarray:
-        """(S,) corner by corner, the lengths of its cells [m]."""
-        nodes, cells = map(np.concatenate, zip(*(_nodes(corner.cells) for corner in self.corners), strict=True))
-        before, *parts = self._parts(len(_NODES))
-        rate_one, rate_two = self.corners[0].step.rate(nodes, *parts)
-        one, two = self.way[:-1], self.way[1:]
-        squares = [
-            np.array([a @ b for a, b in zip(*pair, strict=True)])[before]
-            for pair in ((one, one), (one, two), (two, two))
-        ]
-        size = rate_one * (rate_one * squares[0] + rate_two * (2.0 * squares[1])) + rate_two**2 * squares[2]
-        turned = self.turning[before] * rate_one + self.turning[before + 1] * rate_two
-        along = np.sqrt(np.maximum(size, 0.0) + turned**2)
-        return (along.reshape(-1, len(_NODES)) @ _WEIGHTS) * 0.5 * cells
-
-    def _parts(self, repeats: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(S,) of `repeats` samples of every cell of all corners: the move before, and the parts e₁ and e₂."""
-        counts = [repeats * corner.cells for corner in self.corners]
-        parts = np.array([(corner.out, corner.into) for corner in self.corners])
-        return np.repeat(np.arange(len(counts)), counts), *np.repeat(parts, counts, axis=0).T
 
 
 @lru_cache(maxsize=1000)

@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from agent.compiled import products
 from agent.motion import rotation
-from agent.motion.pdl2.settings import Pdl2Settings
+from agent.motion.path_settings import PathSettings
 
 #: [m/rad] converts a rotation into travel, where a move does little but rotate.
 ROTATION_LEVER = 0.1
@@ -131,7 +132,7 @@ class SingleAxis:
 
     def orientation(self, sigma: np.ndarray) -> np.ndarray:
         """(S, 4) unit quaternions."""
-        turned = rotation.multiply(rotation.about(self.axis, sigma * self.angle), self.start)
+        turned = products(rotation.about(self.axis, sigma * self.angle), self.start[None])
         return turned if self.curve is None else rotation.multiply(self.curve.path_frame(sigma), turned)
 
 
@@ -188,7 +189,7 @@ class CartesianSegment:
 
     move: int
     label: str
-    settings: Pdl2Settings
+    settings: PathSettings
     kinematics: Any
     curve: Line | Arc
     turn: SingleAxis | EulerAngles
@@ -234,7 +235,7 @@ class JointSegment:
 
     move: int
     label: str
-    settings: Pdl2Settings
+    settings: PathSettings
     kinematics: Any
     start: np.ndarray
     end: np.ndarray

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from agent.motion import rotation
-from agent.motion.fly.blend import CartesianCorner, Corner, StraightMoves, bump
+from agent.motion.fly.blend import CartesianCorner, Corner, bump
 from agent.motion.fly.move_geometry import Arc, CartesianSegment, JointSegment, Segment, label_of
 from agent.motion.fly.parameters import SPACING, FlyParameters
 from agent.motion.fly.rules import path_rules
@@ -144,7 +144,7 @@ def _body(
 ) -> list[_PathPart]:
     """Knots of the moves of one unit outside joint-space corners; the first stretch has the first knot, step 0."""
     corners = (lead, *inner, trail)
-    sigmas, steps = [], []
+    body: list[_PathPart] = []
     for k, segment in enumerate(unit):
         before, after = corners[k], corners[k + 1]
         begin = 0.0 if before is None else before.into
@@ -155,44 +155,10 @@ def _body(
         ]
         travel = _cells((end - begin) * segment.metric, edges[0], edges[1], _spacing(segment) / fineness)
         skip = 0 if k == 0 else 1
-        sigmas.append((begin + travel / segment.metric)[skip:])
-        steps.append(travel[1:] - travel[:-1])
-        if skip == 0:
-            steps[-1] = np.concatenate((travel[:1], steps[-1]))
-    together = StraightMoves.of(unit, inner)
-    if together is not None:
-        return [_straight(unit, together, sigmas, steps, first)]
-    body: list[_PathPart] = []
-    for k, segment in enumerate(unit):
-        body.append(_on_segment(2 * (first + k), segment, sigmas[k], steps[k]))
+        sigma, steps = (begin + travel / segment.metric)[skip:], np.diff(travel, prepend=travel[:1] if k == 0 else [])
+        body.append(_on_segment(2 * (first + k), segment, sigma, steps))
         body += [_on_corner(2 * (first + k) + 1, one) for one in inner[k : k + 1] if isinstance(one, CartesianCorner)]
     return body
-
-
-def _straight(
-    unit: Sequence[Segment],
-    together: StraightMoves,
-    sigmas: list[np.ndarray],
-    steps: list[np.ndarray],
-    first: int,
-) -> _PathPart:
-    """All of a unit whose moves are worked out together: `sigmas` and `steps` move by move."""
-    # Moves first, then corners, until all is put in the order of the way.
-    moves = np.repeat(np.arange(len(unit)), [len(step) for step in steps])
-    corners = np.repeat(np.arange(len(unit) - 1), [corner.cells for corner in together.corners])
-    block = np.concatenate((2 * moves, 2 * corners + 1))
-    order = np.argsort(block, kind="stable")
-    # The first half of a corner belongs to the move before it.
-    nearest = np.concatenate((moves, corners + (together.tau() >= 0.5)))
-    position, orientation = together.poses(sigmas)
-    return _PathPart(
-        2 * first + block[order],
-        np.concatenate((*steps, together.lengths()))[order],
-        np.array([segment.move for segment in unit])[nearest[order]],
-        np.ones(len(order)),
-        position[order],
-        orientation[order],
-    )
 
 
 def _on_segment(block: int, segment: Segment, sigma: np.ndarray, steps: np.ndarray) -> _PathPart:
@@ -210,14 +176,15 @@ def _on_segment(block: int, segment: Segment, sigma: np.ndarray, steps: np.ndarr
 def _on_corner(block: int, corner: CartesianCorner) -> _PathPart:
     tau = corner.tau()[1:]
     lengths, along = corner.lengths()
+    position, orientation, near = corner.poses(tau)
     return _PathPart(
         np.full(corner.cells, block),
         lengths,
         corner.moves(tau),
         along[1:] if corner.overlap else np.ones(corner.cells),
-        corner.position(tau),
-        corner.orientation(tau),
-        near=corner.near(tau),
+        position,
+        orientation,
+        near=near,
     )
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from agent.motion.fly.move_geometry import JointSegment, Segment
 from agent.motion.fly.parameters import FlyParameters
-from agent.motion.pdl2.settings import SpeedOption
+from agent.motion.path_settings import SpeedOption
 
 #: Columns of a row: programmed TCP speed [m/s] and rotational speed [rad/s] (inf: not programmed), part of the joint
 #: speed limits, whether the robot's Cartesian limits apply (1, or inf: not), part of the acceleration limits that

@@ -8,6 +8,8 @@ from itertools import pairwise
 
 import numpy as np
 
+from agent.compiled import tcp_rates
+from agent.motion.fly import rules
 from agent.motion.fly.blend import Corner, corner_between
 from agent.motion.fly.blocks import plan_blocks
 from agent.motion.fly.move_geometry import CartesianSegment, JointSegment, Segment, label_of
@@ -15,7 +17,7 @@ from agent.motion.fly.parameters import FlyParameters
 from agent.motion.fly.path import Path, build_path
 from agent.motion.fly.profile import ArmLimits, PathShape, shape_of
 from agent.motion.fly.setpoints import Run, plan_run
-from agent.motion.interpolator import MotionError
+from agent.motion.interpolator import BindingLimit, MotionError
 from agent.robot import RobotDescription, parse_configuration
 
 #: Largest number of attempts at a path, with smaller joint-space blends or more knots, and largest factor of knots.
@@ -24,6 +26,10 @@ _ATTEMPTS, _FINEST = 10, 32.0
 _ROUGHEST = 30.0
 #: Normalised distance from a singularity that $SING_CARE asks for.
 _SING_CARE = 0.05
+#: One sample in this many is examined. A run is slowed down below this part of its programmed speed.
+_EVERY, _REACHED = 5, 0.995
+#: A limit is in force above this part of it.
+_FULL = 0.7
 #: Slack on joint limits [rad or m], for round-off only.
 _SLACK = 1e-9
 
@@ -63,12 +69,24 @@ class RunPlanner:
             return [blended]  # the corner itself may be where the arm cannot be, and the blend passes it by
         return stopping if sum(len(run.samples.s) - 1 for run in stopping) < len(blended.samples.s) - 1 else [blended]
 
+    def timed(self, path: Path, shape: PathShape, segments: Sequence[Segment]) -> Run:
+        """The samples along a path.
+
+        Raises:
+            MotionError: no speed on it keeps the limits.
+        """
+        plan = plan_blocks if self.parameters.ramps == "blocks" else plan_run
+        return plan(path, shape, segments, self.limits, self.period, self.parameters)
+
+    def binding_limits(self, runs: Sequence[tuple[float, Run]]) -> tuple[BindingLimit, ...]:
+        """The limits in force where runs, each from its `begin` [s] on, are slower than programmed."""
+        return tuple(one for begin, run in runs for one in _slowing(run, begin, self))
+
     def _run(self, segments: Sequence[Segment], corners: list[Corner], start: np.ndarray) -> Run:
         path, shape = self._path(segments, corners, start)
         self._check_positions(path, segments)
         self._check_care(path, segments)
-        plan = plan_blocks if self.parameters.ramps == "blocks" else plan_run
-        return plan(path, shape, segments, self.limits, self.period, self.parameters)
+        return self.timed(path, shape, segments)
 
     def _path(
         self, segments: Sequence[Segment], corners: Sequence[Corner], start: np.ndarray
@@ -165,3 +183,72 @@ def _parts(
             parts.append((segments[first : last + 1], [corner for corner in corners[first:last] if corner is not None]))
             first = last + 1
     return parts
+
+
+def _slowing(run: Run, begin: float, planner: RunPlanner) -> list[BindingLimit]:
+    """The limits in force where the run is slower than programmed, the fullest one at each time; `begin` [s].
+
+    Stress and overrides reduce a limit, so the limit that is named may be below the arm's own.
+    """
+    limits, period = planner.limits, planner.period
+    samples, path = run.samples, run.path
+    pick = slice(None, None, _EVERY)
+    s, speed = samples.s[pick] + path.s[0], samples.speed[pick]
+    knot = np.clip(np.searchsorted(path.s, s), 0, len(path.s) - 1)
+    rule = path.rules[knot]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        joint_full = np.max(np.abs(run.shape.q1[:, knot]) / limits.speed[:, None], axis=0)
+        turning = rule[:, rules.ROTATIONAL] / run.shape.turn[knot]
+        programmed = rule[:, rules.LINEAR] / run.shape.travel[knot]
+        programmed = np.where(np.isfinite(programmed), programmed, turning)
+        joint = np.where(rule[:, rules.JOINT] < 1.0, rule[:, rules.JOINT] / joint_full, np.inf)
+        programmed = np.minimum(programmed, joint)
+    allowed = rule[:, rules.STRESS] * np.maximum(rule[:, rules.ACCELERATION], rule[:, rules.DECELERATION])
+    qd, qdd = samples.qd[:, pick], samples.qdd[:, pick]
+    jerk = np.zeros_like(qdd)
+    jerk[:, 1:] = (qdd[:, 1:] - samples.qdd[:, _EVERY - 1 :: _EVERY][:, : jerk.shape[1] - 1]) / period
+    rates = tcp_rates(samples.rows, samples.joints)[:, pick]
+    cartesian = limits.cartesian
+    ceilings = (
+        cartesian.linear_speed,
+        cartesian.rotational_speed,
+        cartesian.linear_acceleration * allowed / rule[:, rules.STRESS],
+        cartesian.rotational_acceleration * allowed / rule[:, rules.STRESS],
+    )
+    full = np.concatenate(
+        (
+            np.abs(qd) / limits.speed[:, None],
+            np.abs(qdd) / (limits.acceleration[:, None] * allowed),
+            np.abs(jerk) / limits.jerk[:, None],
+            rates / (np.stack([np.broadcast_to(ceiling, len(s)) for ceiling in ceilings]) * rule[:, rules.CARTESIAN]),
+            np.where(path.overlap[knot] < 0.999, speed / np.maximum(programmed * path.overlap[knot], 1e-12), 0.0)[None],
+            (speed / turning)[None],
+        )
+    )
+    names = [f"{name} {what}" for what in ("speed", "acceleration", "jerk") for name in planner.robot.joint_names]
+    names += [
+        "linear speed",
+        "rotational speed",
+        "linear acceleration",
+        "rotational acceleration",
+        "FLY_NORM overlap",
+    ]
+    names += ["programmed rotational speed"]
+    slowed = speed < _REACHED * programmed
+    slowed[[0, -1]] = len(s) > 2 and slowed[1], len(s) > 2 and slowed[-2]
+    # Between two limits, where the acceleration changes its sign, none is full: the nearest one that was counts.
+    certain = np.flatnonzero(slowed & (full.max(axis=0) > _FULL))
+    nearest = np.arange(len(s))
+    if len(certain):
+        after = np.minimum(np.searchsorted(certain, nearest), len(certain) - 1)
+        before = np.maximum(after - 1, 0)
+        nearer = nearest - certain[before] <= certain[after] - nearest
+        nearest = certain[np.where(nearer, before, after)]
+    worst = np.where(slowed, np.argmax(full, axis=0)[nearest], -1)
+    edges = np.concatenate(([0], 1 + np.flatnonzero(np.diff(worst)), [len(worst)]))
+    end = begin + (len(samples.s) - 1) * period
+    return [
+        BindingLimit(names[worst[a]], begin + a * _EVERY * period, min(begin + b * _EVERY * period, end))
+        for a, b in pairwise(edges)
+        if worst[a] >= 0
+    ]

@@ -22,7 +22,7 @@ from agent.motion.fly.move_geometry import (
 )
 from agent.motion.fly.path import motion_error, solve_cartesian
 from agent.motion.interpolator import MotionError
-from agent.motion.pdl2.settings import OrientationType, Pdl2Settings
+from agent.motion.path_settings import OrientationType, PathSettings
 from agent.motion.program import (
     CartesianTarget,
     Frame,
@@ -91,7 +91,7 @@ class SegmentMaker:
             InputError: settings that make no sense.
         """
         label = _label(index, move)
-        settings = Pdl2Settings.of(move.settings)
+        settings = PathSettings.of(move.settings)
         _check(settings, label)
         kinematics = self._with_tool(settings)
         if move.type is MoveType.JOINT:
@@ -108,7 +108,7 @@ class SegmentMaker:
     def _cartesian(
         self, index: int, label: str, move: Move, kinematics: Kinematics, pending: Sequence[Segment], rest: np.ndarray
     ) -> Segment | None:
-        settings = Pdl2Settings.of(move.settings)
+        settings = PathSettings.of(move.settings)
         style = settings.orientation
         if style is OrientationType.WRIST_JNT:
             reason = "$ORNT_TYPE WRIST_JNT is not planned; use RS_WORLD, or MOVE JOINT through the singularity"
@@ -239,7 +239,7 @@ def _label(index: int, move: Move) -> str:
     return f"statement {index + 1}" + (f" ({', '.join(place)})" if place else "")
 
 
-def _check(settings: Pdl2Settings, label: str) -> None:
+def _check(settings: PathSettings, label: str) -> None:
     for name in _SPEEDS:
         if not 0.0 < getattr(settings, name) < np.inf:
             raise InputError(f"{label}: {name} is {getattr(settings, name)}; it has to be positive")

@@ -62,10 +62,9 @@ class Program:
     scope: Scope
     _robot: RobotDescription | None
 
-    def run(self, cycles: int | None = None, limit: int = MAX_STEPS) -> Iterator[Statement]:
+    def run(self, limit: int = MAX_STEPS) -> Iterator[Statement]:
         """The moves and delays in order, loops unrolled as they are reached; SI units.
 
-        `cycles` limits the turns of a BEGIN CYCLE program (None: no limit) and has no effect on others.
         `limit` is the number of statements and loop turns that may be executed.
 
         Raises:
@@ -73,14 +72,11 @@ class Program:
                 out of its range, …) or `limit` is passed.
         """
         run = _Run(self, limit)
-        turns = 0
         try:
-            while True:
-                yield from run.block(self.syntax.block)
-                turns += 1
-                if not self.cycle or (cycles is not None and turns >= cycles):
-                    return
+            yield from run.block(self.syntax.block)
+            while self.cycle:
                 run.step(self.syntax.place)
+                yield from run.block(self.syntax.block)
         except Pdl2Error as error:
             raise error.within(self.path) from None
 

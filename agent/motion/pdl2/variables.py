@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from agent.motion import rotation
-from agent.motion.pdl2.settings import FlyTrajectory, FlyType, OrientationType, Pdl2Settings, SpeedOption, Termination
+from agent.motion.path_settings import FlyTrajectory, FlyType, OrientationType, SpeedOption
+from agent.motion.pdl2.settings import Pdl2Settings, Termination
 from agent.motion.pdl2.syntax import Constant, Pos
 from agent.motion.program import MoveType, frame_of, matrix_of
 

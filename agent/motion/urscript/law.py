@@ -8,22 +8,21 @@ Nothing is slowed down for the joints: a program that asks too much of one, or w
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from agent.motion.fly.blend import Corner
 from agent.motion.fly.blocks import plan_blocks
 from agent.motion.fly.interpolator import FlyInterpolator
 from agent.motion.fly.move_geometry import CartesianSegment, JointSegment, Segment, label_of
 from agent.motion.fly.parameters import FlyParameters
-from agent.motion.fly.profile import ArmLimits
+from agent.motion.fly.path import Path
+from agent.motion.fly.profile import ArmLimits, PathShape
 from agent.motion.fly.runs import RunPlanner
 from agent.motion.fly.setpoints import Run
-from agent.motion.interpolator import MotionError
-from agent.motion.pdl2.settings import FlyTrajectory, FlyType, Pdl2Settings
-from agent.motion.program import MotionSettings, Move, MoveType, Statement
-from agent.motion.trajectory import Trajectory
+from agent.motion.interpolator import BindingLimit, MotionError, Trajectory
+from agent.motion.path_settings import FlyTrajectory, FlyType, PathSettings
+from agent.motion.program import Move, MoveType, Statement
 from agent.motion.urscript.settings import UrSettings
 from agent.robot import CartesianLimits, RobotDescription, Tool
 
@@ -38,7 +37,7 @@ _PARAMETERS = FlyParameters(
 
 
 @dataclass(frozen=True)
-class _LawSettings(Pdl2Settings):
+class _LawSettings(PathSettings):
     """A move of the UR as the planner of paths takes it."""
 
     joint_speed: float = 1.0
@@ -47,10 +46,10 @@ class _LawSettings(Pdl2Settings):
     @classmethod
     def of_move(cls, move: Move) -> _LawSettings:
         ours = UrSettings.of(move.settings)
-        shared = {field.name: getattr(ours, field.name) for field in fields(MotionSettings)}
         part = 1.0 if move.type is MoveType.JOINT else min(ours.linear_acceleration / _WHOLE, 1.0)
-        return cls(
-            **shared | {"speed_override": 1.0, "linear_speed": ours.linear_speed * ours.speed_override},
+        return cls.of(ours).changed(
+            speed_override=1.0,
+            linear_speed=ours.linear_speed * ours.speed_override,
             fly_type=FlyType.FLY_CART,
             fly_trajectory=FlyTrajectory.FLY_FROM,
             acceleration_override=part,
@@ -67,8 +66,7 @@ class UrLaw:
     """
 
     def __init__(self, robot: RobotDescription, tool: Tool | None = None, period: float = 0.002):
-        self._fly = FlyInterpolator(robot, tool, period, _PARAMETERS)
-        self._fly._planner = _Planner(robot, ArmLimits.of(robot, _PARAMETERS), period, _PARAMETERS)
+        self._fly = FlyInterpolator(robot, tool, period, _PARAMETERS, _Planner)
 
     def plan(self, statements: Sequence[Statement], start: np.ndarray) -> Trajectory:
         """Set-points of the program from rest at `start` (n,) [rad] to rest.
@@ -80,22 +78,21 @@ class UrLaw:
         moves = [
             replace(one, settings=_LawSettings.of_move(one)) if isinstance(one, Move) else one for one in statements
         ]
-        trajectory = self._fly.plan(moves, start)
-        vars(trajectory)["binding"] = ()  # the program alone says how fast it goes
-        return trajectory
+        return self._fly.plan(moves, start)
 
 
 class _Planner(RunPlanner):
     """Plans without a look at the limits of the arm, and refuses what goes farthest beyond one of them."""
 
-    def _run(self, segments: Sequence[Segment], corners: list[Corner], start: np.ndarray) -> Run:
-        path, shape = self._path(segments, corners, start)
-        self._check_positions(path, segments)
+    def timed(self, path: Path, shape: PathShape, segments: Sequence[Segment]) -> Run:
         run = plan_blocks(path, shape, segments, _limits(segments, self.robot.dof), self.period, self.parameters)
         worst = max((*_overlaps(segments), *self._beyond(run, segments)), key=lambda one: one.excess, default=None)
         if worst is not None:
             raise worst
         return run
+
+    def binding_limits(self, runs: Sequence[tuple[float, Run]]) -> tuple[BindingLimit, ...]:
+        return ()  # the program alone says how fast it goes
 
     def _beyond(self, run: Run, segments: Sequence[Segment]) -> Iterator[MotionError]:
         """Limits of joints and tool that the set-points exceed."""

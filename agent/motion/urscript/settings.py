@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
@@ -28,13 +28,6 @@ class UrSettings(MotionSettings):
     joint_speed: float = JOINT_SPEED
     joint_acceleration: float = JOINT_ACCELERATION
     load: tuple[float, ...] | None = None
-
-    @classmethod
-    def of(cls, settings: MotionSettings) -> UrSettings:
-        """Any settings as a UR controller understands them; what they do not say has the controller's default."""
-        if isinstance(settings, cls):
-            return settings
-        return cls(**{field.name: getattr(settings, field.name) for field in fields(MotionSettings)})
 
     def carrying(self, tool: Tool | None) -> Self:
         """The same with the load of this tool."""

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,13 +18,10 @@ from agent.motion import rotation
 from agent.motion.program import (
     CartesianTarget,
     Delay,
-    JointTarget,
-    MotionSettings,
     MoveType,
     Statement,
     Target,
     decimals,
-    loop_program,
     matrix_of,
 )
 from agent.motion.urscript.reader import read_program
@@ -47,56 +43,22 @@ _HEAD = """def {name}():
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*", re.ASCII)
 #: Longest name of a program in characters; eight of them and a `_` belong to the checksum.
 _LONGEST, _DIGEST = 31, 8
-#: A controller goes on from a stop in the next period; at this rest it shows where cycles begin.
-_REST = "sleep(0.1)"
 
 
-def write_program(name: str, statements: Sequence[Statement], robot: RobotDescription | None = None) -> str:
-    """A program that makes these moves and delays once; `read_program` gives them back.
+class ScriptWriter:
+    """Writes moves, and before them the tool and load where they change.
 
-    Coordinates have nine decimals (m, rad), speeds and accelerations twelve digits. The program is called by the name
-    and the checksum of what it does.
-
-    Raises:
-        InputError: a name or a coordinate that URScript does not take.
+    Coordinates have nine decimals (m, rad), speeds and accelerations twelve digits. A program is called by its name and
+    the checksum of what it does.
     """
-    writer = _ScriptWriter(robot)
-    return writer.text(name, [line for statement in statements for line in writer.statement(statement, "  ")])
-
-
-def write_loop_program(
-    name: str,
-    points: Sequence[Target],
-    settings: MotionSettings,
-    cycles: int,
-    approach: MotionSettings | None = None,
-    robot: RobotDescription | None = None,
-    start: JointTarget | None = None,
-) -> str:
-    """A program of the loop: `movej` to the start, then `cycles` times `movel` through points 2 to K and to the first.
-
-    All but the last `movel` of a cycle blend, so every cycle starts and ends with a standstill of 0.1 s.
-
-    Raises:
-        InputError: fewer than two points, no cycle, or what `write_program` refuses.
-    """
-    first, loop = loop_program(name, points, settings, cycles, approach, start)
-    writer = _ScriptWriter(robot)
-    lines = [*writer.statement(first, "  "), f"  {_REST}"]
-    moves = [line for move in loop for line in writer.statement(move, "    ")]
-    lines += ["  i = 0", f"  while i < {cycles}:", "    write_output_integer_register(24, i)"]
-    return writer.text(name, [*lines, *moves, f"    {_REST}", "    i = i + 1", "  end"])
-
-
-class _ScriptWriter:
-    """Writes moves, and before them the tool and load where they change."""
 
     def __init__(self, robot: RobotDescription | None):
         self._robot = robot
         self._frames: list[str] | None = None  # that the program begins with
         self._said: list[str] = []
 
-    def statement(self, statement: Statement, indent: str) -> list[str]:
+    def statement(self, statement: Statement, indent: str = "  ") -> list[str]:
+        """Its lines."""
         if isinstance(statement, Delay):
             return [f"{indent}sleep({statement.seconds:.12g})"]
         settings = UrSettings.of(statement.settings)
@@ -116,6 +78,11 @@ class _ScriptWriter:
         return [indent + line for line in (*changed, f"{word}({where}, {ending})")]
 
     def text(self, name: str, lines: list[str]) -> str:
+        """The program of these lines, which was read back.
+
+        Raises:
+            InputError: a name or a coordinate that URScript does not take.
+        """
         if _NAME.fullmatch(name) is None:
             raise InputError(f"program name {name!r}: a letter, then letters, digits and _")
         body = "".join(f"{line}\n" for line in lines)

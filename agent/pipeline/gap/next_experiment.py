@@ -24,15 +24,15 @@ from agent.experiment import (
     plan_experiment,
     tells_apart_by_load,
 )
-from agent.link import PROGRAM_SHA256, SCHEMA, check_payload, torque_limits, with_payload
+from agent.link import PROGRAM_SHA256, SCHEMA, check_payload, plan_program, torque_limits, with_payload
 from agent.model import CATALOGUE, PAYLOAD, payload_of, payload_text
-from agent.motion import Dialect, JointTarget, MotionError, Move, MoveType, Statement, Trajectory, dialects, with_frames
-from agent.pipeline.plan import checked_chains, loop_problem
+from agent.motion import Dialect, JointTarget, MotionError, Move, MoveType, Statement, dialects, with_frames
+from agent.pipeline.plan import loop_problem
 from agent.recipe import Recipe, load_recipe
 from agent.recording import PARTS, PLANNED_PARTS, Log
 from agent.robot import RobotDescription, Tool, TorqueLimits, kinematics_for
 from agent.runs import make_folder, write_json
-from agent.safety import PlannedProgram, pauses
+from agent.safety import PlannedProgram
 
 #: Longest motion that is planned [s].
 LONGEST = 60.0
@@ -96,23 +96,22 @@ class NextMotion:
     Attributes
     ----------
     experiment : its pieces and what it is expected to separate.
-    text, chains : program, and set-points from stop to stop.
+    planned : the program, planned from the start of the first piece.
     load : known mass to mount for it.
     brakes : whether seconds with the drives off come first.
     """
 
     experiment: Experiment
-    text: str
-    chains: tuple[Trajectory, ...]
+    planned: PlannedProgram
     robot: RobotDescription
     dialect: Dialect
     load: Tool | None = None
     brakes: bool = False
 
     @property
-    def duration(self) -> float:
-        """[s] from the start of the first piece, rests included."""
-        return motion_duration(self.text, self.chains, self.robot, self.dialect)
+    def text(self) -> str:
+        """Of the program."""
+        return self.planned.text
 
     def to_dict(self, program: str) -> dict[str, Any]:
         """`next_experiment` of a diagnosis: what is separated, how, and the probability of the right answer."""
@@ -127,7 +126,7 @@ class NextMotion:
             "separates": sorted({name for e in expected for name in e.pair.names if name != "none"}),
             "motion": "; then ".join(steps),
             "program": program,
-            "duration_s": self.duration,
+            "duration_s": self.planned.duration,
             "probability": [
                 {
                     "pair": [e.pair.first.text(), e.pair.second.text()],
@@ -193,7 +192,7 @@ def plan_next(
     experiment = plan_experiment(found, pairs, problem, seconds, seed, deadline.share(_BARE), runs)
     if runs.motion is not None:
         brakes = brakes_tell(found, [e.pair for e in experiment.expected])
-        motion = NextMotion(experiment, *runs.motion, recipe.robot, recipe.dialect, load, brakes)
+        motion = NextMotion(experiment, runs.motion, recipe.robot, recipe.dialect, load, brakes)
         if motion.helps():
             return motion
     if seconds < LONGEST:
@@ -283,23 +282,17 @@ def _refused(problem: LoopProblem) -> str:
     return max(set(said), key=said.count) if said else "the last candidate took too long"
 
 
-def motion_duration(text: str, chains: Sequence[Trajectory], robot: RobotDescription, dialect: Dialect) -> float:
-    """[s] of a program's motion and rests."""
-    rests = pauses(dialect.read(text, "program", robot).run())
-    return PlannedProgram("program", text, tuple(chains), pauses=rests).duration
-
-
 class Runs:
     """Whether pieces can run one after the other within a time [s], including the moves between them.
 
-    `motion`: text and set-points of the last pieces that can; `refused`: why the last ones cannot.
+    `motion`: program of the last pieces that can; `refused`: why the last ones cannot.
     """
 
     def __init__(
         self, recipe: Recipe, name: str, seconds: float, load: Tool | None = None, limits: TorqueLimits | None = None
     ):
         self._recipe, self._name, self._seconds, self._load, self._limits = recipe, name, seconds, load, limits
-        self.motion: tuple[str, tuple[Trajectory, ...]] | None = None
+        self.motion: PlannedProgram | None = None
         self.refused = ""
 
     def __call__(self, pieces: Sequence[Piece]) -> bool:
@@ -308,19 +301,19 @@ class Runs:
         while True:
             text = self._program(pieces, speed)
             try:
-                _, chains = checked_chains(recipe, text, path, start, self._limits)
+                planned = plan_program(recipe, text, path, start, self._limits)
             except (InputError, MotionError) as error:
                 self.refused = str(error)
                 return False
-            over = max(float(chain.path_speed.max()) for chain in chains) / recipe.motion.speed
+            over = planned.speed / recipe.motion.speed
             if over <= _SPEED_ROUND_OFF or speed < _SLOWEST_WAY:
                 break
             speed /= 2
-        took = motion_duration(text, chains, recipe.robot, recipe.dialect)
+        took = planned.duration
         if took > self._seconds:
             self.refused = f"it takes {took:.0f} s with the moves between its pieces; {self._seconds:.0f} s are allowed"
             return False
-        self.motion = text, tuple(chains)
+        self.motion = planned
         return True
 
     def _program(self, pieces: Sequence[Piece], way_speed: float) -> str:

@@ -15,7 +15,7 @@ from agent.pipeline.plan import loop_problem
 from agent.pipeline.setup.findings import CheckedItem, Findings
 from agent.recipe import Recipe, examine_recipe
 from agent.robot import not_judged_text
-from agent.safety import PlannedProgram, check_frames, check_period, check_throughput, frames_text
+from agent.safety import check_frames, check_period, check_throughput, frames_text
 from drivers.protocol import AcceptsViaPoints, ReportsFrames
 
 #: Random loops that are run through the interpolator and the cell.
@@ -96,7 +96,7 @@ def _controller(recipe: Recipe) -> str:
         frames = driver.frames() if isinstance(driver, ReportsFrames) else {}
         if isinstance(driver, AcceptsViaPoints):
             tool = {recipe.dialect.frame_names["tool"]: tool_frame(recipe.tool)}
-            check_frames(PlannedProgram("of via-points", "", (), frames=tool), driver, address)
+            check_frames("of via-points", tool, driver, address)
     state = [
         f"mode {status.mode}",
         f"drives {'on' if status.drives_on else 'off'}",

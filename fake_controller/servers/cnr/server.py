@@ -13,7 +13,8 @@ from contextlib import ExitStack, closing
 import numpy as np
 
 from agent.core import InputError
-from agent.motion import FlyTrajectory, FlyType, JointTarget, Move, MoveType, Pdl2Settings, Termination, write_program
+from agent.motion import FlyTrajectory, FlyType, JointTarget, Move, MoveType, Pdl2Settings, Termination
+from agent.motion.pdl2 import write_program
 from agent.robot import RobotDescription
 from drivers.wire.cnr import QUEUE_NODES, CommType, Message, MessageType, Point, QueueStatus, ReplyCode
 from drivers.wire.reasons import EndReason

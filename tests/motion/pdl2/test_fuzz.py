@@ -5,7 +5,7 @@ import itertools
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from agent.motion import Pdl2Error, parse_program
+from agent.motion.pdl2 import Pdl2Error, parse_program
 from agent.motion.program import Delay, Move
 
 PROGRAM = """PROGRAM loop HOLD, PROG_ARM=1
@@ -42,7 +42,7 @@ WORDS = [*PROGRAM.replace("(", " ( ").replace(",", " , ").split(), *ODD_WORDS.sp
 def outcome(text: str) -> None:
     error = None
     try:
-        statements = list(itertools.islice(parse_program(text).run(cycles=2, limit=500), 500))
+        statements = list(itertools.islice(parse_program(text).run(limit=500), 500))
         assert all(isinstance(statement, Move | Delay) for statement in statements)
     except Pdl2Error as raised:
         error = raised

@@ -5,7 +5,7 @@ import itertools
 import pytest
 
 from agent.core.errors import InputError
-from agent.motion import Pdl2Error, parse_program
+from agent.motion.pdl2 import Pdl2Error, parse_program
 
 DECLARATIONS = """VAR p, q : POSITION
   ps : ARRAY[3] OF POSITION

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from agent.core.errors import InputError
-from agent.motion import parse_program, write_loop_program, write_program
-from agent.motion.pdl2.settings import FlyTrajectory, FlyType, OrientationType, Pdl2Settings, SpeedOption, Termination
+from agent.motion import FlyTrajectory, FlyType, OrientationType, Pdl2Settings, SpeedOption, Termination
+from agent.motion.pdl2 import parse_program, write_loop_program, write_program
 from agent.motion.pdl2.variables import pos_to_pose
 from agent.motion.program import NO_FRAME, CartesianTarget, Delay, JointTarget, Move, MoveType
 from agent.robot.description import load_robot

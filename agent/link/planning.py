@@ -1,7 +1,8 @@
-"""The planned motion of a program: its set-points from stop to stop, checked against the cell."""
+"""Planning of programs: from a text to set-points that were checked. What a robot runs comes from `plan_program`."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
@@ -9,9 +10,10 @@ import numpy as np
 
 from agent.core import Console, InputError
 from agent.recipe import Recipe
+from agent.safety import PlannedProgram, pauses
 
 if TYPE_CHECKING:
-    from agent.motion import Dialect, Trajectory
+    from agent.motion import Interpolator, Statement, Trajectory
     from agent.robot import Tool, TorqueLimits
 
 #: Torques are checked at every tenth set-point, as in a search.
@@ -21,24 +23,52 @@ _EVERY = 10
 _SAME = 1e-6
 
 
-def plan_statements(
-    recipe: Recipe, text: str, path: str, start: np.ndarray, dialect: Dialect | None = None
-) -> tuple[str, list[Trajectory]]:
-    """Name of a program, and its set-points from stop to stop when the arm stands at `start` (n,).
+def plan_program(
+    recipe: Recipe,
+    text: str,
+    path: str,
+    start: np.ndarray,
+    limits: TorqueLimits | None = None,
+    stands_for: str = "",
+) -> PlannedProgram:
+    """Plan a program of the recipe's dialect for an arm that stands at `start` (n,), and check all that it moves.
 
-    The text is of the recipe's dialect, unless another one is given.
+    The set-points are those of the text, whatever it was written from. Each different one of the trajectories, the way
+    from `start` included, is checked once against the cell, and against torque `limits` where a mass is at the flange.
+
+    Args:
+        path: of the text, for messages.
+        stands_for: checksum of the program that this one is the slow version of.
 
     Raises:
-        InputError: the text is not the motion subset of its dialect.
-        MotionError: it breaks a limit.
+        InputError: the text is not the motion subset of its dialect, or it breaks a limit.
     """
-    from agent.motion import create_interpolator, stop_to_stop, way_key
+    from agent.motion import left_open
 
-    program = (dialect or recipe.dialect).read(text, path, recipe.robot)
-    interpolator = create_interpolator(recipe.interpolator, recipe.robot, recipe.tool, period=1.0 / recipe.record.rate)
+    program = recipe.dialect.read(text, path, recipe.robot)
+    statements = tuple(program.run())
+    chains = tuple(trajectories(recipe, statements, start))
+    for chain in {id(chain): chain for chain in chains}.values():
+        check_cell(recipe, chain)
+        check_load(limits, chain)
+    frames = left_open(statements, recipe.tool, recipe.dialect.frame_names)
+    return PlannedProgram(program.name, text, chains, stands_for, (), pauses(statements), frames, statements)
+
+
+def trajectories(recipe: Recipe, statements: Iterable[Statement], start: np.ndarray) -> list[Trajectory]:
+    """Set-points of a program from stop to stop for an arm that stands at `start` (n,), unchecked: not to be run.
+
+    Where it makes the same way again, the trajectory is the same object. What moves nothing is left out.
+
+    Raises:
+        MotionError: a limit of the arm is broken.
+    """
+    from agent.motion import stop_to_stop, way_key
+
+    interpolator = interpolator_of(recipe)
     chains: list[Trajectory] = []
     known: dict[tuple[object, ...], list[Trajectory]] = {}
-    for moves in stop_to_stop(program.run()):
+    for moves in stop_to_stop(statements):
         alike = known.setdefault(way_key(moves), [])
         chain = next((one for one in alike if np.allclose(one.q[0], start, rtol=0, atol=_SAME)), None)
         if chain is None:
@@ -47,7 +77,15 @@ def plan_statements(
         if np.ptp(chain.q, axis=0).any():
             chains.append(chain)
             start = chain.q[-1]
-    return program.name, chains
+    return chains
+
+
+@lru_cache(maxsize=4)
+def interpolator_of(recipe: Recipe) -> Interpolator:
+    """The recipe's interpolation law at its controller's period."""
+    from agent.motion import create_interpolator
+
+    return create_interpolator(recipe.interpolator, recipe.robot, recipe.tool, period=1.0 / recipe.record.rate)
 
 
 def check_cell(recipe: Recipe, trajectory: Trajectory) -> None:

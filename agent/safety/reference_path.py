@@ -1,4 +1,4 @@
-"""The whole plan as one path, in a form for matching samples to it."""
+"""The path that the guard holds a motion to: the set-points of a whole program, for matching samples to them."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _STEPS = 8  # of a span along the way
 
 
 @dataclass(frozen=True, eq=False)
-class PlannedPath:
+class ReferencePath:
     """P points of the path in order. Each is a row of one of the different stretches, so that a cycle is stored once.
 
     rows (P,) and when (P,): row of each point, and motion time up to it, without pauses [s].
@@ -50,7 +50,7 @@ class PlannedPath:
     step: float
 
     @classmethod
-    def of(cls, chains: Sequence[Trajectory], dynamics: Dynamics, margin: float) -> PlannedPath:
+    def of(cls, chains: Sequence[Trajectory], dynamics: Dynamics, margin: float) -> ReferencePath:
         """The path of `chains`, from stop to stop, for a tool that may be `margin` [m] away from it."""
         different = {id(chain): chain for chain in chains}
         first_row = dict(zip(different, np.cumsum([0, *(len(chain.t) for chain in different.values())]), strict=False))

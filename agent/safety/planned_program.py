@@ -1,4 +1,4 @@
-"""The motion that is about to run."""
+"""A program that was planned and checked, as it is about to run."""
 
 from __future__ import annotations
 
@@ -45,10 +45,10 @@ def pauses(statements: Iterable[Statement]) -> float:
 class PlannedProgram:
     """A program under a name, and what we planned of it from stop to stop.
 
-    `stands_for`: checksum of the program that this one is the slow version of; empty for any other. `points`: the same
-    motion for a controller that takes via-points. `pauses` [s]: rests that the program asks for (DELAY). `frames`:
-    those of the controller that the plan takes for granted, (4, 4) [m] by their name in the dialect; none
-    where the program sets all that it needs.
+    `statements`: what its text says. `stands_for`: checksum of the program that this one is the slow version of; empty
+    for any other. `points`: the same motion for a controller that takes via-points. `pauses` [s]: rests that the
+    program asks for (DELAY). `frames`: those of the controller that the plan takes for granted, (4, 4) [m] by their
+    name in the dialect; none where the program sets all that it needs.
     """
 
     name: str
@@ -58,6 +58,7 @@ class PlannedProgram:
     points: tuple[ViaPoint, ...] = ()
     pauses: float = 0.0
     frames: Mapping[str, np.ndarray] = field(default_factory=dict)
+    statements: tuple[Statement, ...] = ()
 
     @property
     def checksum(self) -> str:

@@ -2,28 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from agent.core import InputError
-from agent.motion import (
+from agent.motion.interpolator import Trajectory
+from agent.motion.path_settings import FlyTrajectory, FlyType, SpeedOption
+from agent.motion.pdl2.settings import Pdl2Settings
+from agent.motion.program import (
     CartesianTarget,
-    FlyTrajectory,
-    FlyType,
     Move,
     MoveType,
-    Pdl2Settings,
-    SpeedOption,
+    Statement,
     pose_in_robot_base,
     stop_to_stop,
     tool_frame,
 )
-from agent.safety import PlannedProgram
 from drivers.protocol import ViaPoint
 
 if TYPE_CHECKING:
-    from agent.motion import Trajectory
     from agent.robot import RobotDescription, Tool
 
 #: A MOVE JOINT becomes straight lines between points of its plan, no joint turning further in one of them [rad, m].
@@ -33,37 +32,37 @@ JOINT_TOLERANCE, SLOWEST = 0.005, 0.01
 _SAME = 1e-6  # of poses [m] and joints [rad] that are written with nine decimals
 
 
-def via_points(program: PlannedProgram, robot: RobotDescription, tool: Tool | None) -> tuple[ViaPoint, ...]:
+def via_points(
+    name: str,
+    statements: Iterable[Statement],
+    chains: Sequence[Trajectory],
+    robot: RobotDescription,
+    tool: Tool | None,
+) -> tuple[ViaPoint, ...]:
     """The points of a program: where its moves lead, `fly_tolerance` their $FLY_DIST, `linear_speed` their $LIN_SPD.
 
-    A MOVE JOINT, which the controller does not have for points, is taken from its plan.
+    A MOVE JOINT, which the controller does not have for points, is taken from its plan, one of the `chains` from stop
+    to stop.
 
     Raises:
         InputError: a move that points cannot say.
     """
-    from agent.motion import parse_program
-
-    chains = [*program.chains]
+    left = [*chains]
     points: list[ViaPoint] = []
     own = tool_frame(tool)
-    for moves in stop_to_stop(parse_program(program.text, program.name, robot).run()):
+    for moves in stop_to_stop(statements):
         for move in moves:
             if move.settings.tool is not None and np.abs(np.array(move.settings.tool) - own).max() > _SAME:
-                raise InputError(_cannot(program.name, move, "one tool, the recipe's"))
-        if chains and _is_plan_of(chains[0], moves):
-            points += _points(moves, chains.pop(0), program.name, robot, tool)
-    if chains:
-        raise InputError(f"program {program.name}: its plan and its moves do not belong together; plan again")
+                raise InputError(_cannot(name, move, "one tool, the recipe's"))
+        if left and _is_plan_of(left[0], moves):
+            chain = left.pop(0)
+            if len(moves) == 1 and moves[0].type is MoveType.JOINT:
+                points += _along(chain)
+            else:
+                points += [_point(move, index, chain, name, robot, tool) for index, move in enumerate(moves)]
+    if left:
+        raise InputError(f"program {name}: its plan and its moves do not belong together; plan again")
     return tuple(points)
-
-
-def _points(
-    moves: list[Move], chain: Trajectory, name: str, robot: RobotDescription, tool: Tool | None
-) -> list[ViaPoint]:
-    """From stop to stop."""
-    if len(moves) == 1 and moves[0].type is MoveType.JOINT:
-        return _along(chain)
-    return [_point(move, index, chain, name, robot, tool) for index, move in enumerate(moves)]
 
 
 def _point(
