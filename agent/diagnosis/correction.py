@@ -68,7 +68,7 @@ def _at_own_gains(
     for k, scale in gains.items():
         factors[fit.chosen[k].joints[0]] /= scale
     logs = at_gains(given.logs, factors)
-    data = assemble(given.robot, given.model, logs, given.cutoff, given.limits, calibrated.model)
+    data = assemble(given.robot, given.model, logs, given.cutoff, calibrated.model)
     moved = calibrated.released_in(data).seen_from(fit.reference)
     others = [(c.effect, c.joints, c.settings) for k, c in enumerate(fit.chosen) if k not in gains]
     again = moved.with_chosen(moved.candidates(others))

@@ -26,6 +26,7 @@ from agent.diagnosis.gap.torque_gap import HeldOutGap, held_out_gap
 from agent.diagnosis.hypotheses.finding import Finding
 from agent.diagnosis.hypotheses.search import Search
 from agent.diagnosis.hypotheses.testability import effects_of_path, not_testable
+from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.dataset import Dataset
 from agent.diagnosis.simulator_file.calibration import ReleasedSimulator, causes_of_steps, waterfall
 from agent.diagnosis.sizes import intervals
@@ -92,7 +93,7 @@ def build(
         of_path = [name for name in effects_of_path() if name in search.allowed][:1]
         verdict, closure = with_path(verdict, closure, motion.closure, bool(of_path))
         causes += tuple(_path_cause(name, motion) for name in of_path)
-    verdict, causes = settle(verdict, causes, closure, dataset.limits)
+    verdict, causes = settle(verdict, causes, closure)
     steps: tuple[WaterfallStep, ...] = ()
     if calibrated is not None:
         dataset = replace(dataset, residual=calibrated.given.residual)
@@ -106,8 +107,8 @@ def build(
         )
         steps = waterfall(calibrated, finding, gap)
         by_numbers = 0.0 if causes or not calibrated.groups or gap.closure is None else gap.closure
-        if by_numbers > 0 and (verdict == "no_gap" or by_numbers > 1 - dataset.limits.least_share):
-            kept = settle("explained", causes_of_steps(calibrated, steps, by_numbers), by_numbers, dataset.limits)
+        if by_numbers > 0 and (verdict == "no_gap" or by_numbers > 1 - LIMITS.least_share):
+            kept = settle("explained", causes_of_steps(calibrated, steps, by_numbers), by_numbers)
             if kept[1]:
                 warnings = (*warnings, _left_by_numbers(dataset, gap)) if verdict == "unknown" else warnings
                 verdict, causes = kept
@@ -143,13 +144,13 @@ def build(
 
 
 def _without_cause(dataset: Dataset, gap: HeldOutGap, verdict: str) -> Iterator[str]:
-    if gap.absorbed > 1 - dataset.limits.explained:
+    if gap.absorbed > 1 - LIMITS.explained:
         yield (
             f"the model's own parameters explain {100 * gap.absorbed:.0f} % of the squared error within their "
             "uncertainty: estimate it again with motions like these"
         )
     error = gap.before * gap.unit / dataset.model.held_out_rmse
-    if verdict == "no_gap" and error.max() > dataset.limits.usual_error:
+    if verdict == "no_gap" and error.max() > LIMITS.usual_error:
         name = dataset.robot.joint_names[int(error.argmax())]
         yield (
             f"the error of {name} is {error.max():.1f} {LARGE_ERROR}, which may differ from day to day on a "
@@ -167,7 +168,7 @@ def _left_by_numbers(dataset: Dataset, gap: HeldOutGap) -> str:
 
 def _path_cause(name: str, motion: MotionGap) -> Cause:
     parameters = {"rate": motion.rate, "shift": motion.shift, "blend": motion.blend}
-    return Cause(name, (), motion.closure, motion.limits.path_probability, parameters)
+    return Cause(name, (), motion.closure, LIMITS.path_probability, parameters)
 
 
 def _of_mass(dataset: Dataset) -> Iterator[str]:

@@ -11,7 +11,7 @@ import numpy as np
 from agent.diagnosis.answer import Cause, EffectPlace
 from agent.diagnosis.gap.torque_gap import HeldOutGap, held_out_gap
 from agent.diagnosis.hypotheses.finding import Finding
-from agent.diagnosis.limits import LIMITS, DecisionLimits
+from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.dataset import Dataset
 from agent.diagnosis.rows.fit import Fit
 
@@ -26,10 +26,10 @@ def judge(dataset: Dataset, finding: Finding, plain: Fit, unit: np.ndarray | Non
         gap = held_out_gap(dataset, finding.fit, unit)
         if not finding.causes:
             return finding, gap
-        if finding.verdict == "explained" and (gap.closure or 0.0) < dataset.limits.explained:
+        if finding.verdict == "explained" and (gap.closure or 0.0) < LIMITS.explained:
             finding = finding.with_runner_up()
         causes = causes_of(dataset, finding, gap)
-        verdict, kept = settle(finding.verdict, causes, gap.closure, dataset.limits)
+        verdict, kept = settle(finding.verdict, causes, gap.closure)
         if not kept:  # held out, they explain at most the model's own error, unless the gap exceeds that by far
             finding = finding.without_causes("unknown" if finding.exceeded else "no_gap", plain)
         elif len(kept) < len(causes):
@@ -75,18 +75,16 @@ def with_path(
     return ("explained", closure_of_path) if named else ("unknown", closure)
 
 
-def has_size(cause: Cause, limits: DecisionLimits = LIMITS) -> bool:
+def has_size(cause: Cause) -> bool:
     """Return whether a cause has finite parameters, not all zero, and closes a part of the gap or of its joints'."""
     values = cause.parameters.values()
     if cause.closure is None or not isfinite(cause.closure):
         return False
     of_joints = cause.closure if cause.closure_of_joints is None else cause.closure_of_joints
-    return max(cause.closure, of_joints) >= limits.least_share and all(map(isfinite, values)) and any(values)
+    return max(cause.closure, of_joints) >= LIMITS.least_share and all(map(isfinite, values)) and any(values)
 
 
-def settle(
-    verdict: str, causes: Sequence[Cause], closure: float | None, limits: DecisionLimits = LIMITS
-) -> tuple[str, tuple[Cause, ...]]:
+def settle(verdict: str, causes: Sequence[Cause], closure: float | None) -> tuple[str, tuple[Cause, ...]]:
     """Return the verdict that the figures allow, and the causes that may be named with it.
 
     - `explained` closes three quarters of the gap;
@@ -98,11 +96,11 @@ def settle(
         return verdict, ()
     if closure is None:
         return "no_gap", ()
-    left = tuple(cause for cause in causes if has_size(cause, limits))
+    left = tuple(cause for cause in causes if has_size(cause))
     if not left:
         return "unknown", ()
     if left[0].equivalent_to:
         return "ambiguous", left
     if verdict == "ambiguous":  # what was equalled was another cause, which has no size: the rest stands by itself
         verdict = "explained"
-    return ("explained", left) if closure >= limits.explained else ("unknown", ())
+    return ("explained", left) if closure >= LIMITS.explained else ("unknown", ())

@@ -14,7 +14,7 @@ from agent.diagnosis.gap.held_torque import HeldTorque, held_torque
 from agent.diagnosis.gap.motion_gap import MotionGap, motion_gap
 from agent.diagnosis.hypotheses.healthy import healthy_on
 from agent.diagnosis.hypotheses.search import Search
-from agent.diagnosis.limits import LIMITS, DecisionLimits
+from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.result import Diagnosis, build
 from agent.diagnosis.rows.dataset import Dataset, assemble
 from agent.diagnosis.simulator_file.simulator import search_simulator
@@ -33,7 +33,6 @@ def diagnose(
     cutoff: float | None = None,
     without: Sequence[str] = (),
     progress: Callable[[str], None] = lambda text: None,
-    limits: DecisionLimits = LIMITS,
     drives_off: Log | None = None,
 ) -> Diagnosis:
     """Diagnose logs against a model, or against a model fitted to them; `progress` receives progress messages.
@@ -53,12 +52,12 @@ def diagnose(
     calibrated = None
     held: HeldTorque | None = None
     if model is not None and model.method == SIMULATOR:
-        answer = search_simulator(robot, model, logs, cutoff, without, progress, limits)
+        answer = search_simulator(robot, model, logs, cutoff, without, progress)
         search, finding, gap, calibrated = answer.search, answer.finding, answer.gap, answer.calibrated
         dataset = calibrated.moved
     else:
         progress("filtering, and fitting the model in every fold" if model is None else "filtering")
-        dataset = assemble(robot, model, logs, cutoff, limits)
+        dataset = assemble(robot, model, logs, cutoff)
         observed = None if zero is None else as_evidence(zero, dataset.model)
         usual = None if model is None else healthy_on(dataset.fit, model, without)
         search = Search(dataset.fit, without, progress, observed=observed, healthy=usual)
@@ -67,9 +66,9 @@ def diagnose(
             finding = finding.without_causes("unknown", dataset.fit)
         finding, gap = judge(dataset, replace(finding, zero_known=zero is not None), dataset.fit)
     of_zero = () if zero is None else said_by_zero(dataset, finding, zero)
-    motion = motion_gap(logs, limits)
+    motion = motion_gap(logs)
     beyond = beyond_fit(dataset.model, [(s.q[s.kept], s.qd[s.kept]) for s in dataset.fit.signals])
-    said = (*_warnings(robot, logs, model is not None, limits), *_of_model(dataset), *beyond, *_path_warnings(motion))
+    said = (*_warnings(robot, logs, model is not None), *_of_model(dataset), *beyond, *_path_warnings(motion))
     warnings = (*twice, *of_zero, *said)
     return build(dataset, finding, gap, search, motion, warnings, calibrated, held)
 
@@ -115,14 +114,14 @@ def _of_model(dataset: Dataset) -> Iterator[str]:
     torque = np.concatenate([log.effort for log in dataset.logs if log.effort is not None])
     error = dataset.model.held_out_rmse
     share = float(np.linalg.norm(error) / np.sqrt(np.mean(torque**2, axis=0).sum()))
-    if dataset.model.method != SIMULATOR and share > dataset.limits.weak_model:
+    if dataset.model.method != SIMULATOR and share > LIMITS.weak_model:
         yield (
             f"the model errs by {100 * share:.0f} % of the torque on held-out parts of its own data: "
             "smaller gaps do not show"
         )
 
 
-def _warnings(robot: RobotDescription, logs: Sequence[Log], given: bool, limits: DecisionLimits) -> Iterator[str]:
+def _warnings(robot: RobotDescription, logs: Sequence[Log], given: bool) -> Iterator[str]:
     """Warnings that limit the conclusions."""
     if len(logs) == 1:
         yield "one motion only: held-out figures come from parts of it; another motion would be a harder test"
@@ -132,7 +131,7 @@ def _warnings(robot: RobotDescription, logs: Sequence[Log], given: bool, limits:
     still = [
         name
         for joint, name in enumerate(robot.joint_names)
-        if all(np.ptp(log.position[:, joint]) <= limits.least_travel for log in logs)
+        if all(np.ptp(log.position[:, joint]) <= LIMITS.least_travel for log in logs)
     ]
     if still:
         yield f"only the weight of a joint that never moves can be judged: {', '.join(still)}"

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agent.diagnosis import Dataset, background_of
+from agent.diagnosis import LIMITS, Dataset, background_of
 from agent.model import MotionSignals, NominalModel
 
 
@@ -29,14 +29,14 @@ def background_on(
     The speed threshold of a stationary joint depends on all motions that are diagnosed together. On the motion's coarse
     grid, a joint that reverses is stationary between two samples, and its friction does not follow its direction there.
     """
-    fit, limits = dataset.fit, dataset.limits
+    fit = dataset.fit
     moving = fit.sigma.min(axis=0)
-    sigma = background_of(reference, moving, [motion], limits, [*fit.signals, *beside])
+    sigma = background_of(reference, moving, [motion], [*fit.signals, *beside])
     turns = np.zeros(sigma.shape, dtype=bool)
     turns[1:] = motion.qd[1:] * motion.qd[:-1] < 0
     turns[:-1] |= turns[1:]
     near = turns.copy()
-    for shift in range(1, int(limits.near_rest / float(np.median(np.diff(motion.time)))) + 1):
+    for shift in range(1, int(LIMITS.near_rest / float(np.median(np.diff(motion.time)))) + 1):
         near[shift:] |= turns[:-shift]
         near[:-shift] |= turns[shift:]
     return np.where(near, np.maximum(fit.sigma.max(axis=0), 2 * moving), sigma)

@@ -16,7 +16,6 @@ from agent.diagnosis.gap.torque_gap import held_out_gap
 from agent.diagnosis.hypotheses.finding import Finding
 from agent.diagnosis.hypotheses.search import Search
 from agent.diagnosis.hypotheses.testability import not_testable, smallest_sizes
-from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.dataset import Dataset, assemble
 from agent.diagnosis.simulator_file.calibration import ReleasedSimulator, calibration
 from agent.diagnosis.simulator_file.simulator import Explanation, _possible, numbers_instead, with_expected_error
@@ -39,7 +38,7 @@ def test_a_dominant_wrist_rotor_is_corrected_fully(tmp_path):
     values = np.append(model.projection @ with_rotor, model.values[len(model.independent) :] + [0, 0, 0.2, 0.1])
     robot = replace(model, values=values)
     logs = [read_log(recorded(tmp_path / f"{k}.mcap", robot, k), model.robot) for k in (1, 2)]
-    found = calibration(assemble(model.robot, with_expected_error(model, logs), logs, None, LIMITS))
+    found = calibration(assemble(model.robot, with_expected_error(model, logs), logs, None))
     assert ("rotor inertia", 1) in found.released
     assert np.nanstd(found.moved.residual[:, 1]) < 0.01 * np.std(logs[0].effort[:, 1])
 
@@ -99,7 +98,7 @@ def sprung_logs(folder: Path, slow: float = 0.0, lighter: float = 0.8, strength:
 
 def sprung(folder: Path, slow: float = 0.0) -> Dataset:
     model, logs = sprung_logs(folder, slow)
-    return assemble(model.robot, with_expected_error(model, logs, LIMITS, 0.01), logs, None, LIMITS)
+    return assemble(model.robot, with_expected_error(model, logs, 0.01), logs, None)
 
 
 def test_a_spring_is_compared_with_a_link_mass_error(tmp_path):

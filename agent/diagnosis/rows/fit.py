@@ -20,7 +20,6 @@ from typing import Any
 
 import numpy as np
 
-from agent.diagnosis.limits import LIMITS, DecisionLimits
 from agent.diagnosis.rows.candidate import Candidate, Fold, Wanted, make_candidates
 from agent.diagnosis.rows.moments import FitMoments
 from agent.diagnosis.rows.standstill import Rests
@@ -50,7 +49,6 @@ class Fit:
         block: np.ndarray,
         folds: Sequence[Fold],
         single: Sequence[Fold],
-        limits: DecisionLimits = LIMITS,
     ):
         self.reference, self.signals = reference, list(signals)
         self.rows, self.index = list(rows), list(index)
@@ -60,7 +58,7 @@ class Fit:
         self.cuts = np.cumsum(lengths)[:-1]
         rate = 1 / float(np.median(np.diff(self.signals[0].time[self.signals[0].kept])))
         self.repeat = max(1.0, _INDEPENDENT * rate)
-        self.rests = Rests.of(self.signals, self.repeat, limits)
+        self.rests = Rests.of(self.signals, self.repeat)
         self._moments = FitMoments(self.rows, self.index, cell, len(precision), self.rests)
         self.cells, self.count = self._moments.cells, self._moments.count
         self._made: dict[tuple[Effect, tuple[int, ...], tuple[tuple[str, float], ...]], Candidate] = {}

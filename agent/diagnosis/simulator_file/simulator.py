@@ -1,7 +1,7 @@
 """Diagnosis of a simulator file: its expected error, which of its numbers move, and the remaining gap.
 
 The file stores no held-out error. The error that a model usually leaves on such logs replaces it: the same share of
-torque as without a model (`DecisionLimits.unknown_error`). The error is smaller if the moved numbers leave less on most
+torque as without a model (`LIMITS.unknown_error`). The error is smaller if the moved numbers leave less on most
 joints; a joint that then stands out has a gap that numbers do not close.
 
 Three answers are compared, the simplest first. The numbers are right and one effect explains the gap; or friction and
@@ -22,7 +22,7 @@ from agent.core import InputError
 from agent.diagnosis.gap.torque_gap import HeldOutGap, held_out_gap
 from agent.diagnosis.hypotheses.finding import Finding
 from agent.diagnosis.hypotheses.search import Search
-from agent.diagnosis.limits import LIMITS, DecisionLimits
+from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.candidate import Candidate
 from agent.diagnosis.rows.dataset import Dataset, assemble
 from agent.diagnosis.rows.fit import Fit
@@ -84,9 +84,7 @@ def _like_links(causes: Sequence[Candidate]) -> bool:
     return any(e.numbers != "load" and (e.family == "load" or _LINKS in e.confused_with) for e in effects)
 
 
-def with_expected_error(
-    model: IdentifiedModel, logs: Sequence[Log], limits: DecisionLimits = LIMITS, share: float | None = None
-) -> IdentifiedModel:
+def with_expected_error(model: IdentifiedModel, logs: Sequence[Log], share: float | None = None) -> IdentifiedModel:
     """The model with a held-out error (n,) [N·m], a `share` of the logs' torque, and a cut-off that suits them.
 
     Raises:
@@ -99,14 +97,14 @@ def with_expected_error(
                 "none, record the current times the torque constant of the joint"
             )
     torque = np.concatenate([log.effort for log in logs if log.effort is not None])
-    usual = (limits.unknown_error if share is None else share) * np.std(torque, axis=0)
+    usual = (LIMITS.unknown_error if share is None else share) * np.std(torque, axis=0)
     nominal = model.robot.nominal_torque
-    least = np.where(np.isfinite(nominal), limits.least_background * nominal, 0.0)
+    least = np.where(np.isfinite(nominal), LIMITS.least_background * nominal, 0.0)
     error = np.maximum(np.maximum(usual, least), 1e-9)
     settings = FilterSettings()
     cutoff = min(resolve_cutoff(log, settings) for log in logs)
     if any(servo_stiffness(log.metadata) is not None for log in logs):
-        cutoff = quiet_cutoff(NominalModel(model), logs, cutoff, limits.least_error)
+        cutoff = quiet_cutoff(NominalModel(model), logs, cutoff, LIMITS.least_error)
     return replace(
         model,
         cutoff=cutoff,
@@ -124,7 +122,6 @@ def search_simulator(
     cutoff: float | None,
     without: Sequence[str],
     progress: Callable[[str], None],
-    limits: DecisionLimits,
 ) -> Explanation:
     """Return the simplest of the three answers that closes as much as any.
 
@@ -132,13 +129,13 @@ def search_simulator(
         InputError: logs that cannot be used (see `assemble`).
     """
     progress("moving friction, rotors and links of the simulator, step by step")
-    dataset = assemble(robot, with_expected_error(model, logs, limits), logs, cutoff, limits)
+    dataset = assemble(robot, with_expected_error(model, logs), logs, cutoff)
     first = calibration(dataset)
     if first.groups:
-        expected = with_expected_error(model, logs, limits, _expected(dataset, first.moved.residual))
-        dataset = assemble(robot, expected, logs, cutoff, limits, first.model)
+        expected = with_expected_error(model, logs, _expected(dataset, first.moved.residual))
+        dataset = assemble(robot, expected, logs, cutoff, first.model)
     unit = dataset.fit.reference.scale
-    enough = limits.least_share * float(np.mean(held_out_gap(dataset, dataset.fit, unit).before ** 2))
+    enough = LIMITS.least_share * float(np.mean(held_out_gap(dataset, dataset.fit, unit).before ** 2))
     moves = [ReleasedSimulator(dataset, dataset, ())]
     drives, everything = calibration(dataset, links=False), calibration(dataset)
     moves += [drives] if 0 < len(drives.groups) < len(everything.groups) else []
@@ -213,5 +210,4 @@ def _expected(dataset: Dataset, residual: np.ndarray) -> float:
     left = np.sqrt(np.nanmean(residual**2, axis=0))
     torque = np.concatenate([log.effort for log in dataset.logs if log.effort is not None])
     relative = left / np.maximum(np.std(torque, axis=0), 1e-9)
-    limits = dataset.limits
-    return float(np.clip(_OF_THE_MIDDLE * np.median(relative), limits.least_error, limits.unknown_error))
+    return float(np.clip(_OF_THE_MIDDLE * np.median(relative), LIMITS.least_error, LIMITS.unknown_error))
