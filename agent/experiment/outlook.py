@@ -25,7 +25,7 @@ from scipy.linalg import solve_triangular
 from scipy.special import ndtr
 
 from agent.diagnosis import Candidate, Dataset, Evidence, Excursions, smooth_columns
-from agent.experiment.motion import GridMotion, background_on
+from agent.experiment.grid_motion import GridMotion, background_on
 from agent.experiment.questions import OpenPair, Side
 from agent.model import MotionSignals, NominalModel
 from agent.robot import Tool

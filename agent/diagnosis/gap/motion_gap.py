@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from agent.diagnosis.document import Cause
 from agent.diagnosis.limits import LIMITS
 from agent.recording import Log
 
@@ -48,6 +49,12 @@ class MotionGap:
     def described(self) -> bool:
         """Whether there is something to explain, and rate, shift and blend that all motions share explain it."""
         return self.notable and (self.closure or 0.0) >= LIMITS.explained
+
+    def causes(self, of_path: Sequence[str]) -> list[Cause] | None:
+        """The gap as a cause, by the first of these effects, if any; None if nothing explains it."""
+        parameters = {"rate": self.rate, "shift": self.shift, "blend": self.blend}
+        found = [Cause(name, (), self.closure, LIMITS.path_probability, parameters) for name in of_path[:1]]
+        return found if self.described else None
 
     @property
     def practical(self) -> bool:

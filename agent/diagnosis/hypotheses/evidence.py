@@ -58,7 +58,7 @@ class JointMoments:
 
 @dataclass(frozen=True, eq=False)
 class Evaluated:
-    """A hypothesis with its log evidence `log`.
+    """A hypothesis with its `log_evidence`.
 
     `effects` are numbers of the pool. `free` maps joints with "something else" to its size. `values[k]` is the
     posterior mean of effect k. `torque[k]` is its torque per joint over nominal, fitted without the noise model: the
@@ -68,7 +68,7 @@ class Evaluated:
 
     effects: tuple[int, ...]
     free: Mapping[int, float]
-    log: float
+    log_evidence: float
     scales: np.ndarray
     values: tuple[np.ndarray, ...]
     torque: tuple[dict[int, float], ...]
@@ -190,7 +190,7 @@ class Evidence:
         return Evaluated(
             effects=tuple(effects),
             free=free,
-            log=log,
+            log_evidence=log,
             scales=scales,
             values=tuple(values),
             torque=tuple(self.pool.lasting_torque(k, v) for k, v in zip(effects, alone, strict=True)),
@@ -227,17 +227,17 @@ class Evidence:
         values = _solved(matrix, side)[0] if effects else side
         return [values[a:b] for a, b in pairwise(ends)]
 
-    def gains(self, base: Evaluated) -> tuple[np.ndarray, list[np.ndarray]]:
-        """Return what each candidate of the pool adds to the log evidence of a hypothesis, and its parameters.
+    def shortlist_gains(self, base: Evaluated) -> tuple[np.ndarray, list[np.ndarray]]:
+        """Return about what each candidate of the pool adds to the log evidence of a hypothesis, and its parameters.
 
-        The scales of the hypothesis stay, so this picks what to evaluate.
+        The scales of the hypothesis stay, so this picks what to `evaluate`, whose log evidence is the score.
         """
-        found = [self._gains(base, bank) for bank in self.pool.banks]
+        found = [self._shortlist_gains(base, bank) for bank in self.pool.banks]
         if not found:
             return np.empty(0), []
         return np.concatenate([gain for gain, _ in found]), [value for _, values in found for value in values]
 
-    def _gains(self, base: Evaluated, bank: Bank) -> tuple[np.ndarray, list[np.ndarray]]:
+    def _shortlist_gains(self, base: Evaluated, bank: Bank) -> tuple[np.ndarray, list[np.ndarray]]:
         schur, side = self._schur(base, bank)
         gains, values = np.empty(len(bank.candidates)), [np.empty(0)] * len(bank.candidates)
         for width, which in bank.alike.items():

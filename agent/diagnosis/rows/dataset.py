@@ -89,7 +89,8 @@ def assemble(
     background = np.maximum(_moving_error(model), LIMITS.least_background * scale)
     if not given:
         background = _expected_error(robot, observation, LIMITS.unknown_error)
-    background = np.maximum(background, rounding_noise(reference, logs, observation.segments[0].motion.cutoff))
+    seen_to = observation.segments[0].motion.cutoff
+    background = np.maximum(background, rounding_noise(reference, logs, seen_to))
     signals: list[MotionSignals] = []
     rows: list[list[np.ndarray]] = [[] for _ in range(n)]
     index: list[np.ndarray] = []
@@ -97,21 +98,9 @@ def assemble(
     for segment in observation.segments:
         motion = segment.motion
         carrier = carriers[segment.log_index]
-        signals.append(
-            MotionSignals(
-                carrier,
-                motion.time,
-                motion.q,
-                motion.qd,
-                motion.qdd,
-                segment.log_index,
-                motion.kept,
-                tuple(motion.cycle_starts),
-                begun[segment.log_index],
-                motion.low_pass,
-                _driving(logs[segment.log_index], motion.set_points),
-            )
-        )
+        state, number = (motion.time, motion.q, motion.qd, motion.qdd), segment.log_index
+        more = (motion.kept, tuple(motion.cycle_starts), begun[number], motion.low_pass)
+        signals.append(MotionSignals(carrier, *state, number, *more, _driving(logs[number], motion.set_points)))
         extra = known_effects(model, signals[-1])
         per_joint = observation.joint_columns(segment, model.terms, carrier.model.base_values)
         index = [places for places, _ in per_joint]
@@ -133,19 +122,7 @@ def assemble(
     block = _segments(time, log, logs, LIMITS.block)
     fit = Fit(reference, signals, joined, index, sigma, precision, shift, cell, block, folds, single)
     rate = 1 / float(np.median(np.diff(time)))
-    return Dataset(
-        robot,
-        model,
-        given,
-        fit,
-        residual,
-        speed,
-        time,
-        log,
-        tuple(logs),
-        rate,
-        observation.segments[0].motion.cutoff,
-    )
+    return Dataset(robot, model, given, fit, residual, speed, time, log, tuple(logs), rate, seen_to)
 
 
 def _driving(log: Log, set_points: np.ndarray | None) -> np.ndarray | None:

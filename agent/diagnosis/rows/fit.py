@@ -243,7 +243,7 @@ class Fit:
         """(k,) parameters fitted to all the data together with the model, under its prior."""
         return self.with_chosen((*self.chosen, self.candidate(effect, joints, settings))).values[-1]
 
-    def gains_alone(self, joint: int, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def energy_taken(self, joint: int, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(K,) Σ e² / σ² that each column (S', K) [N·m] on one joint would take away, and its factor (K,).
 
         Model and chosen effects adapt; all rows are fitted and none held out, so this only picks what to try.

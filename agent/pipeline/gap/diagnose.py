@@ -69,7 +69,7 @@ def diagnose_files(
         _publish(found, result, steps, question.report)
         told(dict(result))
 
-    return _answer(found, question, console, publish)
+    return _conclude(found, question, console, publish)
 
 
 def diagnose_recording(
@@ -113,7 +113,7 @@ def diagnose_recording(
             recordings = job.record(plan)
         paths = [recording.path for recording in recordings]
 
-        def answer(rounds: Rounds | None) -> dict[str, Any]:
+        def conclude(rounds: Rounds | None) -> dict[str, Any]:
             """Write result and page of all motions into the run folder."""
             logs = [*paths, *(rounds.logs if rounds else ())]
             found = rounds.last if rounds else _find(loaded.robot, logs, question, console)
@@ -127,7 +127,7 @@ def diagnose_recording(
                 run.write_json("result.json", result)
                 told(dict(result))
 
-            return _answer(found, question, console, publish, rounds)
+            return _conclude(found, question, console, publish, rounds)
 
         rounds = None
         if budget is not None:
@@ -139,13 +139,13 @@ def diagnose_recording(
                     more = rounds.uncounted and f"; {rounds.uncounted.name} is recorded but not counted"
                     console.say(f"result of the earlier motions: {rounds.said}{more or ''}")
                     try:
-                        answer(rounds)
+                        conclude(rounds)
                         console.say(f"the full result is in {run.path}")
                     except AgentError as error:  # a full disk both cuts a motion short and prevents this
                         console.warn(f"the result could not be saved: {error}")
                     raise rounds.cut_short
         with job.step("diagnose"):
-            result = answer(rounds)
+            result = conclude(rounds)
         run.complete(True)
         ended = job.end(result, f"{'page':20}{run.file('report.html')}")
     console.say(ended.text)
@@ -172,7 +172,7 @@ def diagnose_again(run: Path, robot: RobotDescription, source: str, console: Con
     )
 
 
-def _answer(
+def _conclude(
     found: Found,
     question: GapQuestion,
     console: Console,
@@ -274,14 +274,12 @@ def _find(robot: RobotDescription | None, paths: Sequence[Path], question: GapQu
     found = diagnose(robot, logs, reference, question.cutoff, question.without, console.progress, drives_off=at_rest)
     say_used(logs, found.dataset.cutoff, found.dataset.model.order, console)
     console.step("simulating with and without the effects")
-    simulated: list[Simulated] = []
-    failed = ""
+    warnings, simulated = (*said, *found.warnings), list[Simulated]()
     try:
         simulated = simulate(found)
     except (AgentError, ArithmeticError, ValueError) as error:
-        failed = f"the forward simulation failed; the verdict does not depend on it: {error}"
-    warnings = (*said, *found.answer.warnings, *filter(None, [failed]))
-    return Found(replace(found, answer=replace(found.answer, warnings=warnings)), simulated, simulator)
+        warnings += (f"the forward simulation failed; the verdict does not depend on it: {error}",)
+    return Found(replace(found, document=replace(found.document, warnings=warnings)), simulated, simulator)
 
 
 def _at_rest(

@@ -13,7 +13,7 @@ from agent.report.phrasing import capital
 
 def simulator_sections(diagnosis: Diagnosis, forward: Mapping[str, Any] | None) -> list[Section]:
     """Sections of a diagnosis against an MJCF or URDF; none if the model was not such a file."""
-    if diagnosis.calibrated is None:
+    if diagnosis.released is None:
         return []
     sections = []
     if diagnosis.result.get("waterfall"):

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from agent.diagnosis.answer import Cause, EffectPlace, WaterfallStep
+from agent.diagnosis.document import Cause, EffectPlace, WaterfallStep
 from agent.diagnosis.gap.regimes import resampled
 from agent.diagnosis.gap.torque_gap import HeldOutGap, rms
 from agent.diagnosis.hypotheses.finding import Finding
@@ -67,7 +67,7 @@ class ReleasedSimulator:
     groups: tuple[Group, ...]
 
     @property
-    def released(self) -> frozenset[tuple[str, int]]:
+    def parts(self) -> frozenset[tuple[str, int]]:
         """Kind and joint of each group."""
         return frozenset((group.kind, group.joint) for group in self.groups)
 
@@ -87,7 +87,7 @@ class ReleasedSimulator:
         return replace(given, values=given.values + self.moved.fit.change)
 
 
-def calibration(dataset: Dataset, links: bool = True, beside: Sequence[Candidate] = ()) -> ReleasedSimulator:
+def release(dataset: Dataset, links: bool = True, beside: Sequence[Candidate] = ()) -> ReleasedSimulator:
     """Release group after group while that gains; without `links`, friction and rotors only.
 
     The choice of numbers includes the effects `beside`. The numbers are then moved without them, as the search's start.

@@ -122,7 +122,7 @@ class DiagnosisResult:
     next_experiment: NextExperiment | None
     folds: tuple[FoldNames, ...]
     warnings: tuple[str, ...]
-    #: Where there is a gap in torque, and steps that close it.
+    #: Place there is a gap in torque, and steps that close it.
     waterfall: tuple[WaterfallStep, ...] = ()
     #: `servos` where torque was not measured but is that of the simulator's servos at recorded set-points.
     torque_of: str = "motors"

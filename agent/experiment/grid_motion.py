@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,17 +20,15 @@ class GridMotion:
     qdd: np.ndarray
 
 
-def background_on(
-    dataset: Dataset, reference: NominalModel, motion: MotionSignals, beside: Sequence[MotionSignals] = ()
-) -> np.ndarray:
-    """The verdict's noise level (S, n) [N·m] on a motion that is not in the logs; `beside`: further motions.
+def background_on(dataset: Dataset, reference: NominalModel, motion: MotionSignals) -> np.ndarray:
+    """The verdict's noise level (S, n) [N·m] on a motion that is not in the logs.
 
     The speed threshold of a stationary joint depends on all motions that are diagnosed together. On the motion's coarse
     grid, a joint that reverses is stationary between two samples, and its friction does not follow its direction there.
     """
     fit = dataset.fit
     moving = fit.sigma.min(axis=0)
-    sigma = background_of(reference, moving, [motion], [*fit.signals, *beside])
+    sigma = background_of(reference, moving, [motion], fit.signals)
     turns = np.zeros(sigma.shape, dtype=bool)
     turns[1:] = motion.qd[1:] * motion.qd[:-1] < 0
     turns[:-1] |= turns[1:]
