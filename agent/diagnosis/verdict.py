@@ -1,4 +1,4 @@
-"""The verdict of a diagnosis: `decide_verdict` is the only place that says what a gap comes to.
+"""The verdict of a diagnosis: `decide_verdict` is the only function that says what a gap comes to.
 
 | verdict | condition |
 | --- | --- |
@@ -48,12 +48,12 @@ def decide_verdict(
 
     Parameters
     ----------
-    finding, causes, closure
+    `finding`, `causes`, `closure`
         What `named` and `supported` leave of a finding, its causes, and the part of the gap that they close, held out.
     path : sequence of Cause, optional
         A rate, delay or rounding that all motions share, if the executed path is not the planned one; empty if it may
         not be named.
-    numbers, by_numbers
+    `numbers`, `by_numbers`
         Moved numbers of a simulator as causes, and the part of the gap that they close.
     """
     if (by_effects := _explanation(causes, closure)) is not None:
