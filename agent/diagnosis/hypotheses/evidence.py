@@ -76,6 +76,7 @@ class Evaluated:
     joints: tuple[JointMoments, ...] = field(repr=False)
     precision: np.ndarray = field(repr=False)
     mean: np.ndarray = field(repr=False)
+    shortlist: list[tuple[np.ndarray, list[np.ndarray]]] = field(default_factory=list, repr=False)
 
     @property
     def largest(self) -> tuple[float, ...]:
@@ -108,6 +109,7 @@ class Evidence:
         self.pool = Pool(noise)
         self._index, self._pull = list(fit.index), fit.shift
         self._friction = _of_the_day(fit)
+        self._own_friction = [np.flatnonzero(np.isin(index, self._friction)) for index in self._index]
         self._prior = _of_another_day(fit, self._friction, law.daily)
         self._log_prior = float(np.linalg.slogdet(self._prior)[1])
         left = np.stack([columns[:, -1] for columns in noise.known], axis=1) * noise.sigma / noise.nominal
@@ -202,7 +204,7 @@ class Evidence:
 
     def _own_change(self, j: int, joint: JointMoments, mean: np.ndarray) -> float:
         """Squared torque over σ by which the model's friction changed: its form is no better than an effect's."""
-        friction = np.flatnonzero(np.isin(self._index[j], self._friction))
+        friction = self._own_friction[j]
         change = mean[joint.at[friction]]
         return max(float(change @ joint.moments[0][np.ix_(friction, friction)] @ change) / self.noise.count, 0.0)
 
@@ -232,7 +234,8 @@ class Evidence:
 
         The scales of the hypothesis stay, so this picks what to `evaluate`, whose log evidence is the score.
         """
-        found = [self._shortlist_gains(base, bank) for bank in self.pool.banks]
+        found = base.shortlist  # per bank; what was added since is worked out
+        found += [self._shortlist_gains(base, bank) for bank in self.pool.banks[len(found) :]]
         if not found:
             return np.empty(0), []
         return np.concatenate([gain for gain, _ in found]), [value for _, values in found for value in values]
@@ -400,9 +403,8 @@ class Evidence:
         """Squared torque over nominal that remains beyond the noise model's usual energy."""
         rest, square = np.append(mean, -1.0), joint.moments[2]
         usual = 1 + float(np.diag(square) @ self.noise.variances(j, 1.0, 0.0, {})) / self.noise.count
-        return (
-            max(float(rest @ joint.moments[0] @ rest) / self.noise.count - usual, 0.0) / float(self.noise.unit[j]) ** 2
-        )
+        left = max(float(rest @ joint.moments[0] @ rest) / self.noise.count - usual, 0.0)
+        return left / float(self.noise.unit[j]) ** 2
 
 
 def _of_the_day(fit: Fit) -> np.ndarray:

@@ -75,7 +75,6 @@ def posterior(evidence: Evidence, found: Sequence[Evaluated], observed: Observed
     if observed is not None:
         log += [observed(evidence, e) for e in found]
         alone += observed(evidence, nothing)
-    factors = log - alone
     priors = [_priors(evidence, e) for e in found]
     highest = max(one + max(prior.values()) for one, prior in zip(log, priors, strict=True))
     weights = [
@@ -94,7 +93,7 @@ def posterior(evidence: Evidence, found: Sequence[Evaluated], observed: Observed
             1 - float(e.left.sum()) / before,
             float(e.scales.max()),
         )
-        for e, factor, each in zip(found, factors, weights, strict=True)
+        for e, factor, each in zip(found, log - alone, weights, strict=True)
     ]
     # of equals the effect that has fewer forms to choose from
     return sorted(hypotheses, key=lambda h: (-round(h.probability, 6), sum(map(evidence.pool.kinds, h.places))))
