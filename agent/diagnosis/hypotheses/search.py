@@ -8,7 +8,7 @@ import numpy as np
 
 from agent.diagnosis.hypotheses.evidence import Evaluated, Evidence
 from agent.diagnosis.hypotheses.finding import Finding
-from agent.diagnosis.hypotheses.law import LAW, EvidenceLaw
+from agent.diagnosis.hypotheses.law import LAW
 from agent.diagnosis.hypotheses.noise_model import Healthy
 from agent.diagnosis.hypotheses.posterior import Observed, compare
 from agent.diagnosis.rows.candidate import Candidate, Place, Wanted
@@ -42,8 +42,6 @@ class Search:
         Log likelihood of something else that was observed, given a hypothesis.
     healthy : sequence of (Candidate, float), optional
         Effects that the arm has already, and their torque over nominal; None if that is not known.
-    law : EvidenceLaw, optional
-        The numbers of the decision.
     """
 
     def __init__(
@@ -54,9 +52,8 @@ class Search:
         only: Collection[Place] | None = None,
         observed: Observed | None = None,
         healthy: Healthy | None = None,
-        law: EvidenceLaw = LAW,
     ):
-        self.fit, self.law, self._progress, self._observed, self._healthy = fit, law, progress, observed, healthy
+        self.fit, self._progress, self._observed, self._healthy = fit, progress, observed, healthy
         self._ignored, self.allowed = without, {name for name in CATALOGUE if name not in without}
         self.excursions = Excursions.of(fit.signals)
         self._places = [
@@ -72,12 +69,12 @@ class Search:
     def run(self) -> Finding:
         """Evaluate the promising hypotheses, and compare them."""
         tried = self.forms()
-        self.evidence = evidence = Evidence(self.fit, tried, self._healthy, self.law)
+        self.evidence = evidence = Evidence(self.fit, tried, self._healthy)
         self._known.update(tried)
         self._progress(f"comparing {len(tried)} parameterisations")
         self._keep(evidence.nothing)
         self._extend(evidence.nothing, _FIRST)
-        for depth in range(1, self.law.most):
+        for depth in range(1, LAW.most):
             before = max(one.log_evidence for one in self._found.values())
             for base in self._worth(depth)[: _EXTENDED[min(depth, 2) - 1]]:
                 self._progress(f"trying a further effect next to {self._text(base)}")
@@ -99,7 +96,7 @@ class Search:
 
     def _worth(self, depth: int) -> list[Evaluated]:
         """Hypotheses with as many effects, likelier than none, that matter; likeliest first."""
-        least, smallest = self.evidence.nothing.log_evidence, 0.5 * self.law.practical
+        least, smallest = self.evidence.nothing.log_evidence, 0.5 * LAW.practical
         level = [
             one
             for one in self._found.values()
@@ -116,7 +113,7 @@ class Search:
             for k in forms:
                 self._keep(evidence.evaluate([*base.effects, k], base.free, base.scales))
         for joint in set(range(evidence.joints)) - set(base.free):
-            for size in self.law.sizes[:3]:
+            for size in LAW.sizes[:3]:
                 self._keep(evidence.evaluate(base.effects, {**base.free, joint: size}, base.scales))
 
     def _refined(self, base: Evaluated) -> tuple[np.ndarray, list[np.ndarray]]:
