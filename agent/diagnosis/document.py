@@ -1,4 +1,4 @@
-"""What a diagnosis answers, typed: the document of docs/diagnosis.md, key by key. `to_dict` is the only way to JSON."""
+"""The document of a diagnosis, typed: docs/diagnosis.md, key by key. `to_dict` is the only way to JSON."""
 
 from __future__ import annotations
 

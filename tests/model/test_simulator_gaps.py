@@ -178,7 +178,7 @@ def test_file_values_that_close_nearly_all_of_the_gap_are_the_cause(tmp_path):
     result = found.result
     assert result["verdict"] == "explained"
     assert {cause["effect"] for cause in result["causes"]} <= {"friction_change", "inertial_mismatch", "payload"}
-    assert any("no effect of the catalogue closes" in warning for warning in result["warnings"])
+    assert any("no known effect explains it" in warning for warning in result["warnings"])
 
 
 @pytest.mark.verify
