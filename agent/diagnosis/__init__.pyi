@@ -22,9 +22,10 @@ from .hypotheses.noise_model import smooth_columns as smooth_columns
 from .hypotheses.search import Search as Search
 from .hypotheses.testability import smallest_sizes as smallest_sizes
 from .labels import in_torque as in_torque, torque_gap as torque_gap
+from .limits import LIMITS as LIMITS
 from .randomisation import Range as Range, ranges as ranges, ranges_text as ranges_text
 from .result import LARGE_ERROR as LARGE_ERROR, Diagnosis as Diagnosis
-from .rows.candidate import Candidate as Candidate
+from .rows.candidate import Candidate as Candidate, Place as Place
 from .rows.dataset import Dataset as Dataset, background_of as background_of
 from .rows.fit import Fit as Fit
 from .rows.needs import Excursions as Excursions
@@ -36,5 +37,4 @@ from .sizes import (
     size_text as size_text,
 )
 from .structure import with_structure as with_structure
-from .verdict import judge as judge
 from .workflow import check_effects as check_effects, diagnose as diagnose

@@ -21,13 +21,13 @@ def corrected(diagnosis: Diagnosis, simulator: Simulator, without: int | None = 
         change, fitted = _at_own_gains(diagnosis, change, fitted, without)
     b = len(simulator.model.independent)
     weight = fit.gram[:, :b, :b].sum(axis=0) / fit.repeat
-    closes = {step.step: step.closes for step in diagnosis.answer.waterfall}
+    closes = {step.step: step.closes for step in diagnosis.document.waterfall}
 
     def reason(step: str) -> str:
         return f"{step}: closes {100 * closes[step]:.1f} % of the held-out gap" if step in closes else step
 
     released = Released()
-    for group in diagnosis.calibrated.groups if diagnosis.calibrated else ():
+    for group in diagnosis.released.groups if diagnosis.released else ():
         into = {"friction": released.friction, "rotor inertia": released.rotors, "link inertia": released.links}
         into[group.kind][group.joint] = reason(group.text(names))
     effects, reasons = [], {}
@@ -56,20 +56,20 @@ def _at_own_gains(
 
     Beside another gain they were fitted to a torque of the file's, as many times too large as its gain is.
     """
-    fit, calibrated = diagnosis.finding.fit, diagnosis.calibrated
+    fit, released = diagnosis.finding.fit, diagnosis.released
     gains = {
         k: 1 + values[candidate.names.index(candidate.effect.scales_report)]
         for k, (candidate, values) in enumerate(zip(fit.chosen, fitted, strict=True))
         if candidate.effect.scales_report is not None
     }
-    if not gains or calibrated is None:
+    if not gains or released is None:
         return change, list(fitted)
-    given, factors = calibrated.given, np.ones(diagnosis.dataset.robot.dof)
+    given, factors = released.given, np.ones(diagnosis.dataset.robot.dof)
     for k, scale in gains.items():
         factors[fit.chosen[k].joints[0]] /= scale
     logs = at_gains(given.logs, factors)
-    data = assemble(given.robot, given.model, logs, given.cutoff, given.limits, calibrated.model)
-    moved = calibrated.released_in(data).seen_from(fit.reference)
+    data = assemble(given.robot, given.model, logs, given.cutoff, released.model)
+    moved = released.released_in(data).seen_from(fit.reference)
     others = [(c.effect, c.joints, c.settings) for k, c in enumerate(fit.chosen) if k not in gains]
     again = moved.with_chosen(moved.candidates(others))
     change, found = again.fitted(None if without is None else again.folds[without])

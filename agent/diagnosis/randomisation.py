@@ -34,9 +34,9 @@ class Range:
 
 def ranges(diagnosis: Diagnosis) -> tuple[Range, ...]:
     """All numbers that the diagnosis moved or found; empty without a simulator file."""
-    if diagnosis.calibrated is None:
+    if diagnosis.released is None:
         return ()
-    fit, found = diagnosis.finding.fit, diagnosis.calibrated
+    fit, found = diagnosis.finding.fit, diagnosis.released
     model, robot = diagnosis.dataset.model, diagnosis.dataset.robot
     p, b = len(model.values), len(model.independent)
     groups = [group.directions for group in found.groups]

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from agent.diagnosis.answer import (
+from agent.diagnosis.document import (
     Cause,
     DiagnosisResult,
     FoldNames,
@@ -17,19 +17,19 @@ from agent.diagnosis.answer import (
     NextExperiment,
     PathGap,
     TorqueGap,
-    WaterfallStep,
 )
 from agent.diagnosis.gap.held_torque import HeldTorque
 from agent.diagnosis.gap.motion_gap import MotionGap
 from agent.diagnosis.gap.regimes import regimes, share_intervals
-from agent.diagnosis.gap.torque_gap import HeldOutGap, held_out_gap
+from agent.diagnosis.gap.torque_gap import HeldOutGap
 from agent.diagnosis.hypotheses.finding import Finding
-from agent.diagnosis.hypotheses.search import Search
-from agent.diagnosis.hypotheses.testability import effects_of_path, not_testable
+from agent.diagnosis.hypotheses.testability import not_testable
+from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.dataset import Dataset
-from agent.diagnosis.simulator_file.calibration import ReleasedSimulator, causes_of_steps, waterfall
+from agent.diagnosis.simulator_file.released_numbers import ReleasedSimulator
+from agent.diagnosis.simulator_file.simulator import Explanation
 from agent.diagnosis.sizes import intervals
-from agent.diagnosis.verdict import causes_of, settle, with_path
+from agent.diagnosis.verdict import Verdict, causes_of
 from agent.model import CATALOGUE, PAYLOAD
 from agent.robot import error_units
 from agent.simulators import servo_stiffness
@@ -42,86 +42,55 @@ _MUCH = 0.3  # of the gap of the joint that has most: a joint that is worth a mo
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
-    """Everything a report shows: the answer, the finding, the data, and the gaps of torque and path.
+    """Everything a report shows: the document, the finding, the data, and the gaps of torque and path.
 
-    `calibrated`: of a simulator's file, what of its numbers was moved; `held`: a torque that stands still where most of
+    `released`: of a simulator's file, what of its numbers was moved; `held`: a torque that stands still where most of
     the gap is.
     """
 
-    answer: DiagnosisResult
+    document: DiagnosisResult
     finding: Finding
     dataset: Dataset
     motion: MotionGap | None
     gap: HeldOutGap
-    calibrated: ReleasedSimulator | None = None
+    released: ReleasedSimulator | None = None
     held: HeldTorque | None = None
+
+    @property
+    def verdict(self) -> str:
+        """The verdict of `decide_verdict`."""
+        return self.document.verdict
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """What limits the conclusions."""
-        return self.answer.warnings
+        return self.document.warnings
 
     @cached_property
     def result(self) -> dict[str, Any]:
-        """The answer as plain data, with the 95 % intervals of every cause's parameters."""
-        return {**self.answer.to_dict(), "intervals": intervals(self.finding)}
+        """The document as plain data, with the 95 % intervals of every cause's parameters."""
+        return {**self.document.to_dict(), "intervals": intervals(self.finding)}
 
 
 def build(
-    dataset: Dataset,
-    finding: Finding,
-    gap: HeldOutGap,
-    search: Search,
+    found: Explanation,
+    verdict: Verdict,
     motion: MotionGap | None,
     warnings: Sequence[str],
-    calibrated: ReleasedSimulator | None = None,
     held: HeldTorque | None = None,
 ) -> Diagnosis:
-    """Figures held out, shares, regimes and what is not testable.
+    """Write down a verdict: figures of the gap of the model as given, shares, regimes and what is not testable.
 
     `held`: the torque that stands still where most of the gap is.
-    `calibrated`: of a simulator whose parameters were moved, if any; causes are judged by the gap that is left then,
-    and all figures are of the gap of the simulator as given.
     """
-    robot = dataset.robot
-    if dataset.given and calibrated is None and not finding.causes:
-        warnings = (*warnings, *_without_cause(dataset, gap, finding.verdict))
-        gap = gap.unclosed
-    causes, verdict, closure = causes_of(dataset, finding, gap), finding.verdict, gap.closure
-    if motion is not None and motion.described:
-        of_path = [name for name in effects_of_path() if name in search.allowed][:1]
-        verdict, closure = with_path(verdict, closure, motion.closure, bool(of_path))
-        causes += tuple(_path_cause(name, motion) for name in of_path)
-    verdict, causes = settle(verdict, causes, closure, dataset.limits)
-    steps: tuple[WaterfallStep, ...] = ()
-    if calibrated is not None:
-        dataset = replace(dataset, residual=calibrated.given.residual)
-        gap = held_out_gap(dataset, finding.fit)
-        closure = gap.closure if closure is None or gap.closure is not None else closure
-        of_all = {(cause.effect, cause.joints): cause for cause in causes_of(dataset, finding, gap)}
-        same = (of_all.get((cause.effect, cause.joints), cause) for cause in causes)
-        causes = tuple(
-            replace(cause, closure=other.closure, closure_of_joints=other.closure_of_joints)
-            for cause, other in zip(causes, same, strict=True)
-        )
-        steps = waterfall(calibrated, finding, gap)
-        by_numbers = 0.0 if causes or not calibrated.groups or gap.closure is None else gap.closure
-        if by_numbers > 0 and (verdict == "no_gap" or by_numbers > 1 - dataset.limits.least_share):
-            kept = settle("explained", causes_of_steps(calibrated, steps, by_numbers), by_numbers, dataset.limits)
-            if kept[1]:
-                warnings = (*warnings, _left_by_numbers(dataset, gap)) if verdict == "unknown" else warnings
-                verdict, causes = kept
-    elif causes and finding.causes:
-        steps = waterfall(ReleasedSimulator(dataset, dataset, ()), finding, gap)
-    sliding = {joint.name for joint in robot.joints if joint.prismatic}
-    causes = tuple(replace(cause, slides=bool(cause.joints) and sliding.issuperset(cause.joints)) for cause in causes)
-    where = _where(dataset, gap)
-    warnings = (*warnings, *(_of_mass(dataset) if verdict == "unknown" else ()))
-    answer = DiagnosisResult(
-        verdict,
+    dataset, finding, gap = found.dataset, found.finding, found.as_given
+    closure = gap.closure if found.of_file and gap.closure is not None else verdict.closure
+    where, causes = _where(dataset, gap), _with_figures(found, verdict.causes)
+    document = DiagnosisResult(
+        verdict.name,
         TorqueGap(
-            robot.joint_names,
-            tuple(error_units(robot)),
+            dataset.robot.joint_names,
+            tuple(error_units(dataset.robot)),
             tuple(gap.before.tolist()),
             tuple(gap.after.tolist()),
             None if gap.floor is None else tuple(gap.floor.tolist()),
@@ -130,49 +99,58 @@ def build(
         closure,
         where,
         causes,
-        tuple(not_testable(dataset, search)),
-        next_experiment(causes, verdict, where, finding.zero_known)
+        tuple(not_testable(dataset, found.search)),
+        next_experiment(causes, verdict.name, where, finding.zero_known)
         if held is None
         else NextExperiment((), held.motion),
         _folds(dataset),
-        (*(() if held is None else (held.text,)), *warnings),
-        steps,
+        (*(() if held is None else (held.text,)), *warnings, *_warnings(found, verdict)),
+        found.steps,
         "servos" if any(servo_stiffness(log.metadata) is not None for log in dataset.logs) else "motors",
     )
-    return Diagnosis(answer, finding, dataset, motion, gap, calibrated, held)
+    return Diagnosis(document, finding, dataset, motion, gap, found.released if found.of_file else None, held)
 
 
-def _without_cause(dataset: Dataset, gap: HeldOutGap, verdict: str) -> Iterator[str]:
-    if gap.absorbed > 1 - dataset.limits.explained:
-        yield (
-            f"the model's own parameters explain {100 * gap.absorbed:.0f} % of the squared error within their "
-            "uncertainty: estimate it again with motions like these"
+def _with_figures(found: Explanation, causes: Sequence[Cause]) -> tuple[Cause, ...]:
+    """Causes with their part of the gap of the model as given, and whether their joints slide."""
+    figures = causes_of(found.dataset, found.finding, found.as_given) if found.of_file else ()
+    of_all = {(cause.effect, cause.joints): cause for cause in figures}
+    same = [of_all.get((cause.effect, cause.joints), cause) for cause in causes]
+    sliding = {joint.name for joint in found.dataset.robot.joints if joint.prismatic}
+    return tuple(
+        replace(
+            cause,
+            closure=figure.closure,
+            closure_of_joints=figure.closure_of_joints,
+            slides=bool(cause.joints) and sliding.issuperset(cause.joints),
         )
-    error = gap.before * gap.unit / dataset.model.held_out_rmse
-    if verdict == "no_gap" and error.max() > dataset.limits.usual_error:
-        name = dataset.robot.joint_names[int(error.argmax())]
-        yield (
-            f"the error of {name} is {error.max():.1f} {LARGE_ERROR}, which may differ from day to day on a "
-            "healthy arm: record more logs, or estimate the model again"
-        )
-
-
-def _left_by_numbers(dataset: Dataset, gap: HeldOutGap) -> str:
-    worst = int(np.argmax(gap.after * gap.unit / dataset.model.held_out_rmse))
-    return (
-        f"corrected simulator parameters leave {100 * (1 - gap.absorbed):.1f} % of the gap, and no known effect "
-        f"explains it; compared with a usual simulator it is largest on {dataset.robot.joint_names[worst]}"
+        for cause, figure in zip(causes, same, strict=True)
     )
 
 
-def _path_cause(name: str, motion: MotionGap) -> Cause:
-    parameters = {"rate": motion.rate, "shift": motion.shift, "blend": motion.blend}
-    return Cause(name, (), motion.closure, motion.limits.path_probability, parameters)
-
-
-def _of_mass(dataset: Dataset) -> Iterator[str]:
-    """What is taken for known, and may be what nobody explains."""
-    for log in dataset.logs:
+def _warnings(found: Explanation, verdict: Verdict) -> Iterator[str]:
+    """What is left of the gap where no effect is named, and what is taken for known and may be what nobody explains."""
+    dataset, finding, gap = found.dataset, found.finding, found.as_given
+    names, usual = dataset.robot.joint_names, dataset.model.held_out_rmse
+    if found.of_file and finding.leaves_gap and verdict.causes and not finding.causes:
+        yield (
+            f"corrected simulator parameters leave {100 * (1 - gap.absorbed):.1f} % of the gap, and no known effect "
+            "explains it; compared with a usual simulator it is largest on "
+            f"{names[int(np.argmax(gap.after * gap.unit / usual))]}"
+        )
+    if not found.of_file and dataset.given and not finding.causes:
+        if (absorbed := found.gap.absorbed) > 1 - LIMITS.explained:
+            yield (
+                f"the model's own parameters explain {100 * absorbed:.0f} % of the squared error within their "
+                "uncertainty: estimate it again with motions like these"
+            )
+        error = gap.before * gap.unit / usual
+        if not finding.leaves_gap and error.max() > LIMITS.usual_error:
+            yield (
+                f"the error of {names[int(error.argmax())]} is {error.max():.1f} {LARGE_ERROR}, which may differ from "
+                "day to day on a healthy arm: record more logs, or estimate the model again"
+            )
+    for log in dataset.logs if verdict.name == "unknown" else ():
         if load := log.metadata.get(PAYLOAD):
             yield f"{log.name} says that {load} were at the flange: if they were not, the gap may be that"
 

@@ -31,8 +31,8 @@ def with_structure(
         InputError: logs too short for parts of them to be held out.
     """
     found = diagnose(robot, logs, None, model.cutoff, progress=progress)
-    if found.answer.verdict != "explained" and not _by_any_name(found):
-        reason = f"the diagnosis of these logs without a given model says {found.answer.verdict}, not explained"
+    if found.verdict != "explained" and not _by_any_name(found):
+        reason = f"the diagnosis of these logs without a given model says {found.verdict}, not explained"
         return _noted(model, f"no effect of the catalogue is added: {reason}.")
     extended = extended_model(found)
     if not extended.effects:
@@ -57,7 +57,7 @@ def with_structure(
 
 def _by_any_name(found: Diagnosis) -> bool:
     """Whether what equals the causes predicts as they do: a straight line over position is a spring or a hose."""
-    if found.answer.verdict != "ambiguous":
+    if found.verdict != "ambiguous":
         return False
     causes = zip(found.finding.causes, found.finding.rivals, strict=True)
     return all(

@@ -1,41 +1,128 @@
-"""Checks of a verdict on held-out figures: a verdict that fails one is withdrawn."""
+"""The verdict of a diagnosis: `decide_verdict` is the only function that says what a gap comes to.
+
+| verdict | condition |
+| --- | --- |
+| `explained` | causes, the executed path or a simulator's numbers explain three quarters of the gap |
+| `ambiguous` | the same, but the first cause has rivals; or causes explain less, so that one is assumed (`supported`) |
+| `unknown` | there is a gap, and nothing that may be named explains it |
+| `no_gap` | there is none beyond the noise model |
+
+Causes pass two checks before: they are probable (`named`), and they explain motion that their fit did not see
+(`supported`). Whoever else needs the verdict reads it from the result.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from math import isfinite
 
 import numpy as np
 
-from agent.diagnosis.answer import Cause, EffectPlace
+from agent.diagnosis.document import Cause, EffectPlace
 from agent.diagnosis.gap.torque_gap import HeldOutGap, held_out_gap
 from agent.diagnosis.hypotheses.finding import Finding
-from agent.diagnosis.limits import LIMITS, DecisionLimits
+from agent.diagnosis.hypotheses.law import LAW
+from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.dataset import Dataset
-from agent.diagnosis.rows.fit import Fit
 
 
-def judge(dataset: Dataset, finding: Finding, plain: Fit, unit: np.ndarray | None = None) -> tuple[Finding, HeldOutGap]:
-    """Return the part of a finding that its held-out figures support, and these figures.
+@dataclass(frozen=True)
+class Verdict:
+    """A verdict, the causes it names, and the part of the gap that they explain (None: nothing to explain)."""
 
-    `plain` is the fit without effects, `unit` that of `held_out_gap`. If the causes close less than `explained` needs,
-    another cause may exist: the likeliest one is named with the first.
+    name: str
+    causes: tuple[Cause, ...]
+    closure: float | None
+
+
+def decide_verdict(
+    finding: Finding,
+    causes: Sequence[Cause],
+    closure: float | None,
+    path: Sequence[Cause] | None = None,
+    numbers: Sequence[Cause] = (),
+    by_numbers: float = 0.0,
+) -> Verdict:
+    """Return the verdict on all that is known of a gap.
+
+    Parameters
+    ----------
+    `finding`, `causes`, `closure`
+        What `named` and `supported` leave of a finding, its causes, and the part of the gap that they close, held out.
+    path : sequence of Cause, optional
+        A rate, delay or rounding that all motions share, if the executed path is not the planned one; empty if it may
+        not be named.
+    `numbers`, `by_numbers`
+        Moved numbers of a simulator as causes, and the part of the gap that they close.
+    """
+    if (by_effects := _explanation(causes, closure)) is not None:
+        return replace(by_effects, causes=(*by_effects.causes, *filter(has_size, path or ())))
+    if path and not finding.leaves_gap and (by_path := _explanation(path, path[0].closure)) is not None:
+        return by_path
+    gap = finding.leaves_gap or path is not None
+    enough = by_numbers > (1 - LIMITS.least_share if gap else 0.0)
+    if enough and (of_file := _explanation(numbers, by_numbers)) is not None:
+        return of_file
+    return Verdict("unknown" if gap else "no_gap", (), closure)
+
+
+def _explanation(causes: Sequence[Cause], closure: float | None) -> Verdict | None:
+    """Return the verdict by the causes that have a size; None if they may not be named."""
+    sized = tuple(filter(has_size, causes))
+    if closure is None or not sized:
+        return None
+    if sized[0].equivalent_to:
+        return Verdict("ambiguous", sized, closure)
+    return Verdict("explained", sized, closure) if closure >= LIMITS.explained else None
+
+
+def has_size(cause: Cause) -> bool:
+    """Return whether a cause has finite parameters, not all zero, and closes a part of the gap or of its joints'."""
+    values = cause.parameters.values()
+    if cause.closure is None:
+        return False
+    closes = (cause.closure, cause.closure if cause.closure_of_joints is None else cause.closure_of_joints)
+    return max(closes) >= LIMITS.least_share and all(map(isfinite, (*closes, *values))) and any(values)
+
+
+def named(finding: Finding) -> Finding:
+    """Return what is named of the leading causes by its probability.
+
+    None if the arm is likely healthy, if no class is sure enough, or if all causes leave too much to the noise model. A
+    cause whose equal by definition was ignored is not named alone: the likeliest other one is its rival.
+    """
+    exceeded = finding.scale >= LAW.healthy_scale(finding.evidence.joints)
+    if not exceeded and finding.healthy > 1 - LAW.certain:
+        return finding.without_causes(leaves_gap=False)
+    sure = [k for k, probability in enumerate(finding.probability) if probability >= LAW.sure]
+    if not sure or finding.explained < LIMITS.explained:
+        return finding.without_causes(leaves_gap=True)
+    finding = replace(finding.only(sure), leaves_gap=exceeded)
+    if finding.rivals[0] or finding.ignored.isdisjoint(finding.causes[0].effect.structurally_equivalent):
+        return finding
+    finding = finding.with_runner_up()
+    return finding if finding.rivals[0] else finding.without_causes(leaves_gap=True)
+
+
+def supported(dataset: Dataset, finding: Finding, unit: np.ndarray | None = None) -> tuple[Finding, HeldOutGap]:
+    """Return the named causes that held-out figures support, and these figures; `unit` is that of `held_out_gap`.
+
+    If the causes close less than `explained` needs, another cause may exist: the likeliest one is named with the first.
+    If nothing is left, the causes explained at most the model's own error, unless the gap exceeds that by far.
     """
     while True:
         gap = held_out_gap(dataset, finding.fit, unit)
         if not finding.causes:
             return finding, gap
-        if finding.verdict == "explained" and (gap.closure or 0.0) < dataset.limits.explained:
+        if not finding.rivals[0] and (gap.closure or 0.0) < LIMITS.explained:
             finding = finding.with_runner_up()
         causes = causes_of(dataset, finding, gap)
-        verdict, kept = settle(finding.verdict, causes, gap.closure, dataset.limits)
-        if not kept:  # held out, they explain at most the model's own error, unless the gap exceeds that by far
-            finding = finding.without_causes("unknown" if finding.exceeded else "no_gap", plain)
-        elif len(kept) < len(causes):
-            finding = finding.only([k for k, cause in enumerate(causes) if cause in kept], plain)
-        else:
-            return replace(finding, verdict=verdict), gap
+        explanation = _explanation(causes, gap.closure)
+        kept = () if explanation is None else explanation.causes
+        if len(kept) == len(causes):
+            return finding, gap
+        finding = finding.only([k for k, cause in enumerate(causes) if cause in kept])
 
 
 def causes_of(dataset: Dataset, finding: Finding, gap: HeldOutGap) -> tuple[Cause, ...]:
@@ -61,48 +148,3 @@ def causes_of(dataset: Dataset, finding: Finding, gap: HeldOutGap) -> tuple[Caus
 
 def _floats(pairs: Iterable[tuple[str, float]]) -> dict[str, float]:
     return {name: float(value) for name, value in pairs}
-
-
-def with_path(
-    verdict: str, closure: float | None, closure_of_path: float | None, named: bool
-) -> tuple[str, float | None]:
-    """Return verdict and gap explained if the executed path is not the planned one: the path may cause the gap.
-
-    `named`: whether the effect of the path may be.
-    """
-    if verdict != "no_gap":
-        return verdict, closure
-    return ("explained", closure_of_path) if named else ("unknown", closure)
-
-
-def has_size(cause: Cause, limits: DecisionLimits = LIMITS) -> bool:
-    """Return whether a cause has finite parameters, not all zero, and closes a part of the gap or of its joints'."""
-    values = cause.parameters.values()
-    if cause.closure is None or not isfinite(cause.closure):
-        return False
-    of_joints = cause.closure if cause.closure_of_joints is None else cause.closure_of_joints
-    return max(cause.closure, of_joints) >= limits.least_share and all(map(isfinite, values)) and any(values)
-
-
-def settle(
-    verdict: str, causes: Sequence[Cause], closure: float | None, limits: DecisionLimits = LIMITS
-) -> tuple[str, tuple[Cause, ...]]:
-    """Return the verdict that the figures allow, and the causes that may be named with it.
-
-    - `explained` closes three quarters of the gap;
-    - an `ambiguous` verdict has a rival of the first cause;
-    - `unknown` and `no_gap` have no causes; without anything to close (None) there is no gap;
-    - a cause without a size is dropped.
-    """
-    if verdict in ("no_gap", "unknown"):
-        return verdict, ()
-    if closure is None:
-        return "no_gap", ()
-    left = tuple(cause for cause in causes if has_size(cause, limits))
-    if not left:
-        return "unknown", ()
-    if left[0].equivalent_to:
-        return "ambiguous", left
-    if verdict == "ambiguous":  # what was equalled was another cause, which has no size: the rest stands by itself
-        verdict = "explained"
-    return ("explained", left) if closure >= limits.explained else ("unknown", ())

@@ -14,11 +14,13 @@ from agent.diagnosis.gap.held_torque import HeldTorque, held_torque
 from agent.diagnosis.gap.motion_gap import MotionGap, motion_gap
 from agent.diagnosis.hypotheses.healthy import healthy_on
 from agent.diagnosis.hypotheses.search import Search
-from agent.diagnosis.limits import LIMITS, DecisionLimits
+from agent.diagnosis.hypotheses.testability import effects_of_path
+from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.result import Diagnosis, build
 from agent.diagnosis.rows.dataset import Dataset, assemble
-from agent.diagnosis.simulator_file.simulator import search_simulator
-from agent.diagnosis.verdict import judge
+from agent.diagnosis.simulator_file.released_numbers import ReleasedSimulator, causes_of_steps
+from agent.diagnosis.simulator_file.simulator import Explanation, search_simulator
+from agent.diagnosis.verdict import Verdict, causes_of, decide_verdict, named, supported
 from agent.estimation import beyond_fit
 from agent.model import CATALOGUE, IdentifiedModel
 from agent.recording import Log
@@ -33,7 +35,6 @@ def diagnose(
     cutoff: float | None = None,
     without: Sequence[str] = (),
     progress: Callable[[str], None] = lambda text: None,
-    limits: DecisionLimits = LIMITS,
     drives_off: Log | None = None,
 ) -> Diagnosis:
     """Diagnose logs against a model, or against a model fitted to them; `progress` receives progress messages.
@@ -50,28 +51,35 @@ def diagnose(
     check_effects(without)
     zero = None if drives_off is None else channel_zero(robot, drives_off, model)
     logs, twice = _distinct(logs)
-    calibrated = None
     held: HeldTorque | None = None
     if model is not None and model.method == SIMULATOR:
-        answer = search_simulator(robot, model, logs, cutoff, without, progress, limits)
-        search, finding, gap, calibrated = answer.search, answer.finding, answer.gap, answer.calibrated
-        dataset = calibrated.moved
+        found = search_simulator(robot, model, logs, cutoff, without, progress)
     else:
         progress("filtering, and fitting the model in every fold" if model is None else "filtering")
-        dataset = assemble(robot, model, logs, cutoff, limits)
+        dataset = assemble(robot, model, logs, cutoff)
         observed = None if zero is None else as_evidence(zero, dataset.model)
         usual = None if model is None else healthy_on(dataset.fit, model, without)
         search = Search(dataset.fit, without, progress, observed=observed, healthy=usual)
-        finding = search.run()
+        finding = replace(named(search.run()), zero_known=zero is not None)
         if (held := held_torque(dataset, finding.fit)) is not None:
-            finding = finding.without_causes("unknown", dataset.fit)
-        finding, gap = judge(dataset, replace(finding, zero_known=zero is not None), dataset.fit)
-    of_zero = () if zero is None else said_by_zero(dataset, finding, zero)
-    motion = motion_gap(logs, limits)
+            finding = finding.without_causes(leaves_gap=True)
+        found = Explanation(ReleasedSimulator(dataset, dataset, ()), search, *supported(dataset, finding))
+    motion = motion_gap(logs)
+    dataset = found.dataset
+    of_zero = () if zero is None else said_by_zero(dataset, found.finding, zero)
     beyond = beyond_fit(dataset.model, [(s.q[s.kept], s.qd[s.kept]) for s in dataset.fit.signals])
-    said = (*_warnings(robot, logs, model is not None, limits), *_of_model(dataset), *beyond, *_path_warnings(motion))
-    warnings = (*twice, *of_zero, *said)
-    return build(dataset, finding, gap, search, motion, warnings, calibrated, held)
+    said = (*_warnings(robot, logs, model is not None), *_of_model(dataset), *beyond, *_path_warnings(motion))
+    return build(found, _verdict(found, motion), motion, (*twice, *of_zero, *said), held)
+
+
+def _verdict(found: Explanation, motion: MotionGap | None) -> Verdict:
+    """The verdict on causes, executed path and moved numbers of a simulator's file."""
+    gap, by_numbers = found.gap if found.of_file else found.as_given, found.as_given.closure or 0.0
+    causes = causes_of(found.dataset, found.finding, gap)
+    numbers = causes_of_steps(found.released, found.steps, by_numbers)
+    of_path = [name for name in effects_of_path() if name in found.search.allowed]
+    path = None if motion is None else motion.causes(of_path)
+    return decide_verdict(found.finding, causes, gap.closure, path, numbers, by_numbers)
 
 
 def check_effects(names: Sequence[str]) -> None:
@@ -115,14 +123,14 @@ def _of_model(dataset: Dataset) -> Iterator[str]:
     torque = np.concatenate([log.effort for log in dataset.logs if log.effort is not None])
     error = dataset.model.held_out_rmse
     share = float(np.linalg.norm(error) / np.sqrt(np.mean(torque**2, axis=0).sum()))
-    if dataset.model.method != SIMULATOR and share > dataset.limits.weak_model:
+    if dataset.model.method != SIMULATOR and share > LIMITS.weak_model:
         yield (
             f"the model errs by {100 * share:.0f} % of the torque on held-out parts of its own data: "
             "smaller gaps do not show"
         )
 
 
-def _warnings(robot: RobotDescription, logs: Sequence[Log], given: bool, limits: DecisionLimits) -> Iterator[str]:
+def _warnings(robot: RobotDescription, logs: Sequence[Log], given: bool) -> Iterator[str]:
     """Warnings that limit the conclusions."""
     if len(logs) == 1:
         yield "one motion only: held-out figures come from parts of it; another motion would be a harder test"
@@ -132,7 +140,7 @@ def _warnings(robot: RobotDescription, logs: Sequence[Log], given: bool, limits:
     still = [
         name
         for joint, name in enumerate(robot.joint_names)
-        if all(np.ptp(log.position[:, joint]) <= limits.least_travel for log in logs)
+        if all(np.ptp(log.position[:, joint]) <= LIMITS.least_travel for log in logs)
     ]
     if still:
         yield f"only the weight of a joint that never moves can be judged: {', '.join(still)}"

@@ -16,7 +16,7 @@ import numpy as np
 
 from agent.diagnosis import Dataset
 from agent.excitation import LoopProblem
-from agent.experiment.motion import GridMotion
+from agent.experiment.grid_motion import GridMotion
 from agent.experiment.pieces import KINDS, Piece, Pieces
 
 #: Pieces that are drawn, to choose from.

@@ -25,7 +25,7 @@ from scipy.linalg import solve_triangular
 from scipy.special import ndtr
 
 from agent.diagnosis import Candidate, Dataset, Evidence, Excursions, smooth_columns
-from agent.experiment.motion import GridMotion, background_on
+from agent.experiment.grid_motion import GridMotion, background_on
 from agent.experiment.questions import OpenPair, Side
 from agent.model import MotionSignals, NominalModel
 from agent.robot import Tool
@@ -61,7 +61,7 @@ class Outlook:
         self._forms = [one for one in dict.fromkeys(one for side in sides for one in side) if one is not None]
         self._known, self._prior, ends = evidence.information(self._forms)
         self._place = {one: np.arange(a, b) for one, (a, b) in zip(self._forms, pairwise(ends), strict=True)}
-        self._reached = Excursions.of(dataset.fit.signals, dataset.limits)
+        self._reached = Excursions.of(dataset.fit.signals)
 
     @property
     def nothing(self) -> Told:
@@ -95,7 +95,7 @@ class Outlook:
             used = np.flatnonzero(np.any(rows != 0, axis=0))
             free = free * (moving[j] / sigma[:, j])[:, None]
             total[np.ix_(used, used)] += evidence.reduced(j, rows[:, used], free, step)
-        return Told(total, Excursions.of([signals], dataset.limits))
+        return Told(total, Excursions.of([signals]))
 
     def _columns(self, signals: MotionSignals, motion: GridMotion, rate: float) -> np.ndarray:
         """(S, n, k) torque [N·m] per unit of every parameter of the forms."""

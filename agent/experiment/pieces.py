@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from agent.excitation import Candidates, LoopProblem
-from agent.experiment.motion import GridMotion
+from agent.experiment.grid_motion import GridMotion
 from agent.motion import (
     Delay,
     JointTarget,

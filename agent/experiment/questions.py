@@ -8,10 +8,8 @@ from itertools import combinations
 
 import numpy as np
 
-from agent.diagnosis import Candidate, Diagnosis
+from agent.diagnosis import Candidate, Diagnosis, Place
 from agent.model import CATALOGUE
-
-Place = tuple[str, tuple[int, ...]]
 
 #: Leading effects that are asked about where no effect explains the gap, and untested ones where nothing else is open.
 _LEADING, _MOST_UNTESTED = 3, 8
@@ -57,9 +55,9 @@ def open_pairs(found: Diagnosis) -> list[OpenPair]:
     `ambiguous`: every cause against what equals it. `unknown`: the leading effects against each other. Where nothing
     else is open: effects that these logs would not have shown at their practical size, against none.
     """
-    if found.finding.verdict == "ambiguous":
+    if found.verdict == "ambiguous":
         return list(_rivals(found))
-    if found.finding.verdict == "unknown":
+    if found.verdict == "unknown":
         return list(_leading(found))
     return list(_untested(found))
 
@@ -86,7 +84,8 @@ def _side(found: Diagnosis, form: Candidate, shared: Sequence[Candidate]) -> Sid
 
 
 def _leading(found: Diagnosis) -> Iterator[OpenPair]:
-    singles = [h.effects[0] for h in sorted(found.finding.hypotheses, key=lambda h: -h.gain) if len(h.effects) == 1]
+    ordered = sorted(found.finding.hypotheses, key=lambda h: -h.log_bayes_factor)
+    singles = [h.effects[0] for h in ordered if len(h.effects) == 1]
     for first, second in combinations([_side(found, form, ()) for form in singles[:_LEADING]], 2):
         yield OpenPair(first, second)
 
@@ -94,7 +93,7 @@ def _leading(found: Diagnosis) -> Iterator[OpenPair]:
 def _untested(found: Diagnosis) -> Iterator[OpenPair]:
     fit, names = found.dataset.fit, found.dataset.robot.joint_names
     nothing, count = Side("none", (), None, np.empty(0)), 0
-    for entry in found.answer.not_testable:
+    for entry in found.document.not_testable:
         effect = CATALOGUE[entry.effect]
         joints = () if entry.joint is None else tuple(names.index(name) for name in entry.joint.split(", "))
         if effect.once or effect.shows_in != "torque" or joints not in effect.places(found.dataset.robot):

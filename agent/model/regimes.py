@@ -8,20 +8,12 @@ import numpy as np
 
 #: Regimes of speed, load and position; a sample is in several.
 REGIMES = (
-    "standstill",
-    "reversal",
-    "low_speed",
-    "high_speed",
-    "high_load",
-    "acceleration",
-    "position_low",
-    "position_middle",
-    "position_high",
-)
+    "standstill", "reversal", "low_speed", "high_speed", "high_load", "acceleration",
+    "position_low", "position_middle", "position_high",
+)  # fmt: skip
 _STANDSTILL = 0.004  # of the highest speed seen on the joint
-_OF_ARM = (
-    0.2  # of the arm's speed, over what the joints are able to: a joint that is never faster is judged by this one
-)
+#: Of the arm's speed, over what the joints are able to: a joint that is never faster is judged by this one.
+_OF_ARM = 0.2
 _RESTING = 1e-6  # of its highest speed at all: round-off in a channel that is constant
 _NEAR_REVERSAL = 0.15  # s
 _LOW, _HIGH = 0.1, 0.6  # of the highest speed seen

@@ -8,11 +8,14 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from agent.diagnosis.hypotheses.decision import decide, posterior
 from agent.diagnosis.hypotheses.law import LAW
+from agent.diagnosis.hypotheses.posterior import compare, posterior
+from agent.diagnosis.verdict import named
 from agent.model import CATALOGUE
+from tests.verdicts import verdict_on
 
 JOINTS = 3
+LIMIT = LAW.healthy_scale(JOINTS)
 OFFSET, SPRING, HOSE, ASYMMETRIC = (
     (name, (0,)) for name in ("torque_offset", "gravity_spring", "dress_pack", "asymmetric_friction")
 )
@@ -34,12 +37,12 @@ def hypothesis(share, *places, torque=(0.1, 0.1), free=(), left=0.0, scale=1.0):
 def evaluated(*told, kinds=lambda place: 1, observed=lambda one: 0.0):
     """Evidence and hypotheses that have these probabilities after the data; `left` is over that of nothing."""
     places = list(dict.fromkeys(place for one in told for place in one.places))
-    candidates = [SimpleNamespace(place=place, joints=place[1]) for place in places]
+    candidates = [SimpleNamespace(place=place, joints=place[1], effect=CATALOGUE[place[0]]) for place in places]
     found = [
         SimpleNamespace(
             effects=tuple(places.index(place) for place in one.places),
             free=dict.fromkeys(one.free, 0.1),
-            log=100 + np.log(one.share) - log_prior(one.places, one.free) - observed(one),
+            log_evidence=100 + np.log(one.share) - log_prior(one.places, one.free) - observed(one),
             largest=one.largest,
             left=np.array([0.5, 1.5]) * one.left,
             scales=np.array([0.5, one.scale]),
@@ -54,7 +57,7 @@ def evaluated(*told, kinds=lambda place: 1, observed=lambda one: 0.0):
 
 def decided(*told, **more):
     fit = SimpleNamespace(with_chosen=lambda causes: ("with", *(cause.place for cause in causes)))
-    return decide(fit, *evaluated(*told, **more))
+    return named(compare(fit, *evaluated(*told, **more)))
 
 
 @pytest.mark.parametrize("observed", [lambda one: 0.0, lambda one: -3.0 * len(one.places) - 1])
@@ -69,7 +72,7 @@ def test_probability_is_evidence_times_prior(observed):
     assert seen == sorted(seen, key=lambda one: -round(one.probability, 6))
     for one in seen:
         prior = log_prior(one.places, one.free) - log_prior((), ())
-        assert one.gain == pytest.approx(np.log(one.probability / 0.1) - prior)
+        assert one.log_bayes_factor == pytest.approx(np.log(one.probability / 0.1) - prior)
     plain, offset = seen[3], seen[0]
     assert (plain.explained, plain.scale, offset.explained, offset.scale) == (0.0, 4.0, 0.75, 1.0)
     assert (offset.places, offset.torque, seen[-1].free) == ((OFFSET,), (0.1,), (0, 2))
@@ -86,12 +89,12 @@ def test_of_equals_the_one_with_fewer_forms_leads():
 @pytest.mark.parametrize(
     ("plain", "scale", "offset", "verdict"),
     [
-        (0.06, 5.9, {}, "no_gap"),
-        (0.04, 5.9, {}, "explained"),
-        (0.06, 6.0, {}, "explained"),
-        (0.04, 5.9, {"torque": (0.0029,)}, "no_gap"),
-        (0.04, 5.9, {"torque": (0.003,)}, "explained"),
-        (0.04, 6.0, {"torque": (0.0029,)}, "unknown"),
+        (0.06, 0.99 * LIMIT, {}, "no_gap"),
+        (0.04, 0.99 * LIMIT, {}, "explained"),
+        (0.06, LIMIT, {}, "explained"),
+        (0.04, 0.99 * LIMIT, {"torque": (0.0029,)}, "no_gap"),
+        (0.04, 0.99 * LIMIT, {"torque": (0.003,)}, "explained"),
+        (0.04, LIMIT, {"torque": (0.0029,)}, "unknown"),
         (0.04, 9.0, {"left": 0.24}, "explained"),
         (0.04, 9.0, {"left": 0.26}, "unknown"),
         (0.35, 9.0, {}, "explained"),
@@ -101,13 +104,14 @@ def test_of_equals_the_one_with_fewer_forms_leads():
 )
 def test_a_cause_is_named_if_likely_large_and_enough(plain, scale, offset, verdict):
     found = decided(hypothesis(plain, left=1.0, scale=scale), hypothesis(1 - plain, OFFSET, **offset))
-    assert found.verdict == verdict
-    named = verdict == "explained"
-    assert [cause.place for cause in found.causes] == ([OFFSET] if named else [])
-    assert (found.fit == ("with", OFFSET)) is named
-    assert found.probability == (pytest.approx((0.95 * (1 - plain),)) if named else ())
+    assert verdict_on(found) == verdict
+    is_named = verdict == "explained"
+    assert [cause.place for cause in found.causes] == ([OFFSET] if is_named else [])
+    assert (found.fit == ("with", OFFSET)) is is_named
+    assert found.probability == (pytest.approx((0.95 * (1 - plain),)) if is_named else ())
     assert found.healthy == pytest.approx(1.0 if offset.get("torque") == (0.0029,) else plain)
-    assert decided(hypothesis(0.04, left=1.0, scale=scale), hypothesis(0.96, free=(1,))).verdict == "unknown"
+    elsewhere = decided(hypothesis(0.04, left=1.0, scale=scale), hypothesis(0.96, free=(1,)))
+    assert verdict_on(elsewhere) == "unknown"
 
 
 def test_what_replaces_a_cause_on_its_joints_is_its_class():
@@ -120,7 +124,7 @@ def test_what_replaces_a_cause_on_its_joints_is_its_class():
     ):
         others = [hypothesis(*one) for one in (*told, *((share, place) for place, share in more.items()))]
         found = decided(hypothesis(0.19 - sum(more.values()), left=1.0, scale=9.0), *others)
-        assert (found.verdict, found.rivals) == ("ambiguous", (tuple(rivals),))
+        assert (verdict_on(found), found.rivals) == ("ambiguous", (tuple(rivals),))
         assert found.probability == pytest.approx((0.95 * (0.6 + sum({SPRING: 0.061, **more}[one] for one in rivals)),))
     found = decided(hypothesis(0.04, left=1.0, scale=9.0), hypothesis(0.5, OFFSET), hypothesis(0.46, SPRING, RIPPLE))
     assert ({*found.rivals[0]}, found.probability) == ({SPRING, RIPPLE}, pytest.approx((0.95,)))
@@ -132,7 +136,7 @@ def test_each_cause_has_a_class_and_the_largest_comes_first():
     found = decided(hypothesis(0.04, left=1.0, scale=9.0), both, more, *other)
     assert [cause.place for cause in found.causes] == [ELSEWHERE, OFFSET]
     assert found.probability == pytest.approx((0.95 * 0.7, 0.95 * 0.96))
-    assert (found.verdict, found.rivals) == ("explained", ((), (ASYMMETRIC,)))
+    assert (verdict_on(found), found.rivals) == ("explained", ((), (ASYMMETRIC,)))
 
 
 @pytest.mark.parametrize(("apart", "rivals"), [(0.049, (HOSE,)), (0.051, ())])
@@ -166,4 +170,13 @@ def test_a_healthy_arm_may_have_more_than_usual_of_what_it_has_already(times, li
     odds = max(tail, 0) / stats.norm.pdf(size, scale=size) * np.exp(log_prior((), ()) - log_prior((OFFSET,), ()))
     assert shares.get(frozenset(), 0.0) == pytest.approx(odds * shares[frozenset({OFFSET})])
     assert (shares[frozenset({OFFSET})] > LAW.sure) is likely
-    assert decide(SimpleNamespace(with_chosen=list), evidence, found).verdict == ("explained" if likely else "no_gap")
+    decision = named(compare(SimpleNamespace(with_chosen=list), evidence, found))
+    assert verdict_on(decision) == ("explained" if likely else "no_gap")
+
+
+def test_the_scale_of_a_healthy_arm_is_that_of_its_worst_joint():
+    """Of n joints with scales ν / χ², one exceeds the limit in at most one of twenty sets of logs."""
+    for joints, limit in ((6, 7.4), (1, 3.7)):
+        assert LAW.healthy_scale(joints) == pytest.approx(limit, abs=0.05)
+        below = joints * stats.chi2.cdf(LAW.nu / LAW.healthy_scale(joints), LAW.nu)
+        assert below == pytest.approx(1 - LAW.certain)

@@ -13,12 +13,14 @@ from agent.diagnosis.hypotheses.healthy import healthy_on, with_healthy_effects
 from agent.diagnosis.hypotheses.law import LAW
 from agent.diagnosis.hypotheses.search import Search
 from agent.diagnosis.rows.dataset import assemble
+from agent.diagnosis.verdict import named
 from agent.estimation import EstimationSettings, estimate
 from agent.model import IdentifiedModel
 from agent.pipeline import FitQuestion, estimate_files
 from agent.recording import write_log
 from fake_controller.plant import Plant
 from tests.small_arms import make_arm, record
+from tests.verdicts import verdict_on
 
 OFFSET = {"effect": "torque_offset", "joints": ["joint_2"], "parameters": {"offset": 6.0}}
 
@@ -44,11 +46,11 @@ def fit_of(robot, model, effects=(), seeds=(21, 22)):
 
 
 def test_a_healthy_arm_has_no_gap(robot, model):
-    assert Search(fit_of(robot, model)).run().verdict == "no_gap"
+    assert verdict_on(named(Search(fit_of(robot, model)).run())) == "no_gap"
 
 
 def test_names_an_offset_or_an_equivalent(robot, model):
-    decision = Search(fit_of(robot, model, [OFFSET])).run()
+    decision = named(Search(fit_of(robot, model, [OFFSET])).run())
     assert ("torque_offset", (1,)) in (decision.causes[0].place, *decision.rivals[0])
     assert decision.probability[0] > 0.6
     assert sum(h.probability for h in decision.hypotheses) == pytest.approx(1.0, abs=1e-6)
@@ -56,10 +58,10 @@ def test_names_an_offset_or_an_equivalent(robot, model):
 
 def test_an_effect_of_the_healthy_arm_is_not_named(robot, model):
     fit = fit_of(robot, model, [OFFSET])
-    found = {cause.place for cause in Search(fit).run().causes}
+    found = {cause.place for cause in named(Search(fit).run()).causes}
     assert found
     usual = [(form, 10 * 0.02) for form in Search(fit).forms() if form.place in found]
-    again = Search(fit, healthy=usual).run()
+    again = named(Search(fit, healthy=usual).run())
     assert not {cause.place for cause in again.causes} & found
 
 
@@ -97,7 +99,7 @@ def test_a_gain_is_the_ratio_of_two_normal_densities_of_all_rows(robot, model):
     ratios = [
         log_density(covariance + (size / torque) ** 2 * np.outer(effect, effect)) - alone for size in evidence.sizes
     ]
-    gains, _ = evidence.gains(base)
+    gains, _ = evidence.shortlist_gains(base)
     assert gains[0] == pytest.approx(max(ratios), rel=1e-3, abs=1e-3)
 
 

@@ -9,9 +9,11 @@ from agent.diagnosis.hypotheses.finding import Finding
 from agent.diagnosis.hypotheses.healthy import healthy_on, with_healthy_effects
 from agent.diagnosis.hypotheses.search import Search
 from agent.diagnosis.rows.dataset import assemble
+from agent.diagnosis.verdict import named
 from agent.estimation import estimate
 from fake_controller.plant import Plant
 from tests.small_arms import make_arm, record
+from tests.verdicts import verdict_on
 
 SETS = 20
 LEVELS = (0.01, 0.05, 0.1)
@@ -27,7 +29,7 @@ def healthy_finding(machine: int) -> Finding:
     )
     model = with_healthy_effects(estimate(robot, baseline), baseline)
     fit = assemble(robot, model, logs, None).fit
-    return Search(fit, healthy=healthy_on(fit, model)).run()
+    return named(Search(fit, healthy=healthy_on(fit, model)).run())
 
 
 @pytest.mark.verify
@@ -38,6 +40,6 @@ def test_the_false_alarm_level_on_fresh_healthy_motions(measured):
         low, high = clopper_pearson(hits, SETS)
         target = f"{100 * level:g} % if the level holds; 95 % interval {100 * low:.0f} to {100 * high:.0f} %"
         measured(f"healthy sets of three motions beyond the {100 * level:g} % level", f"{hits} of {SETS}", "", target)
-    alarms = sum(finding.verdict != "no_gap" for finding in findings)
+    alarms = sum(verdict_on(finding) != "no_gap" for finding in findings)
     measured("the same sets with a verdict", f"{alarms} of {SETS}")
     assert alarms <= 1

@@ -57,7 +57,7 @@ def model(robot) -> IdentifiedModel:
 
 
 def _said(found: Diagnosis) -> list[str]:
-    return [warning for warning in found.answer.warnings if "stands still" in warning]
+    return [warning for warning in found.document.warnings if "stands still" in warning]
 
 
 def _level(warning: str) -> float:
@@ -72,7 +72,7 @@ def _logs(robot: RobotDescription, change: Callable[[np.ndarray, int], np.ndarra
 
 def test_reports_a_held_torque_sensor_and_names_no_cause(robot, model):
     found = diagnose(robot, _logs(robot, _holding), model)
-    assert found.answer.verdict == "unknown"
+    assert found.document.verdict == "unknown"
     (warning,) = _said(found)
     assert warning.startswith(f"the torque of {robot.joint_names[0]} stands still")
     assert "holds its value" in warning
@@ -84,7 +84,7 @@ def test_reports_clipped_torque_with_its_level(robot, model, level):
     level = level or float(np.quantile(np.abs(_torque(robot, MOVES[0])[1][:, 1]), 0.8))
     cut = [np.inf, level]
     found = diagnose(robot, _logs(robot, lambda torque, _: np.clip(torque, np.negative(cut), cut)), model)
-    assert found.answer.verdict == "unknown"
+    assert found.document.verdict == "unknown"
     (warning,) = _said(found)
     assert _level(warning) == pytest.approx(level, rel=0.02)
     assert f"{robot.joint_names[1]} stands still at" in warning
@@ -94,7 +94,7 @@ def test_friction_is_not_reported_as_a_held_sensor(robot, model):
     """More friction, and torque held only where it hardly changes, which nothing tells from one that follows."""
     logs = [_recorded(robot, seed, *_torque(robot, seed, np.array([2.0, 0.0]))) for seed in MOVES]
     found = diagnose(robot, logs, model)
-    assert found.answer.verdict in ("explained", "ambiguous")
+    assert found.document.verdict in ("explained", "ambiguous")
     assert not _said(found)
 
 
@@ -106,13 +106,13 @@ def test_nearly_constant_torque_is_not_reported_as_a_held_sensor(robot, model):
         torque[:, 0] -= 4.8 * np.sign(np.gradient(q[:, 0]))
         logs.append(_recorded(robot, seed, q, torque))
     found = diagnose(robot, logs, model)
-    assert [(cause.effect, cause.joints) for cause in found.answer.causes] == [("friction_change", ("joint_1",))]
+    assert [(cause.effect, cause.joints) for cause in found.document.causes] == [("friction_change", ("joint_1",))]
     assert not _said(found)
 
 
 def test_a_run_without_a_gap_reports_no_held_sensor(robot, model):
     found = diagnose(robot, _logs(robot, lambda torque, _: torque), model)
-    assert found.answer.verdict == "no_gap"
+    assert found.document.verdict == "no_gap"
     assert not _said(found)
 
 
@@ -131,7 +131,7 @@ def test_reports_a_held_torque_on_a_real_arm(shared_data, joint):
         effort[first:last, joint] = effort[first, joint]
     assert not _said(diagnose(arm, [log], given))
     found = diagnose(arm, [replace(log, effort=effort)], given)
-    assert found.answer.verdict == "unknown"
+    assert found.document.verdict == "unknown"
     assert _said(found)[0].startswith(f"the torque of {arm.joint_names[joint]} stands still")
 
 

@@ -19,29 +19,11 @@ from agent.pipeline import GapQuestion, diagnose_files
 from agent.pipeline.gap.printed_diagnosis import diagnosis_text
 
 VOCABULARY = [
-    "stribeck",
-    "asymmetric_friction",
-    "load_dependent_friction",
-    "viscous_nonlinearity",
-    "thermal_friction",
-    "presliding",
-    "friction_change",
-    "joint_elasticity",
-    "backlash",
-    "torque_ripple",
-    "wrist_coupling",
-    "payload",
-    "gravity_spring",
-    "dress_pack",
-    "base_tilt",
-    "inertial_mismatch",
-    "contact",
-    "torque_constant",
-    "torque_offset",
-    "time_delay",
-    "encoder_offset",
-    "interpolator_mismatch",
-]
+    "stribeck", "asymmetric_friction", "load_dependent_friction", "viscous_nonlinearity", "thermal_friction",
+    "presliding", "friction_change", "joint_elasticity", "backlash", "torque_ripple", "wrist_coupling", "payload",
+    "gravity_spring", "dress_pack", "base_tilt", "inertial_mismatch", "contact", "torque_constant", "torque_offset",
+    "time_delay", "encoder_offset", "interpolator_mismatch",
+]  # fmt: skip
 
 
 def test_the_catalogue_matches_the_vocabulary():

@@ -46,7 +46,7 @@ def test_stiction_at_a_reversal_is_not_a_gap():
     model = estimate(robot, [_record(robot, seed, 0.0) for seed in (1, 2)], EstimationSettings.create(cutoff=20))
     found = diagnose(robot, [_record(robot, seed, HELD) for seed in (3, 4)], model, without=list(CATALOGUE))
     assert np.sqrt(np.mean(found.dataset.residual**2)) > 0.01 * robot.nominal_torque[0], "the error is there"
-    assert found.answer.verdict == "no_gap"
+    assert found.document.verdict == "no_gap"
 
 
 def _beside(robot: RobotDescription, seed: int, offset: float, stuck: float | None = None) -> Log:
@@ -67,8 +67,8 @@ def test_stiction_of_a_stationary_joint_is_not_evidence(stuck):
     robot = _arm(2)
     model = estimate(robot, [_beside(robot, seed, 0.0) for seed in (1, 2)], EstimationSettings.create(cutoff=20))
     found = diagnose(robot, [_beside(robot, 3, 4.0), _beside(robot, 4, 4.0, stuck)], model)
-    assert found.answer.verdict == "ambiguous"
-    first = found.answer.causes[0]
+    assert found.document.verdict == "ambiguous"
+    first = found.document.causes[0]
     assert {first.effect, *(e.effect for e in first.equivalent_to)} == {"torque_offset", "asymmetric_friction"}
 
 
@@ -78,8 +78,8 @@ def test_a_joint_that_never_moves_has_no_gap_below_its_stiction():
     model = estimate(robot, [_beside(robot, seed, 0.0) for seed in (1, 2)], EstimationSettings.create(cutoff=20))
     for stuck in (1.0, -1.0):
         found = diagnose(robot, [_beside(robot, 4, 0.0, stuck)], model)
-        assert found.answer.verdict == "no_gap"
-        assert found.answer.gap.before[0] == pytest.approx(0.0, abs=1e-3)
+        assert found.document.verdict == "no_gap"
+        assert found.document.gap.before[0] == pytest.approx(0.0, abs=1e-3)
 
 
 @pytest.mark.parametrize(("force", "named"), [(2000.0, True), (80.0, False)])
@@ -93,7 +93,7 @@ def test_a_push_above_stiction_is_seen_at_a_stationary_joint(force, named):
     torque = force * np.einsum("sij,si->sj", jacobian, sideways) * inside[:, None]
     assert bool(np.abs(torque[:, 0]).max() > 2 * COULOMB) is named
     found = diagnose(robot, [replace(pushed, effort=pushed.effort - torque), _beside(robot, 3, 0.0)], model)
-    assert (found.answer.verdict == "no_gap") is not named
+    assert (found.document.verdict == "no_gap") is not named
 
 
 @given(lengths=st.lists(st.integers(60, 400), min_size=1, max_size=3), repeat=st.sampled_from([1.0, 10.0, 25.0]))

@@ -11,19 +11,17 @@ import numpy as np
 from hypothesis import given, strategies as st
 
 from agent.diagnosis import verdict as rules
-from agent.diagnosis.answer import Cause, DiagnosisResult, EffectPlace, JointShare, PathGap, TorqueGap
+from agent.diagnosis.document import Cause, DiagnosisResult, EffectPlace, JointShare, PathGap, TorqueGap
 from agent.diagnosis.hypotheses.finding import Finding, Hypothesis
 from agent.diagnosis.hypotheses.law import LAW
 from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.result import next_experiment
-from agent.diagnosis.verdict import judge, settle, with_path
+from agent.diagnosis.verdict import decide_verdict, named, supported
+from agent.model import CATALOGUE
 
-VERDICTS = st.sampled_from(["no_gap", "explained", "ambiguous", "unknown"])
-closures = st.one_of(
-    st.none(),
-    st.floats(-1, 3),
-    st.sampled_from([0.0, LIMITS.least_share, LIMITS.explained, np.nan, -np.inf]),
-)
+JOINTS = 3
+EDGES = [0.0, LIMITS.least_share, LIMITS.explained, np.nan, -np.inf]
+closures = st.one_of(st.none(), st.floats(-1, 3), st.sampled_from(EDGES))
 causes = st.builds(
     Cause,
     effect=st.sampled_from(["stribeck", "interpolator_mismatch"]),
@@ -34,13 +32,14 @@ causes = st.builds(
     equivalent_to=st.sampled_from([(), (EffectPlace("presliding", ("joint_2",)),)]),
     closure_of_joints=closures,
 )
+several = st.lists(causes, max_size=3).map(tuple)
 
 
-def keeps_its_promises(verdict, named, closure) -> bool:
+def keeps_its_promises(verdict, told_causes, closure) -> bool:
     """The answer, as JSON has it, by docs/diagnosis.md."""
-    next_one = next_experiment(named, verdict, [JointShare("joint_1", 1.0, (0.9, 1.0), ())])
+    next_one = next_experiment(told_causes, verdict, [JointShare("joint_1", 1.0, (0.9, 1.0), ())])
     gap = TorqueGap(("joint_2",), ("nominal",), (1.0,), (0.5,), None)
-    answer = DiagnosisResult(verdict, gap, PathGap(), closure, (), named, (), next_one, (), ())
+    answer = DiagnosisResult(verdict, gap, PathGap(), closure, (), told_causes, (), next_one, (), ())
     told = json.loads(json.dumps({**answer.to_dict(), "closure": None}, allow_nan=False))
     assert bool(told["causes"]) == (verdict in ("explained", "ambiguous"))
     for cause in told["causes"]:
@@ -60,21 +59,25 @@ def keeps_its_promises(verdict, named, closure) -> bool:
     return True
 
 
-@given(VERDICTS, st.lists(causes, max_size=3).map(tuple), closures)
-def test_a_verdict_meets_its_contract(verdict, found, closure):
-    settled, named = settle(verdict, found, closure)
-    assert keeps_its_promises(settled, named, closure)
-    assert all(any(cause is one for one in found) for cause in named)
-    if closure is None and verdict != "unknown":
-        assert settled == "no_gap"
-    assert settle(settled, named, closure) == (settled, named), "it is settled"
-
-
-@given(VERDICTS, st.lists(causes, max_size=2).map(tuple), closures, closures, st.booleans())
-def test_the_contract_holds_with_another_path(verdict, found, closure, of_path, path_named):
-    verdict, closure = with_path(verdict, closure, of_path, path_named)
-    settled, named = settle(verdict, found, closure)
-    assert keeps_its_promises(settled, named, closure)
+@given(st.booleans(), several, closures, st.one_of(st.none(), several), several, st.floats(0, 3))
+def test_a_verdict_meets_its_contract(leaves_gap, found, closure, path, numbers, by_numbers):
+    """With causes, another path and moved numbers; each counts only where those before it explain nothing."""
+    finding = SimpleNamespace(leaves_gap=leaves_gap)
+    decided = decide_verdict(finding, found, closure, path, numbers, by_numbers)
+    assert keeps_its_promises(decided.name, decided.causes, decided.closure)
+    by_effects = decide_verdict(finding, found, closure)
+    assert all(any(cause is one for one in found) for cause in by_effects.causes)
+    assert decide_verdict(finding, by_effects.causes, closure) == by_effects, "it is settled"
+    if by_effects.causes:
+        assert (decided.name, decided.closure) == (by_effects.name, closure)
+        assert decided.causes[: len(by_effects.causes)] == by_effects.causes
+    else:
+        assert by_effects.name == ("unknown" if leaves_gap else "no_gap")
+        gap = leaves_gap or path is not None
+        of_numbers = all(any(cause is one for one in numbers) for cause in decided.causes)
+        assert decided.causes or decided.name == ("unknown" if gap else "no_gap")
+        assert not leaves_gap or not decided.causes or (by_numbers > 0.9 and of_numbers)
+    assert closure is not None or not by_effects.causes
 
 
 class _Fit:
@@ -87,68 +90,70 @@ class _Fit:
         return _Fit(chosen)
 
 
-def found_by_a_search(verdict, candidates, rivals, scale=1.0, runner_up=()):
+def found_by_a_search(candidates, rivals, scale=1.0, runner_up=()):
     """A finding over two hypotheses: the causes, and nothing, with a squared error of `scale` times the noise."""
     plain = Hypothesis((), (), 0.0, {}, (), 0.0, scale)
     best = Hypothesis(candidates, (), 9.0, {}, (0.1,) * len(candidates), 1.0, 1.0)
     others = (Hypothesis(runner_up, (), 5.0, {}, (0.1,), 1.0, 1.0),) if runner_up else ()
-    evidence = SimpleNamespace(law=LAW)
-    return Finding(
-        verdict, _Fit(candidates), candidates, rivals, (0.9,) * len(candidates), (best, *others, plain), evidence
-    )  # type: ignore[arg-type]
+    evidence, probability = SimpleNamespace(law=LAW, joints=JOINTS), (0.9,) * len(candidates)
+    hypotheses = (best, *others, plain)
+    return named(Finding(_Fit(), _Fit(candidates), candidates, rivals, probability, 1.0, hypotheses, evidence))  # type: ignore[arg-type]
+
+
+def candidate_of(name, *joints, **more):
+    return SimpleNamespace(place=(name, joints), effect=CATALOGUE[name], **more)
 
 
 def judged_by(finding, gap_of, told):
-    """A finding as it is judged where fits have these gaps, and findings these causes."""
+    """A finding as it is supported, and the verdict, where fits have these gaps, and findings these causes."""
     with patch.object(rules, "held_out_gap", gap_of), patch.object(rules, "causes_of", told):
-        return judge(SimpleNamespace(limits=LIMITS), finding, _Fit())  # type: ignore[arg-type]
+        judged, gap = supported(SimpleNamespace(), finding)  # type: ignore[arg-type]
+    return judged, decide_verdict(judged, told(None, judged, gap), gap.closure)
 
 
 @given(
-    verdict=st.sampled_from(["explained", "ambiguous"]),
     found=st.lists(causes, min_size=1, max_size=3),
     closings=st.lists(closures, min_size=1, max_size=4),
     other=st.booleans(),
     scale=st.sampled_from([1.0, 10.0]),
 )
-def test_every_search_result_gives_an_answer_that_meets_the_contract(verdict, found, closings, other, scale):
+def test_every_search_result_gives_an_answer_that_meets_the_contract(found, closings, other, scale):
     """Whatever is taken away: the gap is then another, and so are the causes' parts of it."""
-    candidates = tuple(SimpleNamespace(place=("stribeck", (k,)), cause=cause) for k, cause in enumerate(found))
-    runner_up = (SimpleNamespace(place=("presliding", (0,))),) if other else ()
+    candidates = tuple(candidate_of("stribeck", k, cause=cause) for k, cause in enumerate(found))
+    runner_up = (candidate_of("presliding", 0),) if other else ()
     rivals = tuple(tuple((e.effect, (1,)) for e in cause.equivalent_to) for cause in found)
-    finding = found_by_a_search(verdict, candidates, rivals, scale, runner_up)
+    finding = found_by_a_search(candidates, rivals, scale, runner_up)
 
     def gap_of(dataset, fit, unit=None):
         return SimpleNamespace(closure=closings[min(len(fit.chosen), len(closings) - 1)])
 
     def told(dataset, finding, gap):
         there = [tuple(EffectPlace(name, ("joint_2",)) for name, _ in rivals) for rivals in finding.rivals]
-        named = zip((c.cause for c in finding.causes), there, strict=True)
-        return tuple(replace(cause, equivalent_to=equal, closure_of_joints=None) for cause, equal in named)
+        of = zip((c.cause for c in finding.causes), there, strict=True)
+        return tuple(replace(cause, equivalent_to=equal, closure_of_joints=None) for cause, equal in of)
 
-    judged, gap = judged_by(finding, gap_of, told)
-    named = told(None, judged, gap)
-    assert keeps_its_promises(judged.verdict, named, gap.closure)
+    judged, decided = judged_by(finding, gap_of, told)
+    assert keeps_its_promises(decided.name, decided.causes, decided.closure)
+    assert len(decided.causes) == len(judged.causes), "what is supported is named"
 
 
 @given(scale=st.floats(0.2, 100))
 def test_causes_without_held_out_gain_leave_a_gap_only_beyond_the_noise_model(scale):
     """A push that the search took for one closes nothing: on a healthy arm that is no gap, not an unknown one."""
-    push = SimpleNamespace(place=("contact", ()))
-    finding = found_by_a_search("explained", (push,), ((),), scale)
+    finding = found_by_a_search((candidate_of("contact"),), ((),), scale)
     cause = Cause("contact", (), 0.01, 0.9, {"force_x": 1.0})
 
     def told(dataset, finding, gap):
         return (cause,) * len(finding.causes)
 
-    judged, _ = judged_by(finding, lambda *_: SimpleNamespace(closure=0.0), told)
-    assert judged.verdict == ("unknown" if scale >= LAW.exceeded else "no_gap")
+    judged, decided = judged_by(finding, lambda *_: SimpleNamespace(closure=0.0), told)
+    assert decided.name == ("unknown" if scale >= LAW.healthy_scale(JOINTS) else "no_gap")
     assert judged.causes == ()
 
 
 def test_causes_that_close_too_little_are_named_with_the_runner_up():
-    offset, stribeck = (SimpleNamespace(place=(name, (0,))) for name in ("torque_offset", "stribeck"))
-    finding = found_by_a_search("explained", (offset,), ((),), 1.0, (stribeck,))
+    offset, stribeck = (candidate_of(name, 0) for name in ("torque_offset", "stribeck"))
+    finding = found_by_a_search((offset,), ((),), 1.0, (stribeck,))
     cause = Cause("torque_offset", ("joint_1",), 0.5, 0.9, {"offset": 1.0})
 
     def told(dataset, finding, gap):
@@ -156,6 +161,6 @@ def test_causes_that_close_too_little_are_named_with_the_runner_up():
         return (replace(cause, equivalent_to=there),)
 
     for closure, verdict in ((0.9, "explained"), (0.5, "ambiguous")):
-        judged, _ = judged_by(finding, lambda *_, closure=closure: SimpleNamespace(closure=closure), told)
-        assert judged.verdict == verdict
+        judged, decided = judged_by(finding, lambda *_, closure=closure: SimpleNamespace(closure=closure), told)
+        assert decided.name == verdict
         assert judged.rivals[0] == (() if verdict == "explained" else (stribeck.place,))

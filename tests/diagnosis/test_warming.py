@@ -50,7 +50,7 @@ def _diagnosed(robot: RobotDescription, model: IdentifiedModel, first: Callable[
 
 
 def test_names_a_drive_that_warms_up_with_the_distance_travelled(robot, model):
-    answer = _diagnosed(robot, model, lambda way: 1 + 0.8 * np.exp(-way / WAY)).answer
+    answer = _diagnosed(robot, model, lambda way: 1 + 0.8 * np.exp(-way / WAY)).document
     assert answer.verdict == "explained"
     (cause,) = answer.causes
     assert (cause.effect, cause.joints) == ("thermal_friction", (robot.joint_names[1],))
@@ -59,5 +59,5 @@ def test_names_a_drive_that_warms_up_with_the_distance_travelled(robot, model):
 
 
 def test_different_friction_throughout_the_first_log_is_not_warm_up(robot, model):
-    answer = _diagnosed(robot, model, lambda way: 1.5).answer
+    answer = _diagnosed(robot, model, lambda way: 1.5).document
     assert all(cause.effect != "thermal_friction" for cause in answer.causes)

@@ -11,7 +11,7 @@ from hypothesis import given, settings, strategies as st
 
 from agent.diagnosis import Excursions, diagnose
 from agent.experiment import Deadline, as_drawn, d_optimal, open_pairs, pieces_otherwise, plan_experiment
-from agent.experiment.motion import GridMotion, background_on
+from agent.experiment.grid_motion import GridMotion, background_on
 from agent.experiment.outlook import Outlook
 from agent.experiment.pieces import Pieces
 from agent.experiment.questions import OpenPair, Side

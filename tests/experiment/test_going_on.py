@@ -20,20 +20,11 @@ from agent.runs.folder import RunFolder
 
 STOPPED = KeyboardInterrupt()
 ASKED = GapQuestion(
-    model=Path("it's a model.xml"),
-    joint_map=Path("map.yaml"),
-    cutoff=12.5,
-    without=("stribeck", "two words"),
-    report=Path("page.html"),
-    out=Path("out"),
-    allow_mixed=True,
-    force=True,
-    next_recipe=Path("next.yaml"),
-    next_payload="2 kg, 0 mm, 0 mm, -30 mm",
-    drives_off=Path("zero.mcap"),
-    topic="/arm/joint_states",
+    model=Path("it's a model.xml"), joint_map=Path("map.yaml"), cutoff=12.5, without=("stribeck", "two words"),
+    report=Path("page.html"), out=Path("out"), allow_mixed=True, force=True, next_recipe=Path("next.yaml"),
+    next_payload="2 kg, 0 mm, 0 mm, -30 mm", drives_off=Path("zero.mcap"), topic="/arm/joint_states",
     planning_budget=90.0,
-)
+)  # fmt: skip
 #: Parameters of the command that the question does not have, and what the test's command line says of them.
 BESIDE = {"as_json": False, "yes": False, "messages": None, "robot": None}
 
@@ -65,16 +56,10 @@ def test_the_command_to_repeat_a_diagnosis_is_the_original_one(run: RunFolder, t
         run.finish(name)
     said = going_on(run, "rounds", STOPPED)
     found = read(said.partition("start again with: ")[2])
-    question = {
-        "logs": (),
-        "record": found["record"],
-        "runs": tmp_path / "logs",
-        "until_sure": True,
-        "budget": "600 s",
-        "load": ASKED.next_payload,
-        "planning_budget": "90 s",
-        **{key: value for key, value in vars(ASKED).items() if key not in ("next_payload", "planning_budget")},
-    }
+    recorded = {"logs": (), "record": found["record"], "runs": tmp_path / "logs", "until_sure": True}
+    budgets = {"budget": "600 s", "load": ASKED.next_payload, "planning_budget": "90 s"}
+    same = {key: value for key, value in vars(ASKED).items() if key not in ("next_payload", "planning_budget")}
+    question = {**recorded, **budgets, **same}
     assert {**found, "without": tuple(found["without"])} == {**BESIDE, **question}
     recorded = read(said.partition("diagnose them with: ")[2].partition("; or start again")[0])
     assert recorded["logs"] == [run.file("excitation.mcap"), run.file("validation_01.mcap")]

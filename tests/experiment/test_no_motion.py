@@ -80,12 +80,12 @@ def test_a_doubtful_cause_without_an_alternative_is_not_settled(tmp_path: Path, 
     recipe = load_recipe(write_atomically(tmp_path / "job.yaml", template()))
     cause = SimpleNamespace(place=("torque_ripple", (5,)), effect=SimpleNamespace(name="torque_ripple"))
     dataset = SimpleNamespace(robot=recipe.robot)
-    found = SimpleNamespace(finding=SimpleNamespace(verdict="ambiguous", causes=(cause,)), dataset=dataset)
+    found = SimpleNamespace(verdict="ambiguous", finding=SimpleNamespace(causes=(cause,)), dataset=dataset)
     monkeypatch.setattr(next_experiment, "open_pairs", lambda found: [])
     said = plan_next(found, recipe, Console(-1))  # type: ignore[arg-type]
     assert said.text.startswith("torque_ripple on joint_6 closes too little of the gap to be sure. ")
     assert said.to_dict()["separates"] == ["torque_ripple"]
-    found.finding.verdict = "explained"
+    found.verdict = "explained"
     assert plan_next(found, recipe, Console(-1)) == NoMotion("nothing is open: no further motion is needed")  # type: ignore[arg-type]
 
 

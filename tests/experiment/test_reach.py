@@ -9,7 +9,7 @@ import pytest
 
 from agent.core import InputError
 from agent.diagnosis import diagnose
-from agent.experiment.motion import GridMotion
+from agent.experiment.grid_motion import GridMotion
 from agent.experiment.outlook import Outlook
 from agent.experiment.questions import OpenPair, Side
 from agent.model import CATALOGUE, PAYLOAD, NominalModel, carrying, payload_of, payload_text

@@ -148,7 +148,7 @@ def test_names_a_small_and_a_large_effect_and_restores_the_file_values(tmp_path)
     found = uneven(tmp_path, FORMS["asymmetric_friction"], 1, beside=beside)
     named = {(cause["effect"], *cause["joints"]) for cause in found.result["causes"]}
     assert named == {("asymmetric_friction", "lift"), ("stribeck", "tip")}
-    assert ("rotor inertia", 1) not in found.calibrated.released
+    assert ("rotor inertia", 1) not in found.released.parts
     units = {entry.parameter: entry.unit for entry in ranges(found)}
     assert (units["rise"], units["frictionloss"]) == ("N·m", "N·m")
 
@@ -174,7 +174,7 @@ def test_file_values_that_close_nearly_all_of_the_gap_are_the_cause(tmp_path):
     result = found.result
     assert result["verdict"] == "explained"
     assert {cause["effect"] for cause in result["causes"]} <= {"friction_change", "inertial_mismatch", "payload"}
-    assert any("no effect of the catalogue closes" in warning for warning in result["warnings"])
+    assert any("no known effect explains it" in warning for warning in result["warnings"])
 
 
 @pytest.mark.verify

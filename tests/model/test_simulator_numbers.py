@@ -14,10 +14,11 @@ from agent.diagnosis import Finding, Search, diagnose
 from agent.diagnosis.forward.rollout import MujocoEngine
 from agent.diagnosis.gap.torque_gap import held_out_gap
 from agent.diagnosis.hypotheses.testability import not_testable, smallest_sizes
-from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.dataset import Dataset, assemble
-from agent.diagnosis.simulator_file.calibration import ReleasedSimulator, calibration
+from agent.diagnosis.simulator_file.released_numbers import ReleasedSimulator, release
 from agent.diagnosis.simulator_file.simulator import Explanation, _possible, numbers_instead, with_expected_error
+from agent.diagnosis.verdict import named
+from agent.experiment import open_pairs
 from agent.model import CATALOGUE
 from agent.pages import headline, verdict_text
 from agent.pipeline import GapQuestion, check_plausible
@@ -26,6 +27,7 @@ from agent.pipeline.gap.simulator import beyond_range
 from agent.recording import read_log
 from agent.simulators import load_simulator
 from tests.model.bench import CHAIN, URDF, recorded, scene, written
+from tests.verdicts import verdict_on
 
 
 def test_a_dominant_wrist_rotor_is_corrected_fully(tmp_path):
@@ -36,8 +38,8 @@ def test_a_dominant_wrist_rotor_is_corrected_fully(tmp_path):
     values = np.append(model.projection @ with_rotor, model.values[len(model.independent) :] + [0, 0, 0.2, 0.1])
     robot = replace(model, values=values)
     logs = [read_log(recorded(tmp_path / f"{k}.mcap", robot, k), model.robot) for k in (1, 2)]
-    found = calibration(assemble(model.robot, with_expected_error(model, logs), logs, None, LIMITS))
-    assert ("rotor inertia", 1) in found.released
+    found = release(assemble(model.robot, with_expected_error(model, logs), logs, None))
+    assert ("rotor inertia", 1) in found.parts
     assert np.nanstd(found.moved.residual[:, 1]) < 0.01 * np.std(logs[0].effort[:, 1])
 
 
@@ -96,14 +98,14 @@ def sprung_logs(folder: Path, slow: float = 0.0, lighter: float = 0.8, strength:
 
 def sprung(folder: Path, slow: float = 0.0) -> Dataset:
     model, logs = sprung_logs(folder, slow)
-    return assemble(model.robot, with_expected_error(model, logs, LIMITS, 0.01), logs, None, LIMITS)
+    return assemble(model.robot, with_expected_error(model, logs, 0.01), logs, None)
 
 
 def test_a_spring_is_compared_with_a_link_mass_error(tmp_path):
     data = sprung(tmp_path)
     spring = CATALOGUE["gravity_spring"]
     causes = tuple(data.fit.candidates([(spring, (joint,), {"harmonics": 1.0}) for joint in (0, 1)]))
-    found = calibration(data, True, causes)
+    found = release(data, True, causes)
     fit = found.moved.fit
     fit = fit.with_chosen(fit.candidates([(spring, cause.joints, cause.settings) for cause in causes]))
     unit = fit.reference.scale
@@ -111,7 +113,7 @@ def test_a_spring_is_compared_with_a_link_mass_error(tmp_path):
     assert numbers_instead(entry, 0, unit) is None, "no link pulls about an upright axis"
     instead = numbers_instead(entry, 1, unit)
     assert isinstance(instead, ReleasedSimulator)
-    assert ("link inertia", 1) in instead.released
+    assert ("link inertia", 1) in instead.parts
     rubs = data.fit.candidate(CATALOGUE["stribeck"], (1,), {"speed": 0.1, "shape": 1.0})
     friction = replace(entry, finding=SimpleNamespace(causes=(*causes, rubs)))
     assert numbers_instead(friction, 2, unit) is None, "no link rubs"
@@ -122,30 +124,42 @@ def test_a_wrong_link_mass_is_not_named_torque_scale_and_spring(tmp_path):
     model, logs = sprung_logs(tmp_path, lighter=0.9, strength=30.0)
     found = diagnose(model.robot, logs, model)
     assert [(cause["effect"], cause["joints"]) for cause in found.result["causes"]] == [("gravity_spring", ["pan"])]
-    assert ("link inertia", 1) in found.calibrated.released
+    assert ("link inertia", 1) in found.released.parts
+
+
+def test_what_moved_numbers_explain_leaves_no_rivals_open(tmp_path):
+    """A hundredth of the gap follows no effect: the search names no cause, and the numbers settle the gap."""
+    model, logs = sprung_logs(tmp_path, strength=0.0)
+    left = [0.8 * np.sin(9 * log.position[:, [1]]) * np.sin(8 * log.velocity[:, [1]]) for log in logs]
+    logs = [replace(log, effort=log.effort + more * [0, 1]) for log, more in zip(logs, left, strict=True)]
+    others = [name for name in CATALOGUE if name not in ("torque_constant", "encoder_offset", "torque_offset")]
+    found = diagnose(model.robot, logs, model, without=others)
+    assert (found.result["verdict"], found.finding.causes) == ("explained", ())
+    assert any("no known effect explains it" in warning for warning in found.warnings)
+    assert {pair.second.effect for pair in open_pairs(found)} <= {"none"}
 
 
 def test_an_equivalent_cause_makes_the_verdict_ambiguous():
-    finding = Finding("explained", None, (), ((), (("dress_pack", (1,)),)), (), (), None)  # type: ignore[arg-type]
+    finding = Finding(None, None, (), ((), (("dress_pack", (1,)),)), (), 1.0, (), None)  # type: ignore[arg-type]
     links = ("inertial_mismatch", ())
     second = finding.with_rival(1, links)
-    assert (second.verdict, second.rivals) == ("explained", ((), (links, ("dress_pack", (1,)))))
+    assert (verdict_on(second), second.rivals) == ("explained", ((), (links, ("dress_pack", (1,)))))
     assert second.with_rival(1, links).rivals == second.rivals
-    assert finding.with_rival(0, links).verdict == "ambiguous"
+    assert verdict_on(finding.with_rival(0, links)) == "ambiguous"
 
 
 def test_finds_a_testable_effect_next_to_a_much_larger_one(tmp_path):
-    moved = calibration(sprung(tmp_path, 0.16)).moved
+    moved = release(sprung(tmp_path, 0.16)).moved
     places = {("gravity_spring", (0,)), ("stribeck", (1,)), ("torque_constant", (0,)), ("asymmetric_friction", (0,))}
     search = Search(moved.fit, only=places)
-    found = search.run()
+    found = named(search.run())
     assert smallest_sizes(moved, search.evidence)["stribeck", (1,)] * 0.01 < 0.016, "of nominal torque, as it has"
     assert {cause.place for cause in found.causes} == {("gravity_spring", (0,)), ("stribeck", (1,))}
 
 
 def test_a_shoulder_spring_is_not_testable_if_its_link_was_corrected(tmp_path):
-    found = calibration(sprung(tmp_path))
-    assert ("link inertia", 1) in found.released
+    found = release(sprung(tmp_path))
+    assert ("link inertia", 1) in found.parts
     places = {("gravity_spring", (0,)), ("gravity_spring", (1,))}
     search = Search(found.moved.fit, only=places)
     search.run()

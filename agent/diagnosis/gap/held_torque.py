@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.dataset import Dataset, known_effects
 from agent.diagnosis.rows.fit import Fit
 from agent.simulators import SERVO_STIFFNESS
@@ -66,7 +67,7 @@ def held_torque(dataset: Dataset, found: Fit) -> HeldTorque | None:
     It should change where the model and the effects `found` say so: a coupled axis may leave a motor at one speed. What
     happens once does not count, as a push can be fitted to any torque that is held once.
     """
-    limits, fit = dataset.limits, dataset.fit
+    fit = dataset.fit
     excess = (dataset.residual / fit.sigma) ** 2 - 1
     whole = float(np.sum(np.maximum(excess.sum(axis=0), 0.0)))
     if whole <= 0:
@@ -85,7 +86,7 @@ def held_torque(dataset: Dataset, found: Fit) -> HeldTorque | None:
         stretches = _of_joint(dataset, joint, [torque[:, joint] for torque in predicted], excess[:, joint])
         energy = sum(stretch.energy for stretch in stretches)
         torque = np.sqrt(max(energy, 0.0) / len(excess)) * background / fit.reference.scale[joint]
-        if torque < limits.practical_torque or energy < limits.held_gap * whole:
+        if torque < LIMITS.practical_torque or energy < LIMITS.held_gap * whole:
             continue
         large = [s for s in stretches if s.energy > _MATTERS * max(s.energy for s in stretches)]
         if sum(stretch.duration for stretch in large) < _SHORTEST:

@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from agent.diagnosis.limits import LIMITS, DecisionLimits
+from agent.diagnosis.document import Cause
+from agent.diagnosis.limits import LIMITS
 from agent.recording import Log
 
 if TYPE_CHECKING:
@@ -38,23 +39,28 @@ class MotionGap:
     rate: float
     shift: float
     blend: float
-    limits: DecisionLimits = LIMITS
 
     @property
     def notable(self) -> bool:
         """Whether there is anything to explain."""
-        return bool(self.before.max() > self.limits.path_gap)
+        return bool(self.before.max() > LIMITS.path_gap)
 
     @property
     def described(self) -> bool:
         """Whether there is something to explain, and rate, shift and blend that all motions share explain it."""
-        return self.notable and (self.closure or 0.0) >= self.limits.explained
+        return self.notable and (self.closure or 0.0) >= LIMITS.explained
+
+    def causes(self, of_path: Sequence[str]) -> list[Cause] | None:
+        """The gap as a cause, by the first of these effects, if any; None if nothing explains it."""
+        parameters = {"rate": self.rate, "shift": self.shift, "blend": self.blend}
+        found = [Cause(name, (), self.closure, LIMITS.path_probability, parameters) for name in of_path[:1]]
+        return found if self.described else None
 
     @property
     def practical(self) -> bool:
         """Whether rate, shift or blend are of a size that matters: every interpolator has a small error."""
         late = max(abs(self.shift), self.blend)
-        return abs(self.rate - 1.0) > self.limits.path_rate or late > self.limits.path_time
+        return abs(self.rate - 1.0) > LIMITS.path_rate or late > LIMITS.path_time
 
     @property
     def closure(self) -> float | None:
@@ -63,7 +69,7 @@ class MotionGap:
         return float((b - a) / b) if b > 0 else None
 
 
-def motion_gap(logs: Sequence[Log], limits: DecisionLimits = LIMITS) -> MotionGap | None:
+def motion_gap(logs: Sequence[Log]) -> MotionGap | None:
     """The gap over all logs; None where a log lacks planned or executed set-points."""
     pairs: list[_Pair] = []
     for log in logs:
@@ -74,11 +80,11 @@ def motion_gap(logs: Sequence[Log], limits: DecisionLimits = LIMITS) -> MotionGa
             return None
         pairs.append(_Pair(log.t[good], log.planned_position[good], log.reference_position[good]))
     before = _rms([pair.executed - pair.planned for pair in pairs])
-    as_it_is = MotionGap(before, before, _floor(logs, [p.executed - p.planned for p in pairs]), 1.0, 0.0, 0.0, limits)
+    as_it_is = MotionGap(before, before, _floor(logs, [p.executed - p.planned for p in pairs]), 1.0, 0.0, 0.0)
     if not as_it_is.notable:
         return as_it_is
     stopped = [replace(pair, starts=_after_stops(pair)) for pair in pairs]
-    tried = [gap for some in (pairs, stopped) if (gap := _described(logs, some, before, limits)) is not None]
+    tried = [gap for some in (pairs, stopped) if (gap := _described(logs, some, before)) is not None]
     found = min(tried, key=lambda gap: float(np.sum(gap.after**2)), default=as_it_is)
     # other corners and ramps are no change of rate: what one motion teaches then makes another one worse
     return found if found.practical and np.sum(found.after**2) < np.sum(before**2) else as_it_is
@@ -105,9 +111,7 @@ class _Pair:
         ]
 
 
-def _described(
-    logs: Sequence[Log], pairs: Sequence[_Pair], before: np.ndarray, limits: DecisionLimits
-) -> MotionGap | None:
+def _described(logs: Sequence[Log], pairs: Sequence[_Pair], before: np.ndarray) -> MotionGap | None:
     """The gap with rate and blend of the other logs, and a shift of each; None if this increases the gap of a motion.
 
     Corners of a large motion may look like a rate, which a small motion then refutes. If the plan starts again at every
@@ -119,10 +123,10 @@ def _described(
         others = [one for k, one in enumerate(fitted) if k != number] or fitted
         rate, shift, blend = (float(np.median([other[k] for other in others])) for k in range(3))
         errors.append(pair.executed - _executed(pair, rate, shift if len(pair.starts) else fitted[number][1], blend))
-        if _rms(errors[-1:]).max() > max(_rms([pair.executed - pair.planned]).max(), limits.path_gap):
+        if _rms(errors[-1:]).max() > max(_rms([pair.executed - pair.planned]).max(), LIMITS.path_gap):
             return None
     rate, shift, blend = (float(np.median([one[k] for one in fitted])) for k in range(3))
-    return MotionGap(before, _rms(errors), _floor(logs, errors), rate, shift, blend, limits)
+    return MotionGap(before, _rms(errors), _floor(logs, errors), rate, shift, blend)
 
 
 def _after_stops(pair: _Pair) -> np.ndarray:

@@ -7,14 +7,14 @@ from functools import cache
 
 import numpy as np
 
-from agent.diagnosis.answer import RegimeShare
+from agent.diagnosis.document import RegimeShare
+from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.dataset import Dataset
 from agent.model import regime_masks, standstill_speed
 
 BANDS = ((0.0, 1.0), (1.0, 5.0), (5.0, 15.0), (15.0, np.inf))  # Hz
 
 _LEAST_SHARE = 0.05
-_BLOCK = 1.0  # s
 _RESAMPLED = 200
 _ENDS = (0.05, 0.95)
 _PHASES = 12
@@ -121,7 +121,7 @@ def _in_time(dataset: Dataset) -> Iterator[tuple[str, np.ndarray]]:
 
 def _block_numbers(dataset: Dataset) -> np.ndarray:
     """(S,) number of the second of its log that each row lies in."""
-    within = (dataset.time / _BLOCK).astype(int)
+    within = (dataset.time / LIMITS.block).astype(int)
     return np.unique(np.column_stack([dataset.log, within]), axis=0, return_inverse=True)[1].ravel()
 
 

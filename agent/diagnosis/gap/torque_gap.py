@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from agent.diagnosis.limits import LIMITS, DecisionLimits
+from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.dataset import Dataset, stiction
 from agent.diagnosis.rows.fit import Fit
 
@@ -31,12 +31,11 @@ class HeldOutGap:
     before: np.ndarray
     after: np.ndarray
     floor: np.ndarray | None
-    limits: DecisionLimits = LIMITS
 
     @property
     def closure(self) -> float | None:
         """(B² − A²) / (B² − F²); None where there is nothing to close."""
-        return closure(self.before, self.before, self.after, self.floor, self.limits)
+        return closure(self.before, self.before, self.after, self.floor)
 
     @property
     def unclosed(self) -> HeldOutGap:
@@ -51,26 +50,24 @@ class HeldOutGap:
 
     def closure_without(self, left: np.ndarray) -> float | None:
         """Loss of explained gap if (S', n) [N·m] is left instead."""
-        return closure(self.before, rms(self.beyond(left)) / self.unit, self.after, self.floor, self.limits)
+        return closure(self.before, rms(self.beyond(left)) / self.unit, self.after, self.floor)
 
     def closure_on(self, joints: Sequence[int], left: np.ndarray) -> float | None:
         """Part that is closed of the error of joints, compared with (S', n) [N·m] left on them."""
         at, floor = list(joints), None if self.floor is None else self.floor[list(joints)]
         without = (rms(self.beyond(left)) / self.unit)[at]
-        return closure(without, without, self.after[at], floor, self.limits)
+        return closure(without, without, self.after[at], floor)
 
     def beyond(self, rows: np.ndarray) -> np.ndarray:
         """Part of an error (S', n) [N·m] that stiction does not allow."""
         return _beyond(rows, self.open)
 
 
-def closure(
-    before: np.ndarray, worse: np.ndarray, better: np.ndarray, floor: np.ndarray | None, limits: DecisionLimits
-) -> float | None:
+def closure(before: np.ndarray, worse: np.ndarray, better: np.ndarray, floor: np.ndarray | None) -> float | None:
     """(W² − A²) / (B² − F²) of errors per joint (n,), `worse` W to `better` A; None where there is nothing to close."""
     b = np.mean(before**2)
     f = 0.0 if floor is None else float(np.mean(floor**2))
-    if b < limits.no_closure**2 * f or b <= 0:
+    if b < LIMITS.no_closure**2 * f or b <= 0:
         return None
     return float((np.mean(worse**2) - np.mean(better**2)) / (b - f))
 
@@ -88,7 +85,7 @@ def held_out_gap(dataset: Dataset, fit: Fit, unit: np.ndarray | None = None) -> 
     raw, left = _beyond(raw, stuck), _beyond(left, stuck)
     before, after = rms(raw) / unit, rms(left) / unit
     floor = _floor(dataset, left, unit, before)
-    return HeldOutGap(raw, left, stuck, unit, before, after, floor, dataset.limits)
+    return HeldOutGap(raw, left, stuck, unit, before, after, floor)
 
 
 def _beyond(rows: np.ndarray, stuck: np.ndarray) -> np.ndarray:
@@ -128,4 +125,4 @@ def _floor(dataset: Dataset, left: np.ndarray, unit: np.ndarray, before: np.ndar
         return floor
     # a contact or a drifting torque does not repeat either: the model's error on other motions bounds the repeatability
     usual = dataset.model.held_out_rmse / unit
-    return np.where(before > dataset.limits.usual_error * usual, np.minimum(floor, usual), floor)
+    return np.where(before > LIMITS.usual_error * usual, np.minimum(floor, usual), floor)

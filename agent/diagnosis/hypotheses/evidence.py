@@ -21,10 +21,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
-from scipy.linalg import block_diag, solve_triangular
+from scipy.linalg import block_diag
+from scipy.linalg.lapack import dtrtrs
 
 from agent.diagnosis.hypotheses.law import LAW, EvidenceLaw
 from agent.diagnosis.hypotheses.noise_model import Healthy, NoiseModel, scaled_cholesky
@@ -58,7 +60,7 @@ class JointMoments:
 
 @dataclass(frozen=True, eq=False)
 class Evaluated:
-    """A hypothesis with its log evidence `log`.
+    """A hypothesis with its `log_evidence`.
 
     `effects` are numbers of the pool. `free` maps joints with "something else" to its size. `values[k]` is the
     posterior mean of effect k. `torque[k]` is its torque per joint over nominal, fitted without the noise model: the
@@ -68,7 +70,7 @@ class Evaluated:
 
     effects: tuple[int, ...]
     free: Mapping[int, float]
-    log: float
+    log_evidence: float
     scales: np.ndarray
     values: tuple[np.ndarray, ...]
     torque: tuple[dict[int, float], ...]
@@ -76,6 +78,7 @@ class Evaluated:
     joints: tuple[JointMoments, ...] = field(repr=False)
     precision: np.ndarray = field(repr=False)
     mean: np.ndarray = field(repr=False)
+    shortlist: list[tuple[np.ndarray, list[np.ndarray]]] = field(default_factory=list, repr=False)
 
     @property
     def largest(self) -> tuple[float, ...]:
@@ -106,8 +109,10 @@ class Evidence:
         self.usual = {form.place: size for form, size in healthy or ()}
         self.noise = noise = NoiseModel(fit, candidates, healthy, law)
         self.pool = Pool(noise)
+        self._moments = lru_cache(maxsize=4 * self.joints)(self.pool.moments)  # the scales are fitted in rounds
         self._index, self._pull = list(fit.index), fit.shift
         self._friction = _of_the_day(fit)
+        self._own_friction = [np.flatnonzero(np.isin(index, self._friction)) for index in self._index]
         self._prior = _of_another_day(fit, self._friction, law.daily)
         self._log_prior = float(np.linalg.slogdet(self._prior)[1])
         left = np.stack([columns[:, -1] for columns in noise.known], axis=1) * noise.sigma / noise.nominal
@@ -186,11 +191,11 @@ class Evidence:
         log += 0.5 * (self._log_prior + sum(float(np.linalg.slogdet(ridge)[1]) for ridge in ridges))
         log -= 0.5 * float(np.sum((law.nu + 2) * np.log(scales) + law.nu / scales))
         log -= sum(self._cost(self.pool.candidate(k)) for k in effects) + float(np.log(len(law.sizes) - 1)) * len(free)
-        alone = self._without_noise_model(effects, joints, scales, sizes, ends)
+        alone = self._without_noise_model(joints, scales, ridges, ends)
         return Evaluated(
             effects=tuple(effects),
             free=free,
-            log=log,
+            log_evidence=log,
             scales=scales,
             values=tuple(values),
             torque=tuple(self.pool.lasting_torque(k, v) for k, v in zip(effects, alone, strict=True)),
@@ -202,17 +207,12 @@ class Evidence:
 
     def _own_change(self, j: int, joint: JointMoments, mean: np.ndarray) -> float:
         """Squared torque over σ by which the model's friction changed: its form is no better than an effect's."""
-        friction = np.flatnonzero(np.isin(self._index[j], self._friction))
+        friction = self._own_friction[j]
         change = mean[joint.at[friction]]
         return max(float(change @ joint.moments[0][np.ix_(friction, friction)] @ change) / self.noise.count, 0.0)
 
     def _without_noise_model(
-        self,
-        effects: Sequence[int],
-        joints: Sequence[JointMoments],
-        scales: np.ndarray,
-        sizes: Sequence[float],
-        ends: np.ndarray,
+        self, joints: Sequence[JointMoments], scales: np.ndarray, ridges: Sequence[np.ndarray], ends: np.ndarray
     ) -> list[np.ndarray]:
         """Parameters (k,) of each effect, fitted without the noise model, which would absorb part of any effect."""
         base = len(self._prior)
@@ -222,22 +222,23 @@ class Evidence:
             own = joint.moments[0] / scale
             matrix[np.ix_(joint.at, joint.at)] += own[:-1, :-1]
             side[joint.at] += own[:-1, -1]
-        for k, size, (a, b) in zip(effects, sizes, pairwise(ends), strict=True):
-            matrix[a:b, a:b] += self.pool.ridge(k, size)
-        values = _solved(matrix, side)[0] if effects else side
+        for ridge, (a, b) in zip(ridges, pairwise(ends), strict=True):
+            matrix[a:b, a:b] += ridge
+        values = _solved(matrix, side)[0] if ridges else side
         return [values[a:b] for a, b in pairwise(ends)]
 
-    def gains(self, base: Evaluated) -> tuple[np.ndarray, list[np.ndarray]]:
-        """Return what each candidate of the pool adds to the log evidence of a hypothesis, and its parameters.
+    def shortlist_gains(self, base: Evaluated) -> tuple[np.ndarray, list[np.ndarray]]:
+        """Return about what each candidate of the pool adds to the log evidence of a hypothesis, and its parameters.
 
-        The scales of the hypothesis stay, so this picks what to evaluate.
+        The scales of the hypothesis stay, so this picks what to `evaluate`, whose log evidence is the score.
         """
-        found = [self._gains(base, bank) for bank in self.pool.banks]
+        found = base.shortlist  # per bank; what was added since is worked out
+        found += [self._shortlist_gains(base, bank) for bank in self.pool.banks[len(found) :]]
         if not found:
             return np.empty(0), []
         return np.concatenate([gain for gain, _ in found]), [value for _, values in found for value in values]
 
-    def _gains(self, base: Evaluated, bank: Bank) -> tuple[np.ndarray, list[np.ndarray]]:
+    def _shortlist_gains(self, base: Evaluated, bank: Bank) -> tuple[np.ndarray, list[np.ndarray]]:
         schur, side = self._schur(base, bank)
         gains, values = np.empty(len(bank.candidates)), [np.empty(0)] * len(bank.candidates)
         for width, which in bank.alike.items():
@@ -258,7 +259,7 @@ class Evidence:
             if not len(at):
                 continue
             (width, free), scale, moments = self.noise.width(j), base.scales[j], bank.moments[j]
-            reach = solve_triangular(joint.lower, moments[width : width + free], lower=True) / scale
+            reach = _solved_lower(joint.lower, moments[width : width + free]) / scale
             others = [self.pool.with_bank(k, bank, j) for k in joint.effects]
             cross[np.ix_(joint.at, at)] += np.vstack([moments[:width], *others]) / scale - joint.half[:, :-1].T @ reach
             side[at] += moments[-1] / scale - joint.half[:, -1] @ reach
@@ -268,7 +269,7 @@ class Evidence:
                 part = reach[:, place[here][:, None] + np.arange(k)].transpose(1, 0, 2)
                 own[k][here] += bank.own[k][here, j] / scale - part.transpose(0, 2, 1) @ part
         unit = 1 / np.sqrt(np.diag(base.precision))
-        half = solve_triangular(scaled_cholesky(base.precision, unit), unit[:, None] * cross, lower=True)
+        half = _solved_lower(scaled_cholesky(base.precision, unit), unit[:, None] * cross)
         for width, which in bank.alike.items():
             part = half[:, bank.first[which][:, None] + np.arange(width)].transpose(1, 0, 2)
             own[width] -= part.transpose(0, 2, 1) @ part
@@ -321,7 +322,7 @@ class Evidence:
         scale, weight = min(float(self.nothing.scales[joint]), 1.0), step / self.law.independent
         square = free.T @ free * weight
         lower = np.linalg.cholesky(np.eye(len(square)) / self.noise.variance(joint, scale, 0.0, {}) + square / scale)
-        half = solve_triangular(lower, free.T @ rows * weight, lower=True) / scale
+        half = _solved_lower(lower, free.T @ rows * weight) / scale
         return np.asarray(rows.T @ rows * weight / scale - half.T @ half)
 
     def needed(self, against_nothing: bool) -> float:
@@ -354,19 +355,14 @@ class Evidence:
     def _joint(
         self, j: int, scale: float, variance: np.ndarray, effects: tuple[int, ...], at: np.ndarray
     ) -> JointMoments:
-        own, cross, square = self.pool.moments(j, effects)
+        own, cross, square = self._moments(j, effects)
         lower = np.linalg.cholesky(np.diag(1 / variance) + square / scale)
-        half = solve_triangular(lower, cross, lower=True) / scale
+        half = _solved_lower(lower, cross) / scale
         log_det = self.noise.count * np.log(scale) + 2 * np.log(np.diag(lower)).sum() + np.log(variance).sum()
         return JointMoments(own / scale - half.T @ half, float(log_det), lower, half, (own, cross, square), at, effects)
 
     def _together(
-        self,
-        effects: Sequence[int],
-        free: Mapping[int, float],
-        scales: np.ndarray,
-        form: np.ndarray,
-        sizes: Sequence[float],
+        self, effects: Sequence[int], free: dict[int, float], scales: np.ndarray, form: np.ndarray, sizes: list[float]
     ) -> tuple[np.ndarray, np.ndarray, list[JointMoments], np.ndarray]:
         """Precision and side of δ and β over all joints, the joints, and where each effect's parameters end."""
         base = len(self._prior)
@@ -400,9 +396,8 @@ class Evidence:
         """Squared torque over nominal that remains beyond the noise model's usual energy."""
         rest, square = np.append(mean, -1.0), joint.moments[2]
         usual = 1 + float(np.diag(square) @ self.noise.variances(j, 1.0, 0.0, {})) / self.noise.count
-        return (
-            max(float(rest @ joint.moments[0] @ rest) / self.noise.count - usual, 0.0) / float(self.noise.unit[j]) ** 2
-        )
+        left = max(float(rest @ joint.moments[0] @ rest) / self.noise.count - usual, 0.0)
+        return left / float(self.noise.unit[j]) ** 2
 
 
 def _of_the_day(fit: Fit) -> np.ndarray:
@@ -429,15 +424,19 @@ def _solved(matrix: np.ndarray, side: np.ndarray) -> tuple[np.ndarray, float]:
     """Solution and log determinant of a positive definite system whose units differ widely."""
     unit = 1 / np.sqrt(np.diag(matrix))
     lower = scaled_cholesky(matrix, unit)
-    half = solve_triangular(lower, unit * side, lower=True)
+    half = _solved_lower(lower, unit * side)
     log_det = 2 * float(np.log(np.diag(lower)).sum() - np.log(unit).sum())
-    return unit * solve_triangular(lower.T, half, lower=False), log_det
+    return unit * _solved_lower(lower, half, transposed=True), log_det
 
 
 def _energy(joint: JointMoments, scale: float, mean: np.ndarray) -> float:
     """Energy that model, effects and noise model leave on a joint at parameters (k,)."""
     own, cross, square = joint.moments
     rest = np.append(mean, -1.0)
-    pull = cross @ rest
-    background = -solve_triangular(joint.lower.T, solve_triangular(joint.lower, pull, lower=True), lower=False) / scale
+    pull, background = cross @ rest, -_solved_lower(joint.lower, joint.half @ rest, transposed=True)
     return max(float(rest @ own @ rest + 2 * background @ pull + background @ square @ background), 0.0)
+
+
+def _solved_lower(lower: np.ndarray, side: np.ndarray, transposed: bool = False) -> np.ndarray:
+    """Solution of L x = side, or of Lᵀ x = side; as `scipy.linalg.solve_triangular`, whose checks take longer."""
+    return np.asarray(dtrtrs(lower.T, side, lower=0, trans=int(not transposed))[0])

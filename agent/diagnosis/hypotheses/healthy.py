@@ -16,7 +16,7 @@ from agent.core import InputError
 from agent.diagnosis.hypotheses.evidence import Evidence
 from agent.diagnosis.hypotheses.noise_model import Healthy
 from agent.diagnosis.hypotheses.search import Search
-from agent.diagnosis.rows.candidate import Candidate, Where
+from agent.diagnosis.rows.candidate import Candidate, Place
 from agent.diagnosis.rows.dataset import assemble
 from agent.diagnosis.rows.fit import Fit
 from agent.estimation import EstimationSettings, estimate
@@ -47,8 +47,8 @@ class _Learned:
     """Per hypothesis: the explained torque over nominal, and the nonlinear parameters with the largest gain."""
 
     def __init__(self) -> None:
-        self.size: dict[Where, float] = {}
-        self._best: dict[Where, tuple[float, dict[str, float]]] = {}
+        self.size: dict[Place, float] = {}
+        self._best: dict[Place, tuple[float, dict[str, float]]] = {}
 
     def add(self, fits: Iterable[Fit]) -> None:
         """Take what n fits have, where it is larger than what was found before.
@@ -56,7 +56,7 @@ class _Learned:
         The mean square over n - 2: the variance of Student's predictive distribution with n degrees of freedom, as
         few logs say little about how large an effect can become on a healthy arm.
         """
-        power: dict[Where, list[float]] = {}
+        power: dict[Place, list[float]] = {}
         count = 0
         for fit in fits:
             count += 1
@@ -88,12 +88,12 @@ def _left_out(model: IdentifiedModel, baseline: Sequence[Log]) -> Iterator[Fit]:
             yield assemble(model.robot, others, [log], model.cutoff).fit
 
 
-def _explained(fit: Fit) -> list[tuple[Where, float, dict[str, float], float]]:
+def _explained(fit: Fit) -> list[tuple[Place, float, dict[str, float], float]]:
     """Hypotheses with a positive gain: log-likelihood gain, nonlinear parameters and torque over nominal of each."""
     forms = Search(fit).forms()
     evidence = Evidence(fit, forms, healthy=())
-    gains, values = evidence.gains(evidence.nothing)
-    found: dict[Where, tuple[Where, float, dict[str, float], float]] = {}
+    gains, values = evidence.shortlist_gains(evidence.nothing)
+    found: dict[Place, tuple[Place, float, dict[str, float], float]] = {}
     for number in np.argsort(-gains).tolist():
         form, gain = forms[number], float(gains[number])
         if gain > 0 and not form.once and form.place not in found:

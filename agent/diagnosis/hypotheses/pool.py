@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from agent.diagnosis.hypotheses.noise_model import NoiseModel
-from agent.diagnosis.rows.candidate import Candidate, Where
+from agent.diagnosis.rows.candidate import Candidate, Place
 
 _AT_ONCE = 64  # candidates whose own moments are worked out together
 
@@ -95,7 +95,7 @@ class Pool:
         known = {id(self.candidate(k)): k for k in range(self.size)}
         return [known[id(form)] for form in forms]
 
-    def kinds(self, place: Where) -> int:
+    def kinds(self, place: Place) -> int:
         """How many kinds of forms there are of an effect on its joints."""
         return len({tuple(sorted(c.settings)) for bank in self.banks for c in bank.candidates if c.place == place})
 

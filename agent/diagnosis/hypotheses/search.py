@@ -6,12 +6,12 @@ from collections.abc import Callable, Collection, Sequence
 
 import numpy as np
 
-from agent.diagnosis.hypotheses.decision import Observed, decide
 from agent.diagnosis.hypotheses.evidence import Evaluated, Evidence
 from agent.diagnosis.hypotheses.finding import Finding
-from agent.diagnosis.hypotheses.law import LAW, EvidenceLaw
+from agent.diagnosis.hypotheses.law import LAW
 from agent.diagnosis.hypotheses.noise_model import Healthy
-from agent.diagnosis.rows.candidate import Candidate, Wanted, Where
+from agent.diagnosis.hypotheses.posterior import Observed, compare
+from agent.diagnosis.rows.candidate import Candidate, Place, Wanted
 from agent.diagnosis.rows.fit import Fit
 from agent.diagnosis.rows.needs import Excursions
 from agent.model import CATALOGUE
@@ -22,7 +22,7 @@ _FORMS = 3  # parameterisations per hypothesis
 _EXTENDED = (3, 2)  # hypotheses that one more effect is tried with, by how many they have
 _FACTORS = (1.25, 1.1, 1.04, 1.015)  # of nonlinear parameters, up and down
 
-Key = tuple[frozenset[Where], frozenset[int]]
+Key = tuple[frozenset[Place], frozenset[int]]
 
 
 class Search:
@@ -42,8 +42,6 @@ class Search:
         Log likelihood of something else that was observed, given a hypothesis.
     healthy : sequence of (Candidate, float), optional
         Effects that the arm has already, and their torque over nominal; None if that is not known.
-    law : EvidenceLaw, optional
-        The numbers of the decision.
     """
 
     def __init__(
@@ -51,13 +49,12 @@ class Search:
         fit: Fit,
         without: Sequence[str] = (),
         progress: Callable[[str], None] = lambda text: None,
-        only: Collection[Where] | None = None,
+        only: Collection[Place] | None = None,
         observed: Observed | None = None,
         healthy: Healthy | None = None,
-        law: EvidenceLaw = LAW,
     ):
-        self.fit, self.law, self._progress, self._observed, self._healthy = fit, law, progress, observed, healthy
-        self.allowed = {name for name in CATALOGUE if name not in without}
+        self.fit, self._progress, self._observed, self._healthy = fit, progress, observed, healthy
+        self._ignored, self.allowed = without, {name for name in CATALOGUE if name not in without}
         self.excursions = Excursions.of(fit.signals)
         self._places = [
             (effect, joints)
@@ -70,29 +67,22 @@ class Search:
         self._found: dict[Key, Evaluated] = {}
 
     def run(self) -> Finding:
-        """Evaluate the promising hypotheses, and decide."""
+        """Evaluate the promising hypotheses, and compare them."""
         tried = self.forms()
-        self.evidence = evidence = Evidence(self.fit, tried, self._healthy, self.law)
+        self.evidence = evidence = Evidence(self.fit, tried, self._healthy)
         self._known.update(tried)
         self._progress(f"comparing {len(tried)} parameterisations")
         self._keep(evidence.nothing)
         self._extend(evidence.nothing, _FIRST)
-        for depth in range(1, self.law.most):
-            before = max(one.log for one in self._found.values())
+        for depth in range(1, LAW.most):
+            before = max(one.log_evidence for one in self._found.values())
             for base in self._worth(depth)[: _EXTENDED[min(depth, 2) - 1]]:
                 self._progress(f"trying a further effect next to {self._text(base)}")
                 self._extend(base, _THEN)
-            deeper = [one.log for one in self._found.values() if len(one.effects) + len(one.free) > depth]
+            deeper = [one.log_evidence for one in self._found.values() if len(one.effects) + len(one.free) > depth]
             if max(deeper, default=-np.inf) < before:
                 break
-        return self._with_withheld(decide(self.fit, evidence, list(self._found.values()), self._observed))
-
-    def _with_withheld(self, finding: Finding) -> Finding:
-        """Name no cause alone where what equals it by definition was left out of the catalogue."""
-        if finding.verdict != "explained" or self.allowed.issuperset(finding.causes[0].effect.structurally_equivalent):
-            return finding
-        open_again = finding.with_runner_up()
-        return finding.without_causes("unknown", self.fit) if open_again.verdict == "explained" else open_again
+        return compare(self.fit, evidence, list(self._found.values()), self._observed, self._ignored)
 
     def forms(self) -> list[Candidate]:
         """Return every effect on all its possible joints, with the grid of its nonlinear parameters."""
@@ -106,14 +96,14 @@ class Search:
 
     def _worth(self, depth: int) -> list[Evaluated]:
         """Hypotheses with as many effects, likelier than none, that matter; likeliest first."""
-        least, smallest = self.evidence.nothing.log, 0.5 * self.law.practical
+        least, smallest = self.evidence.nothing.log_evidence, 0.5 * LAW.practical
         level = [
             one
             for one in self._found.values()
-            if len(one.effects) + len(one.free) == depth and one.log > least
+            if len(one.effects) + len(one.free) == depth and one.log_evidence > least
             if min(one.largest, default=1.0) > smallest
         ]
-        return sorted(level, key=lambda one: -one.log)
+        return sorted(level, key=lambda one: -one.log_evidence)
 
     def _extend(self, base: Evaluated, count: int) -> None:
         """Extend a hypothesis by the most promising effects, and by something else on each joint, and evaluate each."""
@@ -123,7 +113,7 @@ class Search:
             for k in forms:
                 self._keep(evidence.evaluate([*base.effects, k], base.free, base.scales))
         for joint in set(range(evidence.joints)) - set(base.free):
-            for size in self.law.sizes[:3]:
+            for size in LAW.sizes[:3]:
                 self._keep(evidence.evaluate(base.effects, {**base.free, joint: size}, base.scales))
 
     def _refined(self, base: Evaluated) -> tuple[np.ndarray, list[np.ndarray]]:
@@ -133,7 +123,7 @@ class Search:
             left = self.fit.with_chosen([evidence.pool.candidate(k) for k in base.effects])
             driven = [(e, joints) for e, joints in self._places if e.residual_driven]
             self._add(left, [(e, joints, s) for e, joints in driven for s in e.settings(left, joints)])
-        gains, values = evidence.gains(base)
+        gains, values = evidence.shortlist_gains(base)
         leading = self._promising(base, gains, values, _LEADERS)
         best = {place: forms[0] for place, forms in leading.items()}
         wanted = [
@@ -150,7 +140,7 @@ class Search:
             self._add(self.fit, wanted)
             if evidence.pool.size == before:
                 continue
-            gains, values = evidence.gains(base)
+            gains, values = evidence.shortlist_gains(base)
             for k in range(before, evidence.pool.size):
                 place = evidence.pool.candidate(k).place
                 if place in best and gains[k] > gains[best[place]] and evidence.possible(k, values[k]):
@@ -164,11 +154,11 @@ class Search:
 
     def _promising(
         self, base: Evaluated, gains: np.ndarray, values: Sequence[np.ndarray], count: int
-    ) -> dict[Where, list[int]]:
+    ) -> dict[Place, list[int]]:
         """The best admissible parameterisations of the effects with the largest gain."""
         evidence = self.evidence
         chosen = [evidence.pool.candidate(k) for k in base.effects]
-        places: dict[Where, list[int]] = {}
+        places: dict[Place, list[int]] = {}
         for k in np.argsort(-gains).tolist():
             place = evidence.pool.candidate(k).place
             forms = places.get(place, [])
@@ -184,7 +174,7 @@ class Search:
         if not all(map(evidence.possible, evaluated.effects, evaluated.values)):
             return
         key = frozenset(evidence.pool.candidate(k).place for k in evaluated.effects), frozenset(evaluated.free)
-        if key not in self._found or self._found[key].log < evaluated.log:
+        if key not in self._found or self._found[key].log_evidence < evaluated.log_evidence:
             self._found[key] = evaluated
 
 

@@ -4,23 +4,23 @@ from __future__ import annotations
 
 import numpy as np
 
-from agent.diagnosis.answer import NotTestable
+from agent.diagnosis.document import NotTestable
 from agent.diagnosis.hypotheses.evidence import Evidence
 from agent.diagnosis.hypotheses.search import Search
-from agent.diagnosis.rows.candidate import Where
+from agent.diagnosis.rows.candidate import Place
 from agent.diagnosis.rows.dataset import Dataset
 from agent.diagnosis.rows.needs import Excursions
 from agent.model import CATALOGUE, Effect
 
 
-def smallest_sizes(dataset: Dataset, evidence: Evidence) -> dict[Where, float]:
+def smallest_sizes(dataset: Dataset, evidence: Evidence) -> dict[Place, float]:
     """Return the smallest detectable size of every effect on every joint, over its practical size.
 
     Four of five draws of that size would be named. It is infinite where the motions lack what the effect needs; what
     happens once has none.
     """
     excursions = Excursions.of(dataset.fit.signals)
-    found: dict[Where, float] = {}
+    found: dict[Place, float] = {}
     for number, size in enumerate(evidence.smallest_sizes()):
         candidate = evidence.pool.candidate(number)
         if not candidate.once:
@@ -55,17 +55,11 @@ def not_testable(dataset: Dataset, search: Search) -> list[NotTestable]:
 
 
 def _lacking_paths(dataset: Dataset) -> list[str]:
-    logs = dataset.logs
-    if any(log.planned_position is not None and log.reference_position is not None for log in logs):
+    names = {"planned": "planned_position", "executed": "reference_position"}
+    there = {name: [getattr(log, key) is not None for log in dataset.logs] for name, key in names.items()}
+    if any(map(all, zip(*there.values(), strict=True))):
         return []
-    lacking = [
-        name
-        for name, rows in (
-            ("planned", [log.planned_position for log in logs]),
-            ("executed", [log.reference_position for log in logs]),
-        )
-        if all(one is None for one in rows)
-    ]
+    lacking = [name for name, some in there.items() if not any(some)]
     return [f"the logs lack {' and '.join(lacking) or 'planned and executed'} set-points"]
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from agent.model import Effect, FitContext, ModelEffect, MotionSignals, NominalModel
 
 #: An effect's name, and joints from 0; none for one of the whole arm or base.
-Where = tuple[str, tuple[int, ...]]
+Place = tuple[str, tuple[int, ...]]
 #: Effect, joints and nonlinear parameters of a candidate that is asked for.
 Wanted = tuple[Effect, tuple[int, ...], Mapping[str, float]]
 
@@ -34,7 +34,7 @@ class Candidate:
     reference: NominalModel
 
     @property
-    def place(self) -> Where:
+    def place(self) -> Place:
         """Effect and joints."""
         return self.effect.name, self.joints
 

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from agent.core import InputError, symmetric_eigen
-from agent.diagnosis.limits import LIMITS, DecisionLimits
+from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.fit import Fit
 from agent.diagnosis.rows.folds import folds_of
 from agent.diagnosis.rows.rounding import rounding_noise
@@ -49,7 +49,6 @@ class Dataset:
     logs: tuple[Log, ...]
     rate: float
     cutoff: float
-    limits: DecisionLimits = LIMITS
 
 
 def assemble(
@@ -57,7 +56,6 @@ def assemble(
     model: IdentifiedModel | None,
     logs: Sequence[Log],
     cutoff: float | None,
-    limits: DecisionLimits = LIMITS,
     friction: IdentifiedModel | None = None,
 ) -> Dataset:
     """Residuals of a model, given or fitted, on logs.
@@ -88,10 +86,11 @@ def assemble(
     observation = observe(model.rigid, logs, settings)
     n = robot.dof
     scale = reference.scale
-    background = np.maximum(_moving_error(model), limits.least_background * scale)
+    background = np.maximum(_moving_error(model), LIMITS.least_background * scale)
     if not given:
-        background = _expected_error(robot, observation, limits.unknown_error)
-    background = np.maximum(background, rounding_noise(reference, logs, observation.segments[0].motion.cutoff))
+        background = _expected_error(robot, observation, LIMITS.unknown_error)
+    seen_to = observation.segments[0].motion.cutoff
+    background = np.maximum(background, rounding_noise(reference, logs, seen_to))
     signals: list[MotionSignals] = []
     rows: list[list[np.ndarray]] = [[] for _ in range(n)]
     index: list[np.ndarray] = []
@@ -99,21 +98,9 @@ def assemble(
     for segment in observation.segments:
         motion = segment.motion
         carrier = carriers[segment.log_index]
-        signals.append(
-            MotionSignals(
-                carrier,
-                motion.time,
-                motion.q,
-                motion.qd,
-                motion.qdd,
-                segment.log_index,
-                motion.kept,
-                tuple(motion.cycle_starts),
-                begun[segment.log_index],
-                motion.low_pass,
-                _driving(logs[segment.log_index], motion.set_points),
-            )
-        )
+        state, number = (motion.time, motion.q, motion.qd, motion.qdd), segment.log_index
+        more = (motion.kept, tuple(motion.cycle_starts), begun[number], motion.low_pass)
+        signals.append(MotionSignals(carrier, *state, number, *more, _driving(logs[number], motion.set_points)))
         extra = known_effects(model, signals[-1])
         per_joint = observation.joint_columns(segment, model.terms, carrier.model.base_values)
         index = [places for places, _ in per_joint]
@@ -121,34 +108,21 @@ def assemble(
             left = segment.torque[:, joint] - columns @ carrier.model.values[places] - extra[:, joint]
             rows[joint].append(np.column_stack([columns, left]))
     speed = np.concatenate([s.qd[s.kept] for s in signals])
-    sigma = background_of(reference if friction is None else NominalModel(friction), background, signals, limits)
+    sigma = background_of(reference if friction is None else NominalModel(friction), background, signals)
     joined = [np.concatenate(parts) / sigma[:, joint, None] for joint, parts in enumerate(rows)]
     time = np.concatenate([s.time[s.kept] for s in signals])
     log = np.concatenate([np.full(len(s.time[s.kept]), s.log_index) for s in signals])
     residual = np.stack([block[:, -1] for block in joined], axis=1) * sigma
-    cell, folds, single = folds_of(time, log, logs, limits)
+    cell, folds, single = folds_of(time, log, logs)
     if given:
         precision, shift = precision_of(model.covariance), np.zeros(len(model.values))
     else:
         prior = physical_prior(observation, model.terms, _links(model))
         precision, shift = prior.precision, prior.precision @ (prior.mean - model.values)
-    block = _segments(time, log, logs, limits.block)
-    fit = Fit(reference, signals, joined, index, sigma, precision, shift, cell, block, folds, single, limits)
+    block = _segments(time, log, logs, LIMITS.block)
+    fit = Fit(reference, signals, joined, index, sigma, precision, shift, cell, block, folds, single)
     rate = 1 / float(np.median(np.diff(time)))
-    return Dataset(
-        robot,
-        model,
-        given,
-        fit,
-        residual,
-        speed,
-        time,
-        log,
-        tuple(logs),
-        rate,
-        observation.segments[0].motion.cutoff,
-        limits,
-    )
+    return Dataset(robot, model, given, fit, residual, speed, time, log, tuple(logs), rate, seen_to)
 
 
 def _driving(log: Log, set_points: np.ndarray | None) -> np.ndarray | None:
@@ -192,7 +166,6 @@ def background_of(
     reference: NominalModel,
     moving: np.ndarray,
     signals: Sequence[MotionSignals],
-    limits: DecisionLimits,
     beside: Sequence[MotionSignals] = (),
 ) -> np.ndarray:
     """Model error (S', n) [N·m]: the held-out error (n,), and more within 0.1 s of a standstill.
@@ -200,11 +173,11 @@ def background_of(
     At a standstill, stiction allows any torque below the Coulomb level.
     `beside`: see `standing`.
     """
-    still = np.maximum(limits.stiction * stiction(reference), 2 * moving)
-    found = standing(signals, limits, beside)
+    still = np.maximum(LIMITS.stiction * stiction(reference), 2 * moving)
+    found = standing(signals, beside)
     rest = np.concatenate([still[s.kept] for s, still in zip(signals, found, strict=True)])
     rate = 1 / float(np.median(np.diff(signals[0].time[signals[0].kept])))
-    reach = int(limits.near_rest * rate)
+    reach = int(LIMITS.near_rest * rate)
     near = rest.copy()
     for shift in range(1, reach + 1):
         near[shift:] |= rest[:-shift]

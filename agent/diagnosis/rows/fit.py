@@ -20,7 +20,6 @@ from typing import Any
 
 import numpy as np
 
-from agent.diagnosis.limits import LIMITS, DecisionLimits
 from agent.diagnosis.rows.candidate import Candidate, Fold, Wanted, make_candidates
 from agent.diagnosis.rows.moments import FitMoments
 from agent.diagnosis.rows.standstill import Rests
@@ -50,7 +49,6 @@ class Fit:
         block: np.ndarray,
         folds: Sequence[Fold],
         single: Sequence[Fold],
-        limits: DecisionLimits = LIMITS,
     ):
         self.reference, self.signals = reference, list(signals)
         self.rows, self.index = list(rows), list(index)
@@ -60,7 +58,7 @@ class Fit:
         self.cuts = np.cumsum(lengths)[:-1]
         rate = 1 / float(np.median(np.diff(self.signals[0].time[self.signals[0].kept])))
         self.repeat = max(1.0, _INDEPENDENT * rate)
-        self.rests = Rests.of(self.signals, self.repeat, limits)
+        self.rests = Rests.of(self.signals, self.repeat)
         self._moments = FitMoments(self.rows, self.index, cell, len(precision), self.rests)
         self.cells, self.count = self._moments.cells, self._moments.count
         self._made: dict[tuple[Effect, tuple[int, ...], tuple[tuple[str, float], ...]], Candidate] = {}
@@ -245,7 +243,7 @@ class Fit:
         """(k,) parameters fitted to all the data together with the model, under its prior."""
         return self.with_chosen((*self.chosen, self.candidate(effect, joints, settings))).values[-1]
 
-    def gains_alone(self, joint: int, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def energy_taken(self, joint: int, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(K,) Σ e² / σ² that each column (S', K) [N·m] on one joint would take away, and its factor (K,).
 
         Model and chosen effects adapt; all rows are fitted and none held out, so this only picks what to try.

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from agent.core import InputError
-from agent.diagnosis.limits import DecisionLimits
+from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.candidate import Fold
 from agent.recording import PARTS, Log
 
@@ -17,12 +17,10 @@ _MOVES = 0.01  # of a joint's highest speed in a log, from where on it moves
 _STANDS = 0.05  # of the way that a joint goes in the log where it goes furthest: less is none
 
 
-def folds_of(
-    time: np.ndarray, log: np.ndarray, logs: Sequence[Log], limits: DecisionLimits
-) -> tuple[np.ndarray, list[Fold], list[Fold]]:
+def folds_of(time: np.ndarray, log: np.ndarray, logs: Sequence[Log]) -> tuple[np.ndarray, list[Fold], list[Fold]]:
     """Cells of rows, folds that leave out a motion, and folds that leave out every other segment of a motion too."""
-    parity = (time / limits.parity).astype(int) % 2
-    group, names = _motions(time, log, logs, limits) if len(logs) > 1 else _blocks(time, logs[0], limits)
+    parity = (time / LIMITS.parity).astype(int) % 2
+    group, names = _motions(time, log, logs) if len(logs) > 1 else _blocks(time, logs[0])
     cell = np.where(group >= 0, 2 * group + parity, -1)
     count = 2 * (int(group.max()) + 1)
     of_cell = np.arange(count) // 2
@@ -36,9 +34,7 @@ def folds_of(
     return cell, folds, single
 
 
-def _motions(
-    time: np.ndarray, log: np.ndarray, logs: Sequence[Log], limits: DecisionLimits
-) -> tuple[np.ndarray, list[str]]:
+def _motions(time: np.ndarray, log: np.ndarray, logs: Sequence[Log]) -> tuple[np.ndarray, list[str]]:
     """Every log for itself. One that was put together from pieces that differ is held out in its parts: what a short
     look shows of an effect says little of a wide motion, and would be all there is to predict it from. So is the only
     log in which some joint moves: no other could tell of what that joint has."""
@@ -49,7 +45,7 @@ def _motions(
         here = log == number
         borders = part_borders(entry, 2 if number in alone else 1)
         since = time[here]
-        near = np.any(np.abs(since[:, None] - borders) < limits.guard, axis=1)
+        near = np.any(np.abs(since[:, None] - borders) < LIMITS.guard, axis=1)
         group[here] = np.where(near, -1, len(names) + np.searchsorted(borders, since, side="right"))
         edges = [0.0, *borders, float(entry.t[-1])]
         names += [f"{entry.name} {a:.1f}-{b:.1f} s" for a, b in pairwise(edges)] if len(borders) else [entry.name]
@@ -76,14 +72,14 @@ def part_borders(log: Log, least: int = 1) -> np.ndarray:
     return np.interp(way[-1] * np.arange(1, parts) / parts, way, log.t)
 
 
-def _blocks(time: np.ndarray, log: Log, limits: DecisionLimits) -> tuple[np.ndarray, list[str]]:
+def _blocks(time: np.ndarray, log: Log) -> tuple[np.ndarray, list[str]]:
     """One log: its cycles where it has three or more, else five blocks; rows near a border are in none."""
     starts = np.asarray(log.cycle_starts, dtype=float)
     first, last = float(time[0]), float(time[-1])
-    if last - first < limits.shortest:
+    if last - first < LIMITS.shortest:
         raise InputError(
             f"{log.path}: only {last - first:.1f} s remain after filtering; a single log needs "
-            f"{limits.shortest:g} s, as parts of it are held out: record longer, or give a second log"
+            f"{LIMITS.shortest:g} s, as parts of it are held out: record longer, or give a second log"
         )
     inside = starts[(starts > first) & (starts < last)]
     if len(inside) >= 2:
@@ -91,7 +87,7 @@ def _blocks(time: np.ndarray, log: Log, limits: DecisionLimits) -> tuple[np.ndar
     else:
         borders = np.linspace(first, last, _BLOCKS + 1)[1:-1]
     group = np.searchsorted(borders, time, side="right")
-    near = np.min(np.abs(time[:, None] - borders[None, :]), axis=1) < limits.guard
+    near = np.min(np.abs(time[:, None] - borders[None, :]), axis=1) < LIMITS.guard
     edges = [first, *borders, last]
     names = [f"{log.name} {a:.1f}-{b:.1f} s" for a, b in pairwise(edges)]
     return np.where(near, -1, group), names

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agent.diagnosis.limits import LIMITS, DecisionLimits
+from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.standstill import moves
 from agent.model import Effect, MotionSignals
 
@@ -27,14 +27,14 @@ class Excursions:
     reversals: np.ndarray
 
     @classmethod
-    def of(cls, signals: Sequence[MotionSignals], limits: DecisionLimits = LIMITS) -> Excursions:
+    def of(cls, signals: Sequence[MotionSignals]) -> Excursions:
         """Excursions of filtered motions."""
         robot = signals[0].reference.robot
         unit = np.where([joint.prismatic for joint in robot.joints], _METRES, 1.0)
         lowest, highest = (side([side(s.q, axis=0) for s in signals], axis=0) for side in (np.min, np.max))
         speed = np.max([np.abs(s.qd).max(axis=0) for s in signals], axis=0)
-        turns = [sum(_turns(s.q[:, j], limits.least_travel) for s in signals) for j in range(robot.dof)]
-        moved = moves(signals, limits)
+        turns = [sum(_turns(s.q[:, j], LIMITS.least_travel) for s in signals) for j in range(robot.dof)]
+        moved = moves(signals)
         return cls(robot.joint_names, moved, lowest / unit, highest / unit, speed / unit, np.array(turns))
 
     @property

@@ -8,37 +8,35 @@ from functools import cached_property
 
 import numpy as np
 
-from agent.diagnosis.limits import LIMITS, DecisionLimits
+from agent.diagnosis.limits import LIMITS
 from agent.model import MotionSignals, standstill_speed
 
 
-def standing(
-    signals: Sequence[MotionSignals], limits: DecisionLimits = LIMITS, beside: Sequence[MotionSignals] = ()
-) -> list[np.ndarray]:
+def standing(signals: Sequence[MotionSignals], beside: Sequence[MotionSignals] = ()) -> list[np.ndarray]:
     """Per motion (S, n) bool: whether a joint is stationary. A joint that never travels always is, whatever its noise.
 
     `beside` are other motions of the same arm: the speed threshold depends on the joint's highest speed in all motions.
     """
     known = [*beside, *signals]
     slowest = standstill_speed([motion.qd for motion in known], known[0].reference.robot.max_velocity)
-    slowest = np.where(moves(known, limits), slowest, np.inf)
+    slowest = np.where(moves(known), slowest, np.inf)
     return [np.abs(motion.qd) <= slowest for motion in signals]
 
 
-def moves(signals: Sequence[MotionSignals], limits: DecisionLimits = LIMITS) -> np.ndarray:
+def moves(signals: Sequence[MotionSignals]) -> np.ndarray:
     """(n,) bool: whether a joint travels anywhere in one of the motions."""
     logs = {
         motion.log_index: [other.q for other in signals if other.log_index == motion.log_index] for motion in signals
     }
-    return np.max([np.ptp(np.concatenate(parts), axis=0) for parts in logs.values()], axis=0) > limits.least_travel
+    return np.max([np.ptp(np.concatenate(parts), axis=0) for parts in logs.values()], axis=0) > LIMITS.least_travel
 
 
-def at_rest(signals: Sequence[MotionSignals], limits: DecisionLimits = LIMITS) -> np.ndarray:
+def at_rest(signals: Sequence[MotionSignals]) -> np.ndarray:
     """(S', n) bool, all motions in a row: whether a joint stands there for a while, or close by."""
     parts = []
-    for motion, still in zip(signals, standing(signals, limits), strict=True):
+    for motion, still in zip(signals, standing(signals), strict=True):
         rate = 1 / float(np.median(np.diff(motion.time)))
-        shortest, reach = max(int(limits.long_rest * rate), 1), int(limits.near_rest * rate)
+        shortest, reach = max(int(LIMITS.long_rest * rate), 1), int(LIMITS.near_rest * rate)
         begins = _count(still, 0, shortest - 1) == shortest
         long = _count(begins, shortest - 1, 0) > 0
         parts.append((_count(long, reach, reach) > 0)[motion.kept])
@@ -60,9 +58,9 @@ class Rests:
     stretches: tuple[tuple[tuple[int, int, float], ...], ...]
 
     @classmethod
-    def of(cls, signals: Sequence[MotionSignals], repeat: float, limits: DecisionLimits = LIMITS) -> Rests:
+    def of(cls, signals: Sequence[MotionSignals], repeat: float) -> Rests:
         """Of some motions in a row, `repeat` rows of which are an independent one."""
-        found = at_rest(signals, limits)
+        found = at_rest(signals)
         ends = np.cumsum([len(motion.time[motion.kept]) for motion in signals])
         found_per_joint = []
         for column in found.T:

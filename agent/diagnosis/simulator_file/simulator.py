@@ -1,12 +1,12 @@
 """Diagnosis of a simulator file: its expected error, which of its numbers move, and the remaining gap.
 
 The file stores no held-out error. The error that a model usually leaves on such logs replaces it: the same share of
-torque as without a model (`DecisionLimits.unknown_error`). The error is smaller if the moved numbers leave less on most
+torque as without a model (`LIMITS.unknown_error`). The error is smaller if the moved numbers leave less on most
 joints; a joint that then stands out has a gap that numbers do not close.
 
-Three answers are compared, the simplest first. The numbers are right and one effect explains the gap; or friction and
-rotors are moved, with effects; or links are moved too. A later answer is taken only if it closes clearly more of the
-gap. An answer whose effects may replace link changes is taken only if moving the links closes no more. The moved
+Three explanations are compared, the simplest first. The numbers are right and one effect explains the gap; or friction
+and rotors are moved, with effects; or links are moved too. A later one is taken only if it closes clearly more of the
+gap. One whose effects may replace link changes is taken only if moving the links closes no more. The moved
 numbers are then chosen again together with the effects found, and the effects are searched again with these numbers,
 until neither changes.
 """
@@ -15,30 +15,34 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from agent.core import InputError
+from agent.diagnosis.document import WaterfallStep
 from agent.diagnosis.gap.torque_gap import HeldOutGap, held_out_gap
 from agent.diagnosis.hypotheses.finding import Finding
 from agent.diagnosis.hypotheses.search import Search
-from agent.diagnosis.limits import LIMITS, DecisionLimits
+from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.candidate import Candidate
 from agent.diagnosis.rows.dataset import Dataset, assemble
 from agent.diagnosis.rows.fit import Fit
 from agent.diagnosis.rows.rounding import quiet_cutoff
-from agent.diagnosis.simulator_file.calibration import ReleasedSimulator, calibration
-from agent.diagnosis.verdict import judge
+from agent.diagnosis.simulator_file.released_numbers import ReleasedSimulator, release, waterfall
+from agent.diagnosis.verdict import named, supported
 from agent.estimation import FilterSettings, resolve_cutoff
 from agent.model import CATALOGUE, IdentifiedModel, NominalModel
 from agent.recording import Log
 from agent.robot import RobotDescription
-from agent.simulators import servo_stiffness
+from agent.simulators import SIMULATOR, servo_stiffness
 
 _OF_THE_MIDDLE = 1.5  # times the relative error of the joint in the middle is expected of every joint
 _BELOW_ZERO = 0.1  # of a friction level without an effect: by chance, an added effect takes it this far below zero
 #: Effects that are the file's numbers under another name.
 _NUMBERS = tuple(name for name, effect in CATALOGUE.items() if effect.numbers in ("friction", "links"))
+
+
 #: The effect that is links which weigh otherwise.
 _LINKS = next(name for name, effect in CATALOGUE.items() if effect.numbers == "links")
 _AS_GOOD = 1.1  # times the squared error left, to where another choice of numbers is as good
@@ -46,32 +50,49 @@ _AS_GOOD = 1.1  # times the squared error left, to where another choice of numbe
 
 @dataclass(frozen=True, eq=False)
 class Explanation:
-    """One explanation: the data with what was moved, the search in them, what it found, and the gap that is left."""
+    """A finding with its data, the search that made it, and the gap that is left.
 
-    calibrated: ReleasedSimulator
+    Of a model that is no simulator's file, nothing is `released`.
+    """
+
+    released: ReleasedSimulator
     search: Search
     finding: Finding
     gap: HeldOutGap
 
     @property
-    def like_links(self) -> bool:
-        """Whether an effect that was found may stand in for links that weigh otherwise: a torque over position."""
-        return _like_links(self.finding.causes)
+    def of_file(self) -> bool:
+        """Whether the model is a simulator's file."""
+        return self.released.given.model.method == SIMULATOR
 
-    @property
-    def like_load(self) -> bool:
-        """Whether a mass at the flange was found, which may stand in for links that all weigh otherwise."""
-        return any(candidate.effect.numbers == "load" for candidate in self.finding.causes)
+    @cached_property
+    def dataset(self) -> Dataset:
+        """The data with what was moved, and the residual of the model as it was given."""
+        return replace(self.released.moved, residual=self.released.given.residual)
+
+    @cached_property
+    def as_given(self) -> HeldOutGap:
+        """The gap of the model as it was given."""
+        if self.of_file:
+            return held_out_gap(self.dataset, self.finding.fit)
+        return self.gap.unclosed if self.dataset.given and not self.finding.causes else self.gap
+
+    @cached_property
+    def steps(self) -> tuple[WaterfallStep, ...]:
+        """What each released number and each cause closes of that gap."""
+        found = self.of_file or self.finding.causes
+        return waterfall(self.released, self.finding, self.as_given) if found else ()
 
     def stands(self, best: float, enough: float) -> bool:
-        """Whether its causes hold against an answer that moves more numbers and leaves `best`.
+        """Whether its causes hold against an explanation that moves more numbers and leaves `best`.
 
         Its causes may leave `enough` times as much. A load may leave only what chance explains, and other effects that
         may be links nothing more.
         """
-        if self.like_links:
+        if _like_links(self.finding.causes):
             return self.left <= best
-        return self.left <= _AS_GOOD * best if self.like_load else self.left - best <= enough
+        like_load = any(candidate.effect.numbers == "load" for candidate in self.finding.causes)
+        return self.left <= _AS_GOOD * best if like_load else self.left - best <= enough
 
     @property
     def left(self) -> float:
@@ -80,13 +101,12 @@ class Explanation:
 
 
 def _like_links(causes: Sequence[Candidate]) -> bool:
+    """Whether an effect may stand in for links that weigh otherwise: a torque over position, and no load."""
     effects = [candidate.effect for candidate in causes]
     return any(e.numbers != "load" and (e.family == "load" or _LINKS in e.confused_with) for e in effects)
 
 
-def with_expected_error(
-    model: IdentifiedModel, logs: Sequence[Log], limits: DecisionLimits = LIMITS, share: float | None = None
-) -> IdentifiedModel:
+def with_expected_error(model: IdentifiedModel, logs: Sequence[Log], share: float | None = None) -> IdentifiedModel:
     """The model with a held-out error (n,) [N·m], a `share` of the logs' torque, and a cut-off that suits them.
 
     Raises:
@@ -99,14 +119,14 @@ def with_expected_error(
                 "none, record the current times the torque constant of the joint"
             )
     torque = np.concatenate([log.effort for log in logs if log.effort is not None])
-    usual = (limits.unknown_error if share is None else share) * np.std(torque, axis=0)
+    usual = (LIMITS.unknown_error if share is None else share) * np.std(torque, axis=0)
     nominal = model.robot.nominal_torque
-    least = np.where(np.isfinite(nominal), limits.least_background * nominal, 0.0)
+    least = np.where(np.isfinite(nominal), LIMITS.least_background * nominal, 0.0)
     error = np.maximum(np.maximum(usual, least), 1e-9)
     settings = FilterSettings()
     cutoff = min(resolve_cutoff(log, settings) for log in logs)
     if any(servo_stiffness(log.metadata) is not None for log in logs):
-        cutoff = quiet_cutoff(NominalModel(model), logs, cutoff, limits.least_error)
+        cutoff = quiet_cutoff(NominalModel(model), logs, cutoff, LIMITS.least_error)
     return replace(
         model,
         cutoff=cutoff,
@@ -124,26 +144,25 @@ def search_simulator(
     cutoff: float | None,
     without: Sequence[str],
     progress: Callable[[str], None],
-    limits: DecisionLimits,
 ) -> Explanation:
-    """Return the simplest of the three answers that closes as much as any.
+    """Return the simplest of the three explanations that closes as much as any.
 
     Raises:
         InputError: logs that cannot be used (see `assemble`).
     """
     progress("moving friction, rotors and links of the simulator, step by step")
-    dataset = assemble(robot, with_expected_error(model, logs, limits), logs, cutoff, limits)
-    first = calibration(dataset)
+    dataset = assemble(robot, with_expected_error(model, logs), logs, cutoff)
+    first = release(dataset)
     if first.groups:
-        expected = with_expected_error(model, logs, limits, _expected(dataset, first.moved.residual))
-        dataset = assemble(robot, expected, logs, cutoff, limits, first.model)
+        expected = with_expected_error(model, logs, _expected(dataset, first.moved.residual))
+        dataset = assemble(robot, expected, logs, cutoff, first.model)
     unit = dataset.fit.reference.scale
-    enough = limits.least_share * float(np.mean(held_out_gap(dataset, dataset.fit, unit).before ** 2))
+    enough = LIMITS.least_share * float(np.mean(held_out_gap(dataset, dataset.fit, unit).before ** 2))
     moves = [ReleasedSimulator(dataset, dataset, ())]
-    drives, everything = calibration(dataset, links=False), calibration(dataset)
+    drives, everything = release(dataset, links=False), release(dataset)
     moves += [drives] if 0 < len(drives.groups) < len(everything.groups) else []
     moves += [everything] if everything.groups else []
-    found = [_answer(model, moved, without, progress, unit) for moved in moves]
+    found = [_explanation(model, moved, without, progress, unit) for moved in moves]
     best = min(entry.left for entry in found)
     single = [k for k, entry in enumerate(found[:-1]) if entry.finding.causes and (k or len(entry.finding.causes) == 1)]
     chosen = next((found[k] for k in single if found[k].stands(best, enough)), found[-1])
@@ -153,27 +172,22 @@ def search_simulator(
     return chosen
 
 
-def _answer(
+def _explanation(
     model: IdentifiedModel,
-    calibrated: ReleasedSimulator,
+    released: ReleasedSimulator,
     without: Sequence[str],
     progress: Callable[[str], None],
     unit: np.ndarray,
 ) -> Explanation:
     """Search with the moved numbers. If any moved, effects that equal numbers are left out: they would compete."""
-    moved = calibrated.moved
-    search = Search(moved.fit, (*without, *(_NUMBERS if calibrated.groups else ())), progress)
-    finding, gap = judge(moved, search.run(), moved.fit, unit)
+    moved = released.moved
+    search = Search(moved.fit, (*without, *(_NUMBERS if released.groups else ())), progress)
+    finding, gap = supported(moved, named(search.run()), unit)
     kept = [k for k in range(len(finding.causes)) if _possible(model, finding.fit, k)]
     if len(kept) < len(finding.causes):
-        finding = finding.only(kept, moved.fit) if kept else finding.without_causes("unknown", moved.fit)
-        finding, gap = judge(moved, finding, moved.fit, unit)
-    return Explanation(calibrated, search, finding, gap)
-
-
-def _left(dataset: Dataset, fit: Fit, unit: np.ndarray) -> float:
-    """Mean square over joints that a fit leaves."""
-    return float(np.mean(held_out_gap(dataset, fit, unit).after ** 2))
+        finding = finding.only(kept) if kept else finding.without_causes(leaves_gap=True)
+        finding, gap = supported(moved, finding, unit)
+    return Explanation(released, search, finding, gap)
 
 
 def numbers_instead(entry: Explanation, number: int, unit: np.ndarray) -> ReleasedSimulator | None:
@@ -185,7 +199,7 @@ def numbers_instead(entry: Explanation, number: int, unit: np.ndarray) -> Releas
     if not (causes[number].effect.numbers == "load" or _like_links([causes[number]])):
         return None
     others = (*causes[:number], *causes[number + 1 :])
-    chosen = calibration(entry.calibrated.given, True, others)
+    chosen = release(entry.released.given, True, others)
     return chosen if _beside(chosen, others, unit) <= _AS_GOOD * entry.left else None
 
 
@@ -193,7 +207,7 @@ def _beside(chosen: ReleasedSimulator, causes: Sequence[Candidate], unit: np.nda
     """Mean square over joints that numbers and effects leave; the effects are computed at these numbers."""
     fit = chosen.moved.fit
     forms = fit.candidates([(cause.effect, cause.joints, cause.settings) for cause in causes])
-    return _left(chosen.moved, fit.with_chosen(forms), unit)
+    return float(np.mean(held_out_gap(chosen.moved, fit.with_chosen(forms), unit).after ** 2))
 
 
 def _possible(given: IdentifiedModel, fit: Fit, number: int) -> bool:
@@ -213,5 +227,4 @@ def _expected(dataset: Dataset, residual: np.ndarray) -> float:
     left = np.sqrt(np.nanmean(residual**2, axis=0))
     torque = np.concatenate([log.effort for log in dataset.logs if log.effort is not None])
     relative = left / np.maximum(np.std(torque, axis=0), 1e-9)
-    limits = dataset.limits
-    return float(np.clip(_OF_THE_MIDDLE * np.median(relative), limits.least_error, limits.unknown_error))
+    return float(np.clip(_OF_THE_MIDDLE * np.median(relative), LIMITS.least_error, LIMITS.unknown_error))

@@ -179,15 +179,13 @@ class _Sums:
     def whole(self, starts: np.ndarray, duration: float, gain: np.ndarray, force: np.ndarray) -> np.ndarray:
         """(K,) bool: which forces (K, 3) [N] from `starts` for `duration` [s] pull in the middle of it as well, as far
         as they would show there: else there are two with a pause between."""
-        whole = np.ones(len(starts), dtype=bool)
         if duration < 3 * _DURATIONS[0]:
-            return whole
-        for begin in _PARTS:
-            moments, pull = self.between(starts + begin * duration, starts + (begin + _PART) * duration)
-            expected = np.einsum("ka,kab,kb->k", force, moments, force)
-            missing = expected - np.einsum("ka,ka->k", force, pull)
-            whole &= missing <= _PAUSE * expected + _SHOWS * _PART * gain
-        return whole
+            return np.ones(len(starts), dtype=bool)
+        begin = starts + _PARTS[:, None] * duration  # (P, K)
+        moments, pull = self.between(begin, begin + _PART * duration)
+        expected = np.sum((moments @ force[:, :, None])[..., 0] * force, axis=-1)
+        missing = expected - np.sum(pull * force, axis=-1)
+        return np.all(missing <= _PAUSE * expected + _SHOWS * _PART * gain, axis=0)
 
 
 @dataclass(frozen=True, eq=False)

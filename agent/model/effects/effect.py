@@ -50,7 +50,7 @@ class FitContext(Protocol):
     def given(self) -> bool:
         """Whether the model was fitted to other data, so that an effect must exceed the noise."""
 
-    def gains_alone(self, joint: int, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def energy_taken(self, joint: int, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(K,) drop of Σ e² / σ² by each of the columns (S', K) [N·m] alone on one joint, and their factors (K,)."""
 
     def fit(self, effect: Effect, joints: Joints, settings: Numbers) -> np.ndarray:

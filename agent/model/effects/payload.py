@@ -61,11 +61,11 @@ class Payload(Effect):
         return (*first, *own)
 
     def columns(self, signals: MotionSignals, joints: Joints, settings: Numbers) -> Columns:
-        n = signals.q.shape[1]
-        link = signals.standard[:, :, ParameterLayout.of(signals.reference.robot).link(n - 1)]
-        if settings:
-            link = link @ ball(settings)
-        return {joint: link[:, joint] for joint in range(n)}
+        return _of_ball(_last_link(signals), settings)
+
+    def filtered(self, signals: MotionSignals, joints: Joints, settings: Numbers) -> Columns:
+        link = signals.remembered(self.name, lambda: signals.low_pass(_last_link(signals)))
+        return _of_ball(link, settings)
 
     def prior_precision(self, context: FitContext, joints: Joints, settings: Numbers) -> np.ndarray | None:
         scales = [20.0, 5.0, 5.0, 5.0, *([0.5] if settings else [2.0] * 6)]
@@ -81,6 +81,17 @@ class Payload(Effect):
         mass, *moment = (values[name] for name in ("mass", "moment_x", "moment_y", "moment_z"))
         radius = max(float(np.linalg.norm(moment)) / abs(mass), _LEAST_RADIUS)
         return values.get("inertia", 0.0) / mass > -_INERTIA_TOLERANCE * radius**2
+
+
+def _last_link(signals: MotionSignals) -> np.ndarray:
+    """(S, 10 n) torque of each joint per unit of each parameter of the last link."""
+    robot = signals.reference.robot
+    return signals.standard[:, :, ParameterLayout.of(robot).link(robot.dof - 1)].reshape(len(signals.time), -1)
+
+
+def _of_ball(link: np.ndarray, settings: Numbers) -> Columns:
+    change = ball(settings) if settings else np.eye(10)
+    return {j: part @ change for j, part in enumerate(np.split(link, link.shape[1] // 10, axis=1))}
 
 
 def _voigt(a: np.ndarray, b: np.ndarray) -> np.ndarray:

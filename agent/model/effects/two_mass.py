@@ -100,7 +100,7 @@ class TwoMass(Effect):
         self, context: FitContext, k: int, tried: Sequence[dict[str, float]], columns: np.ndarray
     ) -> tuple[list[dict[str, float]], float]:
         """The ones that gain most, possible ones first, and the first one's gain."""
-        gain, share = context.gains_alone(k, columns)
+        gain, share = context.energy_taken(k, columns)
         possible = np.array([self.plausible({}, {"share": value}) for value in share])
         order = np.lexsort((-gain, ~possible))[:_TRIED]
         return [tried[at] for at in order], float(gain[order[0]])

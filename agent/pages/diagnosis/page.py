@@ -51,7 +51,7 @@ def diagnosis_report(
     result = diagnosis.result if result is None else result
     forward = result.get("forward")
     # the drift comes before anything of torque where that was not measured
-    first = bool(forward) and diagnosis.answer.torque_of == "servos"
+    first = bool(forward) and diagnosis.document.torque_of == "servos"
     sections = [
         drift_section(forward) if first else None,
         _cause_section(diagnosis, None if said_by_rounds(result) else result["next_experiment"]),
@@ -171,7 +171,7 @@ def _closure_section(diagnosis: Diagnosis, simulated: Sequence[Simulated]) -> Se
         text.append(f"{part} of the torque gap is closed, counted down to the repeatability.")
     text += [f"Held out: {fold['held_out']}, fitted on {', '.join(fold['fitted_on'])}." for fold in result["folds"]]
     parts: list[Any] = []
-    if result.get("waterfall") and diagnosis.calibrated is None:
+    if result.get("waterfall") and diagnosis.released is None:
         words, steps = waterfall(result["waterfall"])
         text.append(words)
         parts.append(steps)
@@ -222,11 +222,11 @@ def _hypotheses_section(diagnosis: Diagnosis) -> Section:
     named = {candidate.place for candidate in finding.causes}
     rivals = {place for several in finding.rivals for place in several}
     rows = []
-    for hypothesis in finding.hypotheses[:_MOST_HYPOTHESES]:
-        effects = [candidate.text(names) for candidate in hypothesis.effects]
-        effects += [f"something else on {names[joint]}" for joint in hypothesis.free]
-        figures = (f"{hypothesis.gain:.1f}", f"{hypothesis.probability:.3f}", f"{100 * hypothesis.explained:.0f} %")
-        places = set(hypothesis.places)
+    for one in finding.hypotheses[:_MOST_HYPOTHESES]:
+        effects = [candidate.text(names) for candidate in one.effects]
+        effects += [f"something else on {names[joint]}" for joint in one.free]
+        figures = (f"{one.log_bayes_factor:.1f}", f"{one.probability:.3f}", f"{100 * one.explained:.0f} %")
+        places = set(one.places)
         equal = "as good: these logs do not distinguish it" if len(places) == 1 and places <= rivals else ""
         rows.append((" + ".join(effects) or "no effect", *figures, "named" if named and places == named else equal))
     text = [

@@ -13,7 +13,7 @@ from agent.pages.phrasing import capital
 
 def waterfall_section(diagnosis: Diagnosis) -> Section | None:
     """What each corrected number closes of the gap."""
-    if diagnosis.calibrated is None or not diagnosis.result.get("waterfall"):
+    if diagnosis.released is None or not diagnosis.result.get("waterfall"):
         return None
     text, table = waterfall(diagnosis.result["waterfall"])
     return Section("What the simulator gets wrong", (text,), (table,))
@@ -21,7 +21,7 @@ def waterfall_section(diagnosis: Diagnosis) -> Section | None:
 
 def ranges_section(diagnosis: Diagnosis) -> Section | None:
     """Ranges of the corrected parameters for training."""
-    found: tuple[Range, ...] = () if diagnosis.calibrated is None else ranges(diagnosis)
+    found: tuple[Range, ...] = () if diagnosis.released is None else ranges(diagnosis)
     if not found:
         return None
     rows = [

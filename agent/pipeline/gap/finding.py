@@ -71,8 +71,8 @@ def find(robot: RobotDescription | None, paths: Sequence[Path], question: GapQue
         simulated = simulate(found)
     except (AgentError, ArithmeticError, ValueError) as error:
         failed = f"the forward simulation failed; the verdict does not depend on it: {error}"
-    warnings = (*said, *found.answer.warnings, *filter(None, [failed]))
-    return Found(replace(found, answer=replace(found.answer, warnings=warnings)), simulated, simulator)
+    warnings = (*said, *found.warnings, *filter(None, [failed]))
+    return Found(replace(found, document=replace(found.document, warnings=warnings)), simulated, simulator)
 
 
 def read_at_rest(

@@ -249,8 +249,10 @@ def write_next(motion: NextMotion, folder: Path) -> dict[str, Any]:
 
 def _nothing_to_separate(found: Diagnosis) -> NoMotion:
     """No hypothesis is left to separate from another; the cause may be in doubt all the same."""
-    if found.finding.verdict != "ambiguous":
+    if found.verdict != "ambiguous":
         return NoMotion("nothing is open: no further motion is needed")
+    if not found.finding.causes and (experiment := found.document.next_experiment) is not None:
+        return NoMotion(experiment.motion, experiment.separates)  # between numbers of a simulator's file
     effect, joints = found.finding.causes[0].place
     on = ", ".join(found.dataset.robot.joint_names[joint] for joint in joints)
     return NoMotion(

@@ -73,7 +73,7 @@ def write_simulator(found: Diagnosis, simulator: Simulator, out: Path, console: 
     correction = corrected(found, simulator)
     for note in correction.notes:
         console.warn(f"{out}: {note}")
-    left_out = [cause.effect for cause in found.answer.causes if not CATALOGUE[cause.effect].of_the_arm]
+    left_out = [cause.effect for cause in found.document.causes if not CATALOGUE[cause.effect].of_the_arm]
     if left_out:
         console.warn(
             f"{out}: {' and '.join(left_out)} is left out of the simulator: it is a single event, or in the "

@@ -50,7 +50,7 @@ def pushed(arm, log, end: str, times, share: float = 1.0, at=(0.0, 0.0, 0.0)):
 def test_a_constant_shift_of_one_log_is_not_a_push(arm, model, free):
     """An offset, a gain or a load of one log only: that log has no usual windows."""
     shift = 15.0 * (np.arange(arm.dof) == 1)
-    found = diagnose(arm, [free[0], replace(free[1], effort=free[1].effort + shift)], model).answer
+    found = diagnose(arm, [free[0], replace(free[1], effort=free[1].effort + shift)], model).document
     assert found.verdict == "unknown"
     assert found.causes == ()
 

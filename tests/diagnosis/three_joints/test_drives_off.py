@@ -15,6 +15,7 @@ from tests.small_arms import record
 
 JOINT = 1
 OFFSET = 6.0
+CHANNELS = ("t", "position", "velocity", "effort")
 
 
 @pytest.fixture(scope="module")
@@ -31,16 +32,9 @@ def at_rest(log, torque, seconds=4.0):
     count = round(seconds * log.sample_rate)
     rng = np.random.default_rng(2)
     position = np.tile(log.position[0], (count, 1))
-    return replace(
-        log,
-        t=np.arange(count) / log.sample_rate,
-        position=position,
-        velocity=0 * position,
-        effort=torque + 0.05 * rng.normal(size=position.shape),
-        reference_position=None,
-        segments=((0, count),),
-        cycle_starts=(),
-    )
+    channels = {"velocity": 0 * position, "effort": torque + 0.05 * rng.normal(size=position.shape)}
+    whole = {"reference_position": None, "segments": ((0, count),), "cycle_starts": ()}
+    return replace(log, t=np.arange(count) / log.sample_rate, position=position, **channels, **whole)
 
 
 def known_before(model, logs, known):
@@ -52,7 +46,7 @@ def known_before(model, logs, known):
 
 
 def test_offset_and_asymmetric_friction_are_equivalent_without_a_drives_off_record(arm, model, logs):
-    (cause,) = diagnose(arm, logs, model).answer.causes
+    (cause,) = diagnose(arm, logs, model).document.causes
     assert {cause.effect, *(place.effect for place in cause.equivalent_to)} >= {"torque_offset", "asymmetric_friction"}
 
 
@@ -61,7 +55,7 @@ def test_torque_present_with_the_drives_off_is_an_offset(arm, model, logs, known
     """With what the model took for one before, or without: that may have been friction."""
     model, logs = known_before(model, logs, known)
     zero = at_rest(logs[0], shown * (np.arange(arm.dof) == JOINT))
-    found = diagnose(arm, logs, model, drives_off=zero).answer
+    found = diagnose(arm, logs, model, drives_off=zero).document
     (cause,) = found.causes
     assert found.verdict == "explained"
     assert (cause.effect, cause.joints, cause.equivalent_to) == ("torque_offset", ("joint_2",), ())
@@ -73,7 +67,7 @@ def test_torque_present_with_the_drives_off_is_an_offset(arm, model, logs, known
 def test_torque_absent_with_the_drives_off_is_friction(arm, model, logs, known, shown):
     model, logs = known_before(model, logs, known)
     zero = at_rest(logs[0], shown * (np.arange(arm.dof) == JOINT))
-    found = diagnose(arm, logs, model, drives_off=zero).answer
+    found = diagnose(arm, logs, model, drives_off=zero).document
     (cause,) = found.causes
     places = {cause.effect, *(place.effect for place in cause.equivalent_to)}
     assert "torque_offset" not in places
@@ -82,7 +76,7 @@ def test_torque_absent_with_the_drives_off_is_friction(arm, model, logs, known, 
 
 def test_a_channel_without_a_signal_settles_nothing(arm, model, logs):
     dead = replace(at_rest(logs[0], 0.0), effort=np.zeros((2000, arm.dof)))
-    found = diagnose(arm, logs, model, drives_off=dead).answer
+    found = diagnose(arm, logs, model, drives_off=dead).document
     assert found.verdict == "ambiguous"
     assert any("is off with its drive" in text for text in found.warnings)
 
@@ -90,8 +84,8 @@ def test_a_channel_without_a_signal_settles_nothing(arm, model, logs):
 def test_a_noisy_channel_settles_nothing(arm, model, logs):
     zero = at_rest(logs[0], OFFSET * (np.arange(arm.dof) == JOINT))
     slow = 8.0 * np.sin(2 * np.pi * 0.25 * zero.t[:, None])
-    found = diagnose(arm, logs, model, drives_off=replace(zero, effort=zero.effort + slow)).answer
-    plain = diagnose(arm, logs, model).answer
+    found = diagnose(arm, logs, model, drives_off=replace(zero, effort=zero.effort + slow)).document
+    plain = diagnose(arm, logs, model).document
     assert [(c.effect, c.equivalent_to) for c in found.causes] == [(c.effect, c.equivalent_to) for c in plain.causes]
     assert any("too restless" in text for text in found.warnings)
 
@@ -113,8 +107,8 @@ def test_refuses_a_drives_off_record_with_motor_torque(arm, model, logs):
 
 def test_an_offset_not_seen_in_motion_is_reported_and_settles_nothing(arm, model, logs):
     shown = 20.0 * (np.arange(arm.dof) == 0) + OFFSET * (np.arange(arm.dof) == JOINT)
-    plain = diagnose(arm, logs, model).answer
-    found = diagnose(arm, logs, model, drives_off=at_rest(logs[0], shown)).answer
+    plain = diagnose(arm, logs, model).document
+    found = diagnose(arm, logs, model, drives_off=at_rest(logs[0], shown)).document
     assert {cause.joints for cause in found.causes} == {cause.joints for cause in plain.causes}
     (text,) = [text for text in found.warnings if "in motion no offset of its channel was found" in text]
     assert "joint_1" in text
@@ -123,7 +117,7 @@ def test_an_offset_not_seen_in_motion_is_reported_and_settles_nothing(arm, model
 def test_a_drives_off_record_of_a_healthy_arm_settles_nothing(arm, model, logs):
     plant = Plant(arm, seed=3)
     healthy = [record(plant, name, seed) for name, seed in (("one", 21), ("two", 22))]
-    found = diagnose(arm, healthy, model, drives_off=at_rest(healthy[0], np.zeros(arm.dof))).answer
+    found = diagnose(arm, healthy, model, drives_off=at_rest(healthy[0], np.zeros(arm.dof))).document
     assert found.verdict == "no_gap"
     assert any("no torque channel shows an offset" in text for text in found.warnings)
 
@@ -134,12 +128,7 @@ def test_a_drives_off_record_of_a_healthy_arm_settles_nothing(arm, model, logs):
         (lambda log: replace(log, effort=None), "has no torque"),
         (lambda log: replace(log, position=log.position + 0.1 * log.t[:, None]), r"joint_1 moves by 0\.4 rad"),
         (lambda log: replace(log, t=0.1 * log.t), r"0\.4 s with the drives off are too short"),
-        (
-            lambda log: replace(
-                log, t=log.t[::200], position=log.position[::200], velocity=None, effort=log.effort[::200]
-            ),
-            "16 samples at least",
-        ),
+        (lambda log: replace(log, **{name: getattr(log, name)[::200] for name in CHANNELS}), "16 samples at least"),
     ],
 )
 def test_refuses_an_unusable_drives_off_log(arm, model, logs, change, message):
@@ -158,7 +147,7 @@ def short_logs(arm):
 
 
 def of_first(found):
-    (cause, *_) = found.answer.causes
+    (cause, *_) = found.document.causes
     return {cause.effect, *(place.effect for place in cause.equivalent_to)}
 
 

@@ -32,6 +32,12 @@ def healthy(arm) -> list[Log]:
 
 
 @pytest.fixture(scope="module")
+def size(healthy) -> float:
+    """Torque of the joint that laws are added to [N·m], standard deviation."""
+    return float(np.std(healthy[0].effort[:, JOINT]))
+
+
+@pytest.fixture(scope="module")
 def left(arm, model, healthy) -> Callable[[str, Law], float]:
     """Part of the law's torque, squared, that the best possible form of an effect leaves held out."""
 
@@ -52,7 +58,7 @@ def left(arm, model, healthy) -> Callable[[str, Law], float]:
 
 
 def _best(evidence: Evidence) -> Candidate:
-    gains, _ = evidence.gains(evidence.as_expected(evidence.nothing))
+    gains, _ = evidence.shortlist_gains(evidence.as_expected(evidence.nothing))
     return evidence.pool.candidate(int(np.argmax(gains)))
 
 
@@ -66,7 +72,7 @@ def test_names_a_small_effect_next_to_a_much_larger_one(arm, model, healthy):
         effort[:, 1] += spring * np.sin(log.position[:, 1] - 0.3)
         effort[:, 0] += more * log.velocity[:, 0]
         logs.append(replace(log, effort=effort))
-    found = diagnose(arm, logs, model).answer
+    found = diagnose(arm, logs, model).document
     causes = {(cause.effect, cause.joints): cause for cause in found.causes}
     assert set(causes) == {("gravity_spring", ("joint_2",)), ("friction_change", ("joint_1",))}
     small = causes["friction_change", ("joint_1",)]
@@ -80,7 +86,7 @@ def test_names_a_small_effect_next_to_a_much_larger_one(arm, model, healthy):
 def test_a_torsion_spring_may_be_equivalent_to_a_hose(arm, model, healthy):
     """A hose that neither hardens nor rubs is the same straight line."""
     stiffness = 0.5 * np.std(healthy[0].effort[:, JOINT])
-    found = diagnose(arm, _with(model, healthy, lambda q, load, gone: stiffness * (q - 0.4)), model).answer
+    found = diagnose(arm, _with(model, healthy, lambda q, load, gone: stiffness * (q - 0.4)), model).document
     (cause,) = found.causes
     assert (found.verdict, cause.effect, cause.joints) == ("ambiguous", "gravity_spring", ("joint_3",))
     assert [place.effect for place in cause.equivalent_to] == ["dress_pack"]
@@ -88,53 +94,49 @@ def test_a_torsion_spring_may_be_equivalent_to_a_hose(arm, model, healthy):
     assert cause.parameters["constant"] == pytest.approx(-0.4 * stiffness, rel=0.2)
 
 
-def test_a_nearly_constant_spring_is_not_an_offset(arm, model, healthy):
+def test_a_nearly_constant_spring_is_not_an_offset(arm, model, healthy, size):
     """About where it pulls most it is a constant but for a hundredth, which is clear of what the model gets wrong."""
-    size = np.std(healthy[0].effort[:, JOINT])
     travelled = np.concatenate([log.position[:, JOINT] for log in healthy])
     middle, reach = travelled.mean(), np.ptp(travelled) / 2
     altered = _with(model, healthy, lambda q, load, gone: 4 * size * np.cos(0.8 * (q - middle - 0.1) / reach))
-    (cause,) = diagnose(arm, altered, model).answer.causes
+    (cause,) = diagnose(arm, altered, model).document.causes
     named = {place.effect for place in (cause, *cause.equivalent_to)}
     assert "gravity_spring" in named
     assert "torque_offset" not in named
 
 
-def test_a_hose_with_friction_may_be_a_spring_with_joint_friction(arm, model, healthy):
+def test_a_hose_with_friction_may_be_a_spring_with_joint_friction(arm, model, healthy, size):
     """Inner friction that turns around at once is the joint's as well."""
-    size = np.std(healthy[0].effort[:, JOINT])
 
     def law(q, load, gone):
         return size * np.sin(q - 0.4) + 0.5 * size * dahl(q, np.array([1e-3]))[:, 0]
 
-    found = diagnose(arm, _with(model, healthy, law), model).answer
+    found = diagnose(arm, _with(model, healthy, law), model).document
     named = {(place.effect, place.joints) for cause in found.causes for place in (cause, *cause.equivalent_to)}
     assert ("gravity_spring", ("joint_3",)) in named
     assert all(joints == ("joint_3",) for _, joints in named)
 
 
-def test_a_hose_with_hysteresis_is_not_a_spring(arm, model, healthy):
+def test_a_hose_with_hysteresis_is_not_a_spring(arm, model, healthy, size):
     """A large constant, which both have, does not hide it."""
-    size = np.std(healthy[0].effort[:, JOINT])
 
     def law(q, load, gone):
         return 10 * size + 0.6 * size * (q - 0.4) + 0.5 * size * dahl(q, np.array([0.1]))[:, 0]
 
-    found = diagnose(arm, _with(model, healthy, law), model).answer
+    found = diagnose(arm, _with(model, healthy, law), model).document
     (cause,) = found.causes
     assert (found.verdict, cause.effect, cause.joints) == ("explained", "dress_pack", ("joint_3",))
 
 
-def test_friction_that_bends_by_little_is_not_ruled_out(arm, model, healthy):
+def test_friction_that_bends_by_little_is_not_ruled_out(arm, model, healthy, size):
     """Another level explains all but two hundredths, and no form is trusted further; but that is there all the same."""
-    size = np.std(healthy[0].effort[:, JOINT])
     logs = []
     for log in healthy:
         effort, speed = log.effort.copy(), log.velocity[:, JOINT]
         fast = 0.25 * np.abs(speed).max()
         effort[:, JOINT] += size * fast * np.arcsinh(speed / fast)
         logs.append(replace(log, effort=effort))
-    found = diagnose(arm, logs, model).answer
+    found = diagnose(arm, logs, model).document
     named = {place.effect for cause in found.causes for place in (cause, *cause.equivalent_to)}
     assert "viscous_nonlinearity" in named
 
@@ -144,27 +146,25 @@ def test_friction_that_grows_with_a_load_that_hardly_changes_is_not_ruled_out(ar
     plant = Plant(arm, seed=3)
     logs = [record(plant, name, seed, 0.1) for name, seed in (("a", 21), ("b", 22), ("c", 23))]
     altered = _with(model, logs, lambda q, load, gone: 0.05 * np.abs(load) * _slide(q), joint=1)
-    found = diagnose(arm, altered, model).answer
+    found = diagnose(arm, altered, model).document
     named = {(place.effect, place.joints) for cause in found.causes for place in (cause, *cause.equivalent_to)}
     assert ("load_dependent_friction", ("joint_2",)) in named
     assert found.verdict == "ambiguous"
 
 
-def test_a_spring_with_more_friction_may_be_a_rubbing_hose(arm, model, healthy):
+def test_a_spring_with_more_friction_may_be_a_rubbing_hose(arm, model, healthy, size):
     """No form of a hose follows every one, so it is said whether one of them does as well or not."""
-    size = np.std(healthy[0].effort[:, JOINT])
     altered = _with(model, healthy, lambda q, load, gone: size * np.sin(q - 0.4) + 0.4 * size * _slide(q))
-    found = diagnose(arm, altered, model).answer
+    found = diagnose(arm, altered, model).document
     named = {place.effect for cause in found.causes for place in (cause, *cause.equivalent_to)}
     assert {"gravity_spring", "dress_pack"} <= named
     assert found.verdict == "ambiguous"
 
 
-def test_an_offset_with_more_friction_is_not_a_hose(arm, model, healthy):
+def test_an_offset_with_more_friction_is_not_a_hose(arm, model, healthy, size):
     """A hose that does not pull and rubs would be the same torque by another name."""
-    size = np.std(healthy[0].effort[:, JOINT])
     law = _with(model, healthy, lambda q, load, gone: 0.4 * size + 0.3 * size * _slide(q))
-    found = diagnose(arm, law, model).answer
+    found = diagnose(arm, law, model).document
     assert {(cause.effect, cause.joints) for cause in found.causes} == {
         ("torque_offset", ("joint_3",)),
         ("friction_change", ("joint_3",)),
@@ -172,28 +172,26 @@ def test_an_offset_with_more_friction_is_not_a_hose(arm, model, healthy):
     assert not [place for cause in found.causes for place in cause.equivalent_to if place.effect == "dress_pack"]
 
 
-def test_a_ripple_with_few_periods_is_not_a_hose(arm, model, healthy):
+def test_a_ripple_with_few_periods_is_not_a_hose(arm, model, healthy, size):
     """A curve through six positions follows two and a half periods; their order is between two lines of a spectrum."""
-    size = np.std(healthy[0].effort[:, JOINT])
     travel = np.ptp(np.concatenate([log.position[:, JOINT] for log in healthy]))
     order = max(2.5 * 2 * np.pi / travel, 9.0)
     assert order * travel < 3 * 2 * np.pi
     altered = _with(model, healthy, lambda q, load, gone: 0.5 * size * np.cos(order * q - 0.7))
-    (cause,) = diagnose(arm, altered, model).answer.causes
+    (cause,) = diagnose(arm, altered, model).document.causes
     assert (cause.effect, cause.joints) == ("torque_ripple", ("joint_3",))
     assert cause.parameters["order"] == pytest.approx(order, rel=0.02)
 
 
-def test_a_spring_between_two_pivots_keeps_its_name(arm, model, healthy):
+def test_a_spring_between_two_pivots_keeps_its_name(arm, model, healthy, size):
     """The lever is long compared with the anchor, so its law is far from a sine."""
-    size = np.std(healthy[0].effort[:, JOINT])
 
     def law(q, load, gone):
         angle = q + 0.4
         length = np.sqrt(1 + 0.6**2 - 2 * 0.6 * np.cos(angle))
         return size * np.sin(angle) / length
 
-    found = diagnose(arm, _with(model, healthy, law), model).answer
+    found = diagnose(arm, _with(model, healthy, law), model).document
     named = {(place.effect, place.joints) for cause in found.causes for place in (cause, *cause.equivalent_to)}
     assert ("gravity_spring", ("joint_3",)) in named
     assert found.closure is not None
@@ -216,7 +214,7 @@ def test_load_dependent_friction_grows_with_link_torque_not_rotor_torque(arm, mo
         effort = log.effort.copy()
         effort[:, JOINT] += more
         altered.append(replace(log, effort=effort))
-    (cause,) = diagnose(arm, altered, model).answer.causes
+    (cause,) = diagnose(arm, altered, model).document.causes
     assert (cause.effect, cause.joints) == ("load_dependent_friction", ("joint_3",))
     assert cause.parameters["coefficient"] == pytest.approx(1.0, rel=0.15)
 
@@ -230,7 +228,7 @@ def test_names_a_spring_on_a_prismatic_joint():
         effort = log.effort.copy()
         effort[:, 1] += np.std(effort[:, 1]) * log.position[:, 1]
         logs.append(replace(log, effort=effort))
-    found = diagnose(arm, logs, model).answer
+    found = diagnose(arm, logs, model).document
     assert [(cause.effect, cause.joints) for cause in found.causes] == [("gravity_spring", ("joint_2",))]
     lines = [line for line in diagnosis_text(found.to_dict()).splitlines() if "stiffness" in line]
     assert lines
@@ -253,38 +251,41 @@ def _slide(q: np.ndarray) -> np.ndarray:
     return dahl(q, np.array([2e-3]))[:, 0]
 
 
-@pytest.mark.parametrize(("power", "slack", "rubs_over"), [(1, 0.0, 0.05), (2, 0.2, 0.005), (3, 0.1, 0.001)])
-def test_dress_pack_fits_a_stiffening_hose_with_friction(left, power, slack, rubs_over):
+def _hose(power: float, slack: float, rubs_over: float) -> Law:
     def law(q: np.ndarray, load: np.ndarray, gone: float) -> np.ndarray:
-        x = q - 0.05
-        hardens = np.sign(x) * np.maximum(np.abs(x) - slack, 0) ** power
+        hardens = np.sign(q - 0.05) * np.maximum(np.abs(q - 0.05) - slack, 0) ** power
         return 40 * hardens + 4 * dahl(q, np.array([rubs_over]))[:, 0]
 
-    assert left("dress_pack", law) < 0.03
+    return law
 
 
-def test_thermal_friction_fits_warm_up_with_distance_over_all_logs(left):
-    def law(q: np.ndarray, load: np.ndarray, gone: float) -> np.ndarray:
-        way = gone + np.cumsum(np.abs(np.diff(q, prepend=q[0])))
-        return 4 * np.exp(-way / 5) * _slide(q)
-
-    assert left("thermal_friction", law) < 0.05
+def _warming(q: np.ndarray, load: np.ndarray, gone: float) -> np.ndarray:
+    return 4 * np.exp(-(gone + np.cumsum(np.abs(np.diff(q, prepend=q[0])))) / 5) * _slide(q)
 
 
-@pytest.mark.parametrize("power", [0.5, 1.0, 2.0])
-def test_load_dependent_friction_fits_a_power_of_the_load(left, power):
-    def law(q: np.ndarray, load: np.ndarray, gone: float) -> np.ndarray:
-        return 3 * _slide(q) * (np.abs(load) / 20) ** power
-
-    assert left("load_dependent_friction", law) < 0.1
+def _back_driven(q: np.ndarray, load: np.ndarray, gone: float) -> np.ndarray:
+    return np.where(load * np.gradient(q) > 0, 0.15, 0.05) * np.abs(load) * _slide(q)
 
 
-def test_load_dependent_friction_fits_a_lower_loss_when_back_driven(left):
-    def law(q: np.ndarray, load: np.ndarray, gone: float) -> np.ndarray:
-        drives = load * np.gradient(q) > 0
-        return np.where(drives, 0.15, 0.05) * np.abs(load) * _slide(q)
+def _thinning(q: np.ndarray, load: np.ndarray, gone: float) -> np.ndarray:
+    speed = np.gradient(q, 0.002)
+    return 12 * speed / (1 + (speed / 0.02) ** 2) ** 0.25
 
-    assert left("load_dependent_friction", law) < 0.15
+
+@pytest.mark.parametrize(
+    ("effect", "law", "most"),
+    [
+        *(("dress_pack", _hose(*form), 0.03) for form in ((1, 0.0, 0.05), (2, 0.2, 0.005), (3, 0.1, 0.001))),
+        ("thermal_friction", _warming, 0.05),  # with the distance over all logs
+        ("load_dependent_friction", lambda q, load, gone: 3 * _slide(q) * (np.abs(load) / 20) ** 0.5, 0.1),
+        ("load_dependent_friction", lambda q, load, gone: 3 * _slide(q) * (np.abs(load) / 20), 0.1),
+        ("load_dependent_friction", lambda q, load, gone: 3 * _slide(q) * (np.abs(load) / 20) ** 2, 0.1),
+        ("load_dependent_friction", _back_driven, 0.15),  # with a lower loss
+        ("viscous_nonlinearity", _thinning, 0.05),
+    ],
+)
+def test_a_form_follows_a_law_that_it_was_not_made_for(left, effect, law, most):
+    assert left(effect, law) < most
 
 
 def test_an_exactly_stationary_joint_gives_finite_columns(arm, model, healthy):
@@ -294,11 +295,3 @@ def test_an_exactly_stationary_joint_gives_finite_columns(arm, model, healthy):
         wanted = [(effect, place, settings) for place in effect.places(arm) for settings in effect.settings(fit, place)]
         found = fit.candidates(wanted[-40:])
         assert all(np.isfinite(block).all() for one in found for block in one.blocks.values()), effect.name
-
-
-def test_viscous_nonlinearity_fits_shear_thinning(left):
-    def law(q: np.ndarray, load: np.ndarray, gone: float) -> np.ndarray:
-        speed = np.gradient(q, 0.002)
-        return 12 * speed / (1 + (speed / 0.02) ** 2) ** 0.25
-
-    assert left("viscous_nonlinearity", law) < 0.05

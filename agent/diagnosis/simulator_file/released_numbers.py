@@ -15,11 +15,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from agent.diagnosis.answer import Cause, EffectPlace, WaterfallStep
+from agent.diagnosis.document import Cause, EffectPlace, WaterfallStep
 from agent.diagnosis.gap.regimes import resampled
 from agent.diagnosis.gap.torque_gap import HeldOutGap, rms
 from agent.diagnosis.hypotheses.finding import Finding
 from agent.diagnosis.hypotheses.law import LAW
+from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.candidate import Candidate
 from agent.diagnosis.rows.dataset import Dataset, precision_of
 from agent.diagnosis.rows.fit import Fit
@@ -66,7 +67,7 @@ class ReleasedSimulator:
     groups: tuple[Group, ...]
 
     @property
-    def released(self) -> frozenset[tuple[str, int]]:
+    def parts(self) -> frozenset[tuple[str, int]]:
         """Kind and joint of each group."""
         return frozenset((group.kind, group.joint) for group in self.groups)
 
@@ -86,7 +87,7 @@ class ReleasedSimulator:
         return replace(given, values=given.values + self.moved.fit.change)
 
 
-def calibration(dataset: Dataset, links: bool = True, beside: Sequence[Candidate] = ()) -> ReleasedSimulator:
+def release(dataset: Dataset, links: bool = True, beside: Sequence[Candidate] = ()) -> ReleasedSimulator:
     """Release group after group while that gains; without `links`, friction and rotors only.
 
     The choice of numbers includes the effects `beside`. The numbers are then moved without them, as the search's start.
@@ -94,7 +95,7 @@ def calibration(dataset: Dataset, links: bool = True, beside: Sequence[Candidate
     pool = [group for group in _groups(dataset) if links or group.kind != "link inertia"]
     chosen: list[Group] = []
     fit = dataset.fit.with_chosen(beside)
-    least = dataset.limits.least_gain * float(fit.count.sum())
+    least = LIMITS.least_gain * float(fit.count.sum())
     while pool:
         tried = [_released(dataset, [*chosen, group]).with_chosen(beside) for group in pool]
         gains = [fit.error(fit.once) - other.error(fit.once) for other in tried]
@@ -168,7 +169,7 @@ def waterfall(found: ReleasedSimulator, finding: Finding, gap: HeldOutGap) -> tu
     if not found.groups and dataset.given:  # a model fitted to the same logs has no own numbers to keep
         held = plain.with_prior(precision_of(_HELD * dataset.model.covariance))
         by_effects, by_both = (_absorbed(gap, fit) for fit in (held.with_chosen(finding.causes), moved))
-        plain = held if by_both - by_effects >= dataset.limits.least_share else plain
+        plain = held if by_both - by_effects >= LIMITS.least_share else plain
     last = fits[-1] if fits else plain
     for k, candidate in enumerate(finding.causes):
         fits.append(last.with_chosen(finding.causes[: k + 1]))

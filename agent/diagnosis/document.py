@@ -1,4 +1,4 @@
-"""What a diagnosis answers, typed: the document of docs/diagnosis.md, key by key. `to_dict` is the only way to JSON."""
+"""The document of a diagnosis, typed: docs/diagnosis.md, key by key. `to_dict` is the only way to JSON."""
 
 from __future__ import annotations
 
@@ -122,7 +122,7 @@ class DiagnosisResult:
     next_experiment: NextExperiment | None
     folds: tuple[FoldNames, ...]
     warnings: tuple[str, ...]
-    #: Where there is a gap in torque, and steps that close it.
+    #: Place there is a gap in torque, and steps that close it.
     waterfall: tuple[WaterfallStep, ...] = ()
     #: `servos` where torque was not measured but is that of the simulator's servos at recorded set-points.
     torque_of: str = "motors"

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from agent.diagnosis import Dataset, background_of
+from agent.diagnosis import LIMITS, Dataset, background_of
 from agent.model import MotionSignals, NominalModel
 
 
@@ -21,22 +20,20 @@ class GridMotion:
     qdd: np.ndarray
 
 
-def background_on(
-    dataset: Dataset, reference: NominalModel, motion: MotionSignals, beside: Sequence[MotionSignals] = ()
-) -> np.ndarray:
-    """The verdict's noise level (S, n) [N·m] on a motion that is not in the logs; `beside`: further motions.
+def background_on(dataset: Dataset, reference: NominalModel, motion: MotionSignals) -> np.ndarray:
+    """The verdict's noise level (S, n) [N·m] on a motion that is not in the logs.
 
     The speed threshold of a stationary joint depends on all motions that are diagnosed together. On the motion's coarse
     grid, a joint that reverses is stationary between two samples, and its friction does not follow its direction there.
     """
-    fit, limits = dataset.fit, dataset.limits
+    fit = dataset.fit
     moving = fit.sigma.min(axis=0)
-    sigma = background_of(reference, moving, [motion], limits, [*fit.signals, *beside])
+    sigma = background_of(reference, moving, [motion], fit.signals)
     turns = np.zeros(sigma.shape, dtype=bool)
     turns[1:] = motion.qd[1:] * motion.qd[:-1] < 0
     turns[:-1] |= turns[1:]
     near = turns.copy()
-    for shift in range(1, int(limits.near_rest / float(np.median(np.diff(motion.time)))) + 1):
+    for shift in range(1, int(LIMITS.near_rest / float(np.median(np.diff(motion.time)))) + 1):
         near[shift:] |= turns[:-shift]
         near[:-shift] |= turns[shift:]
     return np.where(near, np.maximum(fit.sigma.max(axis=0), 2 * moving), sigma)

@@ -1,0 +1,179 @@
+"""From log evidence to posterior probabilities, and to classes of what cannot be distinguished.
+
+- The posterior of a hypothesis is its evidence times a prior: none or some, which effect on which joint, how many, and
+  which of them are faults: the healthy arm may have more than usual of what it has already.
+- Hypotheses that differ by effects too small to matter say the same; the likeliest statement is taken.
+- The class of a cause is what replaces it in other hypotheses with a tenth of its probability or more, and what
+  equals it by definition and explains about as much.
+
+Whether causes are named is decided in `agent.diagnosis.verdict`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from itertools import compress, product
+
+import numpy as np
+from scipy.stats import norm, t
+
+from agent.diagnosis.hypotheses.evidence import Evaluated, Evidence
+from agent.diagnosis.hypotheses.finding import Finding, Hypothesis, near
+from agent.diagnosis.hypotheses.law import LAW
+from agent.diagnosis.rows.candidate import Place
+from agent.diagnosis.rows.fit import Fit
+from agent.model import CATALOGUE
+
+_LISTED = 100  # hypotheses that a finding keeps
+_RIVALS = 2  # that a class lists next to its cause
+
+#: Log likelihood of something else that was observed, given a hypothesis.
+Observed = Callable[[Evidence, Evaluated], float]
+
+
+def compare(
+    fit: Fit,
+    evidence: Evidence,
+    found: Sequence[Evaluated],
+    observed: Observed | None = None,
+    ignored: Collection[str] = (),
+) -> Finding:
+    """Return the likeliest causes with their classes, largest first, and all hypotheses that were evaluated.
+
+    `fit` is the one without effects; `observed` counts with the evidence of the logs; effects that were `ignored` are
+    in no hypothesis.
+    """
+    hypotheses = posterior(evidence, found, observed)
+    statements = _statements(hypotheses)
+    faults, free = max(statements, key=lambda one: round(statements[one], 6))
+    leader = max(hypotheses, key=lambda h: _shares(h).get((faults, free), 0.0))
+    plain = next(h for h in hypotheses if not h.effects and not h.free)
+    size = dict(zip(leader.places, leader.torque, strict=True))
+    places = sorted(faults, key=lambda place: -size[place])
+    causes = tuple(next(c for c in leader.effects if c.place == place) for place in places)
+    equal = [_equal_by_definition(place, leader, hypotheses) for place in places]
+    classes = [_class_of(place, faults, statements, one) for place, one in zip(places, equal, strict=True)]
+    return Finding(
+        fit,
+        fit.with_chosen(causes) if causes else fit,
+        causes,
+        tuple(rivals for rivals, _ in classes),
+        tuple(probability for _, probability in classes),
+        leader.explained,
+        tuple({id(h): h for h in (*hypotheses[:_LISTED], plain)}.values()),
+        evidence,
+        statements.get((frozenset(), frozenset()), 0.0),
+        frozenset(ignored),
+    )
+
+
+def posterior(evidence: Evidence, found: Sequence[Evaluated], observed: Observed | None = None) -> list[Hypothesis]:
+    """Return hypotheses with their probabilities, likeliest first."""
+    nothing = evidence.nothing
+    log = np.array([e.log_evidence for e in found])
+    alone = nothing.log_evidence
+    if observed is not None:
+        log += [observed(evidence, e) for e in found]
+        alone += observed(evidence, nothing)
+    priors = [_priors(evidence, e) for e in found]
+    highest = max(one + max(prior.values()) for one, prior in zip(log, priors, strict=True))
+    weights = [
+        {faults: float(np.exp(one + prior - highest)) for faults, prior in each.items()}
+        for one, each in zip(log, priors, strict=True)
+    ]
+    total = sum(sum(each.values()) for each in weights)
+    before = max(float(nothing.left.sum()), 1e-12)
+    hypotheses = [
+        Hypothesis(
+            tuple(evidence.pool.candidate(k) for k in e.effects),
+            tuple(sorted(e.free)),
+            float(factor),
+            {faults: weight / total for faults, weight in each.items()},
+            e.largest,
+            1 - float(e.left.sum()) / before,
+            float(e.scales.max()),
+        )
+        for e, factor, each in zip(found, log - alone, weights, strict=True)
+    ]
+    # of equals the effect that has fewer forms to choose from
+    return sorted(hypotheses, key=lambda h: (-round(h.probability, 6), sum(map(evidence.pool.kinds, h.places))))
+
+
+def _priors(evidence: Evidence, hypothesis: Evaluated) -> dict[frozenset[Place], float]:
+    """Log prior over no fault's, as likely as some, by which effects are faults; others are more than usual."""
+    found = {}
+    places = [evidence.pool.candidate(k).place for k in hypothesis.effects]
+    sizes = zip(places, hypothesis.largest, strict=True)
+    healthy = [_log_healthy(size, evidence.usual.get(place)) for place, size in sizes]
+    each = float(np.log((1 - LAW.rare) / len(CATALOGUE)))
+    for faulty in product((True, False), repeat=len(places)):
+        faults = frozenset(compress(places, faulty))
+        log = sum(h for h, fault in zip(healthy, faulty, strict=True) if not fault)
+        log += sum(each - (np.log(evidence.joints) if joints else 0.0) for _, joints in faults)
+        log += len(hypothesis.free) * np.log(LAW.rare / evidence.joints)
+        log += max(len(faults) + len(hypothesis.free) - 1, 0) * np.log(LAW.rare)
+        if np.isfinite(log):
+            found[faults] = float(log)
+    return found
+
+
+def _log_healthy(size: float, usual: float | None) -> float:
+    """Log density of a torque of a healthy arm over that of a fault as large, which is normal with this size.
+
+    Few logs tell what is usual: Student's t, less the normal density that the noise model has.
+    """
+    if usual is None:
+        return -np.inf
+    scale = usual * np.sqrt((LAW.nu - 2) / LAW.nu)
+    density = t.pdf(size / scale, LAW.nu) / scale - norm.pdf(size / usual) / usual
+    return float(np.log(density * size / norm.pdf(1.0))) if density > 0 else -np.inf
+
+
+#: Effects that are faults and large enough to matter, and joints with something else.
+Statement = tuple[frozenset[Place], frozenset[int]]
+
+
+def _shares(hypothesis: Hypothesis) -> dict[Statement, float]:
+    """Probability of a hypothesis by statement."""
+    large = {p for p, torque in zip(hypothesis.places, hypothesis.torque, strict=True) if torque >= LAW.practical}
+    found: dict[Statement, float] = {}
+    for faults, share in hypothesis.shares.items():
+        statement = faults & large, frozenset(hypothesis.free)
+        found[statement] = found.get(statement, 0.0) + share
+    return found
+
+
+def _statements(hypotheses: Sequence[Hypothesis]) -> dict[Statement, float]:
+    """Probability of every statement."""
+    statements: dict[Statement, float] = {}
+    for hypothesis in hypotheses:
+        for statement, share in _shares(hypothesis).items():
+            statements[statement] = statements.get(statement, 0.0) + share
+    return statements
+
+
+def _equal_by_definition(place: Place, leader: Hypothesis, hypotheses: Sequence[Hypothesis]) -> tuple[Place, ...]:
+    """Hypotheses that equal a cause by definition unless the logs show otherwise, and explain about as much."""
+    known = CATALOGUE[place[0]].structurally_equivalent
+    found = {
+        other: None
+        for hypothesis in hypotheses
+        if hypothesis.log_bayes_factor >= (1 - LAW.form) * leader.log_bayes_factor and place not in hypothesis.places
+        for other in hypothesis.places
+        if other[0] in known and near(place, other)
+    }
+    return tuple(found)
+
+
+def _class_of(
+    place: Place, faults: frozenset[Place], statements: Mapping[Statement, float], equal: tuple[Place, ...]
+) -> tuple[tuple[Place, ...], float]:
+    """Hypotheses that these motions do not distinguish from a cause, and the probability of any of them."""
+    own = sum(share for (places, _), share in statements.items() if place in places)
+    instead: dict[Place, float] = {}
+    for (places, _), share in statements.items():
+        for other in sorted(places - faults) if place not in places else ():
+            instead[other] = instead.get(other, 0.0) + share
+    likely = [other for other, share in instead.items() if share >= LAW.rare * own and near(place, other)]
+    alike = list(dict.fromkeys([*sorted(likely, key=lambda other: -instead[other]), *equal]))[:_RIVALS]
+    return tuple(alike), LAW.certain * min(1.0, own + sum(instead.get(other, 0.0) for other in alike))
