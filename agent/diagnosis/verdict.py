@@ -92,7 +92,7 @@ def named(finding: Finding) -> Finding:
     None if the arm is likely healthy, if no class is sure enough, or if all causes leave too much to the noise model. A
     cause whose equal by definition was ignored is not named alone: the likeliest other one is its rival.
     """
-    exceeded = finding.scale >= LAW.healthy_scale(finding.evidence.joints)
+    exceeded = finding.scale >= LIMITS.usual_error**2
     if not exceeded and finding.healthy > 1 - LAW.certain:
         return finding.without_causes(leaves_gap=False)
     sure = [k for k, probability in enumerate(finding.probability) if probability >= LAW.sure]

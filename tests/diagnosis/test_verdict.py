@@ -147,7 +147,7 @@ def test_causes_without_held_out_gain_leave_a_gap_only_beyond_the_noise_model(sc
         return (cause,) * len(finding.causes)
 
     judged, decided = judged_by(finding, lambda *_: SimpleNamespace(closure=0.0), told)
-    assert decided.name == ("unknown" if scale >= LAW.healthy_scale(JOINTS) else "no_gap")
+    assert decided.name == ("unknown" if scale >= 4.0 else "no_gap")
     assert judged.causes == ()
 
 

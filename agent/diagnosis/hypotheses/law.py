@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from scipy.special import gammaincinv
-
 from agent.diagnosis.limits import known
 
 
@@ -42,14 +40,6 @@ class EvidenceLaw:
     certain: float = known(
         0.95, "probability", "of something, below which an arm is healthy, and the highest of any class", "derived: 5 %"
     )
-
-    def healthy_scale(self, joints: int) -> float:
-        """Squared error over the noise model's that all joints of a healthy arm stay below, with probability `certain`.
-
-        The scale of a joint is ν / χ² with ν degrees of freedom, so a joint exceeds s² with the probability that χ²
-        stays below ν / s²; by Bonferroni each of n joints may do so with (1 - certain) / n.
-        """
-        return float(self.nu / 2 / gammaincinv(self.nu / 2, (1 - self.certain) / joints))
 
 
 LAW = EvidenceLaw()
