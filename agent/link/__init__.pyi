@@ -9,7 +9,6 @@ from .payload import (
 )
 from .planning import (
     check_cell as check_cell,
-    check_load as check_load,
     plan_program as plan_program,
     torque_limits as torque_limits,
     trajectories as trajectories,

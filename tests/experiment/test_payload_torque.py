@@ -14,7 +14,8 @@ from hypothesis import given, settings, strategies as st
 from agent.core import Console, InputError
 from agent.excitation import LoopProblem
 from agent.experiment.pieces import Pieces
-from agent.link import check_load, record, record_program_file, torque_limits
+from agent.link import record, record_program_file, torque_limits
+from agent.link.planning import check_load
 from agent.model import payload_of
 from agent.motion import FlyInterpolator, FlyTrajectory, FlyType, JointTarget, Move, MoveType, ViaRegions, with_frames
 from agent.motion.pdl2 import write_program

@@ -130,7 +130,8 @@ class CartesianCorner(Corner):
         if self._ways is not None:
             sides = self.into * self._ways[1] - self.out * self._ways[0]
             return 2.0 * float(self.step.integral(np.array(0.5))) * rotation.length(sides)
-        points = self._position(tau := np.linspace(0.0, 1.0, 33), *self.sigma(tau))
+        some = np.linspace(0.0, 1.0, 33)
+        points = self._position(some, *self.sigma(some))
         if not self.through:
             return float(np.min(np.linalg.norm(points - before.position(np.ones(1)), axis=1)))
         fine = np.linspace(0.0, 1.0, 65)
@@ -143,9 +144,8 @@ class CartesianCorner(Corner):
         one, two = self.sigma(tau)
         orientation = self._turned(tau, one, two)
         if self.through:
-            at_corner = self.after.turn.orientation(np.zeros(1))
-            middle = self._turned(half := np.array([0.5]), *self.sigma(half))
-            missing = rotation.multiply(at_corner, rotation.conjugate(middle))[0]
+            at_corner, half = self.after.turn.orientation(np.zeros(1)), np.array([0.5])
+            missing = rotation.multiply(at_corner, rotation.conjugate(self._turned(half, *self.sigma(half))))[0]
             pull = rotation.from_rotation_vector(bump(tau)[:, None] * rotation.rotation_vector(missing))
             orientation = rotation.multiply(pull, orientation)
         leaving, arriving, near = self.before.near(one), self.after.near(two), None
