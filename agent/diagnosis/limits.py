@@ -62,7 +62,7 @@ class DecisionLimits:
     usual_error: float = known(
         2.0,
         "held-out error of the model",
-        "from where on a joint's error is more than the model's own; beyond the noise model, something is there",
+        "from where on a joint's error is more than the model's own",
         "tuned: of 62 healthy development runs one exceeds it",
     )
     held_gap: float = known(
