@@ -9,6 +9,7 @@ import itertools
 import json
 import os
 import random
+import re
 import shutil
 import signal
 import socket
@@ -58,8 +59,8 @@ SHARED = ROOT / "../shared/data"
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """The longest test comes first: it types all commands of the documentation. What comes last is short."""
-    items.sort(key=lambda item: "test_documentation" not in item.nodeid)
+    """The longest come first: all commands of the documentation, and whole blind checks. What comes last is short."""
+    items.sort(key=lambda item: not re.search("test_documentation|blind_check/test_process", item.nodeid))
 
 
 def loaded(path: Path) -> ModuleType:
