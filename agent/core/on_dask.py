@@ -80,7 +80,7 @@ class DaskEngine:
         try:
             # a client of a malformed address would keep a thread, and the process would not end
             self._dask.comm.get_address_host_port(self.scheduler)
-            self._client = self._connect()
+            self._client = self._dask.Client(self.scheduler, timeout=_CONNECT, set_as_default=False)
         except (OSError, ValueError) as error:
             raise InputError(f"{self.scheduler}: no Dask scheduler answers there: {error or 'no time'}") from None
         return self
@@ -131,9 +131,6 @@ class DaskEngine:
             raise error
         limit = f" (limit: {self.memory or 'its share of the memory'})" if self.scheduler is None else ""
         return TaskDone(number, None, f"every worker that tried it was killed; memory is the likely reason{limit}")
-
-    def _connect(self) -> Any:
-        return self._dask.Client(self.scheduler, timeout=_CONNECT, set_as_default=False)
 
     def _start_local(self) -> None:
         import dask
