@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from scipy.special import stdtrit
 
 from agent.core import plus_minus
 from agent.diagnosis.hypotheses.finding import Finding
@@ -86,9 +87,10 @@ def reported_parameters(cause: Mapping[str, Any]) -> list[str]:
 
 
 def leading_parameter(cause: Mapping[str, Any]) -> str | None:
-    """The parameter that says how large a cause is; None where none of it does."""
+    """The parameter that says how large a cause is: a usual one, or the first with a unit; None where none does."""
     names = {key.rstrip("0123456789") or key: key for key in cause["parameters"]} | {k: k for k in cause["parameters"]}
-    return next((names[name] for name in _LEADING if name in names), None)
+    with_unit = (name for name in cause["parameters"] if unit_of(cause["effect"], name))
+    return next((names[name] for name in _LEADING if name in names), None) or next(with_unit, None)
 
 
 def intervals(finding: Finding) -> list[dict[str, tuple[float, float]]]:
@@ -122,7 +124,5 @@ def intervals(finding: Finding) -> list[dict[str, tuple[float, float]]]:
 
 def _jackknife(values: Sequence[float]) -> float:
     """Half of the interval; Student's t is taken from three degrees of freedom on, fewer say too little for it."""
-    from scipy.special import stdtrit
-
     count = len(values)
     return float(stdtrit(max(count - 1, 3), 0.975) * np.sqrt((count - 1) * np.var(values))) if count > 1 else 0.0

@@ -74,6 +74,7 @@ def test_picks_the_leading_parameter_and_hides_minor_ones():
     warms_up = {"coulomb_change": 0.0, "coulomb_drift": 0.7, "viscous_drift": 0.3}
     assert leading_parameter({"effect": "thermal_friction", "parameters": warms_up}) == "coulomb_drift"
     assert leading_parameter({"effect": "other", "parameters": {"odd": 1.0}}) is None
+    assert leading_parameter({"effect": "other", "parameters": {"odd": 1.0, "travel": 0.02}}) == "travel"
     assert leading_parameter({"effect": "backlash", "parameters": {"stiffness": 2e5, "gap": 0.002}}) == "gap"
 
 
