@@ -25,6 +25,7 @@ PACKAGES = {
 #: The same for modules that no file of tests is called after, where those of the package say little of them.
 NARROW = {
     "agent/diagnosis/forward/interval.py": ["tests/diagnosis/test_forward.py"],
+    "agent/diagnosis/verdict.py": [f"tests/diagnosis/test_{name}.py" for name in ("verdict", "posterior", "result")],
     "agent/estimation/uncertainty.py": ["tests/estimation/test_uncertainty.py", "tests/estimation/test_paper.py"],
     "agent/pages/calibration/parameters.py": ["tests/validation/test_run_sections.py"],
     "agent/pages/calibration/paper_estimator.py": ["tests/validation/test_run_sections.py"],

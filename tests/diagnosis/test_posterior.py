@@ -42,9 +42,9 @@ def evaluated(*told, kinds=lambda place: 1, observed=lambda one: 0.0):
         SimpleNamespace(
             effects=tuple(places.index(place) for place in one.places),
             free=dict.fromkeys(one.free, 0.1),
-            log_evidence=100 + np.log(one.share) - log_prior(one.places, one.free) - observed(one),
+            log_evidence=1000 + np.log(one.share) - log_prior(one.places, one.free) - observed(one),
             largest=one.largest,
-            left=np.array([0.5, 1.5]) * one.left,
+            left=np.array([0.5e-3, 1.5e-3]) * one.left,
             scales=np.array([0.5, one.scale]),
             told=one,
         )
@@ -79,11 +79,37 @@ def test_probability_is_evidence_times_prior(observed):
 
 
 def test_of_equals_the_one_with_fewer_forms_leads():
-    told = hypothesis(0.04, left=1.0), hypothesis(0.48 - 1e-9, OFFSET), hypothesis(0.48 + 1e-9, RIPPLE)
+    told = hypothesis(0.04, left=1.0), hypothesis(0.48 - 1e-7, OFFSET), hypothesis(0.48 + 1e-7, RIPPLE)
     for order in (told, told[::-1]):
         for fewer in (OFFSET, RIPPLE):
             found = decided(*order, kinds=lambda place, fewer=fewer: 1 if place == fewer else 2)
             assert [cause.place for cause in found.causes] == [fewer]
+
+
+def test_the_likeliest_statement_leads_though_a_hypothesis_of_another_is_likelier():
+    """Hypotheses that differ by what is too small to matter say the same."""
+    fit = SimpleNamespace(with_chosen=lambda causes: ("with", *(cause.place for cause in causes)))
+    told = [
+        *(hypothesis(0.02, left=1.0, scale=9.0), hypothesis(0.4, OFFSET, ELSEWHERE), hypothesis(0.23, OFFSET)),
+        hypothesis(0.35, OFFSET, RIPPLE, torque=(0.1, 0.001), left=0.2),
+    ]
+
+    def observed(one) -> float:
+        return -3.0 * len(one.places) - 1
+
+    evidence, found = evaluated(*told, observed=observed)
+    given = {id(evidence): observed}
+    seen = compare(fit, evidence, found, lambda of, one: given[id(of)](one.told), {"dress_pack"})
+    assert [cause.place for cause in seen.causes] == [OFFSET]
+    assert (seen.plain, seen.fit, seen.evidence, seen.ignored) == (fit, ("with", OFFSET), evidence, {"dress_pack"})
+    assert seen.explained == pytest.approx(0.8)
+
+
+def test_what_the_healthy_arm_has_and_what_is_too_small_are_both_no_fault():
+    evidence, found = evaluated(hypothesis(0.5, left=1.0), hypothesis(0.5, OFFSET, torque=(0.0029,)))
+    evidence.usual = {OFFSET: 0.001}
+    seen = compare("fit", evidence, found)
+    assert (seen.fit, seen.causes, seen.healthy) == ("fit", (), pytest.approx(1.0))
 
 
 @pytest.mark.parametrize(

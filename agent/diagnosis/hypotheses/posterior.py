@@ -62,7 +62,7 @@ def compare(
         leader.explained,
         tuple({id(h): h for h in (*hypotheses[:_LISTED], plain)}.values()),
         evidence,
-        statements.get((frozenset(), frozenset()), 0.0),
+        statements[frozenset(), frozenset()],
         frozenset(ignored),
     )
 
