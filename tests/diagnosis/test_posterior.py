@@ -90,8 +90,8 @@ def test_the_likeliest_statement_leads_though_a_hypothesis_of_another_is_likelie
     """Hypotheses that differ by what is too small to matter say the same."""
     fit = SimpleNamespace(with_chosen=lambda causes: ("with", *(cause.place for cause in causes)))
     told = [
-        *(hypothesis(0.02, left=1.0, scale=9.0), hypothesis(0.4, OFFSET, ELSEWHERE), hypothesis(0.23, OFFSET)),
-        hypothesis(0.35, OFFSET, RIPPLE, torque=(0.1, 0.001), left=0.2),
+        *(hypothesis(0.22, left=1.0, scale=9.0), hypothesis(0.3, OFFSET, ELSEWHERE), hypothesis(0.2, OFFSET)),
+        hypothesis(0.28, OFFSET, RIPPLE, torque=(0.1, 0.001), left=0.2),
     ]
 
     def observed(one) -> float:
