@@ -19,7 +19,7 @@ MOST_LINES = {
     "agent/robot agent/compiled": 3_925,
     "agent/motion": 6_699,
     "agent/recording agent/data_quality": 4_944,
-    "agent/link agent/safety": 3_213,
+    "agent/link agent/safety": 3_222,
     "agent/model": 3_898,
     "agent/estimation agent/excitation agent/validation": 4_108,
     "agent/diagnosis agent/experiment": 6_863,

@@ -85,7 +85,8 @@ def slow_text(
 ) -> str:
     """Text of a program that makes every different stretch of a program, from stop to stop, slowly.
 
-    Stretches that come again are left out where they lead back to where they begin.
+    Stretches that come again are left out where they lead back to where they begin. The way from its end to its first
+    point is one: the program itself begins there next.
 
     Args:
         start: (n,) where the arm stands.
@@ -97,18 +98,24 @@ def slow_text(
     again: list[Move] = []  # stretches since the last of `statements` that are in there already
     ways: dict[tuple[bytes, tuple[object, ...]], tuple[list[Move], Trajectory]] = {}
     stand = start  # at the end of `statements`
-    for moves in stop_to_stop(program.statements):
+    stretches = list(stop_to_stop(program.statements))
+    back = [replace(move, fly=False) for move in stretches[0][:1]] if stretches else []
+    for moves in [*stretches, back]:
         key = _place(start), way_key(moves)
         new = key not in ways
         if new:
             ways[key] = _slowed(moves, interpolator, start, program.name)
         slow, trajectory = ways[key]
+        if moves is back and not np.ptp(trajectory.q, axis=0).any():
+            break
         if new:
             statements += slow if _place(start) == _place(stand) else [*again, *slow]
             again, stand = [], trajectory.q[-1]
         else:
             again += slow
         start = trajectory.q[-1]
+    if _place(stand) != _place(start) and (_place(stand), way_key(back)) not in ways:
+        statements += again
     return dialect.write(f"{program.name[:26]}_slow", statements, robot)
 
 

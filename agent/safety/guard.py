@@ -45,6 +45,8 @@ if TYPE_CHECKING:
     from agent.robot import Tool
     from agent.safety.authorisation import Authorisation
 
+_AFTER_MOTION = "make sure that the arm rests, put that right, then run the command again"
+
 
 class GuardedLink:
     """A controller link that nothing moves through unchecked.
@@ -231,7 +233,7 @@ class GuardedLink:
         with closing(given), stop_to_come():
             self._watch = watch
             try:
-                with self._advice("make sure that the arm rests, put that right, then run the command again"):
+                with self._advice(_AFTER_MOTION, _AFTER_MOTION):
                     try:
                         self._driver.start(program.name, program.checksum)
                     except RefusedError:
@@ -252,7 +254,7 @@ class GuardedLink:
                     self._settle(watch, given, keep)
             finally:
                 self._watch = None
-        if over and not self._emulator and not self._unseen:  # it was slow, or known before
+        if over and program.chains and not self._emulator and not self._unseen:  # it moved, slowly or known before
             self._checked.add(self.identity.serial, program.stands_for or program.checksum)
 
     @property
@@ -324,11 +326,11 @@ class GuardedLink:
             self._warn(f"{self.address}: the arm was stopped and stands; the log of this motion ends here")
 
     @contextmanager
-    def _advice(self, what: str) -> Iterator[None]:
+    def _advice(self, what: str, if_asked: str = "put that right, then run the command again") -> Iterator[None]:
         """Errors of the driver leave with what to do about them; some ask after it already."""
         try:
             yield
         except DriverError as error:
             asked = str(error).endswith("?")
-            advice = " Put that right, then run the command again" if asked else f"; {what}"
+            advice = f" {if_asked[0].upper()}{if_asked[1:]}" if asked else f"; {what}"
             raise type(error)(f"{error}{advice}") from None

@@ -125,17 +125,32 @@ def slow_ways(bench, moves: list[Move]) -> list[Trajectory]:
     [
         ([20.0, -20.0] * 5, [20.0, -20.0, 20.0]),  # one cycle: the fourth stretch would be the second again
         ([5.0, 0.0, -5.0, 0.0] * 2, [5.0, 0.0, -5.0, 0.0]),
-        ([5.0, 9.0], [5.0, 9.0]),  # too short to reach its speed
-        ([20.0, -20.0, 20.0, -20.0, 40.0], [20.0, -20.0, 20.0, -20.0, 40.0]),
+        ([5.0, 9.0], [5.0, 9.0, 5.0]),  # too short to reach its speed
+        ([20.0, -20.0, 20.0, -20.0, 40.0], [20.0, -20.0, 20.0, -20.0, 40.0, 20.0]),
         # cycles that end where they begin are left out, what is new after them is not
         ([20.0, -20.0, 20.0, -20.0, 20.0, -20.0, 20.0, 40.0, 20.0], [20.0, -20.0, 20.0, 40.0, 20.0]),
-        ([20.0, 40.0, 20.0, 40.0, 20.0, -20.0], [20.0, 40.0, 20.0, -20.0]),
+        ([20.0, 40.0, 20.0, 40.0, 20.0, -20.0], [20.0, 40.0, 20.0, -20.0, 20.0]),
+        # the way back to the first point begins at the end, which comes before
+        ([20.0, -20.0, 40.0, -20.0, 40.0], [20.0, -20.0, 40.0, -20.0, 40.0, 20.0]),
     ],
 )
 def test_the_slow_version_makes_every_way_once_below_the_first_run_speed(bench, angles, ends):
     slow = slow_ways(bench, turns(*angles))
     assert 0.5 * FIRST_SPEED < max(way.path_speed.max() for way in slow) <= FIRST_SPEED
     np.testing.assert_allclose([np.degrees(way.q[-1] - HOME)[0] for way in slow], ends, atol=1e-6)
+
+
+def test_a_way_that_begins_with_a_blend_leads_back_to_its_first_point(bench):
+    moves = [replace(move, fly=fly) for move, fly in zip(turns(20, 10, -20), (True, True, False), strict=True)]
+    ways = slow_ways(bench, moves)
+    np.testing.assert_allclose([np.degrees(way.q[-1] - HOME)[0] for way in ways], [-20.0, 20.0], atol=1e-6)
+
+
+def test_a_program_that_moves_nothing_from_where_the_arm_stands_was_not_seen(bench, program):
+    """From elsewhere it moves, and has to run slowly then."""
+    bench.controller.moves = lambda times: np.tile(HOME, (len(times), 1))
+    assert bench.run(replace(program(), chains=())) == 1000
+    assert not bench.checked.path.exists()
 
 
 def test_a_nan_speed_is_not_slow(bench, program):

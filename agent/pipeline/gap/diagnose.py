@@ -170,7 +170,7 @@ def _published(
     rounds: Rounds | None = None,
     page: Path | None = None,
 ) -> Iterator[dict[str, Any]]:
-    """The result each time it has grown, with its summary, once the pages that are asked for are written.
+    """The result each time it has grown, with its summary; then the pages that are asked for, which a disk may refuse.
 
     `source` names the robot, `page` is one in addition to that of the question.
     """
@@ -178,11 +178,11 @@ def _published(
     for result in _results(found, question, console, rounds):
         steps = after_diagnosis(result, source, logs, question, recipe)
         result = {**result, "summary": summary(result, steps)}
+        yield result
         if wanted := [one for one in (page, question.report) if one is not None]:
             html = diagnosis_report(found.diagnosis, found.simulated, steps, result)
             for one in wanted:
                 write_atomically(one, html)
-        yield result
 
 
 def _results(found: Found, question: GapQuestion, console: Console, rounds: Rounds | None) -> Iterator[dict[str, Any]]:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from agent.core import Console, InputError, sha256_text, write_atomically
+from agent.core import AgentError, Console, InputError, sha256_text, write_atomically
 from agent.diagnosis import Diagnosis
 from agent.estimation import known_positions
 from agent.excitation import Candidates, LoopProblem, LoopScore
@@ -462,13 +462,13 @@ def check_folder(folder: Path) -> None:
     """Refuse a folder that holds an experiment, or that cannot be made or written.
 
     Raises:
-        InputError: as said.
+        InputError: as said; AgentError where nothing can be written.
     """
     there = next(one for one in (folder, *folder.absolute().parents) if one.exists())
     if not there.is_dir():
         raise InputError(f"{there}: is a file; name a folder for the experiment with -o")
     if not os.access(there, os.W_OK | os.X_OK):
-        raise InputError(f"{there}: nothing can be written there; name another folder for the experiment with -o")
+        raise AgentError(f"{there}: nothing can be written there; name another folder for the experiment with -o")
     programs = {f"program{one.suffix}": "a program" for one in dialects()}
     for name, what in {"experiment.json": "an experiment", **programs}.items():
         if (folder / name).exists():
