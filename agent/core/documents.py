@@ -62,7 +62,7 @@ def read_yaml(path: Path) -> Any:
         line = error.problem_mark.line + 1 if error.problem_mark else 1
         raise InputError(f"{path}:{line}: not valid YAML: {error.problem}") from None
     except YAMLError as error:
-        raise InputError(f"{path}: not valid YAML: {error}") from None
+        raise InputError(f"{path}: not valid YAML: {str(error).partition(chr(10))[0]}") from None
     except Exception as error:  # ruamel raises plain Python errors for dates, tags and depths that it cannot build
         what = "a number of too many digits" if "integer string conversion" in str(error) else str(error)[:_SHOWN]
         raise InputError(f"{path}: not valid YAML: {type(error).__name__}: {what}") from None

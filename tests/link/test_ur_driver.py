@@ -336,9 +336,17 @@ def test_torque_without_gravity_is_refused():
         rtde.output_request(("timestamp", "actual_current_as_torque"), 500.0)
 
 
-@pytest.mark.parametrize("wrong", ["127.0.0.1,script=1", "127.0.0.1,rtde=x", ""])
-def test_an_invalid_address_is_refused(wrong):
-    with pytest.raises(ConfigurationError):
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ("127.0.0.1,script=1", "after the host, dashboard, primary, rtde may follow"),
+        ("127.0.0.1,rtde=x", ""),
+        ("", ""),
+        ("127.0.0.1:30004", "ports follow as host,rtde=30004"),
+    ],
+)
+def test_an_invalid_address_is_refused(wrong, said):
+    with pytest.raises(ConfigurationError, match=said):
         create("ur", wrong)
 
 

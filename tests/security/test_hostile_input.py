@@ -307,6 +307,7 @@ LAUGHS = "a: &a [x,x,x,x,x,x,x,x,x,x]\n" + "".join(
         ("{a: " * 200, "nested more than 50 deep"),
         ("- " * 200 + "1", "nested more than 50 deep"),
         ("a: [" + "9" * 5000 + "]", "too many digits"),
+        ("\0\1", "special characters are not allowed$"),
     ],
 )
 def test_yaml_aliases_cannot_expand_without_limit(tmp_path: Path, text: str, said: str):

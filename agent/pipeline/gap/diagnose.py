@@ -241,7 +241,7 @@ def _write_model(found: Diagnosis, out: Path, console: Console) -> None:
     for name in left_out:
         why = "it happened once" if CATALOGUE[name].once else "it is in the set-points only"
         console.warn(f"{out}: {name} is left out of the model: {why}")
-    if not found.finding.causes:
+    if not found.result["causes"]:
         console.warn(f"{out}: no effect was found, so the model is unchanged")
     if len(model.effects) == len(found.dataset.model.effects):
         model = found.dataset.model

@@ -323,6 +323,8 @@ def _checksum(text: str) -> str:
 def places(address: str) -> dict[str, str]:
     """host:port of each service."""
     host, *options = (part.strip() for part in str(address).split(","))
+    if ":" in host:
+        raise ConfigurationError(f"address {place_of(address)!r}: name the host alone; ports follow as host,rtde=30004")
     ports: dict[str, object] = dict(_PORTS)
     for option in options:
         service, equals, port = option.partition("=")
