@@ -340,8 +340,8 @@ def test_torque_without_gravity_is_refused():
     ("wrong", "said"),
     [
         ("127.0.0.1,script=1", "after the host, dashboard, primary, rtde may follow"),
-        ("127.0.0.1,rtde=x", ""),
-        ("", ""),
+        ("127.0.0.1,rtde=x", None),
+        ("", None),
         ("127.0.0.1:30004", "ports follow as host,rtde=30004"),
     ],
 )
