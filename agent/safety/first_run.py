@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 #: Highest speed of the tool centre point in a first run [m/s].
 FIRST_SPEED = 0.25
 _ATTEMPTS = 12
-_ROUNDING = 1e-6  # of speeds, by that of coordinates in a text
 _SLOWEST = 0.01  # PDL2 takes whole percents of speed
 #: Beside the runs.
 FILE = "checked_programs.json"
@@ -99,7 +98,7 @@ def slow_text(
     ways: dict[tuple[bytes, tuple[object, ...]], tuple[list[Move], Trajectory]] = {}
     stand = start  # at the end of `statements`
     stretches = list(stop_to_stop(program.statements))
-    back = [replace(move, fly=False) for move in stretches[0][:1]] if stretches else []
+    back = [replace(stretches[0][0], fly=False)]
     for moves in [*stretches, back]:
         key = _place(start), way_key(moves)
         new = key not in ways
@@ -128,12 +127,13 @@ def _slowed(
 ) -> tuple[list[Move], Trajectory]:
     for attempt in range(_ATTEMPTS):
         trajectory = interpolator.plan(tuple(moves), start)
-        peak = (1.0 + _ROUNDING) * float(np.max(trajectory.path_speed))
+        peak = float(np.max(trajectory.path_speed))
         if peak <= FIRST_SPEED:
             return moves, trajectory
         if not np.isfinite(peak):
             break
-        # A short move does not reach its programmed speed, and hardly gets slower at first.
+        # A short move does not reach its programmed speed, and hardly gets slower at first: of 150 random programs 20
+        # are refused without the power of 0.9, and none with that of 0.95 to 0.8.
         moves = [_with_speed(move, 0.98 * 0.9**attempt * FIRST_SPEED / peak) for move in moves]
     raise InputError(
         f"program {name}: its first run cannot be planned at {FIRST_SPEED:g} m/s (it still reaches {peak:.2f} m/s); "

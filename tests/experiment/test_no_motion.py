@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from agent.core import Console, InputError, RejectedError, write_atomically
+from agent.core import AgentError, Console, InputError, RejectedError, write_atomically
 from agent.experiment import KINDS, Experiment, as_drawn
 from agent.experiment.pieces import Pieces
 from agent.motion.pdl2.dialect import Pdl2
@@ -173,6 +173,11 @@ def test_keeps_the_verdict_if_the_forward_simulation_fails(arm, logs, tmp_path: 
     result = diagnose_files(arm, [tmp_path / log.name for log in logs], question, Console(-1))
     assert (result["verdict"], result["simulation"]) == ("no_gap", None)
     assert any("the forward simulation failed" in text and "finite torque" in text for text in result["warnings"])
+    shown: list[dict] = []
+    monkeypatch.setattr(diagnose, "write_atomically", fails(AgentError("the disk is full")))
+    with pytest.raises(AgentError, match="the disk is full"):
+        diagnose_files(arm, [tmp_path / log.name for log in logs], question, Console(-1), shown.append)
+    assert [one["verdict"] for one in shown] == ["no_gap"], "a page that the disk refuses comes after the verdict"
     assert "the forward simulation failed" in question.report.read_text(encoding="utf-8")
 
 

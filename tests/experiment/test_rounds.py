@@ -276,7 +276,7 @@ def to_sections(found) -> dict:
 
 
 @pytest.mark.parametrize("kept", ["experiment.json", "program.pdl"])
-def test_refuses_an_unusable_experiment_folder_before_diagnosing(tmp_path: Path, kept):
+def test_refuses_an_unusable_experiment_folder_before_diagnosing(tmp_path: Path, kept, monkeypatch):
     """Somebody's program is not written over, and a file that is in the way is found whatever lies below it."""
     (tmp_path / kept).write_text("mine", encoding="utf-8")
     with pytest.raises(InputError, match="already; name another folder"):
@@ -285,6 +285,10 @@ def test_refuses_an_unusable_experiment_folder_before_diagnosing(tmp_path: Path,
         with pytest.raises(InputError, match=f"{kept}: is a file"):
             check_next(tmp_path / "job.yaml", folder)
     assert (tmp_path / kept).read_text(encoding="utf-8") == "mine"
+    monkeypatch.setattr("os.access", lambda *_: False)
+    with pytest.raises(AgentError, match="nothing can be written there") as refused:
+        check_next(tmp_path / "job.yaml", tmp_path / "new")
+    assert refused.value.exit_code == 1
 
 
 def test_a_run_with_a_failing_disk_still_reports_what_ended_it(tmp_path: Path, monkeypatch):

@@ -153,7 +153,7 @@ def test_a_wrong_state_is_refused_before_motion(fake, program, monkeypatch, prep
         (lambda fake, patch: told(patch, fake, "target_q", np.full(6, np.nan)), "set-points that are no numbers", 5),
         (lambda fake, patch: told(patch, fake, "target_speed_fraction", np.nan), "override was changed to nan", 5),
         (lambda fake, patch: told(patch, fake, "timestamp", np.nan), "clock .* jumped", 4),
-        (lambda fake, _: lose(fake, ScriptConnection), "closed the primary interface", 4),
+        (lambda fake, _: lose(fake, ScriptConnection), "closed the primary interface.*sure that the arm rests", 4),
         (lambda fake, _: lose(fake, DashboardConnection), "dashboard at .* closed the connection", 4),
         (lambda fake, _: skip(fake), "of the last .* samples", 4),
         (lambda fake, _: fake.cell.take_script(OTHER), "not what was planned", 5),
