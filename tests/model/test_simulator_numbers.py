@@ -105,7 +105,7 @@ def test_a_spring_is_compared_with_a_link_mass_error(tmp_path):
     data = sprung(tmp_path)
     spring = CATALOGUE["gravity_spring"]
     causes = tuple(data.fit.candidates([(spring, (joint,), {"harmonics": 1.0}) for joint in (0, 1)]))
-    found = release(data, True, causes)
+    found = release(data, causes)
     fit = found.moved.fit
     fit = fit.with_chosen(fit.candidates([(spring, cause.joints, cause.settings) for cause in causes]))
     unit = fit.reference.scale

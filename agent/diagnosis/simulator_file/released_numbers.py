@@ -71,11 +71,6 @@ class ReleasedSimulator:
         """Kind and joint of each group."""
         return frozenset((group.kind, group.joint) for group in self.groups)
 
-    @property
-    def with_links(self) -> bool:
-        """Whether links are among them."""
-        return any(group.kind == "link inertia" for group in self.groups)
-
     def released_in(self, dataset: Dataset) -> Fit:
         """The same numbers released in other data of the same simulator."""
         return _released(dataset, self.groups) if self.groups else dataset.fit
@@ -87,12 +82,12 @@ class ReleasedSimulator:
         return replace(given, values=given.values + self.moved.fit.change)
 
 
-def release(dataset: Dataset, links: bool = True, beside: Sequence[Candidate] = ()) -> ReleasedSimulator:
-    """Release group after group while that gains; without `links`, friction and rotors only.
+def release(dataset: Dataset, beside: Sequence[Candidate] = ()) -> ReleasedSimulator:
+    """Release group after group while that gains.
 
     The choice of numbers includes the effects `beside`. The numbers are then moved without them, as the search's start.
     """
-    pool = [group for group in _groups(dataset) if links or group.kind != "link inertia"]
+    pool = _groups(dataset)
     chosen: list[Group] = []
     fit = dataset.fit.with_chosen(beside)
     least = LIMITS.least_gain * float(fit.count.sum())
@@ -104,11 +99,20 @@ def release(dataset: Dataset, links: bool = True, beside: Sequence[Candidate] = 
         best = next(k for k, gain in enumerate(gains) if gain >= _EQUAL * max(gains))
         chosen.append(pool.pop(best))
         fit = tried[best]
-    fit = fit.with_chosen(())
+    return _moved(dataset, chosen)
+
+
+def release_all(dataset: Dataset) -> ReleasedSimulator:
+    """Release every group, so that no choice among them stands between a search and its effects."""
+    return _moved(dataset, _groups(dataset))
+
+
+def _moved(dataset: Dataset, groups: Sequence[Group]) -> ReleasedSimulator:
+    fit = _released(dataset, groups) if groups else dataset.fit
     left = fit.out_of_fold()
     residual = np.where(np.isnan(left), dataset.residual, left)
-    found = ReleasedSimulator(dataset, replace(dataset, fit=fit, residual=residual), tuple(chosen))
-    if not chosen:
+    found = ReleasedSimulator(dataset, replace(dataset, fit=fit, residual=residual), tuple(groups))
+    if not groups:
         return found
     return replace(found, moved=replace(found.moved, fit=fit.seen_from(NominalModel(found.model))))
 

@@ -4,18 +4,17 @@ The file stores no held-out error. The error that a model usually leaves on such
 torque as without a model (`LIMITS.unknown_error`). The error is smaller if the moved numbers leave less on most
 joints; a joint that then stands out has a gap that numbers do not close.
 
-Three explanations are compared, the simplest first. The numbers are right and one effect explains the gap; or friction
-and rotors are moved, with effects; or links are moved too. A later one is taken only if it closes clearly more of the
-gap. One whose effects may replace link changes is taken only if moving the links closes no more. The moved
-numbers are then chosen again together with the effects found, and the effects are searched again with these numbers,
-until neither changes.
+Two explanations are compared. The numbers are right and one effect explains the gap; or numbers are moved, with effects
+or without. The second is taken only if it closes clearly more of the gap, or if the effect may replace a change of
+links and it closes more at all. Its effects are searched with all numbers free, as numbers chosen without an effect
+move in its stead; then numbers are chosen with these effects, and effects searched again with these numbers.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -29,7 +28,7 @@ from agent.diagnosis.rows.candidate import Candidate
 from agent.diagnosis.rows.dataset import Dataset, assemble
 from agent.diagnosis.rows.fit import Fit
 from agent.diagnosis.rows.rounding import quiet_cutoff
-from agent.diagnosis.simulator_file.released_numbers import ReleasedSimulator, release, waterfall
+from agent.diagnosis.simulator_file.released_numbers import ReleasedSimulator, release, release_all, waterfall
 from agent.diagnosis.verdict import named, supported
 from agent.estimation import FilterSettings, resolve_cutoff
 from agent.model import CATALOGUE, IdentifiedModel, NominalModel
@@ -41,8 +40,6 @@ _OF_THE_MIDDLE = 1.5  # times the relative error of the joint in the middle is e
 _BELOW_ZERO = 0.1  # of a friction level without an effect: by chance, an added effect takes it this far below zero
 #: Effects that are the file's numbers under another name.
 _NUMBERS = tuple(name for name, effect in CATALOGUE.items() if effect.numbers in ("friction", "links"))
-
-
 #: The effect that is links which weigh otherwise.
 _LINKS = next(name for name, effect in CATALOGUE.items() if effect.numbers == "links")
 _AS_GOOD = 1.1  # times the squared error left, to where another choice of numbers is as good
@@ -145,7 +142,7 @@ def search_simulator(
     without: Sequence[str],
     progress: Callable[[str], None],
 ) -> Explanation:
-    """Return the simplest of the three explanations that closes as much as any.
+    """Return the simpler of the two explanations that closes as much as the other.
 
     Raises:
         InputError: logs that cannot be used (see `assemble`).
@@ -158,14 +155,13 @@ def search_simulator(
         dataset = assemble(robot, expected, logs, cutoff, first.model)
     unit = dataset.fit.reference.scale
     enough = LIMITS.least_share * float(np.mean(held_out_gap(dataset, dataset.fit, unit).before ** 2))
-    moves = [ReleasedSimulator(dataset, dataset, ())]
-    drives, everything = release(dataset, links=False), release(dataset)
-    moves += [drives] if 0 < len(drives.groups) < len(everything.groups) else []
-    moves += [everything] if everything.groups else []
-    found = [_explanation(model, moved, without, progress, unit) for moved in moves]
-    best = min(entry.left for entry in found)
-    single = [k for k, entry in enumerate(found[:-1]) if entry.finding.causes and (k or len(entry.finding.causes) == 1)]
-    chosen = next((found[k] for k in single if found[k].stands(best, enough)), found[-1])
+    explained = partial(_explanation, model, without, progress, unit)
+    chosen = explained(ReleasedSimulator(dataset, dataset, ()))
+    if first.groups:
+        progress("choosing which numbers of the simulator move, with the effects found")
+        moved = explained(release(dataset, explained(release_all(dataset)).finding.causes))
+        stands = len(chosen.finding.causes) == 1 and chosen.stands(moved.left, enough)
+        chosen = chosen if stands else moved
     for number in range(len(chosen.finding.causes)):
         if numbers_instead(chosen, number, unit) is not None:
             chosen = replace(chosen, finding=chosen.finding.with_rival(number, (_LINKS, ())))
@@ -174,10 +170,10 @@ def search_simulator(
 
 def _explanation(
     model: IdentifiedModel,
-    released: ReleasedSimulator,
     without: Sequence[str],
     progress: Callable[[str], None],
     unit: np.ndarray,
+    released: ReleasedSimulator,
 ) -> Explanation:
     """Search with the moved numbers. If any moved, effects that equal numbers are left out: they would compete."""
     moved = released.moved
@@ -199,7 +195,7 @@ def numbers_instead(entry: Explanation, number: int, unit: np.ndarray) -> Releas
     if not (causes[number].effect.numbers == "load" or _like_links([causes[number]])):
         return None
     others = (*causes[:number], *causes[number + 1 :])
-    chosen = release(entry.released.given, True, others)
+    chosen = release(entry.released.given, others)
     return chosen if _beside(chosen, others, unit) <= _AS_GOOD * entry.left else None
 
 
