@@ -19,7 +19,6 @@ GROUP = "calibration_agent.drivers"
 _BUILT_IN = {
     "tcp": "drivers.transports.frames.driver:TcpDriver",
     "modbus": "drivers.transports.modbus.driver:ModbusDriver",
-    "serial": "drivers.transports.frames.serial:create",
     "cnr_comau": "drivers.transports.cnr.driver:create",
     "ur": "drivers.transports.ur.driver:UrDriver",
 }

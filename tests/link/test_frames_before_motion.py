@@ -77,7 +77,7 @@ def test_every_wire_reports_the_active_frames(wire):
     controller = build_controller("comau_ns16", seed=3, clock="fast")
     with (
         closing(open_server(wire, controller, watchdog=5.0, waits=True)) as server,
-        closing(create(WIRES[wire], server.address, watchdog=5.0)) as driver,
+        closing(create(wire, server.address, watchdog=5.0)) as driver,
     ):
         driver.connect()
         base, uframe, tool = controller.frames

@@ -33,9 +33,10 @@ def test_the_built_in_driver():
     assert driver.watchdog == 0.5
 
 
-def test_an_unknown_name_lists_what_there_is():
-    with pytest.raises(ConfigurationError, match=r"no driver 'telnet'; there are: .*tcp"):
-        registry.create("telnet", "127.0.0.1:9100")
+@pytest.mark.parametrize("name", ["telnet", "serial"])
+def test_an_unknown_name_lists_what_there_is(name):
+    with pytest.raises(ConfigurationError, match=f"no driver '{name}'; there are: cnr_comau, modbus, .*tcp, ur"):
+        registry.create(name, "127.0.0.1:9100")
 
 
 def test_drivers_are_loaded_on_demand():

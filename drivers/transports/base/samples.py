@@ -210,10 +210,6 @@ class SampleStream:
             return None
         return self._missing()
 
-    def next_wanted(self) -> tuple[int, int]:
-        """(first, count) of what should come next, whether it is known to be missing or only late."""
-        return self._missing() or (self.sequencer.expected, 1)
-
     def finish(self, error: DriverError | None) -> None:
         """No more samples; `error` is raised once those that came are read."""
         with self._changed:

@@ -28,7 +28,7 @@ class RingMotion(SampleStream):
     link, session : of the controller.
     joints, slots : n, and the samples that the ring holds.
     motion_id : of the start.
-    beat_if_due : is called between two reads: on a slow line a few of them last as long as a watchdog.
+    beat_if_due : is called between two reads: on a slow link a few of them last as long as a watchdog.
     """
 
     def __init__(
