@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from drivers.errors import ProtocolError
-from drivers.wire import frames as wire
+from drivers.wire import tcp as wire
 from drivers.wire.reasons import EndReason, Refusal
 from fake_controller.controller import CONTROLLER, PERIOD, VERSION, Controller
 from fake_controller.execution import Slice

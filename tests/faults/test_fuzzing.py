@@ -17,7 +17,7 @@ import pytest
 
 from drivers.errors import DriverError
 from drivers.registry import create
-from drivers.wire import frames as tcp, modbus
+from drivers.wire import modbus, tcp
 from fake_controller.build import build_controller
 from fake_controller.servers import open_server
 

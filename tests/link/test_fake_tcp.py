@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from drivers.errors import DriverError, RefusedError
-from drivers.transports.frames.driver import TcpDriver
 from drivers.transports.modbus.driver import ModbusDriver
-from drivers.wire import frames as tcp
+from drivers.transports.tcp.driver import TcpDriver
+from drivers.wire import tcp
 from drivers.wire.reasons import EndReason, Refusal
 from fake_controller.build import build_controller
 from fake_controller.servers.modbus.server import ModbusServer

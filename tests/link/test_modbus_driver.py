@@ -74,7 +74,7 @@ class LosesAnswer:
 
 def test_tcp_and_modbus_report_the_same(arm):
     """The same machine with the same seed on both wires, apart from single precision."""
-    from drivers.transports.frames.driver import TcpDriver
+    from drivers.transports.tcp.driver import TcpDriver
     from fake_controller.servers.tcp import TcpServer
 
     runs = []

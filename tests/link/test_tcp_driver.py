@@ -6,8 +6,8 @@ from contextlib import closing
 import pytest
 
 from drivers.errors import ConfigurationError, DriverError, ProtocolError, RefusedError
-from drivers.transports.frames.driver import TcpDriver
-from drivers.wire import frames as tcp
+from drivers.transports.tcp.driver import TcpDriver
+from drivers.wire import tcp
 from drivers.wire.reasons import Refusal
 from tests.conftest import free_port
 

@@ -28,9 +28,9 @@ from drivers.transports.base.samples import SampleStream, Sequencer
 from drivers.transports.cnr.address import parse_address
 from drivers.transports.cnr.files import ProgramFolder
 from drivers.transports.cnr.node import BrokerLink
-from drivers.transports.frames.driver import to_block
+from drivers.transports.tcp.driver import to_block
 from drivers.wire.cnr import decode_joints
-from drivers.wire.frames import Samples
+from drivers.wire.tcp import Samples
 
 MIB = 1 << 20
 #: Titles set, screens cleared, colours, answers asked for, bells, turned writing, halves of characters.

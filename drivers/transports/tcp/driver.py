@@ -25,7 +25,7 @@ from drivers.transports.base.link import LinkDriver, LinkThread
 from drivers.transports.base.ports import open_socket, parse_address
 from drivers.transports.base.poses import poses_of_frames
 from drivers.transports.base.samples import SampleStream
-from drivers.wire import frames as wire
+from drivers.wire import tcp as wire
 from drivers.wire.reasons import refusal_error
 
 Reply = TypeVar("Reply")
