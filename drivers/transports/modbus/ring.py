@@ -120,7 +120,7 @@ class RingMotion(SampleStream):
         taken = len(slots.sequence)
         if taken:
             times, (q, qd, torque, reference, reference_rate) = slots.time_ns * 1e-9, slots.values
-            self.take(SampleBlock(slots.sequence, times, q, qd, torque, reference, reference_rate, time.time()), 0)
+            self.take(SampleBlock(slots.sequence, times, q, qd, torque, reference, reference_rate, time.time()))
             self.expected += taken
             self._damaged = 0
         if taken < count:  # the one after is damaged: again, but not for ever

@@ -204,7 +204,32 @@ class TcpLink(LinkThread):
             self._driver._on_message(message, request)
 
 
-class TcpDriver(LinkDriver[TcpLink, SampleStream]):
+class TcpMotion(SampleStream):
+    """Samples of one motion; the controller is asked again for those that are missing, one request at a time.
+
+    `fetching` is the id of that request and the first sequence number that it asks for.
+    """
+
+    fetching: tuple[int, int] | None = None
+
+    def wanted(self) -> tuple[int, int] | None:
+        """(first, count) to fetch now."""
+        return None if self.fetching is not None or self.over else self.missing()
+
+    def answered(self, request: int, block: SampleBlock | None) -> None:
+        """An answer to `request`, 0 where nobody asked: samples, or None where the controller does not have them."""
+        asked = self.fetching if self.fetching is not None and request == self.fetching[0] else None
+        if asked is not None and block is not None:
+            self.lost(int(block.sequence[0]))  # the first that there is
+        if block is not None:
+            self.take(block)
+        if asked is not None:
+            self.fetching = None
+            if self.sequencer.expected == asked[1]:  # another request would not help
+                self.give_up()
+
+
+class TcpDriver(LinkDriver[TcpLink, TcpMotion]):
     """`drivers.protocol.Driver` over the binary TCP link; the address is `host:port`.
 
     Raises:
@@ -276,7 +301,7 @@ class TcpDriver(LinkDriver[TcpLink, SampleStream]):
         link = self._connected()
         self._check_over()
         motion_id = uuid.uuid4().bytes
-        with self._start_of(SampleStream(self._buffer_limit)) as motion:
+        with self._start_of(TcpMotion(self._buffer_limit)) as motion:
             link.guarded = True
             # Samples say as well that the arm moves: then it is time to watch it, whatever became of the answer.
             what, acts = f"start of {name}", motion.has_begun
@@ -297,7 +322,7 @@ class TcpDriver(LinkDriver[TcpLink, SampleStream]):
             raise ProtocolError(f"the controller at {self.address} wants a watchdog of {welcome.watchdog_ms} ms")
         link.watchdog = welcome.watchdog_ms / 1000
 
-    def _bring_to_rest(self, link: TcpLink, motion: SampleStream | None) -> None:
+    def _bring_to_rest(self, link: TcpLink, motion: TcpMotion | None) -> None:
         if motion is not None:
             motion.stopping = True
         link.command(wire.Stop(), wire.Done, self._timeout, "stop", lambda: motion is not None and motion.over)
@@ -314,11 +339,11 @@ class TcpDriver(LinkDriver[TcpLink, SampleStream]):
         if motion is None or link is None or motion.over:
             return
         if isinstance(message, wire.Samples):
-            motion.take(to_block(message), request)
+            motion.answered(request, to_block(message))
         elif isinstance(message, wire.End):
             motion.ended(message.reason, message.samples, message.message)
         elif isinstance(message, wire.Refused):
-            motion.refetch_refused(request)
+            motion.answered(request, None)
         if (full := motion.too_full()) is not None:
             link.post(wire.Stop())
             motion.finish(full)
