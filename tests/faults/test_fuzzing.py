@@ -10,7 +10,7 @@ import threading
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import closing
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import pytest
@@ -52,23 +52,15 @@ REPLIES = (
 )
 
 
-class Framing(Protocol):
-    """How a wire packs its messages, and what a test may change in them under a right checksum."""
+class Frames:
+    """How `tcp` packs its messages."""
 
     def requests(self) -> list[bytes]:
         """One sane frame of each kind that a client sends."""
-
-    def changed(self, rng: np.random.Generator, frame: bytes) -> bytes:
-        """The frame with one byte of its content changed, and its checksums right again."""
-
-
-class Frames:
-    """Of `tcp`."""
-
-    def requests(self) -> list[bytes]:
         return [tcp.encode(message, 1) for message in REQUESTS]
 
     def changed(self, rng: np.random.Generator, frame: bytes) -> bytes:
+        """The frame with one byte of its content changed, and its checksums right again."""
         body = bytearray(frame[:-4])
         if len(body) > tcp.HEADER.size:
             body[rng.integers(tcp.HEADER.size, len(body))] = int(rng.integers(256))
@@ -76,7 +68,7 @@ class Frames:
 
 
 class Registers:
-    """Of `modbus`; a message is unit, function, and what belongs to it, in the envelope of the wire."""
+    """How `modbus` does: a message is unit, function, and what belongs to it, in an envelope."""
 
     def envelope(self, message: bytes, transaction: int = 1) -> bytes:
         return struct.pack(">HHH", transaction, 0, len(message)) + message
@@ -127,7 +119,8 @@ class Registers:
         return head + struct.pack(f">{len(registers)}H", *registers)
 
 
-FRAMINGS: dict[str, Frames | Registers] = {"tcp": Frames(), "modbus": Registers()}
+Framing = Frames | Registers
+FRAMINGS: dict[str, Framing] = {"tcp": Frames(), "modbus": Registers()}
 
 
 def fuzzed(rng: np.random.Generator, framing: Framing, frame: bytes, wild: float) -> bytes:
@@ -147,30 +140,6 @@ def fuzzed(rng: np.random.Generator, framing: Framing, frame: bytes, wild: float
     return bytes(damaged)
 
 
-class Plug:
-    """Bytes to and from an address."""
-
-    def __init__(self, address: str) -> None:
-        host, _, port = address.rpartition(":")
-        self._socket = socket.create_connection((host, int(port)), 20)
-        self._socket.settimeout(0.002)
-
-    def __enter__(self) -> Plug:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._socket.close()
-
-    def send(self, data: bytes) -> None:
-        """All of it."""
-        self._socket.sendall(data)
-
-    def swallow(self) -> None:
-        """What has come, or comes in a moment."""
-        with contextlib.suppress(TimeoutError):
-            self._socket.recv(1 << 16)
-
-
 def memory() -> float:
     """Most that this process ever had [MiB]."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
@@ -184,13 +153,15 @@ def test_fuzzed_frames_at_the_server(arm, measured, wire, frames):
     with closing(open_server(wire, build_controller(arm, 3, "fast"))) as server:
         before = memory()
         while sent < frames:
-            with Plug(server.address) as client, contextlib.suppress(OSError):
-                client.send(sane[0])
+            with socket.create_connection(("127.0.0.1", server.port), 20) as client, contextlib.suppress(OSError):
+                client.settimeout(0.002)
+                client.sendall(sane[0])
                 for _ in range(50):
-                    client.send(fuzzed(rng, framing, sane[rng.integers(len(sane))], wild=0.05))
+                    client.sendall(fuzzed(rng, framing, sane[rng.integers(len(sane))], wild=0.05))
                     sent += 1
                     if sent % 5 == 0:
-                        client.swallow()
+                        with contextlib.suppress(TimeoutError):
+                            client.recv(1 << 16)
         growth = memory() - before
         with closing(create(wire, server.address)) as driver:
             _connect_when_free(driver)
@@ -227,8 +198,7 @@ class Foe:
         self.fuzzed = 0
         self.framing = FRAMINGS[wire]
         self._rng = np.random.default_rng(2)
-        self._undo = contextlib.ExitStack()
-        self._listener = self._undo.enter_context(socket.create_server(("127.0.0.1", 0)))
+        self._listener = socket.create_server(("127.0.0.1", 0))
         self.address = f"127.0.0.1:{self._listener.getsockname()[1]}"
         self._thread = threading.Thread(target=self._serve, daemon=True)
         self._thread.start()
@@ -239,7 +209,7 @@ class Foe:
         return self._thread.is_alive()
 
     def close(self) -> None:
-        self._undo.close()
+        self._listener.close()
 
     def answers(self) -> Callable[[bytes], Iterator[bytes]]:
         """A function from what came to what is sent, for a new client; no more to send ends the connection."""

@@ -126,6 +126,10 @@ def test_a_syntax_error_is_refused_with_its_line(either):
     assert driver.status().program == ""
 
 
+def test_measures_what_the_link_carries(either):
+    assert max(either[1].throughput() for _ in range(3)) > 500
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
