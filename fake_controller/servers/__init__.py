@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -59,7 +60,7 @@ def open_server(
         ValueError: a fault of the controller makes no sense on this wire.
     """
     check_wire(controller.faults.waiting, wire, IMPOSSIBLE[wire])
-    servers = {
+    servers: dict[str, Callable[..., Server]] = {
         "tcp": TcpServer,
         "modbus": partial(ModbusServer, waits=waits),
         "cnr_comau": partial(CnrServer, waits=waits, broker=broker, node_period=node_period),
