@@ -1,0 +1,1 @@
+"""Drivers: a folder a vendor or protocol. `base` has what they share."""

@@ -30,14 +30,14 @@ from drivers.wire.reasons import refusal_error
 
 Reply = TypeVar("Reply")
 #: A command whose effect is visible counts as answered after this further time [s].
-ACTING = 0.25
+_ACTING = 0.25
 #: Questions at once that measure the link: their answers take several times what it delays any.
 _BURST = 256
 _RECEIVE = 256 * 1024
 
 
 class _Stamped(queue.SimpleQueue[Any]):
-    """A queue of answers, each with the time at which the link's thread took it from the line."""
+    """A queue of answers, each with the time at which the link's thread took it from the socket."""
 
     def put(self, item: Any, block: bool = True, timeout: float | None = None) -> None:
         super().put((time.monotonic(), item), block, timeout)
@@ -65,7 +65,7 @@ class TcpLink(LinkThread):
         self._thread.start()
 
     def post(self, message: Any) -> int:
-        """Send a request without waiting; its answer goes to `on_message` with the id that is returned.
+        """Send a request without waiting; its answer goes to `_on_message` with the id that is returned.
 
         Raises:
             DriverError: the link is down.
@@ -115,7 +115,7 @@ class TcpLink(LinkThread):
                 except queue.Empty:
                     if number == 0:
                         raise self._silent(what, timeout) from None
-                    last = time.monotonic()  # the line has not carried more in all that time
+                    last = time.monotonic()  # the link has not carried more in all that time
                     break
                 reply = self._checked(answer, object, timeout, what)
                 first, size = (last, 0) if number == 0 else (first, size + len(wire.encode(reply)))
@@ -146,7 +146,7 @@ class TcpLink(LinkThread):
             while (left := until - time.monotonic()) > 0:
                 seen = acts()
                 with contextlib.suppress(queue.Empty):
-                    return answers.get(timeout=min(left, ACTING))
+                    return answers.get(timeout=min(left, _ACTING))
                 if seen:
                     break
             return None
