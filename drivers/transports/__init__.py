@@ -1,1 +1,1 @@
-"""Drivers: a folder a vendor or protocol. `base` has what they share."""
+"""Drivers, one folder per vendor or protocol. `base` has what they share."""
