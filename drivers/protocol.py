@@ -181,7 +181,7 @@ class NamesEndpoints(Protocol):
     """A driver whose address is more than `host:port`; two runs at one controller are kept apart by its endpoints."""
 
     def endpoints(self) -> tuple[str, ...]:
-        """Where the address leads, by `socket_endpoints` or `serial_endpoints` of `drivers.endpoints`."""
+        """Where the address leads, by `socket_endpoints`."""
 
 
 @runtime_checkable

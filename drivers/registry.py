@@ -17,9 +17,8 @@ from drivers.secrets import refuse_in_address
 GROUP = "calibration_agent.drivers"
 
 _BUILT_IN = {
-    "tcp": "drivers.transports.frames.driver:TcpDriver",
+    "tcp": "drivers.transports.tcp.driver:TcpDriver",
     "modbus": "drivers.transports.modbus.driver:ModbusDriver",
-    "serial": "drivers.transports.frames.serial:create",
     "cnr_comau": "drivers.transports.cnr.driver:create",
     "ur": "drivers.transports.ur.driver:UrDriver",
 }

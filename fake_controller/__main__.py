@@ -130,8 +130,6 @@ def _server(options: argparse.Namespace, controller: Controller | UrCell) -> Ser
             port=port,
             watchdog=options.watchdog,
             waits=options.clock == "fast",
-            baud=options.baud,
-            serial_port=options.serial_port,
             broker=options.broker,
             node_period=options.node_period and options.node_period * 1e-3,
         )
@@ -139,8 +137,7 @@ def _server(options: argparse.Namespace, controller: Controller | UrCell) -> Ser
         raise InputError(f"{error}; start one (apt-get install mosquitto), or name it by --broker") from None
     except OSError as error:
         ports = " (a published port of UR controllers)" if options.driver == UR else f":{port}"
-        where = options.serial_port or f"{options.address}{ports}"
-        raise InputError(f"cannot listen at {where}: {error.strerror}; is the port taken?") from None
+        raise InputError(f"cannot listen at {options.address}{ports}: {error.strerror}; is the port taken?") from None
     except ValueError as error:
         raise InputError(f"{options.scenario}: {error}; choose another --driver") from None
 
@@ -152,20 +149,13 @@ def _parser() -> argparse.ArgumentParser:
     )
     add = parser.add_argument
     add("--robot", help="built-in robot (default: comau_ns16), or path of a robot.yaml")
-    add(
-        "--driver",
-        choices=[*WIRES, UR],
-        help="which driver's wire to speak (default: ur for its robots, else tcp); rtu is serial's",
-    )
+    add("--driver", choices=[*WIRES, UR], help="which driver's wire to speak (default: ur for its robots, else tcp)")
     add(
         "--port",
         type=_port,
         help=f"TCP port (default: {DEFAULT_PORT}); 0 takes a free one and prints it; ur has its published ports",
     )
     add("--address", default="127.0.0.1", help="where to listen; others cannot connect by default")
-    baud = _between(int, 1200, 4_000_000, "baud rate")
-    add("--baud", type=baud, default=115_200, help="of a serial line, bits per second")
-    add("--serial-port", help="a port of this machine (default: a new pseudo-terminal)")
     add("--broker", type=_broker, default="127.0.0.1:1883", help="MQTT broker of cnr_comau's samples")
     add(
         "--node-period",

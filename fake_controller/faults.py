@@ -1,6 +1,6 @@
 """Faults of a shop floor on command: at the wire and at the machine.
 
-A fault waits for its phase and acts once. Those of the wire sit between a server and its line: servers send every
+A fault waits for its phase and acts once. Those of the wire sit between a server and its sockets: servers send every
 frame through `Faults.send` and take what came through `Faults.heard`. Those of the machine are applied by the
 controller. Neither knows which wire it is; each wire says what makes no sense on it.
 """
@@ -21,7 +21,7 @@ _EVERY = frozenset(PHASES)
 WIRE = {
     "refuse": frozenset({"connect"}),  # no server listens
     "silent": _EVERY,  # nothing is sent any more, heartbeats neither
-    "drop": _EVERY,  # the connection ends in mid-frame; of a line the plug comes out
+    "drop": _EVERY,  # the connection ends in mid-frame
     "delay": _EVERY,  # by `value` seconds
     "reorder": _EVERY,  # a frame comes after the one behind it
     "duplicate": _EVERY,
@@ -127,7 +127,7 @@ class Faults:
         self._armed: list[Fault] = []
         self._held: bytes | None = None
         self._lasting: set[str] = set()
-        self._silent = self._deaf = self.refusing  # nobody there: on a line that is all there is to notice
+        self._silent = self._deaf = False
 
     @property
     def waiting(self) -> tuple[Fault, ...]:
@@ -163,24 +163,20 @@ class Faults:
         """The part of a client's bytes that arrives."""
         return b"" if self._deaf else data
 
-    def unplug(self) -> None:
-        """Nothing passes any more, either way."""
-        self._silent = self._deaf = True
-
     def heal(self) -> None:
         """A new client finds the wire in order; faults that did not strike yet still wait."""
         with self._lock:
             self._armed.clear()
             self._held = None
             self._lasting.clear()
-            self._silent = self._deaf = self.refusing
+            self._silent = self._deaf = False
 
     def send(self, frame: bytes, transmit: Callable[[bytes], object], cut: Callable[[], None], spare: bool) -> None:
         """Send a frame as the wire lets it through.
 
         Args:
-            transmit: puts bytes on the line.
-            cut: ends the connection; where there is none, `unplug`.
+            transmit: puts bytes on the wire.
+            cut: ends the connection.
             spare: this frame is none that a single fault is spent on (a heartbeat).
 
         Raises:
@@ -199,7 +195,7 @@ class Faults:
             if fault.name == "drop":
                 transmit(frame[: len(frame) // 2])
                 cut()
-                raise ConnectionResetError("the fault 'drop' cut the line")
+                raise ConnectionResetError("the fault 'drop' cut the connection")
             if fault.name == "delay":
                 threading.Event().wait(min(fault.amount, _TOO_LONG))
             elif fault.name == "corrupt":

@@ -1,4 +1,4 @@
-"""The controller's program memory: translates and stores programs by name, up to its size."""
+"""The controller's program memory: takes programs in, translates and stores them by name, up to its size."""
 
 from __future__ import annotations
 
@@ -25,6 +25,38 @@ class RefusedRequest(Exception):
         self.reason = reason
         self.line = line
         self.column = column
+
+
+class Upload:
+    """A program on its way in; `checksum` is the SHA-256 (hex) that was announced."""
+
+    def __init__(self, name: str, size: int, checksum: str) -> None:
+        self.name, self._size, self._checksum = name, size, checksum.lower()
+        self._data = bytearray()
+
+    def add(self, offset: int, data: bytes) -> None:
+        """Take the next block.
+
+        Raises:
+            RefusedRequest: it is not the next, or too much.
+        """
+        if offset != len(self._data):
+            raise RefusedRequest(Refusal.BAD_REQUEST, f"a block for byte {offset}, where {len(self._data)} comes next")
+        if offset + len(data) > self._size:
+            raise RefusedRequest(Refusal.TOO_LARGE, f"more than the {self._size} bytes that were announced")
+        self._data += data
+
+    def complete(self) -> bytes:
+        """All of it.
+
+        Raises:
+            RefusedRequest: something is missing or damaged.
+        """
+        if len(self._data) != self._size:
+            raise RefusedRequest(Refusal.BAD_REQUEST, f"{len(self._data)} of {self._size} bytes came")
+        if hashlib.sha256(self._data).hexdigest() != self._checksum:
+            raise RefusedRequest(Refusal.CHECKSUM, "the bytes that came are not those of the checksum; send them again")
+        return bytes(self._data)
 
 
 @dataclass(frozen=True, eq=False)

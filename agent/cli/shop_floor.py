@@ -185,6 +185,6 @@ def apply(
 
 @app.command(rich_help_panel=opt.TOOLS, epilog="Example: agent doctor")
 def doctor(logs: opt.RunsFolder = Path("logs"), as_json: opt.AsJson = False) -> None:
-    """Check versions, extras, compiled functions, serial ports, clock, disk and limits. Says how to fix a fault."""
+    """Check versions, extras, compiled functions, drivers, clock, disk and limits. Says how to fix a fault."""
     opt.print_found(as_json, findings := pipeline.examine_installation(logs))
     raise typer.Exit(findings.exit_code)

@@ -69,7 +69,7 @@ def check_throughput(driver: Driver, identity: Identity, address: str) -> None:
             return
     raise ControllerError(
         f"{address}: this link carries {carried:.0f} samples/s now, the controller makes {made:.0f}: the arm would "
-        "move unwatched. Use a faster link (a higher baud rate, TCP, fewer hops), then run the command again"
+        "move unwatched. Use a faster link (TCP, fewer hops), then run the command again"
     )
 
 

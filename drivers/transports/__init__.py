@@ -1,0 +1,1 @@
+"""Drivers, one folder per vendor or protocol. `base` has what they share."""

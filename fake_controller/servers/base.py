@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 BROKER = ("127.0.0.1", 1883)
 #: Time [s] after which a client that takes nothing is dropped, and bytes taken at once.
 SEND_LIMIT, RECEIVE = 5.0, 64 * 1024
+#: Silence [s] after which nobody is taken to be at the other end.
+IDLE_LIMIT = 5.0
 
 
 class NoBrokerError(OSError):

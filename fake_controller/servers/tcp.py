@@ -13,13 +13,12 @@ from typing import Any
 import numpy as np
 
 from drivers.errors import ProtocolError
-from drivers.wire import frames as wire
+from drivers.wire import tcp as wire
 from drivers.wire.reasons import EndReason, Refusal
-from fake_controller.controller import Controller
+from fake_controller.controller import CONTROLLER, PERIOD, VERSION, Controller
 from fake_controller.execution import Slice
-from fake_controller.programs import RefusedRequest
-from fake_controller.servers.base import RECEIVE, accepted, listening_socket, name_of
-from fake_controller.servers.frame_client import IDLE_LIMIT, FrameClient
+from fake_controller.programs import RefusedRequest, Upload
+from fake_controller.servers.base import IDLE_LIMIT, RECEIVE, accepted, listening_socket, name_of, stop_unheard
 
 MAX_CONNECTIONS = 8
 WATCHDOG_RANGE = (0.05, 5.0)  # s
@@ -97,12 +96,14 @@ class TcpServer:
             session.start()
 
 
-class Session(FrameClient):
+class Session:
     """One client. Its reader thread carries out requests; another sends heartbeats; motion sends from its own."""
 
     def __init__(self, server: TcpServer, connection: socket.socket) -> None:
-        super().__init__(server.controller)
-        self._server, self._socket = server, connection
+        self.controller, self._server, self._socket = server.controller, server, connection
+        self._greeted = self._driving = False  # the second: this client's motion runs
+        self._upload: Upload | None = None
+        self._watchdog, self._silence = IDLE_LIMIT, 0.0  # s; the second since the last frame
         self._send_lock, self._closed = threading.Lock(), threading.Event()
         self._thread = threading.Thread(target=self._serve, name="session", daemon=True)
         self.start, self.join = self._thread.start, partial(self._thread.join, 2 * LINGER)
@@ -159,14 +160,72 @@ class Session(FrameClient):
                     data = self._socket.recv(RECEIVE)
                     if not data:
                         return
-                self._take(data, decoder, began)
+                # A stall of this process is not the client's silence: no turn counts for more than it should last.
+                self._silence += min(time.monotonic() - began, self._watchdog / 4)
+                for frame in decoder.feed(self.controller.faults.heard(data)):
+                    self._silence = 0.0
+                    self._answer(frame)
+                if self._driving and self._silence >= self._watchdog:
+                    stop_unheard(self.controller, self._watchdog)
                 if self._silence >= IDLE_LIMIT:
                     return
+
+    def _answer(self, frame: wire.Frame) -> None:
+        try:
+            message = wire.decode(frame)
+            if not isinstance(message, wire.Heartbeat):
+                self._carry_out(message, frame.request)
+        except ProtocolError as error:
+            self._reply(wire.Refused(Refusal.UNKNOWN_MESSAGE, 0, 0, str(error)), frame.request)
+        except RefusedRequest as refused:
+            self._reply(wire.Refused(refused.reason, refused.line, refused.column, str(refused)), frame.request)
+
+    def _carry_out(self, message: Any, request: int) -> None:  # noqa: C901
+        if isinstance(message, wire.Hello):
+            self._greet(message, request)
+            return
+        if not self._greeted:
+            raise RefusedRequest(Refusal.BAD_REQUEST, "the first message must be the greeting")
+        controller = self.controller
+        reply: Any = wire.Done()
+        match message:
+            case wire.Identify():
+                names = controller.robot.joint_names
+                reply = wire.IdentityReply(controller.name, controller.serial, CONTROLLER, VERSION, names, PERIOD)
+            case wire.AskStatus():
+                name, checksum = controller.stored
+                about: dict[str, Any] = {"program": name, "checksum": checksum, "position": tuple(controller.position)}
+                reply = wire.StatusReply(**vars(controller.state), moving=controller.moving, **about)
+            case wire.AskTemperatures():
+                reply = wire.TemperaturesReply(controller.temperatures)
+            case wire.AskFrames():
+                base, uframe, tool = controller.frames
+                reply = wire.FramesReply(base, tool, uframe)
+            case wire.UploadBegin(name, size, checksum):
+                controller.check_upload(name, size)
+                self._upload = Upload(name, size, checksum)
+            case wire.UploadBlock(offset, data):
+                self._current_upload().add(offset, data)
+            case wire.UploadEnd():
+                upload, self._upload = self._current_upload(), None
+                reply = wire.Stored(upload.name, controller.store(upload.name, upload.complete()))
+            case wire.Start(name, checksum, motion_id):
+                self._start(name, checksum, motion_id, request)
+                return
+            case wire.Stop():
+                controller.stop(EndReason.STOPPED, "stopped on command")
+            case wire.Fetch(first, count):
+                first, time_ns, samples = controller.fetch(first, min(count, wire.MAX_BATCH))
+                reply = wire.Samples(first, time_ns, *samples.columns)
+            case _:
+                raise RefusedRequest(Refusal.UNKNOWN_MESSAGE, f"{type(message).__name__} is not a request")
+        self._reply(reply, request)
 
     def _greet(self, hello: wire.Hello, request: int) -> None:
         if self._greeted:
             raise RefusedRequest(Refusal.BAD_REQUEST, "the greeting comes once")
-        self._check_version(hello)
+        if hello.version < wire.VERSION:
+            raise RefusedRequest(Refusal.UNSUPPORTED_VERSION, f"version {wire.VERSION} of the link is spoken here")
         if not self._server.hold(self):
             raise RefusedRequest(Refusal.BUSY, "another client holds the controller; close it first")
         self._watchdog = min(max(hello.watchdog_ms / 1000, self._server.watchdog), WATCHDOG_RANGE[1])
@@ -175,13 +234,22 @@ class Session(FrameClient):
         self._reply(wire.Welcome(wire.VERSION, round(self._watchdog * 1000)), request)
         threading.Thread(target=self._beat, name="heartbeat", daemon=True).start()
 
+    def _start(self, name: str, checksum: str, motion_id: bytes, request: int) -> None:
+        self.controller.start(name, checksum, motion_id, self)
+        self._driving = True
+        try:
+            self._reply(wire.Started(motion_id), request)
+        finally:
+            self.controller.go()
+
+    def _current_upload(self) -> Upload:
+        if self._upload is None:
+            raise RefusedRequest(Refusal.BAD_REQUEST, "no upload has begun")
+        return self._upload
+
     def _beat(self) -> None:
         while not self._closed.wait(self._watchdog / 4):
             self._send_or_close(wire.Heartbeat())
-
-    def _fetched(self, first: int, count: int) -> wire.Samples:
-        first, time_ns, samples = self.controller.fetch(first, min(count, wire.MAX_BATCH))
-        return wire.Samples(first, time_ns, *samples.columns)
 
     def _send_or_close(self, message: Any) -> None:
         try:

@@ -14,7 +14,7 @@ from agent.estimation import FilterSettings, motions
 from agent.model import IdentifiedModel
 from agent.recording import read_log
 from agent.robot import load_robot
-from drivers.transports.frames.driver import TcpDriver
+from drivers.transports.tcp.driver import TcpDriver
 from fake_controller.plant import Plant
 from tests.small_arms import true_torque
 

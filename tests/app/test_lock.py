@@ -206,36 +206,6 @@ def test_address_options_and_localhost_share_a_lock():
         assert _in_a_fork(lambda: _attempt(("cnr_comau", f"localhost,mode=points,trajectory={port}"))) == "busy"
 
 
-def test_a_network_serial_adapter_has_one_lock_in_every_folder(tmp_path, monkeypatch):
-    port = 40000 + os.getpid() % 20000
-    with robot_lock("serial", f"socket://127.0.0.1:{port}"):
-        monkeypatch.chdir(tmp_path)
-        for other in (f"socket://127.0.0.1:{port}", f"socket://LOCALHOST:0{port}/,9600", f"rfc2217://[::1]:{port}?x"):
-            assert _in_a_fork(lambda: _attempt(("serial", other))) == "busy"  # noqa: B023  called at once
-        assert _in_a_fork(lambda: _attempt(("serial", f"socket://127.0.0.1:{port + 1}"))) == "held"
-
-
-def test_aliases_of_a_serial_port_share_a_lock(tmp_path):
-    import pty
-
-    master, slave = pty.openpty()
-    name = os.ttyname(slave)
-    (tmp_path / "link").symlink_to(name)
-    try:
-        with robot_lock("serial", name):
-            for other in (
-                f"{tmp_path}/link",
-                f"{name},115200",
-                f"spy://{name}?file=wire.txt,115200",
-                f"//{name}",
-                f"{tmp_path}/../{tmp_path.name}/link,9600,rtu",
-            ):
-                assert _in_a_fork(lambda: _attempt(("serial", other))) == "busy"  # noqa: B023  called at once
-    finally:
-        os.close(master)
-        os.close(slave)
-
-
 def test_the_message_names_the_holder_of_the_lock(robot):
     with robot_lock(*robot):
         said = _in_a_fork(lambda: _said(robot))

@@ -24,7 +24,7 @@ from agent.runs import lock
 from fake_controller.build import build_controller
 from fake_controller.controller import PERIOD, Controller
 from fake_controller.faults import Fault, Faults
-from fake_controller.servers import BROKER, WIRES, Server, open_server
+from fake_controller.servers import BROKER, Server, open_server
 from fake_controller.state import State, home
 from tests.conftest import drawn, patience
 from tests.link.test_ur_driver import SIMULATED, FakeUr
@@ -114,7 +114,6 @@ class Bench:
         self._run = run
         self._broker = broker
         self._servers: list[Server] = []
-        self._confirmed: tuple[str, ...] = ()
         self._turns = 3
 
     def serve(
@@ -151,20 +150,18 @@ class Bench:
 
     def write_for(self, wire: str, address: str) -> None:
         """The recipe and the program for a controller that is there."""
-        # Nobody knows where a line leads: only on loopback an emulator needs no person's word.
-        self._confirmed = () if address.startswith("127.0.0.1") else ("--yes",)
         if wire == "ur":
             self.program = self.folder / "swing.script"
             self.recipe.write_text(UR_RECIPE.format(address=address), encoding="utf-8")
             self.program.write_text(ur_program(self._turns), encoding="utf-8")
             return
-        text = RECIPE.format(robot=self._arm, driver=WIRES[wire], address=address)
+        text = RECIPE.format(robot=self._arm, driver=wire, address=address)
         self.recipe.write_text(text, encoding="utf-8")
         self.program.write_text(PROGRAM.format(turns=self._turns, far=FAR), encoding="utf-8")
 
     def record(self, *options: str) -> Ended:
         """`agent record`."""
-        return self._run("record", self.recipe, "--program", self.program, "-o", self.log, *self._confirmed, *options)
+        return self._run("record", self.recipe, "--program", self.program, "-o", self.log, *options)
 
     def close(self) -> None:
         for server in self._servers:

@@ -10,24 +10,19 @@ import threading
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import closing
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import pytest
-import serial
-from pymodbus.framer.rtu import FramerRTU
 
 from drivers.errors import DriverError
 from drivers.registry import create
-from drivers.wire import frames as tcp, modbus
-from drivers.wire.serial import LeanSamples
+from drivers.wire import modbus, tcp
 from fake_controller.build import build_controller
-from fake_controller.servers import WIRES, open_server
-from fake_controller.servers.cable import Cable
+from fake_controller.servers import open_server
 
 FRAMES = [pytest.param(300, id="some"), pytest.param(100_000, id="all", marks=pytest.mark.verify)]
 GROWTH = 100  # MiB
-BAUD = 4_000_000
 PATIENCE = 0.005  # s for an answer: the far end is on this machine, and half of what it says is worth none
 CHECKSUM = "0" * 64
 SESSION = 5
@@ -49,7 +44,6 @@ IDENTITY = tcp.IdentityReply("small_arm", "1", "c", "1", ("a", "b"), 0.002)
 REPLIES = (
     tcp.Done(),
     tcp.Samples(0, np.arange(3) * 2_000_000, *(VALUES for _ in range(5))),
-    LeanSamples(0, np.arange(3) * 2_000_000, *(VALUES for _ in range(5))),
     tcp.End(0, 3, "done"),
     tcp.Refused(1, 0, 0, "no"),
     tcp.StatusReply(True, "auto", False, (), 1.0, True, False, "p", CHECKSUM, (0.0, 0.0), True),
@@ -58,23 +52,15 @@ REPLIES = (
 )
 
 
-class Framing(Protocol):
-    """How a wire packs its messages, and what a test may change in them under a right checksum."""
+class Frames:
+    """How `tcp` packs its messages."""
 
     def requests(self) -> list[bytes]:
         """One sane frame of each kind that a client sends."""
-
-    def changed(self, rng: np.random.Generator, frame: bytes) -> bytes:
-        """The frame with one byte of its content changed, and its checksums right again."""
-
-
-class Frames:
-    """Of `tcp` and `serial`."""
-
-    def requests(self) -> list[bytes]:
         return [tcp.encode(message, 1) for message in REQUESTS]
 
     def changed(self, rng: np.random.Generator, frame: bytes) -> bytes:
+        """The frame with one byte of its content changed, and its checksums right again."""
         body = bytearray(frame[:-4])
         if len(body) > tcp.HEADER.size:
             body[rng.integers(tcp.HEADER.size, len(body))] = int(rng.integers(256))
@@ -82,21 +68,16 @@ class Frames:
 
 
 class Registers:
-    """Of `modbus` and `rtu`; a frame is unit, function, and what belongs to it, in the envelope of the wire."""
-
-    def __init__(self, rtu: bool) -> None:
-        self._rtu = rtu
+    """How `modbus` does: a message is unit, function, and what belongs to it, in an envelope."""
 
     def envelope(self, message: bytes, transaction: int = 1) -> bytes:
-        if self._rtu:
-            return message + FramerRTU.compute_CRC(message).to_bytes(2, "big")
         return struct.pack(">HHH", transaction, 0, len(message)) + message
 
     def message(self, frame: bytes) -> bytes:
-        return frame[:-2] if self._rtu else frame[6:]
+        return frame[6:]
 
     def transaction(self, frame: bytes) -> int:
-        return 1 if self._rtu else struct.unpack_from(">H", frame)[0]
+        return struct.unpack_from(">H", frame)[0]
 
     def requests(self) -> list[bytes]:
         reads = [(block.address, block.registers) for block in modbus.BLOCKS] + [(modbus.RING, 100), (3000, 125)]
@@ -118,12 +99,12 @@ class Registers:
 
     def take(self, waiting: bytes) -> tuple[list[bytes], bytes]:
         """The whole requests in what came, and what is left of it; what is no request is passed over."""
-        taken, at, head = [], 0, 0 if self._rtu else 6
-        while len(waiting) - at >= head + 6:
-            function = waiting[at + head + 1]
-            if function == 16 and len(waiting) - at < head + 7:
+        taken, at = [], 0
+        while len(waiting) - at >= 12:
+            function = waiting[at + 7]
+            if function == 16 and len(waiting) - at < 13:
                 break
-            size = head + (7 + waiting[at + head + 6] if function == 16 else 6) + (2 if self._rtu else 0)
+            size = 13 + waiting[at + 12] if function == 16 else 12
             frame = waiting[at : at + size]
             if function in (3, 16) and len(frame) < size:
                 break
@@ -138,12 +119,8 @@ class Registers:
         return head + struct.pack(f">{len(registers)}H", *registers)
 
 
-FRAMINGS: dict[str, Frames | Registers] = {
-    "tcp": Frames(),
-    "serial": Frames(),
-    "modbus": Registers(rtu=False),
-    "rtu": Registers(rtu=True),
-}
+Framing = Frames | Registers
+FRAMINGS: dict[str, Framing] = {"tcp": Frames(), "modbus": Registers()}
 
 
 def fuzzed(rng: np.random.Generator, framing: Framing, frame: bytes, wild: float) -> bytes:
@@ -163,41 +140,6 @@ def fuzzed(rng: np.random.Generator, framing: Framing, frame: bytes, wild: float
     return bytes(damaged)
 
 
-class Plug:
-    """Bytes to and from an address, a socket's or a line's."""
-
-    def __init__(self, address: str) -> None:
-        self._line: serial.Serial | None = None
-        if address.startswith("/"):
-            self._line = serial.Serial(address.split(",")[0], BAUD, timeout=0.002, write_timeout=20)
-        else:
-            host, _, port = address.rpartition(":")
-            self._socket = socket.create_connection((host, int(port)), 20)
-            self._socket.settimeout(0.002)
-
-    def __enter__(self) -> Plug:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        (self._socket if self._line is None else self._line).close()
-
-    def send(self, data: bytes) -> None:
-        """All of it."""
-        if self._line is not None:
-            self._line.write(data)
-        else:
-            self._socket.sendall(data)
-
-    def swallow(self) -> None:
-        """What has come, or comes in a moment."""
-        if self._line is not None:
-            self._line.read(1)
-            self._line.read(self._line.in_waiting)
-        else:
-            with contextlib.suppress(TimeoutError):
-                self._socket.recv(1 << 16)
-
-
 def memory() -> float:
     """Most that this process ever had [MiB]."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
@@ -208,18 +150,20 @@ def memory() -> float:
 def test_fuzzed_frames_at_the_server(arm, measured, wire, frames):
     rng, framing = np.random.default_rng(1), FRAMINGS[wire]
     sane, sent = framing.requests(), 0
-    with closing(open_server(wire, build_controller(arm, 3, "fast"), baud=BAUD)) as server:
+    with closing(open_server(wire, build_controller(arm, 3, "fast"))) as server:
         before = memory()
         while sent < frames:
-            with Plug(server.address) as client, contextlib.suppress(OSError):
-                client.send(sane[0])
+            with socket.create_connection(("127.0.0.1", server.port), 20) as client, contextlib.suppress(OSError):
+                client.settimeout(0.002)
+                client.sendall(sane[0])
                 for _ in range(50):
-                    client.send(fuzzed(rng, framing, sane[rng.integers(len(sane))], wild=0.05))
+                    client.sendall(fuzzed(rng, framing, sane[rng.integers(len(sane))], wild=0.05))
                     sent += 1
                     if sent % 5 == 0:
-                        client.swallow()
+                        with contextlib.suppress(TimeoutError):
+                            client.recv(1 << 16)
         growth = memory() - before
-        with closing(create(WIRES[wire], server.address)) as driver:
+        with closing(create(wire, server.address)) as driver:
             _connect_when_free(driver)
             assert driver.identify().robot == "small_arm"
     measured(f"{wire}: fuzzed frames at the server, crashes", f"{sent}, 0", "", "none")
@@ -234,7 +178,7 @@ def test_fuzzed_frames_at_the_driver(measured, wire, frames):
     with closing(FOES[wire](wire)) as foe:
         while foe.fuzzed < frames:
             assert foe.lives
-            driver = create(WIRES[wire], foe.address, timeout=PATIENCE, start_timeout=4 * PATIENCE)
+            driver = create(wire, foe.address, timeout=PATIENCE, start_timeout=4 * PATIENCE)
             with closing(driver), contextlib.suppress(DriverError):
                 driver.connect()
                 driver.identify()
@@ -254,18 +198,9 @@ class Foe:
         self.fuzzed = 0
         self.framing = FRAMINGS[wire]
         self._rng = np.random.default_rng(2)
-        self._undo = contextlib.ExitStack()
-        if WIRES[wire] == "serial":
-            cable = self._undo.enter_context(closing(Cable(BAUD)))
-            self._line = serial.Serial(cable.near, BAUD, timeout=0.05, write_timeout=20)
-            self._undo.callback(self._line.close)
-            self.address = f"{cable.far},{BAUD}" + (",rtu" if wire == "rtu" else "")
-            work = self._serve_line
-        else:
-            self._listener = self._undo.enter_context(socket.create_server(("127.0.0.1", 0)))
-            self.address = f"127.0.0.1:{self._listener.getsockname()[1]}"
-            work = self._serve_sockets
-        self._thread = threading.Thread(target=work, daemon=True)
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.address = f"127.0.0.1:{self._listener.getsockname()[1]}"
+        self._thread = threading.Thread(target=self._serve, daemon=True)
         self._thread.start()
 
     @property
@@ -274,7 +209,7 @@ class Foe:
         return self._thread.is_alive()
 
     def close(self) -> None:
-        self._undo.close()
+        self._listener.close()
 
     def answers(self) -> Callable[[bytes], Iterator[bytes]]:
         """A function from what came to what is sent, for a new client; no more to send ends the connection."""
@@ -285,7 +220,7 @@ class Foe:
         self.fuzzed += 1
         return fuzzed(self._rng, self.framing, frame, wild=0.05)
 
-    def _serve_sockets(self) -> None:
+    def _serve(self) -> None:
         with contextlib.suppress(OSError):
             while True:
                 connection, _ = self._listener.accept()
@@ -295,15 +230,6 @@ class Foe:
                         for frame in answer(data):
                             connection.sendall(frame)
 
-    def _serve_line(self) -> None:
-        answer = self.answers()
-        with contextlib.suppress(OSError, TypeError):  # closed by the test
-            while True:
-                data = self._line.read(1)
-                data += self._line.read(self._line.in_waiting)
-                for frame in answer(data):
-                    self._line.write(frame)
-
 
 class FramesFoe(Foe):
     """Greets, says who it is, takes the start, and goes on with whatever; then it hangs up, or falls silent."""
@@ -311,9 +237,7 @@ class FramesFoe(Foe):
     BATCH = 100
 
     def answers(self) -> Callable[[bytes], Iterator[bytes]]:
-        from drivers.wire.serial import HuntingDecoder
-
-        decoder = HuntingDecoder()
+        decoder = tcp.FrameDecoder(tcp.MAX_REQUEST_PAYLOAD)
 
         def answer(data: bytes) -> Iterator[bytes]:
             for frame in decoder.feed(data):
@@ -397,7 +321,7 @@ class RegistersFoe(Foe):
         return {block.address + k: value for block, registers in pairs for k, value in enumerate(registers)}
 
 
-FOES: dict[str, type[Foe]] = {"tcp": FramesFoe, "serial": FramesFoe, "modbus": RegistersFoe, "rtu": RegistersFoe}
+FOES: dict[str, type[Foe]] = {"tcp": FramesFoe, "modbus": RegistersFoe}
 
 
 def _connect_when_free(driver: Any) -> None:

@@ -19,7 +19,6 @@ from agent.recording import read_log
 from drivers.errors import DriverError
 from drivers.registry import create
 from fake_controller.scenario import FOLDER
-from fake_controller.servers import WIRES
 from tests.conftest import end_with_tests, environment
 from tests.faults.conftest import LONG
 
@@ -52,7 +51,7 @@ def until_it_rests(wire: str, address: str) -> None:
     until = time.monotonic() + 60.0
     while True:
         try:
-            with closing(create(WIRES[wire], address)) as driver:
+            with closing(create(wire, address)) as driver:
                 driver.connect()
                 if not driver.status().moving:
                     return
@@ -71,7 +70,7 @@ def limit_files(size: int) -> Callable[[], None]:
     return limit
 
 
-BY_HAND = ["serial", *(pytest.param(wire, marks=pytest.mark.verify) for wire in ("tcp", "modbus", "rtu"))]
+BY_HAND = ["tcp", pytest.param("modbus", marks=pytest.mark.verify)]
 
 
 @pytest.mark.parametrize("wire", BY_HAND)
@@ -83,7 +82,7 @@ def test_the_emulator_runs_a_scenario(bench, start, tmp_path: Path, arm: str, wi
         "expect: {exit_code: 4}\n",
         encoding="utf-8",
     )
-    fake = start("agent", "emulator", "--scenario", scenario, "--driver", wire, "--port", "0", "--baud", "4000000")
+    fake = start("agent", "emulator", "--scenario", scenario, "--driver", wire, "--port", "0")
     greeting = fake.stdout.readline()
     assert greeting.startswith("fake controller: small_arm at ")
     address = greeting.split(" at ")[1].split(", clock")[0]

@@ -27,7 +27,7 @@ QUICK = {
     ("unruly_line", "tcp"),
     ("emergency_stop_before_start", "tcp"),
     ("override_not_full", "modbus"),
-    ("interrupted_and_cut", "serial"),
+    ("interrupted_and_cut", "modbus"),
 }
 
 

@@ -17,14 +17,12 @@ from drivers.wire.reasons import EndReason
 from fake_controller.controller import PERIOD, Controller
 from fake_controller.faults import Fault, Faults
 from fake_controller.servers import WIRES, open_server
-from fake_controller.servers.cable import Cable
 from fake_controller.ur.cell import UrCell
 from tests.conftest import patience
 from tests.faults.conftest import LONG, ur_program
 from tests.link.conftest import Relay
 from tests.link.test_ur_driver import FakeUr
 
-BAUD = 4_000_000
 STRIKES = 0.6  # s of motion before the fault
 ATTACKS = {
     "off the plan": (Fault("off_path", "streaming", STRIKES, 0.3),),
@@ -90,12 +88,6 @@ def relayed(wire: str, controller: Controller | FakeUr, delay: float, watchdog: 
             server = controller
             ports = zip(("dashboard", "primary", "rtde"), server.ports, strict=True)
             address = ",".join(["127.0.0.1", *(f"{name}={relay(port, server.host)}" for name, port in ports)])
-        elif wire in ("serial", "rtu"):
-            cable = Cable(BAUD)
-            undo.callback(cable.close)
-            cable.tamper = lambda end, data: late_answer(end != "near", data)
-            server = open_server(wire, controller, baud=BAUD, serial_port=cable.near, watchdog=watchdog)
-            address = f"{cable.far},{BAUD},{'rtu' if wire == 'rtu' else 'frames'}"
         elif wire == "cnr_comau":
             server = open_server(wire, controller, broker=broker().address, watchdog=watchdog)
             ports = dict(zip(("trajectory", "feedback", "status", "ftp"), server.ports, strict=True))
@@ -202,7 +194,7 @@ def test_every_attack_at_every_delay(attack, wire, measured):
             assert_stopped(one, name)
             refused += one.controller.motions_started == 0
             if one.controller.motions_started:
-                allowed = 1.5 if name == "disobedience" else 1.0  # a line is closed within one, then its watchdog acts
+                allowed = 1.5 if name == "disobedience" else 1.0  # a link is closed within one, then its watchdog acts
                 took.append(one.faults.stopped - max(0.0, one.faults.struck))
                 late += [f"{name} at {1000 * delay:.0f} ms: {took[-1]:.2f} s"] * (took[-1] > allowed)
     what = f"{wire}: attacks at 0 to 100 ms an answer: stopped, refused before motion, slowest"

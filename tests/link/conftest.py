@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from drivers.wire import frames as tcp
+from drivers.wire import tcp
 from tests.conftest import drawn
 from tests.link.cnr_peer import Bench, program
 

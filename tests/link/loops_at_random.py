@@ -25,7 +25,7 @@ from agent.robot import Box, Tool, torque_per_ampere
 from agent.safety.cell import TOOL_RADIUS, Cell
 from drivers.registry import create
 from fake_controller.build import build_controller
-from fake_controller.servers import WIRES, open_server
+from fake_controller.servers import open_server
 from tests.conftest import Broker
 from tests.link.by_pinocchio import DATA, MODEL, ROBOT, flange
 
@@ -93,7 +93,7 @@ def run(wire: str, seed: int, broker: Broker | None) -> dict[str, object]:
     ended = ""
     with (
         closing(open_server(wire, controller, watchdog=5.0, waits=True, **where)) as server,
-        closing(create(WIRES[wire], server.address, **patient)) as driver,
+        closing(create(wire, server.address, **patient)) as driver,
     ):
         driver.torque_per_ampere = torque_per_ampere(ROBOT)
         driver.connect()

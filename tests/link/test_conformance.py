@@ -1,4 +1,4 @@
-"""The suite that every driver has to pass, run on the drivers there are; over real sockets and pseudo-terminals."""
+"""The suite that every driver has to pass, run on the drivers there are; over real sockets."""
 
 import contextlib
 import socket
@@ -6,24 +6,47 @@ import threading
 
 import numpy as np
 import pytest
-import serial
 
 from drivers.conformance import DriverConformance
 from drivers.registry import create
 from drivers.transports.modbus import driver as modbus_driver
 from fake_controller.build import build_controller
-from fake_controller.servers.cable import Cable
 from fake_controller.servers.cnr.server import CnrServer
-from fake_controller.servers.modbus.server import ModbusRtuServer, ModbusServer
-from fake_controller.servers.serial import SerialServer
+from fake_controller.servers.modbus.server import ModbusServer
 from fake_controller.servers.tcp import TcpServer
 from tests.conftest import free_port, patience
 from tests.link.conftest import LONG, SHORT, Relay
 
-BAUD = 4_000_000
+
+class LinkRelay(Relay):
+    """Can be made silent, and say once more what the driver said since it opened the link."""
+
+    def __init__(self, target):
+        self.silent = self.swallowing = False
+        self._said = []
+        self._answered = threading.Event()
+        super().__init__(target, self._pass)
+
+    def opened(self):
+        self._said.clear()
+
+    def replay(self):
+        self.swallowing = True
+        for data in list(self._said):
+            self._answered.clear()
+            self.sockets[-1].sendall(data)
+            self._answered.wait(0.05)
+        self.swallowing = False
+
+    def _pass(self, outward, data):
+        if outward:
+            self._said.append(data)
+            return data
+        self._answered.set()
+        return b"" if self.silent or self.swallowing else data
 
 
-class FakeBench:
+class SocketBench:
     """What the benches of all wires share."""
 
     joint_names = ("shoulder", "elbow")
@@ -58,36 +81,6 @@ class FakeBench:
     def replay(self):
         self.wire.replay()
 
-
-class LinkRelay(Relay):
-    """Can be made silent, and say once more what the driver said since it opened the link."""
-
-    def __init__(self, target):
-        self.silent = self.swallowing = False
-        self._said = []
-        self._answered = threading.Event()
-        super().__init__(target, self._pass)
-
-    def opened(self):
-        self._said.clear()
-
-    def replay(self):
-        self.swallowing = True
-        for data in list(self._said):
-            self._answered.clear()
-            self.sockets[-1].sendall(data)
-            self._answered.wait(0.05)
-        self.swallowing = False
-
-    def _pass(self, outward, data):
-        if outward:
-            self._said.append(data)
-            return data
-        self._answered.set()
-        return b"" if self.silent or self.swallowing else data
-
-
-class SocketBench(FakeBench):
     def connect_wire(self):
         server = self.serve()
         self.undo.callback(server.close)
@@ -188,89 +181,6 @@ class CnrBench(SocketBench):
         return super().created(address if "," in address else self.at(*[port] * 5), **options)
 
 
-class TamperedCable(Cable):
-    """A cable that can be listened to, and made to lose what the controller says."""
-
-    def __init__(self):
-        super().__init__(BAUD)
-        self.silent = False
-        self._said = []  # what the driver said, from one answer to the next
-        self._answered = threading.Event()
-        self.tamper = self._pass
-
-    def replay(self):
-        said, self._said = self._said, []
-        with serial.Serial(self.far, BAUD) as port:
-            for data in said:
-                self._answered.clear()
-                port.write(data)
-                self._answered.wait(0.1)
-                port.reset_input_buffer()
-
-    def _pass(self, end, data):
-        if end == "near":
-            self._answered.set()
-            return b"" if self.silent else data
-        if self._answered.is_set() or not self._said:
-            self._said.append(b"")
-            self._answered.clear()
-        self._said[-1] += data
-        return data
-
-
-class LineBench(FakeBench):
-    name = "serial"
-
-    def connect_wire(self):
-        cable = TamperedCable()
-        self.undo.callback(cable.close)
-        server = self.serve(cable.near)
-        self.undo.callback(server.close)
-        self.address = self.at(cable)
-        return cable
-
-    def at(self, cable):
-        return f"{cable.far},{BAUD},{self.protocol}"
-
-    def nobody(self):
-        return self.created(f"/dev/there-is-no-such-port,{BAUD},{self.protocol}")
-
-    def mute(self):
-        return self._answering(b"")
-
-    def stranger(self):
-        return self._answering(b"+++ NO CARRIER\r\n")
-
-    def _answering(self, answer):
-        cable = Cable(BAUD)
-        self.undo.callback(cable.close)
-        port = serial.Serial(cable.near, BAUD, timeout=0.05)
-        self.undo.callback(port.close)
-
-        def serve():
-            with contextlib.suppress(serial.SerialException, OSError, TypeError):
-                while port.is_open:
-                    if port.read(64):
-                        port.write(answer)
-
-        threading.Thread(target=serve, daemon=True).start()
-        return self.created(self.at(cable), timeout=patience(0.5))
-
-
-class FramesBench(LineBench):
-    protocol = "frames"
-
-    def serve(self, port):
-        return SerialServer(self.controller, port, BAUD, memory=2000, waits=True)
-
-
-class RtuBench(LineBench):
-    protocol = "rtu"
-
-    def serve(self, port):
-        return ModbusRtuServer(self.controller, port, BAUD, memory=2000, waits=True)
-
-
 @pytest.fixture
 def bench(request, arm, monkeypatch):
     # as the benches' own watchdogs: a machine with other work answers a heartbeat later
@@ -286,14 +196,6 @@ class TestTcp(DriverConformance):
 
 class TestModbus(DriverConformance):
     bench = ModbusBench
-
-
-class TestSerial(DriverConformance):
-    bench = FramesBench
-
-
-class TestModbusRtu(DriverConformance):
-    bench = RtuBench
 
 
 class TestCnrComau(DriverConformance):

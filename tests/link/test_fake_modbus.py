@@ -16,6 +16,7 @@ from drivers.transports.modbus.driver import ModbusDriver
 from drivers.wire import modbus as wire
 from drivers.wire.reasons import EndReason, Refusal
 from fake_controller.build import build_controller
+from fake_controller.faults import Fault
 from fake_controller.servers.modbus import registers
 from fake_controller.servers.modbus.server import ModbusServer
 from tests.link.conftest import LONG, SHORT
@@ -101,23 +102,24 @@ def test_a_client_without_heartbeat_loses_control(server):
         assert driver.identify().robot == "small_arm"
 
 
-def test_a_disconnected_client_gets_no_old_session(server, monkeypatch):
-    """A line that comes back before the client gave up: its motion ran unwatched, so nothing goes on."""
+def test_a_disconnected_client_gets_no_old_session(arm, monkeypatch):
+    """A link that comes back before the client gave up: its motion ran unwatched, so nothing goes on."""
     monkeypatch.setattr(registers, "IDLE_LIMIT", 0.1)
-    with ByHand(server, 5) as hand:
+    controller = build_controller(arm, 3, "fast", faults=[Fault(name, "stop") for name in ("silent", "lost_client")])
+    with closing(ModbusServer(controller, waits=True)) as server, ByHand(server, 5) as hand:
         assert hand.give(1, wire.Command.OPEN) == 0
         checksum = hand.store(2, SHORT)
-        server.controller.faults.unplug()
+        controller.reach("stop")
         hand.client.comm_params.timeout_connect = 0.1
         with pytest.raises(ModbusException):
             hand.give(4, wire.Command.START, checksum=checksum, motion=b"m" * 16)
         session = 5
-        while session != 0:  # no answer comes until the line is in order again
+        while session != 0:  # no answer comes until the link is in order again
             with contextlib.suppress(ModbusException):
                 hand.client.connect()
                 session = hand.read(wire.PROGRESS)["session"]
         assert hand.write(wire.HEARTBEAT, session=5, count=1, taken=0) == 7
-    assert server.controller.motions_started == 0
+    assert controller.motions_started == 0
 
 
 @settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

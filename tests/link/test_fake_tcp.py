@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from drivers.errors import DriverError, RefusedError
-from drivers.transports.frames.driver import TcpDriver
 from drivers.transports.modbus.driver import ModbusDriver
-from drivers.wire import frames as tcp
+from drivers.transports.tcp.driver import TcpDriver
+from drivers.wire import tcp
 from drivers.wire.reasons import EndReason, Refusal
 from fake_controller.build import build_controller
 from fake_controller.servers.modbus.server import ModbusServer
@@ -124,6 +124,10 @@ def test_a_syntax_error_is_refused_with_its_line(either):
     with pytest.raises(RefusedError, match=r"syntax, line 5 column \d+.*FLIP"):
         driver.upload("p", program("  FLIP TO {20, -30}"))
     assert driver.status().program == ""
+
+
+def test_measures_what_the_link_carries(either):
+    assert max(either[1].throughput() for _ in range(3)) > 500
 
 
 @pytest.mark.parametrize(

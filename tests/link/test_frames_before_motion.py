@@ -14,7 +14,7 @@ from agent.motion.program import left_open
 from agent.robot import Tool, load_robot, torque_per_ampere
 from agent.safety.preconditions import check_frames
 from drivers.registry import create
-from drivers.transports.frames.driver import TcpDriver
+from drivers.transports.tcp.driver import TcpDriver
 from fake_controller.build import build_controller
 from fake_controller.servers import WIRES, open_server
 from fake_controller.servers.cnr.server import CnrServer
@@ -77,7 +77,7 @@ def test_every_wire_reports_the_active_frames(wire):
     controller = build_controller("comau_ns16", seed=3, clock="fast")
     with (
         closing(open_server(wire, controller, watchdog=5.0, waits=True)) as server,
-        closing(create(WIRES[wire], server.address, watchdog=5.0)) as driver,
+        closing(create(wire, server.address, watchdog=5.0)) as driver,
     ):
         driver.connect()
         base, uframe, tool = controller.frames
@@ -89,7 +89,7 @@ def test_every_wire_reports_the_active_frames(wire):
 
 def test_an_older_controller_reports_no_frames():
     """It refuses the question, or has no such registers; then it is as with a link that has no frames."""
-    from drivers.wire import frames as tcp, modbus
+    from drivers.wire import modbus, tcp
 
     known = {0x0C: tcp.MESSAGES.pop(0x0C)}
     try:

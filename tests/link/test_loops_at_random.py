@@ -16,7 +16,7 @@ from fake_controller.servers import WIRES
 from tests.conftest import ROOT, end_with_tests, environment
 
 SCRIPT = Path(__file__).with_name("loops_at_random.py")
-LOOPS, AT_A_TIME = 400, 40  # on each wire
+LOOPS, AT_A_TIME = 680, 40  # on each wire
 BEYOND = 0.01  # mm; a curve is judged by its samples
 #: What a result depends on: those of other versions of it are run again.
 SOURCES = ("agent/motion", "agent/robot", "agent/safety", "drivers", "fake_controller")

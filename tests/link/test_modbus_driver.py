@@ -11,7 +11,7 @@ import pytest
 
 from drivers.errors import ConfigurationError, DriverError, MotionStopped, ProtocolError, RefusedError
 from drivers.protocol import Gap
-from drivers.transports.modbus import link
+from drivers.transports.modbus import driver as modbus_driver, link
 from drivers.transports.modbus.driver import ModbusDriver
 from drivers.wire import modbus as wire
 from drivers.wire.reasons import EndReason
@@ -74,7 +74,7 @@ class LosesAnswer:
 
 def test_tcp_and_modbus_report_the_same(arm):
     """The same machine with the same seed on both wires, apart from single precision."""
-    from drivers.transports.frames.driver import TcpDriver
+    from drivers.transports.tcp.driver import TcpDriver
     from fake_controller.servers.tcp import TcpServer
 
     runs = []
@@ -186,6 +186,28 @@ def test_one_lost_answer_to_a_start_leaves_no_motion_unwatched(server, tampered)
     loses = LosesAnswer(starts)
     records_with_a_loss(server, tampered, loses)
     assert len(loses.asked) == 1
+
+
+@pytest.mark.parametrize("command_lost", [True, False])
+def test_resends_a_lost_stop(server, tampered, command_lost, monkeypatch):
+    """The command itself is lost, or all that is answered until it is sent again."""
+    monkeypatch.setattr(modbus_driver, "WATCHDOG", patience(2.0))  # a stall of this machine is no second lost answer
+    sent = []
+
+    def lose(outward, data):
+        if outward and writes(data, wire.COMMAND) and server.controller.motions_started:
+            sent.append(data)
+        return b"" if outward is command_lost and len(sent) == 1 else data
+
+    with closing(ModbusDriver(tampered(server.port, lose), watchdog=patience(2.0))) as driver:
+        driver.connect()
+        received = start(driver, LONG)
+        next(received)
+        sent.clear()
+        driver.stop()
+        assert len(sent) == 2
+        assert server.controller.wait(patience(10.0))
+        assert server.controller.motions_started == 1
 
 
 def test_one_lost_answer_to_a_read_is_made_good(server, tampered):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from drivers.errors import DriverError
-from drivers.transports.frames.driver import TcpDriver
+from drivers.transports.tcp.driver import TcpDriver
 from tests.warm import PipedProcess
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from drivers import registry
 from drivers.errors import ConfigurationError
-from drivers.transports.frames.driver import TcpDriver
+from drivers.transports.tcp.driver import TcpDriver
 from tests.conftest import ROOT
 
 
@@ -33,20 +33,21 @@ def test_the_built_in_driver():
     assert driver.watchdog == 0.5
 
 
-def test_an_unknown_name_lists_what_there_is():
-    with pytest.raises(ConfigurationError, match=r"no driver 'telnet'; there are: .*tcp"):
-        registry.create("telnet", "127.0.0.1:9100")
+@pytest.mark.parametrize("name", ["telnet", "serial"])
+def test_an_unknown_name_lists_what_there_is(name):
+    with pytest.raises(ConfigurationError, match=f"no driver '{name}'; there are: cnr_comau, modbus, .*tcp, ur"):
+        registry.create(name, "127.0.0.1:9100")
 
 
 def test_drivers_are_loaded_on_demand():
     script = (
-        "import sys, drivers.registry as r; r.available(); sys.exit('drivers.transports.frames.driver' in sys.modules)"
+        "import sys, drivers.registry as r; r.available(); sys.exit('drivers.transports.tcp.driver' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", script], cwd=ROOT, check=False).returncode == 0
 
 
 def test_a_third_party_driver(plug_in):
-    plug_in("mine", "from drivers.transports.frames.driver import TcpDriver\nclass Plugged(TcpDriver): pass\n")
+    plug_in("mine", "from drivers.transports.tcp.driver import TcpDriver\nclass Plugged(TcpDriver): pass\n")
     assert "mine" in registry.available()
     assert type(registry.create("mine", "127.0.0.1:9100")).__name__ == "Plugged"
 

@@ -6,8 +6,8 @@ from contextlib import closing
 import pytest
 
 from drivers.errors import ConfigurationError, DriverError, ProtocolError, RefusedError
-from drivers.transports.frames.driver import TcpDriver
-from drivers.wire import frames as tcp
+from drivers.transports.tcp.driver import TcpDriver
+from drivers.wire import tcp
 from drivers.wire.reasons import Refusal
 from tests.conftest import free_port
 
@@ -98,6 +98,24 @@ def test_heartbeats_continue_while_idle(peer):
     with closing(TcpDriver(peer(listen))) as driver:
         driver.connect()
         assert arrived.wait(20)
+
+
+def test_a_link_carries_no_more_than_it_answers_in_time(peer):
+    """Of the questions that measure it, ten are answered."""
+    identity = tcp.IdentityReply("r", "s", "c", "v", ("one", "two"), 0.002)
+
+    def answer_few(p):
+        p.welcome()
+        for number in range(257):
+            _, request = p.expect(tcp.Identify)
+            if number < 10 or number == 256:
+                p.send(identity, request)
+        p.until_left()
+
+    sample = tcp.Samples.size(1, 2) - tcp.Samples.size(0, 2)
+    with closing(TcpDriver(peer(answer_few), timeout=1.0)) as driver:
+        driver.connect()
+        assert 0 < driver.throughput() < 3 * 9 * len(tcp.encode(identity)) / sample
 
 
 def test_a_refusal_carries_reason_and_position(peer):

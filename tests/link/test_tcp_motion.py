@@ -10,8 +10,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 
 from drivers.errors import DriverError, MotionStopped, ProtocolError, RefusedError
-from drivers.transports.frames.driver import TcpDriver
-from drivers.wire import frames as tcp
+from drivers.transports.tcp.driver import TcpDriver
+from drivers.wire import tcp
 from drivers.wire.reasons import EndReason, Refusal
 from tests.conftest import patience
 

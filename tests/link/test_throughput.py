@@ -5,8 +5,8 @@ import time
 import numpy as np
 import pytest
 
-from drivers.transports.frames.driver import TcpDriver
-from drivers.wire import frames as tcp
+from drivers.transports.tcp.driver import TcpDriver
+from drivers.wire import tcp
 from drivers.wire.reasons import EndReason
 
 

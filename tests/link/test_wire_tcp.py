@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from drivers.errors import ProtocolError
-from drivers.wire import frames as tcp
+from drivers.wire import tcp
 from drivers.wire.fields import MAX_TEXT
 
 

@@ -19,8 +19,8 @@ from agent.motion.interpolator import Trajectory
 from agent.robot import load_robot
 from agent.safety import CheckedPrograms, GuardedLink, PlannedProgram
 from agent.safety.authorisation import Authorisation, AuthorisationDocument, Limits
-from drivers.transports.frames.driver import TcpDriver
-from drivers.wire import frames as tcp
+from drivers.transports.tcp.driver import TcpDriver
+from drivers.wire import tcp
 from drivers.wire.reasons import EndReason, Refusal
 from tests.conftest import drawn, patience
 from tests.safety.following import HOME, at

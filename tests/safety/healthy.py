@@ -23,12 +23,10 @@ from agent.motion import FlyTrajectory, FlyType, Pdl2Settings, ViaRegions
 from agent.motion.pdl2 import write_program
 from agent.motion.program import NO_FRAME, Delay, JointTarget, Move, MoveType, Statement
 from agent.robot import load_robot
-from fake_controller.servers import WIRES
 from tests.conftest import Broker, Emulator
 
 ROBOT = load_robot("comau_ns16")
 START = np.radians([0.0, 0.0, -90.0, 0.0, 60.0, 0.0])
-BAUD = "4000000"  # of serial lines: what carries 500 samples a second of six joints by Modbus
 RECIPE = """
 robot: comau_ns16
 controller: {{driver: {driver}, address: "{address}"}}
@@ -83,14 +81,14 @@ def run(wire: str, seed: int, folder: Path, broker: Broker | None) -> dict[str, 
     """One motion: how `agent record` ended, and what it said last."""
     kind, statements, settings = drawn(seed)
     interpolator = "second" if has_second_interpolator(seed) else "ours"
-    options = ["--clock", "real", "--watchdog", "0.05", "--seed", str(seed), "--driver", wire, "--baud", BAUD]
+    options = ["--clock", "real", "--watchdog", "0.05", "--seed", str(seed), "--driver", wire]
     if broker is not None:
         options += ["--broker", ":".join(map(str, broker.address))]
     emulator = Emulator(*options, "--interpolator", interpolator)
     try:
         recipe, program = folder / f"{seed}.yaml", folder / f"{seed}.pdl"
         speed, distance = settings.linear_speed, settings.fly_distance
-        text = RECIPE.format(driver=WIRES[wire], address=emulator.address, speed=speed, distance=distance)
+        text = RECIPE.format(driver=wire, address=emulator.address, speed=speed, distance=distance)
         recipe.write_text(text, encoding="utf-8")
         program.write_text(write_program("healthy", statements, ROBOT), encoding="utf-8")
         log = folder / f"{seed}.mcap"

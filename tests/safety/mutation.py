@@ -46,7 +46,7 @@ HEAVY = (
     "agent.recipe.schema",
     "agent.robot.dynamics",
     "agent.runs.folder",
-    "drivers.transports.frames.driver",
+    "drivers.transports.tcp.driver",
 )
 #: A change that hangs is noticed: after a time [s], and after a multiple of the duration of its tests.
 LIMIT, TIMES = 30.0, 5.0

@@ -16,7 +16,7 @@ import pytest
 from agent.core.errors import ControllerError, InputError, SafetyError
 from agent.safety.planned_program import PlannedProgram
 from drivers.errors import DriverError
-from drivers.transports.frames.driver import TcpDriver
+from drivers.transports.tcp.driver import TcpDriver
 from tests.safety.following import HOME
 
 

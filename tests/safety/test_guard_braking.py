@@ -16,7 +16,7 @@ from agent.safety.freshness import Freshness
 from agent.safety.stopping import AGAIN, LET_GO, NO_END, RECENT, SPAN, STANDS, STILL, Braking, Stopping
 from drivers.errors import DriverError
 from drivers.protocol import SampleBlock, Status
-from drivers.transports.frames.driver import TcpDriver
+from drivers.transports.tcp.driver import TcpDriver
 from tests.conftest import patience
 from tests.safety.following import HOME, Clock, at
 

@@ -10,7 +10,7 @@ import pytest
 
 from agent.core.errors import ControllerError, SafetyError
 from drivers.errors import DriverError, MotionStopped
-from drivers.transports.frames.driver import TcpDriver
+from drivers.transports.tcp.driver import TcpDriver
 from drivers.wire.reasons import EndReason
 from tests.conftest import patience
 from tests.safety.following import HOME

@@ -10,7 +10,7 @@ import pytest
 from agent.core.errors import ControllerError, InputError, SafetyError
 from agent.safety.preconditions import is_loopback
 from drivers.protocol import ViaPoint
-from drivers.transports.frames.driver import TcpDriver
+from drivers.transports.tcp.driver import TcpDriver
 from tests.safety.following import HOME, at
 
 

@@ -11,7 +11,7 @@ import pytest
 from agent.core.errors import AgentError, SafetyError
 from agent.safety import GuardedLink, PlannedProgram
 from drivers.errors import DriverError, RefusedError
-from drivers.transports.frames.driver import TcpDriver
+from drivers.transports.tcp.driver import TcpDriver
 from drivers.wire.reasons import Refusal
 from tests.safety.following import HOME
 

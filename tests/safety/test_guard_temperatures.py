@@ -8,7 +8,7 @@ import pytest
 from agent.core.errors import ControllerError
 from agent.safety.watch import TEMPERATURE_INTERVAL
 from drivers.errors import DriverError
-from drivers.transports.frames.driver import TcpDriver
+from drivers.transports.tcp.driver import TcpDriver
 
 CELSIUS = (31.0, 32.0, 33.0, 34.0, 35.0, 36.0)
 

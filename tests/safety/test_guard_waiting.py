@@ -18,7 +18,7 @@ from agent.safety.planned_program import SETTLING, pauses
 from agent.safety.preconditions import check_throughput
 from agent.safety.watch import TURN, MotionWatch
 from drivers.protocol import Identity
-from drivers.transports.frames.driver import TcpDriver
+from drivers.transports.tcp.driver import TcpDriver
 from tests.safety.following import PERIOD, Clock
 
 WATCHDOG = 0.5

@@ -24,13 +24,13 @@ from agent.recording import LogWriter, read_log
 from drivers.errors import DriverError, ProtocolError
 from drivers.protocol import Identity, SampleBlock, Status
 from drivers.texts import ALARM, MANY, NAME, printable
-from drivers.transports.base.samples import SampleStream, Sequencer
+from drivers.transports.base.samples import Sequencer
 from drivers.transports.cnr.address import parse_address
 from drivers.transports.cnr.files import ProgramFolder
 from drivers.transports.cnr.node import BrokerLink
-from drivers.transports.frames.driver import to_block
+from drivers.transports.tcp.driver import TcpMotion, to_block
 from drivers.wire.cnr import decode_joints
-from drivers.wire.frames import Samples
+from drivers.wire.tcp import Samples
 
 MIB = 1 << 20
 #: Titles set, screens cleared, colours, answers asked for, bells, turned writing, halves of characters.
@@ -227,14 +227,14 @@ def test_a_nan_time_ends_the_motion(time: float, before: int):
 )
 def test_sample_frames_of_any_content_are_samples_or_a_protocol_error(frames: list[tuple[Any, ...]]):
     """As they come off the wire: the head fits the payload, the content does what it likes."""
-    motion = SampleStream(1 << 20)
+    motion = TcpMotion(1 << 20)
     with contextlib.suppress(ProtocolError):
         for first, count, joints, time_ns, value, request in frames:
             head = Samples._HEAD.pack(first, count, joints)
             payload = (
                 head + struct.pack(f"<{count}q", *[time_ns] * count) + struct.pack("<d", value) * (5 * count * joints)
             )
-            motion.take(to_block(Samples.unpack(payload)), request)
+            motion.answered(request, to_block(Samples.unpack(payload)))
     motion.finish(None)
     for part in motion.blocks():
         assert np.isfinite(part.time).all()

@@ -15,7 +15,6 @@ from importlib.metadata import Distribution, PackageNotFoundError, distribution,
 from pathlib import Path
 
 from packaging.requirements import Requirement
-from serial.tools.list_ports import comports
 
 from agent.core import available_cores, counted
 from agent.pipeline.setup.findings import CheckedItem, Findings
@@ -30,13 +29,13 @@ _WRONG = 1
 
 
 def examine_installation(runs: Path) -> Findings:
-    """Versions, extras, compiled functions, serial ports, clock, disk and limits. Moves nothing and opens no port.
+    """Versions, extras, compiled functions, drivers, clock, disk and limits. Moves nothing and opens no link.
 
     Parameters
     ----------
     runs : folder of the runs, which need not exist yet.
     """
-    findings = [_python(), *_packages(), _compiled(), *_links(), _clock(), _disk(runs), _limits()]
+    findings = [_python(), *_packages(), _compiled(), _drivers(), _clock(), _disk(runs), _limits()]
     return Findings(tuple(findings), "doctor/1")
 
 
@@ -110,15 +109,8 @@ def _compiled() -> CheckedItem:
     return CheckedItem("compiled cache", f"{took}, {'compiled now and kept in' if fresh else 'read from'} {folder}")
 
 
-def _links() -> Iterator[CheckedItem]:
-    yield CheckedItem("drivers", ", ".join(available()))
-    ports = [port.device for port in sorted(comports())]
-    closed = [port for port in ports if not os.access(port, os.R_OK | os.W_OK)]
-    text = ", ".join(ports) or "none"
-    if closed:
-        todo = "to use it, join the group that owns it (often: sudo usermod -aG dialout $USER) and log in again"
-        text += f"; this user may not open {', '.join(closed)}; {todo}"
-    yield CheckedItem("serial ports", text)
+def _drivers() -> CheckedItem:
+    return CheckedItem("drivers", ", ".join(available()))
 
 
 def _clock() -> CheckedItem:

@@ -1,0 +1,1 @@
+"""Shared by drivers: the thread that reads a link, samples in order, network ports."""

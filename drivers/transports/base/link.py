@@ -7,7 +7,7 @@ import selectors
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from socket import SHUT_RDWR
+from socket import SHUT_RDWR, socket
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -31,15 +31,14 @@ def dropped(peer: str, error: OSError) -> DriverError:
 class LinkThread:
     """A thread that alone reads a link. It ends with an error, whatever the reason: `failure` from then on.
 
-    `on_failure(error)` is its last call. A subclass starts the thread, and keeps in `_handles` the sockets, or what is
-    like them, that end with the link. While `guarded`, a silence of `watchdog` [s] ends a link that is read with
-    `_each_turn`.
+    `on_failure(error)` is its last call. A subclass starts the thread, and keeps in `_handles` the sockets that end
+    with the link. While `guarded`, a silence of `watchdog` [s] ends a link that is read with `_each_turn`.
     """
 
     failure: DriverError | None = None
     guarded = False
     watchdog = WATCHDOG
-    _handles: Iterable[Any] = ()
+    _handles: Iterable[socket] = ()
     _heard = False  # something in this turn, that shows that the peer lives
 
     def __init__(self, peer: str, on_failure: Callable[[DriverError], None]) -> None:
@@ -61,7 +60,7 @@ class LinkThread:
         with self._changed:
             return self._changed.wait_for(lambda: reached() or self.failure is not None, timeout) and reached()
 
-    def transmit(self, handle: Any, data: bytes, peer: str) -> None:
+    def transmit(self, handle: socket, data: bytes, peer: str) -> None:
         """Send bytes, once.
 
         Raises:
@@ -106,7 +105,7 @@ class LinkThread:
         self._end(failure)
         self._on_failure(failure)
 
-    def _each_turn(self, handles: Sequence[Any], longest: float | None = None) -> Iterator[list[Any]]:
+    def _each_turn(self, handles: Sequence[socket], longest: float | None = None) -> Iterator[list[Any]]:
         """Wait for handles to become readable, turn by turn until the link is closed; yields those that are.
 
         Whoever handles them sets `_heard`. A turn waits `longest` [s], by default min(watchdog, WATCHDOG) / 4.

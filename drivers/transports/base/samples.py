@@ -135,7 +135,6 @@ class SampleStream:
     def __init__(self, limit: int) -> None:
         self.sequencer = Sequencer()
         self.stopping = False  # by our own command
-        self.fetching: tuple[int, int] | None = None  # request id, first sequence number
         self.size = 0
         self._limit = limit
         self._end: _End | None = None
@@ -177,42 +176,31 @@ class SampleStream:
         with self._changed:
             return self._changed.wait_for(lambda: self.over, timeout)
 
-    def take(self, block: SampleBlock, request: int) -> None:
-        """Samples, asked for again where `request` says so."""
-        if self.fetching is not None and request == self.fetching[0]:
-            self._append(self.sequencer.give_up(int(block.sequence[0])))
-            self._append(self.sequencer.accept(block))
-            self._fetched()
-        else:
-            self._append(self.sequencer.accept(block))
-            if self.sequencer.held > _MAX_HELD:
-                self._give_up()
+    def take(self, block: SampleBlock) -> None:
+        """Samples have come."""
+        self._append(self.sequencer.accept(block))
+        if self.sequencer.held > _MAX_HELD:
+            self.give_up()
         self._close_if_complete()
-
-    def refetch_refused(self, request: int) -> None:
-        """The controller does not have them any more."""
-        if self.fetching is not None and request == self.fetching[0]:
-            self._fetched()
-            self._close_if_complete()
 
     def lost(self, before: int) -> None:
         """Samples missing before sequence number `before` are lost."""
         self._append(self.sequencer.give_up(before))
 
+    def missing(self) -> tuple[int, int] | None:
+        """(first, count) of the samples in front of what has come, or before the end, if any are missing."""
+        return self.sequencer.missing(None if self._end is None else self._end.samples)
+
+    def give_up(self) -> None:
+        """What is missing is lost."""
+        if (missing := self.missing()) is not None:
+            self.lost(sum(missing))
+        self._close_if_complete()
+
     def ended(self, reason: int, samples: int, message: str) -> None:
         """The controller says that the motion is over, with the count of its samples; some may still be missing."""
         self._end = _End(reason, samples, message)
         self._close_if_complete()
-
-    def wanted(self) -> tuple[int, int] | None:
-        """(first, count) to fetch now."""
-        if self.fetching is not None or self.over:
-            return None
-        return self._missing()
-
-    def next_wanted(self) -> tuple[int, int]:
-        """(first, count) of what should come next, whether it is known to be missing or only late."""
-        return self._missing() or (self.sequencer.expected, 1)
 
     def finish(self, error: DriverError | None) -> None:
         """No more samples; `error` is raised once those that came are read."""
@@ -222,21 +210,6 @@ class SampleStream:
                 self._error = error
             self._changed.notify_all()
 
-    def _missing(self) -> tuple[int, int] | None:
-        return self.sequencer.missing(None if self._end is None else self._end.samples)
-
-    def _fetched(self) -> None:
-        assert self.fetching is not None
-        _, first = self.fetching
-        self.fetching = None
-        if self.sequencer.expected == first:  # another request would not help
-            self._give_up()
-
-    def _give_up(self) -> None:
-        missing = self._missing()
-        if missing is not None:
-            self._append(self.sequencer.give_up(sum(missing)))
-
     def _append(self, blocks: list[SampleBlock]) -> None:
         if blocks:
             with self._changed:
@@ -245,7 +218,7 @@ class SampleStream:
                 self._changed.notify_all()
 
     def _close_if_complete(self) -> None:
-        if self._end is not None and self._missing() is None:
+        if self._end is not None and self.missing() is None:
             self.finish(_end_error(self._end, self.stopping))
 
 

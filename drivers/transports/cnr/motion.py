@@ -445,7 +445,7 @@ class CnrMotion(SampleStream):
         )
         if int(sequence[0]) > self.sequencer.expected:
             self.lost(int(sequence[0]))
-        self.take(block, 0)
+        self.take(block)
 
 
 def stop_reason(status: StatusMessage) -> tuple[EndReason, str] | None:

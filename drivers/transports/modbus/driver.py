@@ -1,4 +1,4 @@
-"""The Modbus driver, over TCP and (by `serial`) over a serial line; the registers are in docs/wire-modbus.md."""
+"""The Modbus/TCP driver; the registers are in docs/wire-modbus.md."""
 
 from __future__ import annotations
 
@@ -13,14 +13,13 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from pymodbus.client import ModbusTcpClient
 
 from drivers.errors import DriverError, ProtocolError, RefusedError
 from drivers.protocol import Identity, Status
 from drivers.transports.base.link import WATCHDOG, LinkDriver
-from drivers.transports.base.ports import open_socket, parse_address
+from drivers.transports.base.ports import parse_address
 from drivers.transports.base.poses import poses_of_frames
-from drivers.transports.modbus.link import Client, ModbusLink, SilentError
+from drivers.transports.modbus.link import ModbusLink, SilentError
 from drivers.transports.modbus.ring import RingMotion
 from drivers.wire import modbus as wire
 from drivers.wire.reasons import refusal_error
@@ -31,8 +30,6 @@ _MEASURED = 9  # reads that measure the link; the quickest counts, as the others
 _OTHERS = 20  # exchanges a second for the state and the progress of a motion
 _STOPS = 3  # at most, where nothing answers: a second one does no harm
 _GOODBYE = 1.0  # s for the answer to the last message
-
-MakeClient = Callable[[Callable[[bool, bytes], bytes]], Client]
 
 
 class ModbusDriver(LinkDriver[ModbusLink, RingMotion]):
@@ -49,7 +46,7 @@ class ModbusDriver(LinkDriver[ModbusLink, RingMotion]):
     """
 
     def __init__(self, address: str, *, unit: int = wire.UNIT, **options: Any) -> None:
-        self._check_address(address)
+        parse_address(address)
         super().__init__(address, **options)
         self._unit = unit
         self._closed = threading.Event()
@@ -160,13 +157,7 @@ class ModbusDriver(LinkDriver[ModbusLink, RingMotion]):
         self._beaten = 0.0
         self._closed.clear()
         self._link = link = ModbusLink(
-            self._make_client(),
-            self.address,
-            self._unit,
-            self._turn,
-            self._beat_meanwhile,
-            self._on_failure,
-            self._timeout,
+            self.address, self._unit, self._turn, self._beat_meanwhile, self._on_failure, self._timeout
         )
         link.watchdog = self._watchdog
         identity = link.read(wire.IDENTITY)
@@ -198,20 +189,6 @@ class ModbusDriver(LinkDriver[ModbusLink, RingMotion]):
             if time.monotonic() > until:
                 raise self._still_moves()
             self._closed.wait(_ANSWER_POLL)
-
-    def _check_address(self, address: str) -> None:
-        parse_address(address)
-
-    def _make_client(self) -> MakeClient:
-        connection = open_socket(self.address, self._timeout)
-        host, port = parse_address(self.address)
-
-        def make(trace: Callable[[bool, bytes], bytes]) -> Client:
-            client = ModbusTcpClient(host, port=port, timeout=self._timeout, retries=0, trace_packet=trace)
-            client.socket = connection
-            return client
-
-        return make
 
     def _command_stop(self) -> None:
         for _ in range(_STOPS - 1):

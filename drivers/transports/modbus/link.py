@@ -13,15 +13,14 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from typing import Any, TypeVar
 
-from pymodbus.client import ModbusSerialClient, ModbusTcpClient
+from pymodbus.client import ModbusTcpClient
 from pymodbus.exceptions import ConnectionException, ModbusException
 from pymodbus.pdu import ModbusPDU
 
 from drivers.errors import DriverError, ProtocolError, RefusedError
 from drivers.transports.base.link import LinkThread, dropped
+from drivers.transports.base.ports import open_socket, parse_address
 from drivers.wire.modbus import Block
-
-Client = ModbusTcpClient | ModbusSerialClient
 
 # Errors are raised as exceptions; the library would print it as well.
 logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
@@ -45,30 +44,35 @@ class SilentError(DriverError):
 
 
 class ModbusLink(LinkThread):
-    """A pymodbus client, opened already, and the thread that owns it.
+    """A pymodbus client, connected to an address, and the thread that owns it.
 
     `on_turn()` is called in that thread between two requests; it may use `read`, `read_registers` and `write`, and
     returns how long [s] to wait for the next turn. `on_repeat()` is called before a read is asked for again.
     `on_failure(error)` comes once, as the last call. `timeout` [s] is how long an answer may take.
+
+    Raises:
+        DriverError: nobody there.
     """
 
     def __init__(
         self,
-        make_client: Callable[[Callable[[bool, bytes], bytes]], Client],
-        peer: str,
+        address: str,
         unit: int,
         on_turn: Callable[[], float],
         on_repeat: Callable[[], None],
         on_failure: Callable[[DriverError], None],
         timeout: float,
     ) -> None:
-        super().__init__(peer, on_failure)
+        super().__init__(address, on_failure)
         self.timeout = timeout
         self._unit = unit
         self._received = 0
         self._turns = 0  # of the thread, and its exchanges
         self._understood = False  # an answer of this peer, once
-        self._client = make_client(self._trace)
+        host, port = parse_address(address)
+        connection = open_socket(address, timeout)
+        self._client = ModbusTcpClient(host, port=port, timeout=timeout, retries=0, trace_packet=self._trace)
+        self._client.socket = connection
         self._on_turn = on_turn
         self._on_repeat = on_repeat
         self._jobs: queue.SimpleQueue[tuple[Callable[[], Any], Future[Any]] | None] = queue.SimpleQueue()

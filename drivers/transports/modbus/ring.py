@@ -28,7 +28,7 @@ class RingMotion(SampleStream):
     link, session : of the controller.
     joints, slots : n, and the samples that the ring holds.
     motion_id : of the start.
-    beat_if_due : is called between two reads: on a slow line a few of them last as long as a watchdog.
+    beat_if_due : is called between two reads: on a slow link a few of them last as long as a watchdog.
     """
 
     def __init__(
@@ -120,7 +120,7 @@ class RingMotion(SampleStream):
         taken = len(slots.sequence)
         if taken:
             times, (q, qd, torque, reference, reference_rate) = slots.time_ns * 1e-9, slots.values
-            self.take(SampleBlock(slots.sequence, times, q, qd, torque, reference, reference_rate, time.time()), 0)
+            self.take(SampleBlock(slots.sequence, times, q, qd, torque, reference, reference_rate, time.time()))
             self.expected += taken
             self._damaged = 0
         if taken < count:  # the one after is damaged: again, but not for ever

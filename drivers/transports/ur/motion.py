@@ -131,8 +131,7 @@ class UrMotion(SampleStream):
                     chosen["target_qd"].astype(float),
                     received,
                     current,
-                ),
-                0,
+                )
             )
         self._number, self._count = int(numbers[-1]), self._count + len(numbers)
         passed, came = self._number - self._second[0], self._count - self._second[1]

@@ -13,9 +13,9 @@ from drivers.wire.cnr import AXES, Feedback, Mode, StatusMessage
 from drivers.wire.reasons import EndReason
 from fake_controller.controller import PERIOD, Controller
 from fake_controller.execution import Slice
+from fake_controller.servers.base import IDLE_LIMIT
 from fake_controller.servers.cnr.node import JointPublisher
 from fake_controller.servers.cnr.sockets import LockStep
-from fake_controller.servers.frame_client import IDLE_LIMIT
 
 TICK = 0.02  # s between two records of a stationary arm
 PROGRAM_ERROR = 2  # error code of a program that could not be run, or not to its end

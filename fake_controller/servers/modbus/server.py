@@ -1,4 +1,4 @@
-"""The Modbus servers, over TCP and over a serial line (RTU); the map is in docs/wire-modbus.md."""
+"""The Modbus/TCP server; the map is in docs/wire-modbus.md."""
 
 from __future__ import annotations
 
@@ -7,13 +7,10 @@ import contextlib
 import errno
 import logging
 import threading
-from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 from pymodbus.framer import FramerType
-from pymodbus.server import ModbusSerialServer, ModbusTcpServer
-from pymodbus.server.base import ModbusBaseServer
+from pymodbus.server import ModbusTcpServer
 from pymodbus.server.requesthandler import ServerRequestHandler
 from pymodbus.simulator import SimDevice
 
@@ -45,9 +42,17 @@ class ModbusServer:
         memory: int = MEMORY,
         waits: bool = False,
     ) -> None:
-        self._where: tuple[str, int] | None = (address, port)
-        self._make: Callable[..., ModbusBaseServer] = partial(_TcpServer, framer=FramerType.SOCKET, address=self._where)
-        self._run(controller, watchdog, memory, waits)
+        self.controller, self._faults, self._where = controller, controller.faults, (address, port)
+        self.registers = RegisterMap(controller, watchdog, memory, waits)
+        self._server: _TcpServer | None = None
+        self._failure: OSError | None = None
+        started = threading.Event()
+        self._thread = threading.Thread(target=lambda: asyncio.run(self._serve(started)), name="modbus", daemon=True)
+        self._thread.start()
+        started.wait()
+        if self._failure is not None:
+            self.registers.close()
+            raise self._failure
         controller.when_restarting.append(self.drop_clients)
 
     def close(self) -> None:
@@ -60,34 +65,23 @@ class ModbusServer:
         """Cut every connection, as a pulled cable does."""
         self._loop.call_soon_threadsafe(self._drop)
 
-    def _run(self, controller: Controller, watchdog: float, memory: int, waits: bool) -> None:
-        self.controller, self._faults = controller, controller.faults
-        self.registers = RegisterMap(controller, watchdog, memory, waits)
-        self._server: ModbusBaseServer | None = None
-        self._failure: OSError | None = None
-        started = threading.Event()
-        self._thread = threading.Thread(target=lambda: asyncio.run(self._serve(started)), name="modbus", daemon=True)
-        self._thread.start()
-        started.wait()
-        if self._failure is not None:
-            self.registers.close()
-            raise self._failure
-
     async def _serve(self, started: threading.Event) -> None:
         self._loop = asyncio.get_running_loop()
         self._loop.set_exception_handler(lambda *_: None)  # a client's nonsense ends its connection, nothing else
         self._done = asyncio.Event()
         deaf = None
         try:
-            if self._where is not None and self._faults.refusing:
+            if self._faults.refusing:
                 deaf = listening_socket(*self._where, deaf=True)
-                self._name(deaf.getsockname())
+                where = deaf.getsockname()
             else:
-                self._server = self._make(self.registers.device(), self._faults)
+                self._server = _TcpServer(
+                    self.registers.device(), self._faults, framer=FramerType.SOCKET, address=self._where
+                )
                 if not await self._server.listen():
                     raise OSError(errno.EADDRINUSE, "address cannot be used")
-                if self._where is not None:
-                    self._name(self._server.transport.sockets[0].getsockname())  # type: ignore[attr-defined]
+                where = self._server.transport.sockets[0].getsockname()  # type: ignore[attr-defined]
+            self.port, self.address = where[1], name_of(where)
         except OSError as error:
             self._failure = error
             return
@@ -100,62 +94,34 @@ class ModbusServer:
         if deaf is not None:
             deaf.close()
 
-    def _name(self, where: tuple[str, int]) -> None:
-        self.port, self.address = where[1], name_of(where)
-
     def _drop(self) -> None:
         if self._server is not None:
             for client in list(self._server.active_connections.values()):
                 client.close()
 
 
-class ModbusRtuServer(ModbusServer):
-    """The same over a serial port: its name, and its baud rate."""
-
-    def __init__(
-        self,
-        controller: Controller,
-        port: str,
-        baud: int,
-        watchdog: float = 0.05,
-        memory: int = MEMORY,
-        waits: bool = False,
-    ) -> None:
-        self.address, self._where = port, None
-        self._make = partial(_LineServer, framer=FramerType.RTU, port=port, baudrate=baud)
-        self._run(controller, watchdog, memory, waits)
-
-
 class _Connection(ServerRequestHandler):
-    """One client; what it is sent and what it says goes through the faults of the wire."""
+    """One client; what it is sent and what it says goes through the faults of the wire.
 
-    def __init__(self, server: ModbusBaseServer, faults: Faults, cut: Callable[[], None] | None = None) -> None:
+    Carries out one request after the other; of those that come before it has answered, the library forgets some.
+    """
+
+    _waiting = b""
+
+    def __init__(self, server: ModbusTcpServer, faults: Faults) -> None:
         super().__init__(server, None, None, None)
         self._faults = faults
-        self._cut = cut or self.close
 
     def send(self, data: bytes, addr: tuple[Any, ...] | None = None) -> None:
         """Called by the library with a whole answer. A delay holds up the loop: there is nobody else to serve."""
         # The answer to a heartbeat holds nothing.
         spare = getattr(self.last_pdu, "address", None) == HEARTBEAT.address
         with contextlib.suppress(ConnectionResetError):
-            self._faults.send(data, super().send, self._cut, spare)
+            self._faults.send(data, super().send, self.close, spare)
 
     def data_received(self, data: bytes) -> None:
         """Called by the library with whatever came."""
-        heard = self._faults.heard(data)
-        if heard:
-            super().data_received(heard)
-
-
-class _TcpConnection(_Connection):
-    """Carries out one request after the other; of those that come before it has answered, the library forgets some."""
-
-    _waiting = b""
-
-    def data_received(self, data: bytes) -> None:
-        """Called by the library with whatever came."""
-        self._waiting += data
+        self._waiting += self._faults.heard(data)
         if len(self._waiting) > MAX_WAITING:
             self.close()
             return
@@ -187,22 +153,10 @@ class _TcpServer(ModbusTcpServer):
 
     def callback_new_connection(self) -> _Connection:
         """Called by the library."""
-        connection = _TcpConnection(self, self._faults)
+        connection = _Connection(self, self._faults)
         if len(self.active_connections) >= MAX_CONNECTIONS:
             # Its transport comes with the next turn of the loop; there is nothing to close before that.
             self.loop.call_soon(lambda: self.loop.call_soon(connection.close))
         else:
             self._faults.heal()
         return connection
-
-
-class _LineServer(ModbusSerialServer):
-    """A line has no connection that could be cut; the plug comes out."""
-
-    def __init__(self, device: SimDevice, faults: Faults, **options: Any) -> None:
-        super().__init__(device, **options)
-        self._faults = faults
-
-    def callback_new_connection(self) -> _Connection:
-        """Called by the library as the port is opened."""
-        return _Connection(self, self._faults, cut=self._faults.unplug)

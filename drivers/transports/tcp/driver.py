@@ -1,4 +1,4 @@
-"""Drivers over frames, whatever carries them: requests and answers, heartbeats, and samples; docs/wire-tcp.md.
+"""The TCP driver: requests and answers, heartbeats, and samples in frames; docs/wire-tcp.md.
 
 The thread that reads waits for nobody who takes the samples, so neither a slow disk nor a busy search silences the
 heartbeat.
@@ -9,13 +9,13 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import itertools
-import math
 import queue
+import socket
 import threading
 import time
 import uuid
 from collections.abc import Callable
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -25,57 +25,39 @@ from drivers.transports.base.link import LinkDriver, LinkThread
 from drivers.transports.base.ports import open_socket, parse_address
 from drivers.transports.base.poses import poses_of_frames
 from drivers.transports.base.samples import SampleStream
-from drivers.wire import frames as wire
+from drivers.wire import tcp as wire
 from drivers.wire.reasons import refusal_error
 
 Reply = TypeVar("Reply")
 #: A command whose effect is visible counts as answered after this further time [s].
-ACTING = 0.25
+_ACTING = 0.25
+#: Questions at once that measure the link: their answers take several times what it delays any.
+_BURST = 256
 _RECEIVE = 256 * 1024
 
 
-class Channel(Protocol):
-    """Bytes both ways, like a connected socket. Errors are `OSError`, a write that takes too long `TimeoutError`."""
-
-    def fileno(self) -> int:
-        """For a selector to wait on."""
-
-    def recv(self, size: int, /) -> bytes:
-        """Received bytes; empty if the far end has closed."""
-
-    def sendall(self, data: bytes, /) -> None:
-        """Send, in the time the channel allows."""
-
-    def shutdown(self, how: int, /) -> None:
-        """Let nothing through any more; a reader that waits returns."""
-
-    def close(self) -> None:
-        """Give the handle back."""
-
-
 class _Stamped(queue.SimpleQueue[Any]):
-    """A queue of answers, each with the time at which the link's thread took it from the line."""
+    """A queue of answers, each with the time at which the link's thread took it from the socket."""
 
     def put(self, item: Any, block: bool = True, timeout: float | None = None) -> None:
         super().put((time.monotonic(), item), block, timeout)
 
 
-class FrameLink(LinkThread):
-    """A channel and its reader thread. Heartbeats are sent all the time, four to a watchdog.
+class TcpLink(LinkThread):
+    """A connection and its reader thread. Heartbeats are sent all the time, four to a watchdog.
 
     Parameters
     ----------
-    channel, peer : what carries the frames, and the far end's address for messages.
-    decoder : turns bytes into messages.
-    driver : in the reader thread, its `_on_message` gets messages that no call waits for, its `_on_turn` is called a
-        few times a watchdog, and its `_on_failure` last, when the link ends for any reason.
+    connection : to the driver's address.
+    driver : in the reader thread, its `_on_message` gets messages that no call waits for, and its `_on_failure` comes
+        last, when the link ends for any reason.
     """
 
-    def __init__(self, channel: Channel, peer: str, decoder: wire.FrameDecoder, driver: FrameDriver) -> None:
-        super().__init__(peer, driver._on_failure)
+    def __init__(self, connection: socket.socket, driver: TcpDriver) -> None:
+        super().__init__(driver.address, driver._on_failure)
         self.watchdog = driver._watchdog
-        self._channel, self._handles = channel, (channel,)
-        self._decoder, self._driver = decoder, driver
+        self._connection, self._handles = connection, (connection,)
+        self._driver = driver
         self._waiting: dict[int, queue.SimpleQueue[Any]] = {}
         self._ids = itertools.count(1)
         self._lock = threading.Lock()
@@ -83,7 +65,7 @@ class FrameLink(LinkThread):
         self._thread.start()
 
     def post(self, message: Any) -> int:
-        """Send a request without waiting; its answer goes to `on_message` with the id that is returned.
+        """Send a request without waiting; its answer goes to `_on_message` with the id that is returned.
 
         Raises:
             DriverError: the link is down.
@@ -92,54 +74,48 @@ class FrameLink(LinkThread):
         self._send(message, request)
         return request
 
-    def request(self, message: Any, reply: type[Reply], timeout: float, what: str, again: float = math.inf) -> Reply:
-        """Send a request and wait for its answer; one without effects may be sent again after `again` [s].
+    def request(self, message: Any, reply: type[Reply], timeout: float, what: str) -> Reply:
+        """Send a request, once, and wait for its answer.
 
         Raises:
             RefusedError: the controller refused; its reason is in the message.
             DriverError: no answer in time, or the link is down.
         """
-        return self._checked(self._ask(message, timeout, again), reply, timeout, what)
+        return self._checked(self._ask(message, timeout), reply, timeout, what)
 
     def command(
-        self,
-        message: Any,
-        reply: type[Reply],
-        timeout: float,
-        what: str,
-        acts: Callable[[], bool],
-        again: float = math.inf,
+        self, message: Any, reply: type[Reply], timeout: float, what: str, acts: Callable[[], bool]
     ) -> Reply | None:
-        """Send a command and wait for its answer, but no longer than until it is seen that it `acts`.
+        """Send a command, once, and wait for its answer, but no longer than until it is seen that it `acts`.
 
-        Returns None where that was seen and no answer came. Only what does no harm twice may be sent `again`.
+        Returns None where that was seen and no answer came.
 
         Raises:
             RefusedError, DriverError: as in `request`.
         """
-        answer = self._ask(message, timeout, again, acts)
+        answer = self._ask(message, timeout, acts)
         return None if answer is None and acts() else self._checked(answer, reply, timeout, what)
 
-    def burst(self, message: Any, count: int, timeout: float, what: str) -> tuple[int, float]:
-        """Ask `count` times at once; bytes of the answers after the first, and the seconds that those took.
+    def burst(self, message: Any, timeout: float, what: str) -> tuple[int, float]:
+        """Ask `_BURST` times at once; bytes of the answers after the first, and the seconds that those took.
 
         Raises:
             DriverError: as of `request`.
         """
         answers = _Stamped()
-        asked = [next(self._ids) for _ in range(count)]
+        asked = [next(self._ids) for _ in range(_BURST)]
         self._waiting |= dict.fromkeys(asked, answers)
         size, first, last, until = 0, 0.0, 0.0, time.monotonic() + timeout
         try:
             for request in asked:
                 self._send(message, request)
-            for number in range(count):
+            for number in range(_BURST):
                 try:
                     last, answer = answers.get(timeout=max(0.0, until - time.monotonic()))
                 except queue.Empty:
                     if number == 0:
                         raise self._silent(what, timeout) from None
-                    last = time.monotonic()  # the line has not carried more in all that time
+                    last = time.monotonic()  # the link has not carried more in all that time
                     break
                 reply = self._checked(answer, object, timeout, what)
                 first, size = (last, 0) if number == 0 else (first, size + len(wire.encode(reply)))
@@ -159,34 +135,25 @@ class FrameLink(LinkThread):
             raise ProtocolError(f"the controller at {self.peer} answered {what} with {type(answer).__name__}")
         return answer
 
-    def _ask(self, message: Any, timeout: float, again: float, acts: Callable[[], bool] = lambda: False) -> Any:
+    def _ask(self, message: Any, timeout: float, acts: Callable[[], bool] = lambda: False) -> Any:
         """The answer, or None: none in time, or it `acts` already and none came for a while."""
         request = next(self._ids)
         answers: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._waiting[request] = answers
         try:
             self._send(message, request)
-            sent = time.monotonic()
-            until = sent + timeout
+            until = time.monotonic() + timeout
             while (left := until - time.monotonic()) > 0:
                 seen = acts()
                 with contextlib.suppress(queue.Empty):
-                    return answers.get(timeout=min(left, ACTING))
+                    return answers.get(timeout=min(left, _ACTING))
                 if seen:
                     break
-                if time.monotonic() - sent >= again:
-                    sent = time.monotonic()
-                    self._send(message, request)
             return None
         finally:
             self._waiting.pop(request, None)
 
     def _silent(self, what: str, timeout: float) -> DriverError:
-        if self._decoder.rejected and not self._speaks:
-            return ProtocolError(
-                f"what comes from {self.peer} is not the calibration link ({self._decoder.rejected} bytes without a "
-                "frame): is it the right line, and the baud rate that of the controller?"
-            )
         spoke = "it sends, but" if self._speaks else "it accepted the connection, but"
         return DriverError(
             f"the controller at {self.peer} is silent: {spoke} did not answer {what} within {timeout:g} s; "
@@ -195,7 +162,7 @@ class FrameLink(LinkThread):
 
     def _send(self, message: Any, request: int = 0) -> None:
         with self._lock:
-            self.transmit(self._channel, wire.encode(message, request), self.peer)
+            self.transmit(self._connection, wire.encode(message, request), self.peer)
 
     # From here on in the reader thread.
 
@@ -205,18 +172,17 @@ class FrameLink(LinkThread):
             answers.put(failure)
 
     def _work(self) -> None:
-        beaten = time.monotonic()
-        for ready in self._each_turn([self._channel]):
-            data = self._channel.recv(_RECEIVE) if ready else b""
+        decoder, beaten = wire.FrameDecoder(wire.MAX_REPLY_PAYLOAD), time.monotonic()
+        for ready in self._each_turn([self._connection]):
+            data = self._connection.recv(_RECEIVE) if ready else b""
             if ready and not data:
                 raise DriverError(f"the controller at {self.peer} closed the connection")
             try:
-                for frame in self._decoder.feed(data):
+                for frame in decoder.feed(data):
                     self._heard = self._speaks = True
-                    self._deliver(self._decoder.decode(frame), frame.request)
+                    self._deliver(wire.decode(frame), frame.request)
             except ProtocolError as error:
                 raise ProtocolError(f"{self.peer}: {error}") from None
-            self._driver._on_turn()
             if time.monotonic() - beaten >= self.watchdog / 4:
                 beaten = time.monotonic()
                 with contextlib.suppress(DriverError):  # what the peer still sent is to be read all the same
@@ -238,14 +204,43 @@ class FrameLink(LinkThread):
             self._driver._on_message(message, request)
 
 
-class FrameDriver(LinkDriver[FrameLink, SampleStream]):
-    """`drivers.protocol.Driver` over frames; a subclass opens the channel that carries them."""
+class TcpMotion(SampleStream):
+    """Samples of one motion; the controller is asked again for those that are missing, one request at a time.
 
-    READ_ATTEMPTS = 1  # of requests that change nothing
-    UPLOAD_BLOCK = wire.UPLOAD_BLOCK
-    BURST = 256  # questions at once that measure the link: their answers take several times what it delays any
+    `fetching` is the id of that request and the first sequence number that it asks for.
+    """
+
+    fetching: tuple[int, int] | None = None
+
+    def wanted(self) -> tuple[int, int] | None:
+        """(first, count) to fetch now."""
+        return None if self.fetching is not None or self.over else self.missing()
+
+    def answered(self, request: int, block: SampleBlock | None) -> None:
+        """An answer to `request`, 0 where nobody asked: samples, or None where the controller does not have them."""
+        asked = self.fetching if self.fetching is not None and request == self.fetching[0] else None
+        if asked is not None and block is not None:
+            self.lost(int(block.sequence[0]))  # the first that there is
+        if block is not None:
+            self.take(block)
+        if asked is not None:
+            self.fetching = None
+            if self.sequencer.expected == asked[1]:  # another request would not help
+                self.give_up()
+
+
+class TcpDriver(LinkDriver[TcpLink, TcpMotion]):
+    """`drivers.protocol.Driver` over the binary TCP link; the address is `host:port`.
+
+    Raises:
+        ConfigurationError: not an address.
+    """
 
     _measures_temperatures = True  # until the controller says that it does not
+
+    def __init__(self, address: str, **options: Any) -> None:
+        parse_address(address)
+        super().__init__(address, **options)
 
     def identify(self) -> Identity:
         """Ask the controller who it is."""
@@ -259,10 +254,9 @@ class FrameDriver(LinkDriver[FrameLink, SampleStream]):
 
     def throughput(self) -> float:
         """`MeasuresThroughput`: samples as large as the answers to many questions that were asked at once."""
-        size, seconds = self._connected().burst(
-            wire.Identify(), self.BURST, self._timeout, "the measurement of the link"
-        )
-        return size / max(seconds, 1e-6) / self._sample_bytes(len(self.identify().joint_names))
+        size, seconds = self._connected().burst(wire.Identify(), self._timeout, "the measurement of the link")
+        joints = len(self.identify().joint_names)
+        return size / max(seconds, 1e-6) / (wire.Samples.size(1, joints) - wire.Samples.size(0, joints))
 
     def temperatures(self) -> np.ndarray | None:
         """(n,) of the motors [°C], or None where this controller measures none; it is asked again only if it does."""
@@ -297,10 +291,9 @@ class FrameDriver(LinkDriver[FrameLink, SampleStream]):
         what = f"the program {name}"
         begin = wire.UploadBegin(name, len(data), hashlib.sha256(data).hexdigest())
         link.request(begin, wire.Done, self._timeout, what)
-        for offset in range(0, len(data), self.UPLOAD_BLOCK):
-            link.request(
-                wire.UploadBlock(offset, data[offset : offset + self.UPLOAD_BLOCK]), wire.Done, self._timeout, what
-            )
+        for offset in range(0, len(data), wire.UPLOAD_BLOCK):
+            block = wire.UploadBlock(offset, data[offset : offset + wire.UPLOAD_BLOCK])
+            link.request(block, wire.Done, self._timeout, what)
         return link.request(wire.UploadEnd(), wire.Stored, self._start_timeout, what).checksum
 
     def start(self, name: str, checksum: str) -> None:
@@ -308,7 +301,7 @@ class FrameDriver(LinkDriver[FrameLink, SampleStream]):
         link = self._connected()
         self._check_over()
         motion_id = uuid.uuid4().bytes
-        with self._start_of(SampleStream(self._buffer_limit)) as motion:
+        with self._start_of(TcpMotion(self._buffer_limit)) as motion:
             link.guarded = True
             # Samples say as well that the arm moves: then it is time to watch it, whatever became of the answer.
             what, acts = f"start of {name}", motion.has_begun
@@ -317,7 +310,7 @@ class FrameDriver(LinkDriver[FrameLink, SampleStream]):
                 raise ProtocolError(f"the controller at {self.address} started another motion than it was asked to")
 
     def _open(self) -> None:
-        self._link = link = self._open_link()
+        self._link = link = TcpLink(open_socket(self.address, self._timeout), self)
         hello = wire.Hello(wire.VERSION, round(self._watchdog * 1000), "calibration-agent")
         welcome = link.request(hello, wire.Welcome, self._timeout, "the greeting")
         if welcome.version != wire.VERSION:
@@ -329,45 +322,28 @@ class FrameDriver(LinkDriver[FrameLink, SampleStream]):
             raise ProtocolError(f"the controller at {self.address} wants a watchdog of {welcome.watchdog_ms} ms")
         link.watchdog = welcome.watchdog_ms / 1000
 
-    def _bring_to_rest(self, link: FrameLink, motion: SampleStream | None) -> None:
+    def _bring_to_rest(self, link: TcpLink, motion: TcpMotion | None) -> None:
         if motion is not None:
             motion.stopping = True
-        again = ACTING if self.READ_ATTEMPTS > 1 else math.inf
-        link.command(wire.Stop(), wire.Done, self._timeout, "stop", lambda: motion is not None and motion.over, again)
-        if motion is not None and not self._rests(motion):
+        link.command(wire.Stop(), wire.Done, self._timeout, "stop", lambda: motion is not None and motion.over)
+        if motion is not None and not motion.wait(self._start_timeout):
             raise self._still_moves()
 
-    def _open_link(self) -> FrameLink:
-        """A link over a channel that is open."""
-        raise NotImplementedError
-
     def _read(self, question: Any, reply: type[Reply], what: str) -> Reply:
-        again = self._timeout / self.READ_ATTEMPTS if self.READ_ATTEMPTS > 1 else math.inf
-        return self._connected().request(question, reply, self._timeout, what, again)
-
-    def _sample_bytes(self, joints: int) -> float:
-        """Bytes that one of many samples takes on the wire."""
-        return wire.Samples.size(1, joints) - wire.Samples.size(0, joints)
-
-    def _rests(self, motion: SampleStream) -> bool:
-        """Wait until the arm rests; False if it takes too long."""
-        return motion.wait(self._start_timeout)
+        return self._connected().request(question, reply, self._timeout, what)
 
     # From here on in the reader thread.
-
-    def _on_turn(self) -> None:
-        """Called a few times a watchdog."""
 
     def _on_message(self, message: Any, request: int) -> None:
         motion, link = self._motion, self._link
         if motion is None or link is None or motion.over:
             return
         if isinstance(message, wire.Samples):
-            motion.take(to_block(message), request)
+            motion.answered(request, to_block(message))
         elif isinstance(message, wire.End):
             motion.ended(message.reason, message.samples, message.message)
         elif isinstance(message, wire.Refused):
-            motion.refetch_refused(request)
+            motion.answered(request, None)
         if (full := motion.too_full()) is not None:
             link.post(wire.Stop())
             motion.finish(full)
@@ -383,19 +359,3 @@ def to_block(samples: wire.Samples) -> SampleBlock:
     count = len(samples.time_ns)
     sequence = np.arange(samples.first, samples.first + count)
     return SampleBlock(sequence, samples.time_ns * 1e-9, *samples.columns, received=time.time())
-
-
-class TcpDriver(FrameDriver):
-    """`drivers.protocol.Driver` over the binary TCP link; the address is `host:port`.
-
-    Raises:
-        ConfigurationError: not an address.
-    """
-
-    def __init__(self, address: str, **options: Any) -> None:
-        parse_address(address)
-        super().__init__(address, **options)
-
-    def _open_link(self) -> FrameLink:
-        connection = open_socket(self.address, self._timeout)
-        return FrameLink(connection, self.address, wire.FrameDecoder(wire.MAX_REPLY_PAYLOAD), self)

@@ -1,4 +1,4 @@
-"""Frames and messages of the binary link, over TCP and over serial lines; docs/wire-tcp.md is the same for people.
+"""Frames and messages of the binary TCP link; docs/wire-tcp.md is the same for people.
 
 A frame is ``magic(4) version(1) type(1) reserved(2) length(4) request(4) payload(length) crc32(4)``, little-endian;
 the CRC-32 (IEEE 802.3, as in zlib) covers everything before it. `request` pairs an answer with its question and is 0
@@ -231,7 +231,6 @@ class Samples:
     """
 
     TYPE: ClassVar[int] = 0x90
-    VALUE: ClassVar[str] = "<f8"  # of the arrays, in NumPy's notation
     _HEAD: ClassVar[struct.Struct] = struct.Struct("<QHB")
 
     first: int
@@ -245,7 +244,7 @@ class Samples:
     @classmethod
     def size(cls, count: int, joints: int) -> int:
         """Bytes of the payload."""
-        return cls._HEAD.size + count * (8 + 5 * joints * np.dtype(cls.VALUE).itemsize)
+        return cls._HEAD.size + count * (8 + 5 * joints * 8)
 
     @property
     def columns(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -254,15 +253,13 @@ class Samples:
 
     def pack(self) -> bytes:
         count, joints = self.position.shape
-        arrays = (self.time_ns.astype("<i8"), *(column.astype(self.VALUE) for column in self.columns))
+        arrays = (self.time_ns.astype("<i8"), *(column.astype("<f8") for column in self.columns))
         return b"".join((self._HEAD.pack(self.first, count, joints), *(array.tobytes() for array in arrays)))
 
     @classmethod
     def unpack(cls, payload: bytes) -> Self:
-        """In double precision.
-
-        Raises:
-            ProtocolError: the payload does not fit its own head.
+        """Raises:
+        ProtocolError: the payload does not fit its own head.
         """
         if len(payload) < cls._HEAD.size:
             raise ProtocolError("a sample message is shorter than its head")
@@ -274,7 +271,7 @@ class Samples:
                 f"a sample message of {len(payload)} bytes, where its head announces {cls.size(count, joints)}"
             )
         time_ns = np.frombuffer(payload, "<i8", count, cls._HEAD.size)
-        values = np.frombuffer(payload, cls.VALUE, 5 * count * joints, cls._HEAD.size + 8 * count)
+        values = np.frombuffer(payload, "<f8", 5 * count * joints, cls._HEAD.size + 8 * count)
         return cls(first, time_ns, *values.astype(float, copy=False).reshape(5, count, joints))
 
 
@@ -309,16 +306,8 @@ def decode(frame: Frame) -> Any:
     return codec.unpack(frame.payload)
 
 
-def frame_bytes(payload: int) -> int:
-    """Bytes of a frame, from those of its payload."""
-    return HEADER.size + payload + TRAILER.size
-
-
 class FrameDecoder(StreamDecoder[Frame]):
     """Frames of at most `max_payload` bytes."""
-
-    rejected = 0  # bytes that were in no frame; this decoder gives up at the first
-    decode = staticmethod(decode)
 
     def __init__(self, max_payload: int) -> None:
         super().__init__()
