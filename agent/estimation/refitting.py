@@ -22,10 +22,10 @@ import numpy as np
 from agent.core import InputError
 from agent.estimation.estimators import ESTIMATORS
 from agent.estimation.filtering import FilterSettings
-from agent.estimation.moments import reweight, solve_scaled
+from agent.estimation.model_building import build_model
+from agent.estimation.normal_equations import reweight, solve_scaled
 from agent.estimation.observation import Observation, observe, partition
 from agent.estimation.problem import Estimate, Problem
-from agent.estimation.summary import build_model
 from agent.estimation.uncertainty import jackknife
 from agent.model import IdentifiedModel, ParameterPrior
 from agent.recording import Log

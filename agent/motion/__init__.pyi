@@ -1,6 +1,6 @@
 from .dialect import Dialect as Dialect
+from .fly.fly_parameters import FlyParameters as FlyParameters
 from .fly.interpolator import FlyInterpolator as FlyInterpolator
-from .fly.parameters import FlyParameters as FlyParameters
 from .interpolator import Interpolator as Interpolator, MotionError as MotionError, Trajectory as Trajectory
 from .learned import (
     LearnedLaw as LearnedLaw,

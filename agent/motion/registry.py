@@ -24,7 +24,7 @@ ENTRY_POINTS = "calibration_agent.interpolators"
 _INTERPOLATORS = {
     "fly": "agent.motion.fly.interpolator:FlyInterpolator",
     "orl": "agent.motion.orl:OrlInterpolator",
-    "ur": "agent.motion.urscript.law:UrLaw",
+    "ur": "agent.motion.urscript.interpolator:UrLaw",
 }
 _DIALECTS = {"pdl2": "agent.motion.pdl2.dialect:Pdl2", "urscript": "agent.motion.urscript.dialect:UrScript"}
 

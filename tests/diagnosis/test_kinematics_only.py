@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from agent.estimation import EstimationSettings, estimate
+from agent.model.effect_inputs import MotionSignals, NominalModel
 from agent.model.effects import CATALOGUE
-from agent.model.signals import MotionSignals, NominalModel
 from agent.model.standard_parameters import from_pseudo_inertia, pseudo_inertia
 from agent.robot.bodies import rigid_bodies
 

@@ -11,7 +11,7 @@ from hypothesis import given, settings, strategies as st
 
 from agent.core.errors import InputError
 from agent.estimation import FilterSettings, filtering, motions, smooth_and_differentiate
-from agent.estimation.workflow import observe_predictable
+from agent.estimation.identification import observe_predictable
 from agent.robot.bodies import rigid_bodies
 
 

@@ -9,7 +9,7 @@ import pytest
 from scipy.signal import lfilter
 from scipy.stats import multivariate_normal
 
-import agent.estimation.moments as sums
+import agent.estimation.normal_equations as sums
 from agent.estimation.filtering import FilterSettings
 from agent.estimation.observation import observe, partition
 from agent.estimation.prior import Prior

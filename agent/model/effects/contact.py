@@ -12,8 +12,8 @@ from functools import cached_property
 
 import numpy as np
 
+from agent.model.effect_inputs import MotionSignals, NominalModel
 from agent.model.effects.effect import Columns, Effect, FitContext, Joints, Numbers
-from agent.model.signals import MotionSignals, NominalModel
 
 _EDGE = 0.15  # share of the duration over which a force rises, and falls
 _LINKS = 3  # links tried for the case that all pushes act on one link

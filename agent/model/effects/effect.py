@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, ClassVar, Protocol
 
 import numpy as np
 
+from agent.model.effect_inputs import MotionSignals, NominalModel
 from agent.model.effects.experiments import THREE_LOADS, SeparatingMotion
-from agent.model.signals import MotionSignals, NominalModel
 
 if TYPE_CHECKING:
     from agent.robot import RobotDescription

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from types import MappingProxyType
 
+from agent.model.effect_inputs import MotionSignals
 from agent.model.effects.effect import Columns, Effect, Joints, Numbers
 from agent.model.effects.experiments import WHOLE_RANGE
-from agent.model.signals import MotionSignals
 
 
 class EncoderOffset(Effect):

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from agent.model.effect_inputs import MotionSignals
 from agent.model.effects.effect import Columns, Effect, Joints, Numbers
-from agent.model.signals import MotionSignals
 from agent.robot import RobotDescription
 
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from agent.model.effect_inputs import MotionSignals
 from agent.model.effects.effect import Columns, Effect, FitContext, Joints, Numbers, on_axle, travelled
 from agent.model.effects.experiments import SLOW_REVERSALS
 from agent.model.friction_terms import Reversal
-from agent.model.signals import MotionSignals
 
 
 class Presliding(Effect):

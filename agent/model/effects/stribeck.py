@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from agent.model.effect_inputs import MotionSignals, NominalModel
 from agent.model.effects.effect import FitContext, Joints, Numbers, highest_speed, rubs
 from agent.model.effects.experiments import SLOW_REVERSALS
 from agent.model.effects.friction_level import FrictionLevel
-from agent.model.signals import MotionSignals, NominalModel
 
 # Of the highest speed. Below it is how the friction reverses, in which a model and a machine differ without any effect.
 _SPEEDS = (0.02, 0.035, 0.06, 0.1, 0.17, 0.28)

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from agent.model.effect_inputs import MotionSignals, NominalModel
 from agent.model.effects.effect import FitContext, Joints, Numbers, rubs
 from agent.model.effects.experiments import FROM_COLD
 from agent.model.effects.friction_level import FrictionLevel
-from agent.model.signals import MotionSignals, NominalModel
 
 _LONGEST_SESSION = 12 * 3600.0  # s
 _SHORTEST = 5.0  # s: no gear warms up faster

@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from agent.model.effect_inputs import MotionSignals
 from agent.model.effects.effect import Columns, Effect, FitContext, Joints, Numbers
 from agent.model.effects.experiments import SHARP_REVERSALS
 from agent.model.friction_terms import axle_columns
 from agent.model.rigid_friction import RigidFrictionModel
-from agent.model.signals import MotionSignals
 
 _TRIED = (-0.02, -0.012, -0.007, -0.004, -0.002, -0.001, 0.001, 0.002, 0.004, 0.007, 0.012, 0.02)
 _ABSORBED = 1e-3  # s, from where on a fitted reversal of friction may have taken part of the delay

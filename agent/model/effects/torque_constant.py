@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from types import MappingProxyType
 
+from agent.model.effect_inputs import MotionSignals
 from agent.model.effects.effect import Columns, Effect, Joints, Numbers, on_axle
-from agent.model.signals import MotionSignals
 
 #: No drive's scale is off by a larger factor; friction of the joint would then be as wrong the other way.
 _MOST = 3.0

@@ -6,9 +6,9 @@ from types import MappingProxyType
 
 import numpy as np
 
+from agent.model.effect_inputs import MotionSignals
 from agent.model.effects.effect import Columns, Effect, Joints, Numbers, on_axle
 from agent.model.effects.experiments import RAMPS_AND_STANDSTILLS
-from agent.model.signals import MotionSignals
 
 
 class TorqueOffset(Effect):

@@ -8,8 +8,8 @@ from typing import ClassVar
 
 import numpy as np
 
+from agent.model.effect_inputs import MotionSignals
 from agent.model.effects.effect import Columns, Effect, FitContext, Joints, Numbers
-from agent.model.signals import MotionSignals
 
 _MASSLESS = 1e-9  # kg·m² or kg: a description of kinematics alone, whose links cannot ring
 _RATE = 1500.0  # Hz of the integration, at least

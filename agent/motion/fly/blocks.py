@@ -15,8 +15,8 @@ from itertools import pairwise
 import numpy as np
 
 from agent.motion.fly import rules
+from agent.motion.fly.fly_parameters import FlyParameters
 from agent.motion.fly.move_geometry import Segment
-from agent.motion.fly.parameters import FlyParameters
 from agent.motion.fly.path import Path
 from agent.motion.fly.profile import ArmLimits, PathShape, allowed_speed
 from agent.motion.fly.setpoints import BlockLaw, Run, refuse_crawling, refuse_long, sampled, stretch_needed

@@ -10,8 +10,8 @@ import numpy as np
 
 from agent.motion import rotation
 from agent.motion.fly.blend import CartesianCorner, Corner, bump
+from agent.motion.fly.fly_parameters import SPACING, FlyParameters
 from agent.motion.fly.move_geometry import Arc, CartesianSegment, JointSegment, Segment, label_of
-from agent.motion.fly.parameters import SPACING, FlyParameters
 from agent.motion.fly.rules import path_rules
 from agent.motion.interpolator import MotionError
 from agent.robot import Kinematics, KinematicsError

@@ -16,7 +16,7 @@ import numpy as np
 
 from agent.compiled import derivatives, fastest, growth, not_a_knot
 from agent.motion.fly import rules
-from agent.motion.fly.parameters import FlyParameters
+from agent.motion.fly.fly_parameters import FlyParameters
 from agent.motion.fly.path import Path
 from agent.robot import CartesianLimits, RobotDescription
 

@@ -19,8 +19,8 @@ import numpy as np
 
 from agent.compiled import averaged, held, law_at, lowered, sampled_on, stretched
 from agent.motion.fly import rules
+from agent.motion.fly.fly_parameters import LONGEST, FlyParameters
 from agent.motion.fly.move_geometry import Segment, label_of
-from agent.motion.fly.parameters import LONGEST, FlyParameters
 from agent.motion.fly.path import Path
 from agent.motion.fly.profile import ArmLimits, PathShape, Ramps, speed_ceiling
 from agent.motion.interpolator import MotionError

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from agent.motion.pdl2.job import job_text, listing_beside
-from agent.motion.pdl2.program import parse_program
+from agent.motion.pdl2.reader import parse_program
+from agent.motion.pdl2.reduced_job import job_text, listing_beside
 from agent.motion.pdl2.settings import Pdl2Settings
 from agent.motion.pdl2.variables import FRAMES
 from agent.motion.pdl2.writer import write_loop_program, write_program

@@ -25,9 +25,9 @@ from agent.model import (
 )
 from agent.robot import LINK_PARAMETERS, ParameterLayout
 from agent.simulators.arm import SimulatedArm, described, model_of
+from agent.simulators.loader import Simulator
 from agent.simulators.loads import load_block
 from agent.simulators.servos import PositionServos
-from agent.simulators.simulator import Simulator
 from agent.simulators.urdf import move_zero, set_inertial
 
 _FRICTION = ("coulomb", "viscous")

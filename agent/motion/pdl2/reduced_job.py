@@ -20,7 +20,7 @@ from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from agent.motion.pdl2.program import parse_program
+from agent.motion.pdl2.reader import parse_program
 from agent.motion.pdl2.syntax import OUTSIDE_SUBSET, Pdl2Error, TextPosition
 from agent.motion.pdl2.variables import FRAMES
 

@@ -13,12 +13,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from agent.motion.fly.blocks import plan_blocks
+from agent.motion.fly.fly_parameters import FlyParameters
 from agent.motion.fly.interpolator import FlyInterpolator
 from agent.motion.fly.move_geometry import CartesianSegment, JointSegment, Segment, label_of
-from agent.motion.fly.parameters import FlyParameters
 from agent.motion.fly.path import Path
 from agent.motion.fly.profile import ArmLimits, PathShape
-from agent.motion.fly.runs import RunPlanner
+from agent.motion.fly.run_planner import RunPlanner
 from agent.motion.fly.setpoints import Run
 from agent.motion.interpolator import BindingLimit, MotionError, Trajectory
 from agent.motion.path_settings import FlyTrajectory, FlyType, PathSettings

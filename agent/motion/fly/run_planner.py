@@ -12,8 +12,8 @@ from agent.compiled import tcp_rates
 from agent.motion.fly import rules
 from agent.motion.fly.blend import Corner, corner_between
 from agent.motion.fly.blocks import plan_blocks
+from agent.motion.fly.fly_parameters import FlyParameters
 from agent.motion.fly.move_geometry import CartesianSegment, JointSegment, Segment, label_of
-from agent.motion.fly.parameters import FlyParameters
 from agent.motion.fly.path import Path, build_path
 from agent.motion.fly.profile import ArmLimits, PathShape, shape_of
 from agent.motion.fly.setpoints import Run, plan_run

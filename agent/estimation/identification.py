@@ -11,7 +11,8 @@ import numpy as np
 from agent.core import InputError, keep_freed_memory
 from agent.estimation.estimators import ESTIMATORS
 from agent.estimation.filtering import FilterSettings
-from agent.estimation.moments import clearly_better
+from agent.estimation.model_building import build_model
+from agent.estimation.normal_equations import clearly_better
 from agent.estimation.observation import Observation, Partition, observe, partition
 from agent.estimation.problem import Problem
 from agent.estimation.selection import (
@@ -22,7 +23,6 @@ from agent.estimation.selection import (
     predictive_cutoff,
     select_friction_terms,
 )
-from agent.estimation.summary import build_model
 from agent.model import IdentifiedModel, Reversal
 from agent.recording import Log
 from agent.robot import RigidBodies, RobotDescription, Tool, rigid_bodies

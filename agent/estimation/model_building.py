@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from agent.estimation.moments import Moments, observed_standstill_speed
+from agent.estimation.normal_equations import Moments, observed_standstill_speed
 from agent.estimation.observation import Observation
 from agent.estimation.prior import DESCRIPTION
 from agent.estimation.problem import Estimate, Problem
