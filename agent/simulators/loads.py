@@ -163,7 +163,7 @@ def _comau(load: IdentifiedLoad) -> str:
 
 
 class LoadFormat(NamedTuple):
-    """How a vendor writes a load: the statements of one, and what begins a comment (empty where the format has none)."""
+    """How a vendor writes a load: its statements, and what begins a comment (empty where the format has none)."""
 
     statements: Callable[[IdentifiedLoad], str]
     comment: str
