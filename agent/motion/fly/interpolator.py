@@ -122,7 +122,7 @@ class _Unfinished:
         self._count(count, index)
 
     def _add(self, run: Run) -> None:
-        samples, path = run.samples, run.path
+        samples, path = run.samples, run.shape.path
         self._runs.append(((self._samples - 1) * self._planner.period, run))
         # A sample at a knot belongs to the cell before it.
         ends = np.searchsorted(samples.s + path.s[0], path.s[:-1], side="right")

@@ -132,59 +132,55 @@ class SetPoints:
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """The plan between two standstills: the path, its spline and the samples."""
+    """The plan between two standstills: the path with its spline, and the samples."""
 
-    path: Path
     shape: PathShape
     samples: SetPoints
 
 
 def plan_run(
-    path: Path,
-    shape: PathShape,
-    segments: Sequence[Segment],
-    limits: ArmLimits,
-    period: float,
-    parameters: FlyParameters,
+    shape: PathShape, segments: Sequence[Segment], limits: ArmLimits, period: float, parameters: FlyParameters
 ) -> Run:
-    """The fastest samples along `path` that its rules and the arm's limits allow, from rest to rest.
+    """The fastest samples along a path that its rules and the arm's limits allow, from rest to rest.
 
     Raises:
         MotionError: it would take too long, or the arm would all but stop near a singularity; names one of `segments`.
     """
-    refuse_crawling(path, shape, segments, limits)
+    refuse_crawling(shape, segments, limits)
+    path = shape.path
     ramp = parameters.ramp * float(np.max(limits.acceleration / limits.jerk))
     window = max(round(ramp / period), 1) * period
     # Every dip is held for the window, so that the average over the window reaches its bottom.
-    ceiling = held(path.s, speed_ceiling(path, shape, limits, parameters), window)
-    ramps = Ramps(path, shape, limits)
+    ceiling = held(path.s, speed_ceiling(shape, limits, parameters), window)
+    ramps = Ramps(shape, limits)
     step = _COARSE * period
     for _ in range(_REPAIRS):
         # z = ṡ² is linear between the knots
         time, speed, acceleration, integral = law_at(path.s, ramps.fastest(ceiling))
         law = TimeLaw(time, path.s - path.s[0], speed, acceleration[:-1], integral, window)
         refuse_long(path, law, segments)
-        samples = sampled(path, shape, law, step)
+        samples = sampled(shape, law, step)
         stretch = stretch_needed(path, samples, limits, step)
         if step > period and stretch.max() <= 1.0 + _TOLERANCE:
             step = period
-            samples = sampled(path, shape, law, step)
+            samples = sampled(shape, law, step)
             stretch = stretch_needed(path, samples, limits, step)
         if stretch.max() <= 1.0 + _TOLERANCE:
-            return Run(path, shape, samples)
+            return Run(shape, samples)
         half = round(window / step) // 2
         ceiling = lowered(ceiling, path.s, samples.s, samples.speed, stretch, 1.0 + _TOLERANCE, half)
     for _ in range(_STRETCHES):
-        samples = sampled(path, shape, law, period)
+        samples = sampled(shape, law, period)
         stretch = stretch_needed(path, samples, limits, period)
         if stretch.max() <= 1.0 + _TOLERANCE:
             break
         law = replace(law, stretch=law.stretch * float(stretch.max()))
-    return Run(path, shape, samples)
+    return Run(shape, samples)
 
 
-def refuse_crawling(path: Path, shape: PathShape, segments: Sequence[Segment], limits: ArmLimits) -> None:
+def refuse_crawling(shape: PathShape, segments: Sequence[Segment], limits: ArmLimits) -> None:
     """Refuse a path on which the arm would all but stop near a singularity (MotionError)."""
+    path = shape.path
     linear = np.minimum(path.rules[:, rules.LINEAR], limits.cartesian.linear_speed)
     turning = min(limits.cartesian.rotational_speed, _TURNING)
     with np.errstate(divide="ignore"):
@@ -221,12 +217,12 @@ def refuse_long(path: Path, law: TimeLaw | BlockLaw, segments: Sequence[Segment]
     )
 
 
-def sampled(path: Path, shape: PathShape, law: TimeLaw | BlockLaw, period: float) -> SetPoints:
+def sampled(shape: PathShape, law: TimeLaw | BlockLaw, period: float) -> SetPoints:
     """Samples of a path run through by a time law."""
-    n = path.q.shape[1]
+    n = shape.path.q.shape[1]
     t = np.arange(int(np.ceil(law.duration / period - 1e-9)) + 1) * period
     s, speed, acceleration = law.sample(t)
-    return SetPoints(n, s, speed, sampled_on(path.s, shape.coefficients, s, speed, acceleration, n))
+    return SetPoints(n, s, speed, sampled_on(shape.path.s, shape.coefficients, s, speed, acceleration, n))
 
 
 def stretch_needed(path: Path, samples: SetPoints, limits: ArmLimits, period: float) -> np.ndarray:
