@@ -25,9 +25,9 @@ class FrictionLevel(Effect):
     refined: ClassVar[tuple[str, ...]] = ("reversal_travel",)
     nonlinear: ClassVar[tuple[str, ...] | None] = ("reversal_travel",)
 
-    @abstractmethod
     def level_names(self, settings: Numbers) -> tuple[str, ...]:
         """Names of the linear parameters without the reversal."""
+        return self.linear
 
     @abstractmethod
     def level_columns(self, signals: MotionSignals, axle: int, settings: Numbers) -> tuple[np.ndarray, ...]:

@@ -23,8 +23,5 @@ class InterpolatorMismatch(Effect):
     def places(self, robot: RobotDescription) -> list[tuple[int, ...]]:
         return []
 
-    def names(self, settings: Numbers) -> tuple[str, ...]:
-        return ()
-
     def columns(self, signals: MotionSignals, joints: Joints, settings: Numbers) -> Columns:
         return {}

@@ -20,6 +20,7 @@ class Stribeck(FrictionLevel):
     family = "friction"
     usual = True
     formula = "a · s · exp(−(|w| / v)^δ)"
+    linear = ("rise",)
     source = "Armstrong-Hélouvry, Dupont, Canudas de Wit, Automatica 30 (1994)"
     signature = "residual with the sign of the speed, at low speed only"
     confused_with = ("friction_change", "presliding", "viscous_nonlinearity")
@@ -36,9 +37,6 @@ class Stribeck(FrictionLevel):
     def settings(self, context: FitContext, joints: Joints) -> list[dict[str, float]]:
         fastest = highest_speed(context, joints[0])
         return [{"speed": fastest * fraction, "shape": shape} for fraction in _SPEEDS for shape in (1.0, 2.0)]
-
-    def level_names(self, settings: Numbers) -> tuple[str, ...]:
-        return ("rise",)
 
     def level_columns(self, signals: MotionSignals, axle: int, settings: Numbers) -> tuple[np.ndarray, ...]:
         fading = (signals.axles.magnitude[:, axle] / settings["speed"]) ** settings["shape"]

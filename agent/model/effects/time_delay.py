@@ -34,6 +34,7 @@ class TimeDelay(Effect):
     usual = True
     scope = "arm"
     formula = "τ(t − d) − τ(t)"
+    linear = ("share",)
     source = "by definition: the torque channel shifted against the position channel"
     signature = "residual on all joints wherever torque changes fast"
     confused_with = ("joint_elasticity",)
@@ -63,9 +64,6 @@ class TimeDelay(Effect):
             delay = float(np.clip(delay * share, -_LONGEST, _LONGEST))
             delay = float(np.copysign(max(abs(delay), _SHORTEST), delay))
         return {**settings, "delay": delay}
-
-    def names(self, settings: Numbers) -> tuple[str, ...]:
-        return ("share",)
 
     def columns(self, signals: MotionSignals, joints: Joints, settings: Numbers) -> Columns:
         late = np.clip(signals.time - settings["delay"], signals.time[0], signals.time[-1])

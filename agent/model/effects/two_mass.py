@@ -74,6 +74,7 @@ class TwoMass(Effect):
     joints. A joint that the model predicts gets a few of the grid, to say what would be found there.
     """
 
+    linear = ("share",)
     fast_torque = True
     nonlinear = ("stiffness",)
 
@@ -140,9 +141,6 @@ class TwoMass(Effect):
         for signals in context.signals:
             parts.append(signals.low_pass(-np.stack([self._lead(signals, k, entry)[0] for entry in tried]).T))
         return np.concatenate(parts)
-
-    def names(self, settings: Numbers) -> tuple[str, ...]:
-        return ("share",)
 
     def prepare(self, motions: Sequence[MotionSignals], wanted: Sequence[tuple[Joints, Numbers]]) -> None:
         keys = dict.fromkeys(_key(joints[0], settings) for joints, settings in wanted)
