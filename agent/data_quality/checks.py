@@ -16,7 +16,7 @@ from agent.data_quality.channels import (
     unsigned_channels,
     velocity_mismatch,
 )
-from agent.data_quality.described import described_weight, excessive_torque, excessive_weight, position_units
+from agent.data_quality.description_match import described_weight, excessive_torque, excessive_weight, position_units
 from agent.data_quality.mechanics import implausible_mechanics, wrong_lengths
 from agent.data_quality.quality_finding import QualityFinding, Recordings
 from agent.recording import Log

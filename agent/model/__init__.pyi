@@ -14,7 +14,7 @@ from .friction_terms import (
     axle_columns as axle_columns,
     steady_columns as steady_columns,
 )
-from .identified import (
+from .identified_model import (
     USUAL_CONDITION as USUAL_CONDITION,
     IdentifiedModel as IdentifiedModel,
     condition_text as condition_text,

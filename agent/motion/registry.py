@@ -14,7 +14,7 @@ from typing import Any
 from agent.core import InputError
 from agent.motion.dialect import Dialect
 from agent.motion.interpolator import Interpolator
-from agent.motion.learned import is_file_name, load_law
+from agent.motion.learned_law import is_file_name, load_law
 from agent.robot import RobotDescription
 
 #: Third parties add interpolators under this entry-point group.
@@ -58,7 +58,7 @@ def interpolator_names(dialect: Dialect | None = None) -> tuple[str, ...]:
 
 
 def create_interpolator(name: str, robot: RobotDescription, tool: Any = None, **options: Any) -> Interpolator:
-    """An interpolator by its registered name, or by the file of a learned law (`agent.motion.learned`).
+    """An interpolator by its registered name, or by the file of a learned law (`agent.motion.learned_law`).
 
     Raises:
         InputError: no interpolator has that name, or the file is none for this robot.

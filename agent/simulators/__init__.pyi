@@ -7,7 +7,7 @@ from .corrected.correction import (
     correct as correct,
 )
 from .export import export_model as export_model, export_table as export_table
-from .forward import (
+from .forward_simulation import (
     ExternalTorque as ExternalTorque,
     ForwardSimulation as ForwardSimulation,
     RigidActuation as RigidActuation,

@@ -116,7 +116,7 @@ def test_weights_are_inverse_variances_and_no_less_certain_in_motion(problem):
     silent = replace(moments, sums=(0 * moments.sums[0], moments.sums[1]), _totals={})
     least = 1e-20 * silent.torque_energy().sum() / moments.rows.sum()
     assert 1 / sums.reweight(silent, values)[0, 0] == pytest.approx(least, rel=1e-6, abs=0)
-    settled = sums.iterate_weights(moments, problem.prior, 2.0)
+    settled = replace(problem, prior_weight=2.0).weights()
     again = sums.reweight(moments, sums.solve_sum(moments.weighted(settled), problem.prior, 2.0))
     np.testing.assert_allclose(again, settled, rtol=0.02)
     perfect = replace(moments, sums=tuple(0 * part for part in moments.sums), _totals={})
