@@ -9,15 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from agent.diagnosis.document import (
-    Cause,
-    DiagnosisResult,
-    FoldNames,
-    JointShare,
-    NextExperiment,
-    PathGap,
-    TorqueGap,
-)
+from agent.diagnosis.document import Cause, DiagnosisResult, FoldNames, JointShare, NextExperiment, PathGap, TorqueGap
 from agent.diagnosis.gap.held_torque import HeldTorque
 from agent.diagnosis.gap.motion_gap import MotionGap
 from agent.diagnosis.gap.regime_shares import regimes, share_intervals

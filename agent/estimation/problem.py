@@ -7,14 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from agent.estimation.normal_equations import (
-    Moments,
-    autocorrelation_time,
-    collect,
-    log_evidence,
-    reweight,
-    solve_sum,
-)
+from agent.estimation.normal_equations import Moments, autocorrelation_time, collect, log_evidence, reweight, solve_sum
 from agent.estimation.observation import Observation, Partition
 from agent.estimation.prior import DESCRIPTION, Prior, physical_prior
 from agent.model import FrictionTerm

@@ -30,7 +30,7 @@ def problem():
     q, qd, qdd = _multisine(2, 0.5 * t + 0.3 * np.sin(t))
     noise = np.random.default_rng(0).normal(size=q.shape) * [1.0, 4.0]
     log = _log(robot, t, np.where(t[:, None] > 4, q[2000], q), _links(robot, q, qd, qdd) + 3 * np.sign(qd) + noise)
-    observation = observe(rigid_bodies(robot)[0], [log], FilterSettings(20.0))
+    observation = observe(rigid_bodies(robot), [log], FilterSettings(20.0))
     return Problem.pose(observation, partition(observation.segments), paper_terms([Reversal()] * 2))
 
 

@@ -10,7 +10,6 @@ lowers z, the constraints are monotone, and so passes over all joints converge t
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -78,19 +77,11 @@ class PathShape:
     turn_bend: np.ndarray
     smooth: bool
 
-    def roughness(self) -> float:
-        """Error of joints and TCP between knots, in units of the tolerated one.
+    def roughness(self) -> tuple[float, int]:
+        """Largest error of joints and TCP between knots, in units of the tolerated one, and the knot where it is.
 
         A cubic spline errs by h⁴/384 times the fourth derivative, which is the change of the third over h.
         """
-        return float(np.max(self._errors, initial=0.0)) / _TOLERATED
-
-    def roughest(self) -> int:
-        """The knot where that error is largest."""
-        return 1 + int(np.argmax(self._errors))
-
-    @cached_property
-    def _errors(self) -> np.ndarray:
         cubic = self.coefficients[0]
         change = 6.0 * np.abs(cubic[:, 1:] - cubic[:, :-1]).max(axis=0)
         step = np.diff(self.path.s)
@@ -99,7 +90,8 @@ class PathShape:
         errors[[0, 1, -2, -1]] *= 10.0
         if not self.smooth:
             errors[self.path.borders[1:-1] - 1] = 0.0
-        return errors
+        worst = int(np.argmax(errors))
+        return float(errors[worst]) / _TOLERATED, 1 + worst
 
 
 def shape_of(path: Path, smooth: bool = True) -> PathShape:

@@ -108,12 +108,12 @@ class RunPlanner:
                 ]
                 continue
             shape = shape_of(path, self.parameters.blend == "polynomial")
-            roughness = shape.roughness()
+            roughness, roughest = shape.roughness()
             if roughness <= 1.0 or fineness >= _FINEST or last:
                 break
             fineness = min(1.2 * fineness * roughness**0.25, _FINEST)
         if roughness > _ROUGHEST:
-            move = int(path.move[shape.roughest()])
+            move = int(path.move[roughest])
             raise MotionError(
                 f"{label_of(segments, move)}: joints turn too fast along the path: it all but touches a singularity; "
                 "move the point or turn the tool",
@@ -205,7 +205,7 @@ def _slowing(run: Run, begin: float, planner: RunPlanner) -> list[BindingLimit]:
     qd, qdd = samples.qd[:, pick], samples.qdd[:, pick]
     jerk = np.zeros_like(qdd)
     jerk[:, 1:] = (qdd[:, 1:] - samples.qdd[:, _EVERY - 1 :: _EVERY][:, : jerk.shape[1] - 1]) / period
-    rates = tcp_rates(samples.rows, samples.joints)[:, pick]
+    rates = tcp_rates(samples.rows, len(samples.q))[:, pick]
     cartesian = limits.cartesian
     ceilings = (
         cartesian.linear_speed,

@@ -93,41 +93,21 @@ class BlockLaw:
 
 @dataclass(frozen=True, eq=False)
 class SetPoints:
-    """Samples of one run from a standstill: the path parameter s and its speed (S,), of n `joints`.
+    """Samples of one run from a standstill: the path parameter s and its speed (S,).
 
     rows (3, n + 7, S): values, derivatives and second derivatives by time of the joints and of the TCP's pose, which is
-    position [m] and orientation (unit quaternion). Samples are the last axis: every operation runs along them.
+    position [m] and orientation (unit quaternion). Samples are the last axis: every operation runs along them. Parts of
+    the rows are q, qd, qdd (n, S), pose and pose_rate (7, S).
     """
 
-    joints: int
     s: np.ndarray
     speed: np.ndarray
     rows: np.ndarray
-
-    @property
-    def q(self) -> np.ndarray:
-        """(n, S)"""
-        return self.rows[0, : self.joints]
-
-    @property
-    def qd(self) -> np.ndarray:
-        """(n, S)"""
-        return self.rows[1, : self.joints]
-
-    @property
-    def qdd(self) -> np.ndarray:
-        """(n, S)"""
-        return self.rows[2, : self.joints]
-
-    @property
-    def pose(self) -> np.ndarray:
-        """(7, S)"""
-        return self.rows[0, self.joints :]
-
-    @property
-    def pose_rate(self) -> np.ndarray:
-        """(7, S)"""
-        return self.rows[1, self.joints :]
+    q: np.ndarray
+    qd: np.ndarray
+    qdd: np.ndarray
+    pose: np.ndarray
+    pose_rate: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,7 +202,8 @@ def sampled(shape: PathShape, law: TimeLaw | BlockLaw, period: float) -> SetPoin
     n = shape.path.q.shape[1]
     t = np.arange(int(np.ceil(law.duration / period - 1e-9)) + 1) * period
     s, speed, acceleration = law.sample(t)
-    return SetPoints(n, s, speed, sampled_on(shape.path.s, shape.coefficients, s, speed, acceleration, n))
+    rows = sampled_on(shape.path.s, shape.coefficients, s, speed, acceleration, n)
+    return SetPoints(s, speed, rows, *rows[:, :n], *rows[:2, n:])
 
 
 def stretch_needed(path: Path, samples: SetPoints, limits: ArmLimits, period: float) -> np.ndarray:

@@ -13,16 +13,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from agent.model import (
-    CATALOGUE,
-    IdentifiedModel,
-    ModelEffect,
-    across,
-    is_body,
-    nearby_body,
-    nearest_bodies,
-    seen_from,
-)
+from agent.model import CATALOGUE, IdentifiedModel, ModelEffect, across, is_body, nearby_body, nearest_bodies, seen_from
 from agent.robot import LINK_PARAMETERS, ParameterLayout
 from agent.simulators.arm import SimulatedArm, described, model_of
 from agent.simulators.loader import Simulator
