@@ -15,7 +15,7 @@ import shutil
 from functools import partial
 from pathlib import Path
 
-from agent.blind_check.check import BlindCheck, score_answers
+from agent.blind_check.own_check import BlindCheck, score_answers
 from agent.blind_check.report import PAGE, RESULTS, read_results, write_results
 from agent.blind_check.worlds import world_of
 from agent.core import AgentError, Console, LocalProcesses, TaskEngine, available_cores, sha256_file

@@ -2,5 +2,5 @@
 
 from agent.data_quality.channels import unsigned_torque
 from agent.data_quality.checks import check_quality, spoiled
-from agent.data_quality.finding import QualityFinding
-from agent.data_quality.fitted import fitted_doubts
+from agent.data_quality.faults import QualityFinding
+from agent.data_quality.fitted_model import fitted_doubts

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from agent.data_quality.finding import MOVING, QualityFinding, Recordings, travel
+from agent.data_quality.faults import MOVING, QualityFinding, Recordings, travel
 from agent.recording import Log
 from agent.robot import RobotDescription
 from agent.simulators import SERVO_STIFFNESS

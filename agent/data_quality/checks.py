@@ -16,8 +16,8 @@ from agent.data_quality.channels import (
     unsigned_channels,
     velocity_mismatch,
 )
-from agent.data_quality.described import described_weight, excessive_torque, excessive_weight, position_units
-from agent.data_quality.finding import QualityFinding, Recordings
+from agent.data_quality.description_fit import described_weight, excessive_torque, excessive_weight, position_units
+from agent.data_quality.faults import QualityFinding, Recordings
 from agent.data_quality.mechanics import implausible_mechanics, wrong_lengths
 from agent.recording import Log
 from agent.robot import RobotDescription

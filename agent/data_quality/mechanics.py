@@ -16,8 +16,8 @@ from itertools import combinations
 
 import numpy as np
 
-from agent.data_quality.described import MEND_GRAVITY, WITH_GRAVITY, described_gravity, gravity_axes, gravity_text
-from agent.data_quality.finding import QualityFinding, Recordings
+from agent.data_quality.description_fit import MEND_GRAVITY, WITH_GRAVITY, described_gravity, gravity_axes, gravity_text
+from agent.data_quality.faults import QualityFinding, Recordings
 from agent.data_quality.rigid_fit import FOLDS, RigidFit, fitted_gravity
 from agent.robot import Dynamics, RobotDescription
 

@@ -1,4 +1,5 @@
-from .correction import corrected as corrected
+from .corrected_simulator import corrected as corrected
+from .diagnosis import LARGE_ERROR as LARGE_ERROR, Diagnosis as Diagnosis
 from .extension import extended_model as extended_model
 from .forward.simulation import Simulated as Simulated, simulate as simulate, simulation_part as simulation_part
 from .forward.windows import (
@@ -8,7 +9,7 @@ from .forward.windows import (
 )
 from .gap.drives_off import channel_zero as channel_zero
 from .gap.held_torque import SAME_MOTIONS as SAME_MOTIONS
-from .gap.regimes import (
+from .gap.regime_shares import (
     BANDS as BANDS,
     band_shares as band_shares,
     masks as masks,
@@ -24,7 +25,6 @@ from .hypotheses.testability import smallest_sizes as smallest_sizes
 from .labels import in_torque as in_torque, torque_gap as torque_gap
 from .limits import LIMITS as LIMITS
 from .randomisation import Range as Range, ranges as ranges, ranges_text as ranges_text
-from .result import LARGE_ERROR as LARGE_ERROR, Diagnosis as Diagnosis
 from .rows.candidate import Candidate as Candidate, Place as Place
 from .rows.dataset import Dataset as Dataset, background_of as background_of
 from .rows.fit import Fit as Fit

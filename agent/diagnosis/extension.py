@@ -9,7 +9,7 @@ from agent.diagnosis.sizes import intervals
 from agent.model import IdentifiedModel
 
 if TYPE_CHECKING:
-    from agent.diagnosis.result import Diagnosis
+    from agent.diagnosis.diagnosis import Diagnosis
 
 
 def extended_model(diagnosis: Diagnosis, without: int | None = None, once: bool = False) -> IdentifiedModel:

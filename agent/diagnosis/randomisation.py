@@ -13,7 +13,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from agent.diagnosis.result import Diagnosis
+from agent.diagnosis.diagnosis import Diagnosis
 from agent.diagnosis.sizes import unit_of
 from agent.robot import ParameterLayout
 

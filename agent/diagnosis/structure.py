@@ -12,8 +12,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from agent.diagnosis.diagnosis import Diagnosis
 from agent.diagnosis.extension import extended_model
-from agent.diagnosis.result import Diagnosis
 from agent.diagnosis.workflow import diagnose
 from agent.model import IdentifiedModel
 from agent.recording import Log

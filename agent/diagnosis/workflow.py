@@ -9,6 +9,7 @@ import numpy as np
 
 from agent.core import InputError, keep_freed_memory
 from agent.data_quality import spoiled
+from agent.diagnosis.diagnosis import Diagnosis, build
 from agent.diagnosis.gap.drives_off import as_evidence, channel_zero, said_by_zero
 from agent.diagnosis.gap.held_torque import HeldTorque, held_torque
 from agent.diagnosis.gap.motion_gap import MotionGap, motion_gap
@@ -16,10 +17,9 @@ from agent.diagnosis.hypotheses.healthy import healthy_on
 from agent.diagnosis.hypotheses.search import Search
 from agent.diagnosis.hypotheses.testability import effects_of_path
 from agent.diagnosis.limits import LIMITS
-from agent.diagnosis.result import Diagnosis, build
 from agent.diagnosis.rows.dataset import Dataset, assemble
+from agent.diagnosis.simulator_file.explanation import Explanation, search_simulator
 from agent.diagnosis.simulator_file.released_numbers import ReleasedSimulator, causes_of_steps
-from agent.diagnosis.simulator_file.simulator import Explanation, search_simulator
 from agent.diagnosis.verdict import Verdict, causes_of, decide_verdict, named, supported
 from agent.estimation import beyond_fit
 from agent.model import CATALOGUE, IdentifiedModel

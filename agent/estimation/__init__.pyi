@@ -7,13 +7,13 @@ from .filtering import (
     smooth_and_differentiate as smooth_and_differentiate,
     used_text as used_text,
 )
-from .moments import inverse as inverse, solve_scaled as solve_scaled
+from .identification import (
+    EstimationSettings as EstimationSettings,
+    estimate as estimate,
+)
+from .model_building import beyond_fit as beyond_fit, known_positions as known_positions
+from .normal_equations import inverse as inverse, solve_scaled as solve_scaled
 from .observation import Observation as Observation, check_log as check_log, observe as observe
 from .prior import DESCRIPTION as DESCRIPTION, EITHER as EITHER, physical_prior as physical_prior
 from .refitting import Refit as Refit, conditional_covariance as conditional_covariance, refit as refit
 from .selection import placeholders as placeholders
-from .summary import beyond_fit as beyond_fit, known_positions as known_positions
-from .workflow import (
-    EstimationSettings as EstimationSettings,
-    estimate as estimate,
-)

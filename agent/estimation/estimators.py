@@ -7,7 +7,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from agent.estimation.moments import Moments, clear_gain, collect, pseudo_inverse, scaled_rank, solve_scaled, standstill
+from agent.estimation.normal_equations import (
+    Moments,
+    clear_gain,
+    collect,
+    pseudo_inverse,
+    scaled_rank,
+    solve_scaled,
+    standstill,
+)
 from agent.estimation.prior import link_prior
 from agent.estimation.problem import Estimate, Problem
 from agent.model import PSEUDO_INERTIA

@@ -181,10 +181,9 @@ def motions(log: Log, settings: FilterSettings, reduce: bool = True) -> Iterator
     flat, stop = _bands(log, cutoff)
     edge = _edge_time(cutoff, flat, stop)
     needed = _needed(cutoff, edge)
-    segments = log.bridged(_BRIDGED / cutoff)
-    long_enough = [(a, b) for a, b in segments if log.t[b - 1] - log.t[a] > needed]
+    long_enough, short = _segments(log, cutoff, needed)
     if not long_enough:
-        longest = max((log.t[b - 1] - log.t[a] for a, b in segments), default=0.0)
+        longest = max((log.t[b - 1] - log.t[a] for a, b in short), default=0.0)
         raise InputError(
             f"{log.path}: the longest segment without a gap is {longest:.2f} s; a cut-off of {cutoff:g} Hz "
             f"needs {needed:.2f} s. Record longer, or raise the cut-off"
@@ -227,18 +226,12 @@ def used_text(log: Log, settings: FilterSettings) -> str:
     """Text for people: the number of samples of a log that remain after a filter, and the dropped ones."""
     cutoff = resolve_cutoff(log, settings)
     edge = _edge_time(cutoff, *_bands(log, cutoff))
-    segments = log.bridged(_BRIDGED / cutoff)
-    short = [(a, b) for a, b in segments if not log.t[b - 1] - log.t[a] > _needed(cutoff, edge)]
-    used = sum(
-        int(
-            np.count_nonzero(np.abs(log.t[a:b] - (log.t[a] + log.t[b - 1]) / 2) <= (log.t[b - 1] - log.t[a]) / 2 - edge)
-        )
-        for a, b in segments
-        if (a, b) not in short
-    )
+    long_enough, short = _segments(log, cutoff, _needed(cutoff, edge))
+    stamps = [log.t[a:b] for a, b in long_enough]
+    used = sum(int(np.count_nonzero(np.abs(t - (t[0] + t[-1]) / 2) <= (t[-1] - t[0]) / 2 - edge)) for t in stamps)
     text = f"{log.name}: {used} of {len(log.t)} samples used"
-    if len(short) or len(segments) > 1:
-        text += f", of {len(segments) - len(short)} of {len(segments)} segments between gaps"
+    if len(short) or len(long_enough) > 1:
+        text += f", of {len(long_enough)} of {len(long_enough) + len(short)} segments between gaps"
     if short:
         longest = max(float(log.t[b - 1] - log.t[a]) for a, b in short)
         first = float(log.t[short[0][0]])
@@ -247,6 +240,13 @@ def used_text(log: Log, settings: FilterSettings) -> str:
             f"(the first at {first:.3f} s, the longest of {longest:.2f} s) and left out"
         )
     return text
+
+
+def _segments(log: Log, cutoff: float, needed: float) -> tuple[list[tuple[int, int]], list[tuple[int, int]]]:
+    """Segments between gaps, first and last sample: those longer than what is `needed` [s], and the others."""
+    segments = log.bridged(_BRIDGED / cutoff)
+    long_enough = [(a, b) for a, b in segments if log.t[b - 1] - log.t[a] > needed]
+    return long_enough, [one for one in segments if one not in long_enough]
 
 
 def _needed(cutoff: float, edge: float) -> float:

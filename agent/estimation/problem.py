@@ -7,11 +7,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from agent.estimation.moments import Moments, autocorrelation_time, collect, iterate_weights, log_evidence, solve_sum
+from agent.estimation.normal_equations import Moments, autocorrelation_time, collect, log_evidence, reweight, solve_sum
 from agent.estimation.observation import Observation, Partition
 from agent.estimation.prior import DESCRIPTION, Prior, physical_prior
 from agent.model import FrictionTerm
 
+_ROUNDS = 4  # of weights from residuals
 #: Weighted sum of moments (p + 1, p + 1) to parameters (p,).
 Solver = Callable[[np.ndarray], np.ndarray]
 
@@ -87,8 +88,12 @@ class Problem:
         return autocorrelation_time(self.residuals(parameters))
 
     def weights(self) -> np.ndarray:
-        """(2, n) weights from the residuals that the weights before leave."""
-        return iterate_weights(self.moments, self.prior, self.prior_weight)
+        """(2, n) weights from the residuals that the weights before leave, starting from equal ones."""
+        variance = self.moments.torque_energy().sum() / self.moments.rows.sum()
+        weights = np.full((2, len(self.moments.index)), 1 / max(variance, 1e-30))
+        for _ in range(_ROUNDS):
+            weights = reweight(self.moments, self.solve(weights))
+        return weights
 
     def solver(self, total: np.ndarray) -> np.ndarray:
         """(p,) least squares with the prior, from a weighted sum of moments (p + 1, p + 1)."""

@@ -22,10 +22,10 @@ import numpy as np
 from agent.core import InputError
 from agent.estimation.estimators import ESTIMATORS
 from agent.estimation.filtering import FilterSettings
-from agent.estimation.moments import reweight, solve_scaled
+from agent.estimation.model_building import build_model
+from agent.estimation.normal_equations import reweight, solve_scaled
 from agent.estimation.observation import Observation, observe, partition
 from agent.estimation.problem import Estimate, Problem
-from agent.estimation.summary import build_model
 from agent.estimation.uncertainty import jackknife
 from agent.model import IdentifiedModel, ParameterPrior
 from agent.recording import Log
@@ -53,7 +53,7 @@ def refit(model: IdentifiedModel, logs: Sequence[Log], parameters: str = "fricti
     Raises:
         InputError: logs that cannot be used, or a model whose base parameters are not this version's.
     """
-    rigid, names, combinations = rigid_bodies(model.robot, tool)
+    rigid = rigid_bodies(model.robot, tool)
     if not np.array_equal(rigid.independent, model.independent):
         raise InputError("the earlier model has other base parameters than this version identifies; calibrate anew")
     observation = observe(rigid, logs, FilterSettings(model.cutoff, model.order))
@@ -63,12 +63,12 @@ def refit(model: IdentifiedModel, logs: Sequence[Log], parameters: str = "fricti
     if parameters == "all":
         problem = problem.with_own_prior_weight()
         found = ESTIMATORS[model.method].fit(problem)
-        fresh = build_model(problem, found, model.method, names, combinations, logs)
+        fresh = build_model(problem, found, model.method, logs)
         return _judged(problem, found, replace(fresh, effects=model.effects), model)
     times = problem.autocorrelation_times(_friction(problem, model).parameters)
     problem = replace(problem, prior_weight=float(np.median(times)))
     found = _friction(problem, model)
-    fresh = build_model(problem, found, model.method, names, combinations, logs)
+    fresh = build_model(problem, found, model.method, logs)
     notes = (fresh.notes[0], "Friction estimated again; base parameters are those of the model before.")
     fresh = replace(
         fresh,

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from agent.estimation.moments import clear_gain, clearly_better, log_evidence
+from agent.estimation.normal_equations import clear_gain, clearly_better, log_evidence
 from agent.estimation.observation import Observation, Partition
 from agent.estimation.prior import DESCRIPTION, EITHER, SIZE, Prior
 from agent.estimation.problem import Estimate, Problem

@@ -17,7 +17,7 @@ from __future__ import annotations
 import numpy as np
 
 from agent.core import symmetric_eigen
-from agent.estimation.moments import Moments, inverse, pseudo_inverse, scaled_rank, standstill
+from agent.estimation.normal_equations import Moments, inverse, pseudo_inverse, scaled_rank, standstill
 from agent.estimation.prior import Prior
 from agent.estimation.problem import Estimate, Problem
 from agent.model import ParameterPrior

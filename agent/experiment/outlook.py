@@ -24,8 +24,8 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.special import ndtr
 
-from agent.diagnosis import Candidate, Dataset, Evidence, Excursions, smooth_columns
-from agent.experiment.grid_motion import GridMotion, background_on
+from agent.diagnosis import LIMITS, Candidate, Dataset, Evidence, Excursions, background_of, smooth_columns
+from agent.experiment.pieces import GridMotion
 from agent.experiment.questions import OpenPair, Side
 from agent.model import MotionSignals, NominalModel
 from agent.robot import Tool
@@ -173,6 +173,25 @@ class Outlook:
             float(needed / np.sqrt(first)) if pair.second.form is None and first > 0 else None
             for pair, (first, _) in zip(self.pairs, self.evidence(added), strict=True)
         ]
+
+
+def background_on(dataset: Dataset, reference: NominalModel, motion: MotionSignals) -> np.ndarray:
+    """The verdict's noise level (S, n) [N·m] on a motion that is not in the logs.
+
+    The speed threshold of a stationary joint depends on all motions that are diagnosed together. On the motion's coarse
+    grid, a joint that reverses is stationary between two samples, and its friction does not follow its direction there.
+    """
+    fit = dataset.fit
+    moving = fit.sigma.min(axis=0)
+    sigma = background_of(reference, moving, [motion], fit.signals)
+    turns = np.zeros(sigma.shape, dtype=bool)
+    turns[1:] = motion.qd[1:] * motion.qd[:-1] < 0
+    turns[:-1] |= turns[1:]
+    near = turns.copy()
+    for shift in range(1, int(LIMITS.near_rest / float(np.median(np.diff(motion.time)))) + 1):
+        near[shift:] |= turns[:-shift]
+        near[:-shift] |= turns[shift:]
+    return np.where(near, np.maximum(fit.sigma.max(axis=0), 2 * moving), sigma)
 
 
 def _thinned(motion: GridMotion) -> GridMotion:

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from agent.excitation import Candidates, LoopProblem
-from agent.experiment.grid_motion import GridMotion
 from agent.motion import (
     Delay,
     JointTarget,
@@ -47,6 +46,16 @@ PERIOD = 0.01
 _SPEED_ROUND_OFF = 1.01
 #: Change of a gene when a piece is varied.
 _VARY = 0.15
+
+
+@dataclass(frozen=True, eq=False)
+class GridMotion:
+    """A motion on an even grid: time (S,) [s], q, qd, qdd (S, n)."""
+
+    time: np.ndarray
+    q: np.ndarray
+    qd: np.ndarray
+    qdd: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)

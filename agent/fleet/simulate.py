@@ -25,7 +25,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from agent.core import InputError, csv_text
-from agent.fleet.result import ROWS, schema
+from agent.fleet.result_file import ROWS, schema
 from agent.fleet.store import Store
 from agent.recording import Log, write_log
 from agent.robot import Dynamics, RobotDescription, load_robot

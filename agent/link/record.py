@@ -268,7 +268,7 @@ def record_program_file(
             that was planned with another, or with one that nobody has confirmed.
     """
     from agent.core import InputError
-    from agent.link.payload import check_payload, known_of
+    from agent.link.mounted_mass import check_payload, known_of
     from agent.model import known_payload
 
     if program.is_dir():

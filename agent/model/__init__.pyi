@@ -1,3 +1,4 @@
+from .effect_inputs import MotionSignals as MotionSignals, NominalModel as NominalModel
 from .effect_prediction import effect_torque as effect_torque
 from .effects import CATALOGUE as CATALOGUE
 from .effects.base_tilt import across as across
@@ -13,7 +14,7 @@ from .friction_terms import (
     axle_columns as axle_columns,
     steady_columns as steady_columns,
 )
-from .identified import (
+from .identified_model import (
     USUAL_CONDITION as USUAL_CONDITION,
     IdentifiedModel as IdentifiedModel,
     condition_text as condition_text,
@@ -28,7 +29,6 @@ from .known_load import (
 )
 from .regimes import REGIMES as REGIMES, regime_masks as regime_masks, standstill_speed as standstill_speed
 from .rigid_friction import HealthyEffect as HealthyEffect, ModelEffect as ModelEffect, ParameterPrior as ParameterPrior
-from .signals import MotionSignals as MotionSignals, NominalModel as NominalModel
 from .standard_parameters import (
     PSEUDO_INERTIA as PSEUDO_INERTIA,
     body_parameters as body_parameters,

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from agent.core import InputError
+from agent.model.effect_inputs import MotionSignals, NominalModel
 from agent.model.effects import CATALOGUE
 from agent.model.rigid_friction import ModelEffect, RigidFrictionModel
-from agent.model.signals import MotionSignals, NominalModel
 
 
 def effect_torque(model: RigidFrictionModel, entry: ModelEffect, motion: Mapping[str, Any]) -> np.ndarray:

@@ -108,7 +108,8 @@ class RigidFrictionModel:
         """The regressor of the base parameters."""
         from agent.robot import Dynamics
 
-        return RigidBodies(Dynamics(self.robot), self.independent, self.projection)
+        own = self.independent, self.projection, self.standard_names, self.combinations
+        return RigidBodies(Dynamics(self.robot), *own)
 
     @property
     def friction_share(self) -> np.ndarray:

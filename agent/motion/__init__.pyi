@@ -1,8 +1,8 @@
 from .dialect import Dialect as Dialect
+from .fly.fly_parameters import FlyParameters as FlyParameters
 from .fly.interpolator import FlyInterpolator as FlyInterpolator
-from .fly.parameters import FlyParameters as FlyParameters
 from .interpolator import Interpolator as Interpolator, MotionError as MotionError, Trajectory as Trajectory
-from .learned import (
+from .learned_law import (
     LearnedLaw as LearnedLaw,
     is_file_name as is_file_name,
     load_law as load_law,

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from agent.motion.fly.fly_parameters import FlyParameters
 from agent.motion.fly.interpolator import FlyInterpolator
-from agent.motion.fly.parameters import FlyParameters
 from agent.motion.interpolator import MotionError
 from agent.motion.path_settings import FlyTrajectory, FlyType, PathSettings
 from agent.motion.program import Move

@@ -7,7 +7,6 @@ degrees and percent.
 from __future__ import annotations
 
 import atexit
-import ctypes
 import os
 from collections.abc import Sequence
 from enum import Enum
@@ -16,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from cffi import FFI
 
 from agent.core import InputError
 from agent.motion.interpolator import MotionError, Trajectory
@@ -28,7 +28,6 @@ from agent.motion.program import (
     Move,
     MoveType,
     Statement,
-    Target,
     matrix_of,
     pose_in_robot_base,
     tool_frame,
@@ -39,23 +38,91 @@ if TYPE_CHECKING:
     from agent.robot import Tool
 
 #: Environment variables: the library, the controller's file (*.c5g) and the arm in it (1 to 4).
-LIBRARY = "CALIBRATION_ORL_LIBRARY"
-CONTROLLER = "CALIBRATION_ORL_CONTROLLER"
-ARM = "CALIBRATION_ORL_ARM"
+LIBRARY, CONTROLLER, ARM = "CALIBRATION_ORL_LIBRARY", "CALIBRATION_ORL_CONTROLLER", "CALIBRATION_ORL_ARM"
 
 #: Status of a step; any other is an error. NEED_DATA: the arm is moving and the next move may be announced.
 _MOVING, _NEED_DATA, _FINAL, _IDLE = 0, 1, 2, -42
 #: One move is active and one more is scheduled; a third waits for NEED_DATA.
 _MOST_ANNOUNCED = 2
-_MOST_JOINTS, _MOST_FLAGS = 10, 79
+_MOST_JOINTS, _MOST_FLAGS = 10, 79  # of the header's arrays
 #: [s] Longest chain of moves.
 _LONGEST = 3600.0
 #: [rad or m] A chain that ends further from its target than this was run by another arm or in other frames.
 _ARRIVED = 5e-3
 
+# Constants of the published header: units, kinds of fly parameters, and the words of each setting.
+_SILENT, _FIRST_CONTROLLER, _LINK_DEGREE, _CARTESIAN, _FLY_PERCENT, _FLY_DISTANCE, _ROTATION = 0, 0, 3, 50, 7, 8, 1
+_INTEGER, _REAL = 1, 3
+_CODES: dict[Enum, int] = {
+    **{MoveType.JOINT: 1, MoveType.LINEAR: 2, MoveType.CIRCULAR: 4},
+    **{FlyTrajectory.FLY_AUTO: 3, FlyTrajectory.FLY_PASS: 4, FlyTrajectory.FLY_TOL: 5, FlyTrajectory.FLY_FROM: 6},
+    **{SpeedOption.SPD_LIN: 1, SpeedOption.SPD_ROT: 2, SpeedOption.SPD_JNT: 3, SpeedOption.SPD_CONST: 4},
+    **{OrientationType.RS_WORLD: 2, OrientationType.EUL_WORLD: 3, OrientationType.WRIST_JNT: 4},
+    OrientationType.RS_TRAJ: 6,
+    **{Termination.FINE: 0, Termination.COARSE: 1, Termination.NOSETTLE: 2},
+    **{Termination.JNT_FINE: 3, Termination.JNT_COARSE: 4},
+}
+
+
+#: Declarations of the published header. Each call ends with verbose and controller, most with the arm as well.
+_HEADER = """
+typedef struct { int unit_type; double x, y, z, a, e, r; char config_flags[80]; } pose;
+typedef struct { int unit_type; double value[10]; } joints;
+typedef struct { int ctype, permission, iv; double dv; char sv[255], sysvar_name[80]; } variable;
+
+int ORL_initialize_controller(const char *file, const char *folder, int verbose, int controller);
+int ORL_terminate_controller(int verbose, int controller);
+int ORL_initialize_frames(pose base, pose tool, pose uframe, int verbose, int controller, int arm);
+int ORL_select_point_accuracy(int termination, int verbose, int controller, int arm);
+int ORL_set_interpolation_time(double milliseconds, int verbose, int controller, int arm);
+int ORL_get_next_interpolation_step(joints *step, int verbose, int controller, int arm);
+int ORL_set_position(pose *, joints *, int verbose, int controller, int arm);
+int ORL_set_move_parameters(int fly, int advance, int fly_type, int move, pose *, joints *,
+                            int verbose, int controller, int arm);
+int ORL_set_data(variable set, int verbose, int controller);
+int ORL_dominant_interpolation(int speed, int rotation, int verbose, int controller, int arm);
+int ORL_orientation_interpolation(int orientation, int verbose, int controller, int arm);
+int ORL_cancel_motion(int verbose, int controller, int arm);
+int ORL_set_fly_parameter(int kind, double value, int verbose, int controller, int arm);
+"""
+_FFI = FFI()
+_FFI.cdef(_HEADER)
+
 
 class _CallRefused(Exception):
     """A call with an error status; its text names the call."""
+
+
+# The library keeps one controller's state for the process: initialised once, however many interpolators there are.
+@cache
+def _started(path: str, controller: str, arm: str) -> Any:
+    """The library at `path`, started from the controller's file for one of its arms ("1" to "4").
+
+    Raises:
+        InputError: no such library, file or arm, a call is missing, or the library does not start.
+    """
+    try:
+        library = _FFI.dlopen(path)
+    except OSError as error:
+        raise InputError(f"{path}: the ORL library does not load: {error}") from None
+    try:
+        for name in dir(library):
+            getattr(library, name)
+    except AttributeError as error:
+        raise InputError(f"{path}: not an ORL library: {error}") from None
+    if not controller:
+        raise InputError(f"the vendor's library starts from the controller's file: set {CONTROLLER} to it (*.c5g)")
+    if not os.path.isfile(controller):
+        raise InputError(f"{controller}: the controller's file is not there ({CONTROLLER})")
+    if arm not in ("1", "2", "3", "4"):
+        raise InputError(f"{ARM} is {arm!r}: the arm is 1 to 4")
+    folder, name = os.path.split(os.path.abspath(controller))
+    folder = os.path.join(folder, "")  # the separator at the end, as public programs give it
+    status = library.ORL_initialize_controller(os.fsencode(name), os.fsencode(folder), _SILENT, _FIRST_CONTROLLER)
+    if status != 0:
+        raise InputError(f"ORL_initialize_controller refuses {controller}: status {status}")
+    atexit.register(library.ORL_terminate_controller, _SILENT, _FIRST_CONTROLLER)
+    return library
 
 
 class OrlInterpolator:
@@ -80,13 +147,14 @@ class OrlInterpolator:
         self._sliding = np.array([joint.prismatic for joint in robot.joints])
         if robot.dof > _MOST_JOINTS:
             raise InputError(f"the robot has {robot.dof} joints, the ORL library takes {_MOST_JOINTS}")
-        path = str(library or os.environ.get(LIBRARY) or "")
+        path, arm = str(library or os.environ.get(LIBRARY) or ""), os.environ.get(ARM, "1")
         if not path:
             raise InputError(
                 f"the orl interpolator needs the vendor's library: set {LIBRARY} to its path, or use the interpolator "
                 "fly"
             )
-        self._library = _started(path, os.environ.get(CONTROLLER, ""), os.environ.get(ARM, "1"))
+        self._library, self._arm = _started(path, os.environ.get(CONTROLLER, ""), arm), int(arm)
+        self._place = (_SILENT, _FIRST_CONTROLLER, self._arm - 1)
         self._set_period()
 
     def plan(self, statements: Sequence[Statement], start: np.ndarray) -> Trajectory:
@@ -99,45 +167,60 @@ class OrlInterpolator:
         # The library is one for the process, and another interpolator may have set its own period.
         self._set_period()
         here = np.asarray(start, dtype=float)
-        samples, moves = [here[None]], [np.zeros(1, dtype=int)]
+        samples, owners = [here[None]], [np.zeros(1, dtype=int)]
         chain: list[tuple[int, Move]] = []
         for index, statement in enumerate(statements):
             if isinstance(statement, Delay):
-                count = round(statement.seconds / self.period)
-                samples.append(np.tile(here, (count, 1)))
-                moves.append(np.full(count, index))
+                samples.append(np.tile(here, (round(statement.seconds / self.period), 1)))
+                owners.append(np.full(len(samples[-1]), index))
                 continue
             chain.append((index, statement))
-            following = statements[index + 1] if index + 1 < len(statements) else None
-            if not statement.fly or not isinstance(following, Move):
-                try:
-                    samples.append(np.array(self._steps(chain, here)))
-                except MotionError:
-                    self._library.cancel()
-                    raise
-                moves.append(self._owners(chain, samples[-1]))
-                here, chain = samples[-1][-1], []
-        return self._trajectory(np.concatenate(samples), np.concatenate(moves))
+            if statement.fly and isinstance([*statements[index + 1 :], None][0], Move):
+                continue
+            try:
+                samples.append(self._steps(chain, here))
+            except MotionError:
+                # Nothing to cancel is an error to the library, and none to us.
+                self._library.ORL_cancel_motion(*self._place)
+                raise
+            owners.append(self._owners(chain, samples[-1]))
+            here, chain = samples[-1][-1], []
+        return self._trajectory(np.concatenate(samples), np.concatenate(owners))
 
     def _set_period(self) -> None:
         try:
-            self._library.call("ORL_set_interpolation_time", 1e3 * self.period)
+            self._call("ORL_set_interpolation_time", 1e3 * self.period)
         except _CallRefused as refused:
             raise InputError(f"the library refuses a period of {1e3 * self.period:g} ms: {refused}") from None
 
-    def _steps(self, chain: list[tuple[int, Move]], start: np.ndarray) -> list[np.ndarray]:
-        """Set-points (n,) of moves from stop to stop."""
-        announced = 0
-        for index, move in chain[:_MOST_ANNOUNCED]:
-            self._announce(index, move, start if announced == 0 else None)
-            announced += 1
+    def _call(self, name: str, *arguments: object) -> None:
+        status = getattr(self._library, name)(*arguments, *self._place)
+        if status != 0:
+            raise _CallRefused(f"{name}: status {status}")
+
+    def _set(self, name: str, value: float) -> None:
+        """Set a system variable of the arm: an INTEGER where the value is one, else a REAL."""
+        full = f"$ARM_DATA[{self._arm}].{name}"
+        number = {"ctype": _INTEGER, "iv": value} if isinstance(value, int) else {"ctype": _REAL, "dv": value}
+        variable = _FFI.new("variable *", {"sysvar_name": full.encode(), **number})
+        status = self._library.ORL_set_data(variable[0], _SILENT, _FIRST_CONTROLLER)
+        if status != 0:
+            raise _CallRefused(f"ORL_set_data of {full}: status {status}")
+
+    def _steps(self, chain: list[tuple[int, Move]], start: np.ndarray) -> np.ndarray:
+        """Set-points (S, n) of moves from stop to stop."""
+        announced = min(_MOST_ANNOUNCED, len(chain))
+        for (index, move), rest in zip(chain[:announced], (start, None), strict=False):
+            self._announce(index, move, rest)
         steps: list[np.ndarray] = []
         while len(steps) * self.period <= _LONGEST:
-            status, joints = self._library.step(self.robot.dof)
+            joints = self._joints()
+            status = self._library.ORL_get_next_interpolation_step(joints, *self._place)
             if status not in (_MOVING, _NEED_DATA, _FINAL):
                 idle = "the library has nothing to move before the move has ended"
                 raise _refusal(chain[announced - 1][0], idle if status == _IDLE else f"no next step: status {status}")
-            steps.append(np.where(self._sliding, 1e-3 * np.array(joints), np.radians(joints)))
+            q = np.array(list(joints.value)[: self.robot.dof])
+            steps.append(np.where(self._sliding, 1e-3 * q, np.radians(q)))
             jump = np.abs(steps[0] - start)
             if len(steps) == 1 and np.any(jump > 2.0 * self.robot.max_velocity * self.period):
                 away = np.degrees(jump.max())
@@ -148,44 +231,53 @@ class OrlInterpolator:
             if status == _FINAL:
                 if announced < len(chain):
                     raise _refusal(chain[announced - 1][0], "the library ended the move before it asked for the next")
-                index, move = chain[-1]
-                if (away := float(self._away(move, steps[-1][None])[0])) > _ARRIVED:
-                    joints_given = isinstance(move.target, JointTarget)
-                    far = f"{np.degrees(away):.3g} degrees" if joints_given else f"{1e3 * away:.3g} mm"
-                    raise _refusal(index, f"the library ended {far} from the target: another arm or other frames?")
-                return steps
+                self._check_arrival(*chain[-1], steps[-1])
+                return np.array(steps)
         raise _refusal(chain[-1][0], f"the move has not ended after {_LONGEST:g} s")
 
     def _announce(self, index: int, move: Move, start: np.ndarray | None) -> None:
         """Announce a move; `start` (n,) is where the arm rests before it, None on the way."""
-        call, settings = self._library.call, Pdl2Settings.of(move.settings)
+        settings = Pdl2Settings.of(move.settings)
         try:
             if start is not None:
-                call("ORL_set_position", None, self._joints(start))
+                self._call("ORL_set_position", _FFI.NULL, self._joints(start))
             frames = (matrix_of(settings.base), self._tool_of(move), matrix_of(settings.uframe))
-            call("ORL_initialize_frames", *map(_pose, frames))
-            call("ORL_select_point_accuracy", _CODES[settings.termination])
-            call("ORL_orientation_interpolation", _CODES[settings.orientation])
-            call("ORL_dominant_interpolation", _CODES[settings.speed_option], _ROTATION)
-            self._library.set("LIN_SPD", ctype=3, dv=settings.linear_speed)
-            self._library.set("ROT_SPD", ctype=3, dv=settings.rotational_speed)
-            for name, override in _OVERRIDES.items():
-                self._library.set(name, ctype=1, iv=round(100.0 * getattr(settings, override)))
+            self._call("ORL_initialize_frames", *(_pose(frame)[0] for frame in frames))
+            self._call("ORL_select_point_accuracy", _CODES[settings.termination])
+            self._call("ORL_orientation_interpolation", _CODES[settings.orientation])
+            self._call("ORL_dominant_interpolation", _CODES[settings.speed_option], _ROTATION)
+            self._set("LIN_SPD", float(settings.linear_speed))
+            self._set("ROT_SPD", float(settings.rotational_speed))
+            self._set("SPD_OVR", round(100.0 * settings.speed_override))
+            self._set("ACC_OVR", round(100.0 * settings.acceleration_override))
+            self._set("DEC_OVR", round(100.0 * settings.deceleration_override))
+            self._set("ARM_OVR", round(100.0 * settings.arm_override))
             fly_type = 0
             if move.fly and settings.fly_type is FlyType.FLY_CART:
                 fly_type = _CODES[settings.fly_trajectory]
-                self._library.set("STRESS_PER", ctype=1, iv=round(settings.stress_percent))
-                call("ORL_set_fly_parameter", _FLY_DISTANCE, 1e3 * settings.fly_distance)
+                self._set("STRESS_PER", round(settings.stress_percent))
+                self._call("ORL_set_fly_parameter", _FLY_DISTANCE, 1e3 * settings.fly_distance)
             elif move.fly:
-                call("ORL_set_fly_parameter", _FLY_PERCENT, settings.fly_percent)
+                self._call("ORL_set_fly_parameter", _FLY_PERCENT, settings.fly_percent)
             # A circle takes two calls: its end, then its via-point.
-            for target in (move.target, move.via):
-                if target is not None:
-                    # ORL_FLY with ORL_ADVANCE, ORL_NO_FLY with ORL_WAIT: both pairs are 1, 1 and 0, 0.
-                    place = self._place(target)
-                    call("ORL_set_move_parameters", move.fly, move.fly, fly_type, _CODES[move.type], *place)
+            for target in filter(None, (move.target, move.via)):
+                pose = joints = _FFI.NULL
+                if isinstance(target, JointTarget):
+                    joints = self._joints(target.position)
+                elif len(flags := target.configuration.encode()) <= _MOST_FLAGS:
+                    pose = _pose(target.pose, flags)
+                else:
+                    long = f"a configuration of {len(flags)} characters"
+                    raise _CallRefused(f"{long}: the library takes {_MOST_FLAGS}")
+                # ORL_FLY with ORL_ADVANCE, ORL_NO_FLY with ORL_WAIT: both pairs are 1, 1 and 0, 0.
+                self._call("ORL_set_move_parameters", move.fly, move.fly, fly_type, _CODES[move.type], pose, joints)
         except _CallRefused as refused:
             raise _refusal(index, f"the library refuses the move: {refused}") from None
+
+    def _check_arrival(self, index: int, move: Move, q: np.ndarray) -> None:
+        if (away := float(self._away(move, q[None])[0])) > _ARRIVED:
+            far = f"{np.degrees(away):.3g} degrees" if isinstance(move.target, JointTarget) else f"{1e3 * away:.3g} mm"
+            raise _refusal(index, f"the library ended {far} from the target: another arm or other frames?")
 
     def _away(self, move: Move, q: np.ndarray) -> np.ndarray:
         """Distance (N,) [rad or m] of joint positions (N, n) from the move's target."""
@@ -208,16 +300,10 @@ class OrlInterpolator:
     def _tool_of(self, move: Move) -> np.ndarray:
         return self._tool if move.settings.tool is None else matrix_of(move.settings.tool)
 
-    def _place(self, target: Target) -> tuple[_CartesianPosition | None, _JointValue | None]:
-        if isinstance(target, JointTarget):
-            return None, self._joints(target.position)
-        flags = target.configuration.encode()
-        if len(flags) > _MOST_FLAGS:
-            raise _CallRefused(f"a configuration of {len(flags)} characters: the library takes {_MOST_FLAGS}")
-        return _pose(target.pose, flags), None
-
-    def _joints(self, q: np.ndarray) -> _JointValue:
-        return _JointValue(_LINK_DEGREE, tuple(np.where(self._sliding, 1e3 * np.asarray(q), np.degrees(q)).tolist()))
+    def _joints(self, q: np.ndarray | Sequence[float] = ()) -> Any:
+        """Joint positions (n,) [rad, m] as the library takes them, or room for those of a step."""
+        values = np.where(self._sliding, 1e3 * np.asarray(q), np.degrees(q)).tolist() if len(q) else ()
+        return _FFI.new("joints *", (_LINK_DEGREE, values))
 
     def _trajectory(self, q: np.ndarray, move: np.ndarray) -> Trajectory:
         padded = np.concatenate((q[:1], q, q[-1:]))
@@ -233,128 +319,5 @@ def _refusal(index: int, message: str) -> MotionError:
     return MotionError(f"statement {index + 1}: {message}", index, "orl", 1.0)
 
 
-class _CartesianPosition(ctypes.Structure):
-    _fields_ = (
-        ("unit_type", ctypes.c_int),
-        *[(name, ctypes.c_double) for name in ("x", "y", "z", "a", "e", "r")],
-        ("config_flags", ctypes.c_char * 80),
-    )
-
-
-class _JointValue(ctypes.Structure):
-    _fields_ = (("unit_type", ctypes.c_int), ("value", ctypes.c_double * _MOST_JOINTS))
-
-
-class _SystemVariable(ctypes.Structure):
-    """A system variable by name, with its type (1 integer, 3 real) and the value of that type."""
-
-    _fields_ = (
-        *[(name, ctypes.c_int) for name in ("ctype", "permission", "iv")],
-        ("dv", ctypes.c_double),
-        ("sv", ctypes.c_char * 255),
-        ("sysvar_name", ctypes.c_char * 80),
-    )
-
-
-# Constants of the published header: units, kinds of fly parameters, and the words of each setting.
-_SILENT, _FIRST_CONTROLLER, _LINK_DEGREE, _CARTESIAN, _FLY_PERCENT, _FLY_DISTANCE, _ROTATION = 0, 0, 3, 50, 7, 8, 1
-_CODES: dict[Enum, int] = {
-    **{MoveType.JOINT: 1, MoveType.LINEAR: 2, MoveType.CIRCULAR: 4},
-    **{FlyTrajectory.FLY_AUTO: 3, FlyTrajectory.FLY_PASS: 4, FlyTrajectory.FLY_TOL: 5, FlyTrajectory.FLY_FROM: 6},
-    **{SpeedOption.SPD_LIN: 1, SpeedOption.SPD_ROT: 2, SpeedOption.SPD_JNT: 3, SpeedOption.SPD_CONST: 4},
-    **{OrientationType.RS_WORLD: 2, OrientationType.EUL_WORLD: 3, OrientationType.WRIST_JNT: 4},
-    OrientationType.RS_TRAJ: 6,
-    **{Termination.FINE: 0, Termination.COARSE: 1, Termination.NOSETTLE: 2},
-    **{Termination.JNT_FINE: 3, Termination.JNT_COARSE: 4},
-}
-_OVERRIDES = {
-    "SPD_OVR": "speed_override",
-    "ACC_OVR": "acceleration_override",
-    "DEC_OVR": "deceleration_override",
-    "ARM_OVR": "arm_override",
-}
-# Each call ends with verbose and controller, most with the arm as well.
-_PLACE = [ctypes.c_int] * 3
-_TARGETS = [ctypes.POINTER(_CartesianPosition), ctypes.POINTER(_JointValue)]
-_CALLS: dict[str, list[Any]] = {
-    "ORL_initialize_controller": [ctypes.c_char_p, ctypes.c_char_p, ctypes.c_int, ctypes.c_int],
-    "ORL_terminate_controller": [ctypes.c_int, ctypes.c_int],
-    "ORL_initialize_frames": [*[_CartesianPosition] * 3, *_PLACE],
-    "ORL_select_point_accuracy": [ctypes.c_int, *_PLACE],
-    "ORL_set_interpolation_time": [ctypes.c_double, *_PLACE],
-    "ORL_get_next_interpolation_step": [ctypes.POINTER(_JointValue), *_PLACE],
-    "ORL_set_position": [*_TARGETS, *_PLACE],
-    "ORL_set_move_parameters": [*[ctypes.c_int] * 4, *_TARGETS, *_PLACE],
-    "ORL_set_data": [_SystemVariable, ctypes.c_int, ctypes.c_int],
-    "ORL_dominant_interpolation": [ctypes.c_int, ctypes.c_int, *_PLACE],
-    "ORL_orientation_interpolation": [ctypes.c_int, *_PLACE],
-    "ORL_cancel_motion": _PLACE,
-    "ORL_set_fly_parameter": [ctypes.c_int, ctypes.c_double, *_PLACE],
-}
-
-
-def _pose(matrix: np.ndarray, flags: bytes = b"") -> _CartesianPosition:
-    return _CartesianPosition(_CARTESIAN, *pose_to_pos(matrix).tolist(), flags)
-
-
-# The library keeps one controller's state for the process: initialised once, however many interpolators there are.
-@cache
-def _started(path: str, controller: str, arm: str) -> _Library:
-    """The library at `path`, started from the controller's file for one of its arms ("1" to "4").
-
-    Raises:
-        InputError: no such library, file or arm, a call is missing, or the library does not start.
-    """
-    try:
-        library = ctypes.CDLL(path)
-    except OSError as error:
-        raise InputError(f"{path}: the ORL library does not load: {error}") from None
-    try:
-        for name, arguments in _CALLS.items():
-            call = getattr(library, name)
-            call.argtypes, call.restype = arguments, ctypes.c_int
-    except AttributeError as error:
-        raise InputError(f"{path}: not an ORL library: {error}") from None
-    if not controller:
-        raise InputError(f"the vendor's library starts from the controller's file: set {CONTROLLER} to it (*.c5g)")
-    if not os.path.isfile(controller):
-        raise InputError(f"{controller}: the controller's file is not there ({CONTROLLER})")
-    if arm not in ("1", "2", "3", "4"):
-        raise InputError(f"{ARM} is {arm!r}: the arm is 1 to 4")
-    folder, name = os.path.split(os.path.abspath(controller))
-    folder = os.path.join(folder, "")  # the separator at the end, as public programs give it
-    status = library.ORL_initialize_controller(os.fsencode(name), os.fsencode(folder), _SILENT, _FIRST_CONTROLLER)
-    if status != 0:
-        raise InputError(f"ORL_initialize_controller refuses {controller}: status {status}")
-    atexit.register(library.ORL_terminate_controller, _SILENT, _FIRST_CONTROLLER)
-    return _Library(library, int(arm))
-
-
-class _Library:
-    """The calls for one arm. All but `step` and `cancel` raise `_CallRefused` on an error status."""
-
-    def __init__(self, library: ctypes.CDLL, arm: int):
-        self._library, self._arm = library, arm
-        self._place = (_SILENT, _FIRST_CONTROLLER, arm - 1)
-
-    def call(self, name: str, *arguments: object) -> None:
-        self._check(name, getattr(self._library, name)(*arguments, *self._place))
-
-    def set(self, name: str, **value: float) -> None:
-        full = f"$ARM_DATA[{self._arm}].{name}"
-        variable = _SystemVariable(sysvar_name=full.encode(), **value)
-        self._check(f"ORL_set_data of {full}", self._library.ORL_set_data(variable, _SILENT, _FIRST_CONTROLLER))
-
-    def step(self, count: int) -> tuple[int, list[float]]:
-        joints = _JointValue(_LINK_DEGREE)
-        status = self._library.ORL_get_next_interpolation_step(joints, *self._place)
-        return status, list(joints.value[:count])
-
-    def cancel(self) -> None:
-        # Nothing to cancel is an error to the library, and none to us.
-        self._library.ORL_cancel_motion(*self._place)
-
-    @staticmethod
-    def _check(call: str, status: int) -> None:
-        if status != 0:
-            raise _CallRefused(f"{call}: status {status}")
+def _pose(pose: np.ndarray, flags: bytes = b"") -> Any:
+    return _FFI.new("pose *", (_CARTESIAN, *pose_to_pos(pose).tolist(), flags))

@@ -9,13 +9,16 @@ from __future__ import annotations
 from importlib import import_module
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from agent.core import InputError
 from agent.motion.dialect import Dialect
 from agent.motion.interpolator import Interpolator
-from agent.motion.learned import is_file_name, load_law
+from agent.motion.learned_law import is_file_name, load_law
 from agent.robot import RobotDescription
+
+if TYPE_CHECKING:
+    from agent.robot import Tool
 
 #: Third parties add interpolators under this entry-point group.
 ENTRY_POINTS = "calibration_agent.interpolators"
@@ -24,7 +27,7 @@ ENTRY_POINTS = "calibration_agent.interpolators"
 _INTERPOLATORS = {
     "fly": "agent.motion.fly.interpolator:FlyInterpolator",
     "orl": "agent.motion.orl:OrlInterpolator",
-    "ur": "agent.motion.urscript.law:UrLaw",
+    "ur": "agent.motion.urscript.interpolator:UrLaw",
 }
 _DIALECTS = {"pdl2": "agent.motion.pdl2.dialect:Pdl2", "urscript": "agent.motion.urscript.dialect:UrScript"}
 
@@ -57,8 +60,8 @@ def interpolator_names(dialect: Dialect | None = None) -> tuple[str, ...]:
     return tuple(sorted(installed.union(_INTERPOLATORS if dialect is None else dialect.interpolators)))
 
 
-def create_interpolator(name: str, robot: RobotDescription, tool: Any = None, **options: Any) -> Interpolator:
-    """An interpolator by its registered name, or by the file of a learned law (`agent.motion.learned`).
+def create_interpolator(name: str, robot: RobotDescription, tool: Tool | None = None, **options: Any) -> Interpolator:
+    """An interpolator by its registered name, or by the file of a learned law (`agent.motion.learned_law`).
 
     Raises:
         InputError: no interpolator has that name, or the file is none for this robot.

@@ -11,8 +11,7 @@ from .calibration.runs import (
     recalibration_report as recalibration_report,
 )
 from .diagnosis.page import diagnosis_report as diagnosis_report
-from .history import index_page as index_page
-from .page import (
+from .elements import (
     About as About,
     Bar as Bar,
     Bars as Bars,
@@ -23,6 +22,7 @@ from .page import (
     render as render,
     table_html as table_html,
 )
+from .history import index_page as index_page
 from .phrasing import (
     FOUR as FOUR,
     chances_text as chances_text,

@@ -9,7 +9,7 @@ from urllib.parse import quote
 import numpy as np
 
 from agent.core import counted
-from agent.pages.page import About, NextStep, Page, Section, Table, render
+from agent.pages.elements import About, NextStep, Page, Section, Table, render
 from agent.pages.plots import SERIES, Panel, Plot, Series, joint_series
 from agent.runs import PastRun, Trend, Watch
 

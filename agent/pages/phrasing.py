@@ -10,7 +10,7 @@ from typing import Any
 
 from agent.diagnosis import amplitude, in_torque, leading_parameter, size_text, torque_gap
 from agent.model import CATALOGUE
-from agent.pages.page import NextStep
+from agent.pages.elements import NextStep
 from agent.robot import SHARE, figure_text
 
 REGIMES = {

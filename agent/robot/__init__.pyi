@@ -20,13 +20,13 @@ from .drivetrain import (
     torque_per_ampere as torque_per_ampere,
 )
 from .dynamics import Dynamics as Dynamics, Tool as Tool
+from .kinematics import kinematics_for as kinematics_for
 from .kinematics.base import (
     Kinematics as Kinematics,
     KinematicsError as KinematicsError,
 )
 from .kinematics.chain import chain_of as chain_of, joint_axes as joint_axes
 from .kinematics.configuration import parse_configuration as parse_configuration
-from .kinematics.factory import kinematics_for as kinematics_for
 from .kinematics.numerical import NumericalKinematics as NumericalKinematics
 from .parameter_layout import (
     LINK_PARAMETERS as LINK_PARAMETERS,

@@ -24,12 +24,21 @@ class RigidBodies:
     """The regressor of base parameters, with which (joint, parameter) pairs can be other than zero.
 
     `independent` (b,) are the standard parameters kept as base parameters; `projection` (b, p) turns standard ones into
-    base ones (see `agent.robot.base_reduction`); `support[i]` lists what acts on joint i.
+    base ones; `standard_names` (p,), and the `combinations` (b,) of them as text (see `agent.robot.base_reduction`);
+    `support[i]` lists what acts on joint i.
     """
 
-    def __init__(self, dynamics: Dynamics, independent: np.ndarray, projection: np.ndarray):
+    def __init__(
+        self,
+        dynamics: Dynamics,
+        independent: np.ndarray,
+        projection: np.ndarray,
+        standard_names: tuple[str, ...],
+        combinations: tuple[str, ...],
+    ):
         self.robot, self.dynamics = dynamics.robot, dynamics
         self.independent, self.projection = independent, projection
+        self.standard_names, self.combinations = standard_names, combinations
         rng = np.random.default_rng(0)
         samples = (50, self.robot.dof)
         columns = self.columns(rng.uniform(-3, 3, samples), rng.normal(size=samples), rng.normal(size=samples))
@@ -83,12 +92,10 @@ def _chunks(size: int) -> Iterator[slice]:
     return (slice(first, first + _CHUNK) for first in range(0, size, _CHUNK))
 
 
-def rigid_bodies(
-    robot: RobotDescription, tool: Tool | None = None
-) -> tuple[RigidBodies, tuple[str, ...], tuple[str, ...]]:
-    """Regressor of a robot's base parameters, the names of its standard parameters, and the combinations as text."""
+def rigid_bodies(robot: RobotDescription, tool: Tool | None = None) -> RigidBodies:
+    """The regressor of a robot's base parameters, with a tool as part of its last link."""
     from agent.robot.base_reduction import base_parameters
     from agent.robot.dynamics import Dynamics
 
     base = base_parameters(robot)
-    return RigidBodies(Dynamics(robot, tool), base.independent, base.projection), base.standard_names, base.names
+    return RigidBodies(Dynamics(robot, tool), base.independent, base.projection, base.standard_names, base.names)

@@ -65,7 +65,9 @@ class CollisionModel:
         for body in bodies:
             frame = self._model.frames[frame_id(self._model, body.frame)]
             self._shapes[body.name] = [self._add_capsule(body.name, frame, capsule) for capsule in body.capsules]
-        joints = {name: self._joint(shapes) for name, shapes in self._shapes.items()}
+        joints = {
+            name: int(self._geometry.geometryObjects[shapes[0]].parentJoint) for name, shapes in self._shapes.items()
+        }
         pairs = [(a, b) for a, b in combinations(joints, 2) if abs(joints[a] - joints[b]) > 1]
         for box in boxes:
             name = f"{KEEP_OUT}{box.name}"
@@ -115,7 +117,9 @@ class CollisionModel:
         start, end = np.array(capsule.start), np.array(capsule.end)
         length = float(np.linalg.norm(end - start))
         if length < 1e-9:
-            return self._add(name, frame.parentJoint, _at(frame.placement, start), coal.Sphere(capsule.radius))
+            return self._add(
+                name, frame.parentJoint, frame.placement * pin.SE3(np.eye(3), start), coal.Sphere(capsule.radius)
+            )
         along = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), (end - start) / length).matrix()
         placement = frame.placement * pin.SE3(along, (start + end) / 2)
         return self._add(name, frame.parentJoint, placement, coal.Capsule(capsule.radius, length))
@@ -123,9 +127,6 @@ class CollisionModel:
     def _add(self, name: str, joint: int, placement: pin.SE3, shape: coal.CollisionGeometry) -> int:
         unique = f"{name}#{self._geometry.ngeoms}"
         return self._geometry.addGeometryObject(pin.GeometryObject(unique, joint, placement, shape))
-
-    def _joint(self, shapes: Sequence[int]) -> int:
-        return int(self._geometry.geometryObjects[shapes[0]].parentJoint)
 
     def _reach(self, first: int, second: int) -> np.ndarray:
         """(n,) bound on the change of distance per change of each joint.
@@ -180,7 +181,3 @@ def skeleton(robot: RobotDescription, radius: float) -> tuple[Body, ...]:
         Body(f"link of {name}", name, (Capsule((0.0, 0.0, 0.0), (float(x), float(y), float(z)), radius),))
         for name, (x, y, z) in zip(robot.joint_names, Dynamics(robot).link_ends(), strict=True)
     )
-
-
-def _at(placement: pin.SE3, point: np.ndarray) -> pin.SE3:
-    return placement * pin.SE3(np.eye(3), point)

@@ -226,11 +226,6 @@ class Dynamics:
         tips = self.tip_pose(np.random.default_rng(0).uniform(-3, 3, (50, self.dof)))[:, :3, 3]
         return max(float(np.linalg.norm(tips, axis=1).max()), 0.1)
 
-    @property
-    def link_lengths(self) -> np.ndarray:
-        """(n,) [m] from the joint that moves a link to its far end, see `joint_screws`."""
-        return np.asarray(np.linalg.norm(self.link_ends(), axis=1))
-
     def link_rotations(self, q: np.ndarray, link: int) -> np.ndarray:
         """(S, 3, 3) rotation in the base frame of the link that a joint (from 0) moves."""
         rotations = np.empty((len(q), 3, 3))

@@ -7,7 +7,7 @@ from .corrected.correction import (
     correct as correct,
 )
 from .export import export_model as export_model, export_table as export_table
-from .forward import (
+from .forward_simulation import (
     ExternalTorque as ExternalTorque,
     ForwardSimulation as ForwardSimulation,
     RigidActuation as RigidActuation,
@@ -15,16 +15,16 @@ from .forward import (
     SimulatedMotion as SimulatedMotion,
 )
 from .joints import load_joint_map as load_joint_map
+from .loader import (
+    Simulator as Simulator,
+    is_simulator as is_simulator,
+    load_arm as load_arm,
+    load_simulator as load_simulator,
+)
 from .loads import identified_load as identified_load, load_text as load_text
 from .mjcf import compiled as compiled, mujoco_package as mujoco_package
 from .servos import (
     SERVO_STIFFNESS as SERVO_STIFFNESS,
     PositionServos as PositionServos,
     servo_stiffness as servo_stiffness,
-)
-from .simulator import (
-    Simulator as Simulator,
-    is_simulator as is_simulator,
-    load_arm as load_arm,
-    load_simulator as load_simulator,
 )

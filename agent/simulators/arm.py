@@ -173,7 +173,7 @@ def model_of(arm: SimulatedArm, robot: RobotDescription, provenance: dict[str, o
         InputError: a mass matrix that is not positive, or joints that are not one serial chain.
     """
     check_mass_matrix(arm, robot)
-    rigid, standard_names, combinations = rigid_bodies(robot)
+    rigid = rigid_bodies(robot)
     n = robot.dof
     standard = np.concatenate([rigid.dynamics.standard_parameters(), arm.armature / robot.gear_ratios**2])
     terms: list[FrictionTerm] = []
@@ -195,8 +195,8 @@ def model_of(arm: SimulatedArm, robot: RobotDescription, provenance: dict[str, o
         robot=robot,
         independent=rigid.independent,
         projection=rigid.projection,
-        standard_names=standard_names,
-        combinations=combinations,
+        standard_names=rigid.standard_names,
+        combinations=rigid.combinations,
         terms=tuple(terms),
         values=values,
         covariance=np.diag((_EXACT * size) ** 2),

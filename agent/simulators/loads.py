@@ -17,6 +17,7 @@ import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from itertools import permutations
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -161,13 +162,20 @@ def _comau(load: IdentifiedLoad) -> str:
     return "\n".join([check, f"$TOOL_MASS := {_number(load.mass)}", centre, *elements])
 
 
-#: Vendor → start of a comment in its language (empty if it has none), and the function that writes the load.
-VENDORS: dict[str, tuple[str, Callable[[IdentifiedLoad], str]]] = {
-    "ur": ("#", _universal_robots),
-    "abb": ("!", _abb),
-    "kuka": (";", _kuka),
-    "franka": ("", _franka),
-    "comau": ("--", _comau),
+class LoadFormat(NamedTuple):
+    """How a vendor writes a load: its statements, and what begins a comment (empty where the format has none)."""
+
+    statements: Callable[[IdentifiedLoad], str]
+    comment: str
+
+
+#: Formats by vendor. To add one: a function from the load to the vendor's statements, and its line here.
+VENDORS = {
+    "ur": LoadFormat(_universal_robots, comment="#"),
+    "abb": LoadFormat(_abb, comment="!"),
+    "kuka": LoadFormat(_kuka, comment=";"),
+    "franka": LoadFormat(_franka, comment=""),
+    "comau": LoadFormat(_comau, comment="--"),
 }
 
 
@@ -181,14 +189,13 @@ def load_text(load: IdentifiedLoad, vendor: str) -> tuple[str, str]:
     """
     if vendor not in VENDORS:
         raise InputError(f"--load {vendor}: no such vendor; there are {', '.join(VENDORS)}")
-    mark, written = VENDORS[vendor]
-    about = list(_about(load))
-    if not mark:
-        return written(load), "\n".join(about)
-    return "\n".join([*(f"{mark} {line}" for line in about), written(load)]), ""
+    form, remarks = VENDORS[vendor], list(_remarks(load))
+    if not form.comment:
+        return form.statements(load), "\n".join(remarks)
+    return "\n".join([*(f"{form.comment} {line}" for line in remarks), form.statements(load)]), ""
 
 
-def _about(load: IdentifiedLoad) -> Iterator[str]:
+def _remarks(load: IdentifiedLoad) -> Iterator[str]:
     yield f"Identified load beyond the model's own last link, in the axes of {load.flange} (the flange)."
     if load.mass_error is None or load.centre_error is None:
         yield "Its intervals are not in the model: diagnose again with this version to get them."

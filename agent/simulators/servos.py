@@ -76,22 +76,22 @@ def position_servos(mujoco: Any, model: Any, joints: Sequence[int]) -> PositionS
     """The servos of a compiled model's joints, or a reason for the user why they cannot be used."""
     if np.any(model.body_gravcomp):
         return "it compensates gravity (gravcomp), so that its servos do not carry the weight"
-    found = []
-    for joint in joints:
+    numbers, actuators = np.empty((len(joints), 9)), []
+    for k, joint in enumerate(joints):
         servo = _servo(mujoco, model, int(joint))
         if isinstance(servo, str):
             return servo
-        found.append(servo)
-    numbers = np.array([servo[:9] for servo in found])
+        actuators.append(servo[0])
+        numbers[k] = servo[1]
     inputs = getattr(model, "actuator_ctrladr", np.arange(model.nu))
-    stiffness, damping, low, high, least, most = numbers.T[:6]
-    actuators = tuple(servo[9] for servo in found)
     ports = tuple(int(inputs[actuator]) for actuator in actuators)
-    return PositionServos(stiffness, damping, low, high, least, most, numbers[:, 6:8], numbers[:, 8], actuators, ports)
+    stiffness, damping, low, high, least, most = numbers.T[:6]
+    control, gear = numbers[:, 6:8], numbers[:, 8]
+    return PositionServos(stiffness, damping, low, high, least, most, control, gear, tuple(actuators), ports)
 
 
-def _servo(mujoco: Any, model: Any, joint: int) -> tuple[Any, ...] | str:
-    """Numbers of `PositionServos` for one joint, and its actuator."""
+def _servo(mujoco: Any, model: Any, joint: int) -> tuple[int, tuple[float, ...]] | str:
+    """The actuator of one joint, and its numbers of `PositionServos` (9,)."""
     name = model.joint(joint).name
     at_joint = {int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)}
     affine, fixed = int(mujoco.mjtBias.mjBIAS_AFFINE), int(mujoco.mjtGain.mjGAIN_FIXED)
@@ -123,7 +123,7 @@ def _servo(mujoco: Any, model: Any, joint: int) -> tuple[Any, ...] | str:
     if model.actuator_ctrllimited[a]:
         asked = np.sort((model.actuator_ctrlrange[a] - control[0]) / control[1])
     low, high = max(float(part[0]) for part in ranges), min(float(part[1]) for part in ranges)
-    return (-b1 * gear**2, -b2 * gear**2, low, high, *asked, *control, gear, a)
+    return a, (-b1 * gear**2, -b2 * gear**2, low, high, *asked, *control, gear)
 
 
 def _of(model: Any, actuator: int) -> int:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agent.motion.learned import load_law
+from agent.motion.learned_law import load_law
 from agent.recording import read_log
 from agent.robot import load_robot
 from tests.conftest import ROOT

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, strategies as st
 
 from agent.blind_check.answers import read_answers
-from agent.blind_check.check import score_answers
 from agent.blind_check.key import Key
+from agent.blind_check.own_check import score_answers
 from agent.blind_check.report import page, read_results
 from agent.blind_check.scoring import OUTCOMES, clopper_pearson, outcome
 from agent.core.errors import InputError

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from agent.blind_check import BlindCheck
-from agent.blind_check.check import hidden_from
 from agent.blind_check.key import Key
+from agent.blind_check.own_check import hidden_from
 from agent.blind_check.report import read_results
 from agent.blind_check.worlds import EmulatorWorld
 from agent.core import Console, InProcess, InputError, LocalProcesses, available_cores

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from agent.estimation import EstimationSettings, estimate
+from agent.model.effect_inputs import MotionSignals, NominalModel
 from agent.model.effects import CATALOGUE
-from agent.model.signals import MotionSignals, NominalModel
 from agent.model.standard_parameters import from_pseudo_inertia, pseudo_inertia
 from agent.robot.bodies import rigid_bodies
 
@@ -65,7 +65,7 @@ def deviation(nominal):
 
 def test_known_links_may_deviate_by_half_their_mass():
     nominal, _ = fitted(r"\g<0>")
-    described = rigid_bodies(nominal.robot)[0].dynamics.standard_parameters()[::10]
+    described = rigid_bodies(nominal.robot).dynamics.standard_parameters()[::10]
     assert deviation(nominal) == pytest.approx(0.5 * described)
 
 

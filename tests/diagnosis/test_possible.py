@@ -9,8 +9,8 @@ import pytest
 
 from agent.diagnosis.gap.torque_gap import held_out_gap, rms
 from agent.diagnosis.rows.fit import Fit
+from agent.model.effect_inputs import NominalModel
 from agent.model.effects import CATALOGUE
-from agent.model.signals import NominalModel
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ import numpy as np
 
 from agent.diagnosis.structure import with_structure
 from agent.estimation import EstimationSettings, estimate
-from agent.model.identified import IdentifiedModel
+from agent.model.identified_model import IdentifiedModel
 from agent.validation import validate
 from tests.estimation.conftest import _arm, _links, _log, _multisine
 

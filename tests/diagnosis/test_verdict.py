@@ -11,11 +11,11 @@ import numpy as np
 from hypothesis import given, strategies as st
 
 from agent.diagnosis import verdict as rules
+from agent.diagnosis.diagnosis import next_experiment
 from agent.diagnosis.document import Cause, DiagnosisResult, EffectPlace, JointShare, PathGap, TorqueGap
 from agent.diagnosis.hypotheses.finding import Finding, Hypothesis
 from agent.diagnosis.hypotheses.law import LAW
 from agent.diagnosis.limits import LIMITS
-from agent.diagnosis.result import next_experiment
 from agent.diagnosis.verdict import decide_verdict, named, supported
 from agent.model import CATALOGUE
 

@@ -61,7 +61,7 @@ def _multisine(
 
 def _links(robot: RobotDescription, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
     """(S, n) [N·m] of the described links, with rotors of 1e-4 kg·m²."""
-    rigid, _, _ = rigid_bodies(robot)
+    rigid = rigid_bodies(robot)
     bodies = np.append(rigid.dynamics.standard_parameters(), np.full(robot.dof, 1e-4))
     return rigid.torque(q, qd, qdd, rigid.projection @ bodies)
 

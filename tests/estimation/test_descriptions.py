@@ -16,7 +16,7 @@ def test_drops_and_reports_a_wrong_link_prior(arm, multisine, make_log):
     robot = arm(3)
     t = np.arange(10_000) / 500
     q, qd, qdd = multisine(3, t)
-    rigid, _, _ = rigid_bodies(robot)
+    rigid = rigid_bodies(robot)
     weights = 40 * rigid.dynamics.inverse_dynamics(q, qd, qdd) + 20 * qd  # forty times as heavy as it is described
     model = estimate(robot, [make_log(robot, t, q, weights)])
     assert model.provenance["link_prior"] != "description"
@@ -30,7 +30,7 @@ def test_a_description_confirmed_by_the_motion_is_used_as_a_prior(arm, multisine
     t = np.arange(1000) / 50
     q, qd, qdd = multisine(6, t, seed=3002)
     sizes = np.array([40.0, 80, 50, 20, 12, 6])
-    torque = rigid_bodies(robot)[0].dynamics.inverse_dynamics(q, qd, qdd) + sizes * (0.1 * qd + 0.15 * np.sign(qd))
+    torque = rigid_bodies(robot).dynamics.inverse_dynamics(q, qd, qdd) + sizes * (0.1 * qd + 0.15 * np.sign(qd))
     torque += 0.02 * sizes * np.random.default_rng(1).normal(size=q.shape)
     said = re.sub(r'(mass value|i[xyz]{2})="([^"]*)"', lambda m: f'{m[1]}="{factor * float(m[2])}"', robot.urdf)
     model = estimate(replace(robot, urdf=said), [make_log(robot, t, q, torque)], EstimationSettings.create(cutoff=10))

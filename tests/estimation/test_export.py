@@ -44,7 +44,7 @@ def bodies(robot: RobotDescription, seed: int = 0, spread: float = 0.1) -> np.nd
 
 def model_of(robot: RobotDescription, standard: np.ndarray, known: bool) -> IdentifiedModel:
     """A model with these bodies; `known`: the fit found the bodies themselves, not just base parameters."""
-    rigid, names, combinations = rigid_bodies(robot)
+    rigid = rigid_bodies(robot)
     terms, friction = [], []
     for axle in range(robot.dof):
         sign = Reversal("speed", 1e-3)
@@ -57,8 +57,8 @@ def model_of(robot: RobotDescription, standard: np.ndarray, known: bool) -> Iden
         robot=robot,
         independent=rigid.independent,
         projection=rigid.projection,
-        standard_names=names,
-        combinations=combinations,
+        standard_names=rigid.standard_names,
+        combinations=rigid.combinations,
         terms=tuple(terms),
         values=np.append(base, friction),
         covariance=np.eye(parameters),
@@ -340,7 +340,7 @@ def test_the_sdf_has_the_torques_of_the_bodies(ns16, tmp_path):
     data = read.createData()
     without_rotors = standard.copy()
     without_rotors[-ns16.dof :] = 0.0
-    rigid, _, _ = rigid_bodies(ns16)
+    rigid = rigid_bodies(ns16)
     q, qd, qdd = states(ns16)
     expected = rigid.torque(q, qd, qdd, rigid.projection @ without_rotors)
     torque = np.array([pin.rnea(read, data, *state) for state in zip(q, qd, qdd, strict=True)])

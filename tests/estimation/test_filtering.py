@@ -11,7 +11,7 @@ from hypothesis import given, settings, strategies as st
 
 from agent.core.errors import InputError
 from agent.estimation import FilterSettings, filtering, motions, smooth_and_differentiate
-from agent.estimation.workflow import observe_predictable
+from agent.estimation.identification import observe_predictable
 from agent.robot.bodies import rigid_bodies
 
 
@@ -196,14 +196,14 @@ def test_smooth_signals_may_be_thinned_before_the_filter(arm, make_log, rate, cu
 def test_noise_of_the_positions_lowers_the_cutoff_unless_it_is_given(arm, multisine, make_log):
     """Without noise 30 Hz; with it, one up to which the positions predict torque, whatever the description says."""
     robot = arm(2)
-    rigid, _, _ = rigid_bodies(robot)
+    rigid = rigid_bodies(robot)
     t = np.arange(10_000) / 500
     q, qd, qdd = multisine(2, t)
     torque = rigid.dynamics.inverse_dynamics(q, qd, qdd) + 3 * np.sign(qd)
     noisy = q + 5e-4 * np.random.default_rng(0).normal(size=q.shape)
 
     def chosen(position, cutoff=None, description=robot):
-        bodies, _, _ = rigid_bodies(description)
+        bodies = rigid_bodies(description)
         log = make_log(robot, t, position, torque)
         return observe_predictable(bodies, [log], FilterSettings(cutoff)).segments[0].motion
 

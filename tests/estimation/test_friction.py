@@ -71,7 +71,7 @@ def test_steady_friction_is_the_limit_of_a_long_slide(reversal, speed):
 def machine(arm, multisine, make_log):
     """`machine(terms, values, seed, stops)` → log of a two-joint arm with that friction, a little noise, and stops."""
     robot = arm(2)
-    rigid, _, _ = rigid_bodies(robot)
+    rigid = rigid_bodies(robot)
     links = rigid.projection @ np.append(rigid.dynamics.standard_parameters(), np.full(2, 1e-4))
 
     def run(terms, values, seed=0, name="a.mcap", seconds=20):
@@ -127,7 +127,7 @@ def test_adds_no_friction_terms_that_the_data_do_not_show(machine):
 def test_stiction_at_standstill_is_down_weighted(arm, make_log):
     """At rest friction is anything within stiction: here it pushes the held torque off the gravity torque."""
     robot = arm(2)
-    rigid, _, _ = rigid_bodies(robot)
+    rigid = rigid_bodies(robot)
     links = rigid.projection @ np.append(rigid.dynamics.standard_parameters(), np.full(2, 1e-4))
     rng = np.random.default_rng(0)
     period, t = 2.0, np.arange(20_000) / 500

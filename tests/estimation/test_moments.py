@@ -9,7 +9,7 @@ import pytest
 from scipy.signal import lfilter
 from scipy.stats import multivariate_normal
 
-import agent.estimation.moments as sums
+import agent.estimation.normal_equations as sums
 from agent.estimation.filtering import FilterSettings
 from agent.estimation.observation import observe, partition
 from agent.estimation.prior import Prior
@@ -30,7 +30,7 @@ def problem():
     q, qd, qdd = _multisine(2, 0.5 * t + 0.3 * np.sin(t))
     noise = np.random.default_rng(0).normal(size=q.shape) * [1.0, 4.0]
     log = _log(robot, t, np.where(t[:, None] > 4, q[2000], q), _links(robot, q, qd, qdd) + 3 * np.sign(qd) + noise)
-    observation = observe(rigid_bodies(robot)[0], [log], FilterSettings(20.0))
+    observation = observe(rigid_bodies(robot), [log], FilterSettings(20.0))
     return Problem.pose(observation, partition(observation.segments), paper_terms([Reversal()] * 2))
 
 
@@ -116,7 +116,7 @@ def test_weights_are_inverse_variances_and_no_less_certain_in_motion(problem):
     silent = replace(moments, sums=(0 * moments.sums[0], moments.sums[1]), _totals={})
     least = 1e-20 * silent.torque_energy().sum() / moments.rows.sum()
     assert 1 / sums.reweight(silent, values)[0, 0] == pytest.approx(least, rel=1e-6, abs=0)
-    settled = sums.iterate_weights(moments, problem.prior, 2.0)
+    settled = replace(problem, prior_weight=2.0).weights()
     again = sums.reweight(moments, sums.solve_sum(moments.weighted(settled), problem.prior, 2.0))
     np.testing.assert_allclose(again, settled, rtol=0.02)
     perfect = replace(moments, sums=tuple(0 * part for part in moments.sums), _totals={})

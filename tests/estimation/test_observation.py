@@ -33,7 +33,7 @@ def observed(robot):
         axles = qd @ robot.coupling.T * [3.0, 2.0]
         torque = _links(robot, q, qd, qdd) + axles @ robot.coupling
         logs.append(_log(robot, t, q, torque, f"{seed}.mcap", reference_position=q + 1))
-    return observe(rigid_bodies(robot)[0], logs, FilterSettings())
+    return observe(rigid_bodies(robot), logs, FilterSettings())
 
 
 def test_all_logs_have_the_cut_off_of_the_slowest(observed):

@@ -80,7 +80,7 @@ def test_equals_the_weighted_pseudo_inverse(log):
 
     robot, recorded = log()
     model = estimate(robot, [recorded], PAPER)
-    observation = observe(rigid_bodies(robot)[0], [recorded], replace(PAPER.filter, cutoff=model.cutoff))
+    observation = observe(rigid_bodies(robot), [recorded], replace(PAPER.filter, cutoff=model.cutoff))
     rows, torque = [], []
     for segment in observation.segments:
         columns = observation.friction(segment, model.terms, model.base_values)

@@ -43,7 +43,7 @@ def test_any_parameters_are_recovered(arm, multisine, make_log, dof, seed, slide
     rng = np.random.default_rng(seed)
     t = np.arange(10_000) / 500
     q, qd, qdd = multisine(dof, t, seed, 3.0, rest=True)
-    rigid, _, _ = rigid_bodies(robot)
+    rigid = rigid_bodies(robot)
     terms = paper_terms([Reversal("speed", 0.05)] * dof)
     start = observe(rigid, [make_log(robot, t, q, 10 * qd + 50)], FilterSettings())
     mean, deviation = link_prior(start)
@@ -62,7 +62,7 @@ def case(arm, multisine, make_log):
     robot = arm(3)
     t = np.arange(6000) / 500
     q, qd, qdd = multisine(3, t)
-    rigid, _, _ = rigid_bodies(robot)
+    rigid = rigid_bodies(robot)
     terms = paper_terms([Reversal()] * 3)
     standard = np.append(rigid.dynamics.standard_parameters() * 1.1, np.full(3, 1.3e-4))
     values = np.append(rigid.projection @ standard, np.tile([3.0, 2.0, 0.3], 3))
@@ -146,7 +146,7 @@ def test_the_default_cutoff_takes_the_bias_of_noisy_positions_away(arm, multisin
     robot = arm(1)
     t = np.arange(10_000) / 500
     q, qd, qdd = multisine(1, t, 3, 3.0)
-    rigid, _, _ = rigid_bodies(robot)
+    rigid = rigid_bodies(robot)
     terms = paper_terms([Reversal()])
     values = np.append(rigid.projection @ np.append(rigid.dynamics.standard_parameters(), 1e-4), [1.0, 1.0, 0.1])
     torque = torque_of(robot, rigid, terms, values, q, qd, qdd)
@@ -167,7 +167,7 @@ def test_the_default_cutoff_takes_the_bias_of_noisy_positions_away(arm, multisin
 def test_the_consistent_fit_gives_physical_bodies(case, multisine, make_log, thin):
     """Also where the data ask for less inertia than the first moments of a link allow."""
     robot, t, q, _, noise, values = case
-    rigid, _, _ = rigid_bodies(robot)
+    rigid = rigid_bodies(robot)
     bodies = 1.1 * rigid.dynamics.standard_parameters().reshape(3, 10) * np.where(np.arange(10) < 4, 1.0, thin)
     asked = np.append(rigid.projection @ np.append(bodies, np.full(3, 1.3e-4)), values[rigid.count :])
     torque = torque_of(robot, rigid, paper_terms([Reversal()] * 3), asked, *multisine(3, t))
@@ -196,7 +196,7 @@ def test_unexcited_parameters_stay_near_the_urdf_and_are_named(arm, multisine, m
     q, qd, qdd = multisine(3, t)
     for signal in (q, qd, qdd):
         signal[:, 1:] = 0.0  # only the first, vertical axis turns
-    rigid, _, _ = rigid_bodies(robot)
+    rigid = rigid_bodies(robot)
     terms = paper_terms([Reversal()] * 3)
     values = np.append(rigid.projection @ np.append(rigid.dynamics.standard_parameters(), np.full(3, 1e-4)), np.ones(9))
     torque = torque_of(robot, rigid, terms, values, q, qd, qdd)

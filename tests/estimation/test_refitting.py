@@ -20,7 +20,7 @@ PAPER_TERMS = EstimationSettings.create(method="weighted", friction="paper", cut
 
 def torque_of(robot, q, qd, qdd, rubs=lambda q: 1.0):
     """(S, n) of the described links with Coulomb and viscous friction, the former times `rubs` of the position."""
-    rigid, _, _ = rigid_bodies(robot)
+    rigid = rigid_bodies(robot)
     standard = np.random.default_rng(3).normal(1.0, 0.2, rigid.projection.shape[1])
     return rigid.torque(q, qd, qdd, rigid.projection @ standard) + 4 * rubs(q) * np.tanh(qd / 0.01) + 2 * qd
 
@@ -211,7 +211,7 @@ def test_friction_is_the_least_squares_solution_with_a_prior_that_counts_as_rows
     _, model = earlier
     base, log = len(model.independent), later(noise=3000.0)
     found = refit(model, [log]).model
-    observation = observe(rigid_bodies(model.robot)[0], [log], FilterSettings(model.cutoff, model.order))
+    observation = observe(rigid_bodies(model.robot), [log], FilterSettings(model.cutoff, model.order))
     problem = Problem.pose(observation, partition(observation.segments), model.terms, model.base_values)
     times, total = problem.autocorrelation_times(found.values), problem.moments.weighted(found.weights)
     pull = total[:-1, -1] - total[:-1, :-1] @ found.values
@@ -232,7 +232,7 @@ def test_load_dependent_friction_follows_the_base_parameters_of_the_model(earlie
     """Not those of the description, which are far off here."""
     robot, model = earlier
     log, (q, qd, qdd) = later(), multisine(DOF, np.arange(int(CYCLE * 500)) / 500, seed=2, rest=True)
-    load = rigid_bodies(robot)[0].torque(q, qd, qdd, model.base_values)
+    load = rigid_bodies(robot).torque(q, qd, qdd, model.base_values)
     log = replace(log, effort=log.effort + 0.2 * np.abs(load) * np.sign(qd) * [0, 1])
     terms, size = (*model.terms, FrictionTerm(1, "load", Reversal())), len(model.values)
     wider = np.pad(model.covariance, (0, 1)), np.append(model.values, 0.0)

@@ -31,7 +31,7 @@ def _covered(arm, multisine, make_log, runs: range, dof: int, seconds: float, me
     robot = arm(dof)
     t = np.arange(int(seconds * 500)) / 500
     q, qd, qdd = multisine(dof, t)
-    rigid, _, _ = rigid_bodies(robot)
+    rigid = rigid_bodies(robot)
     mean, deviation = link_prior(observe(rigid, [make_log(robot, t, q, 20 * qd)], FilterSettings()))
     terms = paper_terms([Reversal()] * dof)
     brake = axle_columns(terms, AxleMotion.of(robot, q, qd)) * np.tile([3.0, 2.0, 0.5], dof)
@@ -75,7 +75,7 @@ def test_intervals_cover_with_more_trust_in_the_prior(arm, multisine, make_log):
     robot = arm(2)
     t = np.arange(4000) / 500
     q, qd, qdd = multisine(2, t)
-    rigid, _, _ = rigid_bodies(robot)
+    rigid = rigid_bodies(robot)
     mean, deviation = link_prior(observe(rigid, [make_log(robot, t, q, 20 * qd)], FilterSettings()))
     hits = []
     for run in range(12):
@@ -96,7 +96,7 @@ def _white(arm, multisine, make_log, cycles=1, rubs=0.0, noise=1.0):
     robot, cycle = arm(2), 8.0
     t = np.arange(int(cycle * 500)) / 500
     q, qd, qdd = multisine(2, t, rest=True)
-    rigid, _, _ = rigid_bodies(robot)
+    rigid = rigid_bodies(robot)
     standard = np.random.default_rng(3).normal(1.0, 0.2, rigid.projection.shape[1])
     torque = rigid.torque(q, qd, qdd, rigid.projection @ standard) + 4 * np.tanh(qd / 0.01) * (1 + rubs * np.sin(2 * q))
     torque = np.tile(torque, (cycles, 1))

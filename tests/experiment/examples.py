@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from agent.diagnosis import Diagnosis, diagnose
-from agent.experiment.grid_motion import GridMotion
+from agent.experiment.pieces import GridMotion
 from agent.robot import RobotDescription
 from fake_controller.plant import Plant
 from tests.small_arms import learn, record

@@ -11,9 +11,8 @@ from hypothesis import given, settings, strategies as st
 
 from agent.diagnosis import Excursions, diagnose
 from agent.experiment import Deadline, as_drawn, d_optimal, open_pairs, pieces_otherwise, plan_experiment
-from agent.experiment.grid_motion import GridMotion, background_on
-from agent.experiment.outlook import Outlook
-from agent.experiment.pieces import Pieces
+from agent.experiment.outlook import Outlook, background_on
+from agent.experiment.pieces import GridMotion, Pieces
 from agent.experiment.questions import OpenPair, Side
 from agent.model import CATALOGUE, MotionSignals
 from agent.robot import kinematics_for

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from agent.core import InputError, sha256_text
-from agent.link.payload import PROGRAM_SHA256, SCHEMA, check_payload, known_of, with_payload
+from agent.link.mounted_mass import PROGRAM_SHA256, SCHEMA, check_payload, known_of, with_payload
 from agent.model import PAYLOAD, payload_of
 from agent.motion import Delay
 from agent.motion.pdl2 import parse_program, write_program

@@ -9,8 +9,8 @@ import pytest
 
 from agent.core import InputError
 from agent.diagnosis import diagnose
-from agent.experiment.grid_motion import GridMotion
 from agent.experiment.outlook import Outlook
+from agent.experiment.pieces import GridMotion
 from agent.experiment.questions import OpenPair, Side
 from agent.model import CATALOGUE, PAYLOAD, NominalModel, carrying, payload_of, payload_text
 from agent.robot import Dynamics

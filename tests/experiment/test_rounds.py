@@ -16,7 +16,7 @@ from agent.motion import Delay
 from agent.motion.pdl2 import write_program
 from agent.motion.pdl2.dialect import Pdl2
 from agent.pages.diagnosis.summary import planned_section, rounds_section
-from agent.pages.page import Page, render
+from agent.pages.elements import Page, render
 from agent.pages.phrasing import next_text
 from agent.pipeline.gap import until_sure as module
 from agent.pipeline.gap.finding import Found

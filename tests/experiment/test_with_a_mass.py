@@ -14,11 +14,11 @@ from agent.core import Console, write_atomically
 from agent.diagnosis import diagnose
 from agent.diagnosis.hypotheses.search import Search
 from agent.experiment import open_pairs, tells_apart_by_load
-from agent.experiment.grid_motion import GridMotion
+from agent.experiment.pieces import GridMotion
 from agent.experiment.questions import OpenPair, Side
 from agent.motion.pdl2.dialect import Pdl2
 from agent.pages.diagnosis.summary import planned_section
-from agent.pages.page import Page, render
+from agent.pages.elements import Page, render
 from agent.pipeline.gap import next_experiment
 from agent.pipeline.gap.next_experiment import NextMotion, with_a_mass
 from agent.pipeline.plan import loop_problem

@@ -18,7 +18,7 @@ SCRIPT = """
 import resource, sys
 from agent.core.console import Console
 from agent.core.on_dask import DaskEngine
-from agent.fleet import job, make_question, run_fleet
+from agent.fleet import execution, make_question, run_fleet
 from agent.fleet.worker import TaskRow
 
 def made_up(task):
@@ -33,7 +33,7 @@ def made_up(task):
 
 made_up.__module__ = "__main__"
 if __name__ == "__main__":
-    job.run_task = made_up
+    execution.run_task = made_up
     run_fleet(sys.argv[1], make_question("estimate", "comau_ns16", None), sys.argv[2],
               lambda _: DaskEngine(workers=2), Console(-1))
     print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss >> 10)

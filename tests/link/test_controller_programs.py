@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from agent.motion.pdl2 import parse_program
-from agent.motion.pdl2.job import job_text
+from agent.motion.pdl2.reduced_job import job_text
 from agent.motion.pdl2.syntax import Pos
 from agent.robot import load_robot
 from fake_controller.interpolation import build_interpolator

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.model.identified import IdentifiedModel
+from agent.model.identified_model import IdentifiedModel
 from agent.recording.mcap.log_file import STATES, LogFile
 
 NAMES = ("pan", "lift", "slide")

@@ -18,7 +18,7 @@ from agent.core import Console, InputError
 from agent.diagnosis import diagnose, extended_model, ranges, ranges_text
 from agent.diagnosis.forward import windows as forward_windows
 from agent.diagnosis.rows.dataset import assemble
-from agent.diagnosis.simulator_file.simulator import _possible, with_expected_error
+from agent.diagnosis.simulator_file.explanation import _possible, with_expected_error
 from agent.model import CATALOGUE, IdentifiedModel
 from agent.pages.diagnosis.page import diagnosis_report
 from agent.pipeline.gap.diagnose import GapQuestion, diagnose_again, diagnose_files

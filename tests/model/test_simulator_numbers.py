@@ -15,8 +15,8 @@ from agent.diagnosis.forward.rollout import MujocoEngine
 from agent.diagnosis.gap.torque_gap import held_out_gap
 from agent.diagnosis.hypotheses.testability import not_testable, smallest_sizes
 from agent.diagnosis.rows.dataset import Dataset, assemble
+from agent.diagnosis.simulator_file.explanation import Explanation, _possible, numbers_instead, with_expected_error
 from agent.diagnosis.simulator_file.released_numbers import ReleasedSimulator, release
-from agent.diagnosis.simulator_file.simulator import Explanation, _possible, numbers_instead, with_expected_error
 from agent.diagnosis.verdict import named
 from agent.experiment import open_pairs
 from agent.model import CATALOGUE

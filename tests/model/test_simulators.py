@@ -10,7 +10,7 @@ import pytest
 
 from agent.core import Console, InputError, RejectedError
 from agent.diagnosis.forward.rollout import MujocoEngine
-from agent.model.identified import IdentifiedModel
+from agent.model.identified_model import IdentifiedModel
 from agent.pipeline.gap.diagnose import GapQuestion, diagnose_files
 from agent.recording import read_log
 from agent.recording.mcap.log_file import STATES, LogFile

@@ -260,7 +260,7 @@ def test_a_cache_folder_writable_by_others_is_not_read(tmp_path: Path, own: Path
 
 
 def test_commands_without_planning_do_not_load_the_compiler() -> None:
-    modules = "agent.estimation.workflow, agent.validation.torque, agent.diagnosis.workflow"
+    modules = "agent.estimation.identification, agent.validation.torque, agent.diagnosis.workflow"
     script = (
         f"import sys, {modules}, agent.recipe; agent.recipe.load_recipe(sys.argv[1]); assert 'numba' not in sys.modules"
     )

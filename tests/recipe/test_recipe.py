@@ -147,7 +147,7 @@ def test_any_address_survives_the_template(recipe_file: Path, address: str) -> N
 
 
 def test_the_schema_lists_the_registered_methods() -> None:
-    from agent.estimation.workflow import methods
+    from agent.estimation.identification import methods
     from agent.excitation.genetic import METHODS as SEARCHES
 
     assert set(ESTIMATION_METHODS) == set(methods())

@@ -10,7 +10,7 @@ import pytest
 from agent.core import InputError
 from agent.estimation import estimate
 from agent.motion.pdl2 import parse_program
-from agent.motion.pdl2.job import job_text
+from agent.motion.pdl2.reduced_job import job_text
 from agent.motion.program import Move
 from agent.recording import import_log, read_log
 from agent.robot import load_robot

@@ -10,7 +10,8 @@ from agent.robot import Dynamics, ParameterLayout, load_robot, rigid_bodies
 def test_the_layout_fits_the_regressor_and_its_names():
     robot = load_robot("comau_ns16")
     layout = ParameterLayout.of(robot)
-    bodies, names, _ = rigid_bodies(robot)
+    bodies = rigid_bodies(robot)
+    names = bodies.standard_names
     assert names == layout.names
     assert bodies.projection.shape[1] == layout.size == len(names)
     assert names[layout.link(2).start] == "m3"

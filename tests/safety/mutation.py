@@ -42,7 +42,7 @@ HEAVY = (
     "hypothesis",
     "scipy.interpolate",
     "agent.motion",
-    "agent.motion.pdl2.program",
+    "agent.motion.pdl2.reader",
     "agent.recipe.schema",
     "agent.robot.dynamics",
     "agent.runs.folder",

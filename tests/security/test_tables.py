@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from agent.core import csv_text
-from agent.pages.page import Page, Section, Table, render
+from agent.pages.elements import Page, Section, Table, render
 from agent.pages.plots import Panel, Plot, Series
 from agent.pages.scene import Scene
 

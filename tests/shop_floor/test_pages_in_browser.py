@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from agent.pages.page import About, Bar, Bars, NextStep, Page, Section, Shade, Table, render, shaded_table
+from agent.pages.elements import About, Bar, Bars, NextStep, Page, Section, Shade, Table, render, shaded_table
 from agent.pages.plots import Panel, Plot, Series
 from agent.pages.scene import ArmPoses, Scene
 from agent.pipeline.reports import write_index

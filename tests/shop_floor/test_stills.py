@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from agent.pages.calibration.prediction import error_table
-from agent.pages.page import Bar, Bars, Table, shaded_table, table_html
+from agent.pages.elements import Bar, Bars, Table, shaded_table, table_html
 from agent.pages.plots import Panel, Plot, Series
 from agent.pages.stills import dates, still, ticks
 

@@ -22,7 +22,7 @@ from agent.model import CATALOGUE, PAYLOAD, IdentifiedModel, NominalModel, effec
 from agent.simulators import SERVO_STIFFNESS, ForwardSimulation, RigidActuation, ServoGains
 
 if TYPE_CHECKING:
-    from agent.diagnosis.result import Diagnosis
+    from agent.diagnosis.diagnosis import Diagnosis
 
 #: Simulated duration per log, at most [s]; a simulation costs about a tenth of the motion's time.
 LONGEST = 10.0

@@ -20,11 +20,11 @@ from typing import Any
 import numpy as np
 
 from agent.core import InputError, RejectedError
-from agent.diagnosis.correction import corrected
+from agent.diagnosis.corrected_simulator import corrected
+from agent.diagnosis.diagnosis import Diagnosis
 from agent.diagnosis.forward.interval import expected_range
 from agent.diagnosis.forward.rollout import Drive, RolloutEngine, at_motors, engine
 from agent.diagnosis.forward.simulation import shortened
-from agent.diagnosis.result import Diagnosis
 from agent.estimation import FilterSettings, Motion, motions
 from agent.model import PAYLOAD, ModelEffect
 from agent.simulators import Commands, Simulator, write_corrected, written_files

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from agent.diagnosis.document import Cause, EffectPlace, WaterfallStep
-from agent.diagnosis.gap.regimes import resampled
+from agent.diagnosis.gap.regime_shares import resampled
 from agent.diagnosis.gap.torque_gap import HeldOutGap, rms
 from agent.diagnosis.hypotheses.finding import Finding
 from agent.diagnosis.hypotheses.law import LAW

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from agent.model.effect_inputs import MotionSignals, NominalModel
 from agent.model.effects.effect import Columns, Effect, FitContext, Joints, Numbers, on_axle, rubs
 from agent.model.effects.experiments import RAMPS_AND_STANDSTILLS
-from agent.model.signals import MotionSignals, NominalModel
 
 
 class AsymmetricFriction(Effect):

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from agent.model.effect_inputs import MotionSignals
 from agent.model.effects.effect import Columns, Effect, FitContext, Joints, Numbers
 from agent.model.effects.experiments import WHOLE_RANGE
-from agent.model.signals import MotionSignals
 
 
 class BaseTilt(Effect):
@@ -16,6 +16,7 @@ class BaseTilt(Effect):
     family = "load"
     scope = "base"
     formula = "a · τ(g e₁) + b · τ(g e₂), e₁ ⟂ e₂ ⟂ g"
+    linear = ("tilt_1", "tilt_2")
     source = "Atkeson, An, Hollerbach, Int. J. Robotics Research 5 (1986): the regressor is linear in gravity"
     signature = "residual at standstill on all joints that carry weight, joint 1 too"
     confused_with = ("encoder_offset", "inertial_mismatch", "payload")
@@ -26,9 +27,6 @@ class BaseTilt(Effect):
 
     def settings(self, context: FitContext, joints: Joints) -> list[dict[str, float]]:
         return [{}] if np.linalg.norm(context.reference.robot.gravity) > 0 else []
-
-    def names(self, settings: Numbers) -> tuple[str, ...]:
-        return ("tilt_1", "tilt_2")
 
     def columns(self, signals: MotionSignals, joints: Joints, settings: Numbers) -> Columns:
         gravity = np.array(signals.reference.robot.gravity)

@@ -12,8 +12,8 @@ from functools import cached_property
 
 import numpy as np
 
+from agent.model.effect_inputs import MotionSignals, NominalModel
 from agent.model.effects.effect import Columns, Effect, FitContext, Joints, Numbers
-from agent.model.signals import MotionSignals, NominalModel
 
 _EDGE = 0.15  # share of the duration over which a force rises, and falls
 _LINKS = 3  # links tried for the case that all pushes act on one link
@@ -371,7 +371,8 @@ def place_of(push: PushedWindow, motions: Sequence[tuple[MotionSignals, np.ndarr
         columns = -np.concatenate([end, *levers], axis=1) / sigma[inside, None]
         moments += np.einsum("san,sbn->ab", columns, columns)
         side += np.einsum("san,sn->a", columns, (residual / sigma)[inside])
-        farthest = max(signals.reference.links.link_lengths[push.link], _LARGE * signals.reference.reach)
+        links = signals.reference.links
+        farthest = max(float(np.linalg.norm(links.link_ends()[push.link])), _LARGE * signals.reference.reach)
     place = np.zeros(3)
     for _ in range(_ROUNDS):
         of_force = np.kron(np.append(1.0, place), np.eye(3)).T

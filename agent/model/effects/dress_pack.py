@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from agent.model.effect_inputs import MotionSignals, NominalModel
 from agent.model.effects.effect import Columns, Effect, FitContext, Joints, Numbers
 from agent.model.effects.experiments import WHOLE_RANGE
 from agent.model.friction_terms import dahl
-from agent.model.signals import MotionSignals, NominalModel
 
 N_NODES = 6
 _STIFFEST = 5.0  # nominal torque per radian

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, ClassVar, Protocol
 
 import numpy as np
 
+from agent.model.effect_inputs import MotionSignals, NominalModel
 from agent.model.effects.experiments import THREE_LOADS, SeparatingMotion
-from agent.model.signals import MotionSignals, NominalModel
 
 if TYPE_CHECKING:
     from agent.robot import RobotDescription
@@ -60,8 +60,8 @@ class FitContext(Protocol):
 class Effect(ABC):
     """One effect of the vocabulary: its parameterisation, and what is known about it.
 
-    An effect is data plus `settings` (the grid of nonlinear parameters), `names` and `columns`; all other methods
-    have a default.
+    An effect is data plus `settings` (the grid of nonlinear parameters) and `columns`; all other methods have a
+    default.
 
     | attribute | meaning |
     | --- | --- |
@@ -70,6 +70,7 @@ class Effect(ABC):
     | `signature`, `phrase`, `look_at` | how it shows in the residual; what it is in plain words; what to check |
     | `confused_with`, `experiment` | effects with a similar residual; the motion that distinguishes them |
     | `structurally_equivalent` | effects with an equal form unless the data distinguish them |
+    | `linear` | names of the linear parameters; an effect whose grid changes them has its own `names` |
     | `practical` | smallest torque that matters, RMS over nominal |
     | `shows_in` | torque, or path (set-points only) |
     | `moves_arm` | whether it changes the motion, not only the measurement |
@@ -93,6 +94,7 @@ class Effect(ABC):
     family: ClassVar[str]
     scope: ClassVar[str] = "joint"
     formula: ClassVar[str]
+    linear: ClassVar[tuple[str, ...]] = ()
     source: ClassVar[str]
     signature: ClassVar[str]
     confused_with: ClassVar[tuple[str, ...]] = ()
@@ -152,9 +154,9 @@ class Effect(ABC):
         """Number of nonlinear parameters that cost evidence."""
         return len(settings) if self.nonlinear is None else sum(name in settings for name in self.nonlinear)
 
-    @abstractmethod
     def names(self, settings: Numbers) -> tuple[str, ...]:
         """(k,) names of the linear parameters."""
+        return self.linear
 
     def prepare(self, motions: Sequence[MotionSignals], wanted: Sequence[tuple[Joints, Numbers]]) -> None:
         """Compute what several (joints, settings) share on all motions, where that saves time."""

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from types import MappingProxyType
 
+from agent.model.effect_inputs import MotionSignals
 from agent.model.effects.effect import Columns, Effect, Joints, Numbers
 from agent.model.effects.experiments import WHOLE_RANGE
-from agent.model.signals import MotionSignals
 
 
 class EncoderOffset(Effect):
@@ -15,6 +15,7 @@ class EncoderOffset(Effect):
     name = "encoder_offset"
     family = "measurement"
     formula = "−a · ∂τ_bodies / ∂q_k"
+    linear = ("offset",)
     source = "torque expanded in q_k; Khalil, Dombre, Modeling, Identification and Control of Robots (2002)"
     signature = "residual like gravity turned about one joint, on this and the neighbouring joints"
     confused_with = ("inertial_mismatch", "gravity_spring", "base_tilt")
@@ -23,9 +24,6 @@ class EncoderOffset(Effect):
     needs_travel = 0.1
     units = MappingProxyType({"offset": "rad"})
     experiment = WHOLE_RANGE
-
-    def names(self, settings: Numbers) -> tuple[str, ...]:
-        return ("offset",)
 
     def columns(self, signals: MotionSignals, joints: Joints, settings: Numbers) -> Columns:
         change = -signals.link_slope[:, :, joints[0]]

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from agent.model.effect_inputs import MotionSignals, NominalModel
 from agent.model.effects.effect import FitContext, Joints, Numbers, rubs
 from agent.model.effects.friction_level import FrictionLevel
-from agent.model.signals import MotionSignals, NominalModel
 
 
 class FrictionChange(FrictionLevel):

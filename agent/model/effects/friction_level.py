@@ -7,9 +7,9 @@ from typing import ClassVar
 
 import numpy as np
 
+from agent.model.effect_inputs import MotionSignals, NominalModel
 from agent.model.effects.effect import Columns, Effect, FitContext, Joints, Numbers, on_axle, travelled
 from agent.model.friction_terms import Reversal
-from agent.model.signals import MotionSignals, NominalModel
 
 _TRAVELS = (2.5e-4, 5e-4, 1e-3, 2e-3, 4e-3, 8e-3)  # of the joint's range in the motions
 
@@ -25,9 +25,9 @@ class FrictionLevel(Effect):
     refined: ClassVar[tuple[str, ...]] = ("reversal_travel",)
     nonlinear: ClassVar[tuple[str, ...] | None] = ("reversal_travel",)
 
-    @abstractmethod
     def level_names(self, settings: Numbers) -> tuple[str, ...]:
         """Names of the linear parameters without the reversal."""
+        return self.linear
 
     @abstractmethod
     def level_columns(self, signals: MotionSignals, axle: int, settings: Numbers) -> tuple[np.ndarray, ...]:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from agent.model.effect_inputs import MotionSignals, NominalModel
 from agent.model.effects.effect import Columns, Effect, FitContext, Joints, Numbers, harmonic_names, harmonics
 from agent.model.effects.experiments import WHOLE_RANGE
-from agent.model.signals import MotionSignals, NominalModel
 
 _STRONGEST = 10.0  # nominal torque: what a joint could not be built against
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from agent.model.effect_inputs import MotionSignals
 from agent.model.effects.effect import Columns, Effect, Joints, Numbers
-from agent.model.signals import MotionSignals
 from agent.robot import RobotDescription
 
 
@@ -22,9 +22,6 @@ class InterpolatorMismatch(Effect):
 
     def places(self, robot: RobotDescription) -> list[tuple[int, ...]]:
         return []
-
-    def names(self, settings: Numbers) -> tuple[str, ...]:
-        return ()
 
     def columns(self, signals: MotionSignals, joints: Joints, settings: Numbers) -> Columns:
         return {}

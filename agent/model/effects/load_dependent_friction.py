@@ -6,9 +6,9 @@ from types import MappingProxyType
 
 import numpy as np
 
+from agent.model.effect_inputs import MotionSignals
 from agent.model.effects.effect import FitContext, Joints, Numbers
 from agent.model.effects.friction_level import FrictionLevel
-from agent.model.signals import MotionSignals
 
 
 class LoadDependentFriction(FrictionLevel):

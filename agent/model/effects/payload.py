@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from agent.model.effect_inputs import MotionSignals
 from agent.model.effects.effect import Columns, Effect, FitContext, Joints, Numbers
 from agent.model.effects.experiments import POSTURES
-from agent.model.signals import MotionSignals
 from agent.robot import ParameterLayout
 
 _ROUNDS = 6

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from agent.model.effect_inputs import MotionSignals
 from agent.model.effects.effect import Columns, Effect, FitContext, Joints, Numbers, on_axle, travelled
 from agent.model.effects.experiments import SLOW_REVERSALS
 from agent.model.friction_terms import Reversal
-from agent.model.signals import MotionSignals
 
 
 class Presliding(Effect):
@@ -14,6 +14,7 @@ class Presliding(Effect):
     name = "presliding"
     family = "friction"
     formula = "a · (z(x) − s), dz = (1 − z · sign(dx)) dx / travel"
+    linear = ("level",)
     source = "Dahl, AIAA J. 14 (1976); Swevers, Al-Bender, Ganseman, Prajogo, IEEE TAC 45 (2000)"
     signature = "residual right after reversals, fading with the distance travelled, whatever the speed"
     confused_with = ("stribeck", "backlash")
@@ -27,9 +28,6 @@ class Presliding(Effect):
     def settings(self, context: FitContext, joints: Joints) -> list[dict[str, float]]:
         low, high = travelled(context, joints[0])
         return [{"travel": (high - low) * fraction} for fraction in (2e-4, 5e-4, 1e-3, 2e-3, 4e-3, 8e-3, 0.016, 0.03)]
-
-    def names(self, settings: Numbers) -> tuple[str, ...]:
-        return ("level",)
 
     def columns(self, signals: MotionSignals, joints: Joints, settings: Numbers) -> Columns:
         (axle,) = joints

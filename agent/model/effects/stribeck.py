@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from agent.model.effect_inputs import MotionSignals, NominalModel
 from agent.model.effects.effect import FitContext, Joints, Numbers, highest_speed, rubs
 from agent.model.effects.experiments import SLOW_REVERSALS
 from agent.model.effects.friction_level import FrictionLevel
-from agent.model.signals import MotionSignals, NominalModel
 
 # Of the highest speed. Below it is how the friction reverses, in which a model and a machine differ without any effect.
 _SPEEDS = (0.02, 0.035, 0.06, 0.1, 0.17, 0.28)
@@ -20,6 +20,7 @@ class Stribeck(FrictionLevel):
     family = "friction"
     usual = True
     formula = "a · s · exp(−(|w| / v)^δ)"
+    linear = ("rise",)
     source = "Armstrong-Hélouvry, Dupont, Canudas de Wit, Automatica 30 (1994)"
     signature = "residual with the sign of the speed, at low speed only"
     confused_with = ("friction_change", "presliding", "viscous_nonlinearity")
@@ -36,9 +37,6 @@ class Stribeck(FrictionLevel):
     def settings(self, context: FitContext, joints: Joints) -> list[dict[str, float]]:
         fastest = highest_speed(context, joints[0])
         return [{"speed": fastest * fraction, "shape": shape} for fraction in _SPEEDS for shape in (1.0, 2.0)]
-
-    def level_names(self, settings: Numbers) -> tuple[str, ...]:
-        return ("rise",)
 
     def level_columns(self, signals: MotionSignals, axle: int, settings: Numbers) -> tuple[np.ndarray, ...]:
         fading = (signals.axles.magnitude[:, axle] / settings["speed"]) ** settings["shape"]

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from agent.model.effect_inputs import MotionSignals, NominalModel
 from agent.model.effects.effect import FitContext, Joints, Numbers, rubs
 from agent.model.effects.experiments import FROM_COLD
 from agent.model.effects.friction_level import FrictionLevel
-from agent.model.signals import MotionSignals, NominalModel
 
 _LONGEST_SESSION = 12 * 3600.0  # s
 _SHORTEST = 5.0  # s: no gear warms up faster
@@ -29,6 +29,7 @@ class ThermalFriction(FrictionLevel):
     family = "friction"
     usual = True
     formula = "(a + b · c) · s + (d + e · c) · w, c = exp(−t / T) or exp(−∫|w| dt / W)"
+    linear = ("coulomb_change", "coulomb_drift", "viscous_change", "viscous_drift")
     source = "Bittencourt, Wernholt, Sander-Tavallaey, Brogårdh, IROS (2010)"
     signature = "residual with the sign of the speed that changes from cycle to cycle"
     confused_with = ("friction_change", "torque_constant")
@@ -74,9 +75,6 @@ class ThermalFriction(FrictionLevel):
     def happens_once(self, settings: Numbers) -> bool:
         """If the drive is warm before the first log of a session ends, no other log shows that it was cold."""
         return _STARTS in settings
-
-    def level_names(self, settings: Numbers) -> tuple[str, ...]:
-        return ("coulomb_change", "coulomb_drift", "viscous_change", "viscous_drift")
 
     def prepare(self, motions: Sequence[MotionSignals], wanted: Sequence[tuple[Joints, Numbers]]) -> None:
         """Store in every motion the distance travelled before it, in its log and in the session."""

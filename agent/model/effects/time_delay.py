@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from agent.model.effect_inputs import MotionSignals
 from agent.model.effects.effect import Columns, Effect, FitContext, Joints, Numbers
 from agent.model.effects.experiments import SHARP_REVERSALS
 from agent.model.friction_terms import axle_columns
 from agent.model.rigid_friction import RigidFrictionModel
-from agent.model.signals import MotionSignals
 
 _TRIED = (-0.02, -0.012, -0.007, -0.004, -0.002, -0.001, 0.001, 0.002, 0.004, 0.007, 0.012, 0.02)
 _ABSORBED = 1e-3  # s, from where on a fitted reversal of friction may have taken part of the delay
@@ -34,6 +34,7 @@ class TimeDelay(Effect):
     usual = True
     scope = "arm"
     formula = "τ(t − d) − τ(t)"
+    linear = ("share",)
     source = "by definition: the torque channel shifted against the position channel"
     signature = "residual on all joints wherever torque changes fast"
     confused_with = ("joint_elasticity",)
@@ -63,9 +64,6 @@ class TimeDelay(Effect):
             delay = float(np.clip(delay * share, -_LONGEST, _LONGEST))
             delay = float(np.copysign(max(abs(delay), _SHORTEST), delay))
         return {**settings, "delay": delay}
-
-    def names(self, settings: Numbers) -> tuple[str, ...]:
-        return ("share",)
 
     def columns(self, signals: MotionSignals, joints: Joints, settings: Numbers) -> Columns:
         late = np.clip(signals.time - settings["delay"], signals.time[0], signals.time[-1])

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from types import MappingProxyType
 
+from agent.model.effect_inputs import MotionSignals
 from agent.model.effects.effect import Columns, Effect, Joints, Numbers, on_axle
-from agent.model.signals import MotionSignals
 
 #: No drive's scale is off by a larger factor; friction of the joint would then be as wrong the other way.
 _MOST = 3.0
@@ -17,6 +17,7 @@ class TorqueConstant(Effect):
     name = "torque_constant"
     family = "measurement"
     formula = "a · τ_axle"
+    linear = ("scale_error",)
     source = "Gautier, Briot, J. Dynamic Systems, Measurement and Control 136 (2014)"
     signature = "residual in proportion to the whole torque of the joint, and of no other joint"
     confused_with = ("friction_change", "inertial_mismatch")
@@ -27,9 +28,6 @@ class TorqueConstant(Effect):
     units = MappingProxyType({"scale_error": "%"})
     scales_report = "scale_error"
     of_servos = ("its servo has another gain", "the gain (P) of this servo in its firmware, and its supply voltage")
-
-    def names(self, settings: Numbers) -> tuple[str, ...]:
-        return ("scale_error",)
 
     def plausible(self, settings: Numbers, values: Numbers) -> bool:
         return 1 / _MOST - 1 < values["scale_error"] < _MOST - 1

@@ -6,9 +6,9 @@ from types import MappingProxyType
 
 import numpy as np
 
+from agent.model.effect_inputs import MotionSignals
 from agent.model.effects.effect import Columns, Effect, Joints, Numbers, on_axle
 from agent.model.effects.experiments import RAMPS_AND_STANDSTILLS
-from agent.model.signals import MotionSignals
 
 
 class TorqueOffset(Effect):
@@ -17,6 +17,7 @@ class TorqueOffset(Effect):
     name = "torque_offset"
     family = "measurement"
     formula = "a"
+    linear = ("offset",)
     source = "by definition: a constant added to the torque channel"
     signature = "constant residual"
     confused_with = ("asymmetric_friction", "gravity_spring", "dress_pack")
@@ -29,9 +30,6 @@ class TorqueOffset(Effect):
     of_servos = ("its set-points are shifted", "the zero of this servo's set-points against its positions")
     units = MappingProxyType({"offset": "N·m"})
     adds_to_report = "offset"
-
-    def names(self, settings: Numbers) -> tuple[str, ...]:
-        return ("offset",)
 
     def columns(self, signals: MotionSignals, joints: Joints, settings: Numbers) -> Columns:
         return on_axle(signals.reference, joints[0], np.ones(len(signals.time)))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from agent.model.effect_inputs import MotionSignals
 from agent.model.effects.effect import (
     Columns,
     Effect,
@@ -15,7 +16,6 @@ from agent.model.effects.effect import (
     on_axle,
     travelled,
 )
-from agent.model.signals import MotionSignals
 
 _HIGHEST = 13.0  # periods a motor turn
 _LOWEST = 8.0  # periods a joint turn: below, springs and hoses are meant

@@ -8,8 +8,8 @@ from typing import ClassVar
 
 import numpy as np
 
+from agent.model.effect_inputs import MotionSignals
 from agent.model.effects.effect import Columns, Effect, FitContext, Joints, Numbers
-from agent.model.signals import MotionSignals
 
 _MASSLESS = 1e-9  # kg·m² or kg: a description of kinematics alone, whose links cannot ring
 _RATE = 1500.0  # Hz of the integration, at least
@@ -74,6 +74,7 @@ class TwoMass(Effect):
     joints. A joint that the model predicts gets a few of the grid, to say what would be found there.
     """
 
+    linear = ("share",)
     fast_torque = True
     nonlinear = ("stiffness",)
 
@@ -140,9 +141,6 @@ class TwoMass(Effect):
         for signals in context.signals:
             parts.append(signals.low_pass(-np.stack([self._lead(signals, k, entry)[0] for entry in tried]).T))
         return np.concatenate(parts)
-
-    def names(self, settings: Numbers) -> tuple[str, ...]:
-        return ("share",)
 
     def prepare(self, motions: Sequence[MotionSignals], wanted: Sequence[tuple[Joints, Numbers]]) -> None:
         keys = dict.fromkeys(_key(joints[0], settings) for joints, settings in wanted)

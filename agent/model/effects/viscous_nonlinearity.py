@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from agent.model.effect_inputs import MotionSignals
 from agent.model.effects.effect import FitContext, Joints, Numbers, highest_speed
 from agent.model.effects.friction_level import FrictionLevel
-from agent.model.signals import MotionSignals
 
 
 class ViscousNonlinearity(FrictionLevel):
@@ -15,6 +15,7 @@ class ViscousNonlinearity(FrictionLevel):
     name = "viscous_nonlinearity"
     family = "friction"
     formula = "a · v · asinh(w / v) + b · w, or a · sign(w) · |w|^p + b · w"
+    linear = ("bend", "viscous_change")
     source = "Waiboer, Aarts, Jonker, ECCOMAS (2005); Eyring, J. Chem. Phys. 4 (1936)"
     signature = "residual with the sign of the speed, bent at high speed"
     confused_with = ("friction_change", "stribeck")
@@ -32,9 +33,6 @@ class ViscousNonlinearity(FrictionLevel):
             *({"speed": fastest * fraction} for fraction in (0.01, 0.03, 0.1, 0.3)),
             *({"power": power} for power in (0.5, 1.5, 2.0, 3.0)),
         ]
-
-    def level_names(self, settings: Numbers) -> tuple[str, ...]:
-        return ("bend", "viscous_change")
 
     def level_columns(self, signals: MotionSignals, axle: int, settings: Numbers) -> tuple[np.ndarray, ...]:
         speed = signals.axles.speed[:, axle]

@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 
+from agent.model.effect_inputs import MotionSignals, NominalModel
 from agent.model.effects.effect import Columns, Effect, FitContext, Joints, Numbers
 from agent.model.friction_terms import AxleMotion, axle_columns
-from agent.model.signals import MotionSignals, NominalModel
 from agent.robot import RobotDescription
 
 _RATIOS = (0.05, 0.068, 0.09, 0.12, 0.16, 0.22, 0.3, 0.4, 0.55, 0.74, 1.0, 1.4, 2.0)

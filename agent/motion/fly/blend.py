@@ -19,8 +19,8 @@ import numpy as np
 
 from agent.compiled import products
 from agent.motion import rotation
+from agent.motion.fly.fly_parameters import SPACING, FlyParameters
 from agent.motion.fly.move_geometry import CartesianSegment, JointSegment, Line, Segment
-from agent.motion.fly.parameters import SPACING, FlyParameters
 from agent.motion.path_settings import FlyTrajectory, FlyType, PathSettings
 
 _CELLS, _MOST_CELLS = 24, 256

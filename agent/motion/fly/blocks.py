@@ -15,9 +15,8 @@ from itertools import pairwise
 import numpy as np
 
 from agent.motion.fly import rules
+from agent.motion.fly.fly_parameters import FlyParameters
 from agent.motion.fly.move_geometry import Segment
-from agent.motion.fly.parameters import FlyParameters
-from agent.motion.fly.path import Path
 from agent.motion.fly.profile import ArmLimits, PathShape, allowed_speed
 from agent.motion.fly.setpoints import BlockLaw, Run, refuse_crawling, refuse_long, sampled, stretch_needed
 
@@ -27,26 +26,21 @@ _TOLERANCE = 5e-4
 
 
 def plan_blocks(
-    path: Path,
-    shape: PathShape,
-    segments: Sequence[Segment],
-    limits: ArmLimits,
-    period: float,
-    parameters: FlyParameters,
+    shape: PathShape, segments: Sequence[Segment], limits: ArmLimits, period: float, parameters: FlyParameters
 ) -> Run:
-    """Samples along `path`, block by block, within its rules and the arm's limits, from rest to rest.
+    """Samples along a path, block by block, within its rules and the arm's limits, from rest to rest.
 
     Where a ramp on a curve asks too much of a joint, its whole block is slowed down. Jerk limits are not looked at.
 
     Raises:
         MotionError: it would take too long, or the arm would all but stop near a singularity; names one of `segments`.
     """
-    refuse_crawling(path, shape, segments, limits)
-    blocks = _Blocks.of(path, shape, limits, parameters)
+    refuse_crawling(shape, segments, limits)
+    path, blocks = shape.path, _Blocks.of(shape, limits, parameters)
     for _ in range(_REPAIRS):
         law = blocks.law(parameters.rise)
         refuse_long(path, law, segments)
-        samples = sampled(path, shape, law, period)
+        samples = sampled(shape, law, period)
         full = np.max(np.abs(samples.qdd) / (limits.acceleration / parameters.acceleration)[:, None], axis=0)
         over = np.array([full[mine].max(initial=0.0) for mine in blocks.split(samples.s)])
         if over.max() <= 1.0 + _TOLERANCE:
@@ -61,8 +55,8 @@ def plan_blocks(
         if stretch <= 1.0 + 2.0 * _TOLERANCE:
             break
         law = replace(law, stretch=law.stretch * stretch)
-        samples = sampled(path, shape, law, period)
-    return Run(path, shape, samples)
+        samples = sampled(shape, law, period)
+    return Run(shape, samples)
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,17 +70,17 @@ class _Blocks:
     corner: np.ndarray
 
     @classmethod
-    def of(cls, path: Path, shape: PathShape, limits: ArmLimits, parameters: FlyParameters) -> _Blocks:
+    def of(cls, shape: PathShape, limits: ArmLimits, parameters: FlyParameters) -> _Blocks:
         """Speed profile of a path, by the limits at its knots."""
-        borders = path.borders
+        path, borders = shape.path, shape.path.borders
         corner = path.block[borders[1:]] % 2 == 1
-        asked, ramp = allowed_speed(path, shape, limits), _ramp(path, shape, limits)
-        in_cells = _bent_joints(path, shape, limits)
+        asked, ramp = allowed_speed(shape, limits), _ramp(shape, limits)
+        in_cells = _bent_joints(shape, limits)
         share = parameters.curve_share / parameters.acceleration
         speed, up, down = np.empty((3, len(corner)))
         for k, (a, b) in enumerate(pairwise(borders)):
             # At a border there is the curvature of the cell before, and that of the cell after.
-            bent = share * min(np.min(in_cells[a:b]), _bent_tool(path, shape, limits, parameters, a, b))
+            bent = share * min(np.min(in_cells[a:b]), _bent_tool(shape, limits, parameters, a, b))
             whole = slice(a, b + 1)
             # A rule belongs to the cell that ends at its knot.
             own = path.rules[a + 1 : b + 1]
@@ -185,17 +179,17 @@ def _ramp_phases(start: float, end: float, acceleration: float, jerk: float) -> 
     return [(rise, 0.0, peak / rise), *even, (rise, peak, -peak / rise)]
 
 
-def _bent_joints(path: Path, shape: PathShape, limits: ArmLimits) -> np.ndarray:
+def _bent_joints(shape: PathShape, limits: ArmLimits) -> np.ndarray:
     """(K - 1,) the largest z = ṡ² at which the curve alone takes no more than a joint's acceleration in a cell."""
-    n = path.q.shape[1]
+    n = shape.path.q.shape[1]
     first = 2.0 * shape.coefficients[1, :n]
-    last = first + 6.0 * shape.coefficients[0, :n] * np.diff(path.s)
+    last = first + 6.0 * shape.coefficients[0, :n] * np.diff(shape.path.s)
     return np.min(limits.acceleration[:, None] / np.maximum(np.maximum(np.abs(first), np.abs(last)), _SMALL), axis=0)
 
 
-def _bent_tool(path: Path, shape: PathShape, limits: ArmLimits, parameters: FlyParameters, a: int, b: int) -> float:
+def _bent_tool(shape: PathShape, limits: ArmLimits, parameters: FlyParameters, a: int, b: int) -> float:
     """The same of the tool's acceleration between knots a and b. Rotation counts as going with the way, as in ramps."""
-    tcp, limited = limits.cartesian, float(path.rules[b, rules.CARTESIAN])
+    tcp, limited = limits.cartesian, float(shape.path.rules[b, rules.CARTESIAN])
     allowed = tcp.linear_acceleration
     if parameters.curve_turns:
         allowed = min(allowed, tcp.rotational_acceleration / max(shape.turn[a], shape.turn[b], _SMALL))
@@ -203,9 +197,9 @@ def _bent_tool(path: Path, shape: PathShape, limits: ArmLimits, parameters: FlyP
     return limited * allowed / max(bend, _SMALL)
 
 
-def _ramp(path: Path, shape: PathShape, limits: ArmLimits) -> np.ndarray:
+def _ramp(shape: PathShape, limits: ArmLimits) -> np.ndarray:
     """(K,) acceleration along the path that each knot allows."""
     joint = np.min(limits.acceleration[:, None] / np.maximum(np.abs(shape.q1), _SMALL), axis=0)
-    limited, tcp = path.rules[:, rules.CARTESIAN], limits.cartesian
+    limited, tcp = shape.path.rules[:, rules.CARTESIAN], limits.cartesian
     linear = limited * tcp.linear_acceleration / np.maximum(shape.travel, _SMALL)
     return np.minimum(joint, np.minimum(linear, limited * tcp.rotational_acceleration / np.maximum(shape.turn, _SMALL)))

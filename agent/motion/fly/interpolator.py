@@ -10,10 +10,10 @@ import numpy as np
 
 from agent.core import InputError
 from agent.motion import rotation
+from agent.motion.fly.fly_parameters import LONGEST, FlyParameters
 from agent.motion.fly.move_geometry import Segment
-from agent.motion.fly.parameters import LONGEST, FlyParameters
 from agent.motion.fly.profile import ArmLimits
-from agent.motion.fly.runs import RunPlanner
+from agent.motion.fly.run_planner import RunPlanner
 from agent.motion.fly.segment_maker import SegmentMaker
 from agent.motion.fly.setpoints import Run
 from agent.motion.interpolator import BindingLimit, MotionError, Trajectory
@@ -122,7 +122,7 @@ class _Unfinished:
         self._count(count, index)
 
     def _add(self, run: Run) -> None:
-        samples, path = run.samples, run.path
+        samples, path = run.samples, run.shape.path
         self._runs.append(((self._samples - 1) * self._planner.period, run))
         # A sample at a knot belongs to the cell before it.
         ends = np.searchsorted(samples.s + path.s[0], path.s[:-1], side="right")

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
 from agent.compiled import products
 from agent.motion import rotation
 from agent.motion.path_settings import PathSettings
+from agent.robot import Kinematics
 
 #: [m/rad] converts a rotation into travel, where a move does little but rotate.
 ROTATION_LEVER = 0.1
@@ -190,7 +190,7 @@ class CartesianSegment:
     move: int
     label: str
     settings: PathSettings
-    kinematics: Any
+    kinematics: Kinematics
     curve: Line | Arc
     turn: SingleAxis | EulerAngles
     configuration: str = ""
@@ -236,7 +236,7 @@ class JointSegment:
     move: int
     label: str
     settings: PathSettings
-    kinematics: Any
+    kinematics: Kinematics
     start: np.ndarray
     end: np.ndarray
     metric: float

@@ -10,11 +10,11 @@ import numpy as np
 
 from agent.motion import rotation
 from agent.motion.fly.blend import CartesianCorner, Corner, bump
+from agent.motion.fly.fly_parameters import SPACING, FlyParameters
 from agent.motion.fly.move_geometry import Arc, CartesianSegment, JointSegment, Segment, label_of
-from agent.motion.fly.parameters import SPACING, FlyParameters
 from agent.motion.fly.rules import path_rules
 from agent.motion.interpolator import MotionError
-from agent.robot import Kinematics, KinematicsError
+from agent.robot import KinematicsError
 
 #: Largest turn of the orientation, of an arc or of a joint between two knots [rad].
 _TURN = 0.04
@@ -126,9 +126,8 @@ def solve_cartesian(
     Raises:
         MotionError: out of reach, singular, or leaving the branch of `start`.
     """
-    kinematics: Kinematics = segments[0].kinematics
     try:
-        return kinematics.follow(rotation.to_pose(position, orientation), start, near)
+        return segments[0].kinematics.follow(rotation.to_pose(position, orientation), start, near)
     except KinematicsError as error:
         culprit = int(move[min(error.index, len(move) - 1)])
         raise motion_error(error, culprit, label_of(segments, culprit)) from None

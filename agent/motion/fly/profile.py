@@ -16,7 +16,7 @@ import numpy as np
 
 from agent.compiled import derivatives, fastest, growth, not_a_knot
 from agent.motion.fly import rules
-from agent.motion.fly.parameters import FlyParameters
+from agent.motion.fly.fly_parameters import FlyParameters
 from agent.motion.fly.path import Path
 from agent.robot import CartesianLimits, RobotDescription
 
@@ -59,13 +59,14 @@ class ArmLimits:
 
 @dataclass(frozen=True, eq=False)
 class PathShape:
-    """The path as a cubic spline over s, and its derivatives at the knots.
+    """A `path` as a cubic spline over s, and its derivatives at the knots.
 
     coefficients (4, n + 7, K - 1): of the cell from each knot on, highest power first, rows q, p and the quaternion.
     Knots last: q1, q2, q3 (n, K); `travel` (K,) = |dp/ds| and `bend` (K,), the part of d²p/ds² across the path; `turn`
     and `turn_bend` (K,) the same for the rotation. Where it is not `smooth`, curvature jumps from block to block.
     """
 
+    path: Path
     coefficients: np.ndarray
     q1: np.ndarray
     q2: np.ndarray
@@ -76,27 +77,21 @@ class PathShape:
     turn_bend: np.ndarray
     smooth: bool
 
-    def roughness(self, path: Path) -> float:
-        """Error of joints and TCP between knots, in units of the tolerated one.
+    def roughness(self) -> tuple[float, int]:
+        """Largest error of joints and TCP between knots, in units of the tolerated one, and the knot where it is.
 
         A cubic spline errs by h⁴/384 times the fourth derivative, which is the change of the third over h.
         """
-        return float(np.max(self._errors(path), initial=0.0)) / _TOLERATED
-
-    def roughest(self, path: Path) -> int:
-        """The knot where that error is largest."""
-        return 1 + int(np.argmax(self._errors(path)))
-
-    def _errors(self, path: Path) -> np.ndarray:
         cubic = self.coefficients[0]
         change = 6.0 * np.abs(cubic[:, 1:] - cubic[:, :-1]).max(axis=0)
-        step = np.diff(path.s)
+        step = np.diff(self.path.s)
         errors = change * np.maximum(step[1:], step[:-1]) ** 3 / 384.0
         # At its ends the spline has one cubic for two cells, and errs about ten times as much.
         errors[[0, 1, -2, -1]] *= 10.0
         if not self.smooth:
-            errors[path.borders[1:-1] - 1] = 0.0
-        return errors
+            errors[self.path.borders[1:-1] - 1] = 0.0
+        worst = int(np.argmax(errors))
+        return float(errors[worst]) / _TOLERATED, 1 + worst
 
 
 def shape_of(path: Path, smooth: bool = True) -> PathShape:
@@ -110,7 +105,14 @@ def shape_of(path: Path, smooth: bool = True) -> PathShape:
         coefficients = np.concatenate(pieces, axis=2)
     (first, second, third), (travel, turn) = derivatives(coefficients, path.s[-1] - path.s[-2], path.orientation)
     return PathShape(
-        coefficients, first[:n], second[:n], third[:n], *_along_and_across(*travel), *_along_and_across(*turn), smooth
+        path,
+        coefficients,
+        first[:n],
+        second[:n],
+        third[:n],
+        *_along_and_across(*travel),
+        *_along_and_across(*turn),
+        smooth,
     )
 
 
@@ -129,9 +131,9 @@ def _along_and_across(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray
     return size, np.sqrt(np.maximum(np.einsum("ki,ki->k", second, second) - along**2, 0.0))
 
 
-def allowed_speed(path: Path, shape: PathShape, limits: ArmLimits) -> np.ndarray:
+def allowed_speed(shape: PathShape, limits: ArmLimits) -> np.ndarray:
     """(K,) speed that program and speed limits allow at each knot."""
-    rule, tcp = path.rules, limits.cartesian
+    rule, tcp = shape.path.rules, limits.cartesian
     linear = np.minimum(rule[:, rules.LINEAR], tcp.linear_speed * rule[:, rules.CARTESIAN])
     turning = np.minimum(rule[:, rules.ROTATIONAL], tcp.rotational_speed * rule[:, rules.CARTESIAN])
     joint = np.min(limits.speed[:, None] / np.maximum(np.abs(shape.q1), 1e-12), axis=0) * rule[:, rules.JOINT]
@@ -139,11 +141,11 @@ def allowed_speed(path: Path, shape: PathShape, limits: ArmLimits) -> np.ndarray
     return np.minimum(tool, joint)
 
 
-def speed_ceiling(path: Path, shape: PathShape, limits: ArmLimits, parameters: FlyParameters) -> np.ndarray:
+def speed_ceiling(shape: PathShape, limits: ArmLimits, parameters: FlyParameters) -> np.ndarray:
     """(K,) largest z = ṡ² that each knot allows by itself [1/s² times the square of s's unit]."""
-    rule = path.rules
+    rule = shape.path.rules
     with np.errstate(divide="ignore"):
-        speed = allowed_speed(path, shape, limits) * path.overlap
+        speed = allowed_speed(shape, limits) * shape.path.overlap
         jerk = np.min(parameters.curve_share * limits.jerk[:, None] / np.maximum(np.abs(shape.q3), 1e-12), axis=0)
         ceiling = np.minimum(speed**2, jerk ** (2.0 / 3.0))
         bend = np.min(limits.acceleration[:, None] / np.maximum(np.abs(shape.q2), 1e-12), axis=0)
@@ -160,10 +162,10 @@ def _override(rule: np.ndarray) -> np.ndarray:
 
 
 class Ramps:
-    """Changes of speed that the acceleration limits allow along one path, for any ceiling of its speed."""
+    """Changes of speed that the acceleration limits allow along a path, for any ceiling of its speed."""
 
-    def __init__(self, path: Path, shape: PathShape, limits: ArmLimits):
-        rule = path.rules
+    def __init__(self, shape: PathShape, limits: ArmLimits):
+        path, rule = shape.path, shape.path.rules
         self._rise = np.minimum(rule[:-1, rules.ACCELERATION], rule[1:, rules.ACCELERATION])
         self._fall = np.minimum(rule[:-1, rules.DECELERATION], rule[1:, rules.DECELERATION])
         self._alike = np.array_equal(self._rise, self._fall)

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from agent.motion.fly.fly_parameters import FlyParameters
 from agent.motion.fly.move_geometry import JointSegment, Segment
-from agent.motion.fly.parameters import FlyParameters
 from agent.motion.path_settings import SpeedOption
 
 #: Columns of a row: programmed TCP speed [m/s] and rotational speed [rad/s] (inf: not programmed), part of the joint

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,9 +13,11 @@ from agent.motion import rotation
 from agent.motion.fly.move_geometry import (
     Arc,
     CartesianSegment,
+    EulerAngles,
     JointSegment,
     Line,
     Segment,
+    SingleAxis,
     arc_through,
     euler_angles,
     single_axis,
@@ -119,7 +121,8 @@ class SegmentMaker:
         if move.type is MoveType.CIRCULAR:
             curve = self._arc(index, label, move, kinematics, start, end)
         if style is OrientationType.EUL_WORLD:
-            turn: Any = euler_angles(start_turn, end_turn, rotation.from_matrix(matrix_of(move.settings.base)[:3, :3]))
+            world = rotation.from_matrix(matrix_of(move.settings.base)[:3, :3])
+            turn: SingleAxis | EulerAngles = euler_angles(start_turn, end_turn, world)
         else:
             along = isinstance(curve, Arc) and style is OrientationType.RS_TRAJ
             turn = single_axis(start_turn, end_turn, curve if along else None)

@@ -19,8 +19,8 @@ import numpy as np
 
 from agent.compiled import averaged, held, law_at, lowered, sampled_on, stretched
 from agent.motion.fly import rules
+from agent.motion.fly.fly_parameters import LONGEST, FlyParameters
 from agent.motion.fly.move_geometry import Segment, label_of
-from agent.motion.fly.parameters import LONGEST, FlyParameters
 from agent.motion.fly.path import Path
 from agent.motion.fly.profile import ArmLimits, PathShape, Ramps, speed_ceiling
 from agent.motion.interpolator import MotionError
@@ -93,98 +93,74 @@ class BlockLaw:
 
 @dataclass(frozen=True, eq=False)
 class SetPoints:
-    """Samples of one run from a standstill: the path parameter s and its speed (S,), of n `joints`.
+    """Samples of one run from a standstill: the path parameter s and its speed (S,).
 
     rows (3, n + 7, S): values, derivatives and second derivatives by time of the joints and of the TCP's pose, which is
-    position [m] and orientation (unit quaternion). Samples are the last axis: every operation runs along them.
+    position [m] and orientation (unit quaternion). Samples are the last axis: every operation runs along them. Parts of
+    the rows are q, qd, qdd (n, S), pose and pose_rate (7, S).
     """
 
-    joints: int
     s: np.ndarray
     speed: np.ndarray
     rows: np.ndarray
-
-    @property
-    def q(self) -> np.ndarray:
-        """(n, S)"""
-        return self.rows[0, : self.joints]
-
-    @property
-    def qd(self) -> np.ndarray:
-        """(n, S)"""
-        return self.rows[1, : self.joints]
-
-    @property
-    def qdd(self) -> np.ndarray:
-        """(n, S)"""
-        return self.rows[2, : self.joints]
-
-    @property
-    def pose(self) -> np.ndarray:
-        """(7, S)"""
-        return self.rows[0, self.joints :]
-
-    @property
-    def pose_rate(self) -> np.ndarray:
-        """(7, S)"""
-        return self.rows[1, self.joints :]
+    q: np.ndarray
+    qd: np.ndarray
+    qdd: np.ndarray
+    pose: np.ndarray
+    pose_rate: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """The plan between two standstills: the path, its spline and the samples."""
+    """The plan between two standstills: the path with its spline, and the samples."""
 
-    path: Path
     shape: PathShape
     samples: SetPoints
 
 
 def plan_run(
-    path: Path,
-    shape: PathShape,
-    segments: Sequence[Segment],
-    limits: ArmLimits,
-    period: float,
-    parameters: FlyParameters,
+    shape: PathShape, segments: Sequence[Segment], limits: ArmLimits, period: float, parameters: FlyParameters
 ) -> Run:
-    """The fastest samples along `path` that its rules and the arm's limits allow, from rest to rest.
+    """The fastest samples along a path that its rules and the arm's limits allow, from rest to rest.
 
     Raises:
         MotionError: it would take too long, or the arm would all but stop near a singularity; names one of `segments`.
     """
-    refuse_crawling(path, shape, segments, limits)
+    refuse_crawling(shape, segments, limits)
+    path = shape.path
     ramp = parameters.ramp * float(np.max(limits.acceleration / limits.jerk))
     window = max(round(ramp / period), 1) * period
     # Every dip is held for the window, so that the average over the window reaches its bottom.
-    ceiling = held(path.s, speed_ceiling(path, shape, limits, parameters), window)
-    ramps = Ramps(path, shape, limits)
+    ceiling = held(path.s, speed_ceiling(shape, limits, parameters), window)
+    ramps = Ramps(shape, limits)
     step = _COARSE * period
     for _ in range(_REPAIRS):
         # z = ṡ² is linear between the knots
         time, speed, acceleration, integral = law_at(path.s, ramps.fastest(ceiling))
         law = TimeLaw(time, path.s - path.s[0], speed, acceleration[:-1], integral, window)
         refuse_long(path, law, segments)
-        samples = sampled(path, shape, law, step)
+        samples = sampled(shape, law, step)
         stretch = stretch_needed(path, samples, limits, step)
         if step > period and stretch.max() <= 1.0 + _TOLERANCE:
             step = period
-            samples = sampled(path, shape, law, step)
+            samples = sampled(shape, law, step)
             stretch = stretch_needed(path, samples, limits, step)
         if stretch.max() <= 1.0 + _TOLERANCE:
-            return Run(path, shape, samples)
+            return Run(shape, samples)
         half = round(window / step) // 2
         ceiling = lowered(ceiling, path.s, samples.s, samples.speed, stretch, 1.0 + _TOLERANCE, half)
     for _ in range(_STRETCHES):
-        samples = sampled(path, shape, law, period)
+        samples = sampled(shape, law, period)
         stretch = stretch_needed(path, samples, limits, period)
         if stretch.max() <= 1.0 + _TOLERANCE:
             break
         law = replace(law, stretch=law.stretch * float(stretch.max()))
-    return Run(path, shape, samples)
+    return Run(shape, samples)
 
 
-def refuse_crawling(path: Path, shape: PathShape, segments: Sequence[Segment], limits: ArmLimits) -> None:
+def refuse_crawling(shape: PathShape, segments: Sequence[Segment], limits: ArmLimits) -> None:
     """Refuse a path on which the arm would all but stop near a singularity (MotionError)."""
+    path = shape.path
     linear = np.minimum(path.rules[:, rules.LINEAR], limits.cartesian.linear_speed)
     turning = min(limits.cartesian.rotational_speed, _TURNING)
     with np.errstate(divide="ignore"):
@@ -221,12 +197,13 @@ def refuse_long(path: Path, law: TimeLaw | BlockLaw, segments: Sequence[Segment]
     )
 
 
-def sampled(path: Path, shape: PathShape, law: TimeLaw | BlockLaw, period: float) -> SetPoints:
+def sampled(shape: PathShape, law: TimeLaw | BlockLaw, period: float) -> SetPoints:
     """Samples of a path run through by a time law."""
-    n = path.q.shape[1]
+    n = shape.path.q.shape[1]
     t = np.arange(int(np.ceil(law.duration / period - 1e-9)) + 1) * period
     s, speed, acceleration = law.sample(t)
-    return SetPoints(n, s, speed, sampled_on(path.s, shape.coefficients, s, speed, acceleration, n))
+    rows = sampled_on(shape.path.s, shape.coefficients, s, speed, acceleration, n)
+    return SetPoints(s, speed, rows, *rows[:, :n], *rows[:2, n:])
 
 
 def stretch_needed(path: Path, samples: SetPoints, limits: ArmLimits, period: float) -> np.ndarray:

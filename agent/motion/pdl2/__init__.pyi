@@ -1,5 +1,5 @@
 from .evaluation import Memory as Memory, Value as Value, evaluate as evaluate, subscript as subscript
-from .program import Program as Program, parse_program as parse_program
+from .reader import Program as Program, parse_program as parse_program
 from .syntax import (
     Assignment as Assignment,
     Block as Block,

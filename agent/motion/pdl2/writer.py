@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from agent.core import InputError
-from agent.motion.pdl2.program import parse_program
+from agent.motion.pdl2.reader import parse_program
 from agent.motion.pdl2.settings import Pdl2Settings
 from agent.motion.pdl2.syntax import Constant, Pos
 from agent.motion.pdl2.variables import FRAMES, SYSTEM_VARIABLES, SystemVariable, pose_to_pos

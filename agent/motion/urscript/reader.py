@@ -121,17 +121,13 @@ class UrScriptProgram:
     lenient: bool = False
     passed: Counter[str] = field(default_factory=Counter)
 
-    def run(self) -> Iterator[Statement]:
-        """Its moves and delays in order.
+    def run(self, once: bool = False) -> Iterator[Statement]:
+        """Its moves and delays in order; `once`: every loop is gone through once.
 
         Raises:
             UrScriptError: a statement that cannot be executed, or a program that never ends.
         """
-        return _ScriptRun(self).block(self.lines, 0)
-
-    def moves_once(self) -> Iterator[Statement]:
-        """The same with every loop gone through once."""
-        return _ScriptRun(self, once=True).block(self.lines, 0)
+        return _ScriptRun(self, once).block(self.lines, 0)
 
 
 def read_program(text: str, path: str = "", robot: RobotDescription | None = None) -> UrScriptProgram:
@@ -141,7 +137,7 @@ def read_program(text: str, path: str = "", robot: RobotDescription | None = Non
         UrScriptError: not one; names path and line.
     """
     program = _read(text, path, robot, lenient=False)
-    for _ in program.moves_once():
+    for _ in program.run(once=True):
         pass
     return program
 
@@ -153,7 +149,7 @@ def job_text(text: str, path: str, robot: RobotDescription | None) -> tuple[list
         UrScriptError: something moves that is not understood.
     """
     program = _read(text, path, robot, lenient=True)
-    return list(program.moves_once()), dict(program.passed)
+    return list(program.run(once=True)), dict(program.passed)
 
 
 def _read(text: str, path: str, robot: RobotDescription | None, lenient: bool) -> UrScriptProgram:
@@ -205,7 +201,7 @@ def _block(rows: list[tuple[int, str]], path: str, depth: int = 0) -> tuple[list
 class _ScriptRun:
     """One run of a program: variables, the tool and load in force, and the functions that were defined."""
 
-    def __init__(self, program: UrScriptProgram, once: bool = False) -> None:
+    def __init__(self, program: UrScriptProgram, once: bool) -> None:
         self._program = program
         self._once = once or program.lenient
         self._values: dict[str, Any] = {"True": True, "False": False}

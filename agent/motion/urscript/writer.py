@@ -15,15 +15,7 @@ import numpy as np
 
 from agent.core import InputError
 from agent.motion import rotation
-from agent.motion.program import (
-    CartesianTarget,
-    Delay,
-    MoveType,
-    Statement,
-    Target,
-    decimals,
-    matrix_of,
-)
+from agent.motion.program import CartesianTarget, Delay, MoveType, Statement, Target, decimals, matrix_of
 from agent.motion.urscript.reader import read_program
 from agent.motion.urscript.settings import UrSettings
 

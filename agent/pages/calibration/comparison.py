@@ -12,7 +12,7 @@ from agent.model import IdentifiedModel
 from agent.pages.calibration.friction import compared_friction
 from agent.pages.calibration.recordings import percent
 from agent.pages.calibration.residuals import regime_table
-from agent.pages.page import About, Bar, Bars, NextStep, Page, Section, Table, render
+from agent.pages.elements import About, Bar, Bars, NextStep, Page, Section, Table, render
 from agent.pages.plots import SERIES
 from agent.recording import Log
 from agent.runs import last_accepted

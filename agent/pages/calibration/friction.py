@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from agent.model import IdentifiedModel, steady_columns
-from agent.pages.page import Section
+from agent.pages.elements import Section
 from agent.pages.plots import SERIES, UNLINKED, Panel, Plot, Series, worst_first
 from agent.robot import RobotDescription, axle_motion, torque_units
 from agent.validation import Prediction, pooled_rmse

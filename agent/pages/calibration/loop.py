@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from agent.motion import Trajectory
-from agent.pages.page import Page, Section, render
+from agent.pages.elements import Page, Section, render
 from agent.pages.plots import SERIES, Panel, Plot, Series, joint_series
 from agent.pages.scene import Scene, arm_along
 from agent.recipe import Recipe

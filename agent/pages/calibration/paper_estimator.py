@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from agent.core import InputError
 from agent.estimation import EstimationSettings, estimate
 from agent.model import IdentifiedModel
-from agent.pages.page import Section, Table
+from agent.pages.elements import Section, Table
 from agent.recording import Log
 from agent.robot import Tool, torque_units
 from agent.validation import Prediction, pooled_rmse

@@ -8,7 +8,7 @@ import numpy as np
 
 from agent.core import counted, plus_minus
 from agent.model import USUAL_CONDITION, IdentifiedModel, judged_condition
-from agent.pages.page import Section, Shade, Table
+from agent.pages.elements import Section, Shade, Table
 from agent.pages.plots import SERIES, Panel, Plot, Series
 from agent.recording import Log
 from agent.validation import observability

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from agent.pages.page import Bar, Bars, Table
+from agent.pages.elements import Bar, Bars, Table
 from agent.pages.plots import SERIES, Panel, Plot, Series, thinned, worst_first
 from agent.robot import torque_units
 from agent.validation import Prediction

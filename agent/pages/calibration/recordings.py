@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from agent.core import counted
-from agent.pages.page import Section, Table
+from agent.pages.elements import Section, Table
 from agent.recording import Log
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from agent.model import REGIMES, regime_masks, standstill_speed
-from agent.pages.page import Section, Table, shaded_table
+from agent.pages.elements import Section, Table, shaded_table
 from agent.pages.plots import SERIES, UNLINKED, Panel, Plot, Series, joint_series, worst_first
 from agent.robot import torque_units
 from agent.validation import Prediction

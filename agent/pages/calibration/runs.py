@@ -20,7 +20,7 @@ from agent.pages.calibration.prediction import error_table
 from agent.pages.calibration.recordings import LogHealth, conditions_section, log_section, percent, provenance_section
 from agent.pages.calibration.residuals import residual_section
 from agent.pages.diagnosis.summary import diagnosis_sections
-from agent.pages.page import About, Page, Section, Table, render
+from agent.pages.elements import About, Page, Section, Table, render
 from agent.pages.plots import Plot
 from agent.pages.scene import Scene
 from agent.recording import Log

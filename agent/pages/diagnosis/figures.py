@@ -9,7 +9,7 @@ import numpy as np
 
 from agent.diagnosis import BANDS, Diagnosis, Simulated, band_shares, masks, motor_phase_share, torque_gap
 from agent.model import REGIMES
-from agent.pages.page import Bar, Bars, Table, shaded_table
+from agent.pages.elements import Bar, Bars, Table, shaded_table
 from agent.pages.phrasing import share_text
 from agent.pages.plots import SERIES, Panel, Plot, Series, worst_first
 from agent.recording import Log

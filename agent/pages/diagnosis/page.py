@@ -11,7 +11,7 @@ from agent.model import CATALOGUE, PAYLOAD
 from agent.pages.diagnosis.figures import band_map, gap_table, regime_map, simulated_torque, timeline, waterfall
 from agent.pages.diagnosis.simulator import drift_section, ranges_section, waterfall_section
 from agent.pages.diagnosis.summary import planned_section, rounds_section
-from agent.pages.page import About, NextStep, Page, Section, Table, render
+from agent.pages.elements import About, NextStep, Page, Section, Table, render
 from agent.pages.phrasing import (
     FOUR,
     NOT_TESTABLE,

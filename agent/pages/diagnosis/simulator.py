@@ -7,7 +7,7 @@ from typing import Any
 
 from agent.diagnosis import Diagnosis, Range, forward_warning, ranges, ranges_text
 from agent.pages.diagnosis.figures import waterfall
-from agent.pages.page import Section, Table
+from agent.pages.elements import Section, Table
 from agent.pages.phrasing import capital
 
 

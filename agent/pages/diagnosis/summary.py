@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from agent.diagnosis import reported_parameters, size_text, torque_gap
-from agent.pages.page import Section, Table
+from agent.pages.elements import Section, Table
 from agent.pages.phrasing import chances_text, diagnosis_summary, next_text, place, what
 from agent.robot import figure_text
 

@@ -68,11 +68,11 @@ class Kinematics(ABC):
 
     def forward(self, q: np.ndarray) -> np.ndarray:
         """(S, 4, 4) poses of the TCP."""
-        return self.chain.forward(q)
+        return self.chain.forward_and_jacobian(q)[0]
 
     def jacobian(self, q: np.ndarray) -> np.ndarray:
         """(S, 6, n) Jacobian of the TCP in the base frame: rows linear, then angular velocity."""
-        return self.chain.jacobian(q)
+        return self.chain.forward_and_jacobian(q)[1]
 
     def unit(self, joint: int) -> str:
         """Unit of a joint's position, for messages."""

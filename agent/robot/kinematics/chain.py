@@ -29,10 +29,6 @@ class KinematicChain:
         """Number of joints n."""
         return len(self.prismatic)
 
-    def forward(self, q: np.ndarray) -> np.ndarray:
-        """(S, 4, 4) pose of the TCP in the base frame, from joint positions (S, n)."""
-        return self.forward_and_jacobian(q)[0]
-
     def origins(self, q: np.ndarray) -> np.ndarray:
         """(S, n + 1, 3) where the joints' frames and the TCP are in the base frame, from joint positions (S, n)."""
         frames = [np.broadcast_to(self.transforms[0], (len(q), 4, 4))]
@@ -47,12 +43,11 @@ class KinematicChain:
             frames.append(frames[-1] @ moved @ transform)
         return np.stack([frame[:, :3, 3] for frame in frames], axis=1)
 
-    def jacobian(self, q: np.ndarray) -> np.ndarray:
-        """(S, 6, n): linear velocity of the TCP, then angular velocity, in the base frame, per joint rate."""
-        return self.forward_and_jacobian(q)[1]
-
     def forward_and_jacobian(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(S, 4, 4) and (S, 6, n): both, by one compiled loop."""
+        """(S, 4, 4) pose of the TCP at joint positions (S, n), and (S, 6, n) its Jacobian, by one compiled loop.
+
+        Both in the base frame; rows of the Jacobian are linear, then angular, velocity per joint rate.
+        """
         from agent.compiled import forward_and_jacobian
 
         q = np.ascontiguousarray(q, dtype=float)

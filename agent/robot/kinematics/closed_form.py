@@ -64,18 +64,23 @@ class AtZero:
         axes, points = self.axes, self.points
         return np.asarray(points[axis] + axes[axis] * ((points[axis + 1] - points[axis]) @ axes[axis]))
 
-    def fits(self, crossing: Sequence[int], parallel: Sequence[int], meeting: Sequence[tuple[int, np.ndarray]]) -> bool:
-        """Whether axes cross the next one at a right angle, are parallel to it, and pass through points (3,)."""
+    def fits(
+        self,
+        end: np.ndarray,
+        crossing: Sequence[int],
+        parallel: Sequence[int],
+        meeting: Sequence[tuple[int, np.ndarray]],
+    ) -> bool:
+        """Whether axes cross the next one at a right angle, are parallel to it, and pass through points (3,), and both
+        the upper arm and the forearm, which leads to `end` (3,), have a length in the plane of the arm."""
         axes = self.axes
         off = [abs(axes[k] @ axes[k + 1]) for k in crossing]
         off += [np.linalg.norm(np.cross(axes[k], axes[k + 1])) for k in parallel]
         off += [np.linalg.norm(np.cross(axes[k], point - self.points[k])) / self.size for k, point in meeting]
-        return max(off) <= self.tolerance
-
-    def is_short(self, vector: np.ndarray) -> bool:
-        """Whether a vector (3,) has no length in the plane of the arm."""
-        x, _, z = self.base.T @ vector
-        return bool(np.hypot(x, z) < self.tolerance * self.size)
+        if max(off) > self.tolerance:
+            return False
+        long = np.diff([*self.points[1:3], end], axis=0) @ self.base
+        return bool(np.all(np.hypot(long[:, 0], long[:, 2]) >= self.tolerance * self.size))
 
 
 @dataclass(frozen=True, eq=False)

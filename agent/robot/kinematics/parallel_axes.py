@@ -35,6 +35,29 @@ class ParallelAxesKinematics(ClosedFormKinematics):
     at_shoulder = ": its wrist is as near to axis 1 as it can be"
     at_wrist = ": it has axes 4 and 6 parallel"
 
+    @staticmethod
+    def recognise(chain: KinematicChain) -> ArmGeometry | None:
+        """The constants of an arm of this kind, or None for any other arm.
+
+        Its hand d₅ goes from axis 4 to axis 6 along axis 5. The wrist's axes are axis 5, and the third of a
+        right-handed frame, and axis 6, all at q₅ = q₆ = 0.
+        """
+        arm = AtZero(chain, TOLERANCE)
+        end, centre = arm.nearest(3), arm.nearest(4)
+        if not arm.fits(end, crossing=(0, 3, 4), parallel=(1, 2), meeting=((4, end), (5, centre))):
+            return None
+        fifth, sixth = arm.axes[4:]
+        hand, last = arm.base.T @ fifth, arm.base.T @ sixth
+        return ArmGeometry.of(
+            arm,
+            end,
+            centre,
+            np.column_stack([fifth, np.cross(sixth, fifth), sixth]),
+            float(np.arctan2(last @ np.cross(hand, [0.0, 1.0, 0.0]), last[1])),
+            hand=float((centre - end) @ fifth),
+            hand_angle=float(np.arctan2(hand[0], hand[2])),
+        )
+
     def _branch(self, wrist: np.ndarray, signs: Sequence[int] | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         g = self._arm
         r00, r01, r02, r10, r11, r12, r20, r21, r22, x, y, z = wrist
@@ -59,30 +82,3 @@ class ParallelAxesKinematics(ClosedFormKinematics):
         q[4] = np.arctan2(sin5, cos1 * r12 - sin1 * r02) - g.wrist_angle
         q[5] = np.arctan2(-(ax * r01 + ay * r11 + cos_hand * r21), ax * r00 + ay * r10 + cos_hand * r20)
         return q, margins
-
-
-def recognise(chain: KinematicChain) -> ArmGeometry | None:
-    """The constants of an arm of this kind, or None for any other arm.
-
-    Its hand d₅ goes from axis 4 to axis 6 along axis 5. The wrist's axes are axis 5, and the third of a right-handed
-    frame, and axis 6, all at q₅ = q₆ = 0.
-    """
-    if chain.dof != 6 or chain.prismatic.any():
-        return None
-    arm = AtZero(chain, TOLERANCE)
-    end, centre = arm.nearest(3), arm.nearest(4)
-    if not arm.fits(crossing=(0, 3, 4), parallel=(1, 2), meeting=((4, end), (5, centre))):
-        return None
-    if arm.is_short(arm.points[2] - arm.points[1]) or arm.is_short(end - arm.points[2]):
-        return None
-    fifth, sixth = arm.axes[4:]
-    hand, last = arm.base.T @ fifth, arm.base.T @ sixth
-    return ArmGeometry.of(
-        arm,
-        end,
-        centre,
-        np.column_stack([fifth, np.cross(sixth, fifth), sixth]),
-        float(np.arctan2(last @ np.cross(hand, [0.0, 1.0, 0.0]), last[1])),
-        hand=float((centre - end) @ fifth),
-        hand_angle=float(np.arctan2(hand[0], hand[2])),
-    )

@@ -32,6 +32,20 @@ TOLERANCE = 1e-4
 class SphericalWristKinematics(ClosedFormKinematics):
     """Eight branches of an arm with a spherical wrist; they have flags in configuration strings."""
 
+    @staticmethod
+    def recognise(chain: KinematicChain) -> ArmGeometry | None:
+        """The constants of an arm of this kind, or None for any other arm."""
+        arm = AtZero(chain, TOLERANCE)
+        centre = arm.nearest(3)
+        if not arm.fits(centre, crossing=(0, 3, 4), parallel=(1,), meeting=((4, centre), (5, centre))):
+            return None
+        wrist = frame_of(arm.axes[3], arm.axes[4])
+        last = wrist.T @ arm.axes[5]
+        angle = float(np.arctan2(last[0], last[2]))
+        c, s = np.cos(angle), np.sin(angle)
+        turned = wrist @ np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+        return ArmGeometry.of(arm, centre, centre, turned, angle, forearm_rotation=wrist.T @ arm.base)
+
     def solve_configuration(self, pose: np.ndarray, configuration: str) -> np.ndarray:
         wanted = parse_configuration(configuration)
         poses = np.asarray(pose, dtype=float)[None]
@@ -85,21 +99,3 @@ class SphericalWristKinematics(ClosedFormKinematics):
         q[4] -= g.wrist_angle
         np.arctan2(signs[2] * s6, signs[2] * c6, out=q[5])
         return q, margins
-
-
-def recognise(chain: KinematicChain) -> ArmGeometry | None:
-    """The constants of an arm of this kind, or None for any other arm."""
-    if chain.dof != 6 or chain.prismatic.any():
-        return None
-    arm = AtZero(chain, TOLERANCE)
-    centre = arm.nearest(3)
-    if not arm.fits(crossing=(0, 3, 4), parallel=(1,), meeting=((4, centre), (5, centre))):
-        return None
-    if arm.is_short(arm.points[2] - arm.points[1]) or arm.is_short(centre - arm.points[2]):
-        return None
-    wrist = frame_of(arm.axes[3], arm.axes[4])
-    last = wrist.T @ arm.axes[5]
-    angle = float(np.arctan2(last[0], last[2]))
-    c, s = np.cos(angle), np.sin(angle)
-    turned = wrist @ np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
-    return ArmGeometry.of(arm, centre, centre, turned, angle, forearm_rotation=wrist.T @ arm.base)

@@ -21,8 +21,8 @@ from agent.robot import about_centre
 from agent.simulators.corrected.correction import Correction
 from agent.simulators.corrected.edits import MjcfEdits, UrdfEdits
 from agent.simulators.corrected.effects_file import effects_text
+from agent.simulators.loader import Simulator, load_simulator
 from agent.simulators.servos import PositionServos
-from agent.simulators.simulator import Simulator, load_simulator
 
 SCHEMA = "simulator-changes/1"
 _TOLERANCE = 1e-8  # of the largest torque, between what is written and what was meant

@@ -13,21 +13,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from agent.model import (
-    CATALOGUE,
-    IdentifiedModel,
-    ModelEffect,
-    across,
-    is_body,
-    nearby_body,
-    nearest_bodies,
-    seen_from,
-)
+from agent.model import CATALOGUE, IdentifiedModel, ModelEffect, across, is_body, nearby_body, nearest_bodies, seen_from
 from agent.robot import LINK_PARAMETERS, ParameterLayout
 from agent.simulators.arm import SimulatedArm, described, model_of
+from agent.simulators.loader import Simulator
 from agent.simulators.loads import load_block
 from agent.simulators.servos import PositionServos
-from agent.simulators.simulator import Simulator
 from agent.simulators.urdf import move_zero, set_inertial
 
 _FRICTION = ("coulomb", "viscous")

@@ -12,7 +12,7 @@ import pytest
 from agent.diagnosis import Diagnosis, diagnose, extended_model, simulate, simulation_part
 from agent.diagnosis.rows.dataset import Dataset, assemble
 from agent.model import CATALOGUE, IdentifiedModel
-from agent.model.identified import ModelEffect
+from agent.model.identified_model import ModelEffect
 from agent.pages import diagnosis_report, diagnosis_summary, headline
 from agent.pages.diagnosis.summary import diagnosis_section
 from agent.pipeline.gap.printed_diagnosis import diagnosis_text

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from agent.motion.pdl2 import Pdl2Error, parse_program
-from agent.motion.pdl2.job import job_text
+from agent.motion.pdl2.reduced_job import job_text
 from agent.motion.program import JointTarget, Move
 from agent.robot import load_robot
 

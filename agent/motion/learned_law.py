@@ -11,7 +11,7 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from agent.core import InputError, load_document
-from agent.motion.fly.parameters import FlyParameters
+from agent.motion.fly.fly_parameters import FlyParameters
 from agent.robot import RobotDescription
 
 #: File name endings that distinguish a learned law from the name of an interpolator.

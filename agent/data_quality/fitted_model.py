@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from agent.data_quality.finding import QualityFinding
+from agent.data_quality.faults import QualityFinding
 from agent.model import IdentifiedModel
 from agent.recording import Log
 

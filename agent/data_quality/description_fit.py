@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from agent.data_quality.finding import QualityFinding, Recordings
+from agent.data_quality.faults import QualityFinding, Recordings
 from agent.data_quality.rigid_fit import FitSamples
 from agent.estimation import placeholders
 from agent.robot import Dynamics, RobotDescription

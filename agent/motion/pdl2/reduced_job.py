@@ -17,10 +17,9 @@ from collections import Counter
 from collections.abc import Mapping
 from contextlib import suppress
 from itertools import zip_longest
-from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from agent.motion.pdl2.program import parse_program
+from agent.motion.pdl2.reader import parse_program
 from agent.motion.pdl2.syntax import OUTSIDE_SUBSET, Pdl2Error, TextPosition
 from agent.motion.pdl2.variables import FRAMES
 
@@ -81,7 +80,7 @@ def job_text(
 ) -> tuple[str, dict[str, int]]:
     """The text of a program if it is of the motion subset, else the lines of it that move the arm.
 
-    `listing` is the text of its variable file (`listing_beside`), with the initial values. Also returns how often each
+    `listing` is the text of its variable file (`Pdl2.companion`), with the initial values. Also returns how often each
     word that does not move was passed over.
 
     Raises:
@@ -104,12 +103,6 @@ def job_text(
             if sieve.passes_over(error.place):
                 continue
         return kept, dict(sieve.passed)  # if something in it still is not understood, reading it says where
-
-
-def listing_beside(program: Path) -> Path | None:
-    """The listing of the program's variables in the same folder, if there is one."""
-    candidates = (program.with_suffix(suffix) for suffix in (".lsv", ".LSV"))
-    return next((file for file in candidates if file.is_file()), None)
 
 
 def _read_listing(text: str) -> dict[str, Listed]:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from agent.core import BusyError, Console, TaskEngine, counted
-from agent.fleet.result import SCHEMA_NAME, Result, open_result
+from agent.fleet.result_file import SCHEMA_NAME, Result, open_result
 from agent.fleet.store import Store
 from agent.fleet.tasks import RunQuestion, SourceTasks, Task, find_tasks
 from agent.fleet.worker import PASSING, TaskRow, run_task

@@ -9,25 +9,17 @@ from typing import Any
 
 import numpy as np
 
-from agent.diagnosis.document import (
-    Cause,
-    DiagnosisResult,
-    FoldNames,
-    JointShare,
-    NextExperiment,
-    PathGap,
-    TorqueGap,
-)
+from agent.diagnosis.document import Cause, DiagnosisResult, FoldNames, JointShare, NextExperiment, PathGap, TorqueGap
 from agent.diagnosis.gap.held_torque import HeldTorque
 from agent.diagnosis.gap.motion_gap import MotionGap
-from agent.diagnosis.gap.regimes import regimes, share_intervals
+from agent.diagnosis.gap.regime_shares import regimes, share_intervals
 from agent.diagnosis.gap.torque_gap import HeldOutGap
 from agent.diagnosis.hypotheses.finding import Finding
 from agent.diagnosis.hypotheses.testability import not_testable
 from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.dataset import Dataset
+from agent.diagnosis.simulator_file.explanation import Explanation
 from agent.diagnosis.simulator_file.released_numbers import ReleasedSimulator
-from agent.diagnosis.simulator_file.simulator import Explanation
 from agent.diagnosis.sizes import intervals
 from agent.diagnosis.verdict import Verdict, causes_of
 from agent.model import CATALOGUE, PAYLOAD

@@ -13,12 +13,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from agent.motion.fly.blocks import plan_blocks
+from agent.motion.fly.fly_parameters import FlyParameters
 from agent.motion.fly.interpolator import FlyInterpolator
 from agent.motion.fly.move_geometry import CartesianSegment, JointSegment, Segment, label_of
-from agent.motion.fly.parameters import FlyParameters
-from agent.motion.fly.path import Path
 from agent.motion.fly.profile import ArmLimits, PathShape
-from agent.motion.fly.runs import RunPlanner
+from agent.motion.fly.run_planner import RunPlanner
 from agent.motion.fly.setpoints import Run
 from agent.motion.interpolator import BindingLimit, MotionError, Trajectory
 from agent.motion.path_settings import FlyTrajectory, FlyType, PathSettings
@@ -84,8 +83,8 @@ class UrLaw:
 class _Planner(RunPlanner):
     """Plans without a look at the limits of the arm, and refuses what goes farthest beyond one of them."""
 
-    def timed(self, path: Path, shape: PathShape, segments: Sequence[Segment]) -> Run:
-        run = plan_blocks(path, shape, segments, _limits(segments, self.robot.dof), self.period, self.parameters)
+    def timed(self, shape: PathShape, segments: Sequence[Segment]) -> Run:
+        run = plan_blocks(shape, segments, _limits(segments, self.robot.dof), self.period, self.parameters)
         worst = max((*_overlaps(segments), *self._beyond(run, segments)), key=lambda one: one.excess, default=None)
         if worst is not None:
             raise worst
@@ -96,7 +95,7 @@ class _Planner(RunPlanner):
 
     def _beyond(self, run: Run, segments: Sequence[Segment]) -> Iterator[MotionError]:
         """Limits of joints and tool that the set-points exceed."""
-        robot, samples = self.robot, run.samples
+        robot, path, samples = self.robot, run.shape.path, run.samples
         limits = [
             (name, "speed", "rad/s", most) for name, most in zip(robot.joint_names, robot.max_velocity, strict=True)
         ]
@@ -109,8 +108,8 @@ class _Planner(RunPlanner):
         for (name, what, unit, most), values in zip(limits, rows, strict=True):
             at = int(np.argmax(values))
             if values[at] > most * (1.0 + _ROUNDING):
-                knot = min(int(np.searchsorted(run.path.s - run.path.s[0], samples.s[at])), len(run.path.move) - 1)
-                move = int(run.path.move[knot])
+                knot = min(int(np.searchsorted(path.s - path.s[0], samples.s[at])), len(path.move) - 1)
+                move = int(path.move[knot])
                 message = (
                     f"{label_of(segments, move)}: {name} would reach {values[at]:.3g} {unit}, and {most:.3g} are "
                     "allowed; move more slowly, or blend with a larger radius"

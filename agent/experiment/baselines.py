@@ -16,8 +16,7 @@ import numpy as np
 
 from agent.diagnosis import Dataset
 from agent.excitation import LoopProblem
-from agent.experiment.grid_motion import GridMotion
-from agent.experiment.pieces import KINDS, Piece, Pieces
+from agent.experiment.pieces import KINDS, GridMotion, Piece, Pieces
 
 #: Pieces that are drawn, to choose from.
 _POOL = 80

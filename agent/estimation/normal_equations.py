@@ -129,7 +129,6 @@ def observed_standstill_speed(observation: Observation) -> np.ndarray:
 
 
 _RANK = 1e-12  # eigenvalue of a scaled normal matrix, relative: a singular value of 1e-6
-_ROUNDS = 4  # of weights from residuals
 _CERTAIN = 2.0  # standard errors, of a gain that decides
 
 
@@ -196,15 +195,6 @@ def reweight(moments: Moments, parameters: np.ndarray) -> np.ndarray:
     still = np.where(rows[1] > 0, np.maximum(variance[1], moving), moving)
     floor = 1e-30 + 1e-20 * moments.torque_energy().sum() / rows.sum()
     return 1 / np.maximum(np.stack([moving, still]), floor)
-
-
-def iterate_weights(moments: Moments, prior: Prior, prior_weight: float) -> np.ndarray:
-    """(2, n) weights from the residuals that the weights before leave, starting from equal ones."""
-    variance = moments.torque_energy().sum() / moments.rows.sum()
-    weights = np.full((2, len(moments.index)), 1 / max(variance, 1e-30))
-    for _ in range(_ROUNDS):
-        weights = reweight(moments, solve_sum(moments.weighted(weights), prior, prior_weight))
-    return weights
 
 
 def autocorrelation_time(residuals: Sequence[np.ndarray]) -> np.ndarray:

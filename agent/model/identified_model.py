@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from agent.core import InputError, first_fault, write_atomically
-from agent.model.document import ModelDocument, check_model
 from agent.model.friction_terms import FrictionTerm, Reversal
+from agent.model.model_file import ModelDocument, check_model
 from agent.model.rigid_friction import HealthyEffect, ModelEffect, ParameterPrior, RigidFrictionModel
 from agent.robot import RobotDescription
 

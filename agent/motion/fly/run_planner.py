@@ -12,8 +12,8 @@ from agent.compiled import tcp_rates
 from agent.motion.fly import rules
 from agent.motion.fly.blend import Corner, corner_between
 from agent.motion.fly.blocks import plan_blocks
+from agent.motion.fly.fly_parameters import FlyParameters
 from agent.motion.fly.move_geometry import CartesianSegment, JointSegment, Segment, label_of
-from agent.motion.fly.parameters import FlyParameters
 from agent.motion.fly.path import Path, build_path
 from agent.motion.fly.profile import ArmLimits, PathShape, shape_of
 from agent.motion.fly.setpoints import Run, plan_run
@@ -52,7 +52,7 @@ class RunPlanner:
         corners = [corner_between(before, after, self.parameters) for before, after in pairwise(segments)]
         runs: list[Run] = []
         for part, inner in _parts(segments, corners):
-            q = runs[-1].path.q[-1] if runs else start
+            q = runs[-1].shape.path.q[-1] if runs else start
             runs += self._quickest(part, inner, q)
         return runs
 
@@ -64,33 +64,31 @@ class RunPlanner:
         stopping: list[Run] = []
         try:
             for part, inner in _parts(segments, [None if corner.overlap else corner for corner in corners]):
-                stopping.append(self._run(part, inner, stopping[-1].path.q[-1] if stopping else start))
+                stopping.append(self._run(part, inner, stopping[-1].shape.path.q[-1] if stopping else start))
         except MotionError:
             return [blended]  # the corner itself may be where the arm cannot be, and the blend passes it by
         return stopping if sum(len(run.samples.s) - 1 for run in stopping) < len(blended.samples.s) - 1 else [blended]
 
-    def timed(self, path: Path, shape: PathShape, segments: Sequence[Segment]) -> Run:
+    def timed(self, shape: PathShape, segments: Sequence[Segment]) -> Run:
         """The samples along a path.
 
         Raises:
             MotionError: no speed on it keeps the limits.
         """
         plan = plan_blocks if self.parameters.ramps == "blocks" else plan_run
-        return plan(path, shape, segments, self.limits, self.period, self.parameters)
+        return plan(shape, segments, self.limits, self.period, self.parameters)
 
     def binding_limits(self, runs: Sequence[tuple[float, Run]]) -> tuple[BindingLimit, ...]:
         """The limits in force where runs, each from its `begin` [s] on, are slower than programmed."""
         return tuple(one for begin, run in runs for one in _slowing(run, begin, self))
 
     def _run(self, segments: Sequence[Segment], corners: list[Corner], start: np.ndarray) -> Run:
-        path, shape = self._path(segments, corners, start)
-        self._check_positions(path, segments)
-        self._check_care(path, segments)
-        return self.timed(path, shape, segments)
+        shape = self._path(segments, corners, start)
+        self._check_positions(shape.path, segments)
+        self._check_care(shape.path, segments)
+        return self.timed(shape, segments)
 
-    def _path(
-        self, segments: Sequence[Segment], corners: Sequence[Corner], start: np.ndarray
-    ) -> tuple[Path, PathShape]:
+    def _path(self, segments: Sequence[Segment], corners: Sequence[Corner], start: np.ndarray) -> PathShape:
         """The path of a run with blends no wider than allowed, and as many knots as it needs."""
         fineness = 1.0
         for attempt in range(_ATTEMPTS):
@@ -110,12 +108,12 @@ class RunPlanner:
                 ]
                 continue
             shape = shape_of(path, self.parameters.blend == "polynomial")
-            roughness = shape.roughness(path)
+            roughness, roughest = shape.roughness()
             if roughness <= 1.0 or fineness >= _FINEST or last:
                 break
             fineness = min(1.2 * fineness * roughness**0.25, _FINEST)
         if roughness > _ROUGHEST:
-            move = int(path.move[shape.roughest(path)])
+            move = int(path.move[roughest])
             raise MotionError(
                 f"{label_of(segments, move)}: joints turn too fast along the path: it all but touches a singularity; "
                 "move the point or turn the tool",
@@ -123,7 +121,7 @@ class RunPlanner:
                 "singularity",
                 float(np.log10(roughness / _ROUGHEST)),
             )
-        return path, shape
+        return shape
 
     def _check_positions(self, path: Path, segments: Sequence[Segment]) -> None:
         lower, upper = self.robot.position_limits
@@ -191,7 +189,7 @@ def _slowing(run: Run, begin: float, planner: RunPlanner) -> list[BindingLimit]:
     Stress and overrides reduce a limit, so the limit that is named may be below the arm's own.
     """
     limits, period = planner.limits, planner.period
-    samples, path = run.samples, run.path
+    samples, path = run.samples, run.shape.path
     pick = slice(None, None, _EVERY)
     s, speed = samples.s[pick] + path.s[0], samples.speed[pick]
     knot = np.clip(np.searchsorted(path.s, s), 0, len(path.s) - 1)
@@ -207,7 +205,7 @@ def _slowing(run: Run, begin: float, planner: RunPlanner) -> list[BindingLimit]:
     qd, qdd = samples.qd[:, pick], samples.qdd[:, pick]
     jerk = np.zeros_like(qdd)
     jerk[:, 1:] = (qdd[:, 1:] - samples.qdd[:, _EVERY - 1 :: _EVERY][:, : jerk.shape[1] - 1]) / period
-    rates = tcp_rates(samples.rows, samples.joints)[:, pick]
+    rates = tcp_rates(samples.rows, len(samples.q))[:, pick]
     cartesian = limits.cartesian
     ceilings = (
         cartesian.linear_speed,

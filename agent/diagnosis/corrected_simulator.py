@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from agent.diagnosis.result import Diagnosis
+from agent.diagnosis.diagnosis import Diagnosis
 from agent.diagnosis.rows.dataset import assemble
 from agent.diagnosis.simulator_file.servo_torque import at_gains
 from agent.simulators import Correction, Released, Simulator, correct

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from agent.estimation.moments import Moments, observed_standstill_speed
+from agent.estimation.normal_equations import Moments, observed_standstill_speed
 from agent.estimation.observation import Observation
 from agent.estimation.prior import DESCRIPTION
 from agent.estimation.problem import Estimate, Problem
@@ -26,15 +26,8 @@ _NAMED = 8  # parameters of directions that are not in the data
 _RESTING = 1e-4  # s, in which a joint at its highest speed moves as far as one that rests may
 
 
-def build_model(
-    problem: Problem,
-    found: Estimate,
-    method: str,
-    names: tuple[str, ...],
-    combinations: tuple[str, ...],
-    logs: Sequence[Log],
-) -> IdentifiedModel:
-    """The identified model of an estimate. `names`, `combinations`: of standard and of base parameters."""
+def build_model(problem: Problem, found: Estimate, method: str, logs: Sequence[Log]) -> IdentifiedModel:
+    """The identified model of an estimate."""
     observation, moments = problem.observation, problem.moments
     rows = moments.rows.sum(axis=(0, 1))
     times = problem.autocorrelation_times(found.parameters)
@@ -43,8 +36,8 @@ def build_model(
         robot=observation.robot,
         independent=observation.rigid.independent,
         projection=observation.rigid.projection,
-        standard_names=names,
-        combinations=combinations,
+        standard_names=observation.rigid.standard_names,
+        combinations=observation.rigid.combinations,
         terms=problem.terms,
         values=found.parameters,
         covariance=covariance(problem, found),

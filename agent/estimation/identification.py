@@ -11,7 +11,8 @@ import numpy as np
 from agent.core import InputError, keep_freed_memory
 from agent.estimation.estimators import ESTIMATORS
 from agent.estimation.filtering import FilterSettings
-from agent.estimation.moments import clearly_better
+from agent.estimation.model_building import build_model
+from agent.estimation.normal_equations import clearly_better
 from agent.estimation.observation import Observation, Partition, observe, partition
 from agent.estimation.problem import Problem
 from agent.estimation.selection import (
@@ -22,7 +23,6 @@ from agent.estimation.selection import (
     predictive_cutoff,
     select_friction_terms,
 )
-from agent.estimation.summary import build_model
 from agent.model import IdentifiedModel, Reversal
 from agent.recording import Log
 from agent.robot import RigidBodies, RobotDescription, Tool, rigid_bodies
@@ -86,15 +86,14 @@ def estimate(
     _check_motion(logs)
     _check_twice(logs)
     settings = settings or EstimationSettings()
-    rigid, standard, texts = rigid_bodies(robot, tool)
-    observation = observe_predictable(rigid, logs, settings.filter)
+    observation = observe_predictable(rigid_bodies(robot, tool), logs, settings.filter)
     cells = partition(observation.segments)
     names = _COMPARED if settings.method == AUTO else (settings.method,)
     terms = {name: ESTIMATORS[name].friction or settings.friction for name in names}
     problems = {friction: _problem(observation, cells, friction) for friction in dict.fromkeys(terms.values())}
     tried = {name: ESTIMATORS[name].fit(problems[terms[name]]) for name in names}
     method, found = choose(tried) if settings.method == AUTO else next(iter(tried.items()))
-    return build_model(problems[terms[method]], found, method, standard, texts, logs)
+    return build_model(problems[terms[method]], found, method, logs)
 
 
 def _problem(observation: Observation, cells: Partition, friction: str) -> Problem:
@@ -157,7 +156,7 @@ def _seconds(observation: Observation) -> float:
 
 def _check_motion(logs: Sequence[Log]) -> None:
     names = ", ".join(str(log.path) for log in logs)
-    if not any(_differs(log, log.position, log.position[0]) for log in logs):
+    if not any(np.any(log.position[part] != log.position[0]) for log in logs for part in log.scratch.parts(len(log.t))):
         raise InputError(f"{names}: no joint moves, so there is nothing to estimate from; record a motion")
 
 
@@ -166,10 +165,6 @@ def _check_twice(logs: Sequence[Log]) -> None:
     for one, other in combinations(logs, 2):
         if len(one.t) == len(other.t) and _same(one, other):
             raise InputError(f"{one.path} and {other.path} are the same recording; give each log once")
-
-
-def _differs(log: Log, values: np.ndarray, constant: np.ndarray | float) -> bool:
-    return any(np.any(values[part] != constant) for part in log.scratch.parts(len(values)))
 
 
 def _same(one: Log, other: Log) -> bool:

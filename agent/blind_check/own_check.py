@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from agent.blind_check.answers import answer_line, read_answers
-from agent.blind_check.export import INDEX, export_runs
+from agent.blind_check.exported_runs import INDEX, export_runs
 from agent.blind_check.key import NAME, VERSION, Key
 from agent.blind_check.report import write_results
 from agent.blind_check.scoring import results_of, score
