@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from agent.core import sha256_text
 from tests import warm
 from tests.browser import Browser
 from tests.conftest import DRAW, drawn
@@ -190,8 +191,9 @@ def write_run(logs: Path, number: int, result: dict[str, Any], parameters: list[
         "controller": "tcp x",
         "steps": {},
     }
+    model = json.dumps({"number": number, "base_parameters": parameters[6:], "friction": parameters[:6]})
+    state["model_sha256"] = sha256_text(model)
     (run / "state.json").write_text(json.dumps(state), encoding="utf-8")
     (run / "result.json").write_text(json.dumps(result), encoding="utf-8")
-    model = {"base_parameters": parameters[6:], "friction": parameters[:6]}
-    (run / "model.json").write_text(json.dumps(model), encoding="utf-8")
+    (run / "model.json").write_text(model, encoding="utf-8")
     return run

@@ -15,10 +15,7 @@ from tests.shop_floor.conftest import edit
 
 def _three(write_runs) -> tuple[Path, list[Path]]:
     logs = write_runs(3)
-    runs = sorted(path for path in logs.iterdir() if path.is_dir())
-    for number, run in enumerate(runs):  # models that differ
-        edit(run / "model.json", number=number)
-    return logs, runs
+    return logs, sorted(path for path in logs.iterdir() if path.is_dir())
 
 
 def test_apply_and_repeated_previous(write_runs):
@@ -64,6 +61,28 @@ def test_a_diagnosis_has_no_model_to_apply(write_runs):
     edit(run / "state.json", kind="diagnose")
     with pytest.raises(InputError, match="a diagnosis and made no model"):
         apply_run(logs, run)
+
+
+@pytest.mark.parametrize(
+    ("file", "content"),
+    [
+        *((file, content) for file in ("result.json", "model.json") for content in (None, "", "{}", "[]", '{"a": ')),
+        ("state.json", "without the checksum"),
+    ],
+)
+def test_a_damaged_run_keeps_the_current_model(write_runs, file: str, content: str | None):
+    logs, runs = _three(write_runs)
+    apply_run(logs, runs[0])
+    if content is None:
+        (runs[1] / file).unlink()
+    elif file == "state.json":
+        edit(runs[1] / file, model_sha256=None)
+    else:
+        (runs[1] / file).write_text(content, encoding="utf-8")
+    with pytest.raises(InputError, match=runs[1].name):
+        apply_run(logs, runs[1])
+    assert current_model(logs, "comau_ns16", "NS16-1").run == runs[0].name
+    assert len(list(logs.glob("models/*/versions/*"))) == 1
 
 
 def test_a_full_disk_keeps_the_current_model(write_runs, monkeypatch: pytest.MonkeyPatch):
