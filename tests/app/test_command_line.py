@@ -7,6 +7,7 @@ import os
 import pty
 import re
 import select
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -81,6 +82,33 @@ def test_reports_a_signal_received_in_compiled_code_as_a_signal():
     run = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=False)
     assert run.returncode == 130
     assert run.stderr == "agent: interrupted\n"
+
+
+@pytest.mark.parametrize(("number", "word"), [(signal.SIGINT, "interrupted"), (signal.SIGTERM, "terminated")])
+def test_a_signal_while_the_command_line_is_loaded_ends_it_with_one_line(number: int, word: str):
+    script = (
+        "import os, runpy, sys\n"
+        "class Struck:\n"
+        "    def find_spec(name, path, target=None):\n"
+        f"        if name == 'typer': os.kill(os.getpid(), {number:d})\n"
+        "sys.meta_path.insert(0, Struck)\n"
+        "sys.argv = ['agent', '--version']\n"
+        "runpy.run_module('agent', run_name='__main__', alter_sys=True)\n"
+    )
+    run = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert (run.returncode, run.stdout, run.stderr) == (128 + number, "", f"agent: {word}\n")
+
+
+@pytest.mark.parametrize("command", ["--help", "--version", "fleet --help", "diagnose --help-all", "schedule r.yaml"])
+def test_a_reader_that_is_gone_is_no_error(write_recipe, tmp_path: Path, command: str):
+    write_recipe("127.0.0.1:1").rename(tmp_path / "r.yaml")
+    reader, writer = os.pipe()
+    os.close(reader)
+    words = [sys.executable, "-u", "-m", "agent", *command.split()]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    run = subprocess.run(words, cwd=tmp_path, env=environment, stdout=writer, stderr=subprocess.PIPE, check=False)
+    os.close(writer)
+    assert (run.returncode, b"Traceback" in run.stderr) == (0, False), run.stderr
 
 
 @pytest.mark.parametrize(
