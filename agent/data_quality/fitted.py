@@ -6,7 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from agent.data_quality.finding import QualityFinding
+from agent.data_quality.finding import MOVING, QualityFinding
+from agent.data_quality.rigid_fit import SAMPLES_PER_PARAMETER
+from agent.estimation import FilterSettings, motions
 from agent.model import IdentifiedModel
 from agent.recording import Log
 
@@ -16,7 +18,17 @@ _MUCH = 0.1  # of a joint's torque, root mean square: an error that is worth a l
 
 
 def fitted_doubts(model: IdentifiedModel, logs: Sequence[Log]) -> list[QualityFinding]:
-    """Rotor inertias that none has, and errors far above the noise, with the likeliest reason."""
+    """Too little motion for the parameters; else rotor inertias that none has and errors far above the noise, with the
+    likeliest reason."""
+    postures, needed = _postures(model, logs), SAMPLES_PER_PARAMETER * len(model.values) / model.robot.dof
+    if postures < needed:
+        text = (
+            f"too little motion: the arm goes through {postures} independent postures ({MOVING:g} rad or m and half a "
+            f"period of the {model.cutoff:g} Hz cut-off apart); {len(model.values)} parameters need {needed:.0f}, "
+            f"{SAMPLES_PER_PARAMETER:g} samples each over {model.robot.dof} joints"
+        )
+        advice = f"record {needed / (2 * model.cutoff):.1f} s of motion or more, every joint both ways"
+        return [QualityFinding(text, advice=advice)]
     found = []
     if rotors := _negative_rotors(model):
         listed = ", ".join(f"{name} {value:.3g} kg·m²" for name, value in rotors.items())
@@ -30,6 +42,19 @@ def fitted_doubts(model: IdentifiedModel, logs: Sequence[Log]) -> list[QualityFi
         advice += "`agent diagnose` with this model says which"
         found.append(QualityFinding(text, tuple(errors), advice=advice, refuses=False))
     return found
+
+
+def _postures(model: IdentifiedModel, logs: Sequence[Log]) -> int:
+    """Samples of the filtered motions that are independent, and apart by more than a joint that rests moves."""
+    count = 0
+    for log in logs:
+        for motion in motions(log, FilterSettings(model.cutoff, model.order)):
+            q, every = motion.q[motion.kept], max(1, round(motion.rate / motion.step / (2 * model.cutoff)))
+            last = q[0]
+            for posture in q[::every]:
+                if np.abs(posture - last).max() > MOVING:
+                    count, last = count + 1, posture
+    return count
 
 
 def _negative_rotors(model: IdentifiedModel) -> dict[str, float]:

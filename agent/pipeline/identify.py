@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from agent.core import Console, InputError, RejectedError, error_text
 from agent.data_quality import check_quality, fitted_doubts, spoiled
 from agent.diagnosis import with_healthy_effects, with_structure
@@ -224,7 +226,18 @@ def fit_files(
     """The model that `estimate_files` writes, and its logs without velocities."""
     check_structure(question.structure)
     description = load_arm(robot, paths, question.topic) if isinstance(robot, str) else robot
-    logs = read_logs(paths, description, console, question.topic)
+    return fit_logs(description, read_logs(paths, description, console, question.topic), question, console)
+
+
+def fit_logs(
+    description: RobotDescription, logs: Sequence[Log], question: FitQuestion, console: Console
+) -> tuple[IdentifiedModel, list[Log]]:
+    """A model fitted to logs of one machine, and those that it was fitted to, without velocities.
+
+    Raises:
+        InputError: as `check_one_machine` and `estimate`.
+        RejectedError: implausible logs, or too little motion in them, unless the question says `force`.
+    """
     bare = [log for log in logs if not log.metadata.get(PAYLOAD)]
     check_one_machine(logs, None, question.allow_mixed, payload_counts=bool(bare))
     logs, loaded = bare or logs, [log for log in logs if log.metadata.get(PAYLOAD)]
@@ -233,11 +246,15 @@ def fit_files(
     # the fit needs neither, and they take much memory
     logs = [replace(log, velocity=None, planned_position=None) for log in logs]
     model = estimate(description, logs, EstimationSettings.create(cutoff=question.cutoff, method=question.method))
+    doubts, usable = fitted_doubts(model, logs), bool(np.all(np.diag(model.covariance) >= 0))
+    if any(doubt.refuses for doubt in doubts) and not (question.force and usable):
+        names, advice = ", ".join(log.name for log in logs), ", or continue with --force" if usable else ""
+        raise RejectedError(f"{names}: {'; '.join(map(str, doubts))}. Nothing is written. Record more{advice}")
     if question.structure == "auto":
         console.step("searching for effects beyond links and friction")
         model = with_structure(description, logs, model, console.progress)
-    for finding in fitted_doubts(model, logs):
-        console.warn(str(finding))
+    for doubt in doubts:
+        console.warn(str(doubt))
     console.step("measuring each effect on the healthy arm")
     model = with_healthy_effects(model, logs)
     say_used(logs, model.cutoff, model.order, console)
