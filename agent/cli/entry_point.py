@@ -54,16 +54,13 @@ def _run() -> None:
 
 
 def _called() -> object:
-    """Run the command; recover a signal that compiled code has turned into a SystemError.
-
-    A reader that is gone wanted no more, as in `flush_results`; click and rich end with 1 there.
-    """
+    """Run the command; recover a signal that compiled code has turned into a SystemError."""
     try:
         return app(standalone_mode=False)
     except SystemExit as end:
-        if isinstance(end.__context__, BrokenPipeError):
-            return 0
-        raise
+        if not isinstance(end.__context__, BrokenPipeError):  # a reader of help that is gone wanted no more
+            raise
+        return 0
     except SystemError as error:
         if isinstance(error.__cause__, KeyboardInterrupt | Ended):
             raise error.__cause__ from None

@@ -29,7 +29,7 @@ def import_files(robot: str, mapping: Path | str, tables: list[Path], out: Path)
     """
     if out.exists():
         raise InputError(f"{out}: exists already; name another log, or move it away")
-
+    check_output(out, tables)
     # what the table has no column for, such as a finger of a gripper, is no joint of the arm
     alone = is_simulator(Path(robot))
     description = load(Path(robot), most=mapped_joints(mapping)) if alone else load_robot(robot)
@@ -197,12 +197,7 @@ def say_used(logs: Sequence[Log], cutoff: float, order: int, console: Console) -
 
 
 def estimate_files(
-    robot: str,
-    paths: list[Path],
-    out: Path,
-    question: FitQuestion,
-    console: Console,
-    export: Path | None = None,
+    robot: str, paths: list[Path], out: Path, question: FitQuestion, console: Console, export: Path | None = None
 ) -> tuple[dict[str, Any], str]:
     """Fit a model to logs and write its file; returns its content and a table for people.
 
@@ -223,7 +218,7 @@ def estimate_files(
 def fit_files(
     robot: str | RobotDescription, paths: list[Path], question: FitQuestion, console: Console
 ) -> tuple[IdentifiedModel, list[Log]]:
-    """The model that `estimate_files` writes, and its logs without velocities."""
+    """`fit_logs` of files; the robot is a description or its name."""
     check_structure(question.structure)
     description = load_arm(robot, paths, question.topic) if isinstance(robot, str) else robot
     return fit_logs(description, read_logs(paths, description, console, question.topic), question, console)
@@ -235,8 +230,7 @@ def fit_logs(
     """A model fitted to logs of one machine, and those that it was fitted to, without velocities.
 
     Raises:
-        InputError: as `check_one_machine` and `estimate`.
-        RejectedError: implausible logs, or too little motion in them, unless the question says `force`.
+        InputError, RejectedError: as `check_one_machine`, `check_plausible` and `estimate`, or too little motion.
     """
     bare = [log for log in logs if not log.metadata.get(PAYLOAD)]
     check_one_machine(logs, None, question.allow_mixed, payload_counts=bool(bare))
@@ -246,7 +240,7 @@ def fit_logs(
     # the fit needs neither, and they take much memory
     logs = [replace(log, velocity=None, planned_position=None) for log in logs]
     model = estimate(description, logs, EstimationSettings.create(cutoff=question.cutoff, method=question.method))
-    doubts, usable = fitted_doubts(model, logs), bool(np.all(np.diag(model.covariance) >= 0))
+    doubts, usable = list(fitted_doubts(model, logs)), bool(np.all(np.diag(model.covariance) >= 0))
     if any(doubt.refuses for doubt in doubts) and not (question.force and usable):
         names, advice = ", ".join(log.name for log in logs), ", or continue with --force" if usable else ""
         raise RejectedError(f"{names}: {'; '.join(map(str, doubts))}. Nothing is written. Record more{advice}")

@@ -166,16 +166,16 @@ def _made(folder: Path, what: str) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise AgentError(
-            f"{folder}: no folder for {what} can be made there: {error.strerror}; free space or rights?"
-        ) from None
+        kind = AgentError if error.errno in FULL_OR_READ_ONLY else InputError
+        reason = f"{error.strerror}; free space or rights? Otherwise name another folder"
+        raise kind(f"{folder}: no folder for {what} can be made there: {reason}") from None
 
 
 def make_folder(folder: Path, what: str) -> None:
     """Make a folder for `what`, and those above it, where it is not there.
 
     Raises:
-        AgentError: it cannot be made, or nothing can be written into it.
+        AgentError: full, read-only or no rights; InputError for other reasons, such as a file in its place.
     """
     with _made(folder, what):
         folder.mkdir(parents=True, exist_ok=True)

@@ -10,7 +10,6 @@ from typing import Any
 from agent.core import Console, sha256_text, words_of
 from agent.experiment import Deadline
 from agent.link import Recording, open_link
-from agent.pages import in_short
 from agent.pipeline.gap.finding import Found
 from agent.pipeline.gap.next_experiment import LONGEST, NoMotion, plan_next
 from agent.pipeline.gap.question import SHORTEST
@@ -44,11 +43,6 @@ class Rounds:
     other: NoMotion | None = None
     cut_short: BaseException | None = None
     uncounted: Path | None = None
-
-    @property
-    def said(self) -> str:
-        """Verdict and causes of all logs that count, in a line."""
-        return in_short(self.last.result)
 
     def to_dict(self) -> dict[str, Any]:
         """Keys of a result: `rounds`, `rounds_end`, and `next_experiment` where something else may settle it."""
@@ -94,13 +88,14 @@ def until_sure(
             if isinstance(motion, NoMotion):
                 end, rounds.other = motion.text, motion
                 break
-            program = job.run.write_text(f"{name}{recipe.dialect.suffix}", motion.text).name
+            text = motion.planned.text
+            program = job.run.write_text(f"{name}{recipe.dialect.suffix}", text).name
             ran = replace(motion, brakes=False).to_dict(program)  # no log on the brakes was requested
             verdict = rounds.last.result["verdict"]
             rounds.asked.append({"after": verdict, **ran, "verdict": None, "causes": []})
-            word = allowed and allowed.for_new_motion(run_key(recipe)["loop"], sha256_text(motion.text), moved)
+            word = allowed and allowed.for_new_motion(run_key(recipe)["loop"], sha256_text(text), moved)
             with open_link(recipe, console, job.yes, job.logs, word, facts={PARTS: PLANNED_PARTS}) as link:
-                recording = job.record_program(link, motion.text, program, "experiment", f"{name}.mcap", name)
+                recording = job.record_program(link, text, program, "experiment", f"{name}.mcap", name)
             moved += recording.duration
             rounds.last = find([*logs, *rounds.logs, recording.path])
             rounds.logs.append(recording.path)
