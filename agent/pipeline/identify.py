@@ -225,16 +225,16 @@ def fit_files(
 
 
 def fit_logs(
-    description: RobotDescription, logs: Sequence[Log], question: FitQuestion, console: Console
+    description: RobotDescription, given: Sequence[Log], question: FitQuestion, console: Console
 ) -> tuple[IdentifiedModel, list[Log]]:
     """A model fitted to logs of one machine, and those that it was fitted to, without velocities.
 
     Raises:
         InputError, RejectedError: as `check_one_machine`, `check_plausible` and `estimate`, or too little motion.
     """
-    bare = [log for log in logs if not log.metadata.get(PAYLOAD)]
-    check_one_machine(logs, None, question.allow_mixed, payload_counts=bool(bare))
-    logs, loaded = bare or logs, [log for log in logs if log.metadata.get(PAYLOAD)]
+    bare = [log for log in given if not log.metadata.get(PAYLOAD)]
+    check_one_machine(given, None, question.allow_mixed, payload_counts=bool(bare))
+    logs, loaded = bare or list(given), [log for log in given if log.metadata.get(PAYLOAD)]
     check_plausible(description, logs, question.force, console)
     say_spoiled(description, logs, console)
     # the fit needs neither, and they take much memory

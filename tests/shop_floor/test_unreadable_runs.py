@@ -13,6 +13,7 @@ from hypothesis import given, settings, strategies as st
 
 from agent.core import AgentError, Console, InputError
 from agent.pipeline import compare_runs, rebuild_report, write_index
+from agent.pipeline.reports import against_last
 from agent.runs import History, RunFolder, apply_previous, apply_run, find_run, history_json, history_table, watch
 from tests.damage import damaged
 from tests.shop_floor.conftest import edit, friction_runs, runs_of, write_run
@@ -185,7 +186,7 @@ CONTENTS = [b"", b"[]", b"null", b'{"a": [', b"\xff\xfe"]
 @pytest.mark.parametrize("file", ["state.json", "result.json", "model.json"])
 def test_a_damaged_file_does_not_hide_the_other_runs(write_runs, damage, file):
     logs = write_runs(3)
-    _, bad, _ = runs_of(logs)
+    _, bad, last = runs_of(logs)
     (logs / "a file where a folder is expected").write_text("x", encoding="utf-8")
     (logs / "loop").symlink_to("loop")
     (bad / file).write_bytes(damage) if isinstance(damage, bytes) else damage(bad / file)
@@ -197,6 +198,8 @@ def test_a_damaged_file_does_not_hide_the_other_runs(write_runs, damage, file):
     for act in (lambda: rebuild_report(bad, QUIET), lambda: apply_run(logs, bad)):
         with pytest.raises(InputError, match=bad.name):
             act()
+    if file == "model.json":
+        assert against_last(RunFolder(last, {}), None, QUIET) == {"reference": "", "diagnosis": None}
 
 
 @pytest.mark.skipif(os.getuid() != 0, reason="only root can become another user")
