@@ -209,9 +209,7 @@ def estimate_files(
         question = replace(question, method="consistent")
     model, _ = fit_files(robot, paths, question, console)
     model.save(out)
-    written = [out]
-    if export is not None:
-        written += export_model(model, export)
+    written = [out, *(() if export is None else export_model(model, export))]
     return model.to_dict(), "\n".join([model.text(), *(str(path) for path in written)])
 
 
@@ -239,6 +237,7 @@ def fit_logs(
     say_spoiled(description, logs, console)
     # the fit needs neither, and they take much memory
     logs = [replace(log, velocity=None, planned_position=None) for log in logs]
+    del given, bare
     model = estimate(description, logs, EstimationSettings.create(cutoff=question.cutoff, method=question.method))
     doubts, usable = list(fitted_doubts(model, logs)), bool(np.all(np.diag(model.covariance) >= 0))
     if any(doubt.refuses for doubt in doubts) and not (question.force and usable):
