@@ -72,7 +72,7 @@ def read_log(path: str | Path, robot: RobotDescription | None = None, topic: str
     topic = topics[0]
     table = _table([group for one in topics for group in found.topics.pop(one)], names, found.scratch)
     if table is None:
-        raise InputError(f"{path}: {topic}: no message holds a finite position of every joint ({', '.join(names)})")
+        raise InputError(f"{path}: {topic}: no message holds finite numbers that an arm can have of {', '.join(names)}")
     order = table.order(str(path))
     table = replace(table.taken(order.rows, found.scratch), stamp=order.stamp)
     table, cuts, mended = _mended(table, robot, found.scratch)
