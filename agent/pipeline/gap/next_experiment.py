@@ -108,6 +108,11 @@ class NextMotion:
     load: Tool | None = None
     brakes: bool = False
 
+    @property
+    def text(self) -> str:
+        """Of the program."""
+        return self.planned.text
+
     def to_dict(self, program: str) -> dict[str, Any]:
         """`next_experiment` of a diagnosis: what is separated, how, and the probability of the right answer."""
         expected = self.experiment.expected
@@ -236,10 +241,9 @@ def write_next(motion: NextMotion, folder: Path) -> dict[str, Any]:
     """
     make_folder(folder, "the experiment")
     check_folder(folder)
-    text = motion.planned.text
-    program = write_atomically(folder / f"program{motion.dialect.suffix}", text)
+    program = write_atomically(folder / f"program{motion.dialect.suffix}", motion.text)
     data = motion.to_dict(str(program))
-    write_json(folder / "experiment.json", {"schema": SCHEMA, **data, PROGRAM_SHA256: sha256_text(text)})
+    write_json(folder / "experiment.json", {"schema": SCHEMA, **data, PROGRAM_SHA256: sha256_text(motion.text)})
     return data
 
 
