@@ -25,7 +25,7 @@ MOST_LINES = {
     "agent/diagnosis agent/experiment": 6_843,
     "agent/simulators": 3_054,
     "agent/pages": 2_754,
-    "agent/pipeline agent/runs agent/recipe": 6_906,
+    "agent/pipeline agent/runs agent/recipe": 6_905,
     "agent/fleet": 1_882,
     "agent/blind_check": 1_028,
     "agent/cli agent/notebook": 1_363,

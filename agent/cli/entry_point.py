@@ -57,6 +57,10 @@ def _called() -> object:
     """Run the command; recover a signal that compiled code has turned into a SystemError."""
     try:
         return app(standalone_mode=False)
+    except SystemExit as end:
+        if not isinstance(end.__context__, BrokenPipeError):  # a reader of help that is gone wanted no more
+            raise
+        return 0
     except SystemError as error:
         if isinstance(error.__cause__, KeyboardInterrupt | Ended):
             raise error.__cause__ from None

@@ -48,8 +48,7 @@ def schedule(
     if not install:
         print(made.text(), end="")
         return
-    for path in pipeline.install(made):
-        print(path)
+    core.print_text("\n".join(map(str, pipeline.install(made))))
     print(pipeline.next_steps(made), file=sys.stderr)
 
 
@@ -63,7 +62,6 @@ def history(
     """List past runs: result, errors and drift."""
     past = run_store.History(logs)
     runs = past.runs(robot, serial)
-    nothing = None if runs or past.damaged else past.why_none(robot, serial)
     current, lost = run_store.current_runs(logs)
     data = run_store.history_json(past, runs, current) if as_json else {}
     future = [f"{run.run}: dated in the future; the trends leave it out" for run in runs if run.in_future()]
@@ -73,8 +71,8 @@ def history(
         core.print_json({**data, "watch": [one.to_dict() for one in run_store.watch(runs)]})
         return
     core.print_text(run_store.history_table(runs, current))
-    if nothing is not None:
-        print(nothing, file=sys.stderr)
+    if not runs and not past.damaged:
+        print(past.why_none(robot, serial), file=sys.stderr)
 
 
 @app.command(rich_help_panel=opt.DIAGNOSE, epilog="Example: agent compare logs/*_comau_ns16 --report page.html")

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from agent.data_quality.faults import QualityFinding
+from agent.data_quality.faults import MOVING, QualityFinding
+from agent.data_quality.rigid_fit import SAMPLES_PER_PARAMETER
+from agent.estimation import FilterSettings, motions
 from agent.model import IdentifiedModel
 from agent.recording import Log
 
@@ -15,21 +17,41 @@ _FAR = 10.0  # times the noise of torque, and
 _MUCH = 0.1  # of a joint's torque, root mean square: an error that is worth a look
 
 
-def fitted_doubts(model: IdentifiedModel, logs: Sequence[Log]) -> list[QualityFinding]:
-    """Rotor inertias that none has, and errors far above the noise, with the likeliest reason."""
-    found = []
+def fitted_doubts(model: IdentifiedModel, logs: Sequence[Log]) -> Iterator[QualityFinding]:
+    """Too little motion for the parameters; else rotor inertias that none has, and errors far above the noise."""
+    postures, needed = _postures(model, logs), SAMPLES_PER_PARAMETER * len(model.values) / model.robot.dof
+    if postures < needed:
+        text = (
+            f"too little motion: the arm goes through {postures} independent postures ({MOVING:g} rad or m and half a "
+            f"period of the {model.cutoff:g} Hz cut-off apart); {len(model.values)} parameters need {needed:.0f}"
+        )
+        advice = f"record {needed / (2 * model.cutoff):.1f} s of motion or more, every joint both ways"
+        yield QualityFinding(text, advice=advice)
+        return
     if rotors := _negative_rotors(model):
         listed = ", ".join(f"{name} {value:.3g} kg·m²" for name, value in rotors.items())
         text = f"the fit gives rotors a negative inertia ({listed}), which none has"
         advice = "check lengths and axes of the URDF, gear ratios, and that positions and torques share their stamps"
-        found.append(QualityFinding(text, tuple(rotors), advice=advice, refuses=False))
+        yield QualityFinding(text, tuple(rotors), advice=advice, refuses=False)
     if errors := _large_errors(model, logs):
         listed = ", ".join(f"{name} {100 * share:.0f} %" for name, share in errors.items())
         text = f"the model leaves much more of the torque than its noise: {listed}"
         advice = "likeliest: lengths or axes of the URDF, a unit, or an effect beyond bodies and friction; "
         advice += "`agent diagnose` with this model says which"
-        found.append(QualityFinding(text, tuple(errors), advice=advice, refuses=False))
-    return found
+        yield QualityFinding(text, tuple(errors), advice=advice, refuses=False)
+
+
+def _postures(model: IdentifiedModel, logs: Sequence[Log]) -> int:
+    """Samples of the filtered motions that are independent, and apart by more than a joint that rests moves."""
+    count = 0
+    for log in logs:
+        for motion in motions(log, FilterSettings(model.cutoff, model.order)):
+            q, every = motion.q[motion.kept], max(1, round(motion.rate / motion.step / (2 * model.cutoff)))
+            last = q[0]
+            for posture in q[::every]:
+                if np.abs(posture - last).max() > MOVING:
+                    count, last = count + 1, posture
+    return count
 
 
 def _negative_rotors(model: IdentifiedModel) -> dict[str, float]:

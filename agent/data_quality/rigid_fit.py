@@ -25,7 +25,7 @@ _ROUNDS = 3  # of weights from residuals
 _PRIOR_WEIGHT = 10.0  # independent samples that the sizes of parameters count for
 _DOUBT = 2.5  # standard deviation of a parameter, relative to the largest that the torques could hold
 _LINK_RADIUS = 0.5  # of the reach: the size of such a link
-_SAMPLES_PER_PARAMETER = 4.0  # independent samples: a shorter log does not distinguish a mistake from chance
+SAMPLES_PER_PARAMETER = 4.0  #: independent samples: a shorter log does not distinguish a mistake from chance
 _LEAST = 1e-10  # squared error of a joint, relative to its torque, below which round-off begins
 
 
@@ -121,7 +121,7 @@ class RigidFit:
         rows = self.columns.reshape(s.q.size, -1)
         length = np.linalg.norm(rows, axis=0)
         known = np.linalg.matrix_rank(rows / np.where(length > 0, length, 1.0), rtol=1e-7)
-        return bool(s.q.shape[1] * min(len(s.q), s.independent) > _SAMPLES_PER_PARAMETER * known)
+        return bool(s.q.shape[1] * min(len(s.q), s.independent) > SAMPLES_PER_PARAMETER * known)
 
     def solution(self, torque: np.ndarray) -> Solution:
         """The fit to all samples of a torque (S, n)."""

@@ -6,7 +6,7 @@ import glob
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from agent import diagnosis, estimation, pipeline, recipe as recipes, simulators
+from agent import diagnosis, pipeline, recipe as recipes, simulators
 from agent.core import InputError, write_atomically
 from agent.model import CATALOGUE, IdentifiedModel
 from agent.notebook.results import Calibration, GapDiagnosis, Listing, Logs, Model, PlannedLoop, TorqueValidation, quiet
@@ -67,13 +67,11 @@ def estimate(
 
     Raises:
         InputError: logs that cannot be used, of several machines (unless `allow_mixed`), or an unknown method.
-        RejectedError: logs that no motion of this robot can have made, unless `force`.
+        RejectedError: logs that no motion of this robot can have made, or with too little of it, unless `force`.
     """
-    description, settings = load_robot(robot), estimation.EstimationSettings.create(cutoff=cutoff, method=method)
-    given = read_logs(logs, description)
-    pipeline.check_one_machine(given, None, allow_mixed)
-    pipeline.check_plausible(description, given, force, quiet())
-    return Model.of(diagnosis.with_healthy_effects(estimation.estimate(description, given, settings), given))
+    question = pipeline.FitQuestion(cutoff, method, allow_mixed=allow_mixed, force=force)
+    description = load_robot(robot)
+    return Model.of(pipeline.fit_logs(description, read_logs(logs, description), question, quiet())[0])
 
 
 def validate(

@@ -15,6 +15,7 @@ from .identify import (
     check_structure as check_structure,
     estimate_files as estimate_files,
     fit_files as fit_files,
+    fit_logs as fit_logs,
     import_files as import_files,
     load_arm as load_arm,
     read_logs as read_logs,

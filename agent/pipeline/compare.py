@@ -10,6 +10,7 @@ from agent.model import IdentifiedModel
 from agent.pages import comparison_page
 from agent.pipeline.identify import read_logs
 from agent.pipeline.job import EXCITATION
+from agent.runs import check_output
 from agent.validation import Comparison, compare_models, predict_log
 
 
@@ -19,9 +20,11 @@ def compare_runs(runs: Sequence[Path], console: Console, report: Path | None = N
     Writes a page to `report` where that is given.
 
     Raises:
-        InputError: a run without a model or a log, or of different robots.
+        InputError: a run without a model or a log, runs of different robots, or a page that cannot be written there.
     """
     models = _models(runs)
+    if report is not None:
+        check_output(report, ())
     log = next((run / EXCITATION for run in reversed(runs) if (run / EXCITATION).exists()), None)
     if log is None:
         which = f"neither {runs[0]} nor {runs[1]} has its" if len(runs) == 2 else "none of these runs has its"

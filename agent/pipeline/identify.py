@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from agent.core import Console, InputError, RejectedError, error_text
 from agent.data_quality import check_quality, fitted_doubts, spoiled
 from agent.diagnosis import with_healthy_effects, with_structure
@@ -27,7 +29,7 @@ def import_files(robot: str, mapping: Path | str, tables: list[Path], out: Path)
     """
     if out.exists():
         raise InputError(f"{out}: exists already; name another log, or move it away")
-
+    check_output(out, tables)
     # what the table has no column for, such as a finger of a gripper, is no joint of the arm
     alone = is_simulator(Path(robot))
     description = load(Path(robot), most=mapped_joints(mapping)) if alone else load_robot(robot)
@@ -195,12 +197,7 @@ def say_used(logs: Sequence[Log], cutoff: float, order: int, console: Console) -
 
 
 def estimate_files(
-    robot: str,
-    paths: list[Path],
-    out: Path,
-    question: FitQuestion,
-    console: Console,
-    export: Path | None = None,
+    robot: str, paths: list[Path], out: Path, question: FitQuestion, console: Console, export: Path | None = None
 ) -> tuple[dict[str, Any], str]:
     """Fit a model to logs and write its file; returns its content and a table for people.
 
@@ -212,32 +209,45 @@ def estimate_files(
         question = replace(question, method="consistent")
     model, _ = fit_files(robot, paths, question, console)
     model.save(out)
-    written = [out]
-    if export is not None:
-        written += export_model(model, export)
+    written = [out, *(() if export is None else export_model(model, export))]
     return model.to_dict(), "\n".join([model.text(), *(str(path) for path in written)])
 
 
 def fit_files(
     robot: str | RobotDescription, paths: list[Path], question: FitQuestion, console: Console
 ) -> tuple[IdentifiedModel, list[Log]]:
-    """The model that `estimate_files` writes, and its logs without velocities."""
+    """`fit_logs` of files; the robot is a description or its name."""
     check_structure(question.structure)
     description = load_arm(robot, paths, question.topic) if isinstance(robot, str) else robot
-    logs = read_logs(paths, description, console, question.topic)
-    bare = [log for log in logs if not log.metadata.get(PAYLOAD)]
-    check_one_machine(logs, None, question.allow_mixed, payload_counts=bool(bare))
-    logs, loaded = bare or logs, [log for log in logs if log.metadata.get(PAYLOAD)]
+    return fit_logs(description, read_logs(paths, description, console, question.topic), question, console)
+
+
+def fit_logs(
+    description: RobotDescription, given: Sequence[Log], question: FitQuestion, console: Console
+) -> tuple[IdentifiedModel, list[Log]]:
+    """A model fitted to logs of one machine, and those that it was fitted to, without velocities.
+
+    Raises:
+        InputError, RejectedError: as `check_one_machine`, `check_plausible` and `estimate`, or too little motion.
+    """
+    bare = [log for log in given if not log.metadata.get(PAYLOAD)]
+    check_one_machine(given, None, question.allow_mixed, payload_counts=bool(bare))
+    logs, loaded = bare or list(given), [log for log in given if log.metadata.get(PAYLOAD)]
     check_plausible(description, logs, question.force, console)
     say_spoiled(description, logs, console)
     # the fit needs neither, and they take much memory
     logs = [replace(log, velocity=None, planned_position=None) for log in logs]
+    del given, bare
     model = estimate(description, logs, EstimationSettings.create(cutoff=question.cutoff, method=question.method))
+    doubts, usable = list(fitted_doubts(model, logs)), bool(np.all(np.diag(model.covariance) >= 0))
+    if any(doubt.refuses for doubt in doubts) and not (question.force and usable):
+        names, advice = ", ".join(log.name for log in logs), ", or continue with --force" if usable else ""
+        raise RejectedError(f"{names}: {'; '.join(map(str, doubts))}. Nothing is written. Record more{advice}")
     if question.structure == "auto":
         console.step("searching for effects beyond links and friction")
         model = with_structure(description, logs, model, console.progress)
-    for finding in fitted_doubts(model, logs):
-        console.warn(str(finding))
+    for doubt in doubts:
+        console.warn(str(doubt))
     console.step("measuring each effect on the healthy arm")
     model = with_healthy_effects(model, logs)
     say_used(logs, model.cutoff, model.order, console)

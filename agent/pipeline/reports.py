@@ -53,9 +53,13 @@ def worse_joints(model: IdentifiedModel, rmse: np.ndarray) -> list[str]:
 def against_last(run: RunFolder, log: Log, console: Console) -> dict[str, Any]:
     """`reference` and `diagnosis` of a result: the last accepted run of the same loop, and why its model is worse."""
     last = last_accepted(run.path)
-    if last is None:
+    try:
+        before = None if last is None else IdentifiedModel.load(last / "model.json")
+    except InputError as error:  # this run is complete without it
+        console.warn(f"not compared with the last accepted run: {error}")
+        before = None
+    if last is None or before is None:
         return {"reference": "", "diagnosis": None}
-    before = IdentifiedModel.load(last / "model.json")
     prediction = predict_log(before, log)
     worse = worse_joints(before, _rmse(prediction, slice(None)))
     return {"reference": last.name, "diagnosis": diagnose_if_worse(before, worse, [log], run, console)[0]}

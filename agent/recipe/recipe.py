@@ -209,10 +209,7 @@ def _contradictions(path: Path, document: RecipeDocument, robot: RobotDescriptio
     if like is not None and not os.path.isfile(path.parent / like):
         programs = ", ".join(one.suffix for one in dialects())
         message = f"{path.parent / like}: no such file; a program ({programs}) or a log (.mcap)"
-        yield (
-            ("motion", "via_points", "like"),
-            message,
-        )
+        yield ("motion", "via_points", "like"), message
 
 
 def _motion_contradictions(

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from agent.core import Dimension, InputError, counted, parse_quantity
-from agent.recording.log import ARRAYS, MACHINE, Log
+from agent.recording.log import ARRAYS, MACHINE, NANO, Log
 from agent.recording.mapping import (
     CURRENT,
     OF_NOMINAL,
@@ -31,7 +31,6 @@ from agent.recording.tables import read_table
 from agent.recording.text_tables import ColumnTable
 from agent.robot import RobotDescription
 
-_NANO = 1_000_000_000
 _SET_POINTS = ("reference_position", "planned_position")
 #: Columns whose lengths differ by more than this part do not belong together.
 _SAME_LENGTH = 0.01
@@ -127,10 +126,10 @@ def _assembled(source: _Source, output: Path) -> tuple[Log, np.ndarray | None]:
     log = Log(
         path=output,
         joint_names=robot.joint_names,
-        t=(order.stamp - order.stamp[0]) / _NANO,
+        t=(order.stamp - order.stamp[0]) / NANO,
         **arrays,
         sample_rate=spacing.rate,
-        stamp=int(order.stamp[0]) / _NANO,
+        stamp=int(order.stamp[0]) / NANO,
         segments=spacing.segments,
         metadata={"robot": robot.name, "motion": entries.motion, **machine},
         repairs=repairs,
@@ -227,7 +226,7 @@ class _Source:
             both = ", ".join(map(str, [*names, *(parts[:1] or ["nanosec"])]))
             what += f" holds whole seconds, {len(known)} rows with {values} values"
             self.mapping.fault(key, f"{what}; add the column of their fractions, such as columns: [{both}]")
-        if len(known) > 1 and stand_still(np.sort(np.rint(known * _NANO))):
+        if len(known) > 1 and stand_still(np.sort(np.rint(known * NANO))):
             what += f" stands still at {known.min():.9g} s ({len(known)} rows)"
             self.mapping.fault(key, f"{what}; name the column of time and its unit")
         self.clock = str(table.path)
@@ -261,10 +260,7 @@ class _Source:
         return selected
 
     def check_one_recording(self) -> None:
-        """
-        Raises:
-            InputError: the table holds several recordings, each with its own clock, and the map takes all rows.
-        """
+        """Raise InputError if a table holds several recordings, each with its own clock, and all rows are taken."""
         for table in self.tables if self.mapping.entries.rows is None else ():
             for name, column in table.columns.items():
                 if "episode" in name.lower() and len(np.unique(column)) > 1:

@@ -13,6 +13,8 @@ import numpy as np
 
 from agent.recording.scratch import Scratch
 
+#: Nanoseconds of a second: stamps in files are integers.
+NANO = 1_000_000_000
 #: Keys of `Log.metadata` that say whose motion it is, where that is known.
 MACHINE = ("serial", "tool", "controller")
 #: Key of `Log.metadata`: number of parts in which a motion of pieces that differ is held out.

@@ -25,7 +25,6 @@ CURRENT = {"A": 1.0, "mA": 1e-3}
 #: A share of the nominal torque, as drives report it.
 OF_NOMINAL = {"%": 1e-2, "percent": 1e-2, "‰": 1e-3, "per mille": 1e-3}
 
-
 #: The map of each recorder.
 PRESETS = {"ur-rtde": "ur_recording.yaml", "ur-record": "ur_recording.yaml"}
 #: Quantities that a recording may lack.

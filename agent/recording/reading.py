@@ -11,16 +11,15 @@ from pathlib import Path
 import numpy as np
 
 from agent.core import InputError
-from agent.recording.log import Log, Repair
+from agent.recording.log import NANO, Log, Repair
 from agent.recording.mcap.log_file import PLANNED, REFERENCES, RUN
 from agent.recording.mcap.scan import Messages, Scan, scan
-from agent.recording.mcap.topics import choose_topics, joint_names, namesake
+from agent.recording.mcap.topics import choose_topics, namesake
 from agent.recording.repair.outliers import Jumps, find_spikes, impossible, mend_jumps
 from agent.recording.repair.stamps import BRIDGED, Order, far_off, match, put_in_order, spacing_of
 from agent.recording.scratch import Scratch
 from agent.robot import RobotDescription
 
-_NANO = 1_000_000_000
 _FIELDS = ("position", "velocity", "effort")
 #: Set-points belong to a sample if their stamps differ by at most this part of the period.
 _SAME_STAMP = 0.1
@@ -73,16 +72,16 @@ def read_log(path: str | Path, robot: RobotDescription | None = None, topic: str
     topic = topics[0]
     table = _table([group for one in topics for group in found.topics.pop(one)], names, found.scratch)
     if table is None:
-        raise InputError(f"{path}: {topic}: no message holds a finite position of every joint ({', '.join(names)})")
+        raise InputError(f"{path}: {topic}: no message holds finite numbers that an arm can have of {', '.join(names)}")
     order = table.order(str(path))
     table = replace(table.taken(order.rows, found.scratch), stamp=order.stamp)
     table, cuts, mended = _mended(table, robot, found.scratch)
     stamp, arrays = table.stamp, table.arrays
     spacing = spacing_of(stamp, _nominal_rate(run))
-    duration = (int(stamp[-1]) - int(stamp[0])) / _NANO
+    duration = (int(stamp[-1]) - int(stamp[0])) / NANO
     repairs = [*left_out, *_file_repairs(found, topic, duration), *_run_repairs(run, spacing.repairs)]
     repairs += [*table.repairs, *order.repairs, *mended, *spacing.repairs]
-    t = (stamp - stamp[0]) / _NANO
+    t = (stamp - stamp[0]) / NANO
     references, planned = (
         _set_points(found, namesake(found, wanted, topic), names, stamp, spacing.rate, repairs)
         for wanted in (REFERENCES, PLANNED)
@@ -99,9 +98,9 @@ def read_log(path: str | Path, robot: RobotDescription | None = None, topic: str
         planned_position=planned,
         sample_rate=spacing.rate,
         even=spacing.even,
-        stamp=int(stamp[0]) / _NANO,
+        stamp=int(stamp[0]) / NANO,
         segments=tuple(segment for piece in pieces for segment in pairwise(piece)),
-        cycle_starts=_cycle_starts(run, (int(stamp[0]) - table.first) / _NANO, duration, repairs),
+        cycle_starts=_cycle_starts(run, (int(stamp[0]) - table.first) / NANO, duration, repairs),
         metadata=run,
         repairs=tuple(repairs),
         breaks=tuple(t[list(cuts)].tolist()),
@@ -111,22 +110,13 @@ def read_log(path: str | Path, robot: RobotDescription | None = None, topic: str
     )
 
 
-def logged_joints(path: Path, topic: str | None = None) -> tuple[str, ...]:
-    """Names of all joints in the joint states of a log, whatever messages they come in.
-
-    Raises:
-        InputError: as `read_log`.
-    """
-    return joint_names(path, scan(path), topic)
-
-
 def _mended(
     table: _Table, robot: RobotDescription | None, scratch: Scratch
 ) -> tuple[_Table, tuple[int, ...], list[Repair]]:
     """The table without samples that cannot be, samples to cut it before, and what there is to say."""
     jumps = Jumps() if robot is None else mend_jumps(table.stamp, table.arrays["position"], robot)
     spikes = find_spikes(table.arrays["effort"]) if "effort" in table.arrays else np.array([], int)
-    time = (table.stamp - table.stamp[0]) / _NANO
+    time = (table.stamp - table.stamp[0]) / NANO
     repairs = [*jumps.repairs, *Repair.of("samples whose torque stands out alone, dropped", time, spikes)]
     dropped = np.union1d(jumps.dropped, spikes).astype(int)
     cuts = tuple(int(cut - np.searchsorted(dropped, cut)) for cut in jumps.cuts)
@@ -149,7 +139,7 @@ def _table(groups: list[Messages], names: tuple[str, ...], scratch: Scratch) -> 
     stamps = np.concatenate([group.stamp for group in ours])
     first = int(stamps[~far_off(stamps)].min())
     stamp = np.concatenate([group.stamp for group in usable])
-    time, keep = (stamp - first) / _NANO, np.ones(len(stamp), bool)
+    time, keep = (stamp - first) / NANO, np.ones(len(stamp), bool)
     repairs: list[Repair] = []
     arrays: dict[str, np.ndarray] = {}
     without_effort: tuple[str, ...] = ()
@@ -175,7 +165,7 @@ def _table(groups: list[Messages], names: tuple[str, ...], scratch: Scratch) -> 
         ("messages of other joints, left out", [group.stamp for group in groups if group not in ours]),
         ("samples with arrays of wrong length, dropped", [group.stamp for group in ours if not group.layout.whole]),
     ):
-        repairs += Repair.of(kind, (np.concatenate([*left_out, stamp[:0]]) - first) / _NANO)
+        repairs += Repair.of(kind, (np.concatenate([*left_out, stamp[:0]]) - first) / NANO)
     in_file = np.argsort(np.concatenate([group.order for group in usable]), kind="stable")
     return _Table(first, stamp, arrays, tuple(repairs), without_effort).taken(in_file[keep[in_file]], scratch)
 
@@ -214,11 +204,11 @@ def _joined(groups: list[Messages], names: tuple[str, ...], scratch: Scratch) ->
         return None
     base = min(ordered.values(), key=lambda table: len(table.stamp))
     first = min(table.first for table in ordered.values())
-    t, near = (base.stamp - first) / _NANO, np.ones(len(base.stamp), bool)
+    t, near = (base.stamp - first) / NANO, np.ones(len(base.stamp), bool)
     fields = [field for field in _FIELDS if all(field in table.arrays for table in ordered.values())]
     arrays = {field: np.empty((len(t), len(names))) for field in fields}
     for part, table in ordered.items():
-        times = (table.stamp - first) / _NANO
+        times = (table.stamp - first) / NANO
         after = np.clip(np.searchsorted(times, t), 1, len(times) - 1)
         around = np.where(t == times[after], 0.0, times[after] - times[after - 1])
         near &= (t >= times[0]) & (t <= times[-1]) & (around <= _JOINED * np.median(np.diff(times)))
@@ -269,7 +259,7 @@ def _set_points(
                 values = table.arrays["position"][order.rows[nearest]]
                 values[~same] = np.nan
                 return found.scratch.keep(values)
-            problem, when = "without a sample at their stamps", (int(order.stamp[0]) - int(stamp[0])) / _NANO
+            problem, when = "without a sample at their stamps", (int(order.stamp[0]) - int(stamp[0])) / NANO
     total = sum(len(group.stamp) for group in groups)
     repairs.append(Repair(f"{topic}: messages {problem}, left out", when, total))
     return None

@@ -32,7 +32,7 @@ def read_table(path: Path) -> ColumnTable:
     """
     ending = path.suffix.lower()
     if ending not in _READERS:
-        raise InputError(f"{path}: tables end in {', '.join(_READERS)}; {path.suffix or 'no ending'} is not known")
+        raise InputError(f"{path}: tables end in {', '.join(_READERS)}; this one ends in {path.suffix or 'nothing'}")
     if not path.is_file():
         raise InputError(f"{path}: no such file")
     kind, reader = _READERS[ending]
@@ -55,10 +55,7 @@ def read_table(path: Path) -> ColumnTable:
 
 
 def _check_values(path: Path, values: int) -> None:
-    """
-    Raises:
-        InputError: more numbers than a table may hold.
-    """
+    """Raise InputError if these are more numbers than a table may hold."""
     if values > _MOST_VALUES:
         raise InputError(
             f"{path}: holds more than {_MOST_VALUES} numbers ({_MOST_VALUES >> 17} MiB in memory), the limit for one "

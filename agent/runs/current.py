@@ -21,7 +21,7 @@ from typing import Any
 from agent.core import AgentError, Console, InputError, read_json, sha256_file, sha256_text, written_whole
 from agent.runs.folder import RunFolder, from_plain, write_json
 from agent.runs.history import which_machine
-from agent.runs.past_run import read_parameters, read_run
+from agent.runs.past_run import read_object, read_run, readable
 
 _FOLDER = "models"
 #: Characters of a folder's name before its digest.
@@ -59,11 +59,10 @@ def apply_run(logs: Path, run: Path) -> Applied:
     """Make the model of an accepted run the current one of its robot. Applying it again changes nothing.
 
     Raises:
-        InputError: no model, not accepted, or no longer the file that was accepted.
+        InputError: not accepted, damaged, or the model is no longer the one that was accepted.
         AgentError: it cannot be written; the current model is what it was.
     """
     past = read_run(run)
-    read_parameters(run)  # refuses a damaged model
     if past.kind == "diagnose":
         raise InputError(f"{run}: this run is a diagnosis and made no model; apply a calibration or a recalibration")
     if not past.accepted:
@@ -73,7 +72,9 @@ def apply_run(logs: Path, run: Path) -> Applied:
     if not model.is_file():
         raise InputError(f"{model}: no such file; the run has lost its model")
     sha256 = sha256_file(model)
-    accepted = read_json(run / "state.json").get("model_sha256", sha256)
+    with readable(run):
+        read_object(run / "result.json")["validation"]
+        accepted = read_object(run / "state.json")["model_sha256"]
     if accepted != sha256:
         raise InputError(f"{model}: this is not the model that was accepted (SHA-256 differs); it was changed since")
     place = _place(logs, past.robot, past.serial)

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import platform
-from collections.abc import Callable, Iterator, Sequence
+import shutil
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -61,9 +61,8 @@ class RunFolder:
             AgentError: the folder cannot be written.
         """
         stamp = (now or datetime.now(UTC)).strftime("%Y%m%dT%H%M%SZ")
-        with _made(root, "the run"):
-            root.mkdir(parents=True, exist_ok=True)
-            path = _fresh_folder(root, f"{stamp}_{robot}")
+        make_folder(root, "the run")
+        path = _fresh_folder(root, f"{stamp}_{robot}")
         text = recipe.read_text(encoding="utf-8")
         state = {
             "schema": "run/1",
@@ -76,8 +75,12 @@ class RunFolder:
             "versions": versions(),
         }
         run = cls(path, state)
-        run.write_text("recipe.yaml", text)
-        run._save()
+        try:
+            run.write_text("recipe.yaml", text)
+            run._save()
+        except AgentError:  # a full disk; nobody is to take it for a run
+            shutil.rmtree(path, ignore_errors=True)
+            raise
         return run
 
     @classmethod
@@ -161,26 +164,20 @@ class RunFolder:
         self.write_json(_STATE, self.state)
 
 
-@contextlib.contextmanager
-def _made(folder: Path, what: str) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        raise AgentError(
-            f"{folder}: no folder for {what} can be made there: {error.strerror}; free space or rights?"
-        ) from None
-
-
 def make_folder(folder: Path, what: str) -> None:
     """Make a folder for `what`, and those above it, where it is not there.
 
     Raises:
-        AgentError: it cannot be made, or nothing can be written into it.
+        AgentError: full, read-only or no rights; InputError for other reasons, such as a file in its place.
     """
-    with _made(folder, what):
+    try:
         folder.mkdir(parents=True, exist_ok=True)
         with TemporaryFile(dir=folder):
             pass
+    except OSError as error:
+        kind = AgentError if error.errno in FULL_OR_READ_ONLY else InputError
+        reason = f"{error.strerror}; free space or rights? Otherwise name another folder"
+        raise kind(f"{folder}: no folder for {what} can be made there: {reason}") from None
 
 
 def check_output(out: Path, paths: Sequence[Path]) -> None:

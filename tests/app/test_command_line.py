@@ -7,6 +7,7 @@ import os
 import pty
 import re
 import select
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -83,6 +84,31 @@ def test_reports_a_signal_received_in_compiled_code_as_a_signal():
     assert run.stderr == "agent: interrupted\n"
 
 
+@pytest.mark.parametrize(("number", "word"), [(signal.SIGINT, "interrupted"), (signal.SIGTERM, "terminated")])
+def test_a_signal_while_the_command_line_is_loaded_ends_it_with_one_line(number: int, word: str):
+    script = (
+        "import os, runpy, sys\n"
+        "class Struck:\n"
+        "    def find_spec(name, path, target=None):\n"
+        f"        if name == 'typer': os.kill(os.getpid(), {number:d})\n"
+        "sys.meta_path.insert(0, Struck)\n"
+        "sys.argv = ['agent', '--version']\n"
+        "runpy.run_module('agent', run_name='__main__', alter_sys=True)\n"
+    )
+    run = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert (run.returncode, run.stdout, run.stderr) == (128 + number, "", f"agent: {word}\n")
+
+
+@pytest.mark.parametrize("command", ["--help", "--version", "diagnose --help-all", "schedule recipes/first_look.yaml"])
+def test_a_reader_that_is_gone_is_no_error(command: str):
+    reader, writer = os.pipe()
+    os.close(reader)
+    with open(writer, "wb") as pipe:
+        words = [sys.executable, "-u", "-m", "agent", *command.split()]
+        run = subprocess.run(words, cwd=ROOT, stdout=pipe, stderr=subprocess.PIPE, check=False)
+    assert (run.returncode, b"Traceback" in run.stderr) == (0, False), run.stderr
+
+
 @pytest.mark.parametrize(
     ("command", "said"),
     [
@@ -93,6 +119,7 @@ def test_reports_a_signal_received_in_compiled_code_as_a_signal():
         ("init nowhere/mine.yaml", "no folder nowhere"),
         ("check list.yaml", "list.yaml:1: a mapping of keys is expected, not a list"),
         ("import --robot comau_ns16 --map map.yaml table.csv log.mcap", "log.mcap: exists already"),
+        ("import --robot comau_ns16 --map map.yaml table.csv nowhere/log.mcap", "no folder nowhere"),
     ],
 )
 def test_a_mistake_is_one_message_and_writes_nothing(write_recipe, run_agent, tmp_path: Path, command: str, said: str):

@@ -39,7 +39,7 @@ def test_names_the_urdf_attribute_that_is_not_a_number(tmp_path: Path, fault, na
 def test_a_plan_without_a_usable_folder_is_refused_before_the_search(write_recipe, run_agent, tmp_path: Path):
     (tmp_path / "file").write_text("")
     result = run_agent("plan", str(write_recipe("127.0.0.1:9")), "-o", str(tmp_path / "file"))
-    assert result.returncode == 1
+    assert result.returncode == 2
     assert "no folder for the plan can be made there" in result.stderr
     assert "search" not in result.stderr
 

@@ -86,9 +86,7 @@ def test_a_table_is_imported_for_a_file_without_drives(file, tmp_path, columns):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        (XACRO, r"a xacro file.*xacro {name} > arm\.urdf"),
-        (UNBOUND, r"a xacro file.*xacro {name} > arm\.urdf"),
-        (VARIABLE, r"a xacro file.*xacro {name} > arm\.urdf"),
+        *((text, r"a xacro file.*xacro {name} > arm\.urdf") for text in (XACRO, UNBOUND, VARIABLE)),
         (SDF, r"an SDF.*sdf2mjcf {name} arm\.xml"),
     ],
 )

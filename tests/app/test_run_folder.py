@@ -7,6 +7,7 @@ import json
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -68,17 +69,17 @@ def test_a_run_of_another_recipe_or_a_complete_one_is_refused(recipe: Path, tmp_
         RunFolder.open(tmp_path, "")
 
 
-def test_a_failed_write_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_a_failed_write_leaves_the_old_file_and_no_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     path = write_atomically(tmp_path / "model.json", "old")
-
-    def full(*_: object) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr("agent.core.files.os.fsync", full)
+    full = OSError(28, "No space left on device")
+    monkeypatch.setattr("agent.core.files.os.fsync", Mock(side_effect=full))
     with pytest.raises(AgentError, match="No space left"):
         write_atomically(path, "new")
     assert path.read_text(encoding="utf-8") == "old"
     assert [entry.name for entry in tmp_path.iterdir()] == ["model.json"]
+    with pytest.raises(AgentError, match="No space left"):
+        RunFolder.create(tmp_path / "logs", "arm", path)
+    assert list((tmp_path / "logs").iterdir()) == []
 
 
 @pytest.mark.skipif(not Path("/dev/full").is_char_device(), reason="no device here that is always full")

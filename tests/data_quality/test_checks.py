@@ -301,7 +301,7 @@ def test_warns_of_a_negative_rotor_inertia_and_an_error_far_above_noise(robot):
     q, _, qdd = _multisine(4, log.t, 22)
     wrong = log.effort.copy()
     wrong[:, 3] -= 5.0 * qdd[:, 3]
-    doubts = fitted_doubts(estimate(robot, [log]), [log])
+    doubts = list(fitted_doubts(estimate(robot, [log]), [log]))
     assert doubts == []
     (rotor,) = fitted_doubts(estimate(robot, [replace(log, effort=wrong)]), [replace(log, effort=wrong)])
     assert rotor.joints == ("joint_4",)

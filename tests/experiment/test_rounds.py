@@ -15,6 +15,7 @@ from agent.model import CATALOGUE
 from agent.motion import Delay
 from agent.motion.pdl2 import write_program
 from agent.motion.pdl2.dialect import Pdl2
+from agent.pages import in_short
 from agent.pages.diagnosis.summary import planned_section, rounds_section
 from agent.pages.elements import Page, render
 from agent.pages.phrasing import next_text
@@ -124,7 +125,7 @@ def test_rounds_end_when_settled_and_use_all_logs(ask):
         "what was run, not what a person was not asked"
     )
     assert found.end == "settled: explained"
-    assert found.said == "explained: friction rises as the joint slows down (stribeck) on joint_2"
+    assert in_short(found.last.result) == "explained: friction rises as the joint slows down (stribeck) on joint_2"
     assert found.cut_short is None
 
 

@@ -14,6 +14,7 @@ from agent.motion.pdl2.dialect import Pdl2
 from agent.recipe import examine_recipe, load_recipe
 from agent.robot import load_robot
 from tests.recipe.recipes import FULL, MINIMAL, POINTS, TUBE, faults_of, load_text, with_via_points
+from tests.recording.test_importer import URDF
 
 
 @pytest.mark.parametrize(
@@ -252,11 +253,6 @@ def test_percentages_of_the_fly_statement_are_whole(recipe_file: Path, key: str)
     assert {"percent": fine.fly_percent, "stress": fine.stress_percent}[key] == pytest.approx(57.0)
 
 
-ARM = """<robot name="two"><link name="base"/><link name="middle"/><link name="tip"/>
-<joint name="turn" type="revolute"><parent link="base"/><child link="middle"/><axis xyz="0 0 1"/>
-<limit lower="-3" upper="3" velocity="2" effort="9"/></joint>
-<joint name="slide" type="prismatic"><parent link="middle"/><child link="tip"/><axis xyz="0 0 1"/>
-<limit lower="-1" upper="1" velocity="1" effort="9"/></joint></robot>"""
 JOINTS = "[{name: turn, max_velocity: 2, max_acceleration: 5}, {name: slide, max_velocity: 1, max_acceleration: 5}]"
 TURN = 'lower="-3" upper="3" '
 
@@ -281,8 +277,8 @@ def _with_arm(folder: Path, urdf: str, cell: str = "") -> Path:
     ],
 )
 def test_refuses_missing_limits_and_limits_in_degrees(tmp_path: Path, old, new, message) -> None:
-    assert old in ARM
-    path = _with_arm(tmp_path, ARM.replace(old, new))
+    assert old in URDF
+    path = _with_arm(tmp_path, URDF.replace(old, new))
     recipe, faults = examine_recipe(path)
     assert recipe is None
     assert len(faults) == 1
@@ -300,4 +296,4 @@ def test_refuses_missing_limits_and_limits_in_degrees(tmp_path: Path, old, new, 
     ],
 )
 def test_accepts_ranges_from_the_cell_and_unlimited_joints(tmp_path, old, new, cell) -> None:
-    assert load_recipe(_with_arm(tmp_path, ARM.replace(old, new), cell)).robot.name == "two"
+    assert load_recipe(_with_arm(tmp_path, URDF.replace(old, new), cell)).robot.name == "two"

@@ -260,24 +260,11 @@ METADATA = st.sampled_from(
 ) | st.text(st.characters(exclude_categories=("Cs",)), max_size=12)
 
 
+RUN_KEYS = ["cycle_starts_s", "sample_rate_hz", "lost_samples", "repeated_samples", "robot", "motion", "serial", "tool"]
+
+
 @settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
-@given(
-    facts=st.dictionaries(
-        st.sampled_from(
-            [
-                "cycle_starts_s",
-                "sample_rate_hz",
-                "lost_samples",
-                "repeated_samples",
-                "robot",
-                "motion",
-                "serial",
-                "tool",
-            ]
-        ),
-        METADATA,
-    )
-)
+@given(facts=st.dictionaries(st.sampled_from(RUN_KEYS), METADATA))
 def test_a_log_with_any_metadata_is_read_or_refused(tmp_path: Path, facts: dict[str, str]):
     path = tmp_path / "log.mcap"
     path.unlink(missing_ok=True)

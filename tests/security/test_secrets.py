@@ -27,24 +27,9 @@ from drivers.transports.cnr.files import ProgramFolder
 from fake_controller.build import build_controller
 from fake_controller.servers.cnr.server import CnrServer
 from tests import warm
+from tests.app.conftest import RECIPE
 
 PLANTED = "hunter<2>&'zwölf"
-RECIPE = """
-robot: comau_ns16
-controller: {{driver: {driver}, address: "{address}"}}
-motion:
-  speed: 1 m/s
-  via_points:
-    count: 6
-    box:
-      centre: [1.0 m, 0 m, 0.8 m]
-      size: [500 mm, 600 mm, 400 mm]
-      orientation: [0 deg, 180 deg, 0 deg]
-      cone: 30 deg
-search: {{population: 4, generations: 1, seed: 1}}
-record: {{cycles: 1}}
-validate: {{motions: 1, speed: 0.5 m/s, seed: 2}}
-"""
 
 
 @pytest.fixture(autouse=True)
@@ -54,6 +39,12 @@ def nothing_known():
     yield
     hidden_forms.clear()
     hidden_forms.update(before)
+
+
+def recipe(address: str, driver: str = "tcp") -> str:
+    """The smallest job."""
+    text = RECIPE.format(address=address, cycles=1, motions=1, speed="0.5 m/s", gate=0.03)
+    return text.replace("tcp", driver).replace("population: 8, generations: 3", "population: 4, generations: 1")
 
 
 def agent(folder: Path, *arguments: str | Path, **environment: str) -> subprocess.CompletedProcess[str]:
@@ -92,7 +83,7 @@ def test_refuses_an_address_with_a_password_without_printing_it(driver: str, add
 
 @pytest.mark.parametrize("command", [["check", "--json"], ["calibrate"]])
 def test_a_refused_recipe_password_is_stored_nowhere(tmp_path: Path, command: list[str]):
-    text = RECIPE.format(driver="tcp", address=f"joe:{PLANTED}@127.0.0.1:9100")
+    text = recipe(f"joe:{PLANTED}@127.0.0.1:9100")
     (tmp_path / "recipe.yaml").write_text(text, encoding="utf-8")
     run = agent(tmp_path, command[0], "recipe.yaml", *command[1:])
     assert run.returncode == 2
@@ -103,9 +94,7 @@ def test_a_refused_recipe_password_is_stored_nowhere(tmp_path: Path, command: li
 
 
 def test_a_password_under_a_wrong_recipe_key_is_not_printed(tmp_path: Path):
-    text = RECIPE.format(driver="tcp", address="127.0.0.1:9100").replace(
-        "robot:", 'controler: "joe:hunter22@host"\nrobot:'
-    )
+    text = recipe("127.0.0.1:9100").replace("robot:", 'controler: "joe:hunter22@host"\nrobot:')
     (tmp_path / "recipe.yaml").write_text(text.replace("count: 6", 'count: "password=hunter22"'), encoding="utf-8")
     run = agent(tmp_path, "check", "recipe.yaml")
     assert run.returncode == 2
@@ -229,7 +218,7 @@ def test_address_options_are_not_printed(driver: str, joint: str):
 @pytest.mark.parametrize("slip", SLIPS)
 @pytest.mark.parametrize("key", ["address", "adress", "driver", "options"])
 def test_address_options_of_a_recipe_are_not_printed(tmp_path: Path, slip: str, key: str):
-    text = RECIPE.format(driver="cnr_comau", address="127.0.0.1").replace(
+    text = recipe("127.0.0.1", "cnr_comau").replace(
         'address: "127.0.0.1"', f'address: "127.0.0.1", {key}: "127.0.0.1,{slip}"'
     )
     if key in ("address", "driver"):
@@ -333,7 +322,7 @@ def test_run_folders_contain_no_passwords(broker, tmp_path: Path, umask: int):
     controller = build_controller("comau_ns16", seed=7, clock="fast")
     with closing(CnrServer(controller, watchdog=20.0, broker=broker.address, waits=True)) as server:
         address = f"{server.address},password_from=env:CELL_FTP,mqtt_user=joe,mqtt_password_from=file:../mqtt.secret"
-        (work / "recipe.yaml").write_text(RECIPE.format(driver="cnr_comau", address=address), encoding="utf-8")
+        (work / "recipe.yaml").write_text(recipe(address, "cnr_comau"), encoding="utf-8")
         before = os.umask(umask)
         try:
             run = agent(work, "calibrate", "recipe.yaml", "-v", CELL_FTP=f"ftp-{PLANTED}")

@@ -6,12 +6,15 @@ import json
 import shutil
 import subprocess
 from collections.abc import Callable, Iterator
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from agent.core import sha256_text
+from agent.runs import stored_loops
 from tests import warm
 from tests.browser import Browser
 from tests.conftest import DRAW, drawn
@@ -48,6 +51,25 @@ def edit(file: Path, **changes: object) -> None:
     """Change keys of a JSON file; None takes a key away."""
     data = json.loads(file.read_text(encoding="utf-8")) | changes
     file.write_text(json.dumps({key: value for key, value in data.items() if value is not None}), encoding="utf-8")
+
+
+def authorisation(shop: Path, **changes: object) -> Path:
+    """A file that permits unattended motion of the stored loop, with some of its keys changed."""
+    (loop,) = stored_loops(shop / "logs" / "trajectories")
+    said = {
+        "robot": "comau_ns16",
+        "serial": "FAKE-0007",
+        "program": loop.checksum,
+        "problem": loop.key,
+        "limits": {"speed": "1.1 m/s", "duration": "5 min"},
+        "expires": (datetime.now(UTC) + timedelta(days=30)).date().isoformat(),
+        "written_by": "M. Rossi",
+        **changes,
+    }
+    path = shop / "authorisation.yaml"
+    path.write_text(json.dumps(said), encoding="utf-8")
+    path.chmod(0o644)
+    return path
 
 
 @pytest.fixture(scope="session")
@@ -112,6 +134,11 @@ def write_runs(tmp_path: Path) -> Callable[..., Path]:
         return logs
 
     return write
+
+
+def runs_of(logs: Path) -> list[Path]:
+    """The run folders, oldest first."""
+    return sorted(path for path in logs.iterdir() if path.is_dir())
 
 
 def friction_runs(
@@ -190,8 +217,9 @@ def write_run(logs: Path, number: int, result: dict[str, Any], parameters: list[
         "controller": "tcp x",
         "steps": {},
     }
+    model = json.dumps({"number": number, "base_parameters": parameters[6:], "friction": parameters[:6]})
+    state["model_sha256"] = sha256_text(model)
     (run / "state.json").write_text(json.dumps(state), encoding="utf-8")
     (run / "result.json").write_text(json.dumps(result), encoding="utf-8")
-    model = {"base_parameters": parameters[6:], "friction": parameters[:6]}
-    (run / "model.json").write_text(json.dumps(model), encoding="utf-8")
+    (run / "model.json").write_text(model, encoding="utf-8")
     return run

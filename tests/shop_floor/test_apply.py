@@ -10,15 +10,11 @@ from hypothesis import given, strategies as st
 
 from agent.core.errors import InputError
 from agent.runs.current import apply_previous, apply_run, current_model
-from tests.shop_floor.conftest import edit
+from tests.shop_floor.conftest import edit, runs_of
 
 
 def _three(write_runs) -> tuple[Path, list[Path]]:
-    logs = write_runs(3)
-    runs = sorted(path for path in logs.iterdir() if path.is_dir())
-    for number, run in enumerate(runs):  # models that differ
-        edit(run / "model.json", number=number)
-    return logs, runs
+    return (logs := write_runs(3)), runs_of(logs)
 
 
 def test_apply_and_repeated_previous(write_runs):
@@ -59,13 +55,6 @@ def test_applying_a_run_repairs_a_damaged_current_model(write_runs, name: str):
     assert current_model(logs, "comau_ns16", "NS16-1").model.read_bytes() == (runs[1] / "model.json").read_bytes()
 
 
-def test_a_diagnosis_has_no_model_to_apply(write_runs):
-    logs, (run, *_) = _three(write_runs)
-    edit(run / "state.json", kind="diagnose")
-    with pytest.raises(InputError, match="a diagnosis and made no model"):
-        apply_run(logs, run)
-
-
 def test_a_full_disk_keeps_the_current_model(write_runs, monkeypatch: pytest.MonkeyPatch):
     logs, runs = _three(write_runs)
     apply_run(logs, runs[0])
@@ -81,19 +70,27 @@ def test_a_full_disk_keeps_the_current_model(write_runs, monkeypatch: pytest.Mon
     assert apply_run(logs, runs[1]).run == runs[1].name
 
 
-@pytest.mark.parametrize("status", ["rejected", "stopped", "running"])
-def test_only_an_accepted_run_is_applied(write_runs, status: str):
+@pytest.mark.parametrize(
+    ("file", "changes", "said"),
+    [
+        *(("state.json", {"status": status}, f"this run is {status}") for status in ("rejected", "stopped", "running")),
+        ("state.json", {"kind": "diagnose"}, "a diagnosis and made no model"),
+        ("state.json", {"model_sha256": "0" * 64}, "SHA-256 differs"),
+        ("state.json", {"model_sha256": None}, "'model_sha256' is missing"),
+        ("model.json", {"friction": None}, "SHA-256 differs"),
+        ("result.json", {"validation": None}, "files of this run are damaged"),
+        ("result.json", {"validation": None, "conditions": None}, "'validation' is missing"),
+        ("result.json", None, "No such file|no such file"),
+    ],
+)
+def test_refuses_a_run_that_was_not_accepted_or_has_lost_something(write_runs, file: str, changes, said: str):
     logs, runs = _three(write_runs)
-    edit(runs[0] / "state.json", status=status)
-    with pytest.raises(InputError, match=f"this run is {status}"):
+    apply_run(logs, runs[1])
+    (runs[0] / file).unlink() if changes is None else edit(runs[0] / file, **changes)
+    with pytest.raises(InputError, match=f"{runs[0].name}.*{said}"):
         apply_run(logs, runs[0])
-
-
-def test_refuses_a_model_changed_after_acceptance(write_runs):
-    logs, runs = _three(write_runs)
-    edit(runs[0] / "state.json", model_sha256="0" * 64)
-    with pytest.raises(InputError, match="SHA-256 differs"):
-        apply_run(logs, runs[0])
+    assert current_model(logs, "comau_ns16", "NS16-1").run == runs[1].name
+    assert len(list(logs.glob("models/*/versions/*"))) == 1
 
 
 def test_asks_for_the_robot_if_there_are_several(write_runs):

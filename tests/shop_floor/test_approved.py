@@ -25,6 +25,7 @@ from agent.runs import RunFolder, stored_loops
 from agent.runs.approved import approve, check_approved, differences, digest, problem
 from tests.conftest import drawn
 from tests.damage import damaged
+from tests.shop_floor.conftest import authorisation
 
 CATALOGUE = Path(agent.robot.__file__).parent / "catalogue" / "comau_ns16"
 TOOL = "tool: {frame: [0 mm, 0 mm, 120 mm, 0 deg, 0 deg, 0 deg], mass: 2.1 kg}\n"
@@ -250,19 +251,7 @@ def test_recalibration_names_what_differs_from_the_accepted_run(shop: Path, run_
 
 
 def test_an_authorisation_for_another_cell_prevents_motion(shop: Path, run_agent):
-    (loop,) = stored_loops(shop / "logs" / "trajectories")
-    said = {
-        "robot": "comau_ns16",
-        "serial": "FAKE-0007",
-        "program": loop.checksum,
-        "problem": "0" * 64,
-        "limits": {"speed": "1.1 m/s", "duration": "5 min"},
-        "expires": "2026-12-31",
-        "written_by": "M. Rossi",
-    }
-    path = shop / "authorisation.yaml"
-    path.write_text(json.dumps(said), encoding="utf-8")
-    run = run_agent("recalibrate", "recipe.yaml", "--authorisation", path)
+    run = run_agent("recalibrate", "recipe.yaml", "--authorisation", authorisation(shop, problem="0" * 64))
     assert run.returncode == 2
     assert "is for problem 000000000000" in run.stderr
 

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from agent.runs import History, PastRun, RunFolder, too_early, watch, wrong_clock
-from tests.shop_floor.conftest import edit
+from tests.shop_floor.conftest import edit, runs_of
 
 NOW = datetime(2026, 6, 1, 2, 0, tzinfo=UTC)
 DAY = 86_400.0
@@ -23,10 +23,6 @@ def _past(started: datetime) -> PastRun:
 
 def _redate(run: Path, stamp: str) -> None:
     edit(run / "state.json", started=stamp)
-
-
-def _runs(logs: Path) -> list[Path]:
-    return sorted(path for path in logs.iterdir() if path.is_dir())
 
 
 @given(st.floats(3600.0, 400 * DAY), st.timedeltas(timedelta(minutes=6), timedelta(days=20_000)))
@@ -63,7 +59,7 @@ def test_a_day_of_23_hours_counts_as_a_day(days):
 
 def test_runs_are_sorted_by_time_across_time_zones(write_runs):
     logs = write_runs(3)
-    first, second, third = _runs(logs)
+    first, second, third = runs_of(logs)
     _redate(first, "2026-03-01T02:00:00+14:00")  # the last day of February
     _redate(second, "2026-03-01T00:30:00")
     _redate(third, "2026-02-28T22:00:00-12:00")
@@ -74,7 +70,7 @@ def test_runs_are_sorted_by_time_across_time_zones(write_runs):
 
 def test_a_run_dated_in_the_future_is_the_reference_only_without_another(write_runs):
     logs = write_runs(3)
-    first, _, third = _runs(logs)
+    first, _, third = runs_of(logs)
     _redate(third, "2041-01-01T00:00:00+00:00")
     history = History(logs)
     assert history.last_accepted("comau_ns16", "l", "tcp x", NOW).run != third.name
@@ -103,7 +99,7 @@ def test_a_clock_set_back_during_a_run_loses_no_data(write_runs, tmp_path, monke
     assert again.finished("record") == second
 
     logs = write_runs(2)
-    last = _runs(logs)[-1] / "state.json"
+    last = runs_of(logs)[-1] / "state.json"
     history = History(logs)
     assert history.runs()[-1].accepted
     written = last.stat().st_mtime
@@ -117,7 +113,7 @@ def test_trends_leave_out_runs_with_impossible_dates(write_runs):
     logs = write_runs(12, wear=2)
     history = History(logs)
     (before,) = watch(history.runs()[:-1])
-    _redate(_runs(logs)[-1], "2999-01-01T00:00:00+00:00")
+    _redate(runs_of(logs)[-1], "2999-01-01T00:00:00+00:00")
     history = History(logs)
     (after,) = watch(history.runs())
     assert after.to_dict() == before.to_dict()

@@ -8,15 +8,14 @@ import re
 import shutil
 import subprocess
 import sys
-from datetime import UTC, datetime, timedelta
+from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from agent.model import IdentifiedModel
-from agent.runs.loop_store import stored_loops
-from tests.shop_floor.conftest import agent
+from tests.shop_floor.conftest import agent, authorisation
 
 ADDRESS = r'address: "[^"]*"'
 
@@ -174,31 +173,13 @@ def test_a_busy_robot_exits_with_75(shop, run_agent, controller):
     assert len(_runs(shop)) == 1
 
 
-def _authorisation(shop: Path, **changes: object) -> Path:
-    (loop,) = stored_loops(shop / "logs" / "trajectories")
-    said = {
-        "robot": "comau_ns16",
-        "serial": "FAKE-0007",
-        "program": loop.checksum,
-        "problem": loop.key,
-        "limits": {"speed": "1.1 m/s", "duration": "5 min"},
-        "expires": (datetime.now(UTC) + timedelta(days=30)).date().isoformat(),
-        "written_by": "M. Rossi",
-        **changes,
-    }
-    path = shop / "authorisation.yaml"
-    path.write_text(json.dumps(said), encoding="utf-8")
-    path.chmod(0o644)
-    return path
-
-
 @pytest.fixture(scope="module")
 def estimated_again(calibrated: Path, tmp_path_factory) -> tuple[Path, subprocess.CompletedProcess[str]]:
     """The shop after an authorised recalibration of all parameters."""
     folder = tmp_path_factory.mktemp("again") / "shop"
     shutil.copytree(calibrated, folder, symlinks=True)
     _change_recipe(folder, "parameters: friction", "parameters: all")
-    return folder, agent(folder, "recalibrate", "recipe.yaml", "--authorisation", _authorisation(folder), "-q")
+    return folder, agent(folder, "recalibrate", "recipe.yaml", "--authorisation", authorisation(folder), "-q")
 
 
 def test_a_matching_authorisation_allows_the_motion(estimated_again):
@@ -223,7 +204,7 @@ def test_estimates_all_parameters_again_on_request(estimated_again):
     ],
 )
 def test_an_authorisation_for_something_else_prevents_motion(shop, run_agent, changes, why: str):
-    path = _authorisation(shop, **changes)
+    path = authorisation(shop, **changes)
     run = run_agent("recalibrate", "recipe.yaml", "--authorisation", path)
     assert run.returncode == 2
     assert why in run.stderr
@@ -239,9 +220,9 @@ def test_authorised_new_motions_settle_an_open_question(shop, run_agent, tmp_pat
     )
     changed = start_controller("--clock", "fast", "--effects", str(effects))
     _change_recipe(shop, ADDRESS, f'address: "{changed.address}"')
-    run = run_agent("recalibrate", "recipe.yaml", "--authorisation", _authorisation(shop), "--json")
+    run = run_agent("recalibrate", "recipe.yaml", "--authorisation", authorisation(shop), "--json")
     assert "rounds" not in json.loads(run.stdout)["diagnosis"]["result"], "not released"
-    released = _authorisation(shop, new_motions={"duration": "2 min"})
+    released = authorisation(shop, new_motions={"duration": "2 min"})
     run = run_agent("recalibrate", "recipe.yaml", "--authorisation", released, "--json")
     found = json.loads(run.stdout)["diagnosis"]["result"]
     assert found["rounds_end"]

@@ -13,15 +13,12 @@ from hypothesis import given, settings, strategies as st
 
 from agent.core import AgentError, Console, InputError
 from agent.pipeline import compare_runs, rebuild_report, write_index
+from agent.pipeline.reports import against_last
 from agent.runs import History, RunFolder, apply_previous, apply_run, find_run, history_json, history_table, watch
 from tests.damage import damaged
-from tests.shop_floor.conftest import edit, friction_runs, write_run
+from tests.shop_floor.conftest import edit, friction_runs, runs_of, write_run
 
 QUIET = Console(verbosity=-1)
-
-
-def _runs(logs: Path) -> list[Path]:
-    return sorted(path for path in logs.iterdir() if path.is_dir())
 
 
 def _left_out(logs: Path, damaged: Path, has_figures: bool) -> list[str]:
@@ -35,7 +32,7 @@ def _left_out(logs: Path, damaged: Path, has_figures: bool) -> list[str]:
 
 @pytest.mark.parametrize("page", [True, False])
 def test_a_run_of_another_version_links_to_its_own_page(write_runs, page: bool):
-    (run,) = _runs(write_runs(1))
+    (run,) = runs_of(write_runs(1))
     if page:
         (run / "report.html").write_text("as it was", encoding="utf-8")
     before = sorted(path.name for path in run.iterdir())
@@ -73,7 +70,7 @@ def test_history_lists_the_runs_it_leaves_out(shop: Path, run_agent):
 @pytest.mark.parametrize("kind", ["calibrate", "recalibrate", "diagnose"])
 @pytest.mark.parametrize("status", ["running", "stopped"])
 def test_refuses_to_report_an_unfinished_run(write_runs, kind: str, status: str):
-    (run,) = _runs(write_runs(1))
+    (run,) = runs_of(write_runs(1))
     edit(run / "state.json", kind=kind, status=status, stopped={"reason": "the emergency stop is pressed"})
     (run / "result.json").unlink()
     with pytest.raises(InputError, match="nothing to report yet") as caught:
@@ -84,7 +81,7 @@ def test_refuses_to_report_an_unfinished_run(write_runs, kind: str, status: str)
 
 @pytest.mark.parametrize("kind", ["recalibrate", "diagnose"])
 def test_only_a_calibration_can_be_resumed(write_runs, kind: str):
-    (run,) = _runs(write_runs(1))
+    (run,) = runs_of(write_runs(1))
     edit(run / "state.json", kind=kind, status="stopped", inputs_sha256={"recipe.yaml": "s"})
     before = (run / "state.json").read_bytes()
     with pytest.raises(InputError, match=f"start this one again: `agent {kind}`"):
@@ -94,7 +91,7 @@ def test_only_a_calibration_can_be_resumed(write_runs, kind: str):
 
 @pytest.mark.parametrize("content", ["", "[]", '"x"', "{}", '{"schema": "run/1"}', '{"schema": "run/2"}'])
 def test_refuses_to_resume_a_damaged_state(write_runs, content: str):
-    (run,) = _runs(write_runs(1))
+    (run,) = runs_of(write_runs(1))
     (run / "state.json").write_text(content, encoding="utf-8")
     with pytest.raises(InputError, match=r"state\.json"):
         RunFolder.open(run, "s")
@@ -102,7 +99,7 @@ def test_refuses_to_resume_a_damaged_state(write_runs, content: str):
 
 def test_a_diagnosis_is_listed_with_its_verdict_and_no_gate(write_runs):
     logs = write_runs(2)
-    run = _runs(logs)[0]
+    run = runs_of(logs)[0]
     (run / "model.json").unlink()
     (run / "result.json").write_text(json.dumps({"verdict": "no_gap"}), encoding="utf-8")
     edit(run / "state.json", kind="diagnose")
@@ -110,7 +107,7 @@ def test_a_diagnosis_is_listed_with_its_verdict_and_no_gate(write_runs):
     assert [past.accepted for past in history.runs()] == [False, True]
     assert "diagnose     no gap" in history_table(history.runs())
     with pytest.raises(InputError, match="this run has no model"):
-        compare_runs([run, _runs(logs)[1]], QUIET)
+        compare_runs([run, runs_of(logs)[1]], QUIET)
 
 
 def test_reports_a_folder_without_runs(shop: Path, run_agent):
@@ -189,7 +186,7 @@ CONTENTS = [b"", b"[]", b"null", b'{"a": [', b"\xff\xfe"]
 @pytest.mark.parametrize("file", ["state.json", "result.json", "model.json"])
 def test_a_damaged_file_does_not_hide_the_other_runs(write_runs, damage, file):
     logs = write_runs(3)
-    _, bad, _ = _runs(logs)
+    _, bad, last = runs_of(logs)
     (logs / "a file where a folder is expected").write_text("x", encoding="utf-8")
     (logs / "loop").symlink_to("loop")
     (bad / file).write_bytes(damage) if isinstance(damage, bytes) else damage(bad / file)
@@ -201,12 +198,14 @@ def test_a_damaged_file_does_not_hide_the_other_runs(write_runs, damage, file):
     for act in (lambda: rebuild_report(bad, QUIET), lambda: apply_run(logs, bad)):
         with pytest.raises(InputError, match=bad.name):
             act()
+    if file == "model.json":
+        assert against_last(RunFolder(last, {}), None, QUIET) == {"reference": "", "diagnosis": None}
 
 
 @pytest.mark.skipif(os.getuid() != 0, reason="only root can become another user")
 def test_names_an_unreadable_folder_and_lists_the_others(write_runs):
     logs = write_runs(3)
-    bad = _runs(logs)[1]
+    bad = runs_of(logs)[1]
     bad.chmod(0o700)
     for folder in (logs, *logs.parents):
         if folder.is_relative_to(tempfile.gettempdir()) and folder != Path(tempfile.gettempdir()):
@@ -226,7 +225,7 @@ def test_names_an_unreadable_folder_and_lists_the_others(write_runs):
 
 def test_a_damaged_current_model_does_not_affect_other_robots(write_runs):
     logs = write_runs(2)
-    first, second = _runs(logs)
+    first, second = runs_of(logs)
     apply_run(logs, first)
     apply_run(logs, second)
     other = logs / "models" / "other_1"

@@ -49,7 +49,7 @@ def compare(
     leader = max(hypotheses, key=lambda h: _shares(h).get((faults, free), 0.0))
     plain = next(h for h in hypotheses if not h.effects and not h.free)
     size = dict(zip(leader.places, leader.torque, strict=True))
-    places = sorted(faults, key=lambda place: -size[place])
+    places = sorted(faults, key=lambda place: (-size[place], place))
     causes = tuple(next(c for c in leader.effects if c.place == place) for place in places)
     equal = [_equal_by_definition(place, leader, hypotheses) for place in places]
     classes = [_class_of(place, faults, statements, one) for place, one in zip(places, equal, strict=True)]
@@ -109,7 +109,7 @@ def _priors(evidence: Evidence, hypothesis: Evaluated) -> dict[frozenset[Place],
     for faulty in product((True, False), repeat=len(places)):
         faults = frozenset(compress(places, faulty))
         log = sum(h for h, fault in zip(healthy, faulty, strict=True) if not fault)
-        log += sum(each - (np.log(evidence.joints) if joints else 0.0) for _, joints in faults)
+        log += sum(each - (np.log(evidence.joints) if joints else 0.0) for _, joints in sorted(faults))
         log += len(hypothesis.free) * np.log(LAW.rare / evidence.joints)
         log += max(len(faults) + len(hypothesis.free) - 1, 0) * np.log(LAW.rare)
         if np.isfinite(log):

@@ -14,7 +14,7 @@ from agent.core import AgentError, Console, words_of, write_atomically
 from agent.diagnosis import Diagnosis, extended_model, simulation_part
 from agent.experiment import Deadline
 from agent.model import CATALOGUE, payload_of
-from agent.pages import diagnosis_report, summary
+from agent.pages import diagnosis_report, in_short, summary
 from agent.pipeline.gap.finding import Found, find, read_at_rest, read_reference
 from agent.pipeline.gap.next_experiment import NoMotion, clearer_with_mass, plan_next, write_next
 from agent.pipeline.gap.next_steps import after_diagnosis
@@ -107,7 +107,7 @@ def diagnose_recording(
                 rounds = until_sure(found_in, paths, job, left, question.planning_budget)
                 if rounds.cut_short is not None:
                     more = rounds.uncounted and f"; {rounds.uncounted.name} is recorded but not counted"
-                    console.say(f"result of the earlier motions: {rounds.said}{more or ''}")
+                    console.say(f"result of the earlier motions: {in_short(rounds.last.result)}{more or ''}")
                     try:
                         _answer_run(job, question, paths, simulator, told, rounds)
                         console.say(f"the full result is in {run.path}")

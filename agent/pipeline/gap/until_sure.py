@@ -10,7 +10,6 @@ from typing import Any
 from agent.core import Console, sha256_text, words_of
 from agent.experiment import Deadline
 from agent.link import Recording, open_link
-from agent.pages import in_short
 from agent.pipeline.gap.finding import Found
 from agent.pipeline.gap.next_experiment import LONGEST, NoMotion, plan_next
 from agent.pipeline.gap.question import SHORTEST
@@ -44,11 +43,6 @@ class Rounds:
     other: NoMotion | None = None
     cut_short: BaseException | None = None
     uncounted: Path | None = None
-
-    @property
-    def said(self) -> str:
-        """Verdict and causes of all logs that count, in a line."""
-        return in_short(self.last.result)
 
     def to_dict(self) -> dict[str, Any]:
         """Keys of a result: `rounds`, `rounds_end`, and `next_experiment` where something else may settle it."""

@@ -7,7 +7,7 @@ import os
 import struct
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import IO, Any, cast
 
@@ -17,7 +17,7 @@ from mcap.records import Channel, McapRecord, Metadata, Schema
 from mcap.writer import Writer
 
 from agent.core import AgentError, InputError, package_version, written_whole
-from agent.recording.log import Log
+from agent.recording.log import NANO, Log
 from agent.recording.mcap.foxglove import FOXGLOVE_LAYOUT, foxglove_layout
 from agent.recording.mcap.joint_state import SCHEMA_NAME, SCHEMA_TEXT, JointStateLayout, layout_for
 from drivers.protocol import SampleBlock
@@ -36,7 +36,6 @@ _CHUNK_SIZE = 60 * 1024
 _ROWS = 1000  # samples encoded at a time
 #: Missing samples that may still come; older ones count as lost for good.
 _REMEMBERED = 256
-_NANO = 1_000_000_000
 
 
 class RecordingError(AgentError):
@@ -125,7 +124,7 @@ class LogFile:
             return
         if self._first is None:
             self._flushed = int(stamps[0])
-        received = int((samples.received or self._clock()) * _NANO)
+        received = int((samples.received or self._clock()) * NANO)
         self._receive_offset = received - int(stamps[-1])
         topics: dict[str, _Arrays] = {STATES: (samples.position, samples.velocity, samples.torque)}
         if samples.reference_position is not None:
@@ -135,8 +134,8 @@ class LogFile:
         kept = {topic: tuple(_rows(values, keep) for values in arrays) for topic, arrays in topics.items()}
         self._append(kept, stamps, np.full(len(stamps), received), np.asarray(samples.sequence)[keep])
         if self.lost > lost:
-            self.event(f"{self.lost - lost} samples lost up to controller time {stamps[-1] / _NANO:.6f} s")
-        if abs(int(stamps[-1]) - self._flushed) >= FLUSH_INTERVAL * _NANO:
+            self.event(f"{self.lost - lost} samples lost up to controller time {stamps[-1] / NANO:.6f} s")
+        if abs(int(stamps[-1]) - self._flushed) >= FLUSH_INTERVAL * NANO:
             self.flush()
             self._flushed = int(stamps[-1])
 
@@ -169,7 +168,7 @@ class LogFile:
     def event(self, text: str) -> None:
         """Note what happened, on /controller_status at the receive time."""
         data = text.encode() + b"\0"
-        now = int(self._clock() * _NANO)
+        now = int(self._clock() * NANO)
         channel = self._channel(STATUS, "std_msgs/msg/String", "string data\n")
         self._writer.add_message(channel, now, b"\x00\x01\x00\x00" + struct.pack("<I", len(data)) + data, now)
 
@@ -182,7 +181,7 @@ class LogFile:
         """Write the final record `run`, bytes of padding if asked for, and the index, and wait for the disk."""
         run = dict(self._run)
         if self._cycle_starts:
-            first = (self._first or 0) / _NANO
+            first = (self._first or 0) / NANO
             run["cycle_starts_s"] = json.dumps([round(start - first, 9) for start in self._cycle_starts])
         run["lost_samples"], run["repeated_samples"] = str(self.lost), str(self.repeated)
         self._writer.add_metadata(RUN, run)
@@ -383,8 +382,7 @@ def _write_whole(path: Path, log: Log, further: Mapping[str, Sequence[Any]]) -> 
     run = log.metadata
     facts = {key: value for key, value in run.items() if key not in _OWN}
     robot, motion = run.get("robot", ""), run.get("motion", "")
-    file = LogFile(path, log.joint_names, robot, motion, log.sample_rate, facts=facts)
-    try:
+    with closing(LogFile(path, log.joint_names, robot, motion, log.sample_rate, facts=facts)) as file:
         file.write_states(STATES, times, log.position, log.velocity, log.effort)
         for topic, position in ((REFERENCES, log.reference_position), (PLANNED, log.planned_position)):
             if position is not None:
@@ -395,10 +393,8 @@ def _write_whole(path: Path, log: Log, further: Mapping[str, Sequence[Any]]) -> 
         for start in log.cycle_starts:
             file.cycle_start(log.stamp + start)
         file.finish()
-    finally:
-        file.close()
 
 
 def nanoseconds(times: np.ndarray) -> np.ndarray:
     """(S,) integers [ns] from (S,) seconds."""
-    return np.rint(np.asarray(times, float) * _NANO).astype(np.int64)
+    return np.rint(np.asarray(times, float) * NANO).astype(np.int64)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from contextlib import closing
 from pathlib import Path
 
 from agent.core import written_whole
+from agent.recording.log import NANO
 from agent.recording.mcap.log_file import PLANNED, REFERENCES, RUN, STATES, LogFile
 from agent.recording.mcap.scan import scan
-
-_NANO = 1_000_000_000
 
 
 class LogCopy:
@@ -41,16 +41,15 @@ class LogCopy:
         """
         run, names = self._found.metadata[RUN], self._states[0].layout.names
         rate = float(run["sample_rate_hz"]) if "sample_rate_hz" in run else None
-        with written_whole(target) as unfinished:
-            file = LogFile(unfinished, names, run["robot"], run["motion"], rate, lambda: start, facts)
-            try:
-                for topic in (STATES, REFERENCES, PLANNED):
-                    for group in self._found.topics.get(topic, ()):
-                        times = start + (group.stamp - self.first_stamp) / _NANO
-                        file.write_states(topic, times, group.position, group.velocity, group.effort)
-                for cycle in json.loads(run.get("cycle_starts_s", "[]")):
-                    file.cycle_start(start + cycle)
-                file.finish(padding)
-            finally:
-                file.close()
-        return start + (max(int(group.stamp.max()) for group in self._states) - self.first_stamp) / _NANO
+        with (
+            written_whole(target) as unfinished,
+            closing(LogFile(unfinished, names, run["robot"], run["motion"], rate, lambda: start, facts)) as file,
+        ):
+            for topic in (STATES, REFERENCES, PLANNED):
+                for group in self._found.topics.get(topic, ()):
+                    times = start + (group.stamp - self.first_stamp) / NANO
+                    file.write_states(topic, times, group.position, group.velocity, group.effort)
+            for cycle in json.loads(run.get("cycle_starts_s", "[]")):
+                file.cycle_start(start + cycle)
+            file.finish(padding)
+        return start + (max(int(group.stamp.max()) for group in self._states) - self.first_stamp) / NANO

@@ -10,7 +10,7 @@ from agent.core import InputError
 from agent.recording.log import Repair
 from agent.recording.mcap.foxglove import FILTERED, PREDICTED, RESIDUAL
 from agent.recording.mcap.log_file import CURRENTS, PLANNED, REFERENCES, STATES, TEMPERATURES
-from agent.recording.mcap.scan import Messages, Scan
+from agent.recording.mcap.scan import Messages, Scan, scan
 from agent.robot import RobotDescription
 
 #: Topics of joint states that are not measured states of the arm.
@@ -61,13 +61,13 @@ def choose_topics(
     return tuple(chosen), robot.joint_names, repairs
 
 
-def joint_names(path: Path, found: Scan, wanted: str | None) -> tuple[str, ...]:
-    """Of all topics of joint states, or of the topic `wanted`.
+def logged_joints(path: Path, wanted: str | None = None) -> tuple[str, ...]:
+    """Names of all joints in the joint states of a log, or of its topic `wanted`, whatever messages they come in.
 
     Raises:
-        InputError: there is no such topic.
+        InputError: no log, or no such topic in it.
     """
-    topics = _candidates(path, found, None, wanted)
+    topics = _candidates(path, scan(path), None, wanted)
     return tuple(dict.fromkeys(name for groups in topics.values() for name in _names(groups)))
 
 

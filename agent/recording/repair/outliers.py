@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from agent.recording.log import Repair
+from agent.recording.log import NANO, Repair
 from agent.robot import RobotDescription
 
 #: What no joint reaches in any unit that people mistake for SI: 1600 turns [rad], N·mm of the largest arms.
@@ -20,7 +20,6 @@ _SPIKE = 12.0  # times the median step between samples
 _SPIKE_SHARE = 1.5  # of the range of 98 % of the samples: no friction comes back that far
 _MOST = 0.01  # of the samples; with more outliers, the channel, the unit or the description is wrong
 _EVERY = 8  # samples; quantiles need no more
-_NANO = 1_000_000_000
 _TIMES, _LATE = 5.0, 0.010  # times the highest speed; s that stamps may be late
 _TURN = 2 * np.pi
 _MOST_TURNS = 100  # of an encoder that wraps around; in larger numbers every step is near some whole turn
@@ -70,7 +69,7 @@ def mend_jumps(stamp: np.ndarray, position: np.ndarray, robot: RobotDescription)
     plus 10 ms of it for late stamps.
     """
     step = np.diff(position, axis=0)
-    limit = robot.max_velocity * (_TIMES * np.diff(stamp)[:, None] / _NANO + _LATE)
+    limit = robot.max_velocity * (_TIMES * np.diff(stamp)[:, None] / NANO + _LATE)
     turns = np.round(step / _TURN)
     turning = ~np.array([joint.prismatic for joint in robot.joints])
     jump = np.abs(step) > limit
@@ -79,7 +78,7 @@ def mend_jumps(stamp: np.ndarray, position: np.ndarray, robot: RobotDescription)
     if np.count_nonzero(jump) > _MOST * len(stamp):
         return Jumps()
     position[1:] -= _TURN * np.cumsum(np.where(wrapped, turns, 0.0), axis=0)
-    time = (stamp - stamp[0]) / _NANO
+    time = (stamp - stamp[0]) / NANO
     repairs = []
     for name, turned in zip(robot.joint_names, wrapped.T, strict=True):
         repairs += Repair.of(f"positions of {name} that wrap around, made continuous", time[1:], turned)

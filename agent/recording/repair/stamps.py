@@ -9,10 +9,9 @@ from itertools import pairwise
 import numpy as np
 
 from agent.core import InputError
-from agent.recording.log import Repair
+from agent.recording.log import NANO, Repair
 from agent.recording.repair.grid import grid_rate, line, sample_numbers
 
-_NANO = 1_000_000_000
 #: A stretch without samples of at most this [s], or of two samples, can be interpolated; a longer one is a gap.
 BRIDGED = 0.010
 #: Intervals that are off by more than this part of the period are counted as jitter.
@@ -64,13 +63,13 @@ def put_in_order(stamp: np.ndarray, values: Sequence[np.ndarray], name: str) -> 
         A single sample, or stamps that stand still, or that go back and cover the same time twice.
     """
     if len(stamp) < 2:
-        raise InputError(f"{name}: 1 sample at {stamp[0] / _NANO:.6f} s; a motion has more")
+        raise InputError(f"{name}: 1 sample at {stamp[0] / NANO:.6f} s; a motion has more")
     far = far_off(stamp)
     rows = np.flatnonzero(~far)
     first = int(stamp[rows].min())
-    repairs = Repair.of("samples with stamps far off, dropped", (stamp - first) / _NANO, far)
+    repairs = Repair.of("samples with stamps far off, dropped", (stamp - first) / NANO, far)
     back = np.append(False, np.diff(stamp[rows]) < 0)
-    where = (stamp[rows] - first) / _NANO
+    where = (stamp[rows] - first) / NANO
     if back.any() and len(values) and (kept := _in_file_order(stamp[rows], values[0][rows])) is not None:
         repairs += Repair.of("stamps out of order where positions are in order, only stamps sorted", where, back)
         if len(kept) < len(rows):
@@ -85,7 +84,7 @@ def put_in_order(stamp: np.ndarray, values: Sequence[np.ndarray], name: str) -> 
         ordered = stamp[rows]
     if stand_still(ordered):
         raise InputError(
-            f"{name}: the stamps stand still at {ordered[0] / _NANO:.6f} s ({len(stamp)} samples): without "
+            f"{name}: the stamps stand still at {ordered[0] / NANO:.6f} s ({len(stamp)} samples): without "
             "header.stamp nothing can be differentiated; record again with controller time in it"
         )
     same_stamp = np.append(False, np.diff(ordered) == 0)
@@ -96,7 +95,7 @@ def put_in_order(stamp: np.ndarray, values: Sequence[np.ndarray], name: str) -> 
     if back.any():
         _refuse_two_recordings(stamp, np.sort(rows[~equal]), name)
     other = same_stamp & ~equal
-    times = (ordered - first) / _NANO
+    times = (ordered - first) / NANO
     if other.sum() > max(0.05 * same_stamp.sum(), 0.01 * len(rows)):  # stamps are too coarse
         repairs += Repair.of("samples share a stamp, spread evenly", times, same_stamp)
         return Order(rows, _spread(ordered), tuple(repairs))
@@ -116,8 +115,8 @@ def spacing_of(stamp: np.ndarray, nominal_rate: float | None = None) -> Spacing:
     The rate is that of intervals which hold no missing sample. A nominal rate that agrees with it is taken instead,
     for it has no rounding of stamps in it.
     """
-    interval = np.diff(stamp) / _NANO
-    time = (stamp - stamp[0]) / _NANO
+    interval = np.diff(stamp) / NANO
+    time = (stamp - stamp[0]) / NANO
     # three quarters of the intervals hold no missing sample, or the sampling is irregular and the mean is all there is
     usual = float(np.quantile(interval, 0.75))
     hole = interval > 1.6 * usual
@@ -162,14 +161,14 @@ def match(stamp: np.ndarray, others: np.ndarray, tolerance: float) -> tuple[np.n
     `tolerance` [s]."""
     place = np.interp(stamp - others[0], others - others[0], np.arange(len(others)))
     nearest = np.rint(place).astype(int)
-    return nearest, np.abs(others[nearest] - stamp) <= tolerance * _NANO
+    return nearest, np.abs(others[nearest] - stamp) <= tolerance * NANO
 
 
 def far_off(stamp: np.ndarray) -> np.ndarray:
     """(S,) which of the stamps (S,) [ns] are far from nearly all others: a clock that was not set yet, a torn row."""
     early, late = np.quantile(stamp, [0.05, 0.95], method="nearest")
     middle, length = early + (late - early) // 2, (late - early) / 0.9
-    far = np.abs(stamp - middle) > _FAR_OFF * _NANO + _LENGTHS * length
+    far = np.abs(stamp - middle) > _FAR_OFF * NANO + _LENGTHS * length
     return far if np.count_nonzero(far) <= max(1.0, 0.01 * len(stamp)) else np.zeros(len(stamp), bool)
 
 
@@ -200,12 +199,12 @@ def _refuse_two_recordings(stamp: np.ndarray, rows: np.ndarray, name: str) -> No
     stretches = [(int(in_file[a]), int(in_file[b - 1]), a, b) for a, b in pairwise(edges) if b - a >= _OVERLAP_SAMPLES]
     stretches.sort()
     for (start, end, a, b), (start_2, end_2, place, _) in pairwise(stretches):
-        overlap = (min(end, end_2) - start_2) / _NANO
+        overlap = (min(end, end_2) - start_2) / NANO
         covered = np.searchsorted(in_file[a:b], [start_2, min(end, end_2)])
         if overlap > _OVERLAP_TIME and covered[1] - covered[0] >= _OVERLAP_SAMPLES:
             raise InputError(
                 f"{name}: the controller's clock was set back, or two recordings are in one file: {overlap:.3f} s from "
-                f"{(start_2 - start) / _NANO:.3f} s on are there twice, with other values (sample {place} on); split it"
+                f"{(start_2 - start) / NANO:.3f} s on are there twice, with other values (sample {place} on); split it"
             )
 
 
