@@ -80,11 +80,6 @@ class Braking:
             elif self._still_since is None:
                 self._still_since = float(self._times[0])
 
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """(n,)."""
-        return self._limit.shape
-
     def forget(self) -> None:
         """Positions of another source, or another clock, follow."""
         self._times, self._positions = self._times[:0], self._positions[:0]
@@ -130,6 +125,7 @@ class Stopping:
         warn: Callable[[str], None],
     ) -> None:
         self._driver = driver
+        self._dof = robot.dof
         self._address = address
         self._freshness = freshness
         self._clock = clock
@@ -259,7 +255,7 @@ class Stopping:
 
     def _take_state(self) -> None:
         try:
-            position = np.asarray(self._driver.status().position, dtype=float).reshape(self._stated.shape)
+            position = np.asarray(self._driver.status().position, dtype=float).reshape(self._dof)
         except (DriverError, ValueError):  # no answer, or one of another arm
             return
         with self._lock:
