@@ -30,7 +30,7 @@ def test_an_authorised_new_motion_runs_slowly_and_does_not_count_as_a_first_run(
     slow, fast = program(FIRST_SPEED), program(0.4)
     word = replace(authorisation(slow), unseen=True)
     assert bench.run(slow, bench.open(yes=False, authorisation=word)) == 1000
-    assert not bench.checked.has("NS16-7", slow.checksum), "nobody watched it"
+    assert not bench.checked.has("NS16-7", slow), "nobody watched it"
     with pytest.raises(InputError, match=r"with nobody there a new motion runs at no more than 0\.25 m/s"):
         bench.run(fast, bench.open(yes=False, authorisation=replace(authorisation(fast), unseen=True)))
     assert bench.controller.starts == 1
@@ -54,6 +54,25 @@ def test_a_program_new_to_a_machine_runs_slowly_first(bench, program):
     assert not bench.open().needs_slow_run(slow), "no slower than slow"
 
 
+def test_a_known_program_runs_slowly_again_where_it_begins_elsewhere(bench, program, authorisation):
+    fast, slow = program(0.8), program(0.2)
+
+    def begun(off: float, way: PlannedProgram = fast) -> tuple[Trajectory, ...]:
+        return tuple(replace(chain, q=chain.q + off) for chain in way.chains)
+
+    bench.checked.add("NS16-7", replace(fast, chains=begun(0.0) + begun(0.3)))
+    guard = bench.open()
+    for off in (0.0, -0.019, 0.281, 0.319):
+        assert not guard.needs_slow_run(replace(fast, chains=begun(off))), "where it began or ended before"
+    for off in (-0.021, 0.021, 0.279, np.nan):
+        assert guard.needs_slow_run(replace(fast, chains=begun(off)))
+    assert guard.needs_slow_run(replace(fast, chains=begun(1.0, slow) + begun(1.0)))
+    assert not guard.needs_slow_run(replace(fast, chains=begun(1.0, slow) + begun(0.0))), "slowly to where it began"
+    word = authorisation(fast)
+    with pytest.raises(InputError, match="has never run on serial NS16-7 from here"):
+        bench.open(authorisation=word).needs_slow_run(replace(fast, chains=begun(1.0)))
+
+
 def test_an_emulator_needs_no_slow_run(bench, program):
     bench.controller.status = {"emulator": True}
     assert bench.run(program(0.8)) == 1000
@@ -65,7 +84,7 @@ def test_a_slow_run_that_was_cut_short_does_not_count(bench, program):
     bench.controller.vanish_after = 4
     with pytest.raises(DriverError):
         bench.run(program(0.2))
-    assert not bench.checked.has("NS16-7", program(0.2).checksum)
+    assert not bench.checked.has("NS16-7", program(0.2))
 
 
 def test_an_abandoned_slow_run_does_not_count(bench, program):
@@ -74,30 +93,31 @@ def test_an_abandoned_slow_run_does_not_count(bench, program):
     with guard.motion(program()) as samples:
         next(samples)
     assert bench.controller.stops == 1
-    assert not bench.checked.has("NS16-7", program().checksum)
+    assert not bench.checked.has("NS16-7", program())
 
 
 def test_a_slow_program_counts_as_its_own_first_run(bench, program):
     assert bench.run(program(0.2)) == 1000
-    assert bench.checked.has("NS16-7", program().checksum)
+    assert bench.checked.has("NS16-7", program())
     assert len(json.loads(bench.checked.path.read_text(encoding="utf-8"))["programs"]) == 1
 
 
-def test_stores_the_list_of_checked_programs(tmp_path: Path):
+def test_stores_the_list_of_checked_programs(tmp_path: Path, program):
     checked = CheckedPrograms(tmp_path / "deep" / "checked_programs.json")
-    assert not checked.has("a", "p")
-    checked.add("a", "p")
-    checked.add("a", "p")
-    checked.add("b", "q")
+    p, q = program(0.8), replace(program(0.8), text="PROGRAM q")
+    assert not checked.has("a", p)
+    checked.add("a", p)
+    checked.add("a", p)
+    checked.add("b", q)
     again = CheckedPrograms(checked.path)
-    assert again.has("a", "p")
-    assert again.has("b", "q")
-    assert not again.has("a", "q")
+    assert again.has("a", p)
+    assert again.has("b", q)
+    assert not again.has("a", q)
     assert len(json.loads(checked.path.read_text(encoding="utf-8"))["programs"]) == 2
-    for damage in ("", "[]", '{"schema": "other", "programs": []}', '{"schema": "checked_programs/1"}'):
+    for damage in ("", "[]", '{"schema": "other", "programs": []}', '{"schema": "checked_programs/2"}'):
         checked.path.write_text(damage, encoding="utf-8")
         with pytest.raises(InputError, match="damaged"):
-            again.has("a", "p")
+            again.has("a", p)
 
 
 def read(text: str) -> PlannedProgram:
@@ -126,10 +146,13 @@ def slow_ways(bench, moves: list[Move]) -> list[Trajectory]:
         ([20.0, -20.0] * 5, [20.0, -20.0, 20.0]),  # one cycle: the fourth stretch would be the second again
         ([5.0, 0.0, -5.0, 0.0] * 2, [5.0, 0.0, -5.0, 0.0]),
         ([5.0, 9.0], [5.0, 9.0, 5.0]),  # too short to reach its speed
+        ([0.0, 20.0], [0.0, 20.0, 0.0]),  # the arm stands at its first point
         ([20.0, -20.0, 20.0, -20.0, 40.0], [20.0, -20.0, 20.0, -20.0, 40.0, 20.0]),
         # cycles that end where they begin are left out, what is new after them is not
         ([20.0, -20.0, 20.0, -20.0, 20.0, -20.0, 20.0, 40.0, 20.0], [20.0, -20.0, 20.0, 40.0, 20.0]),
         ([20.0, 40.0, 20.0, 40.0, 20.0, -20.0], [20.0, 40.0, 20.0, -20.0, 20.0]),
+        # known stretches at the end lead back to where the program begins
+        ([20.0, 9.0, -20.0, 20.0, 40.0, 9.0, -20.0, 20.0], [20.0, 9.0, -20.0, 20.0, 40.0, 9.0, -20.0, 20.0]),
         # the way back to the first point begins at the end, which comes before
         ([20.0, -20.0, 40.0, -20.0, 40.0], [20.0, -20.0, 40.0, -20.0, 40.0, 20.0]),
     ],
