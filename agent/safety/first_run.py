@@ -17,7 +17,7 @@ import numpy as np
 from agent.core import InputError, write_atomically
 from agent.motion import Move, Statement, stop_to_stop, way_key
 from agent.safety.planned_program import PlannedProgram
-from agent.safety.preconditions import START_TOLERANCE
+from agent.safety.preconditions import START_TOLERANCE, frames_text
 
 if TYPE_CHECKING:
     from agent.motion import Dialect, Interpolator, Trajectory
@@ -30,6 +30,8 @@ _SLOWEST = 0.01  # PDL2 takes whole percents of speed
 #: Beside the runs.
 FILE = "checked_programs.json"
 _SCHEMA = "checked_programs/2"
+#: What makes a motion another one: the machine, the text, and the frames that it leaves to the controller.
+_KEY = ("serial", "program", "frames")
 
 
 class CheckedPrograms:
@@ -48,7 +50,8 @@ class CheckedPrograms:
         Raises:
             InputError: the file is damaged.
         """
-        places = self._entries().get((serial, program.checksum), {"places": []})["places"]
+        key = serial, program.checksum, frames_text(program.frames)
+        places = self._entries().get(key, {"places": []})["places"]
         fast = [chain.q[0] for chain in program.chains if not np.max(chain.path_speed) <= FIRST_SPEED]
         return _among(places, fast[0]) if fast else bool(places)
 
@@ -58,25 +61,24 @@ class CheckedPrograms:
         Raises:
             AgentError: the file cannot be written, or it is damaged.
         """
-        entries, checksum = self._entries(), program.stands_for or program.checksum
-        now = datetime.now(UTC).isoformat(timespec="seconds")
-        new = {"serial": serial, "program": checksum, "at": now, "places": []}
-        places = entries.setdefault((serial, checksum), new)["places"]
+        entries = self._entries()
+        key = serial, program.stands_for or program.checksum, frames_text(program.frames)
+        new = dict(zip(_KEY, key, strict=True)) | {"at": datetime.now(UTC).isoformat(timespec="seconds"), "places": []}
+        places = entries.setdefault(key, new)["places"]
         ends = program.chains[0].q[0], program.chains[-1].q[-1]
         places += [place.tolist() for place in ends if not _among(places, place)]
         self.path.parent.mkdir(parents=True, exist_ok=True)
         content = {"schema": _SCHEMA, "programs": [*entries.values()]}
         write_atomically(self.path, json.dumps(content, indent=2) + "\n")
 
-    def _entries(self) -> dict[tuple[str, str], dict[str, Any]]:
-        """By serial and program."""
+    def _entries(self) -> dict[tuple[str, ...], dict[str, Any]]:
         try:
             data = json.loads(self.path.read_text(encoding="utf-8"))
             if data["schema"] != _SCHEMA:
                 raise ValueError(f"schema {data['schema']!r}")
             for entry in data["programs"]:
                 entry["places"] = np.asarray(entry["places"], dtype=float).tolist()
-            return {(entry["serial"], entry["program"]): entry for entry in data["programs"]}
+            return {tuple(entry[key] for key in _KEY): entry for entry in data["programs"]}
         except FileNotFoundError:
             return {}
         except (OSError, ValueError, KeyError, TypeError) as error:

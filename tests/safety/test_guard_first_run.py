@@ -54,7 +54,7 @@ def test_a_program_new_to_a_machine_runs_slowly_first(bench, program):
     assert not bench.open().needs_slow_run(slow), "no slower than slow"
 
 
-def test_a_known_program_runs_slowly_again_where_it_begins_elsewhere(bench, program, authorisation):
+def test_a_known_program_runs_slowly_again_with_another_start_or_tool(bench, program, authorisation):
     fast, slow = program(0.8), program(0.2)
 
     def begun(off: float, way: PlannedProgram = fast) -> tuple[Trajectory, ...]:
@@ -68,9 +68,12 @@ def test_a_known_program_runs_slowly_again_where_it_begins_elsewhere(bench, prog
         assert guard.needs_slow_run(replace(fast, chains=begun(off)))
     assert guard.needs_slow_run(replace(fast, chains=begun(1.0, slow) + begun(1.0)))
     assert not guard.needs_slow_run(replace(fast, chains=begun(1.0, slow) + begun(0.0))), "slowly to where it began"
-    word = authorisation(fast)
+    frames = {"$TOOL": np.eye(4) + 0.01}
+    assert guard.needs_slow_run(replace(fast, frames=frames)), "another way, as the controller has another tool"
+    bench.checked.add("NS16-7", replace(fast, frames=frames))
+    assert not guard.needs_slow_run(replace(fast, frames=frames))
     with pytest.raises(InputError, match="has never run on serial NS16-7 from here"):
-        bench.open(authorisation=word).needs_slow_run(replace(fast, chains=begun(1.0)))
+        bench.open(authorisation=authorisation(fast)).needs_slow_run(replace(fast, chains=begun(1.0)))
 
 
 def test_an_emulator_needs_no_slow_run(bench, program):
