@@ -125,7 +125,6 @@ class GuardedLink:
         with self._advice("check that the controller is on and reachable, then run the command again"):
             self._driver.connect()
             identity, status = self._driver.identify(), self._driver.status()
-        gc.freeze()  # all that is here stays: to look through it again takes up to a second, in which nobody watches
         check_identity(identity, self.robot, self.address)
         if not identity.watch_only:
             check_period(identity, self._rate, self.address)
@@ -227,7 +226,7 @@ class GuardedLink:
             over = True
 
         given = samples()
-        gc.freeze()
+        gc.freeze()  # all that is here stays: to look through it again takes up to a second, in which nobody watches
         # Closed last, after any stop, and here: whoever keeps an error keeps what is left of the samples with it, and
         # a watch that ends with the interpreter would wait for a thread that is gone.
         with closing(given), stop_to_come():

@@ -162,9 +162,9 @@ class Stopping:
 
     def turn(self, stalled: float = 0.0) -> None:
         """Look at the arm, some times a second from the request on; this process stood still for `stalled` [s]."""
-        if self.since is None or self.over or self.seen:
-            return
-        with self._lock:
+        with self._lock:  # or the stop may end between the look and what follows it
+            if self.since is None or self.over or self.seen:
+                return
             self._excused = min(self._excused + stalled, EXCUSED)
             passed = self._clock() - self.since - self._excused
             if not self._shown:

@@ -66,7 +66,8 @@ def test_a_known_program_runs_slowly_again_with_another_start_or_tool(bench, pro
         assert not guard.needs_slow_run(replace(fast, chains=begun(off))), "where it began or ended before"
     for off in (-0.021, 0.021, 0.279, np.nan):
         assert guard.needs_slow_run(replace(fast, chains=begun(off)))
-    assert guard.needs_slow_run(replace(fast, chains=begun(1.0, slow) + begun(1.0)))
+    for way in (begun(1.0, slow) + begun(1.0), begun(1.0, program(np.nan))):
+        assert guard.needs_slow_run(replace(fast, chains=way))
     assert not guard.needs_slow_run(replace(fast, chains=begun(1.0, slow) + begun(0.0))), "slowly to where it began"
     frames = {"$TOOL": np.eye(4) + 0.01}
     assert guard.needs_slow_run(replace(fast, frames=frames)), "another way, as the controller has another tool"

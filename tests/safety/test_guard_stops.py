@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import threading
 from dataclasses import replace
 
@@ -129,12 +130,16 @@ def test_an_unconfirmed_stop_closes_the_link_with_a_message(bench, program):
 
 
 def test_closing_in_motion_stops_the_arm_first(bench, program):
+    """And in motion nothing that was there before is looked through for garbage: nobody watches meanwhile."""
     guard = bench.open()
     guard.send(program())
+    gc.unfreeze()
     left = guard.motion(program())
     next(left.__enter__())
+    assert gc.get_freeze_count() > 0
     guard.close()
     assert bench.controller.stops == 1
+    assert gc.get_freeze_count() == 0
 
 
 def test_a_closed_link_refuses_requests(bench):

@@ -157,18 +157,14 @@ def test_reports_an_arm_that_moves_after_a_stop_and_an_end(ended, looks):
     assert link.watch.stopping.disobeyed is looks
 
 
-def test_samples_of_another_number_of_joints_are_a_fault():
+@pytest.mark.parametrize(
+    ("times", "joints", "said"), [((5.0,), 5, "sent samples of 5 joints"), ((5.0, 4.0, 2.0), 6, r"back by 1\.1 s")]
+)
+def test_reports_the_first_fault_of_samples(times, joints, said):
     link = Link()
-    block = link.block(5.0)
-    link.script = iter([replace(block, position=block.position[:, :5])])
-    with pytest.raises(ControllerError, match="sent samples of 5 joints"):
-        list(link.watch.samples())
-
-
-def test_reports_the_first_fault():
-    link = Link()
-    link.script = iter([link.block(5.0), link.block(4.0), link.block(2.0)])
-    with pytest.raises(ControllerError, match=r"back by 1\.1 s"):
+    blocks = [link.block(time) for time in times]
+    link.script = iter([replace(block, position=block.position[:, :joints]) for block in blocks])
+    with pytest.raises(ControllerError, match=said):
         list(link.watch.samples())
 
 
