@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import threading
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -14,6 +15,7 @@ from agent.safety import GuardedLink, PlannedProgram
 from drivers.errors import DriverError, RefusedError
 from drivers.transports.frames.driver import TcpDriver
 from drivers.wire.reasons import Refusal
+from tests.conftest import patience
 from tests.safety.following import HOME
 
 
@@ -99,11 +101,27 @@ def test_a_refused_start_is_not_repeated_and_not_stopped(bench, program):
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, OSError, AgentError, SystemExit])
 def test_any_sample_error_stops_the_arm(bench, error, program):
-    guard = bench.open()
+    asked, order, began = threading.Event(), [], time.monotonic()
+
+    class Told(TcpDriver):
+        def stop(self):
+            asked.set()
+            super().stop()
+
+        def samples(self):
+            order.append("samples")
+            try:
+                yield from super().samples()
+            finally:
+                order.append(f"ended, stop asked for: {asked.wait(patience(2.0))}")
+
+    bench.driver = Told
+    guard = bench.open(clock=lambda: time.monotonic() if asked.is_set() else began)  # nobody else asks for a stop
     guard.send(program())
     with pytest.raises(error):
         _take_and_raise(guard, program(), error)
     assert (bench.controller.starts, bench.controller.stops) == (1, 1)
+    assert order == ["samples", "ended, stop asked for: True"] * 2
     ended = [f"{bench.address}: the arm was stopped and stands; the log of this motion ends here"]
     assert bench.warned == ([] if issubclass(error, Exception) else ended), "somebody ended the program, or it failed"
 
@@ -140,11 +158,6 @@ def test_closing_in_motion_stops_the_arm_first(bench, program):
     guard.close()
     assert bench.controller.stops == 1
     assert gc.get_freeze_count() == 0
-
-
-def test_a_closed_link_refuses_requests(bench):
-    guard = bench.open()
-    guard.close()
     with pytest.raises(DriverError, match="connect first"):
         guard.position()
 
