@@ -35,7 +35,7 @@ _KEY = ("serial", "program", "frames")
 
 
 class CheckedPrograms:
-    """Programs by their SHA-256 (hex), machines by their serial.
+    """Programs by their SHA-256 (hex), machines by their serial, or by their address if they tell none.
 
     Args:
         path: the file; read when it is asked, so that what another run adds counts.

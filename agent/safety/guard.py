@@ -158,7 +158,7 @@ class GuardedLink:
         Raises:
             InputError: it has to, and nobody is there to watch.
         """
-        if self._emulator or self._checked.has(self.identity.serial, program):
+        if self._emulator or self._checked.has(self.identity.serial or self.address, program):
             return False
         if self._unseen:
             if not program.speed <= FIRST_SPEED:
@@ -254,7 +254,7 @@ class GuardedLink:
             finally:
                 self._watch = None
         if over and program.chains and not self._emulator and not self._unseen:  # it moved, slowly or known before
-            self._checked.add(self.identity.serial, program)
+            self._checked.add(self.identity.serial or self.address, program)
 
     @property
     def lost(self) -> int:

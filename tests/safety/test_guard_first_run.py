@@ -52,6 +52,10 @@ def test_a_program_new_to_a_machine_runs_slowly_first(bench, program):
     bench.controller = replace(bench.controller, serial="NS16-8")
     assert bench.open().needs_slow_run(fast), "another machine"
     assert not bench.open().needs_slow_run(slow), "no slower than slow"
+    bench.controller = replace(bench.controller, serial="")
+    bench.run(slow)
+    assert not bench.guard.needs_slow_run(fast)
+    assert bench.open().needs_slow_run(fast), "another machine that tells no serial"
 
 
 def test_a_known_program_runs_slowly_again_with_another_start_or_tool(bench, program, authorisation):
@@ -64,9 +68,8 @@ def test_a_known_program_runs_slowly_again_with_another_start_or_tool(bench, pro
     guard = bench.open()
     for off in (0.0, -0.019, 0.281, 0.319):
         assert not guard.needs_slow_run(replace(fast, chains=begun(off))), "where it began or ended before"
-    for off in (-0.021, 0.021, 0.279, np.nan):
-        assert guard.needs_slow_run(replace(fast, chains=begun(off)))
-    for way in (begun(1.0, slow) + begun(1.0), begun(1.0, program(np.nan))):
+    elsewhere = [begun(off) for off in (-0.021, 0.021, 0.279, np.nan)]
+    for way in (*elsewhere, begun(1.0, slow) + begun(1.0), begun(1.0, program(np.nan))):
         assert guard.needs_slow_run(replace(fast, chains=way))
     assert not guard.needs_slow_run(replace(fast, chains=begun(1.0, slow) + begun(0.0))), "slowly to where it began"
     frames = {"$TOOL": np.eye(4) + 0.01}
