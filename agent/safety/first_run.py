@@ -63,7 +63,8 @@ class CheckedPrograms:
         """
         entries = self._entries()
         key = serial, program.stands_for or program.checksum, frames_text(program.frames)
-        new = dict(zip(_KEY, key, strict=True)) | {"at": datetime.now(UTC).isoformat(timespec="seconds"), "places": []}
+        now = datetime.now(UTC).isoformat(timespec="seconds")
+        new: dict[str, Any] = {**dict(zip(_KEY, key, strict=True)), "at": now, "places": []}
         places = entries.setdefault(key, new)["places"]
         ends = program.chains[0].q[0], program.chains[-1].q[-1]
         places += [place.tolist() for place in ends if not _among(places, place)]
