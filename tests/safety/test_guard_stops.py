@@ -38,18 +38,12 @@ def test_follows_a_stop_already_in_progress(bench, program):
     assert sent == [1]
 
 
-def test_a_lost_link_is_reported_with_what_to_do(bench, program):
-    bench.controller.vanish_after = 4
+@pytest.mark.parametrize("told", [{"vanish_after": 4}, {"lose_answer": True}])
+def test_a_lost_link_is_reported_with_what_to_do_and_no_start_is_repeated(bench, program, told):
+    bench.controller = replace(bench.controller, **told)
     with pytest.raises(DriverError, match=r"make sure that the arm rests.*run the command again") as dropped:
         bench.run(program())
     assert dropped.value.exit_code == 4
-    assert bench.controller.starts == 1
-
-
-def test_a_start_without_an_answer_is_not_repeated(bench, program):
-    bench.controller.lose_answer = True
-    with pytest.raises(DriverError, match="make sure that the arm rests"):
-        bench.run(program())
     assert bench.controller.starts == 1
 
 
