@@ -139,6 +139,9 @@ def test_an_unconfirmed_stop_closes_the_link_with_a_message(bench, program):
     assert "not confirmed" in bench.warned[0]
     with pytest.raises(DriverError, match="connect first"):
         guard.position()
+    bench.controller = replace(bench.controller, blocks=10**6, later={"override": 0.9})
+    with pytest.raises(SafetyError, match="90 %.*the stop was not confirmed"):
+        bench.run(program())
 
 
 def test_closing_in_motion_stops_the_arm_first(bench, program):
