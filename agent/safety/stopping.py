@@ -170,7 +170,7 @@ class Stopping:
             if not self._shown:
                 self._look_at_state()
             if self._braking.stands:
-                self._end_without_a_word(passed)
+                self._end_without_a_word()
             elif len(self._sent) == 1 and not (passed < AGAIN or self._braking.brakes):
                 self._send()
             elif not passed < (STANDS if self._braking.brakes else LET_GO):
@@ -207,7 +207,7 @@ class Stopping:
         """Whether samples tell what the arm does now, and not what it did before the stop could act."""
         return not self._ended and self._freshness.age <= RECENT
 
-    def _end_without_a_word(self, passed: float) -> None:
+    def _end_without_a_word(self) -> None:
         if not self._braking.rested < NO_END and (self._shown or not self._freshness.silent < LET_GO):
             self.seen = "the arm stands, but the controller does not report the end of the motion; the link was closed"
             self._close()

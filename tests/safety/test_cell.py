@@ -86,11 +86,8 @@ def test_the_first_collision_is_named_with_its_time_and_depth(trajectory_through
     text = str(report.collision)
     assert "tool and keep-out table are in collision" in text
     assert f"{1000 * report.collision.depth:.1f} mm deep" in text
-
-
-def test_reports_a_start_in_collision(trajectory_through):
-    report = Cell(ROBOT, tool(), [TABLE]).check(trajectory_through([DOWN, REACHING]))
-    assert (report.collision.index, report.collision.time) == (0, 0.0)
+    at_once = cell.check(trajectory_through([DOWN, REACHING])).collision
+    assert (at_once.index, at_once.time) == (0, 0.0)
 
 
 def test_joint_positions_alone_are_a_motion_without_times():

@@ -140,7 +140,7 @@ def test_an_unconfirmed_stop_closes_the_link_with_a_message(bench, program):
     with pytest.raises(DriverError, match="connect first"):
         guard.position()
     bench.controller = replace(bench.controller, blocks=10**6, later={"override": 0.9})
-    with pytest.raises(SafetyError, match="90 %.*the stop was not confirmed"):
+    with pytest.raises(SafetyError, match=r"90 %.*the stop was not confirmed"):
         bench.run(program())
 
 
