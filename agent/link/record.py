@@ -289,8 +289,7 @@ def record_program_file(
 
 def _free(path: Path) -> Path:
     """The path, with a number appended if the file exists already."""
-    number = 1
-    free = path
+    free, number = path, 1
     while free.exists():
         number += 1
         free = path.with_suffix(f".{number}{path.suffix}")

@@ -114,12 +114,12 @@ def test_stores_the_list_of_checked_programs(tmp_path: Path, program):
     p, q = program(0.8), replace(program(0.8), text="PROGRAM q")
     assert not checked.has("a", p)
     checked.add("a", p)
+    written = checked.path.stat().st_ino
     checked.add("a", p)
+    assert checked.path.stat().st_ino == written, "nothing was new"
     checked.add("b", q)
     again = CheckedPrograms(checked.path)
-    assert again.has("a", p)
-    assert again.has("b", q)
-    assert not again.has("a", q)
+    assert [again.has(*one) for one in (("a", p), ("b", q), ("a", q))] == [True, True, False]
     assert len(json.loads(checked.path.read_text(encoding="utf-8"))["programs"]) == 2
     for damage in ("", "[]", '{"schema": "other", "programs": []}', '{"schema": "checked_programs/2"}'):
         checked.path.write_text(damage, encoding="utf-8")
