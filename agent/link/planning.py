@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
@@ -13,8 +14,9 @@ from agent.recipe import Recipe
 from agent.safety import PlannedProgram, pauses
 
 if TYPE_CHECKING:
-    from agent.motion import Interpolator, Statement, Trajectory
+    from agent.motion import Interpolator, Move, Statement, Trajectory
     from agent.robot import Tool, TorqueLimits
+    from agent.safety import CellReport
 
 #: Torques are checked at every tenth set-point, as in a search.
 _EVERY = 10
@@ -47,16 +49,23 @@ def plan_program(
 
     program = recipe.dialect.read(text, path, recipe.robot)
     statements = tuple(program.run())
-    chains = tuple(trajectories(recipe, statements, start))
-    for chain in {id(chain): chain for chain in chains}.values():
-        check_cell(recipe, chain)
-        check_load(limits, chain)
+    chains: list[Trajectory] = []
+    for moves, chain in trajectories(recipe, statements, start):
+        if all(chain is not one for one in chains):
+            if (found := _in_cell(recipe, chain).collision) is not None:
+                line = moves[int(chain.move[found.index])].line
+                found = replace(found, time=(found.time or 0.0) + sum(one.duration for one in chains))
+                raise InputError(f"{path}:{line}: {found}: change this move, or move the arm to another start position")
+            check_load(limits, chain)
+        chains.append(chain)
     frames = left_open(statements, recipe.tool, recipe.dialect.frame_names)
-    return PlannedProgram(program.name, text, chains, stands_for, (), pauses(statements), frames, statements)
+    return PlannedProgram(program.name, text, tuple(chains), stands_for, (), pauses(statements), frames, statements)
 
 
-def trajectories(recipe: Recipe, statements: Iterable[Statement], start: np.ndarray) -> list[Trajectory]:
-    """Set-points of a program from stop to stop for an arm that stands at `start` (n,), unchecked: not to be run.
+def trajectories(
+    recipe: Recipe, statements: Iterable[Statement], start: np.ndarray
+) -> Iterator[tuple[list[Move], Trajectory]]:
+    """Moves and set-points of a program from stop to stop, for an arm that stands at `start` (n,): unchecked.
 
     Where it makes the same way again, the trajectory is the same object. What moves nothing is left out.
 
@@ -66,7 +75,6 @@ def trajectories(recipe: Recipe, statements: Iterable[Statement], start: np.ndar
     from agent.motion import stop_to_stop, way_key
 
     interpolator = interpolator_of(recipe)
-    chains: list[Trajectory] = []
     known: dict[tuple[object, ...], list[Trajectory]] = {}
     for moves in stop_to_stop(statements):
         alike = known.setdefault(way_key(moves), [])
@@ -75,9 +83,8 @@ def trajectories(recipe: Recipe, statements: Iterable[Statement], start: np.ndar
             chain = interpolator.plan(moves, start)
             alike.append(chain)
         if np.ptp(chain.q, axis=0).any():
-            chains.append(chain)
+            yield moves, chain
             start = chain.q[-1]
-    return chains
 
 
 @lru_cache(maxsize=4)
@@ -89,16 +96,17 @@ def interpolator_of(recipe: Recipe) -> Interpolator:
 
 
 def check_cell(recipe: Recipe, trajectory: Trajectory) -> None:
-    """The arm keeps clear of itself and of the keep-out boxes along a trajectory, and could stop on its way.
+    """The arm keeps clear of itself and of the keep-out boxes along a planned loop, and could stop on its way.
 
     Raises:
         InputError: names where, what touches what, and how deep.
     """
-    report = _cell(recipe).check_with_stopping(trajectory, margin=recipe.motion.settings.fly_distance)
-    if report.collision is not None:
-        raise InputError(
-            f"{report.collision}: move or shrink motion.via_points, or move the arm to another start position"
-        )
+    if (found := _in_cell(recipe, trajectory).collision) is not None:
+        raise InputError(f"{found}: move or shrink motion.via_points")
+
+
+def _in_cell(recipe: Recipe, trajectory: Trajectory) -> CellReport:
+    return _cell(recipe).check_with_stopping(trajectory, margin=recipe.motion.settings.fly_distance)
 
 
 def torque_limits(recipe: Recipe, load: Tool, console: Console) -> TorqueLimits:

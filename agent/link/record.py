@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from agent.core import Console
+from agent.core import Console, InputError
 from agent.link.alignment import Aligner
 from agent.link.controller import create_driver, torque_facts
 from agent.link.planning import interpolator_of, plan_program, torque_limits
@@ -121,7 +121,7 @@ class RobotLink:
     def run(self, program: PlannedProgram, log: Path, motion: str, place: MotionOfMany = MotionOfMany()) -> Recording:
         """Upload, check, start once, and record until the program ends.
 
-        A program that is new to a machine runs slowly first, into a separate log.
+        A program that is new to a machine, or begins elsewhere, runs slowly first, into a separate log.
 
         Args:
             program: what `plan` returned; its set-points are written to the log together with the controller's.
@@ -139,10 +139,10 @@ class RobotLink:
         """Run the slow version; returns the program planned anew, from where the arm stands now."""
         recipe, start = self._recipe, self.position()
         text = slow_text(program, recipe.robot, recipe.dialect, interpolator_of(recipe), start)
-        slow = self.plan(text, program.name, start, stands_for=program.checksum)
+        slow = self.plan(text, f"first run of {program.name}", start, stands_for=program.checksum)
         self._console.step(
-            f"{program.name} is new to serial {self.identity.serial}: first at no more than {FIRST_SPEED:g} m/s, "
-            f"{slow.duration:.0f} s of motion; watch it"
+            f"{program.name} is new to serial {self.identity.serial} from here: first at no more than "
+            f"{FIRST_SPEED:g} m/s, {slow.duration:.0f} s of motion; watch it"
         )
         self._record(slow, _free(log.with_suffix(".first_run.mcap")), "first_run")
         return self.plan(program.text, program.name)
@@ -188,14 +188,8 @@ class RobotLink:
             if aligner.samples == 0:
                 log.unlink(missing_ok=True)  # nothing has moved, or nothing is known of it
         felt = [tuple(values.tolist()) for _, values in guard.temperatures]
-        return Recording(
-            log,
-            aligner.samples,
-            writer.lost,
-            aligner.elapsed,
-            tuple(aligner.cycle_starts),
-            (felt[0], felt[-1]) if felt else (),
-        )
+        ends = (felt[0], felt[-1]) if felt else ()
+        return Recording(log, aligner.samples, writer.lost, aligner.elapsed, tuple(aligner.cycle_starts), ends)
 
 
 @contextmanager
@@ -267,7 +261,6 @@ def record_program_file(
         InputError: the program cannot be parsed or planned, or the log exists; a payload that is none, or a motion
             that was planned with another, or with one that nobody has confirmed.
     """
-    from agent.core import InputError
     from agent.link.mounted_mass import check_payload, known_of
     from agent.model import known_payload
 
@@ -296,8 +289,7 @@ def record_program_file(
 
 def _free(path: Path) -> Path:
     """The path, with a number appended if the file exists already."""
-    number = 1
-    free = path
+    free, number = path, 1
     while free.exists():
         number += 1
         free = path.with_suffix(f".{number}{path.suffix}")

@@ -170,10 +170,10 @@ def _task_poses(recipe: Recipe, path: Path) -> np.ndarray:
 
     kinematics = kinematics_for(recipe.robot, recipe.tool)
     text, dialect = _job(recipe, path)[0], dialect_of(path) or recipe.dialect
-    chains = trajectories(recipe, dialect.read(text, str(path), recipe.robot).run(), kinematics.middle)
-    if not chains:
+    ways = list(trajectories(recipe, dialect.read(text, str(path), recipe.robot).run(), kinematics.middle))
+    if not ways:
         raise InputError(f"{path}: nothing in this program moves the arm; name the program that does")
-    job = chains[1:] or chains  # the first leads from an arbitrary start to the job
+    job = [chain for _, chain in ways[1:] or ways]  # the first leads from an arbitrary start to the job
     return np.concatenate([kinematics.forward(chain.q[::25]) for chain in job])
 
 

@@ -166,7 +166,7 @@ def recalibration_page(
 ) -> str:
     """HTML of a recalibration's report; `program` is the text of the loop, `prediction` is of its `log` in `run`."""
     statements = recipe.dialect.read(program, "program", recipe.robot).run()
-    *_, cycle = trajectories(recipe, statements, log.position[0])
+    *_, (_, cycle) = trajectories(recipe, statements, log.position[0])
     loop = ShownLoop(recipe, cycle, np.array(result["loop"]["via_points"]), len(log.cycle_starts))
     ends = [*log.cycle_starts, float(log.t[-1])] if log.cycle_starts else [0.0, float(log.t[-1])]
     cycles = [slice(*np.searchsorted(prediction.time, pair)) for pair in pairwise(ends)]

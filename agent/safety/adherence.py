@@ -186,12 +186,7 @@ class Adherence:
         return self._wrong("position", measured[k], speed[k], MEASURED, time[k], np.arange(begin[k], end[k] + 1))
 
     def _fitting(
-        self,
-        what: str,
-        positions: np.ndarray,
-        allowed: Tolerance,
-        time: np.ndarray,
-        ways: np.ndarray,
+        self, what: str, positions: np.ndarray, allowed: Tolerance, time: np.ndarray, ways: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Mask (K, W) of the path points `ways` (W,) that fit positions (K, n), and the speed (K, n) there."""
         speed, over = self._speed(what, allowed.span, time, positions)
@@ -255,11 +250,8 @@ class Adherence:
 
     def _speed(self, what: str, span: float, time: np.ndarray, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(K, n) |speed| over the `span` [s] before each sample, and (K,) the length of that [s]."""
-        if what in self._recent:
-            times, was = self._recent[what]
-            times, was = np.concatenate([times, time]), np.concatenate([was, positions])
-        else:
-            times, was = time, positions
+        times, was = self._recent.get(what, (time[:0], positions[:0]))
+        times, was = np.concatenate([times, time]), np.concatenate([was, positions])
         now = np.arange(len(times) - len(time), len(times))
         since = np.maximum(np.searchsorted(times, time - span, side="right") - 1, 0)
         # Over a shorter way, at first, the noise of a position counts for as much as over a whole one.

@@ -96,12 +96,8 @@ class ClearanceSearch:
             if np.isnan(distances).any():
                 raise InputError("the distance of two bodies is no number; look at the robot's bodies and at the boxes")
             self._note(middle, distances)
-            bounds = distances - along - aside
-            is_open &= self._undecided(stretches, bounds)
-            going_on = is_open.any(axis=1)
-            across_u = np.where(is_open, along, 0.0).max(axis=1) >= np.where(is_open, aside, 0.0).max(axis=1)
-            stretches = _halves(stretches[going_on], across_u[going_on])
-            is_open = np.concatenate([is_open[going_on]] * 2)
+            is_open &= self._undecided(stretches, distances - along - aside)
+            stretches, is_open = _halves(stretches, is_open, along, aside)
 
     def all_keep_margin(self) -> bool:
         """Whether every pair is proved to keep its margin everywhere, so that `run` finds no violation: a motion that
@@ -114,12 +110,9 @@ class ClearanceSearch:
             if not (distances >= self.margin).all():
                 return False
             is_open &= ~(distances - along - aside >= self.margin)
-            going_on = is_open.any(axis=1)
-            if not going_on.any():
+            if not is_open.any():
                 return True
-            across_u = np.where(is_open, along, 0.0).max(axis=1) >= np.where(is_open, aside, 0.0).max(axis=1)
-            stretches = _halves(stretches[going_on], across_u[going_on])
-            is_open = np.concatenate([is_open[going_on]] * 2)
+            stretches, is_open = _halves(stretches, is_open, along, aside)
         return False
 
     def clearances(self) -> dict[tuple[str, str], float]:
@@ -190,14 +183,19 @@ def _middle(stretches: np.ndarray) -> np.ndarray:
     return (stretches[:, [0, 2]] + stretches[:, [1, 3]]) / 2
 
 
-def _halves(stretches: np.ndarray, across_u: np.ndarray) -> np.ndarray:
-    """Each stretch cut in the middle of u, or of s."""
+def _halves(
+    stretches: np.ndarray, is_open: np.ndarray, along: np.ndarray, aside: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Each stretch that is open for a pair, cut in the middle of u, or of s, and what is open there."""
+    going_on = is_open.any(axis=1)
+    across_u = np.where(is_open, along, 0.0).max(axis=1) >= np.where(is_open, aside, 0.0).max(axis=1)
+    stretches, is_open, across_u = stretches[going_on], is_open[going_on], across_u[going_on]
     lower, upper = stretches.copy(), stretches.copy()
     rows, column = np.arange(len(stretches)), np.where(across_u, 0, 2)
     middle = (stretches[rows, column] + stretches[rows, column + 1]) / 2
     lower[rows, column + 1] = middle
     upper[rows, column] = middle
-    return np.concatenate([lower, upper])
+    return np.concatenate([lower, upper]), np.concatenate([is_open, is_open])
 
 
 def _cumulated(values: np.ndarray) -> np.ndarray:

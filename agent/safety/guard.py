@@ -125,7 +125,6 @@ class GuardedLink:
         with self._advice("check that the controller is on and reachable, then run the command again"):
             self._driver.connect()
             identity, status = self._driver.identify(), self._driver.status()
-        gc.freeze()  # all that is here stays: to look through it again takes up to a second, in which nobody watches
         check_identity(identity, self.robot, self.address)
         if not identity.watch_only:
             check_period(identity, self._rate, self.address)
@@ -154,12 +153,12 @@ class GuardedLink:
         return self._authorisation is not None and self._authorisation.unseen
 
     def needs_slow_run(self, program: PlannedProgram) -> bool:
-        """Whether the program has to run slowly first: a machine, and a program that is new to it.
+        """Whether the program has to run slowly first: a machine, and a program that is new to it from where it begins.
 
         Raises:
             InputError: it has to, and nobody is there to watch.
         """
-        if self._emulator or self._checked.has(self.identity.serial, program.checksum):
+        if self._emulator or self._checked.has(self.identity.serial or self.address, program):
             return False
         if self._unseen:
             if not program.speed <= FIRST_SPEED:
@@ -170,8 +169,8 @@ class GuardedLink:
             return False
         if self._authorisation is not None:
             raise InputError(
-                f"{self.address}: program {program.checksum[:12]}… has never run on serial {self.identity.serial} with "
-                f"somebody watching ({self._checked.path} does not list it); run it once with --yes and no "
+                f"{self.address}: program {program.checksum[:12]}… has never run on serial {self.identity.serial} from "
+                f"here with somebody watching ({self._checked.path} does not list it); run it once with --yes and no "
                 "authorisation"
             )
         return not program.speed <= FIRST_SPEED
@@ -227,7 +226,7 @@ class GuardedLink:
             over = True
 
         given = samples()
-        gc.freeze()
+        gc.freeze()  # all that is here stays: to look through it again takes up to a second, in which nobody watches
         # Closed last, after any stop, and here: whoever keeps an error keeps what is left of the samples with it, and
         # a watch that ends with the interpreter would wait for a thread that is gone.
         with closing(given), stop_to_come():
@@ -255,7 +254,7 @@ class GuardedLink:
             finally:
                 self._watch = None
         if over and program.chains and not self._emulator and not self._unseen:  # it moved, slowly or known before
-            self._checked.add(self.identity.serial, program.stands_for or program.checksum)
+            self._checked.add(self.identity.serial or self.address, program)
 
     @property
     def lost(self) -> int:
@@ -291,8 +290,8 @@ class GuardedLink:
             )
         if self.needs_slow_run(program):
             raise ControllerError(
-                f"{self.address}: program {program.name!r} has never run on serial {self.identity.serial}; its first "
-                f"run must not exceed {FIRST_SPEED:g} m/s, this one reaches {program.speed:.2f} m/s"
+                f"{self.address}: program {program.name!r} has never run on serial {self.identity.serial} from here; "
+                f"its first run must not exceed {FIRST_SPEED:g} m/s, this one reaches {program.speed:.2f} m/s"
             )
         with self._advice("check the link, then run the command again"):
             status = self._driver.status()

@@ -80,11 +80,6 @@ class Braking:
             elif self._still_since is None:
                 self._still_since = float(self._times[0])
 
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """(n,)."""
-        return self._limit.shape
-
     def forget(self) -> None:
         """Positions of another source, or another clock, follow."""
         self._times, self._positions = self._times[:0], self._positions[:0]
@@ -130,6 +125,7 @@ class Stopping:
         warn: Callable[[str], None],
     ) -> None:
         self._driver = driver
+        self._dof = robot.dof
         self._address = address
         self._freshness = freshness
         self._clock = clock
@@ -166,15 +162,15 @@ class Stopping:
 
     def turn(self, stalled: float = 0.0) -> None:
         """Look at the arm, some times a second from the request on; this process stood still for `stalled` [s]."""
-        if self.since is None or self.over or self.seen:
-            return
-        with self._lock:
+        with self._lock:  # or the stop may end between the look and what follows it
+            if self.since is None or self.over or self.seen:
+                return
             self._excused = min(self._excused + stalled, EXCUSED)
             passed = self._clock() - self.since - self._excused
             if not self._shown:
                 self._look_at_state()
             if self._braking.stands:
-                self._end_without_a_word(passed)
+                self._end_without_a_word()
             elif len(self._sent) == 1 and not (passed < AGAIN or self._braking.brakes):
                 self._send()
             elif not passed < (STANDS if self._braking.brakes else LET_GO):
@@ -211,7 +207,7 @@ class Stopping:
         """Whether samples tell what the arm does now, and not what it did before the stop could act."""
         return not self._ended and self._freshness.age <= RECENT
 
-    def _end_without_a_word(self, passed: float) -> None:
+    def _end_without_a_word(self) -> None:
         if not self._braking.rested < NO_END and (self._shown or not self._freshness.silent < LET_GO):
             self.seen = "the arm stands, but the controller does not report the end of the motion; the link was closed"
             self._close()
@@ -259,7 +255,7 @@ class Stopping:
 
     def _take_state(self) -> None:
         try:
-            position = np.asarray(self._driver.status().position, dtype=float).reshape(self._stated.shape)
+            position = np.asarray(self._driver.status().position, dtype=float).reshape(self._dof)
         except (DriverError, ValueError):  # no answer, or one of another arm
             return
         with self._lock:

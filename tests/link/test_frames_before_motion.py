@@ -54,24 +54,6 @@ def test_reports_both_frames_if_they_differ(broker):
             check_frames("loop", {"$TOOL": np.eye(4)}, driver, "here")
 
 
-def test_a_non_finite_frame_differs():
-    class Lost(TcpDriver):
-        def frames(self):
-            return {"$TOOL": MOUNTED * np.nan}
-
-    with pytest.raises(ControllerError, match=r"\$TOOL is POS\(nan"):
-        check_frames("loop", {"$TOOL": MOUNTED}, Lost("127.0.0.1:1"), "here")
-
-
-def test_refuses_motion_if_the_needed_frame_is_not_reported():
-    class Other(TcpDriver):
-        def frames(self):
-            return {"$UFRAME": MOUNTED}
-
-    with pytest.raises(InputError, match=r"does not set \$TOOL"):
-        check_frames("loop", {"$TOOL": MOUNTED}, Other("127.0.0.1:1"), "here")
-
-
 @pytest.mark.parametrize("wire", [wire for wire in WIRES if wire != "cnr_comau"])
 def test_every_wire_reports_the_active_frames(wire):
     controller = build_controller("comau_ns16", seed=3, clock="fast")
@@ -105,14 +87,18 @@ def test_an_older_controller_reports_no_frames():
     assert modbus.FRAMES.address + modbus.FRAMES.registers <= modbus.COMMAND.address
 
 
-def test_refuses_a_program_without_frames_on_a_link_that_reads_none():
-    class Older(TcpDriver):
-        def frames(self):
-            return {}
-
-    driver = Older("127.0.0.1:1")
+@pytest.mark.parametrize(
+    ("read", "error", "said"),
+    [
+        ({}, InputError, r"does not set \$TOOL.*\$TOOL := POS\(0, 0, 120"),
+        ({"$UFRAME": MOUNTED}, InputError, r"does not set \$TOOL.*\$TOOL := POS\(0, 0, 120"),
+        ({"$TOOL": MOUNTED * np.nan}, ControllerError, r"\$TOOL is POS\(nan"),
+    ],
+)
+def test_refuses_a_program_whose_frame_is_not_read(read, error, said):
+    driver = type("Told", (TcpDriver,), {"frames": lambda self: read})("127.0.0.1:1")
     check_frames("loop", {}, driver, "here")
-    with pytest.raises(InputError, match=r"does not set \$TOOL.*\$TOOL := POS\(0, 0, 120"):
+    with pytest.raises(error, match=said):
         check_frames("loop", {"$TOOL": MOUNTED}, driver, "here")
 
 

@@ -16,6 +16,7 @@ from agent.motion import JointTarget, Move, MoveType, Pdl2Settings, with_frames
 from agent.motion.pdl2 import write_program
 from agent.recipe import load_recipe, template
 from agent.robot import Box, TorqueLimits, kinematics_for
+from agent.safety import Cell
 from tests.conftest import ROOT
 
 HOME = np.radians([0.0, 15.0, -90.0, 0.0, 45.0, 0.0])
@@ -32,15 +33,16 @@ def recipe(tmp_path_factory):
 @pytest.fixture
 def checked(monkeypatch):
     """The trajectories that were checked against the cell, by identity."""
-    found, truth = [], planning.check_cell
-    monkeypatch.setattr(planning, "check_cell", lambda recipe, chain: found.append(id(chain)) or truth(recipe, chain))
+    found, truth = [], Cell.check_with_stopping
+    spy = lambda cell, chain, margin: found.append(id(chain)) or truth(cell, chain, margin)  # noqa: E731
+    monkeypatch.setattr(Cell, "check_with_stopping", spy)
     return found
 
 
-def swing(robot, cycles=1):
+def swing(robot, cycles=1, end=THERE):
     settings = with_frames(Pdl2Settings(), None)
-    moves = [Move(MoveType.JOINT, JointTarget(goal), settings) for goal in (THERE, BACK)]
-    return write_program("swing", [*moves * cycles, moves[0]], robot)
+    goals = [THERE, BACK] * cycles + [end]
+    return write_program("swing", [Move(MoveType.JOINT, JointTarget(goal), settings) for goal in goals], robot)
 
 
 class LinkToNewMachine(RobotLink):
@@ -85,8 +87,9 @@ def test_a_link_checks_the_way_from_where_the_arm_stands(recipe):
     post = kinematics_for(recipe.robot).forward((HOME + AWAY)[None] / 2)[0, :3, 3]
     walled = replace(recipe, cell=replace(recipe.cell, keep_out=(Box("post", post - 0.1, post + 0.1),)))
     assert LinkToNewMachine(walled).plan(swing(recipe.robot), "swing.pdl").chains
-    with pytest.raises(InputError, match="post"):
-        LinkToNewMachine(walled, AWAY).plan(swing(recipe.robot), "swing.pdl")
+    for start, end, place in ((AWAY, THERE, r"33: .* 0\.\d+"), (HOME, AWAY, r"38: .* 4\.1\d+")):
+        with pytest.raises(InputError, match=rf"^swing\.pdl:{place} s .* post are .*: change this move, or move"):
+            LinkToNewMachine(walled, start).plan(swing(recipe.robot, 2, end), "swing.pdl")
 
 
 def test_a_first_run_and_what_follows_it_are_checked_too(recipe, checked, tmp_path):

@@ -39,7 +39,7 @@ def test_a_state_change_in_motion_stops_the_arm(bench, later, said, program):
     assert bench.controller.stops >= 1
     assert bench.controller.starts == 1
     assert 3 <= len(taken) <= 6, "everything that came before the arm rested is handed out, and it rests soon"
-    assert not bench.checked.has("NS16-7", program().checksum)
+    assert not bench.checked.has("NS16-7", program())
 
 
 def test_an_unreadable_state_stops_the_arm(bench, program):
@@ -64,11 +64,25 @@ def test_the_controllers_reason_takes_precedence_over_the_state(bench, program):
 
 
 def test_polls_the_state_five_times_per_second_of_motion(bench, program, monkeypatch):
+    """And the next samples wait for a prompt answer."""
     monkeypatch.setattr("agent.safety.watch.PROMPT", 5.0)
+    went_on, early = threading.Event(), []
+
+    class Told(TcpDriver):
+        def status(self):
+            went_on.clear()
+            early.append(went_on.wait(0.05))
+            return super().status()
+
+    bench.driver = Told
     bench.controller.blocks, bench.controller.pushes, bench.controller.spacing = 40, True, 250_000
     guard = bench.open(clock=lambda: 0.0)
     before = bench.controller.asked.count("AskStatus") + 2  # the two before the start
-    bench.run(program(), guard)
+    guard.send(program())
+    with guard.motion(program()) as samples:
+        for _ in samples:
+            went_on.set()
+    assert not any(early)
     assert 4 <= bench.controller.asked.count("AskStatus") - before <= 6
 
 

@@ -154,9 +154,3 @@ def test_a_via_point_link_gets_points_instead_of_a_program(bench, program):
     assert guard.takes_points
     assert bench.run(chosen, guard) == 1000
     assert guard.facts == {"said": "so"}
-
-
-def test_other_links_get_programs(bench, program):
-    guard = bench.open()
-    assert not guard.takes_points
-    assert guard.facts == {}

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gc
 import threading
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -13,6 +15,7 @@ from agent.safety import GuardedLink, PlannedProgram
 from drivers.errors import DriverError, RefusedError
 from drivers.transports.tcp.driver import TcpDriver
 from drivers.wire.reasons import Refusal
+from tests.conftest import patience
 from tests.safety.following import HOME
 
 
@@ -35,18 +38,12 @@ def test_follows_a_stop_already_in_progress(bench, program):
     assert sent == [1]
 
 
-def test_a_lost_link_is_reported_with_what_to_do(bench, program):
-    bench.controller.vanish_after = 4
+@pytest.mark.parametrize("told", [{"vanish_after": 4}, {"lose_answer": True}])
+def test_a_lost_link_is_reported_with_what_to_do_and_no_start_is_repeated(bench, program, told):
+    bench.controller = replace(bench.controller, **told)
     with pytest.raises(DriverError, match=r"make sure that the arm rests.*run the command again") as dropped:
         bench.run(program())
     assert dropped.value.exit_code == 4
-    assert bench.controller.starts == 1
-
-
-def test_a_start_without_an_answer_is_not_repeated(bench, program):
-    bench.controller.lose_answer = True
-    with pytest.raises(DriverError, match="make sure that the arm rests"):
-        bench.run(program())
     assert bench.controller.starts == 1
 
 
@@ -98,11 +95,27 @@ def test_a_refused_start_is_not_repeated_and_not_stopped(bench, program):
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, OSError, AgentError, SystemExit])
 def test_any_sample_error_stops_the_arm(bench, error, program):
-    guard = bench.open()
+    asked, order, began = threading.Event(), [], time.monotonic()
+
+    class Told(TcpDriver):
+        def stop(self):
+            asked.set()
+            super().stop()
+
+        def samples(self):
+            order.append("samples")
+            try:
+                yield from super().samples()
+            finally:
+                order.append(f"ended, stop asked for: {asked.wait(patience(2.0))}")
+
+    bench.driver = Told
+    guard = bench.open(clock=lambda: time.monotonic() if asked.is_set() else began)  # nobody else asks for a stop
     guard.send(program())
     with pytest.raises(error):
         _take_and_raise(guard, program(), error)
     assert (bench.controller.starts, bench.controller.stops) == (1, 1)
+    assert order == ["samples", "ended, stop asked for: True"] * 2
     ended = [f"{bench.address}: the arm was stopped and stands; the log of this motion ends here"]
     assert bench.warned == ([] if issubclass(error, Exception) else ended), "somebody ended the program, or it failed"
 
@@ -126,20 +139,22 @@ def test_an_unconfirmed_stop_closes_the_link_with_a_message(bench, program):
     assert "not confirmed" in bench.warned[0]
     with pytest.raises(DriverError, match="connect first"):
         guard.position()
+    bench.controller = replace(bench.controller, blocks=10**6, later={"override": 0.9})
+    with pytest.raises(SafetyError, match=r"90 %.*the stop was not confirmed"):
+        bench.run(program())
 
 
 def test_closing_in_motion_stops_the_arm_first(bench, program):
+    """And in motion nothing that was there before is looked through for garbage: nobody watches meanwhile."""
     guard = bench.open()
     guard.send(program())
+    gc.unfreeze()
     left = guard.motion(program())
     next(left.__enter__())
+    assert gc.get_freeze_count() > 0
     guard.close()
     assert bench.controller.stops == 1
-
-
-def test_a_closed_link_refuses_requests(bench):
-    guard = bench.open()
-    guard.close()
+    assert gc.get_freeze_count() == 0
     with pytest.raises(DriverError, match="connect first"):
         guard.position()
 

@@ -95,8 +95,11 @@ def test_the_duration_of_a_start_is_not_sample_silence():
     assert stopped == [False, True]
 
 
-def test_samples_of_a_stationary_arm_confirm_a_stop():
+@pytest.mark.parametrize("read", [MotionWatch.samples, MotionWatch.rest])
+def test_samples_of_a_stationary_arm_confirm_a_stop(read):
+    """Whatever its state says."""
     link = Link()
+    link.moves = True
 
     def script():
         yield link.block(5.0, speed=0.3)
@@ -107,7 +110,7 @@ def test_samples_of_a_stationary_arm_confirm_a_stop():
 
     link.script = script()
     before = link.looks
-    assert len(list(link.watch.samples())) == 8
+    assert len(list(read(link.watch))) == 8
     link.watch.stopping.wait(10.0)
     assert (link.stops, link.warned, link.closed.is_set()) == (1, [], False)
     assert link.watch.stopping.over
@@ -152,23 +155,20 @@ def test_reports_an_arm_that_moves_after_a_stop_and_an_end(ended, looks):
             raise ended
 
     link.script = script()
-    with pytest.raises(SafetyError if looks else DriverError, match="does not obey" if looks else "dropped"):
+    with pytest.raises(SafetyError if looks else DriverError, match="^here; .*does not obey" if looks else "dropped"):
         list(link.watch.samples())
     assert link.watch.stopping.disobeyed is looks
 
 
-def test_samples_of_another_number_of_joints_are_a_fault():
+@pytest.mark.parametrize(
+    ("times", "joints", "said"),
+    [((5.0,), 5, "sent samples of 5 joints"), ((5.0, 4.0, 2.0), 6, r"back by 1\.1 s"), ((np.nan,), 6, "back by nan s")],
+)
+def test_reports_the_first_fault_of_samples(times, joints, said):
     link = Link()
-    block = link.block(5.0)
-    link.script = iter([replace(block, position=block.position[:, :5])])
-    with pytest.raises(ControllerError, match="sent samples of 5 joints"):
-        list(link.watch.samples())
-
-
-def test_reports_the_first_fault():
-    link = Link()
-    link.script = iter([link.block(5.0), link.block(4.0), link.block(2.0)])
-    with pytest.raises(ControllerError, match=r"back by 1\.1 s"):
+    blocks = [link.block(time) for time in times]
+    link.script = iter([replace(block, position=block.position[:, :joints]) for block in blocks])
+    with pytest.raises(ControllerError, match=said):
         list(link.watch.samples())
 
 
