@@ -24,6 +24,7 @@ import sys
 import tempfile
 import threading
 import time
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -41,6 +42,17 @@ _LIBRARIES = (
 )
 _LONGEST = 1 << 20  # bytes of a request
 _HEADER = 8  # bytes of its length
+#: A command that asks for a process, passes on the signal that ends it, and ends as it does.
+_COMMAND = """\
+#!{python} -IS
+import json, os, signal, socket, sys
+asked = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+asked.connect("{place}")
+socket.send_fds(asked, [json.dumps([sys.argv[1:], os.getcwd(), dict(os.environ)]).encode()], [1, 2])
+pid = int(asked.recv(8))
+signal.signal(signal.SIGTERM, lambda *_: os.kill(pid, signal.SIGTERM))
+sys.exit(int(asked.recv(8)))
+"""
 
 
 class WarmProcess:
@@ -133,10 +145,41 @@ def run(module: str, *arguments: object, cwd: Path, **environment: str) -> subpr
         return subprocess.CompletedProcess([sys.executable, "-m", module, *map(str, arguments)], code, *text)
 
 
+@contextlib.contextmanager
+def shell_command(file: Path, module: str) -> Iterator[None]:
+    """Write a command for a shell that does what `python -m MODULE` does; what it started ends with the context."""
+    with contextlib.ExitStack() as ended, socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as door:
+        place = Path(ended.enter_context(tempfile.TemporaryDirectory())) / "door"
+        door.bind(str(place))
+        door.listen()
+        file.write_text(_COMMAND.format(python=sys.executable, place=place), encoding="utf-8")
+        file.chmod(0o755)
+
+        def answer(asked: socket.socket) -> None:
+            request, files, _, _ = socket.recv_fds(asked, _LONGEST, 2)
+            arguments, cwd, environment = json.loads(request)
+            process = WarmProcess(module, *arguments, cwd=cwd, stdout=files[0], stderr=files[1], **environment)
+            ended.callback(process.kill)
+            for one in files:
+                os.close(one)
+            with asked, contextlib.suppress(OSError):
+                asked.send(str(process.pid).encode())
+                asked.send(str(process.wait() & 0xFF).encode())
+
+        def serve() -> None:
+            with contextlib.suppress(OSError):
+                while True:
+                    threading.Thread(target=answer, args=(door.accept()[0],), daemon=True).start()
+
+        threading.Thread(target=serve, daemon=True).start()
+        yield
+
+
 @functools.cache
 def _nursery() -> object:
     """What asks for a process: a function of a request and its four files that returns the number of the process."""
     ours, theirs = socket.socketpair()
+    alone = threading.Lock()
     with theirs:
         command = [sys.executable, __file__, str(theirs.fileno())]
         environment = {**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"}
@@ -144,9 +187,10 @@ def _nursery() -> object:
 
     def ask(request: dict[str, object], files: list[int]) -> int:
         data = json.dumps(request).encode()
-        socket.send_fds(ours, [f"{len(data):{_HEADER}}".encode()], files)
-        ours.sendall(data)
-        return int(ours.recv(_HEADER))
+        with alone:
+            socket.send_fds(ours, [f"{len(data):{_HEADER}}".encode()], files)
+            ours.sendall(data)
+            return int(ours.recv(_HEADER))
 
     return ask
 
