@@ -116,9 +116,10 @@ def test_draws_cover_all_options_including_pairs_on_one_joint() -> None:
 
 @pytest.fixture(scope="module")
 def healthy():
-    """A world, a motion, and the healthy machine on it."""
+    """A world, one cycle of a motion, and the healthy machine on it."""
     world = _world(1, 1)
-    motions = {"moves": _motions(world)["moves"]}
+    set_points, cycle_starts = _motions(world)["moves"]
+    motions = {"moves": (set_points[: len(set_points) // 2], cycle_starts[:1])}
     return world, motions, build(world, (), 1).run(motions)
 
 
