@@ -42,15 +42,15 @@ _LIBRARIES = (
 )
 _LONGEST = 1 << 20  # bytes of a request
 _HEADER = 8  # bytes of its length
-#: A command that asks for a process, passes on the signal that ends it, and ends as it does.
+#: A command that has a process forked, and ends as it does; one that becomes another program starts by itself.
 _COMMAND = """\
 #!{python} -IS
-import json, os, signal, socket, sys
+import json, os, socket, sys
+if sys.argv[1] == "{other}":
+    os.execv(sys.executable, [sys.executable, "-m", "{module}", *sys.argv[1:]])
 asked = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-asked.connect("{place}")
+asked.connect("{door}")
 socket.send_fds(asked, [json.dumps([sys.argv[1:], os.getcwd(), dict(os.environ)]).encode()], [1, 2])
-pid = int(asked.recv(8))
-signal.signal(signal.SIGTERM, lambda *_: os.kill(pid, signal.SIGTERM))
 sys.exit(int(asked.recv(8)))
 """
 
@@ -146,30 +146,23 @@ def run(module: str, *arguments: object, cwd: Path, **environment: str) -> subpr
 
 
 @contextlib.contextmanager
-def shell_command(file: Path, module: str) -> Iterator[None]:
-    """Write a command for a shell that does what `python -m MODULE` does; what it started ends with the context."""
-    with contextlib.ExitStack() as ended, socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as door:
-        place = Path(ended.enter_context(tempfile.TemporaryDirectory())) / "door"
-        door.bind(str(place))
+def shell_command(file: Path, module: str, other: str) -> Iterator[None]:
+    """Write a command for a shell that does what `python -m MODULE` does; where it begins with `other`, by itself."""
+    with tempfile.TemporaryDirectory() as folder, socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as door:
+        door.bind(f"{folder}/door")
         door.listen()
-        file.write_text(_COMMAND.format(python=sys.executable, place=place), encoding="utf-8")
+        file.write_text(_COMMAND.format(python=sys.executable, other=other, module=module, door=f"{folder}/door"))
         file.chmod(0o755)
 
-        def answer(asked: socket.socket) -> None:
-            request, files, _, _ = socket.recv_fds(asked, _LONGEST, 2)
-            arguments, cwd, environment = json.loads(request)
-            process = WarmProcess(module, *arguments, cwd=cwd, stdout=files[0], stderr=files[1], **environment)
-            ended.callback(process.kill)
-            for one in files:
-                os.close(one)
-            with asked, contextlib.suppress(OSError):
-                asked.send(str(process.pid).encode())
-                asked.send(str(process.wait() & 0xFF).encode())
-
         def serve() -> None:
-            with contextlib.suppress(OSError):
-                while True:
-                    threading.Thread(target=answer, args=(door.accept()[0],), daemon=True).start()
+            while True:
+                with door.accept()[0] as asked:
+                    request, files, _, _ = socket.recv_fds(asked, _LONGEST, 2)
+                    arguments, cwd, environment = json.loads(request)
+                    process = WarmProcess(module, *arguments, cwd=cwd, stdout=files[0], stderr=files[1], **environment)
+                    for one in files:
+                        os.close(one)
+                    asked.send(str(process.wait() & 0xFF).encode())
 
         threading.Thread(target=serve, daemon=True).start()
         yield
@@ -179,7 +172,6 @@ def shell_command(file: Path, module: str) -> Iterator[None]:
 def _nursery() -> object:
     """What asks for a process: a function of a request and its four files that returns the number of the process."""
     ours, theirs = socket.socketpair()
-    alone = threading.Lock()
     with theirs:
         command = [sys.executable, __file__, str(theirs.fileno())]
         environment = {**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"}
@@ -187,10 +179,9 @@ def _nursery() -> object:
 
     def ask(request: dict[str, object], files: list[int]) -> int:
         data = json.dumps(request).encode()
-        with alone:
-            socket.send_fds(ours, [f"{len(data):{_HEADER}}".encode()], files)
-            ours.sendall(data)
-            return int(ours.recv(_HEADER))
+        socket.send_fds(ours, [f"{len(data):{_HEADER}}".encode()], files)
+        ours.sendall(data)
+        return int(ours.recv(_HEADER))
 
     return ask
 

@@ -11,6 +11,7 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from tempfile import TemporaryFile
 
 import pytest
 
@@ -44,22 +45,12 @@ def _tell(pages: Sequence[str], folder: Path) -> subprocess.CompletedProcess[str
         free = str(free_port())
         script = script.replace(port, free)
         recipe.write_text(recipe.read_text(encoding="utf-8").replace(port, free), encoding="utf-8")
-    path = os.pathsep.join([str(folder / "bin"), str(Path(sys.executable).parent), os.environ["PATH"]])
+    typed = environment() | {"PATH": f"{folder}/bin:{Path(sys.executable).parent}:{os.environ['PATH']}"}
+    agent, story = folder / "bin" / "agent", ["bash", "-c", f"set -e\n{script}\n"]
     # files and not pipes: a program that is still in the background would keep those open
-    with (
-        warm.shell_command(folder / "bin" / "agent", "agent"),
-        open(folder / "out.txt", "w+") as out,
-        open(folder / "err.txt", "w+") as err,
-    ):
-        shell = subprocess.Popen(
-            ["bash", "-c", f"set -e\n{script}\n"],
-            cwd=folder,
-            env=environment() | {"PATH": path},
-            stdin=subprocess.DEVNULL,
-            stdout=out,
-            stderr=err,
-            start_new_session=True,
-        )
+    with warm.shell_command(agent, "agent", "emulator"), TemporaryFile("w+") as out, TemporaryFile("w+") as err:
+        streams = {"stdin": subprocess.DEVNULL, "stdout": out, "stderr": err}
+        shell = subprocess.Popen(story, cwd=folder, env=typed, start_new_session=True, **streams)
         try:
             code = shell.wait(timeout=1200)  # less than a minute where nothing else runs
         finally:
