@@ -118,8 +118,7 @@ def test_draws_cover_all_options_including_pairs_on_one_joint() -> None:
 def healthy():
     """A world, one cycle of a motion, and the healthy machine on it."""
     world = _world(1, 1)
-    set_points, cycle_starts = _motions(world)["moves"]
-    motions = {"moves": (set_points[: len(set_points) // 2], cycle_starts[:1])}
+    motions = {"moves": tuple(part[: len(part) // 2] for part in _motions(world)["moves"])}
     return world, motions, build(world, (), 1).run(motions)
 
 
