@@ -79,7 +79,7 @@ class _Offset:
         """(K, n) the offset at the next `count` samples, and its rate."""
         part = np.minimum((self._passed + self._period * np.arange(1, count + 1)) / _ASTRAY_RAMP, 1.0)
         self._passed = _ASTRAY_RAMP * float(part[-1]) if count else self._passed
-        rate = np.pi / 2 / _ASTRAY_RAMP * np.sin(np.pi * part)
+        rate = np.where(part < 1.0, np.pi / 2 / _ASTRAY_RAMP * np.sin(np.pi * part), 0.0)  # exactly, in the end
         return np.outer(0.5 - 0.5 * np.cos(np.pi * part), self._value), np.outer(rate, self._value)
 
 

@@ -1,6 +1,6 @@
-"""The second world as a process: `python -m second_world draw` prints runs, `… run` makes the logs of one.
+"""The second world as a process: `python -m second_world draw` prints runs, `… run` makes logs.
 
-Both take an object on stdin, as JSON. That of `draw` holds `count`, `seed` and `laws` ("development" or "judgement").
+`draw` takes an object on stdin, as JSON: `count`, `seed` and `laws` ("development" or "judgement"). `run` takes a list.
 No secret stands in the arguments, which everybody on a machine can read.
 """
 
@@ -25,7 +25,7 @@ def main(arguments: list[str]) -> int:
         print("MuJoCo is not installed: pip install 'calibration-agent[mujoco]'", file=sys.stderr)
         return 2
     if arguments not in (["draw"], ["run"]):
-        print("python -m second_world: draw or run, with an object on stdin", file=sys.stderr)
+        print("python -m second_world: draw or run, with JSON on stdin", file=sys.stderr)
         return 2
     given = json.load(sys.stdin)
     if arguments == ["draw"]:
@@ -33,7 +33,7 @@ def main(arguments: list[str]) -> int:
 
         print(json.dumps(draw_cases(**given)))
     else:
-        print(json.dumps(run(given)))
+        print(json.dumps([run(job) for job in given]))
     return 0
 
 

@@ -24,6 +24,7 @@ import sys
 import tempfile
 import threading
 import time
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -41,6 +42,17 @@ _LIBRARIES = (
 )
 _LONGEST = 1 << 20  # bytes of a request
 _HEADER = 8  # bytes of its length
+#: A command that has a process forked, and ends as it does; one that becomes another program starts by itself.
+_COMMAND = """\
+#!{python} -IS
+import json, os, socket, sys
+if sys.argv[1] == "{other}":
+    os.execv(sys.executable, [sys.executable, "-m", "{module}", *sys.argv[1:]])
+asked = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+asked.connect("{door}")
+socket.send_fds(asked, [json.dumps([sys.argv[1:], os.getcwd(), dict(os.environ)]).encode()], [1, 2])
+sys.exit(int(asked.recv(8)))
+"""
 
 
 class WarmProcess:
@@ -131,6 +143,29 @@ def run(module: str, *arguments: object, cwd: Path, **environment: str) -> subpr
         out.seek(0), err.seek(0)
         text = (file.read().decode().replace("\r\n", "\n") for file in (out, err))
         return subprocess.CompletedProcess([sys.executable, "-m", module, *map(str, arguments)], code, *text)
+
+
+@contextlib.contextmanager
+def shell_command(file: Path, module: str, other: str) -> Iterator[None]:
+    """Write a command for a shell that does what `python -m MODULE` does; where it begins with `other`, by itself."""
+    with tempfile.TemporaryDirectory() as folder, socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as door:
+        door.bind(f"{folder}/door")
+        door.listen()
+        file.write_text(_COMMAND.format(python=sys.executable, other=other, module=module, door=f"{folder}/door"))
+        file.chmod(0o755)
+
+        def serve() -> None:
+            while True:
+                with door.accept()[0] as asked:
+                    request, files, _, _ = socket.recv_fds(asked, _LONGEST, 2)
+                    arguments, cwd, environment = json.loads(request)
+                    process = WarmProcess(module, *arguments, cwd=cwd, stdout=files[0], stderr=files[1], **environment)
+                    for one in files:
+                        os.close(one)
+                    asked.send(str(process.wait() & 0xFF).encode())
+
+        threading.Thread(target=serve, daemon=True).start()
+        yield
 
 
 @functools.cache

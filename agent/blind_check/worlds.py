@@ -79,9 +79,9 @@ class SecondWorld:
     def write(self, truth: Truth, folder: Path) -> dict[str, Any]:
         machine = {"machine": truth["machine"], "cycle": self.cycle}
         baseline = {"motion": truth["machine"], "effects": [], "describe": str(folder)}
-        ask_world([*self._process, "run"], {**machine, **baseline, "folder": str(folder / "baseline")})
         logs = {"motion": truth["motion"], "effects": truth["effects"], "folder": str(folder / "logs")}
-        found = ask_world([*self._process, "run"], {**machine, **logs})
+        jobs = [{**machine, **baseline, "folder": str(folder / "baseline")}, {**machine, **logs}]
+        _, found = ask_world([*self._process, "run"], jobs)
         return {"size": found["size"], "effects": found["effects"]}
 
 

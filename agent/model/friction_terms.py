@@ -17,6 +17,7 @@ sliding, between -1 and 1, which a `Reversal` makes of the motion. With s = sign
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -193,19 +194,16 @@ def _column(
 def dahl(position: np.ndarray, travels: np.ndarray) -> np.ndarray:
     """(S, K) direction of sliding s over a path (S,) for travels (K,), from s = 0 at its start.
 
-    Over one step dx it is exact: s' = sign(dx) - (sign(dx) - s) exp(-|dx| / travel), a recursion s' = a s + b whose
-    coefficients do not depend on s. It is run in all of √S blocks at once from s = 0, then the ends are handed on.
+    It is exact: a distance x to one side leads from s to sign - (sign - s) exp(-x / travel). What a stretch between two
+    reversals begins with is worked out one stretch after the other, all that lies between them at once.
     """
     step = np.diff(position, prepend=position[:1])
-    size = len(step)
-    width = int(np.ceil(np.sqrt(size)))
-    blocks = -(-size // width)
-    step = np.append(step, np.zeros(blocks * width - size)).reshape(blocks, width, 1)
-    decay = np.exp(-np.abs(step) / travels)
-    state = np.sign(step) * (1 - decay)
-    for k in range(1, width):
-        state[:, k] += decay[:, k] * state[:, k - 1]
-    decay = np.cumprod(decay, axis=1)
-    for block in range(1, blocks):
-        state[block] += decay[block] * state[block - 1, -1]
-    return state.reshape(-1, len(travels))[:size]
+    side, gone = np.sign(step), np.cumsum(np.abs(step))
+    starts = np.flatnonzero(np.diff(side, prepend=np.nan))
+    before, lengths = gone[starts] - np.abs(step[starts]), np.diff(starts, append=len(step))
+    begins = np.empty((len(travels), len(starts)))
+    for own, decays in zip(begins, np.exp(-np.diff(before, append=gone[-1]) / travels[:, None]), strict=True):
+        stretches = zip(side[starts].tolist(), decays.tolist(), strict=True)
+        own[:] = list(itertools.accumulate(stretches, lambda s, on: on[0] - (on[0] - s) * on[1], initial=0.0))[:-1]
+    decay = np.exp(-(gone - np.repeat(before, lengths))[:, None] / travels)
+    return side[:, None] - (side[:, None] - np.repeat(begins, lengths, axis=1).T) * decay

@@ -53,20 +53,23 @@ def write(truth: Mapping[str, Any], folder: Path) -> float | None:
     source = description_file(truth["robot"])
     for path in (source, source.parent / read_yaml(source)["urdf"]):
         write_atomically(folder / path.name, path.read_text(encoding="utf-8"))
-    for log in _run(truth, truth["machine"], (), folder / "baseline"):
+    recipe = link_recipe(truth["robot"])
+    usual, moved = (draw_programs(recipe, truth[seed], truth["cycle"]) for seed in ("machine", "motion"))
+    for log in _run(truth, usual, (), folder / "baseline"):
         write_log(log.path, replace(log, planned_position=None))
-    logs = plain = _run(truth, truth["motion"], truth["effects"], folder / "logs")
+    logs = plain = _run(truth, moved, truth["effects"], folder / "logs")
     size = None
     if truth["effects"]:
-        plain = _run(truth, truth["motion"], (), folder / "without")
+        plain = _run(truth, moved, (), folder / "without")
         size = torque_change(load_robot(truth["robot"]), logs, plain)
     for log, other in zip(logs, plain, strict=True):
         write_log(log.path, _planned_as(log, other))
     return size
 
 
-def _run(truth: Mapping[str, Any], motion: int, effects: Sequence[Mapping[str, Any]], folder: Path) -> list[Log]:
-    programs = draw_programs(link_recipe(truth["robot"]), motion, truth["cycle"])
+def _run(
+    truth: Mapping[str, Any], programs: Mapping[str, str], effects: Sequence[Mapping[str, Any]], folder: Path
+) -> list[Log]:
     paths = record_motions(truth["robot"], truth["machine"], effects, programs, folder)
     return [read_log(path, load_robot(truth["robot"])) for path in paths]
 

@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from agent.core import Console, ControllerError, InputError
+from agent.core import Console, InputError
 from agent.link import check_cell, moving_segments, open_link
 from agent.motion import JointTarget, Move, MoveType, Pdl2Settings, Termination, create_interpolator, with_frames
 from agent.motion.pdl2 import write_program
 from agent.recipe import Recipe, load_recipe
 from agent.recording import Log
 from agent.robot import RobotDescription
+from fake_controller.build import build_controller
+from fake_controller.servers import open_server
 
 #: Motions of every run: part of the joint speeds, part of half the joint range, and whether corners are flown.
 MOTIONS = {"excite": (1.0, 0.6, True), "moves": (0.6, 0.5, False), "slow": (0.06, 0.5, False)}
@@ -30,7 +29,7 @@ REST = 3  # samples of equal set-points that make a stop
 _MOST_DRAWS = 200
 _WIDEST = 2.5  # rad
 _MEAN = 25  # samples, against noise
-_PATIENCE = 20.0  # s
+_WATCHDOG = 5.0  # s; of an arm that is simulated as fast as the machine can go
 #: The guard needs to know how far corners between joint moves may be cut. At full speed two interpolators differ there
 #: by a tenth of a metre at times, in one draw by 0.2 m.
 _RECIPE = """\
@@ -110,35 +109,6 @@ def _draw_cycle(recipe: Recipe, name: str, rng: np.random.Generator, cycle: floa
     return [*moves, closing], home
 
 
-@contextmanager
-def fake_controller(robot: str, machine: int, effects: Sequence[Mapping[str, Any]]) -> Iterator[str]:
-    """A controller as a process; gives its address. The file with its effects is gone before anything moves.
-
-    Raises:
-        ControllerError: it does not start, for example because an effect cannot be simulated.
-    """
-    with tempfile.TemporaryDirectory() as folder:
-        sealed = Path(folder) / "effects.json"
-        sealed.write_text(json.dumps(list(effects)), encoding="utf-8")
-        command = [sys.executable, "-m", "fake_controller", "--robot", robot, "--seed", str(machine)]
-        command += ["--clock", "fast", "--port", "0", "--watchdog", "5", "--effects", str(sealed)]
-        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-        assert process.stdout is not None
-        greeting = process.stdout.readline()
-    try:
-        if " at " not in greeting:
-            _, errors = process.communicate()
-            raise ControllerError(f"blind check: the fake controller does not start: {errors.strip()}")
-        yield greeting.split(" at ")[1].split(",")[0]
-    finally:
-        process.terminate()
-        try:
-            process.communicate(timeout=_PATIENCE)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.communicate()
-
-
 def record_motions(
     robot: str,
     machine: int,
@@ -153,12 +123,13 @@ def record_motions(
 
     Raises:
         ControllerError, SafetyError, DriverError: the arm did not do it.
-        InputError: a program that cannot be planned.
+        InputError: a program that cannot be planned, or an effect that cannot be simulated.
     """
     folder.mkdir(parents=True, exist_ok=True)
     recipe, logs = recipe or link_recipe(robot), []
-    with fake_controller(robot, machine, effects) as address:
-        there = replace(recipe, controller=recipe.controller.model_copy(update={"address": address}))
+    controller = build_controller(robot, machine, "fast", effects)
+    with closing(open_server("tcp", controller, watchdog=_WATCHDOG)) as server:
+        there = replace(recipe, controller=recipe.controller.model_copy(update={"address": server.address}))
         with open_link(there, Console(verbosity=-1), True, folder) as link:
             for name, text in programs.items():
                 log = folder / f"{name}.mcap"

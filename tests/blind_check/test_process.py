@@ -25,36 +25,11 @@ from tests.conftest import ROOT
 QUIET = Console(verbosity=-1)
 
 
-def write_small_arm(folder: Path) -> Path:
-    """A robot.yaml of three axes, so that a run takes seconds."""
-    parts, joints, parent = ['<robot name="bars"><link name="base"/>'], [], "base"
-    drives = ((40, "0 0 1", 1.5, 4e-4), (25, "0 1 0", 1.5, 4e-4), (10, "0 1 0", 0.6, 1.5e-4))
-    for k, (mass, axis, torque, rotor) in enumerate(drives, start=1):
-        bar = mass * 0.4**2 / 12
-        place = ("0 0 0.5", "0 0 0", "0.4 0 0")[k - 1]
-        parts.append(
-            f'<link name="link_{k}"><inertial><origin xyz="0.2 0 0.05"/><mass value="{mass}"/>'
-            f'<inertia ixx="{0.1 * bar}" iyy="{bar}" izz="{bar}" ixy="0" ixz="0" iyz="0"/></inertial></link>'
-            f'<joint name="joint_{k}" type="revolute"><parent link="{parent}"/><child link="link_{k}"/>'
-            f'<origin xyz="{place}"/><axis xyz="{axis}"/>'
-            '<limit lower="-2.2" upper="2.2" velocity="3" effort="2000"/></joint>'
-        )
-        parent = f"link_{k}"
-        joints.append(
-            f"  - {{name: joint_{k}, gear_ratio: 100, nominal_motor_torque: {torque}, max_velocity: 2.5, "
-            f"max_acceleration: 6.0, rotor_inertia: {rotor}}}"
-        )
-    (folder / "bars.urdf").write_text("".join([*parts, "</robot>"]))
-    robot = folder / "robot.yaml"
-    robot.write_text("\n".join(["name: bars", "urdf: bars.urdf", f"tip_frame: {parent}", "joints:", *joints, ""]))
-    return robot
-
-
 @pytest.fixture(scope="module")
-def check(tmp_path_factory) -> BlindCheck:
-    """Five short runs, done: two without an effect, two with one, and one with two."""
+def check(arm: str, tmp_path_factory) -> BlindCheck:
+    """Five short runs of two joints, done: two without an effect, two with one, and one with two."""
     folder = tmp_path_factory.mktemp("blind")
-    world = EmulatorWorld({"robot": str(write_small_arm(folder)), "cycle": 1.6})
+    world = EmulatorWorld({"robot": arm, "cycle": 1.6})
     whole = BlindCheck(world, 5, folder / "check")
     whole.key_file.parent.mkdir(parents=True)
     Key(world.name, 5, 1, "a salt").save(whole.key_file)
@@ -82,7 +57,7 @@ def test_every_run_has_the_same_files_and_a_plan_for_every_sample(check):
     folders = sorted((check.folder / "export" / "runs").iterdir())
     names = [sorted(path.relative_to(run).as_posix() for path in run.rglob("*.*")) for run in folders]
     sessions = [f"{session}/{name}.mcap" for session in ("baseline", "logs") for name in ("excite", "moves", "slow")]
-    assert names == [sorted(["bars.urdf", "robot.yaml", *sessions])] * 5
+    assert names == [sorted(["arm.urdf", "robot.yaml", *sessions])] * 5
     for run in folders:
         logs = [read_log(path) for path in sorted((run / "logs").glob("*.mcap"))]
         assert all(np.isfinite(log.planned_position).all() for log in logs)

@@ -65,6 +65,14 @@ def test_names_the_effect_and_its_joint(diagnosed, answers, case, measured):
     assert cause["closure"] > 0.85
 
 
+def test_a_model_with_the_effect_predicts_what_the_model_did_not(diagnosed, baseline, runs, tmp_path):
+    path = tmp_path / "extended.json"
+    extended_model(diagnosed(2)).save(path)
+    before = validate(baseline, runs(2)).overall.normalised_rmse
+    after = validate(IdentifiedModel.load(path), runs(2)).overall.normalised_rmse
+    assert np.max(after) < 0.01 < np.max(before)
+
+
 @pytest.mark.verify
 def test_sizes_match_the_key(diagnosed, answers):
     mass = diagnosed(2).result["causes"][0]["parameters"]["mass"]
@@ -82,11 +90,3 @@ def test_a_withheld_effect_is_not_replaced_by_a_confident_wrong_name(arm, baseli
     assert result["verdict"] in ("unknown", "ambiguous")
     assert truth["id"] not in json.dumps(result["causes"])
     assert result["where"][0]["share"] > 0
-
-
-def test_a_model_with_the_effect_predicts_what_the_model_did_not(diagnosed, baseline, runs, tmp_path):
-    path = tmp_path / "extended.json"
-    extended_model(diagnosed(2)).save(path)
-    before = validate(baseline, runs(2)).overall.normalised_rmse
-    after = validate(IdentifiedModel.load(path), runs(2)).overall.normalised_rmse
-    assert np.max(after) < 0.01 < np.max(before)

@@ -15,7 +15,7 @@ from agent.validation import predict_log
 
 @settings(max_examples=30, deadline=None)
 @given(seed=st.integers(0, 1000), size=st.integers(1, 400), travel=st.floats(0.01, 10))
-def test_dahl_friction_in_blocks_equals_the_step_by_step_form(seed, size, travel):
+def test_dahl_friction_equals_the_step_by_step_form(seed, size, travel):
     path = np.cumsum(np.random.default_rng(seed).normal(size=size))
     state, expected = 0.0, []
     for step in np.diff(path, prepend=path[:1]):

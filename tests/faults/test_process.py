@@ -19,6 +19,7 @@ from agent.recording import read_log
 from drivers.errors import DriverError
 from drivers.registry import create
 from fake_controller.scenario import FOLDER
+from tests import warm
 from tests.conftest import end_with_tests, environment
 from tests.faults.conftest import LONG
 
@@ -99,22 +100,21 @@ def test_the_emulator_runs_a_scenario(bench, start, tmp_path: Path, arm: str, wi
     assert "at rest" in said
 
 
-def test_refuses_a_scenario_impossible_on_its_wire(start):
-    path = FOLDER / "unruly_line.yaml"
-    refused = start("fake_controller", "--scenario", path, "--driver", "modbus", "--port", "0")
-    assert refused.wait(60) == 2
-    assert "reorder makes no sense on modbus" in refused.stderr.read()
+def test_refuses_a_scenario_impossible_on_its_wire(tmp_path: Path):
+    scenario = ["--scenario", FOLDER / "unruly_line.yaml", "--driver", "modbus", "--port", "0"]
+    refused = warm.run("fake_controller", *scenario, cwd=tmp_path)
+    assert refused.returncode == 2
+    assert "reorder makes no sense on modbus" in refused.stderr
 
 
-def test_the_emulator_takes_effects_from_a_file(start, tmp_path: Path, arm: str):
+def test_the_emulator_takes_effects_from_a_file(start_controller, tmp_path: Path, arm: str):
     effects = tmp_path / "effects.json"
     effects.write_text(json.dumps([{"effect": "payload", "parameters": {"mass": 2.0}}]), encoding="utf-8")
-    fake = start("fake_controller", "--robot", arm, "--effects", effects, "--port", "0")
-    assert "small_arm at 127.0.0.1:" in fake.stdout.readline()
+    assert "small_arm at 127.0.0.1:" in start_controller("--robot", arm, "--effects", str(effects)).greeting
     effects.write_text('{"effect": "payload"}', encoding="utf-8")
-    wrong = start("fake_controller", "--effects", effects, "--port", "0")
-    assert wrong.wait(60) == 2
-    assert "a list of effects is expected" in wrong.stderr.read()
+    wrong = warm.run("fake_controller", "--effects", effects, "--port", "0", cwd=tmp_path)
+    assert wrong.returncode == 2
+    assert "a list of effects is expected" in wrong.stderr
 
 
 def test_a_full_disk_stops_the_arm(bench, start, assert_at_rest, assert_readable):

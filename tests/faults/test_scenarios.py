@@ -19,8 +19,8 @@ from fake_controller.build import build_controller
 from fake_controller.faults import FAULTS, PHASES, Fault
 from fake_controller.scenario import builtin_scenarios, load_scenario
 from fake_controller.servers import open_server
-
-ROOT = Path(__file__).parents[2]
+from tests import warm
+from tests.conftest import ROOT
 
 #: In the quick tests; each fault on its own is there already.
 QUICK = {
@@ -98,8 +98,7 @@ def test_refuses_a_fault_impossible_on_its_wire(arm):
 
 
 def test_lists_all_effects_with_units_and_a_working_example(arm):
-    command = [sys.executable, "-m", "fake_controller", "--list-effects"]
-    listed = subprocess.run(command, capture_output=True, text=True, check=True, cwd=ROOT).stdout
+    listed = warm.run("fake_controller", "--list-effects", cwd=ROOT).stdout
     assert [effect for effect in [*EFFECTS, *OUTSIDE] if f"{effect} (joints: " not in listed] == []
     assert re.search(r"rise +\[N·m\] +required", listed)
     assert re.search(r"encoder_offset \(joints: one or more\)\n.*\n +offset +\[rad\]", listed)
@@ -107,6 +106,7 @@ def test_lists_all_effects_with_units_and_a_working_example(arm):
     here, there = os.pipe()
     os.close(here)  # a reader that has ended, as `head` does
     with open(there, "wb") as nobody:
+        command = [sys.executable, "-m", "fake_controller", "--list-effects"]
         ended = subprocess.run(command, stdout=nobody, stderr=subprocess.PIPE, check=True, cwd=ROOT)
     assert ended.stderr == b""
 

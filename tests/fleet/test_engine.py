@@ -21,7 +21,7 @@ from agent.excitation import LoopProblem, search
 from agent.fleet import make_question, run_fleet
 from agent.motion import Pdl2Settings, ViaRegions
 from agent.robot import load_robot
-from tests.conftest import end_with_tests
+from tests.conftest import end_with_tests, patience
 from tests.fleet.conftest import DaskProcesses, estimate, rows_of
 
 
@@ -105,13 +105,10 @@ def test_a_search_on_dask_finds_the_same_loop():
     assert there.to_dict() == here.to_dict()
 
 
-def test_a_killed_scheduler_ends_the_run_with_the_command_to_continue(cluster: DaskProcesses):
-    def disturb(done: int) -> None:
-        if done == 15:
-            cluster.kill("scheduler")
-
+def test_a_killed_scheduler_ends_the_run_with_the_command_to_continue(cluster: DaskProcesses, monkeypatch):
+    monkeypatch.setattr(on_dask, "_CONNECT", patience(4.0))
     with DaskEngine(cluster.address) as engine, pytest.raises(AgentError, match="run the same command again"):
-        _answers(engine, 400, disturb)
+        _answers(engine, 400, lambda done: cluster.kill("scheduler") if done == 15 else None)
 
 
 def test_a_run_that_is_ended_is_continued_by_the_same_command(plant: Path, estimated: Path, tmp_path: Path):

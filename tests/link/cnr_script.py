@@ -17,6 +17,7 @@ from drivers.wire.cnr import Message, MessageType, Point, QueueStatus
 ARM = CnrArm(2, 0.002, np.array([[2.0, 0.0], [0.5, -1.0]]))
 READY = cnr.StatusMessage(1, 0, 0, 0, 0, 2, 1)
 TEN = (0.0,) * 10
+TICK = 0.002  # s between two records: one that is sent again at once keeps a processor busy
 
 
 def motion(is_over=lambda feedback: feedback.last_point_processed == 7, broker=True):
@@ -39,7 +40,7 @@ class Script:
         self.order = order
         self.state = READY
         self.feedback = feedback(1000, moves=0)
-        self.answered = threading.Semaphore(0)
+        self.answered, self._closing = threading.Semaphore(0), threading.Event()
         self.listeners = [socket.create_server(("127.0.0.1", 0)) for _ in range(3)]
         ports = [listener.getsockname()[1] for listener in self.listeners]
         self.address = CnrAddress("127.0.0.1", *ports)
@@ -69,7 +70,7 @@ class Script:
 
     def _lock_step(self, connection: socket.socket, kind: MessageType, record: Callable[[], object]) -> None:
         decoder = cnr.MessageDecoder(self.order)
-        while True:
+        while not self._closing.wait(TICK):
             sent = Message(kind, 2, 0, record())
             connection.sendall(cnr.encode(sent, self.order))
             answers: list[Message] = []
@@ -83,6 +84,7 @@ class Script:
             connection.settimeout(5)
 
     def close(self) -> None:
+        self._closing.set()
         for listener in self.listeners:
             listener.close()
 

@@ -119,9 +119,10 @@ def test_with_start_by_hand_an_operator_starts_and_stops(arm, bench):
     assert bench.controller.ends == [EndReason.STOPPED, EndReason.DONE]
 
 
-def test_a_rest_in_a_program_that_was_started_by_hand_is_no_stop(arm, bench):
+def test_a_rest_in_a_program_that_was_started_by_hand_is_no_stop(arm, serve):
     """Nobody presses HOLD, and the program rests for 1.5 s after every second move."""
-    with connected(f"{bench.server.address},start=hand", arm, start_timeout=patience(1.0)) as driver:
+    bench = serve(clock="real")
+    with connected(f"{bench.server.address},start=hand", arm, start_timeout=patience(2.5)) as driver:
         driver.tell = lambda text: bench.server.press_start() if "press START" in text else None
         next(start(driver, ARM.replace("-20, 30}", "19, -30}\n    DELAY 1500")))
         with pytest.raises(DriverError, match="does not report the arm at rest; use the emergency stop"):

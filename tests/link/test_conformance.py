@@ -59,7 +59,7 @@ class SocketBench:
         self.wire = self.connect_wire()
 
     def driver(self):
-        return self.created(self.address, watchdog=patience(2.0))
+        return self.created(self.address, watchdog=patience(2.0), timeout=patience(2.0))
 
     def created(self, address, **options):
         driver = create(self.name, address, **options)

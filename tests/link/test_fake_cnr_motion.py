@@ -143,7 +143,8 @@ def test_feedback_that_nobody_answers_stops_the_arm(serve):
 
 
 @pytest.mark.parametrize("which", ["trajectory", "feedback"])
-def test_a_client_that_leaves_stops_the_arm(bench, which):
+def test_a_client_that_leaves_stops_the_arm(serve, which):
+    bench = serve(watchdog=0.3)
     links = {"feedback": bench.feedback(), "trajectory": bench.trajectory()}
     bench.store(LONG)
     assert links["trajectory"].done(start(1))

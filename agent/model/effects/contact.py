@@ -140,7 +140,8 @@ class PushedWindow:
 
     def meets(self, other: PushedWindow) -> bool:
         """Whether another push shares time with it."""
-        return bool(self.overlaps(other.log, np.array(other.start), other.duration))
+        apart = other.start >= self.start + self.duration or other.start + other.duration <= self.start
+        return other.log == self.log and not apart
 
     def only_meets(self, other: PushedWindow, late: float) -> bool:
         """Whether it shares time with another `late` [s], neither end with that one's."""
@@ -149,9 +150,9 @@ class PushedWindow:
         shared = self.start < end and self.start + self.duration > start
         return shared and min(apart) > max(_AGAIN, other.duration / _EDGE_PARTS)
 
-    def overlaps(self, log: int, starts: np.ndarray, duration: float) -> np.ndarray:
-        """(K,) bool: which windows of a log it shares time with."""
-        return (log == self.log) & (starts < self.start + self.duration) & (starts + duration > self.start)
+    def overlaps(self, starts: np.ndarray, duration: float) -> np.ndarray:
+        """(K,) bool: which windows of its log it shares time with."""
+        return (starts < self.start + self.duration) & (starts + duration > self.start)
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,8 +184,8 @@ class _Sums:
             return np.ones(len(starts), dtype=bool)
         begin = starts + _PARTS[:, None] * duration  # (P, K)
         moments, pull = self.between(begin, begin + _PART * duration)
-        expected = np.sum((moments @ force[:, :, None])[..., 0] * force, axis=-1)
-        missing = expected - np.sum(pull * force, axis=-1)
+        expected = np.einsum("pkab,ka,kb->pk", moments, force, force)
+        missing = expected - np.einsum("pka,ka->pk", pull, force)
         return np.all(missing <= _PAUSE * expected + _SHOWS * _PART * gain, axis=0)
 
 
@@ -289,7 +290,8 @@ class Windows:
     def _shared(self, taken: Sequence[PushedWindow]) -> np.ndarray:
         shared = np.zeros(len(self.starts), dtype=bool)
         for push in taken:
-            shared |= push.overlaps(self.log, self.starts, self.duration)
+            if push.log == self.log:
+                shared |= push.overlaps(self.starts, self.duration)
         return shared
 
 
