@@ -176,6 +176,16 @@ def test_what_equals_a_cause_by_definition_and_gains_about_as_much_is_its_rival(
     assert (found.rivals, found.probability) == ((rivals,), pytest.approx((0.95 * 0.7,), rel=1e-3))
 
 
+@pytest.mark.parametrize(("other", "rivals"), [(RIPPLE, (RIPPLE,)), (ELSEWHERE, None)])
+def test_a_cause_whose_equal_was_ignored_has_the_likeliest_other_one_as_its_rival(other, rivals):
+    """There is a gap, but no name for it, where no other hypothesis is on the same joint."""
+    fit = SimpleNamespace(with_chosen=list)
+    told = hypothesis(0.05, left=1.0), hypothesis(0.9, OFFSET), hypothesis(0.05, other)
+    found = named(compare(fit, *evaluated(*told), ignored={"asymmetric_friction"}))
+    assert (found.rivals, found.leaves_gap) == (((rivals,), False) if rivals else ((), True))
+    assert named(compare(fit, *evaluated(*told), ignored={"stribeck"})).rivals == ((),)
+
+
 def test_a_hundred_hypotheses_are_kept_and_that_of_nothing():
     many = [hypothesis(0.009 - 1e-5 * k, ("torque_ripple", (k,))) for k in range(101)]
     found = decided(hypothesis(0.005, left=1.0, scale=9.0), *many, hypothesis(0.9, OFFSET))
