@@ -163,6 +163,9 @@ def test_each_cause_has_a_class_and_the_largest_comes_first():
     assert [cause.place for cause in found.causes] == [ELSEWHERE, OFFSET]
     assert found.probability == pytest.approx((0.95 * 0.7, 0.95 * 0.96))
     assert (verdict_on(found), found.rivals) == ("explained", ((), (ASYMMETRIC,)))
+    again = found.with_rival(1, SPRING).with_rival(1, SPRING)
+    assert (again.rivals, again.causes, again.fit) == (((), (SPRING, ASYMMETRIC)), found.causes, found.fit)
+    assert (found.only([1]).fit, found.only(()).fit) == (("with", OFFSET), found.plain)
 
 
 @pytest.mark.parametrize(("apart", "rivals"), [(0.049, (HOSE,)), (0.051, ())])
