@@ -92,6 +92,7 @@ def survivors(module: str) -> tuple[int, list[str]]:
         codes = tried["exit_code_by_key"]
         tried["exit_code_by_key"] = {name: code if code in _NOTICED else None for name, code in codes.items()}
         noted.write_text(json.dumps(tried), encoding="utf-8")
+    (folder / "mutants/mutmut-stats.json").unlink(missing_ok=True)  # a test may call other functions than before
     done = _mutmut(folder, "run", "--max-children", str(len(os.sched_getaffinity(0))))
     if done.returncode:
         raise RuntimeError(f"{module}: mutmut gave up\n{done.stdout[-3000:]}")
