@@ -22,7 +22,7 @@ MOST_LINES = {
     "agent/link agent/safety": 3_222,
     "agent/model": 3_898,
     "agent/estimation agent/excitation agent/validation": 4_108,
-    "agent/diagnosis agent/experiment": 6_863,
+    "agent/diagnosis agent/experiment": 6_862,
     "agent/simulators": 3_056,
     "agent/pages": 2_754,
     "agent/pipeline agent/runs agent/recipe": 6_906,
