@@ -7,8 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from agent.blind_check import clopper_pearson
 from agent.core import Console
 from agent.diagnosis.hypotheses.evidence import Evidence
+from agent.diagnosis.hypotheses.finding import Finding
 from agent.diagnosis.hypotheses.healthy import healthy_on, with_healthy_effects
 from agent.diagnosis.hypotheses.law import LAW
 from agent.diagnosis.hypotheses.search import Search
@@ -103,33 +105,61 @@ def test_a_gain_is_the_ratio_of_two_normal_densities_of_all_rows(robot, model):
     assert gains[0] == pytest.approx(max(ratios), rel=1e-3, abs=1e-3)
 
 
-def test_learns_an_effect_present_in_one_baseline_log(robot, baseline, model):
+@pytest.fixture(scope="module")
+def odd(baseline, robot):
+    """The baseline with an offset on its last day."""
+    return [*baseline[:2], record(Plant(robot, seed=3, effects=[OFFSET]), "odd_day", 13)]
+
+
+def test_learns_an_effect_present_in_one_baseline_log(robot, baseline, odd, model):
     """An offset on one day is part of what the arm has; a baseline without it teaches far less of it."""
-    logs = [*baseline[:2], record(Plant(robot, seed=3, effects=[OFFSET]), "odd_day", 13)]
-    learned, plain = (with_healthy_effects(model, known) for known in (logs, baseline))
-    odd, usual = (
+    learned, plain = (with_healthy_effects(model, known) for known in (odd, baseline))
+    larger, usual = (
         {(one.effect, one.joints): one.size for one in each.healthy}.get(("torque_offset", ("joint_2",)), 0.0)
         for each in (learned, plain)
     )
-    assert odd > 5 * usual
-    assert odd > 0.01
-    on_others = healthy_on(fit_of(robot, model), learned)
-    assert {form.effect.name for form, _ in on_others} == {one.effect for one in learned.healthy}
+    assert larger > max(5 * usual, 0.01)
+    fit, known = fit_of(robot, model), {one.effect for one in learned.healthy}
+    for without in ((), ("torque_offset",)):
+        assert {form.effect.name for form, _ in healthy_on(fit, learned, without)} == known - {*without}
     assert IdentifiedModel.from_dict(learned.to_dict()).healthy == learned.healthy
 
 
-def test_a_withheld_effect_is_left_out_of_the_healthy_effects(robot, baseline, model):
-    learned = with_healthy_effects(model, [*baseline[:2], record(Plant(robot, seed=3, effects=[OFFSET]), "odd", 13)])
-    left = healthy_on(fit_of(robot, model), learned, without=("torque_offset",))
-    assert "torque_offset" not in {form.effect.name for form, _ in left}
-
-
-def test_estimate_stores_the_effects_of_the_healthy_arm(robot, baseline, tmp_path):
+def test_estimate_stores_the_effects_of_the_healthy_arm(robot, odd, tmp_path):
     """`agent estimate` keeps it in the file of the model, where a diagnosis reads it."""
-    logs = [*baseline[:2], record(Plant(robot, seed=3, effects=[OFFSET]), "odd", 13)]
-    paths = [tmp_path / f"{number}.mcap" for number in range(len(logs))]
-    for path, log in zip(paths, logs, strict=True):
+    paths = [tmp_path / f"{number}.mcap" for number in range(len(odd))]
+    for path, log in zip(paths, odd, strict=True):
         write_log(path, log)
     estimate_files(robot, paths, tmp_path / "model.json", FitQuestion(), Console(-1))
     learned = {one.effect: one.size for one in IdentifiedModel.load(tmp_path / "model.json").healthy}
     assert learned["torque_offset"] > 0.01
+
+
+SETS = 20
+LEVELS = (0.01, 0.05, 0.1)
+MOTIONS = ("one", "two", "three")
+
+
+def healthy_finding(machine: int) -> Finding:
+    """Of three fresh motions of a machine, against a model of three others of its motions."""
+    robot = make_arm("RRR")
+    plant = Plant(robot, seed=machine)
+    baseline, logs = (
+        [record(plant, name, 1000 * machine + 10 * session + k) for k, name in enumerate(MOTIONS)] for session in (0, 1)
+    )
+    model = with_healthy_effects(estimate(robot, baseline), baseline)
+    fit = assemble(robot, model, logs, None).fit
+    return named(Search(fit, healthy=healthy_on(fit, model)).run())
+
+
+@pytest.mark.verify
+def test_the_false_alarm_level_on_fresh_healthy_motions(measured):
+    findings = [healthy_finding(machine) for machine in range(101, 101 + SETS)]
+    for level in LEVELS:
+        hits = sum(finding.healthy < level for finding in findings)
+        low, high = clopper_pearson(hits, SETS)
+        target = f"{100 * level:g} % if the level holds; 95 % interval {100 * low:.0f} to {100 * high:.0f} %"
+        measured(f"healthy sets of three motions beyond the {100 * level:g} % level", f"{hits} of {SETS}", "", target)
+    alarms = sum(verdict_on(finding) != "no_gap" for finding in findings)
+    measured("the same sets with a verdict", f"{alarms} of {SETS}")
+    assert alarms <= 1

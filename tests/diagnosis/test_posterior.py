@@ -172,6 +172,9 @@ def test_each_cause_has_a_class_and_the_largest_comes_first():
     assert [cause.place for cause in found.causes] == [ELSEWHERE, OFFSET]
     assert found.probability == pytest.approx((0.95 * 0.7, 0.95 * 0.96))
     assert (verdict_on(found), found.rivals) == ("explained", ((), (ASYMMETRIC,)))
+    again = found.with_rival(1, SPRING).with_rival(1, SPRING)
+    assert (again.rivals, again.causes, again.fit) == (((), (SPRING, ASYMMETRIC)), found.causes, found.fit)
+    assert (found.only([1]).fit, found.only(()).fit) == (("with", OFFSET), found.plain)
 
 
 @pytest.mark.parametrize(("apart", "rivals"), [(0.049, (HOSE,)), (0.051, ())])
@@ -183,6 +186,16 @@ def test_what_equals_a_cause_by_definition_and_gains_about_as_much_is_its_rival(
     told = hypothesis(0.7, SPRING), hypothesis(0.3, ELSEWHERE), hypothesis(share, HOSE, **small)
     found = decided(hypothesis(plain, left=1.0, scale=9.0), *told, *others)
     assert (found.rivals, found.probability) == ((rivals,), pytest.approx((0.95 * 0.7,), rel=1e-3))
+
+
+@pytest.mark.parametrize(("other", "rivals"), [(RIPPLE, (RIPPLE,)), (ELSEWHERE, None)])
+def test_a_cause_whose_equal_was_ignored_has_the_likeliest_other_one_as_its_rival(other, rivals):
+    """There is a gap, but no name for it, where no other hypothesis is on the same joint."""
+    fit = SimpleNamespace(with_chosen=list)
+    told = hypothesis(0.05, left=1.0), hypothesis(0.9, OFFSET), hypothesis(0.05, other)
+    found = named(compare(fit, *evaluated(*told), ignored={"asymmetric_friction"}))
+    assert (found.rivals, found.leaves_gap) == (((rivals,), False) if rivals else ((), True))
+    assert named(compare(fit, *evaluated(*told), ignored={"stribeck"})).rivals == ((),)
 
 
 def test_a_hundred_hypotheses_are_kept_and_that_of_nothing():

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 from unittest.mock import patch
 
 import numpy as np
+import pytest
 from hypothesis import given, strategies as st
 
 from agent.diagnosis import verdict as rules
@@ -16,7 +17,7 @@ from agent.diagnosis.document import Cause, DiagnosisResult, EffectPlace, JointS
 from agent.diagnosis.hypotheses.finding import Finding, Hypothesis
 from agent.diagnosis.hypotheses.law import LAW
 from agent.diagnosis.limits import LIMITS
-from agent.diagnosis.verdict import decide_verdict, named, supported
+from agent.diagnosis.verdict import Verdict, causes_of, decide_verdict, has_size, named, supported
 from agent.model import CATALOGUE
 
 JOINTS = 3
@@ -70,7 +71,7 @@ def test_a_verdict_meets_its_contract(leaves_gap, found, closure, path, numbers,
     assert decide_verdict(finding, by_effects.causes, closure) == by_effects, "it is settled"
     if by_effects.causes:
         assert (decided.name, decided.closure) == (by_effects.name, closure)
-        assert decided.causes[: len(by_effects.causes)] == by_effects.causes
+        assert decided.causes == (*by_effects.causes, *filter(has_size, path or ()))
     else:
         assert by_effects.name == ("unknown" if leaves_gap else "no_gap")
         gap = leaves_gap or path is not None
@@ -78,6 +79,66 @@ def test_a_verdict_meets_its_contract(leaves_gap, found, closure, path, numbers,
         assert decided.causes or decided.name == ("unknown" if gap else "no_gap")
         assert not leaves_gap or not decided.causes or (by_numbers > 0.9 and of_numbers)
     assert closure is not None or not by_effects.causes
+
+
+FOUND, PATH, NUMBER, SMALL = (
+    Cause(name, (), closure, 0.9, {"a": 1.0})
+    for name, closure in (("stribeck", 0.8), ("time_delay", 0.85), ("payload", 0.9), ("stribeck", 0.05))
+)
+
+
+@pytest.mark.parametrize(
+    ("leaves_gap", "told", "expected"),
+    [
+        (False, ((FOUND, SMALL), 0.8, (PATH, SMALL), (NUMBER,), 1.0), ("explained", (FOUND, PATH), 0.8)),
+        (False, ((FOUND,), 0.7, (PATH, SMALL), (NUMBER,), 1.0), ("explained", (PATH,), 0.85)),
+        (True, ((), 0.1, (PATH,), (NUMBER,), 0.91), ("explained", (NUMBER,), 0.91)),
+        (True, ((), 0.1, None, (NUMBER,), 0.9), ("unknown", (), 0.1)),
+        (False, ((), 0.1, (), (NUMBER,), 0.9), ("unknown", (), 0.1)),
+        (False, ((), None, None, (NUMBER,), 0.8), ("explained", (NUMBER,), 0.8)),
+        (False, ((), None, None, (NUMBER,)), ("no_gap", (), None)),
+    ],
+)
+def test_effects_come_before_another_path_and_that_before_moved_numbers(leaves_gap, told, expected):
+    assert decide_verdict(SimpleNamespace(leaves_gap=leaves_gap), *told) == Verdict(*expected)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("closure", "of_joints", "values", "sized"),
+    [
+        *((part, None, (1.0,), part == 0.1) for part in (None, 0.099, 0.1, np.inf, np.nan)),
+        *((0.01, part, (1.0,), part == 0.1) for part in (0.099, 0.1, np.inf)),
+        (0.1, 0.01, (0.0, 1.0), True),
+        *((0.1, 0.1, values, False) for values in ((), (0.0, 0.0), (1.0, np.inf), (np.nan,))),
+    ],
+)
+def test_a_cause_with_a_size_closes_a_tenth_with_finite_parameters(closure, of_joints, values, sized):
+    cause = Cause("stribeck", (), closure, 0.9, dict(zip("ab", values, strict=False)), (), of_joints)
+    assert has_size(cause) is sized
+
+
+def test_a_cause_is_told_with_what_it_closes_where_it_is_and_what_its_effect_reports():
+    """Of the whole gap, and of its own joints' where it is on some."""
+
+    def reported(reference, settings, values):
+        return {"of": reference, **settings, **values}
+
+    names = (("rise",), ("mass", "moment_x"))
+    stribeck, load = (
+        SimpleNamespace(effect=SimpleNamespace(name=name, reported=reported), joints=joints, settings=more, names=own)
+        for name, joints, more, own in (("stribeck", (2, 0), {"speed": 1}, names[0]), ("payload", (), {}, names[1]))
+    )
+    fit = SimpleNamespace(reference=7, once=True, values=[np.array([3.0]), np.array([4.0, 5.0])])
+    fit.out_of_fold = lambda once, number: 10 * number + once
+    gap = SimpleNamespace(closure_without=lambda left: 0.5 + left, closure_on=lambda joints, left: (joints, left))
+    dataset = SimpleNamespace(robot=SimpleNamespace(joint_names=("a", "b", "c")))
+    rivals = ((("payload", ()), ("dress_pack", (1, 2))), ())
+    finding = SimpleNamespace(fit=fit, causes=(stribeck, load), rivals=rivals, probability=(0.8, 0.7))
+    equal = EffectPlace("payload", ()), EffectPlace("dress_pack", ("b", "c"))
+    assert causes_of(dataset, finding, gap) == (  # type: ignore[arg-type]
+        Cause("stribeck", ("c", "a"), 1.5, 0.8, {"of": 7, "speed": 1.0, "rise": 3.0}, equal, ((2, 0), 1)),  # type: ignore[arg-type]
+        Cause("payload", (), 11.5, 0.7, {"of": 7, "mass": 4.0, "moment_x": 5.0}),
+    )
 
 
 class _Fit:
@@ -106,8 +167,20 @@ def candidate_of(name, *joints, **more):
 
 def judged_by(finding, gap_of, told):
     """A finding as it is supported, and the verdict, where fits have these gaps, and findings these causes."""
-    with patch.object(rules, "held_out_gap", gap_of), patch.object(rules, "causes_of", told):
-        judged, gap = supported(SimpleNamespace(), finding)  # type: ignore[arg-type]
+    dataset, unit, gaps = SimpleNamespace(), np.ones(JOINTS), []
+
+    def made(*seen):
+        assert seen == (dataset, seen[1], unit)
+        gaps.append(gap_of(*seen))
+        return gaps[-1]
+
+    def told_of(*seen):
+        assert seen == (dataset, seen[1], gaps[-1])
+        return told(*seen)
+
+    with patch.object(rules, "held_out_gap", made), patch.object(rules, "causes_of", told_of):
+        judged, gap = supported(dataset, finding, unit)  # type: ignore[arg-type]
+    assert gap is gaps[-1]
     return judged, decide_verdict(judged, told(None, judged, gap), gap.closure)
 
 
@@ -137,6 +210,17 @@ def test_every_search_result_gives_an_answer_that_meets_the_contract(found, clos
     assert len(decided.causes) == len(judged.causes), "what is supported is named"
 
 
+def test_a_cause_is_named_from_the_limits_on():
+    """At exactly the probability, the share explained, and the doubt of a healthy arm, that are asked for."""
+    plain = Hypothesis((), (), 0.0, {}, (), 0.0, 1.0)
+    best = (candidate_of("stribeck", 0),)
+    found = Finding(_Fit(), _Fit(best), best, ((),), (LAW.sure,), LIMITS.explained, (plain,), None, 1 - LAW.certain)  # type: ignore[arg-type]
+    assert named(found).causes == best
+    for less in ({"probability": (LAW.sure - 1e-9,)}, {"explained": 0.7499}, {"healthy": 0.0501}):
+        judged = named(replace(found, **less))
+        assert (judged.causes, judged.leaves_gap) == ((), "healthy" not in less)
+
+
 @given(scale=st.floats(0.2, 100))
 def test_causes_without_held_out_gain_leave_a_gap_only_beyond_the_noise_model(scale):
     """A push that the search took for one closes nothing: on a healthy arm that is no gap, not an unknown one."""
@@ -160,7 +244,7 @@ def test_causes_that_close_too_little_are_named_with_the_runner_up():
         there = tuple(EffectPlace(name, ("joint_1",)) for name, _ in finding.rivals[0])
         return (replace(cause, equivalent_to=there),)
 
-    for closure, verdict in ((0.9, "explained"), (0.5, "ambiguous")):
+    for closure, verdict in ((0.9, "explained"), (0.75, "explained"), (0.5, "ambiguous"), (0.0, "ambiguous")):
         judged, decided = judged_by(finding, lambda *_, closure=closure: SimpleNamespace(closure=closure), told)
         assert decided.name == verdict
         assert judged.rivals[0] == (() if verdict == "explained" else (stribeck.place,))

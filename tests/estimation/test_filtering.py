@@ -24,10 +24,9 @@ def _motions(log, cutoff=None, reduce=True):
     rate=st.sampled_from([100.0, 250.0, 500.0, 1000.0, 5000.0]), share=st.floats(0.02, 1.1), phase=st.floats(0, 6.28)
 )
 def test_derivatives_of_a_sine_are_exact_beyond_the_cutoff(arm, make_log, rate, share, phase):
-    robot = arm(1)
     omega = 2 * np.pi * 30.0 * share
     t = np.arange(int(8 * rate)) / rate
-    motion = _motions(make_log(robot, t, np.sin(omega * t + phase)[:, None], None), 30.0)[0]
+    motion = _motions(make_log(arm(1), t, np.sin(omega * t + phase)[:, None], None), 30.0)[0]
     inside = slice(2 * motion.edge, -2 * motion.edge)
     angle = omega * motion.time[inside] + phase
     assert np.abs(motion.q[inside, 0] - np.sin(angle)).max() < 2e-4
@@ -48,10 +47,9 @@ def test_the_filter_is_the_butterworth_run_forward_and_backward(arm, make_log):
 
 
 def test_it_halves_the_amplitude_at_the_cutoff_without_moving_it(arm, make_log):
-    robot = arm(1)
     t = np.arange(5000) / 500
     wave = np.sin(2 * np.pi * 30 * t)[:, None]
-    motion = _motions(make_log(robot, t, wave, wave), 30.0, reduce=False)[0]
+    motion = _motions(make_log(arm(1), t, wave, wave), 30.0, reduce=False)[0]
     assert np.abs(motion.low_pass(wave) - 0.5 * wave[motion.kept]).max() < 1e-3
 
 
@@ -68,23 +66,21 @@ def test_a_cutoff_far_below_the_sampling_rate_overflows_nothing(arm, make_log):
 @settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 1000), columns=st.integers(1, 12))
 def test_filtering_commutes_with_a_linear_model(arm, make_log, seed, columns):
-    robot = arm(1)
     rng = np.random.default_rng(seed)
     block = np.cumsum(rng.normal(size=(2000, columns)), axis=0)
     parameters = rng.normal(size=columns)
-    motion = _motions(make_log(robot, np.arange(2000) / 500, block[:, :1], block[:, :1]), 30.0)[0]
+    motion = _motions(make_log(arm(1), np.arange(2000) / 500, block[:, :1], block[:, :1]), 30.0)[0]
     together = motion.low_pass((block @ parameters)[:, None])[:, 0]
     assert np.allclose(motion.low_pass(block) @ parameters, together, atol=1e-9 * np.abs(together).max())
 
 
 def test_filtering_stops_at_gaps_and_drops_their_edges(arm, make_log):
-    robot = arm(1)
     t = np.concatenate([np.arange(2000), np.arange(2500, 4500)]) / 500
     q = np.sin(t)[:, None]
     parts = ((0, 2000), (2000, 4000))
-    first, second = _motions(make_log(robot, t, q, q, segments=parts, rate=500.0))
+    first, second = _motions(make_log(arm(1), t, q, q, segments=parts, rate=500.0))
     knocked = np.where(t[:, None] > 4.5, q + 100, q)
-    again, _ = _motions(make_log(robot, t, knocked, knocked, segments=parts, rate=500.0))
+    again, _ = _motions(make_log(arm(1), t, knocked, knocked, segments=parts, rate=500.0))
     assert np.array_equal(first.qdd, again.qdd)
     assert np.array_equal(first.low_pass(first.torque), again.low_pass(again.torque))
     kept = np.concatenate([motion.time[motion.kept] for motion in (first, second)])
@@ -93,10 +89,9 @@ def test_filtering_stops_at_gaps_and_drops_their_edges(arm, make_log):
 
 
 def test_a_long_stretch_keeps_every_sample_once(arm, make_log):
-    robot = arm(1)
     t = np.arange(70_000) / 500
     q = np.sin(t)[:, None]
-    pieces = _motions(make_log(robot, t, q, q), 30.0, reduce=False)
+    pieces = _motions(make_log(arm(1), t, q, q), 30.0, reduce=False)
     kept = np.concatenate([motion.time[motion.kept] for motion in pieces])
     assert len(pieces) > 1
     assert np.allclose(np.diff(kept), 1 / 500, atol=1e-9)
@@ -106,46 +101,41 @@ def test_a_long_stretch_keeps_every_sample_once(arm, make_log):
 @pytest.mark.parametrize("late", ["stamp", "sample"])
 def test_distinguishes_late_stamps_from_uneven_sampling(arm, make_log, late):
     """Either the stamp is late and the sample is not, or the sample was taken at that time."""
-    robot = arm(1)
     even = np.arange(4000) / 500
     stamps = even + np.random.default_rng(0).uniform(-4e-4, 4e-4, 4000)
     taken = even if late == "stamp" else stamps
-    motion = _motions(make_log(robot, stamps, np.sin(3 * taken)[:, None], None, rate=500.0))[0]
+    motion = _motions(make_log(arm(1), stamps, np.sin(3 * taken)[:, None], None, rate=500.0))[0]
     kept = motion.kept
     error = motion.qdd[kept, 0] + 9 * np.sin(3 * motion.time[kept])
     assert np.abs(error).max() < 0.01
 
 
 def test_single_missing_samples_are_filled_in(arm, make_log):
-    robot = arm(1)
     t = np.delete(np.arange(4000) / 500, [700, 1500, 1501, 3000])
-    motion = _motions(make_log(robot, t, np.sin(3 * t)[:, None], np.cos(3 * t)[:, None], rate=500.0))[0]
+    motion = _motions(make_log(arm(1), t, np.sin(3 * t)[:, None], np.cos(3 * t)[:, None], rate=500.0))[0]
     assert len(motion.time) == 4000
     assert np.abs(motion.qdd + 9 * np.sin(3 * motion.time)[:, None])[motion.kept].max() < 1e-3
     assert np.abs(motion.torque - np.cos(3 * motion.time)[:, None]).max() < 1e-3
 
 
 def test_a_log_that_is_too_short_says_how_long_it_should_be(arm, make_log):
-    robot = arm(1)
     t = np.arange(100) / 500
     with pytest.raises(InputError, match=r"short\.mcap.*0\.20 s.*30 Hz needs 0\.5"):
-        _motions(make_log(robot, t, t[:, None], t[:, None], name="short.mcap"))
+        _motions(make_log(arm(1), t, t[:, None], t[:, None], name="short.mcap"))
 
 
 def test_a_cutoff_beyond_the_sampling_rate_says_what_is_possible(arm, make_log):
-    robot = arm(1)
     t = np.arange(500) / 50
-    log = make_log(robot, t, t[:, None], t[:, None], name="slow.mcap")
+    log = make_log(arm(1), t, t[:, None], t[:, None], name="slow.mcap")
     with pytest.raises(InputError, match=r"slow\.mcap.*30 Hz.*50 Hz.*17\.5 Hz"):
         _motions(log, 30.0)
     assert _motions(log)[0].cutoff == pytest.approx(15.0)
 
 
 def test_reducing_the_rate_changes_nothing_that_the_filter_passes(arm, make_log):
-    robot = arm(1)
     t = np.arange(40_000) / 5000
     q = np.sin(2 * np.pi * 3 * t)[:, None]
-    log = make_log(robot, t, q, q**3)
+    log = make_log(arm(1), t, q, q**3)
     full, reduced = _motions(log, 20.0, reduce=False)[0], _motions(log, 20.0)[0]
     assert reduced.rate <= 500
     at = np.searchsorted(full.time[full.kept], reduced.time[reduced.kept] - 1e-9)
@@ -180,10 +170,9 @@ def test_a_stretch_in_pieces_gives_the_same_columns(arm, multisine, make_log, mo
 
 @pytest.mark.parametrize(("rate", "cutoff"), [(500.0, 30.0), (1000.0, 30.0), (5000.0, 20.0), (100.0, None)])
 def test_smooth_signals_may_be_thinned_before_the_filter(arm, make_log, rate, cutoff):
-    robot = arm(1)
     t = np.arange(int(10 * rate)) / rate
     q = np.sin(2 * np.pi * 4 * t)[:, None]
-    (motion,) = _motions(make_log(robot, t, q, None), cutoff)
+    (motion,) = _motions(make_log(arm(1), t, q, None), cutoff)
     every = motion.fewest
     column = motion.qdd * np.cos(motion.q)
     thinned = motion.low_pass(column[motion.thinned(every)], every)
@@ -272,9 +261,8 @@ def _error(log, speed: np.ndarray, settings: FilterSettings) -> tuple[np.ndarray
 
 
 def test_a_creeping_joint_is_smooth_despite_rounded_positions(arm, make_log, monkeypatch):
-    robot = arm(1)
     t, position, speed = _move_and_creep()
-    log = make_log(robot, t, np.round(position, 4), None)
+    log = make_log(arm(1), t, np.round(position, 4), None)
     quiet, moving = _error(log, speed, FilterSettings(10.0))
     monkeypatch.setattr("agent.estimation.filtering._AUDIBLE", np.inf)
     plain, moving_plain = _error(log, speed, FilterSettings(10.0))

@@ -16,10 +16,12 @@ import pinocchio as pin
 import pytest
 
 from agent.core.errors import InputError
-from agent.estimation import EstimationSettings, estimate
+from agent.data_quality.rigid_fit import FOLDS, FitSamples, RigidFit
+from agent.estimation import EstimationSettings, estimate, placeholders
 from agent.model import IdentifiedModel
-from agent.recording import Log, import_log, read_log, write_log
-from agent.robot import RobotDescription
+from agent.recording import Log, import_log, read_log, scratch, write_log
+from agent.robot import Dynamics, RobotDescription
+from agent.robot.bodies import rigid_bodies
 from agent.simulators.export import export_model
 from agent.validation import predict_log, validate
 
@@ -213,3 +215,67 @@ def test_methods_agree_on_good_data(arm, recorded, method):
     robot = arm(4, seed=3)
     fit, other = (recorded(robot, 500, 20, seed) for seed in (1, 2))
     assert held_out(estimate(robot, [fit], EstimationSettings.create(method=method)), other) < 0.03
+
+
+def test_drops_and_reports_a_wrong_link_prior(arm, multisine, make_log):
+    robot = arm(3)
+    t = np.arange(10_000) / 500
+    q, qd, qdd = multisine(3, t)
+    rigid = rigid_bodies(robot)
+    weights = 40 * rigid.dynamics.inverse_dynamics(q, qd, qdd) + 20 * qd  # forty times as heavy as it is described
+    model = estimate(robot, [make_log(robot, t, q, weights)])
+    assert model.provenance["link_prior"] != "description"
+    assert any("left out of the prior" in note and "Gravity torque" in note for note in model.notes)
+    assert model.held_out_rmse.max() < 0.02 * np.abs(weights).max()
+
+
+@pytest.mark.parametrize(("factor", "believed"), [(1.0, True), (0.05, False)])
+def test_a_description_confirmed_by_the_motion_is_used_as_a_prior(arm, multisine, make_log, factor, believed):
+    robot = arm(6, seed=3002)
+    t = np.arange(1000) / 50
+    q, qd, qdd = multisine(6, t, seed=3002)
+    sizes = np.array([40.0, 80, 50, 20, 12, 6])
+    torque = rigid_bodies(robot).dynamics.inverse_dynamics(q, qd, qdd) + sizes * (0.1 * qd + 0.15 * np.sign(qd))
+    torque += 0.02 * sizes * np.random.default_rng(1).normal(size=q.shape)
+    said = re.sub(r'(mass value|i[xyz]{2})="([^"]*)"', lambda m: f'{m[1]}="{factor * float(m[2])}"', robot.urdf)
+    model = estimate(replace(robot, urdf=said), [make_log(robot, t, q, torque)], EstimationSettings.create(cutoff=10))
+    assert (model.provenance["link_prior"] == "description") == believed
+
+
+def test_links_of_equal_mass_are_placeholders():
+    def links(*masses: float) -> np.ndarray:
+        return np.concatenate([[mass, *[0.1 * mass] * 9] for mass in masses])
+
+    assert placeholders(links(0, 0, 0))
+    assert placeholders(links(3, 3, 3, 3, 3, 3.2))
+    assert not placeholders(links(3.7, 8.4, 2.3, 1.2, 1.2, 0.2))
+    assert not placeholders(links(5.0))
+
+
+@pytest.mark.parametrize(("count", "expected"), [(16, True), (400, False)])
+def test_a_fit_that_cannot_predict_held_out_data_blames_no_joint(arm, multisine, count, expected):
+    robot = arm(7, seed=1)
+    q, qd, qdd = multisine(7, np.linspace(0, 1 + count / 10, count), seed=1)
+    rng = np.random.default_rng(1)
+    fold = np.arange(count) * FOLDS // count
+    q += 1.5 * rng.normal(size=(FOLDS, 7))[fold]  # every part of the log is elsewhere
+    samples = FitSamples(q, qd, qdd, np.zeros_like(q), np.sign(qd), fold, float(count))
+    torque = RigidFit(Dynamics(robot), samples).columns @ rng.normal(size=14 * 7)
+    torque += 0.1 * np.std(torque, axis=0) * rng.normal(size=q.shape)
+    samples = FitSamples(q, qd, qdd, torque, samples.direction, fold, float(count))
+    assert RigidFit(Dynamics(robot), samples).says_something() is not expected
+
+
+def test_a_model_is_the_same_from_memory_and_from_disk(arm, multisine, make_log, tmp_path, monkeypatch):
+    robot = arm(2)
+    t = np.arange(6000) / 500
+    q, qd, _ = multisine(2, t)
+    torque = 3 * np.sign(qd) + qd + np.random.default_rng(0).normal(size=q.shape)
+    write_log(tmp_path / "long.mcap", make_log(robot, t, q, torque, reference_position=q))
+    settings = EstimationSettings.create(method="weighted")
+    models = []
+    for in_memory in (2**30, 0):
+        monkeypatch.setattr(scratch, "_IN_MEMORY", in_memory)
+        models.append(estimate(robot, [read_log(tmp_path / "long.mcap", robot)], settings))
+    assert np.array_equal(models[0].values, models[1].values)
+    assert np.array_equal(models[0].covariance, models[1].covariance)

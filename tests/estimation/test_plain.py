@@ -91,28 +91,18 @@ def test_the_plain_estimator_has_its_own_terms_and_no_prior(arm, multisine, make
     assert not any("prior" in note and "near" in note for note in model.notes)
 
 
-def _estimate(error: float) -> Estimate:
-    held_out = np.full((4, 2, 1), error) * np.linspace(0.99, 1.01, 4)[:, None, None]
-    return _held_out(held_out)
-
-
-def _held_out(held_out: np.ndarray) -> Estimate:
-    return Estimate(np.zeros(1), np.ones((2, 1)), None, held_out, None, 0.0, "")
-
-
-def test_chooses_the_plain_estimator_if_it_predicts_better():
-    found = {"weighted": _estimate(1.0), "consistent": _estimate(1.0), "plain": _estimate(0.8)}
-    assert choose(found)[0] == "plain"
-    assert choose({**found, "plain": _estimate(0.995)})[0] == "weighted"
+def _folds(*errors: float) -> Estimate:
+    return Estimate(np.zeros(1), np.ones((2, 1)), None, np.array(errors)[:, None, None], None, 0.0, "")
 
 
 def test_changes_the_estimator_only_for_a_gain_above_the_scatter_between_folds():
-    def folds(*errors: float) -> Estimate:
-        return _held_out(np.array(errors)[:, None, None])
-
-    usual = {"weighted": folds(1, 1, 1, 1, 1), "consistent": folds(1, 1, 1, 1, 1)}
-    name, chosen = choose({**usual, "huber": folds(0.9, 0.92, 0.91, 0.93, 0.9), "plain": folds(*5 * [0.95])})
+    usual = {"weighted": _folds(1, 1, 1, 1, 1), "consistent": _folds(1, 1, 1, 1, 1)}
+    name, chosen = choose({**usual, "huber": _folds(0.9, 0.92, 0.91, 0.93, 0.9), "plain": _folds(*5 * [0.95])})
     assert name == "huber"
     assert "segments clearly better than weighted, consistent does not, plain by less (held-out" in chosen.note
-    assert choose({**usual, "huber": folds(0.5, 0.9, 1.1, 1.1, 1.0)})[0] == "weighted"  # one fold decides
-    assert choose({**usual, "huber": folds(0.99, 0.985, 0.99, 0.985, 0.99)})[0] == "weighted"  # too little
+    assert choose({**usual, "huber": _folds(0.5, 0.9, 1.1, 1.1, 1.0)})[0] == "weighted"  # one fold decides
+    assert choose({**usual, "huber": _folds(0.99, 0.985, 0.99, 0.985, 0.99)})[0] == "weighted"  # too little
+    scattered = np.linspace(0.99, 1.01, 4)
+    usual = {name: _folds(*scattered) for name in ("weighted", "consistent")}
+    assert choose({**usual, "plain": _folds(*0.8 * scattered)})[0] == "plain"
+    assert choose({**usual, "plain": _folds(*0.995 * scattered)})[0] == "weighted"

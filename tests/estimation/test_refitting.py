@@ -26,19 +26,22 @@ def torque_of(robot, q, qd, qdd, rubs=lambda q: 1.0):
 
 
 @pytest.fixture(scope="module")
-def earlier(arm, multisine, make_log):
-    """The arm, and its model from noisy logs of one motion."""
-    robot = arm(DOF)
-    t = np.arange(20 * 500) / 500
-    q, qd, qdd = multisine(DOF, t, seed=1)
-    noise = np.random.default_rng(1).normal(size=q.shape)
-    return robot, estimate(robot, [make_log(robot, t, q, torque_of(robot, q, qd, qdd) + noise)], PAPER_TERMS)
+def robot(arm):
+    return arm(DOF)
 
 
 @pytest.fixture(scope="module")
-def later(earlier, multisine, make_log):
+def model(robot, multisine, make_log):
+    """Of noisy logs of one motion."""
+    t = np.arange(20 * 500) / 500
+    q, qd, qdd = multisine(DOF, t, seed=1)
+    noise = np.random.default_rng(1).normal(size=q.shape)
+    return estimate(robot, [make_log(robot, t, q, torque_of(robot, q, qd, qdd) + noise)], PAPER_TERMS)
+
+
+@pytest.fixture(scope="module")
+def later(robot, multisine, make_log):
     """`later(cycles, rubs, noise)`: a log of another motion, the same for every cycle."""
-    robot, _ = earlier
 
     def made(cycles=1, rubs=lambda q: 1.0, noise=1.0, seed=2):
         t = np.arange(int(CYCLE * 500)) / 500
@@ -52,9 +55,8 @@ def later(earlier, multisine, make_log):
     return made
 
 
-def test_friction_follows_an_error_of_the_base_parameters_as_the_covariance_says(earlier, later):
+def test_friction_follows_an_error_of_the_base_parameters_as_the_covariance_says(model, later):
     """A step along Σ_β v moves friction by G Σ_β v, which is the covariance of both times v."""
-    _, model = earlier
     base, log = len(model.independent), later()
     found = refit(model, [log]).model
     cross = found.covariance[base:, :base]
@@ -66,36 +68,31 @@ def test_friction_follows_an_error_of_the_base_parameters_as_the_covariance_says
         assert answer == pytest.approx(cross @ along, rel=0.1, abs=0.05 * np.abs(cross @ along).max())
 
 
-def test_the_base_parameters_stay_and_their_covariance_with_them(earlier, later):
-    _, model = earlier
-    base, found = len(model.independent), refit(earlier[1], [later()]).model
+def test_a_refit_keeps_what_it_does_not_estimate(model, later):
+    """Base parameters, their covariance and prior, the bodies of the earlier fit, and how it was made."""
+    base, bodies = len(model.independent), np.arange(11.0 * DOF)
+    found = refit(replace(model, standard=bodies), [later()]).model
     assert found.values[:base] == pytest.approx(model.values[:base], rel=1e-12)
     assert found.covariance[:base, :base] == pytest.approx(model.covariance[:base, :base])
     assert found.covariance == pytest.approx(found.covariance.T)
     assert np.linalg.eigvalsh(found.covariance / np.outer(*2 * [np.sqrt(np.diag(found.covariance))])).min() > -1e-9
-
-
-def test_keeps_the_prior_of_base_parameters_and_renews_that_of_friction(earlier, later):
-    _, model = earlier
-    base = len(model.independent)
-    found = refit(model, [later()]).model
     for name in ("mean", "standard_deviation", "data_share"):
         before, after = getattr(model.prior, name), getattr(found.prior, name)
         assert after.shape == before.shape
         assert after[:base] == pytest.approx(before[:base], rel=1e-12)
     assert np.any(found.prior.data_share[base:] != model.prior.data_share[base:])
     assert refit(replace(model, prior=None), [later()]).model.prior is None
+    assert found.standard == pytest.approx(bodies)
+    assert (found.method, found.cutoff, found.order) == (model.method, 18.0, 6)
+    assert (found.names, found.condition_number) == (model.names, model.condition_number)
+    assert found.combinations == model.combinations
+    held_out, again = found.notes
+    assert held_out.startswith("Held-out errors: 5 folds")
+    assert again == "Friction estimated again; base parameters are those of the model before."
 
 
-def test_keeps_the_bodies_of_the_earlier_fit(earlier, later):
-    _, model = earlier
-    bodies = np.arange(11.0 * DOF)
-    assert refit(replace(model, standard=bodies), [later()]).model.standard == pytest.approx(bodies)
-
-
-def test_the_conditional_covariance_is_what_is_left_at_known_base_parameters(earlier):
+def test_the_conditional_covariance_is_what_is_left_at_known_base_parameters(model):
     """The inverse of the block of the inverse, whatever units the parameters have."""
-    _, model = earlier
     base, size = len(model.independent), len(model.values)
     rng = np.random.default_rng(6)
     for units in (np.ones(size), 10.0 ** (9 * np.cos(np.arange(size)))):
@@ -107,9 +104,8 @@ def test_the_conditional_covariance_is_what_is_left_at_known_base_parameters(ear
         assert found / scale == pytest.approx(expected / scale, rel=1e-6, abs=1e-9)
 
 
-def test_friction_determined_by_base_parameters_has_no_conditional_variance(earlier):
+def test_friction_determined_by_base_parameters_has_no_conditional_variance(model):
     """But round-off, which never leaves a variance below zero."""
-    _, model = earlier
     base, size = len(model.independent), len(model.values)
     root = np.random.default_rng(7).normal(size=(size, base))
     left = np.diag(conditional_covariance(replace(model, covariance=root @ root.T)))
@@ -117,9 +113,8 @@ def test_friction_determined_by_base_parameters_has_no_conditional_variance(earl
     assert np.all((left > 0.9e-12 * whole) & (left < 1e-9 * whole))
 
 
-def test_base_parameter_uncertainty_propagates_to_friction(earlier, later):
+def test_base_parameter_uncertainty_propagates_to_friction(model, later):
     """Σ_φ = S + G Σ_β Gᵀ, so a hundred times Σ_β adds 99 times the second term."""
-    _, model = earlier
     base, log = len(model.independent), later()
     doubted = model.covariance.copy()
     doubted[:base, :base] *= 100
@@ -132,8 +127,7 @@ def test_base_parameter_uncertainty_propagates_to_friction(earlier, later):
     assert added == pytest.approx(99 * np.diag(passed_on), rel=1e-3)
 
 
-def test_errors_are_computed_per_joint_from_moving_samples(earlier, later):
-    _, model = earlier
+def test_errors_are_computed_per_joint_from_moving_samples(model, later):
     log = later(2, noise=np.array([1.0, 4.0]))
     found = refit(model, [log])
     passed = np.sqrt(2 * model.cutoff / 500)  # of white noise at 500 Hz
@@ -143,9 +137,8 @@ def test_errors_are_computed_per_joint_from_moving_samples(earlier, later):
 
 
 @pytest.mark.parametrize("parameters", ["friction", "all"])
-def test_torque_of_an_effect_is_not_fitted_as_friction(earlier, later, parameters):
+def test_torque_of_an_effect_is_not_fitted_as_friction(model, later, parameters):
     """A torque offset that the model has is taken off the measured torque, and stays in the model."""
-    _, model = earlier
     effect = ModelEffect("torque_offset", ("joint_1",), {"offset": 7.0})
     log = later()
     bare = refit(model, [log], parameters).model
@@ -155,20 +148,8 @@ def test_torque_of_an_effect_is_not_fitted_as_friction(earlier, later, parameter
     assert np.all(np.abs(found.values - bare.values) < 0.01 * bare.standard_deviations)
 
 
-def test_a_refitted_model_records_its_method(earlier, later):
-    _, model = earlier
-    found = refit(model, [later()]).model
-    assert (found.method, found.cutoff, found.order) == (model.method, 18.0, 6)
-    assert (found.names, found.condition_number) == (model.names, model.condition_number)
-    assert found.combinations == model.combinations
-    held_out, again = found.notes
-    assert held_out.startswith("Held-out errors: 5 folds")
-    assert again == "Friction estimated again; base parameters are those of the model before."
-
-
-def test_the_conditional_covariance_matches_the_observed_scatter(earlier, later):
+def test_the_conditional_covariance_matches_the_observed_scatter(model, later):
     """Fresh noise on the same motion, far above what the base parameters are off by."""
-    _, model = earlier
     base = len(model.independent)
     found = [refit(model, [later(noise=20.0, seed=seed)]).model for seed in range(10, 30)]
     scatter = np.std([each.values[base:] for each in found], axis=0, ddof=1)
@@ -176,9 +157,8 @@ def test_the_conditional_covariance_matches_the_observed_scatter(earlier, later)
     assert np.all((scatter / said > 0.6) & (scatter / said < 1.25))
 
 
-def test_an_error_that_every_cycle_repeats_is_not_averaged_away(earlier, later):
+def test_an_error_that_every_cycle_repeats_is_not_averaged_away(model, later):
     """Friction that depends on the position is no noise: ten cycles say no more of it than two."""
-    _, model = earlier
     deviations = [
         np.sqrt(np.diag(conditional_covariance(refit(model, [later(cycles, lambda q: 1 + np.sin(2 * q), 0.01)]).model)))
         for cycles in (2, 10)
@@ -189,8 +169,7 @@ def test_an_error_that_every_cycle_repeats_is_not_averaged_away(earlier, later):
 
 
 @pytest.mark.parametrize("tool", [None, Tool(np.eye(4), 50.0, np.array([0.1, 0.0, 0.2]))])
-def test_refitting_all_parameters_keeps_the_terms_and_renews_the_values(earlier, later, tool):
-    robot, model = earlier
+def test_refitting_all_parameters_keeps_the_terms_and_renews_the_values(robot, model, later, tool):
     found, fresh = refit(model, [later()], "all", tool), estimate(robot, [later()], PAPER_TERMS, tool)
     for name in ("terms", "method", "combinations", "standard_names", "notes"):
         assert getattr(found.model, name) == getattr(fresh, name)
@@ -202,13 +181,12 @@ def test_refitting_all_parameters_keeps_the_terms_and_renews_the_values(earlier,
     assert np.all(found.held_out < 1.2 * found.before)
 
 
-def test_friction_is_the_least_squares_solution_with_a_prior_that_counts_as_rows_do(earlier, later):
+def test_friction_is_the_least_squares_solution_with_a_prior_that_counts_as_rows_do(model, later):
     """In noise of 3000 N·m data and prior say about as much; rows are not independent, so the prior counts for more.
 
     Friction solves Xᵀ W (y - X θ) = k Λ φ. At given base parameters its variance is that of stationary noise,
     (Xᵀ W X / k + Λ)⁻¹, or that of the jackknife where this is larger.
     """
-    _, model = earlier
     base, log = len(model.independent), later(noise=3000.0)
     found = refit(model, [log]).model
     observation = observe(rigid_bodies(model.robot), [log], FilterSettings(model.cutoff, model.order))
@@ -228,9 +206,8 @@ def test_friction_is_the_least_squares_solution_with_a_prior_that_counts_as_rows
     assert left.min() == pytest.approx(1.0, rel=1e-6), "some are as certain as the noise alone makes them"
 
 
-def test_load_dependent_friction_follows_the_base_parameters_of_the_model(earlier, later, multisine):
+def test_load_dependent_friction_follows_the_base_parameters_of_the_model(robot, model, later, multisine):
     """Not those of the description, which are far off here."""
-    robot, model = earlier
     log, (q, qd, qdd) = later(), multisine(DOF, np.arange(int(CYCLE * 500)) / 500, seed=2, rest=True)
     load = rigid_bodies(robot).torque(q, qd, qdd, model.base_values)
     log = replace(log, effort=log.effort + 0.2 * np.abs(load) * np.sign(qd) * [0, 1])

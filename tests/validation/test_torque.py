@@ -124,24 +124,18 @@ def test_undefined_figures_are_null(case, silent):
     assert np.all(np.isfinite(result.overall.rmse))
 
 
-def test_torque_of_one_joint_that_is_zero_throughout_has_no_relative_error(case):
+def test_reports_why_a_log_cannot_be_validated(case):
+    """Torque of one joint that is zero throughout has no relative error; that of all joints is none."""
     _, model, logs = case
     found = validate(model, [on_joint(logs[0], 2, np.zeros_like)]).overall.relative_error
     assert [value is None for value in found] == [joint == 2 for joint in range(6)]
-
-
-def test_refuses_torque_that_is_always_zero(case):
-    _, model, logs = case
-    with pytest.raises(InputError, match="the torque is zero throughout"):
-        validate(model, [replace(logs[0], effort=np.zeros_like(logs[0].effort))])
-
-
-def test_reports_why_a_log_cannot_be_validated(case):
-    _, model, logs = case
-    with pytest.raises(InputError, match=r"moving\.mcap: no torque"):
-        validate(model, [replace(logs[0], effort=None)])
-    with pytest.raises(InputError, match=r"moving\.mcap: its joints are"):
-        validate(model, [replace(logs[0], joint_names=("a",))])
+    for change, message in (
+        ({"effort": np.zeros_like(logs[0].effort)}, "the torque is zero throughout"),
+        ({"effort": None}, r"moving\.mcap: no torque"),
+        ({"joint_names": ("a",)}, r"moving\.mcap: its joints are"),
+    ):
+        with pytest.raises(InputError, match=message):
+            validate(model, [replace(logs[0], **change)])
     with pytest.raises(InputError, match="cut-off of 400 Hz"):
         validate(model, logs, 400.0)
 

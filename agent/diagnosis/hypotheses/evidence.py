@@ -184,7 +184,7 @@ class Evidence:
                 form += [self._own_change(j, joint, mean) for j, joint in enumerate(joints)]
             sizes = [_nearest(self.sizes, max(one.values(), default=0.0)) for one in torque]
             for j in (touched if self._nothing else range(self.joints)) if refit else ():
-                energy = _energy(joints[j], float(scales[j]), mean[joints[j].at])
+                energy = _energy(joints[j], mean[joints[j].at])
                 scales[j] = max((law.nu + energy) / (law.nu + self.noise.count), _LEAST_SCALE)
         log = -0.5 * (sum(joint.reduced[-1, -1] + joint.log_det for joint in joints) - float(side @ mean) + log_det)
         ridges = [self.pool.ridge(k, size) for k, size in zip(effects, sizes, strict=True)]
@@ -224,7 +224,7 @@ class Evidence:
             side[joint.at] += own[:-1, -1]
         for ridge, (a, b) in zip(ridges, pairwise(ends), strict=True):
             matrix[a:b, a:b] += ridge
-        values = _solved(matrix, side)[0] if ridges else side
+        values, _ = _solved(matrix, side)
         return [values[a:b] for a, b in pairwise(ends)]
 
     def shortlist_gains(self, base: Evaluated) -> tuple[np.ndarray, list[np.ndarray]]:
@@ -292,7 +292,7 @@ class Evidence:
                 cost = np.array([self._cost(bank.candidates[k]) + self.needed(True) for k in which])
                 usual = self.law.sizes[1] ** 2 * width * unit[:, :, None] * schur[width] * unit[:, None, :]
                 log_det = 0.5 * np.linalg.slogdet(np.eye(width) + usual)[1]
-                sizes[which] = (_POWER + np.sqrt(2 * np.maximum(cost + log_det, 0.0))) / np.sqrt(information)
+                sizes[which] = (_POWER + np.sqrt(2 * (cost + log_det))) / np.sqrt(information)
             found += sizes.tolist()
         return found
 
@@ -429,7 +429,7 @@ def _solved(matrix: np.ndarray, side: np.ndarray) -> tuple[np.ndarray, float]:
     return unit * _solved_lower(lower, half, transposed=True), log_det
 
 
-def _energy(joint: JointMoments, scale: float, mean: np.ndarray) -> float:
+def _energy(joint: JointMoments, mean: np.ndarray) -> float:
     """Energy that model, effects and noise model leave on a joint at parameters (k,)."""
     own, cross, square = joint.moments
     rest = np.append(mean, -1.0)

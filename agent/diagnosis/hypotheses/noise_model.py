@@ -169,12 +169,11 @@ def smooth_columns(q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, time: np.ndar
     ndarray, shape (S, m)
         Columns of order one.
     """
-    top = max(float(np.abs(qd).max()), 1e-9)
-    sign = np.tanh(qd / (_TURNING * top))[:, None]
     speed = np.abs(qd)
+    sign = np.tanh(qd / (_TURNING * max(float(speed.max()), 1e-9)))[:, None]
     logs = (log[:, None] == np.unique(log)).astype(float)
-    parts = [_hats(q, 8), sign * _hats(speed, 5, 0.0, top), _hats(speed, 4, 0.0, top), sign * _hats(q, 5)]
-    parts += [_hats(qdd / max(float(np.abs(qdd).max()), 1e-9), 5), logs, sign * logs]
+    parts = [_hats(q, 8), sign * _hats(speed, 5, 0.0), _hats(speed, 4, 0.0), sign * _hats(q, 5), _hats(qdd, 5)]
+    parts += [logs, sign * logs]
     for here in logs.T.astype(bool):
         low, high = float(time[here].min()), float(time[here].max())
         parts.append(_hats(time, max(3, int((high - low) / _DRIFT) + 1), low, high) * here[:, None])

@@ -79,14 +79,19 @@ def forces(found):
     )
 
 
+def are_found(found, expected, link=2, most=0.25):
+    """Pushes with the expected (start, end, log), in this order, on a link, with the force that was used."""
+    assert [entry[2:4] for entry in found] == [(link, log) for *_, log in expected]
+    for (start, end, *_, force), (begins, ends, _) in zip(found, expected, strict=True):
+        assert (start, end) == pytest.approx((begins, ends), abs=0.2)
+        assert np.linalg.norm(force - FORCE) < most * np.linalg.norm(FORCE)
+    return True
+
+
 @pytest.mark.parametrize("times", [[(2.0, 2.6)], [(1.2, 2.0), (6.9, 7.5)], [(1.0, 7.0)], [(1.22, 2.78), (8.0, 9.56)]])
 def test_pushes_are_found_on_their_link_with_force_and_times(arm, model, free, times):
     found = forces(best(arm, model, [pushed(arm, free[0], "link_3", times), free[1]]))
-    assert len(found) == len(times)
-    for (start, end, link, log, force), expected in zip(found, times, strict=True):
-        assert (start, end) == pytest.approx(expected, abs=0.2)
-        assert (link, log) == (2, 0)
-        assert np.linalg.norm(force - FORCE) < 0.25 * np.linalg.norm(FORCE)
+    assert are_found(found, [(*time, 0) for time in times])
 
 
 def test_many_pushes_are_found(arm, model):
@@ -102,10 +107,7 @@ def test_a_push_in_the_middle_of_a_link_is_found_there(arm, model, free):
     place, times = (0.1, 0.0, 0.1), [(1.2, 2.0), (6.9, 7.5)]
     logs = [pushed(arm, free[0], "link_3", times, at=place), free[1]]
     found = best(arm, model, logs)
-    for (start, end, link, log, force), expected in zip(forces(found), times, strict=True):
-        assert (start, end) == pytest.approx(expected, abs=0.2)
-        assert (link, log) == (3, 0)
-        assert np.linalg.norm(force - FORCE) < 0.35 * np.linalg.norm(FORCE), "three joints, for force and place"
+    assert are_found(forces(found), [(*time, 0) for time in times], 3, 0.35), "three joints, for force and place"
     (cause,) = diagnose(arm, logs, model).result["causes"]
     assert (cause["effect"], cause["parameters"]["link"]) == ("contact", 3)
     assert cause["closure"] > 0.97
@@ -114,11 +116,8 @@ def test_a_push_in_the_middle_of_a_link_is_found_there(arm, model, free):
 def test_finds_a_push_that_began_before_the_log(arm, model, free):
     """There is no quiet time before it, so it has to exceed the time after it by far."""
     found = forces(best(arm, model, [pushed(arm, free[0], "link_3", [(-1.0, 1.6)]), free[1]]))
-    ((start, end, link, log, force),) = found
-    assert start < 0.4
-    assert end == pytest.approx(1.6, abs=0.2)
-    assert (link, log) == (2, 0)
-    assert np.linalg.norm(force - FORCE) < 0.25 * np.linalg.norm(FORCE)
+    assert found[0][0] < 0.4
+    assert are_found(found, [(found[0][0], 1.6, 0)])
 
 
 def test_finds_several_long_pushes_in_every_log(arm, model, free):
@@ -126,11 +125,7 @@ def test_finds_several_long_pushes_in_every_log(arm, model, free):
     times = [(1.0, 3.0), (6.6, 8.6)]
     found = forces(best(arm, model, [pushed(arm, log, "link_3", times) for log in free]))
     found = sorted(found, key=lambda entry: (round(entry[0]), entry[3]))
-    assert [entry[3] for entry in found] == [0, 1, 0, 1]
-    for (start, end, link, _, force), expected in zip(found, np.repeat(times, 2, axis=0), strict=True):
-        assert (start, end) == pytest.approx(tuple(expected), abs=0.2)
-        assert link == 2
-        assert np.linalg.norm(force - FORCE) < 0.25 * np.linalg.norm(FORCE)
+    assert are_found(found, [(*time, log) for time in times for log in (0, 1)])
 
 
 @pytest.mark.parametrize("times", [[], [(1.5, 2.2), (6.5, 7.2)]])

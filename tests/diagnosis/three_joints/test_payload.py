@@ -9,7 +9,9 @@ import pytest
 
 from agent.diagnosis import diagnose
 from agent.estimation import estimate
+from agent.model import PAYLOAD as SAYS
 from agent.model.effects import CATALOGUE
+from agent.pages.diagnosis.page import about_diagnosis
 from agent.robot import ParameterLayout
 from agent.robot.dynamics import Dynamics
 from fake_controller.plant import Plant
@@ -18,6 +20,7 @@ from tests.small_arms import record
 MASS = 3.0  # kg
 BALL = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 1.0])
 PAYLOAD = CATALOGUE["payload"]
+CLAIMED = "6 kg, 0 mm, 0 mm, 60 mm"
 
 
 @pytest.mark.parametrize(("inertia", "is_point"), [(0.0, False), (-0.06, True)])
@@ -50,3 +53,15 @@ def test_a_removed_load_has_negative_mass(arm):
     (cause,) = found.result["causes"]
     assert cause["effect"] == "payload"
     assert cause["parameters"]["mass"] == pytest.approx(-MASS, rel=0.1)
+
+
+def test_names_a_mass_that_only_a_log_claims_if_nothing_explains_the_gap(arm, model):
+    """More friction in both motions, and a mass that one of them claims and that nobody mounted."""
+    effect = {"effect": "friction_change", "joints": ["joint_2"], "parameters": {"coulomb": 1.6}}
+    plant = Plant(arm, seed=3, effects=[effect])
+    first, second = (record(plant, name, seed) for name, seed in (("one", 21), ("two", 22)))
+    found = diagnose(arm, [first, replace(second, metadata={**second.metadata, SAYS: CLAIMED})], model)
+    assert found.result["verdict"] == "unknown"
+    (said,) = [text for text in found.warnings if CLAIMED in text]
+    assert said == f"two.mcap says that {CLAIMED} were at the flange: if they were not, the gap may be that"
+    assert ("mass at the flange", f"{CLAIMED} (two.mcap)") in about_diagnosis(found, [], found.result).identity
