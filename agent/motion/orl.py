@@ -260,7 +260,7 @@ class OrlInterpolator:
             elif move.fly:
                 self._call("ORL_set_fly_parameter", _FLY_PERCENT, settings.fly_percent)
             # A circle takes two calls: its end, then its via-point.
-            for target in filter(None, (move.target, move.via)):
+            for target in (move.target,) if move.via is None else (move.target, move.via):
                 pose = joints = _FFI.NULL
                 if isinstance(target, JointTarget):
                     joints = self._joints(target.position)
