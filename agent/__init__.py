@@ -6,8 +6,7 @@ returns a result that prints itself. Nothing is loaded before it is used.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
-
+TYPE_CHECKING = False  # as type checkers read it; nothing is imported before `agent.__main__` looks after signals
 if TYPE_CHECKING:
     from agent.notebook import (
         calibrate,
@@ -40,7 +39,7 @@ __all__ = [
 ]
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     if name in __all__:
         from agent import notebook
 
