@@ -165,7 +165,7 @@ def case(request):
     fit = synthetic_fit(request.param != "drawn", SIMULATOR if request.param == "file" else "weighted")
     forms = [synthetic_form(fit, *form) for form in FORMS]
     forms[5].blocks[1][:, 1] = 0
-    forms[3].blocks[1] *= 1e-3 * (np.arange(len(fit.cell)) > 40)[:, None]
+    forms[3].blocks[1] *= 1e-3 * (np.arange(len(fit.cell)) % 40 > 10)[:, None]
     left = [rows[:, -1] + 3 * rows[:, 1:3].sum(axis=1) for rows in fit.rows]  # also of friction on another day
     for number, size in ((0, 1.0), (2, 0.6), (4, 2.5)):
         for joint, block in forms[number].blocks.items():
