@@ -26,6 +26,11 @@ FORMS = (
 ALL = np.ones(4, dtype=bool)
 
 
+@pytest.fixture(autouse=True)
+def few_at_once(monkeypatch):
+    monkeypatch.setattr(moments, "_AT_ONCE", 2)
+
+
 @pytest.fixture(scope="module", params=[True, False], ids=["given", "drawn"])
 def plain(request) -> Fit:
     return synthetic_fit(request.param)
@@ -67,8 +72,7 @@ def close(seen, expected) -> None:
 
 
 def test_fits_are_least_squares_over_the_rows_that_are_not_held_out(plain, forms):
-    with patch.object(moments, "_AT_ONCE", 2):
-        fit = plain.with_chosen(forms)
+    fit = plain.with_chosen(forms)
     matrix, fitted = least_squares(fit, forms)
     inverse, parameters = fit.solve(ALL)
     np.testing.assert_allclose(inverse @ matrix, np.eye(len(matrix)), atol=1e-6)

@@ -25,15 +25,10 @@ class Model:
     healthy: tuple[HealthyEffect, ...] = ()
 
 
-def fit_of(*forms: tuple[str, int, float, float], once: str = "") -> SimpleNamespace:
+def fit_of(*told: tuple[str, int, float, float | None], once: str = "") -> SimpleNamespace:
     """Forms as effect, joint, gain and torque over nominal; each has its gain as its parameter."""
-    made = [
-        SimpleNamespace(place=(name, (joint,)), once=name == once, settings={"speed": gain})
-        for name, joint, gain, _ in forms
-    ]
-    return SimpleNamespace(
-        forms=made, gains=np.array([gain for *_, gain, _ in forms]), sizes=[size for *_, size in forms]
-    )
+    forms = [SimpleNamespace(place=(e, (j,)), once=e == once, settings={"speed": gain}) for e, j, gain, _ in told]
+    return SimpleNamespace(forms=forms, gains=np.array([one[2] for one in told]), sizes=[one[3] for one in told])
 
 
 @pytest.fixture
