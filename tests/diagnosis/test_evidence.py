@@ -42,11 +42,8 @@ def fit_of(robot, model, effects=(), seeds=(21, 22)):
     return assemble(robot, model, logs, None).fit
 
 
-def test_a_healthy_arm_has_no_gap(robot, model):
+def test_names_an_offset_or_an_equivalent_and_nothing_on_a_healthy_arm(robot, model):
     assert verdict_on(named(Search(fit_of(robot, model)).run())) == "no_gap"
-
-
-def test_names_an_offset_or_an_equivalent(robot, model):
     decision = named(Search(fit_of(robot, model, [OFFSET])).run())
     assert ("torque_offset", (1,)) in (decision.causes[0].place, *decision.rivals[0])
     assert decision.probability[0] > 0.6

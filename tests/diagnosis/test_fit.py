@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from types import SimpleNamespace
 from unittest.mock import patch
@@ -26,14 +26,10 @@ FORMS = (
 ALL = np.ones(4, dtype=bool)
 
 
-@pytest.fixture(autouse=True)
-def few_at_once(monkeypatch):
-    monkeypatch.setattr(moments, "_AT_ONCE", 2)
-
-
 @pytest.fixture(scope="module", params=[True, False], ids=["given", "drawn"])
-def plain(request) -> Fit:
-    return synthetic_fit(request.param)
+def plain(request) -> Iterator[Fit]:
+    with patch.object(moments, "_AT_ONCE", 2):
+        yield synthetic_fit(request.param)
 
 
 @pytest.fixture(scope="module", params=[(), (0,), (3,), (2, 0, 1, 3)])

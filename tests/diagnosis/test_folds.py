@@ -30,11 +30,9 @@ def cut(*logs: Log) -> tuple[list[np.ndarray], list[str]]:
     fold = np.where(cell < 0, -1, cell // 2)
     assert np.array_equal(cell[cell >= 0] % 2, (time / 0.1).astype(int)[cell >= 0] % 2)
     cells = np.arange(2 * len(folds))
-    for k, one in enumerate(folds):
-        assert np.array_equal(one.test, cells // 2 == k)
+    assert np.array_equal([one.test for one in folds], [cells // 2 == k for k in range(len(folds))])
     assert [one.name for one in single] == [one.name for one in folds for _ in range(2)]
-    for k, one in enumerate(single):
-        assert np.array_equal(one.test, cells == k)
+    assert np.array_equal([one.test for one in single], [cells == k for k in cells])
     assert all(np.array_equal(one.train, ~one.test) for one in (*folds, *single))
     return [fold[number == k] for k in range(len(logs))], [one.name for one in folds]
 

@@ -64,10 +64,8 @@ def learned(monkeypatch):
         fits.clear()
         fits.update(known)
         logs = [[SimpleNamespace(name=name, t=np.array([5.0, 65.0])) for name in some] for some in (names, held_out)]
-        return {
-            (one.effect, one.joints): (one.size, one.settings)
-            for one in healthy.with_healthy_effects(Model(), *logs).healthy
-        }
+        found = healthy.with_healthy_effects(Model(), *logs).healthy
+        return {(one.effect, one.joints): (one.size, one.settings) for one in found}
 
     return learn
 

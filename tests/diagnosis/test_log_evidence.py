@@ -55,10 +55,8 @@ class Written:
         self.prior[self.friction, self.friction] += (THE_LAW.daily * fit.reference.model.values[self.friction]) ** 2
         self.start = self.prior @ fit.shift
         self.rest = whole[..., -1].ravel() - self.columns @ self.start
-        time, *motion = (
-            np.concatenate([getattr(s, name)[s.kept] for s in fit.signals])[::STEP]
-            for name in ("time", "q", "qd", "qdd")
-        )
+        parts = [[getattr(s, name)[s.kept] for s in fit.signals] for name in ("time", "q", "qd", "qdd")]
+        time, *motion = (np.concatenate(part)[::STEP] for part in parts)
         self.common, self.of_log = [], []
         for j, sigma in enumerate(self.sigma):
             smooth = smooth_columns(*(part[:, j] for part in motion), time, self.log) * (self.base[j] / sigma)[:, None]
@@ -122,10 +120,8 @@ class Written:
             plain = np.diag(np.repeat(scales, ROWS)) / WEIGHT
             whole = self.noise(scales, free, form) + told
             pull, alone = np.linalg.solve(whole, self.rest), np.linalg.solve(plain + told, self.rest)
-            change, values = (
-                self.prior @ self.columns.T @ pull,
-                [s @ z.T @ pull for z, s in zip(columns, spreads, strict=True)],
-            )
+            change = self.prior @ self.columns.T @ pull
+            values = [spread @ z.T @ pull for z, spread in zip(columns, spreads, strict=True)]
             torque = [z @ value for z, value in zip(columns, values, strict=True)]
             if not fitting:
                 break
