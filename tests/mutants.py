@@ -22,11 +22,14 @@ PACKAGES = {
     "agent/runs": ["tests/shop_floor/test_trends.py", "tests/shop_floor/test_history.py"],
     "agent/validation": ["tests/validation"],
 }
-#: The same for modules that no file of tests is called after, where those of the package say little of them.
+_LOG_EVIDENCE = ["tests/diagnosis/test_log_evidence.py"]
 _DECISION = ["tests/diagnosis/test_verdict.py", "tests/diagnosis/test_posterior.py"]
+#: The same for modules that no file of tests is called after, where those of the package say little of them.
 NARROW = {
     "agent/diagnosis/forward/interval.py": ["tests/diagnosis/test_forward.py"],
+    **{f"agent/diagnosis/hypotheses/{name}.py": _LOG_EVIDENCE for name in ("evidence", "noise_model", "pool")},
     "agent/diagnosis/hypotheses/finding.py": _DECISION,
+    "agent/diagnosis/rows/moments.py": ["tests/diagnosis/test_fit.py"],
     "agent/diagnosis/verdict.py": _DECISION,
     "agent/estimation/uncertainty.py": ["tests/estimation/test_uncertainty.py", "tests/estimation/test_paper.py"],
     "agent/pages/calibration/parameters.py": ["tests/validation/test_run_sections.py"],

@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
-import numpy as np
 import pytest
 
 from agent.blind_check import clopper_pearson
 from agent.core import Console
-from agent.diagnosis.hypotheses.evidence import Evidence
 from agent.diagnosis.hypotheses.finding import Finding
 from agent.diagnosis.hypotheses.healthy import healthy_on, with_healthy_effects
-from agent.diagnosis.hypotheses.law import LAW
 from agent.diagnosis.hypotheses.search import Search
 from agent.diagnosis.rows.dataset import assemble
 from agent.diagnosis.verdict import named
@@ -47,11 +42,8 @@ def fit_of(robot, model, effects=(), seeds=(21, 22)):
     return assemble(robot, model, logs, None).fit
 
 
-def test_a_healthy_arm_has_no_gap(robot, model):
+def test_names_an_offset_or_an_equivalent_and_nothing_on_a_healthy_arm(robot, model):
     assert verdict_on(named(Search(fit_of(robot, model)).run())) == "no_gap"
-
-
-def test_names_an_offset_or_an_equivalent(robot, model):
     decision = named(Search(fit_of(robot, model, [OFFSET])).run())
     assert ("torque_offset", (1,)) in (decision.causes[0].place, *decision.rivals[0])
     assert decision.probability[0] > 0.6
@@ -65,44 +57,6 @@ def test_an_effect_of_the_healthy_arm_is_not_named(robot, model):
     usual = [(form, 10 * 0.02) for form in Search(fit).forms() if form.place in found]
     again = named(Search(fit, healthy=usual).run())
     assert not {cause.place for cause in again.causes} & found
-
-
-def test_a_gain_is_the_ratio_of_two_normal_densities_of_all_rows(robot, model):
-    """By second moments and Schur complements, against the covariance of all rows written out."""
-    fit = fit_of(robot, model, [OFFSET], seeds=(21,))
-    (form,) = [form for form in Search(fit).forms() if form.place == ("torque_offset", (1,))]
-    evidence = Evidence(fit, [form], healthy=(), law=replace(LAW, form=0.0))
-    base, law = evidence.nothing, evidence.law
-    rows, joints = evidence.noise.rows, evidence.joints
-    residual = np.concatenate([evidence.noise.known[j][:, -1] for j in range(joints)]).astype(float)
-    noise = np.repeat(base.scales / evidence.noise.weight, rows)
-    model_columns = np.zeros((joints * rows, len(fit.precision)))
-    covariance = np.diag(noise)
-    for j, index in enumerate(fit.index):
-        here = slice(j * rows, (j + 1) * rows)
-        columns = evidence.noise.known[j].astype(float)
-        model_columns[here, index] = columns[:, : len(index)]
-        free = columns[:, len(index) : -1]
-        variance = base.scales[j] * law.systematic**2 + (law.drift * evidence.noise.unit[j]) ** 2
-        covariance[here, here] += variance * free @ free.T
-    terms, independent = fit.reference.model.terms, fit.reference.model.independent
-    friction = np.array([*(False for _ in independent), *(term.form != "offset" for term in terms)])
-    moved = np.linalg.inv(fit.precision) + np.diag((law.daily * fit.reference.model.values * friction) ** 2)
-    covariance += model_columns @ moved @ model_columns.T
-    effect = np.zeros(joints * rows)
-    effect[rows:] = evidence.noise.thinned(form, 1)[:, 0]
-    torque = np.sqrt(np.mean((effect[rows:] * evidence.noise.sigma[:, 1] / evidence.noise.nominal[1]) ** 2))
-
-    def log_density(matrix):
-        lower = np.linalg.cholesky(matrix)
-        return -0.5 * np.sum(np.linalg.solve(lower, residual) ** 2) - np.log(np.diag(lower)).sum()
-
-    alone = log_density(covariance)
-    ratios = [
-        log_density(covariance + (size / torque) ** 2 * np.outer(effect, effect)) - alone for size in evidence.sizes
-    ]
-    gains, _ = evidence.shortlist_gains(base)
-    assert gains[0] == pytest.approx(max(ratios), rel=1e-3, abs=1e-3)
 
 
 @pytest.fixture(scope="module")

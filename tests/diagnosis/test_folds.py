@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -29,11 +30,9 @@ def cut(*logs: Log) -> tuple[list[np.ndarray], list[str]]:
     fold = np.where(cell < 0, -1, cell // 2)
     assert np.array_equal(cell[cell >= 0] % 2, (time / 0.1).astype(int)[cell >= 0] % 2)
     cells = np.arange(2 * len(folds))
-    for k, one in enumerate(folds):
-        assert np.array_equal(one.test, cells // 2 == k)
+    assert np.array_equal([one.test for one in folds], [cells // 2 == k for k in range(len(folds))])
     assert [one.name for one in single] == [one.name for one in folds for _ in range(2)]
-    for k, one in enumerate(single):
-        assert np.array_equal(one.test, cells == k)
+    assert np.array_equal([one.test for one in single], [cells == k for k in cells])
     assert all(np.array_equal(one.train, ~one.test) for one in (*folds, *single))
     return [fold[number == k] for k in range(len(logs))], [one.name for one in folds]
 
@@ -60,8 +59,9 @@ def test_one_log_is_cut_at_its_cycles_or_in_five_blocks(cycles, borders):
     edges = [0, *borders, 10]
     assert names == [f"a.mcap {a:.1f}-{b:.1f} s" for a, b in pairwise(edges)]
     assert len(cut(log_of("a.mcap", 3))[1]) == 5
+    short = log_of("a.mcap", 3.25)
     with pytest.raises(InputError, match=r"a\.mcap: only 2\.9 s remain after filtering; a single log needs 3 s"):
-        cut(log_of("a.mcap", 2.875))
+        folds_of(short.t[32:-16], np.zeros(369, dtype=int), [short])
 
 
 def test_of_several_each_is_held_out_or_its_parts_where_only_it_tells_of_a_joint():
@@ -70,6 +70,7 @@ def test_of_several_each_is_held_out_or_its_parts_where_only_it_tells_of_a_joint
     assert names == ["a.mcap", "b.mcap 0.0-2.0 s", "b.mcap 2.0-4.0 s", "b.mcap 4.0-6.0 s", "c.mcap"]
     assert [np.unique(one).tolist() for one in folds] == [[0], [-1, 1, 2, 3], [4]]
     assert np.array_equal(folds[1], np.where((b := between(logs[1].t, part_borders(logs[1]))) < 0, -1, 1 + b))
+    assert cut(logs[0], logs[2])[1] == ["a.mcap", "c.mcap"]
     for share, parts in ((0.04, 2), (0.06, 1)):
         slower = logs[0].position * [1, share]
         moved = [logs[2], *(log_of(f"{k}.mcap", 4) for k in "de")]
@@ -83,5 +84,12 @@ def test_parts_have_the_same_time_in_motion(said, parts):
     """Two of eight seconds, in which all stand, are of no part."""
     log = log_of("a.mcap", 8, lambda t: t - np.clip(t - 4, 0, 2), metadata={PARTS: said})
     expected = [at if at <= 4 else at + 2 for at in 6 * np.arange(1, parts) / parts]
-    assert part_borders(log) == pytest.approx(expected, abs=0.01)
+    assert part_borders(log) == pytest.approx(expected)
+    creep = np.stack([0 * log.t, np.clip(log.t - 4, 0, 2)], axis=1)
+    still, creeps = (replace(log, position=log.position * [1, 0] + size * creep) for size in (0.0, 1e-3))
+    assert part_borders(still) == pytest.approx(expected)
+    assert part_borders(creeps) == pytest.approx(8 * np.arange(1, parts) / parts)
     assert len(part_borders(log, 3)) == max(parts, 3) - 1
+    gap = log_of("b.mcap", 2, lambda t: t)
+    assert part_borders(gap, 4) == pytest.approx([0.5, 1.0, 1.5])
+    assert part_borders(replace(gap, t=gap.t + 3 * (gap.t > 1)), 2) == pytest.approx([2.5])

@@ -53,18 +53,18 @@ def test_finds_a_different_pace_in_motions_with_stops(rate):
     assert gap.closure > 0.95
 
 
-def test_different_ramps_are_not_a_different_pace():
-    gap = motion_gap([recorded("one.mcap", WAYS, 1.0, 1.15), recorded("two.mcap", WAYS[::-1], 1.0, 0.85)])
-    assert gap.notable
-    assert not gap.described
+SIZES = {"large.mcap": (6.0, 1.006), "small.mcap": (0.5, 1.012), "least.mcap": (0.1, 1.0)}
 
 
-def test_a_pace_contradicted_by_one_motion_is_rejected():
-    """Corners of a large motion look like a pace, by chance that between two others; one of these ran as planned."""
-    sizes = {"large.mcap": (6.0, 1.006), "small.mcap": (0.5, 1.012), "least.mcap": (0.1, 1.0)}
-    logs = [
-        recorded(name, [(k * reach, lasting) for reach, lasting in WAYS], rate) for name, (k, rate) in sizes.items()
-    ]
+@pytest.mark.parametrize(
+    "logs",
+    [
+        [recorded("one.mcap", WAYS, 1.0, 1.15), recorded("two.mcap", WAYS[::-1], 1.0, 0.85)],
+        [recorded(name, [(k * reach, lasting) for reach, lasting in WAYS], rate) for name, (k, rate) in SIZES.items()],
+    ],
+    ids=["other ramps", "corners of a large motion that look like one, by chance that between two others"],
+)
+def test_what_one_motion_contradicts_is_no_other_pace(logs):
     gap = motion_gap(logs)
     assert gap.notable
     assert not gap.described

@@ -43,18 +43,14 @@ def test_friction_does_not_fall_below_zero(reference):
         assert possible(reference, "asymmetric_friction", {"coulomb": 1.0}, asymmetry) == fine
 
 
-def test_no_gear_warms_up_in_a_second(reference):
+def test_no_gear_warms_up_in_a_second_and_no_load_has_negative_inertia(reference):
     drift = {"coulomb_change": 0.1, "coulomb_drift": 0.1, "viscous_change": 0.0, "viscous_drift": 0.0}
-    assert possible(reference, "thermal_friction", {"way": 20.0}, drift)
-    assert not possible(reference, "thermal_friction", {"way": 0.3}, drift)
-    assert not possible(reference, "thermal_friction", {"time_constant": 0.9}, drift)
-
-
-def test_a_load_has_no_negative_inertia(reference):
+    for form, fine in (({"way": 20.0}, True), ({"way": 0.3}, False), ({"time_constant": 0.9}, False)):
+        assert possible(reference, "thermal_friction", form, drift) == fine
     load = {"mass": 2.0, "moment_x": 0.2, "moment_y": 0.0, "moment_z": 0.0}
     settings = {"m0": 2.0, "hx0": 0.2, "hy0": 0.0, "hz0": 0.0}
-    assert possible(reference, "payload", settings, {**load, "inertia": 0.01})
-    assert not possible(reference, "payload", settings, {**load, "inertia": -0.02})
+    for inertia, fine in ((0.01, True), (-0.02, False)):
+        assert possible(reference, "payload", settings, {**load, "inertia": inertia}) == fine
 
 
 def test_a_spring_torque_stays_within_the_joint_limit(reference):

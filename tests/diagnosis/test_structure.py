@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+from typer.testing import CliRunner
 
+from agent.cli.app import app
 from agent.diagnosis.structure import with_structure
 from agent.estimation import EstimationSettings, estimate
 from agent.model.identified_model import IdentifiedModel
@@ -47,10 +49,6 @@ def test_an_arm_without_structure_keeps_its_model():
 
 
 def test_an_unknown_structure_is_refused_before_the_work(tmp_path):
-    from typer.testing import CliRunner
-
-    from agent.cli.app import app
-
     out = tmp_path / "model.json"
     arguments = ["estimate", "--robot", "ns16", "--structure", "soft", "-o", str(out), str(tmp_path / "a.mcap")]
     result = CliRunner().invoke(app, arguments)

@@ -153,20 +153,20 @@ def test_pseudo_inertia_is_the_second_moment_of_a_density() -> None:
 
 @pytest.mark.parametrize("known", [True, False])
 def test_pinocchio_finds_the_torques_of_the_fit(ns16: RobotDescription, tmp_path: Path, known: bool) -> None:
+    """With the friction in the URDF, and a table of the parameters."""
     model = model_of(ns16, bodies(ns16), known)
-    urdf, _, friction, *_ = export_model(model, tmp_path)
+    urdf, _, friction, *others = export_model(model, tmp_path)
     torque, expected = by_pinocchio(urdf, friction, *states(ns16)), model.rigid.torque(*states(ns16), model.base_values)
     np.testing.assert_allclose(torque, expected, rtol=0, atol=1e-9)
-
-
-def test_the_urdf_dynamics_element_holds_the_friction(ns16: RobotDescription, tmp_path: Path) -> None:
-    model = model_of(ns16, bodies(ns16), known=True)
-    urdf, *_ = export_model(model, tmp_path)
     joints = {joint.get("name"): joint for joint in ElementTree.parse(urdf).getroot().iter("joint")}
     for k, name in enumerate(ns16.joint_names):
         (dynamics,) = joints[name].findall("dynamics")
         assert float(dynamics.get("friction")) == pytest.approx(10 + k)
         assert float(dynamics.get("damping")) == pytest.approx(5 + k)
+    header, *rows = (tmp_path / "parameters.csv").read_text("utf-8").splitlines()
+    assert header.startswith("parameter,value,")
+    assert len(rows) > 40
+    assert (tmp_path / "foxglove-layout.json") in others
 
 
 def test_other_friction_forms_are_exported_as_a_line_fit(ns16: RobotDescription, tmp_path: Path) -> None:
@@ -228,9 +228,8 @@ def test_mujoco_reads_the_urdf_too(ns16: RobotDescription, tmp_path: Path) -> No
     np.testing.assert_allclose(read.dof_frictionloss, [10.0 + k for k in range(6)])
     read.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS
     q, qd, qdd = states(ns16)
-    torque = by_mujoco(read, mujoco.MjData(read), q, 0 * qd, qdd)
     expected = model.rigid.torque(q, 0 * qd, qdd, model.base_values)
-    np.testing.assert_allclose(torque, expected, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(by_mujoco(read, mujoco.MjData(read), q, 0 * qd, qdd), expected, rtol=0, atol=1e-9)
 
 
 BODY = (
@@ -345,14 +344,6 @@ def test_the_sdf_has_the_torques_of_the_bodies(ns16, tmp_path):
     expected = rigid.torque(q, qd, qdd, rigid.projection @ without_rotors)
     torque = np.array([pin.rnea(read, data, *state) for state in zip(q, qd, qdd, strict=True)])
     np.testing.assert_allclose(torque, expected, atol=1e-7 * np.abs(expected).max())
-
-
-def test_exports_parameters_as_csv(ns16, tmp_path):
-    paths = export_model(model_of(ns16, bodies(ns16), known=True), tmp_path)
-    header, *rows = (tmp_path / "parameters.csv").read_text("utf-8").splitlines()
-    assert header.startswith("parameter,value,")
-    assert len(rows) > 40
-    assert (tmp_path / "foxglove-layout.json") in paths
 
 
 def test_exports_the_table_of_a_model_without_physical_links(ns16, tmp_path):

@@ -36,14 +36,11 @@ def test_a_saved_model_is_the_same_model(model, motion, tmp_path):
     model.save(path)
     again = IdentifiedModel.load(path)
     assert np.array_equal(again.predict(*motion), model.predict(*motion))
+    assert np.allclose(model.columns(*motion) @ model.values, model.predict(*motion), atol=1e-9)
     assert again.to_dict() == model.to_dict()
     assert again.robot == model.robot
     assert [entry.name for entry in tmp_path.iterdir()] == ["model.json"]
     json.loads(path.read_text(encoding="utf-8"), parse_constant=lambda text: pytest.fail(f"{text} is not JSON"))
-
-
-def test_prediction_is_the_regressor_times_the_parameters(model, motion):
-    assert np.allclose(model.columns(*motion) @ model.values, model.predict(*motion), atol=1e-9)
 
 
 def test_a_failed_save_leaves_the_old_model(model, tmp_path, monkeypatch):
@@ -91,15 +88,9 @@ def test_names_the_missing_part_of_a_model_file(model, tmp_path, key):
         (lambda data: data.update(held_out_rmse=[1.0]), "held_out_rmse is an array"),
         (lambda data: data["prior"].update(data_share=[1.0]), r"prior\.data_share is an array"),
         (lambda data: data.update(standard_parameters=[1.0]), "standard_parameters is an array"),
-        (
-            lambda data: data.update(residual_rmse=[None] * len(data["residual_rmse"])),
-            "residual_rmse.0: .*valid number",
-        ),
+        (lambda data: data["residual_rmse"].__setitem__(0, None), "residual_rmse.0: .*valid number"),
         (lambda data: data["independent"].__setitem__(0, 999), "independent counts standard parameters"),
-        (
-            lambda data: data["independent"].__setitem__(0, data["independent"][1]),
-            "independent names a standard .* twice",
-        ),
+        (lambda data: data["independent"].__setitem__(0, data["independent"][1]), "independent names .* twice"),
         (lambda data: data["filter"].update(cutoff_hz=-1.0), r"filter\.cutoff_hz: .*greater than 0"),
         (lambda data: data["filter"].update(order=2.5), r"filter\.order: .*integer"),
         (lambda data: data.update(filter=None), "filter: a mapping is expected"),

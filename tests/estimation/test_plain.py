@@ -31,9 +31,7 @@ def _errors(robot, fitted, held_out, method=None):
     return models, [validate(model, [held_out], 10).overall.relative_error_all_joints for model in models]
 
 
-def test_a_seven_joint_arm_logged_slowly_and_briefly_is_predicted_as_well_as_by_plain_least_squares(
-    arm, multisine, make_log
-):
+def test_an_arm_logged_slowly_and_briefly_is_predicted_as_well_as_by_plain_least_squares(arm, multisine, make_log):
     robot = arm(7, seed=1)
     fitted = _recorded(robot, multisine, make_log, 1, 8, 0.02)
     held_out = _recorded(robot, multisine, make_log, 101, 12, 0.0)

@@ -46,7 +46,7 @@ def _motions(time: np.ndarray, log: np.ndarray, logs: Sequence[Log]) -> tuple[np
         borders = part_borders(entry, 2 if number in alone else 1)
         since = time[here]
         near = np.any(np.abs(since[:, None] - borders) < LIMITS.guard, axis=1)
-        group[here] = np.where(near, -1, len(names) + np.searchsorted(borders, since, side="right"))
+        group[here] = np.where(near, -1, len(names) + np.searchsorted(borders, since))
         edges = [0.0, *borders, float(entry.t[-1])]
         names += [f"{entry.name} {a:.1f}-{b:.1f} s" for a, b in pairwise(edges)] if len(borders) else [entry.name]
     return group, names
@@ -86,7 +86,7 @@ def _blocks(time: np.ndarray, log: Log) -> tuple[np.ndarray, list[str]]:
         borders = inside[np.linspace(0, len(inside) - 1, min(len(inside), 5)).astype(int)]
     else:
         borders = np.linspace(first, last, _BLOCKS + 1)[1:-1]
-    group = np.searchsorted(borders, time, side="right")
+    group = np.searchsorted(borders, time)
     near = np.min(np.abs(time[:, None] - borders[None, :]), axis=1) < LIMITS.guard
     edges = [first, *borders, last]
     names = [f"{log.name} {a:.1f}-{b:.1f} s" for a, b in pairwise(edges)]

@@ -72,19 +72,18 @@ def test_torque_present_with_the_drives_off_is_an_offset_and_absent_is_friction(
         assert any("its channel has an offset" in text for text in found.warnings)
 
 
-def test_a_channel_without_a_signal_settles_nothing(arm, model, logs):
-    dead = replace(at_rest(logs[0], 0.0), effort=np.zeros((2000, arm.dof)))
-    found = diagnose(arm, logs, model, drives_off=dead).document
-    assert found.verdict == "ambiguous"
-    assert any("is off with its drive" in text for text in found.warnings)
-
-
-def test_a_noisy_channel_settles_nothing(arm, model, logs, plain):
+@pytest.mark.parametrize(
+    ("wave", "noise", "warning"),
+    [(0.0, 0.0, "is off with its drive"), (8.0, 1.0, "too restless")],
+    ids=["dead", "noisy"],
+)
+def test_a_channel_without_a_signal_or_a_noisy_one_settles_nothing(arm, model, logs, plain, wave, noise, warning):
     zero = at_rest(logs[0], OFFSET * (np.arange(arm.dof) == JOINT))
-    slow = 8.0 * np.sin(2 * np.pi * 0.25 * zero.t[:, None])
-    found = diagnose(arm, logs, model, drives_off=replace(zero, effort=zero.effort + slow)).document
+    slow = wave * np.sin(2 * np.pi * 0.25 * zero.t[:, None])
+    found = diagnose(arm, logs, model, drives_off=replace(zero, effort=noise * zero.effort + slow)).document
+    assert found.verdict == "ambiguous"
     assert [(c.effect, c.equivalent_to) for c in found.causes] == [(c.effect, c.equivalent_to) for c in plain.causes]
-    assert any("too restless" in text for text in found.warnings)
+    assert any(warning in text for text in found.warnings)
 
 
 def test_refuses_a_drives_off_record_with_motor_torque(arm, model, logs):

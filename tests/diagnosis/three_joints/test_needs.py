@@ -1,4 +1,4 @@
-"""A joint that did not move through what an effect needs gets none, and the result says why."""
+"""What logs leave open: a joint that moves too little, a range that was never fitted, positions that are rounded."""
 
 from __future__ import annotations
 
@@ -6,10 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, strategies as st
 
 from agent.diagnosis import diagnose
 from agent.diagnosis.rows.dataset import assemble
-from agent.model import CATALOGUE
+from agent.diagnosis.rows.rounding import rounding_noise, rounding_step
+from agent.estimation import beyond_fit
+from agent.model import CATALOGUE, IdentifiedModel, NominalModel
+from agent.validation import predict_log
 from fake_controller.plant import Plant
 from tests.small_arms import record
 
@@ -71,3 +75,77 @@ def test_torque_that_follows_a_short_travel_is_not_a_push(arm, model, cause):
     result = diagnose(arm, logs, model).result
     assert [entry["effect"] for entry in result["causes"]] == ([] if cause == "of its angle" else ["contact"])
     assert result["verdict"] != "no_gap"
+
+
+USUAL, WIDE = (0.5, 0.5, 0.5), (0.5, 0.5, 3.0)
+
+
+@pytest.fixture(scope="module")
+def logs(arm):
+    plant = Plant(arm, seed=3)
+    return {share: [record(plant, f"{seed}", seed, share) for seed in (21, 22)] for share in (USUAL, WIDE)}
+
+
+def test_warns_if_logs_leave_the_fitted_range(arm, model, logs):
+    assert not [text for text in diagnose(arm, logs[USUAL], model).warnings if "fitted" in text]
+    faster, further = (text for text in diagnose(arm, logs[WIDE], model).warnings if "fitted" in text)
+    assert "go faster" in faster
+    assert "joint_3 at up to" in faster
+    assert "where the model was never fitted" in further
+    assert "joint_3 between" in further
+    assert "joint_1" not in faster + further
+
+
+def test_the_fitted_range_is_saved_and_never_guessed(model, logs, tmp_path):
+    model.save(tmp_path / "model.json")
+    loaded = IdentifiedModel.load(tmp_path / "model.json")
+    predicted = [predict_log(loaded, log) for log in logs[WIDE]]
+    motions = [(each.position, each.velocity) for each in predicted]
+    assert len(list(beyond_fit(loaded, motions))) == 2
+    del loaded.provenance["range"]
+    assert not list(beyond_fit(loaded, motions))
+
+
+def test_reports_a_large_error_of_the_model_itself(arm, model, logs):
+    assert not [text for text in diagnose(arm, logs[USUAL], model).warnings if "the model errs by" in text]
+    size = np.sqrt(np.mean(logs[USUAL][0].effort ** 2, axis=0))
+    (said,) = (
+        text
+        for text in diagnose(arm, logs[USUAL], replace(model, held_out_rmse=0.4 * size)).warnings
+        if "the model errs by" in text
+    )
+    assert "smaller gaps do not show" in said
+
+
+STEP = 1e-4
+
+
+@pytest.fixture(scope="module")
+def recorded(arm):
+    plant = Plant(arm, seed=3)
+    return [record(plant, name, seed) for name, seed in (("one", 21), ("two", 22))]
+
+
+def rounded(log):
+    return replace(log, position=STEP * np.round(log.position / STEP), velocity=None)
+
+
+def test_predicts_the_size_of_rounding_noise(recorded, model):
+    log = recorded[0]
+    fine, coarse = (predict_log(model, one, 30.0).predicted for one in (replace(log, velocity=None), rounded(log)))
+    happened = np.sqrt(np.mean((coarse - fine) ** 2, axis=0))
+    expected = rounding_noise(NominalModel(model), [rounded(log)], 30.0)
+    assert expected == pytest.approx(happened, rel=0.5)
+
+
+def test_rounding_is_not_a_gap_for_a_model_of_finer_logs(arm, model, recorded):
+    rated = replace(arm, joints=tuple(replace(joint, nominal_motor_torque=0.6) for joint in arm.joints))
+    result = diagnose(rated, [rounded(log) for log in recorded], replace(model, robot=rated)).result
+    assert (result["verdict"], result["causes"]) == ("no_gap", [])
+
+
+@given(st.floats(1e-6, 1e-2), st.floats(-3, 3), st.integers(0, 100))
+def test_finds_the_rounding_step(step, offset, seed):
+    counts = np.cumsum(np.random.default_rng(seed).integers(-3, 4, 500))
+    assert rounding_step(offset + step * counts) == pytest.approx(step, rel=1e-3)
+    assert rounding_step(np.random.default_rng(seed).normal(size=500)) == 0.0
