@@ -42,8 +42,7 @@ def start(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
         process.communicate()
 
 
-def until_it_moves(agent: subprocess.Popen[str]) -> None:
-    assert agent.stderr is not None
+def until_it_moves(agent: warm.PipedProcess) -> None:
     assert any("of motion" in line for line in agent.stderr), "the agent ended before anything moved"
 
 
@@ -152,14 +151,14 @@ def test_a_signal_ends_in_a_controlled_stop(bench, assert_at_rest, assert_readab
     assert assert_readable(bench.log) > 100
 
 
-def test_a_second_agent_on_one_robot_exits_with_75(bench, start):
+def test_a_second_agent_on_one_robot_exits_with_75(bench, tmp_path: Path):
     controller = bench.serve(clock="real")
-    first = start("agent", "record", bench.recipe, "--program", bench.program, "-o", bench.log)
-    until_it_moves(first)
-    second = start("agent", "record", bench.recipe, "--program", bench.program, "-o", bench.folder / "second.mcap")
-    _, errors = second.communicate()
+    record = ("agent", "record", bench.recipe, "--program", bench.program, "-o")
+    with warm.PipedProcess(*record, bench.log, cwd=tmp_path) as first:
+        until_it_moves(first)
+        second = warm.run(*record, bench.folder / "second.mcap", cwd=tmp_path)
     assert second.returncode == 75
-    assert "another run holds this robot" in errors
+    assert "another run holds this robot" in second.stderr
     assert controller.motions_started == 1
 
 
@@ -176,17 +175,17 @@ def test_a_clock_that_jumps_changes_nothing(bench, monkeypatch, assert_readable)
 
 
 @pytest.mark.parametrize("attempt", [0, *(pytest.param(k, marks=pytest.mark.verify) for k in range(1, 12))])
-def test_kill_9_at_any_moment(bench, start, assert_at_rest, attempt):
+def test_kill_9_at_any_moment(bench, tmp_path: Path, assert_at_rest, attempt):
     controller = bench.serve(clock="real")
     bench.program.write_text(LONG, encoding="utf-8")
-    agent = start("agent", "record", bench.recipe, "--program", bench.program, "-o", bench.log)
-    until_it_moves(agent)
     moment = int(np.random.default_rng(attempt).integers(200, 1500))
-    while controller.recorded < moment:
-        time.sleep(0.001)
-    sent = controller.recorded
-    agent.kill()
-    agent.communicate()
+    record = ("agent", "record", bench.recipe, "--program", bench.program, "-o", bench.log)
+    with warm.PipedProcess(*record, cwd=tmp_path) as agent:
+        until_it_moves(agent)
+        while controller.recorded < moment:
+            time.sleep(0.001)
+        sent = controller.recorded
+        agent.kill()
     assert controller.wait(20.0)
     assert controller.ends[0].name == "WATCHDOG"
     assert_at_rest(controller, 1)
