@@ -272,7 +272,7 @@ def test_an_outdated_state_is_not_evidence_of_braking():
 def test_a_nan_clock_gives_no_extra_time(answers):
     arm = stopped()
     arm.state = lambda: HOME + 2.0 * arm.clock.now if answers or arm.clock.now > 0 else None
-    arm.turns(10)
+    arm.turns(10 if answers else 24)  # or until its state has shown a speed
     arm.clock.now = np.nan
     arm.stopping.turn()
     arm.stopping.turn()
