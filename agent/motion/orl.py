@@ -301,7 +301,7 @@ class OrlInterpolator:
         return self._tool if move.settings.tool is None else matrix_of(move.settings.tool)
 
     def _joints(self, q: np.ndarray | Sequence[float] = ()) -> Any:
-        """Joint positions (n,) [rad, m] as the library takes them, or room for those of a step."""
+        """Joint positions (n,) [rad, m] as the library takes them; without any, zeros that a step overwrites."""
         values = np.where(self._sliding, 1e3 * np.asarray(q), np.degrees(q)).tolist() if len(q) else ()
         return _FFI.new("joints *", (_LINK_DEGREE, values))
 
