@@ -25,8 +25,7 @@ if TYPE_CHECKING:
 
 #: Highest speed of the tool centre point in a first run [m/s].
 FIRST_SPEED = 0.25
-_ATTEMPTS = 12
-_SLOWEST = 0.01  # PDL2 takes whole percents of speed
+_ATTEMPTS, _SLOWEST = 12, 0.01  # PDL2 takes whole percents of speed
 #: Beside the runs.
 FILE = "checked_programs.json"
 _SCHEMA = "checked_programs/2"
@@ -76,6 +75,8 @@ class CheckedPrograms:
     def _entries(self) -> dict[tuple[str, ...], dict[str, Any]]:
         try:
             data = json.loads(self.path.read_text(encoding="utf-8"))
+            if data["schema"] == "checked_programs/1":  # of version 1.0.0, which does not say from where
+                return {}
             if data["schema"] != _SCHEMA:
                 raise ValueError(f"schema {data['schema']!r}")
             for entry in data["programs"]:
@@ -116,8 +117,7 @@ def slow_text(
     back = [replace(stretches[0][0], fly=False)]
     for moves in [*stretches, back]:
         key = _place(start), way_key(moves)
-        new = key not in ways
-        if new:
+        if new := key not in ways:
             ways[key] = _slowed(moves, interpolator, start, program.name)
         slow, trajectory = ways[key]
         if moves is back and not np.ptp(trajectory.q, axis=0).any():

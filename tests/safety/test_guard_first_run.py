@@ -111,6 +111,8 @@ def test_a_slow_program_counts_as_its_own_first_run(bench, program):
 
 def test_stores_the_list_of_checked_programs(tmp_path: Path, program):
     checked = CheckedPrograms(tmp_path / "deep" / "checked_programs.json")
+    checked.path.parent.mkdir()
+    checked.path.write_text('{"schema": "checked_programs/1", "programs": [{"serial": "a", "program": "p"}]}')
     p, q = program(0.8), replace(program(0.8), text="PROGRAM q")
     assert not checked.has("a", p)
     checked.add("a", p)
