@@ -1,7 +1,5 @@
 """Serial arms for tests: links of bars, and gears that are all alike."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """A headless Chromium for tests of pages; without it, these tests skip with a message."""
 
-from __future__ import annotations
-
 import io
 import shutil
 from collections.abc import Iterator

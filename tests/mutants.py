@@ -4,8 +4,6 @@ mutmut makes the changes, in a copy of the tree under `.verify/mutants/`, and ke
 interrupted run goes on where it stopped, and only survivors and functions that changed since are tried again.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

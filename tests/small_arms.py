@@ -1,7 +1,5 @@
 """Small arms of any joints, their logs from the simulated plant, and a model of them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

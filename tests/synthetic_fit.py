@@ -1,7 +1,5 @@
 """A fit of two joints on two short logs with made-up columns: small enough to write all its rows out."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import pairwise
 from types import SimpleNamespace

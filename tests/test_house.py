@@ -1,7 +1,5 @@
 """How the source is laid out: what import-linter has no contract for."""
 
-from __future__ import annotations
-
 import ast
 import re
 from itertools import pairwise
@@ -22,17 +20,17 @@ MOST_LINES = {
     "agent/link agent/safety": 3_222,
     "agent/model": 3_879,
     "agent/estimation agent/excitation agent/validation": 4_099,
-    "agent/diagnosis agent/experiment": 6_843,
+    "agent/diagnosis agent/experiment": 6_841,
     "agent/simulators": 3_054,
     "agent/pages": 2_754,
-    "agent/pipeline agent/runs agent/recipe": 6_905,
+    "agent/pipeline agent/runs agent/recipe": 6_897,
     "agent/fleet": 1_882,
     "agent/blind_check": 1_028,
     "agent/cli agent/notebook": 1_363,
     "drivers": 7_268,
-    "fake_controller": 9_350,
+    "fake_controller": 9_324,
     "second_world benchmarks": 4_599,
-    "tests": 46_746,
+    "tests": 46_848,
 }
 
 

@@ -1,7 +1,5 @@
 """Eigenvalues of symmetric matrices, also where the usual method gives up."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st

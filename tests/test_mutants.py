@@ -1,7 +1,5 @@
 """No number of a fit, a verdict or a page can be changed unnoticed."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests.mutants import EQUIVALENT, NARROW, PACKAGES, ROOT, modules, survivors

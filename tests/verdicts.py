@@ -1,7 +1,5 @@
 """The verdict on what a search found."""
 
-from __future__ import annotations
-
 from agent.diagnosis.document import Cause, EffectPlace
 from agent.diagnosis.hypotheses.finding import Finding
 from agent.diagnosis.verdict import decide_verdict

@@ -6,8 +6,6 @@ earlier commits. `tests/verify.py FOLDER…` runs the pieces of these folders or
 they were, or as not run. `docs/measured/figures.csv` and `docs/measured/pieces.csv` hold all figures and outcomes.
 """
 
-from __future__ import annotations
-
 import argparse
 import csv
 import hashlib

@@ -1,7 +1,5 @@
 """Runs with further motions: every way gets the same robot time, and a check that was stopped continues."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """Scores of a check with further motions, of answers that are written by hand."""
 
-from __future__ import annotations
-
 import pytest
 
 from benchmarks.active.scoring import WAYS, active_scores, active_text

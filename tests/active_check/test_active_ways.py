@@ -1,7 +1,5 @@
 """The motion that is planned against other uses of the same robot time, the D-optimal pieces among them."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """The fake controller as a process, as users meet it."""
 
-from __future__ import annotations
-
 import subprocess
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack

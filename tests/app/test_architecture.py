@@ -1,7 +1,5 @@
 """What the documentation says of the code is there: packages, files, names."""
 
-from __future__ import annotations
-
 import importlib
 import importlib.util
 import re

@@ -1,7 +1,5 @@
 """The whole job over a real socket, and what is left when it is cut short."""
 
-from __future__ import annotations
-
 import json
 import re
 import signal

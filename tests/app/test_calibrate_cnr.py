@@ -1,7 +1,5 @@
 """The whole job over the link that a real NS16 has, in the ways that want more than the socket programs."""
 
-from __future__ import annotations
-
 import json
 from contextlib import closing
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Whatever a log holds: import, estimate, validate and diagnose give an answer or one clear refusal."""
 
-from __future__ import annotations
-
 import csv
 import warnings
 from pathlib import Path

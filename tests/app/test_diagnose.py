@@ -1,7 +1,5 @@
 """A diagnosis that records first, over a real socket, and the files it leaves."""
 
-from __future__ import annotations
-
 import json
 import re
 import shlex

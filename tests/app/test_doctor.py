@@ -1,7 +1,5 @@
 """`agent doctor` names what is missing or wrong, with what to do."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

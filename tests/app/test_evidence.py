@@ -1,7 +1,5 @@
 """The benchmark behind docs/measured/evidence.md: a small piece of it, what is resumed, and the page."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

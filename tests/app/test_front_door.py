@@ -1,7 +1,5 @@
 """`import agent as ca`: lazy, complete, and its page and notebook run as they stand there."""
 
-from __future__ import annotations
-
 import ast
 import json
 import re

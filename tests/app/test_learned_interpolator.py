@@ -1,7 +1,5 @@
 """A calibration on a controller of another interpolator, planned with the one that was learned from it."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A recipe whose sub-region is a job in PDL2 as people write it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The lock of a robot: one holder, whatever user, and nothing left behind."""
 
-from __future__ import annotations
-
 import contextlib
 import fcntl
 import os

@@ -1,7 +1,5 @@
 """Arms nobody tuned anything for, from the command line to an exported model, without nominal torques."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

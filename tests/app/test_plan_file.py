@@ -1,7 +1,5 @@
 """plan.json and state.json of a resumed run: any content gives one message or a plan."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What a torque model loses where samples come from the C5G Open node as it is published."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path

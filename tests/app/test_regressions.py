@@ -1,7 +1,5 @@
 """Faults that users met once."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """kill -9 in every step of a calibration: the run resumes at the next step boundary."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

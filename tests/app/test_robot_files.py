@@ -1,7 +1,5 @@
 """A URDF or MJCF where a robot.yaml is expected, and files that have to be converted first."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Run folders, alignment of plan and execution, and the conditions before motion."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 from dataclasses import replace

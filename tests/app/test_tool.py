@@ -1,7 +1,5 @@
 """A recipe with a tool: the arm goes where the program says, and the model is accepted."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

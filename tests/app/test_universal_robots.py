@@ -1,7 +1,5 @@
 """The whole job on an emulated UR5e, by its recipe: a model, and what differs from it later."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What is published is complete: a wheel, built from the archive of the sources, calibrates in an empty environment."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

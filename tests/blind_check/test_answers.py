@@ -1,7 +1,5 @@
 """Answers of any tool, scored by a key: what each outcome counts, what is refused, and the page of the results."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The simple tools that the blind check compares with: one locates, one names what a refit changes."""
 
-from __future__ import annotations
-
 import pytest
 
 from benchmarks.blind_baselines import Gap, ranking, refit

@@ -1,7 +1,5 @@
 """Which runs the emulator's world draws."""
 
-from __future__ import annotations
-
 from collections import Counter
 
 import numpy as np

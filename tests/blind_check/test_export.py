@@ -1,7 +1,5 @@
 """Runs for any tool: nothing but the samples tells the key, and the key draws the same runs again."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

@@ -1,7 +1,5 @@
 """Whole blind checks: runs recorded over the link, diagnosed by a process without the key, scored; and the command."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

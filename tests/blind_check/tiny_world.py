@@ -1,7 +1,5 @@
 """A world of tiny runs that blurts out what they hold in everything but the samples, and what metadata tell of runs."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Faults of recorded data are named, with joints and share of samples; healthy data is accepted."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

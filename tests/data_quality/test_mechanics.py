@@ -1,7 +1,5 @@
 """Logs that no motion of the robot can have made are refused, with the likeliest reason."""
 
-from __future__ import annotations
-
 import functools
 import re
 from dataclasses import replace

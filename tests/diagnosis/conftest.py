@@ -1,7 +1,5 @@
 """Runs of an emulated arm, made here, and the model of its healthy machine."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cache
 

@@ -1,7 +1,5 @@
 """An effect is one class in one file: nothing else knows its name, and others can install more."""
 
-from __future__ import annotations
-
 import logging
 import re
 import textwrap

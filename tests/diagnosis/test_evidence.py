@@ -1,7 +1,5 @@
 """Decisions by log evidence: what stands in the logs is named, and what the healthy arm has already is not."""
 
-from __future__ import annotations
-
 import pytest
 
 from agent.blind_check import clopper_pearson

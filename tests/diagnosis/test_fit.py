@@ -1,7 +1,5 @@
 """Fits by second moments of cells of rows, against least squares over the rows themselves."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from types import SimpleNamespace

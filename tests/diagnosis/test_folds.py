@@ -1,7 +1,5 @@
 """What is held out: whole motions, parts of one that has to stand alone, and every other tenth of a second of these."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path

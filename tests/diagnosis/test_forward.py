@@ -1,7 +1,5 @@
 """Errors of a simulation forward: what drives it, and the interval in which another motion lies nine times of ten."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

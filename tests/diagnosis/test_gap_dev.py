@@ -1,7 +1,5 @@
 """Every run of the development set next to the checkout, against the model of its baseline."""
 
-from __future__ import annotations
-
 import json
 from functools import cache
 

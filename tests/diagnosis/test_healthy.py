@@ -1,7 +1,5 @@
 """What a healthy arm has of the effects: how much, in which form, from which logs."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from types import SimpleNamespace
 from typing import Any

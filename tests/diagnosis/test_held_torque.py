@@ -1,7 +1,5 @@
 """A torque that stands still while the arm moves on is the sensor's: no cause on the arm is named for it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """A description without masses, or with made-up ones: the diagnosis works on what the fit says of the links."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """Log evidence by second moments and Schur complements, against normal densities of all rows written out."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise

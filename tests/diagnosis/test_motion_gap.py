@@ -1,7 +1,5 @@
 """Planned against executed set-points: what pace, delay and rounding are found, and what is none of them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

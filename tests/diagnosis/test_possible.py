@@ -1,7 +1,5 @@
 """Parameters that no machine can have are no causes, and what stiction leaves open is no gap."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """From evidence to a verdict: hypotheses of known probability, and what is said of them."""
 
-from __future__ import annotations
-
 from itertools import combinations
 from types import SimpleNamespace
 

@@ -1,7 +1,5 @@
 """Measured data of real arms: known effects are named, and no cause where a model meets other logs of its own arm."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path

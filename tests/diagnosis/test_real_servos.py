@@ -1,7 +1,5 @@
 """Measured position-controlled servos whose torque nobody knows: the gap in motion shrinks on motion held out."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

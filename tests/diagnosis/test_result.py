@@ -1,7 +1,5 @@
 """The result by the definitions of the contract, and what is said of bad input."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Position-controlled servos without torque: what their file says of them stands in, and is judged."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """How large a cause is, as people read it: value, interval, unit."""
 
-from __future__ import annotations
-
 import re
 from types import SimpleNamespace
 

@@ -1,7 +1,5 @@
 """Where a joint turns back, dry friction holds it until the torque is large enough: what it is meanwhile is no gap."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """`estimate --structure auto`: what an arm has beyond bodies and friction becomes part of its model."""
 
-from __future__ import annotations
-
 import numpy as np
 from typer.testing import CliRunner
 

@@ -1,7 +1,5 @@
 """The gap in held-out error: the part that a cause explains, the repeatability, and no influence of standstill."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

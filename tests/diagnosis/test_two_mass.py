@@ -1,7 +1,5 @@
 """Rotor and link on a spring stay finite in every posture."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

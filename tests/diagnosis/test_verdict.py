@@ -1,7 +1,5 @@
 """The conditions of a verdict hold for every result of the search."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """A drive that is warm before the first of several logs ends: the others cannot tell that it was ever cold."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The gallery has the sections that its script writes, with their sources, licences and small pictures."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from xml.etree import ElementTree

@@ -1,7 +1,5 @@
 """The picture of the README is what a diagnosis of a hose on joint 4 prints."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from xml.etree import ElementTree
 

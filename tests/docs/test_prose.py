@@ -1,7 +1,5 @@
 """Pages, messages, docstrings and comments use plain terms; pages also have short sentences and few words."""
 
-from __future__ import annotations
-
 import ast
 import io
 import re

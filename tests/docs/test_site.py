@@ -1,7 +1,5 @@
 """The site is built without a warning, with a search and the notebook."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

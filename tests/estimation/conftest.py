@@ -1,7 +1,5 @@
 """Arms and motions made for the tests."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from pathlib import Path
 

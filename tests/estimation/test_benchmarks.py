@@ -1,7 +1,5 @@
 """What a fit costs, and what consistent bodies and a prior are worth where data are few; benchmarks do the work."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """From base parameters to bodies, and to files that other programs read."""
 
-from __future__ import annotations
-
 import json
 import xml.etree.ElementTree as ElementTree
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Smoothing, differentiation and the zero-phase filter."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Friction: its forms, how reversals are learned, and which terms the select_friction_terms takes."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st

@@ -1,7 +1,5 @@
 """Logs with too little motion for a model."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The model file and what a model predicts."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace

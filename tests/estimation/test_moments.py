@@ -1,7 +1,5 @@
 """Sums over rows do what the rows would: weights, energies, folds, estimates, evidence and ranks."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Rows of an observation are the torque of its parameters; a partition holds out whole stretches of a motion."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 

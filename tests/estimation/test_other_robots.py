@@ -4,8 +4,6 @@ The data come from formulas of their own: Pinocchio on the URDF with altered bod
 that is fitted, coarse encoders, noisy torque.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace

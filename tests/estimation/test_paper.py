@@ -1,7 +1,5 @@
 """The paper's own estimator: its terms, its weights, no prior."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Plain weighted least squares: one of the estimators that are compared, and no better than what is chosen."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

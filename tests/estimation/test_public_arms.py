@@ -1,7 +1,5 @@
 """Figures on measured data of public arms, all with default settings."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

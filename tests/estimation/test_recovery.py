@@ -1,7 +1,5 @@
 """What estimation must give back when the data hold the answer."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

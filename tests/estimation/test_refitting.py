@@ -1,7 +1,5 @@
 """Friction estimated again while base parameters are kept: its deviations, and what it shares with them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Standard deviations and intervals mean what they say."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

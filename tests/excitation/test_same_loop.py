@@ -4,8 +4,6 @@
 there changes what stored seeds mean, and has to be said in the commit.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

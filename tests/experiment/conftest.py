@@ -1,7 +1,5 @@
 """A diagnosis that leaves two rivals open, and where a further motion may lie."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

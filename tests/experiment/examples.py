@@ -1,7 +1,5 @@
 """A one-sided friction, and a motion to weigh."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

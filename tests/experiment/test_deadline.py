@@ -1,7 +1,5 @@
 """The time that planning may take: said with what is being done, shared between stages, and kept to."""
 
-from __future__ import annotations
-
 import pytest
 
 from agent.experiment import Deadline, OutOfTime

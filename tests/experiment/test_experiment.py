@@ -1,7 +1,5 @@
 """The motion that separates what a diagnosis leaves open, and what it is expected to tell."""
 
-from __future__ import annotations
-
 from copy import copy
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """What a run that was stopped says to continue with: the command that started it."""
 
-from __future__ import annotations
-
 import shlex
 from dataclasses import fields, replace
 from pathlib import Path

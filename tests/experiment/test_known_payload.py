@@ -1,7 +1,5 @@
 """A motion that was planned with a known mass: a person says that it is mounted, or nothing runs."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

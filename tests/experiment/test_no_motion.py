@@ -1,7 +1,5 @@
 """Reasons for no planned motion, and the result of a diagnosis whose further motion cannot be planned."""
 
-from __future__ import annotations
-
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What a known mass asks of the drives: motions planned with it, or run with it, stay within their torque."""
 
-from __future__ import annotations
-
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What the search for a motion reaches: pairs that differ only at low speed, by speed, by posture, by load, or warm."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Motions that go on until a diagnosis is sure: what is kept of them, whatever ends them, and what the page says."""
 
-from __future__ import annotations
-
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A known mass is asked for where it tells more than a motion of the bare arm, and only there."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from html import unescape
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The agent's command line against a fake controller that misbehaves, on real sockets and in one process."""
 
-from __future__ import annotations
-
 import math
 import os
 import signal

@@ -1,7 +1,5 @@
 """Every way to end ends in a stop: signals, terminals frozen or closed, a reader that goes, a thread that fails."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import pty

@@ -1,7 +1,5 @@
 """A program that is new to a machine, through the command line; the fake says that it drives one."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Hostile input at every server and every driver: no crash, no unbounded memory, and the next peer is served."""
 
-from __future__ import annotations
-
 import contextlib
 import resource
 import socket

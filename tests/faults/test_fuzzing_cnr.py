@@ -1,7 +1,5 @@
 """Hostile input at the three sockets of a real controller's link: no crash, no unbounded memory, the next is served."""
 
-from __future__ import annotations
-
 import contextlib
 import socket
 import struct

@@ -1,7 +1,5 @@
 """Controllers on every wire that are another robot, or leave the plan where points were sent instead of a program."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

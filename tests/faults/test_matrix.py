@@ -1,7 +1,5 @@
 """Wire × fault × phase, through the command line: exit code, controlled stop, one motion, a log that can be read."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

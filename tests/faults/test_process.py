@@ -1,7 +1,5 @@
 """What only processes of their own show: scenarios and effects by hand, full disks, signals, kill -9."""
 
-from __future__ import annotations
-
 import json
 import resource
 import signal

@@ -1,7 +1,5 @@
 """Every scenario that comes with the fake ends as its file says; and scenario files that make no sense are refused."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """Every signal that would end a program is raised instead, so that the way out leads through a stop."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import resource

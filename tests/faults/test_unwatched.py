@@ -3,8 +3,6 @@
 A relay in front of the controller delays each answer. Where the link cannot carry the samples then, nothing moves.
 """
 
-from __future__ import annotations
-
 import contextlib
 import time
 from collections.abc import Iterator, Sequence

@@ -1,7 +1,5 @@
 """Small fleets, the command line in this process, and real parts: a Dask cluster, an S3 server."""
 
-from __future__ import annotations
-
 import http.client
 import http.server
 import json

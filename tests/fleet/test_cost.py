@@ -1,7 +1,5 @@
 """Overhead of a fleet: processor time, time, and memory of scheduler and client."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import time

@@ -1,7 +1,5 @@
 """Tasks on a real Dask: workers and scheduler are killed in the middle, and nothing is lost or done twice."""
 
-from __future__ import annotations
-
 import os
 import random
 import signal

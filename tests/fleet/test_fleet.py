@@ -1,7 +1,5 @@
 """A fleet's rows are the single command's answers; only what is new is done; what cannot be read is a row."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

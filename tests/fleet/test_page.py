@@ -1,7 +1,5 @@
 """The page over a fleet: what it holds, and that a browser opens it."""
 
-from __future__ import annotations
-
 import base64
 import gzip
 import json

@@ -1,7 +1,5 @@
 """What docs/fleet.md shows is run as it stands there: its commands, and its five questions."""
 
-from __future__ import annotations
-
 import re
 import shlex
 from pathlib import Path

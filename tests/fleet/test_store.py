@@ -1,7 +1,5 @@
 """A real S3 server that answers with errors and half files gives the same result as a local folder."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What wears in a fleet is found on its axle, and little else; machines of one batch are a family."""
 
-from __future__ import annotations
-
 import csv
 import os
 import random

@@ -1,7 +1,5 @@
 """Where the NS16's flange is, by Pinocchio on the URDF: kinematics that neither planner nor emulator has."""
 
-from __future__ import annotations
-
 import numpy as np
 import pinocchio
 

@@ -1,7 +1,5 @@
 """What a controller with CNR's programs says, written by hand, and one that says what a script tells it to."""
 
-from __future__ import annotations
-
 import contextlib
 import socket
 import threading

@@ -6,8 +6,6 @@ wire. Whether each programmed position was passed, and the boxes kept clear of, 
 side has: the URDF by Pinocchio, frames by scipy. One JSON line a loop.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """The driver for CNR's programs against a controller that does exactly what a script says."""
 
-from __future__ import annotations
-
 import contextlib
 import socket
 import threading

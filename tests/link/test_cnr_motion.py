@@ -1,7 +1,5 @@
 """The driver for CNR's programs: its samples, its clocks and one motion, by their laws."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import example, given, settings, strategies as st

@@ -1,7 +1,5 @@
 """The programs that are shipped for the controller: read, checked, and run by the fake's own meaning of them."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 from pathlib import Path

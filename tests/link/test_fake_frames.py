@@ -1,7 +1,5 @@
 """What frames, turns and left-over variables mean on the fake controller, checked with Pinocchio on the URDF."""
 
-from __future__ import annotations
-
 import numpy as np
 import pinocchio
 import pytest

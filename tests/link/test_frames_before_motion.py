@@ -1,7 +1,5 @@
 """The controller's frames are read and compared before a program moves that leaves them open."""
 
-from __future__ import annotations
-
 from contextlib import closing
 
 import numpy as np

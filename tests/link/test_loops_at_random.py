@@ -1,7 +1,5 @@
 """Loops with tool, base and user frame at random, on every wire: what is programmed is what the arm does."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import subprocess

@@ -1,7 +1,5 @@
 """What a robot runs is planned and checked by one function: nothing else makes a program that a link would take."""
 
-from __future__ import annotations
-
 import ast
 import re
 from dataclasses import replace

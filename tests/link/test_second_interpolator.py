@@ -1,7 +1,5 @@
 """The emulator's second interpolator: what a program promises holds, by kinematics that neither side has."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Samples in order, each once, whatever the wire did to their blocks; and a counter that was reset is noticed."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st

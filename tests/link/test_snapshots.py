@@ -1,7 +1,5 @@
 """Samples of a C5G Open node that reads the controller's snapshots in its own loop, like the published node."""
 
-from __future__ import annotations
-
 from contextlib import closing
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Small simulators of others, and logs of what they predict."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

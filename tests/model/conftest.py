@@ -1,7 +1,5 @@
 """The description of the bench."""
 
-from __future__ import annotations
-
 import pytest
 
 from agent.robot import load_robot

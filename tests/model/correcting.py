@@ -1,7 +1,5 @@
 """A small arm as both files, written back corrected."""
 
-from __future__ import annotations
-
 import functools
 import tempfile
 import xml.etree.ElementTree as ElementTree

@@ -1,7 +1,5 @@
 """The effects next to a corrected simulator: with them it has the torque of the identified model."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """A simulator written back corrected: the same file with other numbers."""
 
-from __future__ import annotations
-
 import json
 import re
 from xml.etree.ElementTree import SubElement

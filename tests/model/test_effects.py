@@ -1,7 +1,5 @@
 """What an effect says of itself, as data."""
 
-from __future__ import annotations
-
 import pytest
 
 from agent.model import CATALOGUE

@@ -1,7 +1,5 @@
 """Identified loads in the words of vendors: each text, read back by its vendor's own rules, is the load again."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace

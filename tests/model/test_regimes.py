@@ -1,7 +1,5 @@
 """One meaning of standstill, and one map of regimes, for estimation, diagnosis, drift and pages."""
 
-from __future__ import annotations
-
 import numpy as np
 from hypothesis import given, strategies as st
 

@@ -1,7 +1,5 @@
 """Errors of third-party simulators are found, corrected, run and reported."""
 
-from __future__ import annotations
-
 import html
 import json
 import re

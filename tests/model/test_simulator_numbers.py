@@ -1,7 +1,5 @@
 """Which numbers of a simulator move, and how it is run."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """Simulators of others as models: the torque they give is that of their own engine, and what they cannot be is said."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The curve of a hose passes through its torques, and goes on straight."""
 
-from __future__ import annotations
-
 import numpy as np
 from hypothesis import given, strategies as st
 

@@ -1,7 +1,5 @@
 """An arm, its interpolator, and random programs."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Programs of a loop, and logs of what an interpolator makes of them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The compiled loops against what they are defined by, and where their code is kept."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """What every dialect has to do, whatever its language: write a program, read it back, and let its own law run it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

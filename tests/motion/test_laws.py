@@ -1,7 +1,5 @@
 """Laws of every program, checked on the set-points alone, by finite differences and by geometry."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

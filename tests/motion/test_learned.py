@@ -1,7 +1,5 @@
 """The interpolation law learned from set-points, on an interpolator that the learner has never seen."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The loop's moves, and interpolators by name."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Each mode of the FLY interpolator does what its system variable says."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

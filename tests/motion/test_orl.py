@@ -1,7 +1,5 @@
 """The adapter of the vendor's library, against a stub of its calls that is compiled on the spot."""
 
-from __future__ import annotations
-
 import ctypes
 import itertools
 import shutil

@@ -1,7 +1,5 @@
 """Any serial arm of one to seven joints, with or without a spherical wrist, Cartesian limits or jerk limits."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What cannot be run is refused with the statement, the limit and by how much, in bounded time."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st

@@ -1,7 +1,5 @@
 """Sub-regions: linear maps from genes to poses, all of them inside."""
 
-from __future__ import annotations
-
 import pickle
 
 import numpy as np

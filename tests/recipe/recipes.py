@@ -1,7 +1,5 @@
 """Recipes of the tests, and what loads them."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any

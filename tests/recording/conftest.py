@@ -1,7 +1,5 @@
 """Motions to record, and logs as other programs write them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """Bags of ROS 2, as `ros2 bag record` leaves them: a folder of MCAP files, and sqlite3."""
 
-from __future__ import annotations
-
 import gzip
 import sqlite3
 import sys

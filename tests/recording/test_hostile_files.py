@@ -1,7 +1,5 @@
 """Files that were made to harm: memory is bounded, and whatever stands in them is one message or one repair."""
 
-from __future__ import annotations
-
 import struct
 import tracemalloc
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Tables become logs by mapping files; the examples for measured data give what direct computation gives."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

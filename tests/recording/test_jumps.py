@@ -1,7 +1,5 @@
 """Positions that no arm can have reached, and torques that stand out alone."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Recordings of a robot maker's own recorders, whose columns are known."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

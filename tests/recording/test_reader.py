@@ -1,7 +1,5 @@
 """Any conforming log is read, whoever wrote it; what cannot be used is refused with a reason."""
 
-from __future__ import annotations
-
 import struct
 
 import numpy as np

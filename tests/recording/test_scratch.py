@@ -1,7 +1,5 @@
 """Arrays of long logs, on disk."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Small files from common tools are read correctly (data next to the checkout)."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Logs that another program wrote, where they are at hand."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from mcap_ros2.reader import read_ros2_messages

@@ -1,7 +1,5 @@
 """Sampling rate, gaps and jitter from stamps."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st

@@ -1,7 +1,5 @@
 """What is left of a log when its writer, its disk or a part of the file is gone."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """Tables as people's tools write them: drive traces, spreadsheets, vectors in a cell, dates, archives of arrays."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 from datetime import UTC, datetime, timedelta
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Several topics of joint states in a log, an arm over several messages, and joints without torque."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Logs as the writer leaves them, seen with other people's readers and with ours."""
 
-from __future__ import annotations
-
 import threading
 from pathlib import Path
 

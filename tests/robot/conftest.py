@@ -1,7 +1,5 @@
 """Arms of every shape, built from a few numbers a joint."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Base parameters: the laws that define them, on arms of every shape."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path

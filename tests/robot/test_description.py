@@ -1,7 +1,5 @@
 """A description that cannot be used is refused with what is wrong and where."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

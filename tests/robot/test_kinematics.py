@@ -1,7 +1,5 @@
 """Closed-form kinematics: laws over random arms, poses and paths."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from dataclasses import replace

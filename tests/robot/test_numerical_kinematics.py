@@ -1,7 +1,5 @@
 """Numerical inverse kinematics: arms without closed form, and the closed form's own arm as a reference."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

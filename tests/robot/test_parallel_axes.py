@@ -1,7 +1,5 @@
 """Closed form of arms whose axes 2, 3 and 4 are parallel, exactly or as calibrated."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Where standard parameters stand: one order for names, regressors and bodies."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from agent.robot import Dynamics, ParameterLayout, load_robot, rigid_bodies

@@ -1,7 +1,5 @@
 """Arms with a joint to spare: they come back to the joints that they left, and keep off their limits."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st

@@ -1,7 +1,5 @@
 """The compiled regressor against Pinocchio's."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

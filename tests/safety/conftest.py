@@ -1,7 +1,5 @@
 """A guard in front of a controller that does as told, and trajectories for it."""
 
-from __future__ import annotations
-
 import socket
 import threading
 import time

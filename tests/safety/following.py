@@ -1,7 +1,5 @@
 """What follows a motion along its plan, and motions that it follows, without a link."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -5,8 +5,6 @@ is drawn from the seed: a loop of via-points, or joint moves with stops and rest
 interpolator, and runs loops alone (docs/security.md: stopped without need). One JSON line a motion tells how it ended.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json

@@ -6,8 +6,6 @@ difference for what is no number. `python tests/safety/mutation.py [MODULE…]` 
 A change is tried with the tests that run its lines.
 """
 
-from __future__ import annotations
-
 import ast
 import copy
 import importlib

@@ -1,7 +1,5 @@
 """A recording takes the same memory after an hour as after a minute."""
 
-from __future__ import annotations
-
 import gc
 import itertools
 import time

@@ -4,8 +4,6 @@ Nothing of the agent is replaced. `tests/safety/mutation.py` takes the checks of
 that a test of a file `test_guard*.py` fails.
 """
 
-from __future__ import annotations
-
 import hashlib
 from dataclasses import replace
 from datetime import date

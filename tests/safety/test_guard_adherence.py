@@ -1,7 +1,5 @@
 """The plan is what moves: where the arm is, and how fast each joint goes there."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

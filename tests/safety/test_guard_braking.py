@@ -1,7 +1,5 @@
 """Whether an arm that was told to stop does so is what its samples say, not what its controller answers."""
 
-from __future__ import annotations
-
 import threading
 import time
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """A program that is new to a machine runs slowly first, with somebody watching; what counts as that."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The watch while an arm moves: its state and its end are looked at, and what is wrong ends in a stop."""
 
-from __future__ import annotations
-
 import threading
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Controllers, and whoever stands between, that lie about a motion."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

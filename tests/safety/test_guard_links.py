@@ -1,7 +1,5 @@
 """The watch on a link; and links that cannot tell the override, take points, or have too few samples."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

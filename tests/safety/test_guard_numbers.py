@@ -1,7 +1,5 @@
 """NaN is never accepted: no state, plan, sample, limit or authorisation with NaN lets an arm move."""
 
-from __future__ import annotations
-
 import ast
 from dataclasses import replace
 from pathlib import Path

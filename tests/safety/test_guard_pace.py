@@ -1,7 +1,5 @@
 """How long a motion takes: the pace of its plan, rests, losses, and ways that come back on themselves."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Starts that fail and motions that are ended before their end: one start, and a stop."""
 
-from __future__ import annotations
-
 import gc
 import threading
 import time

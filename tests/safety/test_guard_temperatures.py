@@ -1,7 +1,5 @@
 """Temperatures of the motors: requested rarely, alongside the watch, if the controller has them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """A motion has an end: how long it may last, and how long it may be silent or late."""
 
-from __future__ import annotations
-
 import threading
 from dataclasses import replace
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """The watch over a motion with a scripted link: a start, a stop, and the motion up to its end."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Iterator
 from dataclasses import replace

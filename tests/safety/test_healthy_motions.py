@@ -1,7 +1,5 @@
 """Healthy motions on every wire, in real time, on a machine that has other things to do: none is stopped."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import os

@@ -1,7 +1,5 @@
 """Samples matched to the points of a plan: by the edges of runs, with the result of point-by-point matching."""
 
-from __future__ import annotations
-
 import numpy as np
 from hypothesis import given, strategies as st
 

@@ -1,7 +1,5 @@
 """No check of the safety layer can be taken away unnoticed."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

@@ -4,8 +4,6 @@ The emulator's interpolator, servos, sensors and stop are run without a wire, in
 the wires have the same faults in tests/faults.
 """
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass
 from functools import lru_cache

@@ -1,7 +1,5 @@
 """The family of simulated worlds: its physics against another library's, what is drawn, and what recorders leave."""
 
-from __future__ import annotations
-
 import builtins
 import json
 import re

@@ -1,7 +1,5 @@
 """Hostile far ends on real sockets."""
 
-from __future__ import annotations
-
 import socket
 import threading
 import warnings

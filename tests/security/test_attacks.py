@@ -4,8 +4,6 @@ A row with (d) is run in nine more draws, each with other postures, motions, mom
 tests/conftest.py); a repeat of the same would prove nothing.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

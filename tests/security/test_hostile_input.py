@@ -1,7 +1,5 @@
 """What a controller, a file or a person may send: bounded, cleaned, and one message instead of a traceback."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import socket

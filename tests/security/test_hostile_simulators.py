@@ -1,7 +1,5 @@
 """A simulator's file of a few lines that asks for more than any machine has is refused, and the wait can be ended."""
 
-from __future__ import annotations
-
 import os
 import signal
 import threading

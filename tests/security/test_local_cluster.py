@@ -1,7 +1,5 @@
 """The processes that a fleet starts on this machine do what their user asks for, and nobody else."""
 
-from __future__ import annotations
-
 import os
 
 import distributed

@@ -1,7 +1,5 @@
 """Passwords: refused in addresses, read from private files, and absent from all texts and files of a run."""
 
-from __future__ import annotations
-
 import os
 import socket
 import subprocess

@@ -1,7 +1,5 @@
 """The table of attacks in docs/security.md: long enough, and every row names a test that exists."""
 
-from __future__ import annotations
-
 import re
 
 from tests.conftest import ROOT

@@ -1,7 +1,5 @@
 """Tables that a page or an export hands to a spreadsheet: no name of a joint, a robot or a log becomes a formula."""
 
-from __future__ import annotations
-
 import base64
 import csv
 import gzip

@@ -1,7 +1,5 @@
 """A fake controller on a real socket, one calibration against it that the tests share, and runs written by hand."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """Logs that open where people look: measured and predicted over each other, a layout inside."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The current model: one step, with a backup, never half of one."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What moves is what was approved: files that were changed after a plan, a run or an acceptance are refused by name."""
 
-from __future__ import annotations
-
 import contextlib
 import copy
 import json

@@ -1,7 +1,5 @@
 """A person's word: what it must say, who may have written it, and what it covers."""
 
-from __future__ import annotations
-
 import json
 from contextlib import nullcontext
 from datetime import UTC, date, datetime, timedelta

@@ -1,7 +1,5 @@
 """Tests for a change in a series of runs are those of least squares with a known covariate."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import stats

@@ -1,7 +1,5 @@
 """`agent check`: everything that is wrong, in one go, and what to do about it."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Clocks that were wrong, or are: runs dated in the future, zones, daylight saving, a clock set back in a run."""
 
-from __future__ import annotations
-
 import os
 from datetime import UTC, datetime, timedelta, timezone
 from pathlib import Path

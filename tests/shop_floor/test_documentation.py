@@ -1,7 +1,5 @@
 """Every command of the documentation is run as it stands there; generated pages are up to date; no link is dead."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import re

@@ -1,7 +1,5 @@
 """The whole way, twenty recalibrations of a machine that wears and warms up: found where it is, and not where not."""
 
-from __future__ import annotations
-
 import json
 import re
 import time

@@ -1,7 +1,5 @@
 """The history is what the run folders say: quick, and never in the way."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

@@ -1,7 +1,5 @@
 """A recipe to start from: by flags, by questions on a terminal, with a schema for editors."""
 
-from __future__ import annotations
-
 import errno
 import json
 import os

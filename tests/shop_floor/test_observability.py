@@ -1,7 +1,5 @@
 """What a motion shows: singular values that are those of the matrix, and directions it is blind to."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Reports as a browser sees them: no error in the console, no request to anywhere, data a click away."""
 
-from __future__ import annotations
-
 import base64
 import gzip
 import html

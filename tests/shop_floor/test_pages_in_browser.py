@@ -1,7 +1,5 @@
 """Pages in a real Chromium: sizes, schemes, paper, keyboard, screen readers, and every control used once."""
 
-from __future__ import annotations
-
 import os
 from importlib.util import find_spec
 from pathlib import Path

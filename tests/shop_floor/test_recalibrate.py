@@ -1,7 +1,5 @@
 """Calibrating again by the clock, over a real socket, with everything that can be in the way."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """Units that call by the calendar alone, and never because a computer was switched on."""
 
-from __future__ import annotations
-
 import configparser
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """The still pictures of plots: what stands in their SVG."""
 
-from __future__ import annotations
-
 import re
 import xml.etree.ElementTree as ElementTree
 from dataclasses import replace

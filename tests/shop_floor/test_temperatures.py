@@ -1,7 +1,5 @@
 """Temperatures, where the controller gives them: in the log, in the run, in the history."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Wear is found on the right axle, warm-up is not mistaken for it, and nothing is found where nothing changed."""
 
-from __future__ import annotations
-
 import pytest
 
 from agent.runs.history import History

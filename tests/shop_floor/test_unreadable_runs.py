@@ -1,7 +1,5 @@
 """Runs that are damaged, half finished, or of another version of the agent: one message, and nothing is written."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

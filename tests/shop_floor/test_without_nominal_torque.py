@@ -1,7 +1,5 @@
 """Arms whose description has no nominal torque: figures in N·m, and nobody says that a gate judged them."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Arms and motions for the simulation's tests."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """The physical signature of the effects of gears, loads, bodies and sensors, measured on the plant."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.signal import lfilter

@@ -1,7 +1,5 @@
 """Forward simulation: energy, a second integrator, and the laws an integrator must keep."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

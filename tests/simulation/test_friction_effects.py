@@ -1,7 +1,5 @@
 """The physical signature of every effect that lives in the friction of a drive, measured on the drive alone."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Effects that no catalogue has: they act, they are drawn from their seed, and nothing drives that should drag."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The plant behind the fake controller: an honest robot, the same one for the same seed."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

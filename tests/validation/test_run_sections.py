@@ -1,7 +1,5 @@
 """Sections of a run's report; the paper's estimator next to the one that was used."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Torque prediction on unseen motions."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

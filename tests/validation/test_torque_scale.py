@@ -1,7 +1,5 @@
 """Torque constants that a known mass at the flange asks for."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A small arm of three revolute joints, and what was learned of it."""
 
-from __future__ import annotations
-
 import pytest
 
 from agent.model import IdentifiedModel

@@ -1,7 +1,5 @@
 """Contacts: on any link, several in a log, for any share of it; a force that repeats in every cycle is not one."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A log with the drives off tells an offset of a torque channel from friction by direction, its equal in motion."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Effects by other laws than the fitted ones, added to what a healthy arm measured: how far the forms follow them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """What logs leave open: a joint that moves too little, a range that was never fitted, positions that are rounded."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A weight at the flange, also where torque that is scaled wrongly makes its inertia, and where it was taken off."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

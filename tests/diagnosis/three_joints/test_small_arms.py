@@ -1,7 +1,5 @@
 """Arms of one to seven joints, slides among them: diagnosed, simulated, extended by every effect, and run again."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Real programs: moves are read, other statements are counted, unknown ones are reported."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

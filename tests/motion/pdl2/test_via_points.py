@@ -1,7 +1,5 @@
 """A program as via-points: what its moves say, no more and no less."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
