@@ -45,7 +45,7 @@ test: dev
 	@$(MAKE) --no-print-directory --jobs 2 lint pytest
 
 pytest: dev
-	$(BIN)/python -m pytest -n 3 --dist worksteal -m "not verify"
+	$(BIN)/python -m pytest -n 4 --dist worksteal -m "not verify"
 
 verify: dev
 	$(BIN)/python tests/verify.py
