@@ -119,7 +119,7 @@ class Gap:
 class Driver(Protocol):
     """One controller link. Opened by `connect`; every method but `close` may raise the errors of `drivers.errors`.
 
-    A command that moves the robot is sent once and never again, whatever happens to its answer.
+    A command that moves the robot is sent once and never again. A program language other than PDL2 is its `dialect`.
     """
 
     @property

@@ -13,7 +13,7 @@ PACKAGES = ("agent", "drivers", "fake_controller", "second_world")
 ROOT = Path(__file__).parents[1]
 #: Lines of Python that a part may have; more needs a decision record in docs/decisions.
 MOST_LINES = {
-    "agent/core": 1_618,
+    "agent/core": 1_613,
     "agent/robot agent/compiled": 3_914,
     "agent/motion": 6_647,
     "agent/recording agent/data_quality": 4_944,
@@ -30,7 +30,7 @@ MOST_LINES = {
     "drivers": 7_268,
     "fake_controller": 9_324,
     "second_world benchmarks": 4_599,
-    "tests": 46_848,
+    "tests": 46_850,
 }
 
 

@@ -85,7 +85,7 @@ Budget = Annotated[
 ]
 PlanningBudget = Annotated[str, Option("--planning-budget", metavar="TIME", help="time for planning the next motion")]
 Scheduler = Annotated[
-    str | None, Option("--scheduler", metavar="ADDRESS", help="Dask scheduler, tcp://…; default: local")
+    str | None, Option("--scheduler", metavar="ADDRESS", help="Dask scheduler, tls://…; default: local")
 ]
 Workers = Annotated[int | None, Option("--workers", metavar="N", min=1, help="local processes; one per core")]
 

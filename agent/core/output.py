@@ -83,11 +83,6 @@ class PatientStream(io.TextIOBase):
             self.start()
         return len(text)
 
-    @property
-    def behind(self) -> bool:
-        """Whether texts wait for the far end: progress is not worth adding to them."""
-        return not self._queue.empty()
-
     def drain(self) -> bool:
         """Wait until all is written; False where the far end took nothing for `PATIENCE` seconds."""
         if self._thread is None or os.getpid() != self._process:

@@ -1,4 +1,4 @@
-"""The verdict of a diagnosis: `decide_verdict` is the only function that says what a gap comes to.
+"""The verdict of a diagnosis: `named` and `supported` choose its causes, then `decide_verdict` alone says the verdict.
 
 | verdict | condition |
 | --- | --- |

@@ -93,8 +93,8 @@ def white_noise(position: np.ndarray) -> np.ndarray:
 
 
 DEFAULT_CUTOFF = 30.0
-#: Longest gap that is bridged, in periods of the cut-off: signals in the passband change little within one.
 _Responses = Callable[[np.ndarray], list[np.ndarray]]  # over frequency [Hz]
+#: Longest gap that is bridged, in periods of the cut-off: signals in the passband change little within one.
 _BRIDGED = 1.0
 _FAR = 1e9  # of the cut-off: beyond it nothing passes, and a power of it would overflow
 _HALF_BAND = 4.0  # half of a transition band, in standard deviations of the Gaussian that makes it

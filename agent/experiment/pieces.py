@@ -81,7 +81,7 @@ class Piece:
     duration: float
 
     def text(self, robot: RobotDescription) -> str:
-        """For people."""
+        """The piece in words."""
         draw = self.draw
         if draw.kind == "reversals":
             joint = robot.joints[draw.joint]

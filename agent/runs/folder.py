@@ -168,7 +168,7 @@ def make_folder(folder: Path, what: str) -> None:
     """Make a folder for `what`, and those above it, where it is not there.
 
     Raises:
-        AgentError: full, read-only or no rights; InputError for other reasons, such as a file in its place.
+        AgentError: full, read-only or no rights; InputError for other reasons, such as a file of that name.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -36,23 +36,23 @@ _KEY = ("serial", "program", "frames")
 class CheckedPrograms:
     """Programs by their SHA-256 (hex), machines by their serial, or by their address if they tell none.
 
-    Args:
-        path: the file; read when it is asked, so that what another run adds counts.
-    """
+    The file `path` is read at each question, so that what another run adds counts."""
 
     def __init__(self, path: Path):
         self.path = path
 
     def has(self, serial: str, program: PlannedProgram) -> bool:
-        """Whether the program has run slowly on this machine from where its plan first exceeds `FIRST_SPEED`.
+        """Whether it has run slowly on this machine from a stop of its plan before that first exceeds `FIRST_SPEED`.
 
         Raises:
             InputError: the file is damaged.
         """
         key = serial, program.checksum, frames_text(program.frames)
         places = self._entries().get(key, {"places": []})["places"]
-        fast = [chain.q[0] for chain in program.chains if not np.max(chain.path_speed) <= FIRST_SPEED]
-        return _among(places, fast[0]) if fast else bool(places)
+        for chain in program.chains:
+            if _among(places, chain.q[0]) or not np.max(chain.path_speed) <= FIRST_SPEED:
+                return _among(places, chain.q[0])
+        return bool(places)
 
     def add(self, serial: str, program: PlannedProgram) -> None:
         """Remember the program, or the one that it stands for, and where its motion began and ended.

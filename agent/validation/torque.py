@@ -35,7 +35,7 @@ class TorqueErrors:
 
 @dataclass(frozen=True)
 class LogErrors(TorqueErrors):
-    """Those of one log, with its number of samples."""
+    """The errors of one log, with its number of samples."""
 
     log: str
     samples: int

@@ -70,6 +70,8 @@ def test_a_known_program_runs_slowly_again_with_another_start_or_tool(bench, pro
     for way in (*elsewhere, begun(1.0, slow) + begun(1.0), begun(1.0, program(np.nan))):
         assert guard.needs_slow_run(replace(fast, chains=way))
     assert not guard.needs_slow_run(replace(fast, chains=begun(1.0, slow) + begun(0.0))), "slowly to where it began"
+    bench.checked.add("NS16-7", pair := replace(fast, text="PROGRAM pair", chains=begun(2.0, slow) + begun(3.0)))
+    assert not guard.needs_slow_run(pair), "it began slowly, went on fast, and ended elsewhere"
     frames = {"$TOOL": np.eye(4) + 0.01}
     assert guard.needs_slow_run(replace(fast, frames=frames)), "another way, as the controller has another tool"
     bench.checked.add("NS16-7", replace(fast, frames=frames))

@@ -1,4 +1,4 @@
-"""The numbers of the decision: everything that a verdict depends on besides data, model and the effects' physics."""
+"""The numbers of the evidence and of what is named; what a verdict promises stands in `agent.diagnosis.limits`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from agent.diagnosis.limits import known
 
 @dataclass(frozen=True)
 class EvidenceLaw:
-    """All of them. Shares of torque are root mean square over nominal joint torque."""
+    """The numbers. Shares of torque are root mean square over nominal joint torque."""
 
     independent: float = known(0.5, "s", "between independent errors", "chosen")
     systematic: float = known(0.4, "held-out error", "the model's own error per background column", "tuned")

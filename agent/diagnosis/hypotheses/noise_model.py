@@ -133,7 +133,7 @@ class NoiseModel:
         return np.asarray(block[:, some] * (size / np.sqrt(max(int(some.sum()), 1)) / torque[some]))
 
     def _noticed(self, columns: np.ndarray) -> np.ndarray:
-        """(S, b) columns whose coefficients are N(0, 1), for those of columns (S, k) whose are.
+        """(S, b) columns with coefficients N(0, 1) that span the columns (S, k), which have such coefficients too.
 
         Directions that all logs together hardly notice are left out.
         """

@@ -34,8 +34,8 @@ from agent.simulators import servo_stiffness
 class Dataset:
     """The fit, the raw residual of the model (S', n) [N·m], and where each row lies.
 
-    time, log (S',): time in its log [s] and which log; cycles per log: start of each cycle [s]; given: whether the
-    model was given, or fitted to these very logs.
+    time, log (S',): time in its log [s] and which log; speed (S', n) of the joints; rate, cutoff [Hz] of the rows and
+    of their filter; given: whether the model was given, or fitted to these very logs.
     """
 
     robot: RobotDescription
@@ -168,7 +168,7 @@ def background_of(
     signals: Sequence[MotionSignals],
     beside: Sequence[MotionSignals] = (),
 ) -> np.ndarray:
-    """Model error (S', n) [N·m]: the held-out error (n,), and more within 0.1 s of a standstill.
+    """Model error (S', n) [N·m]: the held-out error (n,), and more close to a standstill (`LIMITS.near_rest`).
 
     At a standstill, stiction allows any torque below the Coulomb level.
     `beside`: see `standing`.

@@ -5,9 +5,10 @@ torque as without a model (`LIMITS.unknown_error`). The error is smaller if the 
 joints; a joint that then stands out has a gap that numbers do not close.
 
 Two explanations are compared. The numbers are right and one effect explains the gap; or numbers are moved, with effects
-or without. The second is taken only if it closes clearly more of the gap, or if the effect may replace a change of
-links and it closes more at all. Its effects are searched with all numbers free, as numbers chosen without an effect
-move in its stead; then numbers are chosen with these effects, and effects searched again with these numbers.
+or without. The first is taken if it has one cause, and that stands against the second (`Explanation.stands`): it leaves
+hardly more, or no more at all where the effect may replace a change of links. The second's effects are searched with
+all numbers free, as numbers chosen without an effect move in its stead; then numbers are chosen with these effects, and
+effects searched again with these numbers.
 """
 
 from __future__ import annotations
@@ -155,20 +156,19 @@ def search_simulator(
         dataset = assemble(robot, expected, logs, cutoff, first.model)
     unit = dataset.fit.reference.scale
     enough = LIMITS.least_share * float(np.mean(held_out_gap(dataset, dataset.fit, unit).before ** 2))
-    explained = partial(_explanation, model, without, progress, unit)
-    chosen = explained(ReleasedSimulator(dataset, dataset, ()))
+    search = partial(_search_with, model, without, progress, unit)
+    chosen = search(ReleasedSimulator(dataset, dataset, ()))
     if first.groups:
         progress("choosing which numbers of the simulator move, with the effects found")
-        moved = explained(release(dataset, explained(release_all(dataset)).finding.causes))
-        stands = len(chosen.finding.causes) == 1 and chosen.stands(moved.left, enough)
-        chosen = chosen if stands else moved
+        moved = search(release(dataset, search(release_all(dataset)).finding.causes))
+        chosen = chosen if len(chosen.finding.causes) == 1 and chosen.stands(moved.left, enough) else moved
     for number in range(len(chosen.finding.causes)):
         if numbers_instead(chosen, number, unit) is not None:
             chosen = replace(chosen, finding=chosen.finding.with_rival(number, (_LINKS, ())))
     return chosen
 
 
-def _explanation(
+def _search_with(
     model: IdentifiedModel,
     without: Sequence[str],
     progress: Callable[[str], None],

@@ -110,7 +110,7 @@ class NextMotion:
 
     @property
     def text(self) -> str:
-        """Of the program."""
+        """The text of the program."""
         return self.planned.text
 
     def to_dict(self, program: str) -> dict[str, Any]:

@@ -56,7 +56,7 @@ class LinkThread:
             raise type(self.failure)(str(self.failure))
 
     def wait(self, reached: Callable[[], bool], timeout: float) -> bool:
-        """Wait until something is so that what comes brings about; False where it is not in time [s]."""
+        """Wait until received messages make `reached` true; False if they do not within `timeout` [s]."""
         with self._changed:
             return self._changed.wait_for(lambda: reached() or self.failure is not None, timeout) and reached()
 
