@@ -14,7 +14,7 @@ ROOT = Path(__file__).parents[1]
 #: Lines of Python that a part may have; more needs a decision record in docs/decisions.
 MOST_LINES = {
     "agent/core": 1_613,
-    "agent/robot agent/compiled": 3_914,
+    "agent/robot agent/compiled": 3_920,
     "agent/motion": 6_647,
     "agent/recording agent/data_quality": 4_944,
     "agent/link agent/safety": 3_222,

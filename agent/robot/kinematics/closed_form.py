@@ -33,6 +33,7 @@ BRANCHES = tuple(product((1, -1), repeat=3))
 _SIGNS = np.array(BRANCHES, dtype=float).T
 SINGULARITIES = ("shoulder", "elbow", "wrist")
 _BEYOND = -2e-9  # a squared margin below this is out of reach, above it round-off at the border
+_BEND = 0.15  # sin γ where an arm that fits nearly begins at least: stretched, Newton steps would go anywhere
 _REACHED, _NEARLY = 1e-9, 1e-5  # m and rad: Newton steps that leave more have not converged, or do not converge
 
 
@@ -165,7 +166,11 @@ class ClosedFormKinematics(Kinematics):
     def __init__(self, robot: RobotDescription, chain: KinematicChain, geometry: ArmGeometry):
         super().__init__(robot, chain)
         self._arm = geometry
+        self._least = np.full(3, SINGULAR_DISTANCE**2)  # of the squared margins, for a branch to be there
+        self._bend = 0.0  # least sin² γ that a solution begins with
         self._exact = self._is_exact()
+        if not self._exact:
+            self._bend, self._least[1] = _BEND**2, -_BEND
 
     def inverse(self, poses: np.ndarray) -> InverseSolutions:
         poses = np.asarray(poses, dtype=float)
@@ -174,7 +179,7 @@ class ClosedFormKinematics(Kinematics):
         q = self.nearest_turn(angles.T, self.middle).reshape(samples, 8, 6)
         margins = squares.T.reshape(samples, 8, 3)
         reached = np.all(margins >= _BEYOND, axis=2)
-        valid = np.all(margins >= SINGULAR_DISTANCE**2, axis=2)
+        valid = np.all(margins >= self._least, axis=2)
         if not self._exact:
             q[valid], valid[valid] = self._polish(np.repeat(poses, valid.sum(axis=1), axis=0), q[valid])
         q[~valid] = np.nan
@@ -183,7 +188,7 @@ class ClosedFormKinematics(Kinematics):
             valid=valid,
             within_limits=valid & self.within_limits(q),
             singular=reached & ~valid,
-            unreachable=~reached.any(axis=1),
+            unreachable=~(reached | valid).any(axis=1),
         )
 
     def follow(self, poses: np.ndarray, start: np.ndarray, near: np.ndarray | None = None) -> np.ndarray:
@@ -197,7 +202,7 @@ class ClosedFormKinematics(Kinematics):
             raise singular(0, poses[0], float(abs(distances[nearest])), self._meanings[nearest], "the start")
         signs = tuple(int(sign) for sign in np.sign(distances))
         angles, margins = self._branch(self._wrist(poses), signs)
-        if not margins.min() >= SINGULAR_DISTANCE**2:
+        if not (margins >= self._least[:, None]).all():
             self._raise_margin(poses, margins, signs)
         q, reached = self._polish(poses, np.ascontiguousarray(self._unwrapped(angles, start, poses).T))
         for index in np.flatnonzero(~reached):
@@ -209,7 +214,7 @@ class ClosedFormKinematics(Kinematics):
         # One by one: the last digit of a product depends on how many columns there are.
         wrist = np.concatenate([self._wrist(pose[None]) for pose in poses], axis=1)
         angles, margins = self._branch(wrist, np.sign(distances))
-        found = (margins >= SINGULAR_DISTANCE**2).all(axis=0) & (np.abs(distances) >= SINGULAR_DISTANCE).all(axis=0)
+        found = (margins >= self._least[:, None]).all(axis=0) & (np.abs(distances) >= SINGULAR_DISTANCE).all(axis=0)
         q = angles.T + 2 * np.pi * np.round((near - angles.T) / (2 * np.pi))
         q[found], found[found] = self._polish(poses[found], q[found])
         q[found] = self.turned_into_limits(q[found])
@@ -299,8 +304,8 @@ class ClosedFormKinematics(Kinematics):
         g = self._arm
         cos_elbow = (ahead * ahead + z * z - (g.upper_arm**2 + g.forearm**2)) / (2 * g.upper_arm * g.forearm)
         margin = 1.0 - cos_elbow * cos_elbow
-        cos_elbow = np.clip(cos_elbow, -1.0, 1.0)
-        sin_elbow = sign * np.sqrt(np.maximum(margin, 0.0))
+        cos_elbow = np.clip(cos_elbow, -np.sqrt(1.0 - self._bend), np.sqrt(1.0 - self._bend))
+        sin_elbow = sign * np.sqrt(np.maximum(margin, self._bend))
         along = g.upper_arm + g.forearm * cos_elbow
         across = g.forearm * sin_elbow
         span = np.maximum(along * along + across * across, np.finfo(float).tiny)
@@ -332,7 +337,7 @@ class ClosedFormKinematics(Kinematics):
     def _raise_margin(self, poses: np.ndarray, margins: np.ndarray, signs: tuple[int, ...]) -> NoReturn:
         """Say which is the first pose that is out of reach or singular on this branch."""
         smallest = margins.min(axis=0)
-        index = int(np.flatnonzero(~(smallest >= SINGULAR_DISTANCE**2))[0])
+        index = int(np.flatnonzero(~(margins >= self._least[:, None]).all(axis=0))[0])
         if smallest[index] >= _BEYOND:
             distance = float(np.sqrt(max(smallest[index], 0.0)))
             raise singular(index, poses[index], distance, self._meanings[int(margins[:, index].argmin())])
@@ -357,17 +362,18 @@ class ClosedFormKinematics(Kinematics):
         )
 
     def _polish(self, poses: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Newton steps (S, n) that remove what an inexact geometry leaves, and where (S,) they reach the poses."""
+        """Newton steps (S, n) that remove what an inexact geometry leaves; where (S,) they reach it on their branch."""
         if self._exact or len(q) == 0:
             return q, np.ones(len(q), dtype=bool)
-        left, late = pose_error(poses, self.forward(q)), np.arange(len(q))
+        left, late, branch = pose_error(poses, self.forward(q)), np.arange(len(q)), np.sign(self._signed_distances(q))
         for step in range(5):
             q[late] += np.linalg.solve(self.jacobian(q[late]), left[late, :, None])[:, :, 0]
             left[late] = pose_error(poses[late], self.forward(q[late]))
             if step >= 2:  # near a singularity three steps may leave a little, which the next ones square
                 size = np.abs(left).max(axis=1)
                 late = np.flatnonzero((size >= _REACHED) & (size < _NEARLY))
-        return q, np.abs(left).max(axis=1) < _REACHED
+        stays = (branch * self._signed_distances(q) >= SINGULAR_DISTANCE).all(axis=0)
+        return q, stays & (np.abs(left).max(axis=1) < _REACHED)
 
     def _is_exact(self) -> bool:
         q = np.random.default_rng(0).uniform(-3.0, 3.0, (10, 6))
