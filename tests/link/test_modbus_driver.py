@@ -195,9 +195,9 @@ def test_resends_a_lost_stop(server, tampered, command_lost, monkeypatch):
     sent = []
 
     def lose(outward, data):
-        if outward and writes(data, wire.COMMAND) and server.controller.motions_started:
+        if command := outward and writes(data, wire.COMMAND) and server.controller.motions_started:
             sent.append(data)
-        return b"" if outward is command_lost and len(sent) == 1 else data
+        return b"" if len(sent) == 1 and (command if command_lost else not outward) else data
 
     with closing(ModbusDriver(tampered(server.port, lose), watchdog=patience(2.0))) as driver:
         driver.connect()
