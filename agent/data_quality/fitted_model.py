@@ -47,9 +47,9 @@ def _postures(model: IdentifiedModel, logs: Sequence[Log]) -> int:
     for log in logs:
         for motion in motions(log, FilterSettings(model.cutoff, model.order)):
             q, every = motion.q[motion.kept], max(1, round(motion.rate / motion.step / (2 * model.cutoff)))
-            last = q[0]
+            last, apart = q[0], np.clip(0.1 * np.ptp(q, axis=0), 0.1 * MOVING, MOVING)  # less where the stroke is short
             for posture in q[::every]:
-                if np.abs(posture - last).max() > MOVING:
+                if np.any(np.abs(posture - last) > apart):
                     count, last = count + 1, posture
     return count
 

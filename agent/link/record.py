@@ -121,7 +121,7 @@ class RobotLink:
     def run(self, program: PlannedProgram, log: Path, motion: str, place: MotionOfMany = MotionOfMany()) -> Recording:
         """Upload, check, start once, and record until the program ends.
 
-        A program that is new to a machine, or begins elsewhere, runs slowly first, into a separate log.
+        A program that is new to a machine runs slowly first, into a separate log.
 
         Args:
             program: what `plan` returned; its set-points are written to the log together with the controller's.
@@ -141,8 +141,8 @@ class RobotLink:
         text = slow_text(program, recipe.robot, recipe.dialect, interpolator_of(recipe), start)
         slow = self.plan(text, f"first run of {program.name}", start, stands_for=program.checksum)
         self._console.step(
-            f"{program.name} is new to serial {self.identity.serial} from here: first at no more than "
-            f"{FIRST_SPEED:g} m/s, {slow.duration:.0f} s of motion; watch it"
+            f"{program.name} is new to serial {self.identity.serial}: first at no more than {FIRST_SPEED:g} m/s, "
+            f"{slow.duration:.0f} s of motion; watch it"
         )
         self._record(slow, _free(log.with_suffix(".first_run.mcap")), "first_run")
         return self.plan(program.text, program.name)

@@ -21,7 +21,7 @@ from typing import Any
 from agent.core import AgentError, Console, InputError, read_json, sha256_file, sha256_text, written_whole
 from agent.runs.folder import RunFolder, from_plain, write_json
 from agent.runs.history import which_machine
-from agent.runs.past_run import read_object, read_run, readable
+from agent.runs.past_run import read_object, read_parameters, read_run, readable
 
 _FOLDER = "models"
 #: Characters of a folder's name before its digest.
@@ -75,6 +75,7 @@ def apply_run(logs: Path, run: Path) -> Applied:
     with readable(run):
         read_object(run / "result.json")["validation"]
         accepted = read_object(run / "state.json")["model_sha256"]
+    read_parameters(run)  # refuses a damaged model
     if accepted != sha256:
         raise InputError(f"{model}: this is not the model that was accepted (SHA-256 differs); it was changed since")
     place = _place(logs, past.robot, past.serial)

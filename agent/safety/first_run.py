@@ -10,14 +10,13 @@ import math
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from agent.core import InputError, write_atomically
 from agent.motion import Move, Statement, stop_to_stop, way_key
 from agent.safety.planned_program import PlannedProgram
-from agent.safety.preconditions import START_TOLERANCE, frames_text
 
 if TYPE_CHECKING:
     from agent.motion import Dialect, Interpolator, Trajectory
@@ -28,71 +27,53 @@ FIRST_SPEED = 0.25
 _ATTEMPTS, _SLOWEST = 12, 0.01  # PDL2 takes whole percents of speed
 #: Beside the runs.
 FILE = "checked_programs.json"
-_SCHEMA = "checked_programs/2"
-#: What makes a motion another one: the machine, the text, and the frames that it leaves to the controller.
-_KEY = ("serial", "program", "frames")
+_SCHEMA = "checked_programs/1"
 
 
 class CheckedPrograms:
     """Programs by their SHA-256 (hex), machines by their serial, or by their address if they tell none.
 
-    The file `path` is read at each question, so that what another run adds counts."""
+    Args:
+        path: the file; read when it is asked, so that what another run adds counts.
+    """
 
     def __init__(self, path: Path):
         self.path = path
 
-    def has(self, serial: str, program: PlannedProgram) -> bool:
-        """Whether it has run slowly on this machine from a stop of its plan before that first exceeds `FIRST_SPEED`.
+    def has(self, serial: str, checksum: str) -> bool:
+        """Whether the program has run slowly on this machine.
 
         Raises:
             InputError: the file is damaged.
         """
-        key = serial, program.checksum, frames_text(program.frames)
-        places = self._entries().get(key, {"places": []})["places"]
-        for chain in program.chains:
-            if _among(places, chain.q[0]) or not np.max(chain.path_speed) <= FIRST_SPEED:
-                return _among(places, chain.q[0])
-        return bool(places)
+        return any(entry["serial"] == serial and entry["program"] == checksum for entry in self._entries())
 
-    def add(self, serial: str, program: PlannedProgram) -> None:
-        """Remember the program, or the one that it stands for, and where its motion began and ended.
+    def add(self, serial: str, checksum: str) -> None:
+        """Remember it.
 
         Raises:
             AgentError: the file cannot be written, or it is damaged.
         """
-        entries = self._entries()
-        key = serial, program.stands_for or program.checksum, frames_text(program.frames)
-        now = datetime.now(UTC).isoformat(timespec="seconds")
-        new: dict[str, Any] = {**dict(zip(_KEY, key, strict=True)), "at": now, "places": []}
-        places = entries.setdefault(key, new)["places"]
-        ends = program.chains[0].q[0], program.chains[-1].q[-1]
-        if not (unknown := [place.tolist() for place in ends if not _among(places, place)]):
+        if self.has(serial, checksum):
             return  # whoever writes here at the same time may have something new
-        places += unknown
+        now = datetime.now(UTC).isoformat(timespec="seconds")
+        entries = [*self._entries(), {"serial": serial, "program": checksum, "at": now}]
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        write_atomically(self.path, json.dumps({"schema": _SCHEMA, "programs": [*entries.values()]}, indent=2) + "\n")
+        write_atomically(self.path, json.dumps({"schema": _SCHEMA, "programs": entries}, indent=2) + "\n")
 
-    def _entries(self) -> dict[tuple[str, ...], dict[str, Any]]:
+    def _entries(self) -> list[dict[str, str]]:
         try:
             data = json.loads(self.path.read_text(encoding="utf-8"))
-            if data["schema"] == "checked_programs/1":  # of version 1.0.0, which does not say from where
-                return {}
             if data["schema"] != _SCHEMA:
                 raise ValueError(f"schema {data['schema']!r}")
-            for entry in data["programs"]:
-                entry["places"] = np.asarray(entry["places"], dtype=float).tolist()
-            return {tuple(entry[key] for key in _KEY): entry for entry in data["programs"]}
+            return [{key: str(entry[key]) for key in ("serial", "program", "at")} for entry in data["programs"]]
         except FileNotFoundError:
-            return {}
-        except (OSError, ValueError, KeyError, TypeError) as error:
+            return []
+        except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
             raise InputError(
                 f"{self.path}: this list of checked programs is damaged ({error}); move it away, every program will "
                 "then run slowly once more"
             ) from None
-
-
-def _among(places: list[list[float]], position: np.ndarray) -> bool:
-    return any(bool(np.all(np.abs(np.subtract(place, position)) <= START_TOLERANCE)) for place in places)
 
 
 def slow_text(

@@ -153,12 +153,12 @@ class GuardedLink:
         return self._authorisation is not None and self._authorisation.unseen
 
     def needs_slow_run(self, program: PlannedProgram) -> bool:
-        """Whether the program has to run slowly first: a machine, and a program that is new to it from where it begins.
+        """Whether the program has to run slowly first: a machine, and a program that is new to it.
 
         Raises:
             InputError: it has to, and nobody is there to watch.
         """
-        if self._emulator or self._checked.has(self.identity.serial or self.address, program):
+        if self._emulator or self._checked.has(self.identity.serial or self.address, program.checksum):
             return False
         if self._unseen:
             if not program.speed <= FIRST_SPEED:
@@ -169,8 +169,8 @@ class GuardedLink:
             return False
         if self._authorisation is not None:
             raise InputError(
-                f"{self.address}: program {program.checksum[:12]}… has never run on serial {self.identity.serial} from "
-                f"here with somebody watching ({self._checked.path} does not list it); run it once with --yes and no "
+                f"{self.address}: program {program.checksum[:12]}… has never run on serial {self.identity.serial} with "
+                f"somebody watching ({self._checked.path} does not list it); run it once with --yes and no "
                 "authorisation"
             )
         return not program.speed <= FIRST_SPEED
@@ -254,7 +254,7 @@ class GuardedLink:
             finally:
                 self._watch = None
         if over and program.chains and not self._emulator and not self._unseen:  # it moved, slowly or known before
-            self._checked.add(self.identity.serial or self.address, program)
+            self._checked.add(self.identity.serial or self.address, program.stands_for or program.checksum)
 
     @property
     def lost(self) -> int:
@@ -290,8 +290,8 @@ class GuardedLink:
             )
         if self.needs_slow_run(program):
             raise ControllerError(
-                f"{self.address}: program {program.name!r} has never run on serial {self.identity.serial} from here; "
-                f"its first run must not exceed {FIRST_SPEED:g} m/s, this one reaches {program.speed:.2f} m/s"
+                f"{self.address}: program {program.name!r} has never run on serial {self.identity.serial}; its first "
+                f"run must not exceed {FIRST_SPEED:g} m/s, this one reaches {program.speed:.2f} m/s"
             )
         with self._advice("check the link, then run the command again"):
             status = self._driver.status()

@@ -179,7 +179,7 @@ def test_only_a_local_emulator_needs_no_confirmation(bench):
 
 def test_an_authorised_motion_needs_no_confirmation(bench, program, authorisation):
     chosen = program(0.8)
-    bench.checked.add("NS16-7", chosen)
+    bench.checked.add("NS16-7", chosen.checksum)
     assert bench.run(chosen, bench.open(yes=False, authorisation=authorisation(chosen))) == 1000
     assert bench.asked == []
 
@@ -197,7 +197,7 @@ def test_an_authorised_motion_needs_no_confirmation(bench, program, authorisatio
 )
 def test_an_authorisation_covers_only_what_it_states(bench, change, said, program, authorisation):
     chosen = program(0.8)
-    bench.checked.add("NS16-7", chosen)
+    bench.checked.add("NS16-7", chosen.checksum)
     guard = bench.open(yes=False, authorisation=authorisation(chosen, **change))
     with pytest.raises(InputError, match=said):
         bench.run(chosen, guard)
@@ -206,7 +206,7 @@ def test_an_authorisation_covers_only_what_it_states(bench, change, said, progra
 
 def test_programmed_pauses_count_towards_the_authorised_duration(bench, program, authorisation):
     chosen = replace(program(0.8), pauses=90.0)
-    bench.checked.add("NS16-7", chosen)
+    bench.checked.add("NS16-7", chosen.checksum)
     with pytest.raises(InputError, match=r"takes 9\d s, 60 s are allowed"):
         bench.run(chosen, bench.open(yes=False, authorisation=authorisation(chosen, duration=60.0)))
     assert bench.controller.starts == 0

@@ -37,7 +37,7 @@ def test_a_state_change_in_motion_stops_the_arm(bench, later, said, program):
     assert bench.controller.stops >= 1
     assert bench.controller.starts == 1
     assert 3 <= len(taken) <= 6, "everything that came before the arm rested is handed out, and it rests soon"
-    assert not bench.checked.has("NS16-7", program())
+    assert not bench.checked.has("NS16-7", program().checksum)
 
 
 def test_an_unreadable_state_stops_the_arm(bench, program):

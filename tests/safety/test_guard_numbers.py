@@ -29,10 +29,7 @@ FALSE_STOPS = {
         "self._path.distance(tool, rows) <= self._margin + allowed.tool": "true is near",
         "of_joint[:, None] <= fastest": "true is slow",
     },
-    "first_run.py": {
-        "np.abs(np.subtract(place, position)) <= START_TOLERANCE": "true was seen",
-        "peak <= FIRST_SPEED": "true is slow enough, anything else is planned again or refused",
-    },
+    "first_run.py": {"peak <= FIRST_SPEED": "true is slow enough, anything else is planned again or refused"},
     "freshness.py": {"age <= self.oldest": "true goes on"},
     "preconditions.py": {"carried >= made": "true is fast enough"},
     "stopping.py": {

@@ -4,11 +4,11 @@ The file stores no held-out error. The error that a model usually leaves on such
 torque as without a model (`LIMITS.unknown_error`). The error is smaller if the moved numbers leave less on most
 joints; a joint that then stands out has a gap that numbers do not close.
 
-Two explanations are compared. The numbers are right and one effect explains the gap; or numbers are moved, with effects
-or without. The first is taken if it has one cause, and that stands against the second (`Explanation.stands`): it leaves
-hardly more, or no more at all where the effect may replace a change of links. The second's effects are searched with
-all numbers free, as numbers chosen without an effect move in its stead; then numbers are chosen with these effects, and
-effects searched again with these numbers.
+Three explanations are compared, the simplest first. The numbers are right and one effect explains the gap; or friction
+and rotors are moved, with effects; or links are moved too. The first that stands against those that move more numbers
+is taken (`Explanation.stands`): it leaves hardly more, or no more at all where its effects may replace a change of
+links. With links, numbers are chosen in two ways, and the one that leaves less is taken: without an effect, or with the
+effects that are found while all numbers are free, as numbers chosen without an effect move in its stead.
 """
 
 from __future__ import annotations
@@ -143,7 +143,7 @@ def search_simulator(
     without: Sequence[str],
     progress: Callable[[str], None],
 ) -> Explanation:
-    """Return the simpler of the two explanations that closes as much as the other.
+    """Return the simplest of the three explanations that closes as much as any.
 
     Raises:
         InputError: logs that cannot be used (see `assemble`).
@@ -157,11 +157,17 @@ def search_simulator(
     unit = dataset.fit.reference.scale
     enough = LIMITS.least_share * float(np.mean(held_out_gap(dataset, dataset.fit, unit).before ** 2))
     search = partial(_search_with, model, without, progress, unit)
-    chosen = search(ReleasedSimulator(dataset, dataset, ()))
-    if first.groups:
+    found = [search(ReleasedSimulator(dataset, dataset, ()))]
+    drives, everything = release(dataset, links=False), release(dataset)
+    if 0 < len(drives.groups) < len(everything.groups):
+        found.append(search(drives))
+    if everything.groups:
         progress("choosing which numbers of the simulator move, with the effects found")
-        moved = search(release(dataset, search(release_all(dataset)).finding.causes))
-        chosen = chosen if len(chosen.finding.causes) == 1 and chosen.stands(moved.left, enough) else moved
+        others = release(dataset, search(release_all(dataset)).finding.causes)
+        found.append(min(search(others), search(everything), key=lambda entry: entry.left))
+    best = min(entry.left for entry in found)
+    single = [k for k, entry in enumerate(found[:-1]) if entry.finding.causes and (k or len(entry.finding.causes) == 1)]
+    chosen = next((found[k] for k in single if found[k].stands(best, enough)), found[-1])
     for number in range(len(chosen.finding.causes)):
         if numbers_instead(chosen, number, unit) is not None:
             chosen = replace(chosen, finding=chosen.finding.with_rival(number, (_LINKS, ())))

@@ -82,12 +82,12 @@ class ReleasedSimulator:
         return replace(given, values=given.values + self.moved.fit.change)
 
 
-def release(dataset: Dataset, beside: Sequence[Candidate] = ()) -> ReleasedSimulator:
-    """Release group after group while that gains.
+def release(dataset: Dataset, beside: Sequence[Candidate] = (), links: bool = True) -> ReleasedSimulator:
+    """Release group after group while that gains; without `links`, friction and rotors only.
 
     The choice of numbers includes the effects `beside`. The numbers are then moved without them, as the search's start.
     """
-    pool = _groups(dataset)
+    pool = [group for group in _groups(dataset) if links or group.kind != "link inertia"]
     chosen: list[Group] = []
     fit = dataset.fit.with_chosen(beside)
     least = LIMITS.least_gain * float(fit.count.sum())
