@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from agent.data_quality.faults import MOVING, QualityFinding
+from agent.data_quality.faults import QualityFinding
 from agent.data_quality.rigid_fit import SAMPLES_PER_PARAMETER
 from agent.estimation import FilterSettings, motions
 from agent.model import IdentifiedModel
@@ -15,6 +15,7 @@ from agent.recording import Log
 _CERTAIN = 5.0  # standard deviations below zero
 _FAR = 10.0  # times the noise of torque, and
 _MUCH = 0.1  # of a joint's torque, root mean square: an error that is worth a look
+_APART = 1e-3  # rad or m between postures; the same logs pass at 0.2 to 5 mm, and at 10 mm a stroke of 8 mm fails
 
 
 def fitted_doubts(model: IdentifiedModel, logs: Sequence[Log]) -> Iterator[QualityFinding]:
@@ -22,11 +23,11 @@ def fitted_doubts(model: IdentifiedModel, logs: Sequence[Log]) -> Iterator[Quali
     postures, needed = _postures(model, logs), SAMPLES_PER_PARAMETER * len(model.values) / model.robot.dof
     if postures < needed:
         text = (
-            f"too little motion: the arm goes through {postures} independent postures ({MOVING:g} rad or m and half a "
+            f"too little motion: the arm goes through {postures} independent postures ({_APART:g} rad or m and half a "
             f"period of the {model.cutoff:g} Hz cut-off apart); {len(model.values)} parameters need {needed:.0f}"
         )
-        advice = f"record {needed / (2 * model.cutoff):.1f} s of motion or more, every joint both ways"
-        yield QualityFinding(text, advice=advice)
+        seconds = needed / (2 * model.cutoff)
+        yield QualityFinding(text, advice=f"record {seconds:.1f} s of motion or more, every joint both ways")
         return
     if rotors := _negative_rotors(model):
         listed = ", ".join(f"{name} {value:.3g} kg·m²" for name, value in rotors.items())
@@ -43,14 +44,13 @@ def fitted_doubts(model: IdentifiedModel, logs: Sequence[Log]) -> Iterator[Quali
 
 def _postures(model: IdentifiedModel, logs: Sequence[Log]) -> int:
     """Samples of the filtered motions that are independent, and apart by more than a joint that rests moves."""
-    count = 0
-    for log in logs:
-        for motion in motions(log, FilterSettings(model.cutoff, model.order)):
-            q, every = motion.q[motion.kept], max(1, round(motion.rate / motion.step / (2 * model.cutoff)))
-            last, apart = q[0], np.clip(0.1 * np.ptp(q, axis=0), 0.1 * MOVING, MOVING)  # less where the stroke is short
-            for posture in q[::every]:
-                if np.any(np.abs(posture - last) > apart):
-                    count, last = count + 1, posture
+    count, settings = 0, FilterSettings(model.cutoff, model.order)
+    for motion in (one for log in logs for one in motions(log, settings)):
+        q, every = motion.q[motion.kept], max(1, round(motion.rate / motion.step / (2 * model.cutoff)))
+        last = q[0]
+        for posture in q[::every]:
+            if np.abs(posture - last).max() > _APART:
+                count, last = count + 1, posture
     return count
 
 

@@ -55,7 +55,7 @@ class CheckedPrograms:
             AgentError: the file cannot be written, or it is damaged.
         """
         if self.has(serial, checksum):
-            return  # whoever writes here at the same time may have something new
+            return  # writing nothing cannot undo an entry that another run adds now
         now = datetime.now(UTC).isoformat(timespec="seconds")
         entries = [*self._entries(), {"serial": serial, "program": checksum, "at": now}]
         self.path.parent.mkdir(parents=True, exist_ok=True)

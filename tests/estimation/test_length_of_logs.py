@@ -10,12 +10,13 @@ from agent.robot import Dynamics
 
 
 @pytest.mark.parametrize(
-    ("motion", "still", "enough"), [(0.55, 0.0, False), (0.1, 4.0, False), (2.5, 0.0, True), (2.5, 4.0, True)]
+    ("motion", "still", "size", "enough"),
+    [(0.55, 0, 1, False), (0.1, 4, 1, False), (2.5, 0, 1, True), (2.5, 4, 1, True), (20, 0, 0.01, True)],
 )
-def test_a_model_of_too_little_motion_is_made_by_force_alone(arm, multisine, make_log, tmp_path, motion, still, enough):
+def test_too_little_motion_needs_force(arm, multisine, make_log, tmp_path, motion, still, size, enough):
     robot, t = arm(2), np.arange(round(500 * (motion + still))) / 500
     since = t - still / 2
-    q, *moving = multisine(2, np.clip(since, 0.0, motion))
+    q, *moving = (size * values for values in multisine(2, np.clip(since, 0.0, motion)))
     qd, qdd = (np.where((since >= 0) & (since <= motion), values.T, 0.0).T for values in moving)
     noise = 0.01 * np.random.default_rng(0).normal(size=q.shape)
     torque = Dynamics(robot).inverse_dynamics(q, qd, qdd) + 3 * np.sign(qd) + qd + noise

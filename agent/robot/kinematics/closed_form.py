@@ -33,7 +33,7 @@ BRANCHES = tuple(product((1, -1), repeat=3))
 _SIGNS = np.array(BRANCHES, dtype=float).T
 SINGULARITIES = ("shoulder", "elbow", "wrist")
 _BEYOND = -2e-9  # a squared margin below this is out of reach, above it round-off at the border
-_BEND = 0.15  # sin γ where an arm that fits nearly begins at least: stretched, Newton steps would go anywhere
+_BEND = 0.15  # least sin γ Newton steps begin with; of 1 500 random arms 3 fail at 0.05, 0 at 0.1 to 0.2, 161 at 0.3
 _REACHED, _NEARLY = 1e-9, 1e-5  # m and rad: Newton steps that leave more have not converged, or do not converge
 
 
@@ -166,8 +166,8 @@ class ClosedFormKinematics(Kinematics):
     def __init__(self, robot: RobotDescription, chain: KinematicChain, geometry: ArmGeometry):
         super().__init__(robot, chain)
         self._arm = geometry
-        self._least = np.full(3, SINGULAR_DISTANCE**2)  # of the squared margins, for a branch to be there
-        self._bend = 0.0  # least sin² γ that a solution begins with
+        # Least sin² γ to begin with, and least squares of the distances from singularities for a branch to be tried.
+        self._bend, self._least = 0.0, np.full(3, SINGULAR_DISTANCE**2)
         self._exact = self._is_exact()
         if not self._exact:
             self._bend, self._least[1] = _BEND**2, -_BEND
