@@ -11,27 +11,6 @@ from agent.model import CATALOGUE
 
 PACKAGES = ("agent", "drivers", "fake_controller", "second_world")
 ROOT = Path(__file__).parents[1]
-#: Lines of Python that a part may have; more needs a decision record in docs/decisions.
-MOST_LINES = {
-    "agent/core": 1_613,
-    "agent/robot agent/compiled": 3_920,
-    "agent/motion": 6_647,
-    "agent/recording agent/data_quality": 4_944,
-    "agent/link agent/safety": 3_203,
-    "agent/model": 3_879,
-    "agent/estimation agent/excitation agent/validation": 4_099,
-    "agent/diagnosis agent/experiment": 6_847,
-    "agent/simulators": 3_054,
-    "agent/pages": 2_754,
-    "agent/pipeline agent/runs agent/recipe": 6_898,
-    "agent/fleet": 1_882,
-    "agent/blind_check": 1_028,
-    "agent/cli agent/notebook": 1_363,
-    "drivers": 7_268,
-    "fake_controller": 9_324,
-    "second_world benchmarks": 4_599,
-    "tests": 46_821,
-}
 
 
 def test_no_module_imports_itself_by_way_of_others():
@@ -151,13 +130,3 @@ def test_no_fixture_that_tests_share_needs_measured_data():
         if path.parent != ROOT / "tests" and "shared_data" in path.read_text("utf-8")
     ]
     assert needing == []
-
-
-def test_no_part_grows_beyond_its_budget():
-    grown = {}
-    for part, most in MOST_LINES.items():
-        paths = [path for top in part.split() for path in (ROOT / top).rglob("*.py")]
-        lines = sum(len(path.read_text("utf-8").splitlines()) for path in paths)
-        if lines > most:
-            grown[part] = lines
-    assert grown == {}

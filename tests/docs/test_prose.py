@@ -20,7 +20,6 @@ PENDING = {"docs/reference.md"}
 PACKAGES = ("agent", "benchmarks", "docs", "drivers", "fake_controller", "second_world", "tests")
 #: Modules whose texts people read on terminal and pages.
 MODULES = {path for package in ("cli", "pipeline", "pages") for path in (ROOT / "agent" / package).rglob("*.py")}
-BUDGET = 25_000  # words of all pages, blocks of code apart
 LONGEST, MEAN, LONGEST_SHOWN = 35, 18, 25  # words of a sentence: of a page; of a text of the program
 #: Term, and what the field says.
 GLOSSARY = {
@@ -128,12 +127,6 @@ def test_docstrings_comments_and_names_of_tests_use_the_terms_of_the_field(packa
     texts = ((path, text) for path in sorted((ROOT / package).rglob("*.py")) for text in _remarks(path))
     found = [(path.relative_to(ROOT), text, term) for path, text in texts for term in GLOSSARY if re.search(term, text)]
     assert found == []
-
-
-def test_all_pages_together_have_few_words():
-    names = {page.relative_to(ROOT).as_posix(): page for page in PAGES[1:]}
-    words = {name: _words(_prose(path)) for name, path in names.items() if name not in PENDING}
-    assert sum(words.values()) <= BUDGET, sorted(words.items(), key=lambda item: -item[1])[:10]
 
 
 def test_words_are_spelt_right():
