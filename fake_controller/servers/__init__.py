@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
 from typing import TYPE_CHECKING
 
 from fake_controller.faults import LASTING, check_wire
 from fake_controller.servers.base import BROKER, NoBrokerError, Server
-from fake_controller.servers.cnr.server import CnrServer
-from fake_controller.servers.modbus.server import ModbusServer
-from fake_controller.servers.tcp import TcpServer
 
 if TYPE_CHECKING:
     from fake_controller.controller import Controller
@@ -60,9 +55,15 @@ def open_server(
         ValueError: a fault of the controller makes no sense on this wire.
     """
     check_wire(controller.faults.waiting, wire, IMPOSSIBLE[wire])
-    servers: dict[str, Callable[..., Server]] = {
-        "tcp": TcpServer,
-        "modbus": partial(ModbusServer, waits=waits),
-        "cnr_comau": partial(CnrServer, waits=waits, broker=broker, node_period=node_period),
-    }
-    return servers[wire](controller, address, port, watchdog)
+    about = (controller, address, port, watchdog)
+    if wire == "modbus":
+        from fake_controller.servers.modbus.server import ModbusServer  # imports a web server: a third of a second
+
+        return ModbusServer(*about, waits=waits)
+    if wire == "cnr_comau":
+        from fake_controller.servers.cnr.server import CnrServer
+
+        return CnrServer(*about, waits=waits, broker=broker, node_period=node_period)
+    from fake_controller.servers.tcp import TcpServer
+
+    return TcpServer(*about)
