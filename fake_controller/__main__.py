@@ -144,7 +144,7 @@ def _server(options: argparse.Namespace, controller: Controller | UrCell) -> Ser
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="python -m fake_controller",
+        prog="agent emulator",
         description="An emulated robot controller: it runs programs (PDL2, URScript) on a simulated arm.",
     )
     add = parser.add_argument

@@ -12,7 +12,7 @@ import typer
 from typer import Argument, Option
 
 from agent import blind_check as blind, core, link, pipeline, recipe as recipes, runs as run_store
-from agent.cli import fleet, options as opt, shop_floor
+from agent.cli import completion, fleet, options as opt, shop_floor
 from agent.core import InputError
 
 app = typer.Typer(
@@ -46,7 +46,9 @@ def agent(
 def init(
     recipe: Annotated[Path, Argument(metavar="RECIPE", help="file to write")] = Path("recipe.yaml"),
     robot: opt.AnyDescribedRobot = None,
-    driver: Annotated[str | None, Option(metavar="NAME", help="driver of the controller")] = None,
+    driver: Annotated[
+        str | None, Option(metavar="NAME", help="driver of the controller", autocompletion=completion.drivers)
+    ] = None,
     controller: Annotated[str | None, Option(metavar="ADDRESS", help="address and port")] = None,
     centre: Annotated[str | None, Option(metavar="X,Y,Z", help="centre of the sub-region")] = None,
     size: Annotated[str | None, Option(metavar="X,Y,Z", help="size of the sub-region")] = None,
@@ -110,7 +112,10 @@ def diagnose(
     joint_map: Annotated[
         Path | None, Option("--map", metavar="MAP.yaml", help="names of the simulator's joints in the logs")
     ] = None,
-    record: Annotated[Path | None, Option(metavar="RECIPE", help="record the recipe's motions, then diagnose")] = None,
+    record: Annotated[
+        Path | None,
+        Option(metavar="RECIPE", help="record the recipe's motions, then diagnose", autocompletion=completion.recipes),
+    ] = None,
     cutoff: opt.Cutoff = None,
     without: opt.Without = None,
     topic: opt.Topic = None,

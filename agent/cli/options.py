@@ -13,6 +13,7 @@ from typer import Argument, Option
 from typer.core import TyperCommand, TyperOption
 
 from agent import core, pipeline
+from agent.cli import completion
 
 #: Groups of commands in the help, in this order.
 CALIBRATE, DIAGNOSE, DATA, TOOLS, FLEET = "Calibrate", "Diagnose", "Data and models", "Tools", "Fleet"
@@ -39,39 +40,57 @@ def _print_all_help(context: typer.Context, wanted: bool) -> None:
 
 
 HelpAll = Annotated[bool, Option("--help-all", help="show all options", callback=_print_all_help, is_eager=True)]
-RecipePath = Annotated[Path, Argument(metavar="RECIPE", help="recipe file (YAML)")]
+RecipePath = Annotated[Path, Argument(metavar="RECIPE", help="recipe file (YAML)", autocompletion=completion.recipes)]
 Messages = Annotated[
     bool | None,
     Option("-v/-q", "--verbose/--quiet", help="more messages / only warnings and the result", show_default=False),
 ]
 Yes = Annotated[bool, Option("--yes", help="the cell is clear: move without asking")]
 AsJson = Annotated[bool, Option("--json", help="one JSON object on stdout")]
-RobotOption = Annotated[str, Option("--robot", metavar="R", help="built-in robot, robot.yaml, URDF or MJCF")]
+_ANY = "built-in robot, robot.yaml, URDF or MJCF"
+RobotOption = Annotated[str, Option("--robot", metavar="R", help=_ANY, autocompletion=completion.robots)]
 Cutoff = Annotated[float | None, Option("--cutoff", metavar="HZ", help="cut-off frequency of the torque filter")]
 Topic = Annotated[
     str | None, Option("--topic", metavar="T", help="topic of the arm's joint states, if a log has several")
 ]
 RunsFolder = Annotated[Path, Option("--logs", metavar="DIR", help="folder of the runs")]
-AnyRobot = Annotated[str | None, Option("--robot", metavar="R", help="built-in robot, robot.yaml, URDF or MJCF")]
+AnyRobot = Annotated[str | None, Option("--robot", metavar="R", help=_ANY, autocompletion=completion.robots)]
 _DRIVES = "built-in robot, or robot.yaml"
-DescribedRobot = Annotated[str, Option("--robot", metavar="R", help=_DRIVES)]
-AnyDescribedRobot = Annotated[str | None, Option("--robot", metavar="R", help=_DRIVES)]
+DescribedRobot = Annotated[str, Option("--robot", metavar="R", help=_DRIVES, autocompletion=completion.robots)]
+AnyDescribedRobot = Annotated[
+    str | None, Option("--robot", metavar="R", help=_DRIVES, autocompletion=completion.robots)
+]
 Serial = Annotated[str | None, Option("--serial", metavar="S", help="serial number of the machine")]
 Authorised = Annotated[
     Path | None, Option("--authorisation", metavar="FILE", help="file that permits unattended motion")
 ]
 AllowMixed = Annotated[bool, Option("--allow-mixed", help="accept logs of several machines or tools")]
 Force = Annotated[bool, Option("--force", help="continue although a log is implausible")]
-Method = Annotated[str | None, Option("--method", help="estimator; by default the best on held-out data")]
-Structure = Annotated[str, Option(help="rigid, or auto: add springs, hoses and other effects that the logs show")]
-Without = Annotated[list[str] | None, Option("--without", metavar="EFFECT", help="ignore this effect")]
+Method = Annotated[
+    str | None,
+    Option("--method", help="estimator; by default the best on held-out data", autocompletion=completion.estimators),
+]
+Structure = Annotated[
+    str,
+    Option(
+        help="rigid, or auto: add springs, hoses and other effects that the logs show",
+        autocompletion=completion.structures,
+    ),
+]
+Without = Annotated[
+    list[str] | None,
+    Option("--without", metavar="EFFECT", help="ignore this effect", autocompletion=completion.effects),
+]
 Seed = Annotated[int, Option("--seed", metavar="S", min=0, help="seed of all random draws")]
 Page = Annotated[Path | None, Option("--report", metavar="OUT.html", help="HTML page to write")]
 RunName = Annotated[str | None, Argument(metavar="RUN", help="run folder, or its name")]
 ModelFile = Annotated[Path, Option("--model", metavar="MODEL", help="model file")]
 Logs = Annotated[list[Path], Argument(metavar="LOG...", help="MCAP logs")]
 NextRecipe = Annotated[
-    Path | None, Option("--next", metavar="RECIPE", help="plan the motion that settles what is open")
+    Path | None,
+    Option(
+        "--next", metavar="RECIPE", help="plan the motion that settles what is open", autocompletion=completion.recipes
+    ),
 ]
 KnownLoad = Annotated[
     str | None, Option("--payload", metavar="LOAD", help="known mass at the flange: 'MASS, X, Y, Z' with its centre")

@@ -10,7 +10,7 @@ import typer
 from typer import Argument, Option
 
 from agent import core, model as models, pipeline, recipe as recipes, runs as run_store, safety, simulators
-from agent.cli import options as opt
+from agent.cli import completion, options as opt
 from agent.core import InputError
 
 app = typer.Typer()
@@ -122,7 +122,12 @@ def export(
     out: Annotated[Path | None, Option("-o", "--out", metavar="DIR", help="folder to write to")] = None,
     table: Annotated[bool, Option("--csv", help="only the table of parameters")] = False,
     load: Annotated[
-        str | None, Option(metavar="VENDOR", help="print the identified load for ur, abb, kuka, franka or comau")
+        str | None,
+        Option(
+            metavar="VENDOR",
+            help="print the identified load for ur, abb, kuka, franka or comau",
+            autocompletion=completion.vendors,
+        ),
     ] = None,
 ) -> None:
     """Write a model as URDF, MuJoCo model, SDF, CSV and Foxglove layout, or print the load for a robot vendor."""

@@ -14,4 +14,8 @@ from .recipe import (
     recipe_schema as recipe_schema,
 )
 from .recipe_text import USUAL as USUAL, template as template
-from .schema import GateSection as GateSection, ViaPointsSection as ViaPointsSection
+from .schema import (
+    ESTIMATION_METHODS as ESTIMATION_METHODS,
+    GateSection as GateSection,
+    ViaPointsSection as ViaPointsSection,
+)

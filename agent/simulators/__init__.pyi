@@ -21,7 +21,7 @@ from .loader import (
     load_arm as load_arm,
     load_simulator as load_simulator,
 )
-from .loads import identified_load as identified_load, load_text as load_text
+from .loads import VENDORS as VENDORS, identified_load as identified_load, load_text as load_text
 from .mjcf import compiled as compiled, mujoco_package as mujoco_package
 from .servos import (
     SERVO_STIFFNESS as SERVO_STIFFNESS,

@@ -143,3 +143,13 @@ def test_proposes_no_resume_for_a_calibration_stopped_by_its_recipe(run, error, 
     said = going_on(run, "plan", error)
     assert ("; continue with: agent calibrate " in said) is goes_on
     assert ("--resume" in said) is goes_on
+
+
+@pytest.mark.parametrize(("model", "out"), [("m.json", "with.json"), ("arm.xml", "fixed.xml")])
+def test_a_model_that_is_written_is_not_asked_for_again(model, out):
+    result = {"verdict": "explained", "causes": [{"effect": "stribeck"}], "next_experiment": None}
+    asked = replace(ASKED, next_recipe=None, next_payload=None, model=Path(model), out=None)
+    (step,) = after_diagnosis(result, None, [Path("a.mcap")], asked)
+    assert "-o" in shlex.split(step.command)
+    (step,) = after_diagnosis(result, None, [Path("a.mcap")], replace(asked, out=Path(out)))
+    assert shlex.split(step.command)[2:] == ["--model", out, "new.mcap"]

@@ -66,7 +66,17 @@ def after_diagnosis(
         return [NextStep("learn the controller's interpolator:", shlex.join(learn))]
     if all(CATALOGUE[cause["effect"]].once for cause in result["causes"]):
         return [NextStep("record again with nothing touching the arm: a single event is not added to a model.")]
+    written = question.out if question.next_recipe is None else None
     if question.model is not None and is_simulator(question.model):
+        if written is not None:
+            return [NextStep("use the corrected file; compare it with a log that took no part:", _compared(written))]
         return [NextStep("correct the simulator:", f"{again} -o fixed{question.model.suffix}")]
+    if written is not None:
+        check = shlex.join(["agent", "validate", "--model", str(written), _NEW_LOG])
+        return [NextStep("check the model with its effects on a log that took no part:", check)]
     effects = "effects" if len(result["causes"]) > 1 else "effect"
     return [NextStep(f"add the {effects} to the model:", f"{again} -o model_with_effects.json")]
+
+
+def _compared(simulator: Path) -> str:
+    return shlex.join(["agent", "diagnose", "--model", str(simulator), _NEW_LOG])
