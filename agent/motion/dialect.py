@@ -104,3 +104,6 @@ class Dialect(Protocol):
 
     def companion(self, program: Path) -> Path | None:
         """The file next to a program that its positions come from, where the language has one and it is there."""
+
+    def messages(self, text: str) -> dict[str, str]:
+        """Further files of a program, by name, for whoever sends it without the agent; most languages need none."""

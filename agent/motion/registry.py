@@ -28,8 +28,13 @@ _INTERPOLATORS = {
     "fly": "agent.motion.fly.interpolator:FlyInterpolator",
     "orl": "agent.motion.orl:OrlInterpolator",
     "ur": "agent.motion.urscript.interpolator:UrLaw",
+    "joint_trajectory": "agent.motion.joint_trajectory.interpolator:JointTrajectoryLaw",
 }
-_DIALECTS = {"pdl2": "agent.motion.pdl2.dialect:Pdl2", "urscript": "agent.motion.urscript.dialect:UrScript"}
+_DIALECTS = {
+    "pdl2": "agent.motion.pdl2.dialect:Pdl2",
+    "urscript": "agent.motion.urscript.dialect:UrScript",
+    "joint_trajectory": "agent.motion.joint_trajectory.dialect:JointTrajectoryDialect",
+}
 
 
 def create_dialect(name: str) -> Dialect:

@@ -319,7 +319,8 @@ def plan_recipe(recipe: Recipe, folder: Path, console: Console, engine: TaskEngi
         raise
     text, loop = program_text(recipe, motion), shown_loop(recipe, motion)
     files = PlanFiles(folder, f"program{recipe.dialect.suffix}", loop, found)
-    write_atomically(folder / files.program, text)
+    for name, content in {files.program: text, **recipe.dialect.messages(text)}.items():
+        write_atomically(folder / name, content)
     write_atomically(folder / "plan.html", plan_report(loop, found, text))
     write_json(folder / "plan.json", {**files.to_dict(), "search": found})
     return files

@@ -71,3 +71,7 @@ class Pdl2:
         """The listing of the program's variables in the same folder, if there is one."""
         candidates = (program.with_suffix(suffix) for suffix in (".lsv", ".LSV"))
         return next((file for file in candidates if file.is_file()), None)
+
+    def messages(self, text: str) -> dict[str, str]:
+        """None: a program is loaded as it is."""
+        return {}

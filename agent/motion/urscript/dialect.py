@@ -85,3 +85,7 @@ class UrScript:
     def companion(self, program: Path) -> Path | None:
         """None: positions are in the program."""
         return None
+
+    def messages(self, text: str) -> dict[str, str]:
+        """None: a program is loaded as it is."""
+        return {}

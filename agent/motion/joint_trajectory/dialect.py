@@ -1,0 +1,92 @@
+"""Joint trajectories as a dialect (`agent.motion.dialect`)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from agent.core import InputError
+from agent.motion.joint_trajectory.program import TrajectoryProgram, TrajectoryWriter, goals_of, read_program
+from agent.motion.path_settings import FlyTrajectory, FlyType, PathSettings
+from agent.motion.program import JointTarget, MotionSettings, Statement, Target, loop_program
+
+if TYPE_CHECKING:
+    from agent.robot import RobotDescription
+
+
+class JointTrajectoryDialect:
+    """What a JointTrajectoryController of ROS 2 takes: one goal a motion from rest to rest."""
+
+    name = "joint_trajectory"
+    suffix = ".jsonl"
+    comment = "#"
+    interpolators = ("joint_trajectory",)
+    fly_keys = frozenset({"distance"})
+    frame_names: Mapping[str, str] = {}
+
+    def read(self, text: str, path: str = "", robot: RobotDescription | None = None) -> TrajectoryProgram:
+        """A program of goals."""
+        return read_program(text, path, robot)
+
+    def write(self, name: str, statements: Sequence[Statement], robot: RobotDescription | None = None) -> str:
+        """A program that makes these moves and delays once, from a joint move on."""
+        writer = TrajectoryWriter(name, robot)
+        writer.add(statements)
+        return writer.text()
+
+    def write_loop(
+        self,
+        name: str,
+        points: Sequence[Target],
+        settings: MotionSettings,
+        cycles: int,
+        approach: MotionSettings | None = None,
+        robot: RobotDescription | None = None,
+        start: JointTarget | None = None,
+    ) -> str:
+        """A move to the start, then one goal for the cycle, sent `cycles` times."""
+        first, loop = loop_program(name, points, settings, cycles, approach, start)
+        writer = TrajectoryWriter(name, robot)
+        writer.add([first])
+        writer.add(loop, cycles)
+        return writer.text()
+
+    def settings(self, fly: Mapping[str, Any], speed: float, robot: RobotDescription) -> PathSettings:
+        """Blends that keep within the recipe's distance of their via-points."""
+        return PathSettings(
+            fly_distance=fly["distance"],
+            linear_speed=speed,
+            fly_type=FlyType.FLY_CART,
+            fly_trajectory=FlyTrajectory.FLY_TOL,
+        )
+
+    def job(
+        self, text: str, path: str = "", robot: RobotDescription | None = None, companion: str = ""
+    ) -> tuple[str, dict[str, int]]:
+        """The program itself: nothing but motion is in it.
+
+        Raises:
+            InputError: not such a program.
+        """
+        read_program(text, path, robot)
+        return text, {}
+
+    def companion(self, program: Path) -> Path | None:
+        """None: positions are in the program."""
+        return None
+
+    def messages(self, text: str) -> dict[str, str]:
+        """Files for whoever sends the trajectories without the agent: each goal as JSON, and how it is sent."""
+        files = {f"goal_{number}.json": goal for number, goal in enumerate(goals_of(text), 1)}
+        if not files:
+            raise InputError("this program has no trajectory to send")
+        lines = [
+            "# A trajectory begins where the arm has to stand: move it there first, and be ready to stop it.",
+            *(
+                "ros2 action send_goal /joint_trajectory_controller/follow_joint_trajectory "
+                f'control_msgs/action/FollowJointTrajectory "$(cat {file})"'
+                for file in files
+            ),
+        ]
+        return {**files, "send_goal.txt": "".join(f"{line}\n" for line in lines)}

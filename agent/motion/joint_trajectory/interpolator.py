@@ -1,0 +1,197 @@
+"""How an arm with a JointTrajectoryController moves: through the points of a trajectory, which is the plan itself.
+
+The controller knows no lines of the tool. What a program says of the tool is planned here by the law of `fly`, sampled
+20 times a second with velocity and acceleration, and slowed down until the quintics between the points keep the limits
+of every joint: the controller checks none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import cached_property
+
+import numpy as np
+
+from agent.motion.fly.interpolator import FlyInterpolator
+from agent.motion.interpolator import BindingLimit, MotionError, Trajectory
+from agent.motion.joint_trajectory.settings import PaceSettings, PointSettings
+from agent.motion.joint_trajectory.spline import JointSpline, rest_to_rest
+from agent.motion.path_settings import FlyTrajectory, FlyType, PathSettings
+from agent.motion.program import Delay, JointTarget, Move, MoveType, Statement
+from agent.robot import Dynamics, RobotDescription, Tool
+
+#: Points of a trajectory a second.
+POINTS = 20
+#: Longest motion [s] from rest to rest: a controller goes on to the end of it when nobody is there any more.
+LONGEST = 20.0
+_PERIOD = 0.005  # s, of the plan that points are taken from
+_ROUNDING = 1e-6  # of limits: points in a text have nine decimals
+
+
+class JointTrajectoryLaw:
+    """Plans programs at the controller's period (`agent.motion.Interpolator`).
+
+    `tool` is the TCP of moves that name none; `period` [s].
+    """
+
+    def __init__(self, robot: RobotDescription, tool: Tool | None = None, period: float = 0.002):
+        self.robot, self.period = robot, period
+        self._fly = FlyInterpolator(robot, tool, _PERIOD)
+        self._dynamics = Dynamics(robot, tool)
+
+    def plan(self, statements: Sequence[Statement], start: np.ndarray) -> Trajectory:
+        """Set-points of the program from rest at `start` (n,) [rad] to rest.
+
+        Raises:
+            MotionError: out of reach, beyond a limit of a joint, or too long without a stop.
+        """
+        q = np.asarray(start, dtype=float)
+        rows = [np.zeros((3, 1, len(q)))]
+        rows[0][0] = q
+        moves, binding, began = [np.zeros(1, dtype=int)], [], 0.0
+        pending: list[Move] = []
+        for number, statement in enumerate(statements):
+            if isinstance(statement, Delay):
+                resting = np.zeros((3, max(0, round(statement.seconds / self.period)), len(q)))
+                resting[0] = q
+                rows.append(resting)
+                moves.append(np.full(resting.shape[1], number))
+            else:
+                pending.append(statement)
+            if pending and not (pending[-1].fly and number + 1 < len(statements)):
+                first = number + 1 - len(pending)
+                spline, move_at, limits = self.spline(pending, q, first)
+                t = np.minimum(
+                    self.period * np.arange(1, np.ceil(spline.duration / self.period - 1e-6) + 1), spline.t[-1]
+                )
+                rows.append(np.array(spline.at(t)))
+                moves.append(first + move_at(t))
+                binding.append((began, limits))
+                q, pending = spline.q[-1], []
+            began = self.period * (sum(part.shape[1] for part in rows) - 1)
+        return _SplineTrajectory(
+            self._dynamics, binding, np.concatenate(rows, axis=1), np.concatenate(moves), self.period
+        )
+
+    def spline(
+        self, moves: Sequence[Move], start: np.ndarray, first: int = 0
+    ) -> tuple[JointSpline, Callable[[np.ndarray], np.ndarray], Callable[[], Sequence[BindingLimit]]]:
+        """The points of moves from rest at `start` (n,) to rest; which of the moves a time (S,) [s] belongs to, and the
+        limits that slow them down. `first` is the index of the first move in its program, for messages.
+
+        Raises:
+            MotionError: as in `plan`.
+        """
+        if all(isinstance(move.settings, PointSettings) for move in moves):
+            spline = _of_points(moves, start)
+            self._check(spline, first, 1.0)
+            return spline, lambda t: np.searchsorted(spline.t[1:-1], t, side="left"), tuple
+        if len(moves) == 1 and moves[0].type is MoveType.JOINT and isinstance(moves[0].target, JointTarget):
+            spline = rest_to_rest(start, moves[0].target.position, *self.pace(moves[0]))
+            self._check(spline, first, 1.0)
+            return spline, lambda t: np.zeros(len(t), dtype=int), tuple
+        plan = self._fly.plan([_with_path(move) for move in moves], start)
+        count = max(1, int(np.ceil(plan.duration * POINTS - 1e-9)))
+        at = np.unique(np.round(np.linspace(0, len(plan.t) - 1, count + 1)).astype(int))
+        spline = JointSpline(plan.t[at], plan.q[at], plan.qd[at], plan.qdd[at])
+        spline.qd[[0, -1]] = spline.qdd[[0, -1]] = 0.0
+        factor = self._slower(spline)
+        spline = spline.stretched(factor)
+        self._check(spline, first, factor)
+        index = lambda t: plan.move[np.minimum(np.rint(t / (factor * _PERIOD)).astype(int), len(plan.move) - 1)]  # noqa: E731
+        return spline, index, lambda: plan.binding
+
+    def pace(self, move: Move) -> tuple[np.ndarray, np.ndarray]:
+        """Limits (n,) of velocity and acceleration of a joint move."""
+        settings, part = move.settings, move.settings.speed_override
+        if isinstance(settings, PaceSettings):
+            return part * np.array(settings.velocity), part * np.array(settings.acceleration)
+        return part * self.robot.max_velocity, part * self.robot.max_acceleration
+
+    def _slower(self, spline: JointSpline) -> float:
+        """The factor of time with which the spline keeps the joints' limits."""
+        _, qd, qdd = spline.at(np.arange(0.0, spline.duration, _PERIOD))
+        speed = np.max(np.abs(qd) / self.robot.max_velocity, initial=0.0)
+        acceleration = np.max(np.abs(qdd) / self.robot.max_acceleration, initial=0.0)
+        return float(max(1.0, speed, np.sqrt(acceleration))) * (1.0 + _ROUNDING)
+
+    def _check(self, spline: JointSpline, first: int, factor: float) -> None:
+        """Raises:
+        MotionError: a limit of a joint is broken between the points, or the motion is too long.
+        """
+        t = np.append(np.arange(0.0, spline.duration, _PERIOD), spline.duration)
+        q, qd, qdd = spline.at(t)
+        lower, upper = self.robot.position_limits
+        way = np.minimum(upper - lower, 2 * np.pi)
+        found = {
+            "position": np.maximum(q - upper, lower - q).max(axis=0) / way - _ROUNDING,
+            "speed": np.abs(qd).max(axis=0) / self.robot.max_velocity - 1.0 - 3 * _ROUNDING,
+            "acceleration": np.abs(qdd).max(axis=0) / self.robot.max_acceleration - 1.0 - 1e-4,
+        }
+        for what, excess in found.items():
+            joint = int(np.argmax(excess))
+            if not excess[joint] <= 0.0:
+                name = self.robot.joint_names[joint]
+                text = f"statement {first + 1}: {name} would break its {what} limit; move more slowly, or elsewhere"
+                raise MotionError(text, first, f"{name} {what}", excess[joint])
+        if spline.duration > LONGEST + 1e-6:
+            text = (
+                f"statement {first + 1}: {spline.duration:.1f} s of motion without a stop; {LONGEST:g} s are allowed, "
+                "as the arm goes on to the end when nobody is there any more: move faster, or a shorter way"
+            )
+            raise MotionError(text, first, "duration", spline.duration / LONGEST - 1.0)
+
+
+class _SplineTrajectory(Trajectory):
+    """Set-points (3, S, n); what is seldom asked for is computed on first use."""
+
+    def __init__(
+        self,
+        dynamics: Dynamics,
+        binding: Sequence[tuple[float, Callable[[], Sequence[BindingLimit]]]],
+        rows: np.ndarray,
+        move: np.ndarray,
+        period: float,
+    ):
+        q, qd, qdd = rows
+        self.__dict__.update(  # a frozen dataclass is set like this
+            t=np.arange(len(q)) * period, q=q, qd=qd, qdd=qdd, move=move, _dynamics=dynamics, _binding=binding
+        )
+
+    @cached_property
+    def tcp(self) -> np.ndarray:
+        poses: np.ndarray = self.__dict__["_dynamics"].tcp_pose(self.q)
+        return poses
+
+    @cached_property
+    def path_speed(self) -> np.ndarray:
+        dynamics: Dynamics = self.__dict__["_dynamics"]
+        return np.linalg.norm(np.einsum("sij,sj->si", dynamics.tcp_jacobian(self.q)[:, :3], self.qd), axis=1)
+
+    @cached_property
+    def binding(self) -> tuple[BindingLimit, ...]:
+        found = [(began, one) for began, limits in self.__dict__["_binding"] for one in limits()]
+        return tuple(BindingLimit(one.limit, began + one.start, began + one.end) for began, one in found)
+
+
+def _of_points(moves: Sequence[Move], start: np.ndarray) -> JointSpline:
+    seconds, rows = [0.0], [np.array([start, np.zeros_like(start), np.zeros_like(start)])]
+    for move in moves:
+        settings, target = move.settings, move.target
+        assert isinstance(settings, PointSettings)
+        assert isinstance(target, JointTarget)
+        part = settings.speed_override
+        seconds.append(settings.seconds / part)
+        rows.append(
+            np.array([target.position, part * np.array(settings.velocity), part**2 * np.array(settings.acceleration)])
+        )
+    q, qd, qdd = np.array(rows).transpose(1, 0, 2)
+    return JointSpline(np.cumsum(seconds), q, qd, qdd)
+
+
+def _with_path(move: Move) -> Move:
+    """The move with a blend that keeps within its distance."""
+    settings = PathSettings.of(move.settings)
+    if not isinstance(move.settings, PathSettings):
+        settings = settings.changed(fly_type=FlyType.FLY_CART, fly_trajectory=FlyTrajectory.FLY_TOL)
+    return Move(move.type, move.target, settings, move.fly, move.via, move.name, move.line)
