@@ -14,7 +14,7 @@ from agent.data_quality import check_quality, fitted_doubts, spoiled
 from agent.diagnosis import with_healthy_effects, with_structure
 from agent.estimation import EstimationSettings, FilterSettings, beyond_fit, estimate, used_text
 from agent.model import PAYLOAD, IdentifiedModel
-from agent.recording import Log, import_log, logged_joints, mapped_joints, read_log
+from agent.recording import Log, import_log, mapped_joints, read_recording, recorded_joints
 from agent.robot import RobotDescription, load_robot
 from agent.runs import check_output
 from agent.simulators import export_model, is_simulator, load_arm as load
@@ -45,17 +45,30 @@ def load_arm(robot: str, logs: Sequence[Path] = (), topic: str | None = None) ->
     if not is_simulator(Path(robot)):
         return load_robot(robot)
 
-    return load(Path(robot), logged_joints(logs[0], topic) if logs else ())
+    return load(Path(robot), joints_of(logs[0], Path(robot), topic) if logs else ())
+
+
+def joints_of(recording: Path, simulator: Path, topic: str | None = None) -> tuple[str, ...]:
+    """Joints of a recording; of one that names none, as many as it has of those of the simulator's arm.
+
+    Raises:
+        InputError: the recording cannot be read, or has more columns than the arm has joints.
+    """
+    found = recorded_joints(recording, topic)
+    return load(simulator, most=found).joint_names if isinstance(found, int) else found
 
 
 def read_logs(paths: Sequence[Path], robot: RobotDescription, console: Console, topic: str | None = None) -> list[Log]:
     """Read logs and warn of what was repaired; `topic` holds the joint states if a log has several."""
-    logs = []
+    logs: list[Log] = []
     for path in paths:
-        log = read_log(path, robot, topic)
-        for repair in log.repairs:
-            console.warn(f"{log.name}: {repair}")
-        logs.append(log)
+        found, notes = read_recording(path, robot, topic)
+        for note in notes:
+            console.say(f"{path.name}: {note}")
+        for log in found:
+            for repair in log.repairs:
+                console.warn(f"{log.name}: {repair}")
+        logs += found
     return logs
 
 

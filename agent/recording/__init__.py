@@ -1,11 +1,12 @@
 """Logs of motions: written while the motion runs, read from whoever wrote them, imported from tables."""
 
+from agent.recording.datasets import is_dataset, is_gripper, joint_pairs
 from agent.recording.importer import import_log, mapped_joints
+from agent.recording.inputs import read_recording, recorded_joints
 from agent.recording.log import PARTS, PLANNED_PARTS, Log, machines_of
 from agent.recording.mcap.foxglove import FILTERED, FOXGLOVE_LAYOUT, PREDICTED, RESIDUAL, foxglove_layout
 from agent.recording.mcap.log_file import write_log
 from agent.recording.mcap.relabel import LogCopy
-from agent.recording.mcap.topics import logged_joints
 from agent.recording.mcap.writer import LogWriter
 from agent.recording.reading import read_log
 from agent.recording.repair.grid import line, sample_numbers, settled

@@ -9,6 +9,7 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict
 
 from agent.core import InputError, counted, load_document
+from agent.recording import is_gripper, joint_pairs
 
 #: Similarity from which two names may mean one joint.
 _ALIKE = 0.6
@@ -39,7 +40,8 @@ def matched(
 ) -> dict[str, str]:
     """File name → name for the joints used, in the file's order.
 
-    `wanted` are the joints of `owner`; all must be found, unless a map (`names`) says which.
+    `wanted` are the joints of `owner`; all but grippers must be found, unless a map (`names`) says which. A joint is
+    found by its name, whatever prefix says its side or role.
 
     Raises:
         InputError: with what matched and what did not.
@@ -51,13 +53,11 @@ def matched(
             f"--map: {', '.join(unknown or strange)} is no joint of {path.name if unknown else owner}; "
             f"its joints are {', '.join(in_file if unknown else wanted)}"
         )
-    taken = set((names or {}).values())
-    found: dict[str, str] = {}
-    for name in in_file:
-        called = (names or {}).get(name, "" if name in taken else name)
-        if called in wanted:
-            found[name] = called
-    missing = [name for name in wanted if name not in found.values()]
+    taken = dict(names or {})
+    free = [name for name in in_file if name not in taken and name not in taken.values()]
+    pairs = taken | joint_pairs(free, [name for name in wanted if name not in taken.values()])
+    found = {name: pairs[name] for name in in_file if name in pairs}
+    missing = [name for name in wanted if name not in found.values() and not is_gripper(name)]
     if not found or (missing and names is None):
         left = [name for name in in_file if name not in found]
         example = ", ".join(f"{a}: {b}" for a, b in _proposed(left or ["joint_of_file"], missing))

@@ -10,6 +10,7 @@ from xml.etree.ElementTree import Element
 
 from agent.core import InputError
 from agent.model import IdentifiedModel
+from agent.recording import joint_pairs
 from agent.robot import RobotDescription, parse_robot_file
 from agent.simulators.arm import SimulatedArm, described, model_of
 from agent.simulators.joints import matched
@@ -73,7 +74,8 @@ def load_simulator(
     provenance: dict[str, object] = {"simulator": path.name, "sha256": hashlib.sha256(text).hexdigest()}
     model = model_of(arm, description, provenance)
     left = [name for name in wanted if name not in arm.joint_names]
-    ignored = (f"{', '.join(left)} of the logs is not compared: the map leaves it out",) if left else ()
+    why = "the file has no such joint" if names is None else "the map leaves it out"
+    ignored = (f"{', '.join(left)} of the logs is not compared: {why}",) if left else ()
     return Simulator(arm, model, robot, (*arm.notes, *said, *ignored))
 
 
@@ -90,15 +92,16 @@ def load_arm(path: Path, log_joints: Sequence[str] = (), most: int = _MOST_JOINT
 
     def match(in_file: Sequence[str]) -> dict[str, str]:
         if log_joints:
-            chain = [name for name in in_file if name in log_joints]
+            pairs = joint_pairs(in_file, log_joints)
+            chain = {name: pairs[name] for name in in_file if name in pairs}
         else:
-            chain = longest_chain(root) if root.tag == "robot" else longest_branch(path)
+            chain = {name: name for name in (longest_chain(root) if root.tag == "robot" else longest_branch(path))}
         if not chain:
             listed = f"; those of the log are {', '.join(log_joints)}" if log_joints else ""
             raise InputError(
                 f"{path}: none of its joints moves the arm ({', '.join(in_file) or 'it has none'}){listed}"
             )
-        return {name: name for name in chain[:most]}
+        return dict(list(chain.items())[:most])
 
     return described(_arm(path, root, match, _GRAVITY), None)[0]
 

@@ -12,9 +12,9 @@ from agent.diagnosis import Diagnosis, Simulated, channel_zero, diagnose, simula
 from agent.model import IdentifiedModel
 from agent.pipeline.gap.next_experiment import check_arm, check_tool
 from agent.pipeline.gap.question import GapQuestion
-from agent.pipeline.identify import check_one_machine, check_plausible, read_logs, say_used
+from agent.pipeline.identify import check_one_machine, check_plausible, joints_of, read_logs, say_used
 from agent.recipe import load_recipe
-from agent.recording import Log, read_log
+from agent.recording import Log, is_dataset, read_log
 from agent.robot import RobotDescription
 from agent.simulators import SIMULATOR, Simulator, is_simulator, load_joint_map, load_simulator
 
@@ -103,7 +103,12 @@ def read_reference(
             raise InputError("diagnose: --map names joints of an MJCF or URDF: give one with --model arm.xml|arm.urdf")
         return (None if question.model is None else IdentifiedModel.load(question.model)), None
     names = None if question.joint_map is None else load_joint_map(question.joint_map)
-    log_joints = () if robot is not None else read_log(paths[0], topic=question.topic).joint_names
+    if robot is not None:
+        log_joints: tuple[str, ...] = ()
+    elif is_dataset(paths[0]):
+        log_joints = joints_of(paths[0], question.model, question.topic)
+    else:
+        log_joints = read_log(paths[0], topic=question.topic).joint_names
     found = load_simulator(question.model, robot, log_joints, names)
     for note in found.notes:
         console.warn(f"{question.model.name}: {note}")

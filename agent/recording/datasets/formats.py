@@ -1,0 +1,146 @@
+"""The formats that are read as they stand, and what makes logs of their episodes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from agent.core import InputError, counted
+from agent.recording.datasets.episodes import Episode, Recorded
+from agent.recording.datasets.joints import columns_of, side_of, without_side
+from agent.recording.datasets.lerobot import is_lerobot, read_lerobot
+from agent.recording.datasets.pace import read_pace
+from agent.recording.log import NANO, Log, Repair
+from agent.recording.mcap.log_file import nanoseconds
+from agent.recording.repair.stamps import put_in_order, spacing_of
+from agent.robot import RobotDescription
+
+
+@dataclass(frozen=True)
+class DatasetFormat:
+    """A format: name of its preset, what it is called, whether a path is of it, and what reads it."""
+
+    preset: str
+    text: str
+    recognises: Callable[[Path], bool]
+    read: Callable[[Path], Recorded]
+
+
+#: Formats of recordings that need no map.
+FORMATS = (
+    DatasetFormat("lerobot", "a LeRobot dataset", is_lerobot, read_lerobot),
+    DatasetFormat("pace", "a PACE recording", lambda path: path.suffix.lower() in (".pt", ".pth"), read_pace),
+)
+
+
+def _format_of(path: Path) -> DatasetFormat | None:
+    return next((one for one in FORMATS if one.recognises(path)), None)
+
+
+def is_dataset(path: Path) -> bool:
+    """Whether a path is of one of the `FORMATS`."""
+    return _format_of(path) is not None
+
+
+def open_dataset(path: Path, arm: str | None = None, joints: Sequence[str] = ()) -> Recorded:
+    """The recording of a path, in rad, of one arm.
+
+    `arm` says which of two: `left` or `right`; else that of the `joints`, where these tell it.
+
+    Raises:
+        InputError: it cannot be read, holds two arms of which none was chosen, or no such arm.
+    """
+    kind = _format_of(path)
+    if kind is None:
+        raise InputError(f"{path}: none of {', '.join(one.text for one in FORMATS)}")
+    recorded = kind.read(path)
+    sides = sorted({side_of(name) for name in recorded.joints} - {""})
+    if arm is not None and arm.lower() not in sides:
+        raise InputError(
+            f"{path}: --topic {arm}: {kind.text} has no topics; for one arm of a pair it takes left or right, and "
+            f"the joints here are {', '.join(recorded.joints) or 'without names'}"
+        )
+    if arm is None and len(sides) > 1:
+        if joints and columns_of(recorded.joints, joints) is not None:
+            return recorded
+        raise InputError(
+            f"{path}: holds two arms ({', '.join(recorded.joints)}). Choose one with --topic {sides[0]} or "
+            f"--topic {sides[1]}"
+        )
+    if not sides:
+        return recorded
+    side = arm.lower() if arm else sides[0]
+    taken = recorded.of_columns([k for k, name in enumerate(recorded.joints) if side_of(name) in (side, "")])
+    return replace(taken, joints=tuple(map(without_side, taken.joints)))
+
+
+def dataset_logs(path: Path, robot: RobotDescription, arm: str | None = None) -> tuple[list[Log], tuple[str, ...]]:
+    """One log for each episode, with the joints of a robot in its order, and what there is to say.
+
+    Columns are found by name. Where the format has no names they are those of the robot in its order.
+
+    Raises:
+        InputError: as `open_dataset`, or joints of the robot are missing.
+    """
+    recorded = open_dataset(path, arm, robot.joint_names)
+    if recorded.joints:
+        columns = columns_of(recorded.joints, robot.joint_names)
+        if columns is None:
+            raise InputError(
+                f"{path}: its joints are {', '.join(recorded.joints)}, those of {robot.name} are "
+                f"{', '.join(robot.joint_names)}. Give them the same names in robot.yaml, or with --map"
+            )
+        recorded = recorded.of_columns(columns)
+    elif recorded.columns != robot.dof:
+        raise InputError(
+            f"{path}: has {counted(recorded.columns, 'column')} without names, and {robot.name} has "
+            f"{counted(robot.dof, 'joint')}: they can't be assigned"
+        )
+    else:
+        recorded = replace(recorded, notes=(*recorded.notes, _by_place(robot)))
+    return [_log(recorded, episode, robot) for episode in recorded.episodes], recorded.notes
+
+
+def _by_place(robot: RobotDescription) -> str:
+    return f"the file names no joints; its columns are taken as {', '.join(robot.joint_names)}"
+
+
+def _log(recorded: Recorded, episode: Episode, robot: RobotDescription) -> Log:
+    """An episode as a log."""
+    path = recorded.path / episode.name if recorded.path.is_dir() or len(recorded.episodes) > 1 else recorded.path
+    arrays = (episode.position, episode.command, episode.velocity, episode.effort)
+    whole = np.isfinite(episode.time)
+    for values in arrays:
+        whole &= True if values is None else np.all(np.isfinite(values), axis=1)
+    if np.count_nonzero(whole) < 2:
+        raise InputError(f"{path}: fewer than two frames hold a number for every joint")
+    repairs = Repair.of("frames without a number for every joint, dropped", _from_first(episode.time), ~whole)
+    order = put_in_order(nanoseconds(episode.time[whole]), [episode.position[whole]], str(path))
+    command, velocity, effort = (None if values is None else values[whole][order.rows] for values in arrays[1:])
+    spacing = spacing_of(order.stamp, recorded.rate)
+    return Log(
+        path=path,
+        joint_names=robot.joint_names,
+        t=(order.stamp - order.stamp[0]) / NANO,
+        position=episode.position[whole][order.rows],
+        velocity=velocity,
+        effort=effort,
+        reference_position=command,
+        planned_position=None,
+        sample_rate=spacing.rate,
+        stamp=int(order.stamp[0]) / NANO,
+        segments=spacing.segments,
+        even=spacing.even,
+        metadata={"robot": robot.name, "motion": episode.name, **recorded.facts},
+        repairs=(*repairs, *order.repairs, *spacing.repairs),
+        sha256=recorded.sha256,
+    )
+
+
+def _from_first(time: np.ndarray) -> np.ndarray:
+    """(K,) [s] from the first known time; 0 where it is unknown."""
+    known = time[np.isfinite(time)]
+    return np.nan_to_num(time - known[0]) if len(known) else np.zeros(len(time))

@@ -1,0 +1,102 @@
+"""Names of joints as recorders write them: `main_shoulder_pan`, `shoulder_pan.pos`, `left_waist`, `left/waist`."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+#: What a column holds, by the end of its name; positions have none as often as `.pos`.
+_QUANTITIES = {
+    **dict.fromkeys(("pos", "position", "qpos"), "position"),
+    **dict.fromkeys(("vel", "velocity", "qvel"), "velocity"),
+    **dict.fromkeys(("torque", "tau", "effort"), "effort"),
+}
+_ENDS = re.compile(rf"^(.*)[./]({'|'.join(_QUANTITIES)})$")
+#: Beginnings of names that do not say which joint it is.
+_ROLE = re.compile(r"^(?:main|follower|observation\.state|state|action)[_./]+", re.IGNORECASE)
+_SIDE = re.compile(r"^(left|right)(?:_?arm)?[_./]+", re.IGNORECASE)
+_GRIPPER = re.compile(r"gripper|finger|jaw|hand", re.IGNORECASE)
+#: Joints of one arm under the names of its makers' own files: SO-100 in MuJoCo Menagerie against LeRobot.
+_ALSO = {
+    "rotation": "shoulder_pan",
+    "pitch": "shoulder_lift",
+    "elbow": "elbow_flex",
+    "wrist_pitch": "wrist_flex",
+    "jaw": "gripper",
+}
+#: Names of a column of which no servo takes a set-point: where a hand is, or how it turns.
+_POSE = re.compile(
+    r"^(?:(?:ee|eef|end_effector|tcp|delta|d|pos|rot|target)[_.]?)*(?:x|y|z|r|rx|ry|rz|roll|pitch|yaw|qx|qy|qz|qw)$",
+    re.IGNORECASE,
+)
+
+
+def flat_names(names: Any) -> list[str]:
+    """Names of columns from `info.json`: a list, a list in a list, or a mapping of lists; empty where it has none."""
+    if isinstance(names, Mapping):
+        names = [*names.values()] if any(isinstance(value, list) for value in names.values()) else [*names]
+    if isinstance(names, list):
+        return [name for one in names for name in (flat_names(one) if isinstance(one, (list, Mapping)) else [str(one)])]
+    return []
+
+
+def quantity_of(name: str) -> str:
+    """`position`, `velocity` or `effort`, by the end of a column's name."""
+    found = _ENDS.match(name.lower())
+    return _QUANTITIES[found[2]] if found else "position"
+
+
+def clean(name: str) -> str:
+    """The joint's name without what says its role and quantity; the side stays."""
+    found = _ENDS.match(name.lower())
+    return _ROLE.sub("", name[: found.end(1)] if found else name)
+
+
+def side_of(name: str) -> str:
+    """`left`, `right` or nothing."""
+    found = _SIDE.match(clean(name))
+    return found[1].lower() if found else ""
+
+
+def without_side(name: str) -> str:
+    """The cleaned name of a joint of one arm of a pair."""
+    return _SIDE.sub("", clean(name))
+
+
+def is_gripper(name: str) -> bool:
+    """Whether a joint opens a hand."""
+    return bool(_GRIPPER.search(name))
+
+
+def poses(names: Sequence[str]) -> list[str]:
+    """Those of the columns that are coordinates of a hand."""
+    return [name for name in names if _POSE.match(without_side(name))]
+
+
+def same_joint(one: str, other: str) -> bool:
+    """Whether two names mean one joint: but for role, side, namespace and case, or by its makers' two names."""
+    return _key(one) == _key(other) and (not side_of(one) or not side_of(other) or side_of(one) == side_of(other))
+
+
+def _key(name: str) -> str:
+    plain = without_side(name.rsplit("/", 1)[-1]).lower().removesuffix("_joint").removeprefix("joint_")
+    return _ALSO.get(plain, plain)
+
+
+def joint_pairs(names: Sequence[str], others: Sequence[str]) -> dict[str, str]:
+    """Name → other name of the same joint: the same text, else the only one on both sides that means it."""
+    found = {name: name for name in names if name in others}
+    left = [name for name in names if name not in found]
+    rest = [other for other in others if other not in found]
+    for name in left:
+        alike = [other for other in rest if same_joint(name, other)]
+        if len(alike) == 1 and sum(same_joint(one, alike[0]) for one in left) == 1:
+            found[name] = alike[0]
+    return found
+
+
+def columns_of(recorded: Sequence[str], wanted: Sequence[str]) -> list[int] | None:
+    """The column of each wanted joint, by its name; None where one has none, or more than one."""
+    pairs = joint_pairs(wanted, recorded)
+    return [recorded.index(pairs[name]) for name in wanted] if len(pairs) == len(set(wanted)) else None

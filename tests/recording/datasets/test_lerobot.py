@@ -1,0 +1,85 @@
+"""LeRobot datasets: every episode, joints by name, units from the step of the values."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from agent.core import InputError
+from agent.recording import read_log, read_recording
+from agent.recording.mcap.log_file import write_log
+from tests.recording.datasets.recordings import SO101, arm, motion, percent, ticks, write_lerobot
+
+RANGES = (2549, 2303, 2205, 2287, 3835, 1484)
+SHAPES = {
+    "v2.1": {"motors": [f"main_{name}" for name in SO101]},
+    "v3.0": [f"{name}.pos" for name in SO101],
+    "v2.0": [[*SO101]],
+}
+
+
+def drawn(*seeds: int, joints: int = 6, rate: float = 30.0):
+    return [motion(300, joints, rate, seed) for seed in seeds]
+
+
+def in_degrees(values: np.ndarray) -> np.ndarray:
+    return np.column_stack([np.degrees(ticks(values[:, :-1])), percent(ticks(values), RANGES)[:, -1:]])
+
+
+def in_percent(values: np.ndarray) -> np.ndarray:
+    return percent(ticks(values), RANGES)
+
+
+@pytest.mark.parametrize("version", SHAPES)
+@pytest.mark.parametrize(("unit", "written"), [("deg", in_degrees), ("percent", in_percent)])
+def test_reads_every_episode_by_the_names_of_its_joints(tmp_path: Path, version, unit, written):
+    true = drawn(1, 2, 3)
+    folder = write_lerobot(
+        tmp_path / "set", [(written(q), written(r)) for q, r in true], names=SHAPES[version], version=version
+    )
+    order = [3, 0, 5, 1, 2, 4]
+    logs, notes = read_recording(folder, arm([SO101[k] for k in order]))
+    assert [log.name for log in logs] == ["episode_000000", "episode_000001", "episode_000002"]
+    for log, (position, command) in zip(logs, true, strict=True):
+        np.testing.assert_allclose(log.position, ticks(position)[:, order], atol=2e-5)
+        np.testing.assert_allclose(log.reference_position, ticks(command)[:, order], atol=2e-5)
+        np.testing.assert_allclose(log.t, np.arange(300) / 30, atol=1e-9)
+        assert log.sample_rate == 30
+        assert log.effort is None
+        assert log.metadata["command_hold"] == "held"
+        assert log.metadata["stamps"] == "frame_number"
+        assert log.metadata["motion"] == log.name
+        assert log.metadata["units"].startswith(unit)
+    assert any(f"are in {unit}" in note for note in notes)
+
+
+def test_what_a_recorder_does_is_kept_in_a_log(tmp_path: Path):
+    folder = write_lerobot(tmp_path / "set", [(in_degrees(q), in_degrees(r)) for q, r in drawn(4)])
+    (log,), _ = read_recording(folder, arm(SO101))
+    write_log(tmp_path / "log.mcap", log)
+    again = read_log(tmp_path / "log.mcap")
+    assert {key: again.metadata[key] for key in ("motion", "command_hold", "stamps", "units")} == {
+        key: log.metadata[key] for key in ("motion", "command_hold", "stamps", "units")
+    }
+
+
+def test_takes_rad_without_a_step_as_rad(tmp_path: Path):
+    true = drawn(5, joints=3)
+    folder = write_lerobot(tmp_path / "set", true, names=["joint_1", "joint_2", "joint_3"])
+    (log,), notes = read_recording(folder, arm(["joint_1", "joint_2", "joint_3"]))
+    np.testing.assert_allclose(log.position, true[0][0], atol=1e-6)
+    assert "command_hold" not in log.metadata
+    assert any("are in rad" in note for note in notes)
+
+
+def test_a_dataset_of_two_arms_is_read_one_arm_at_a_time(tmp_path: Path):
+    names = [f"{side}_{name}" for side in ("left", "right") for name in SO101]
+    (left, right), (sent_left, sent_right) = zip(*drawn(6, 7), strict=True)
+    states, actions = (np.hstack([*map(in_degrees, pair)]) for pair in ((left, right), (sent_left, sent_right)))
+    folder = write_lerobot(tmp_path / "set", [(states, actions)], names=names)
+    with pytest.raises(InputError, match="--topic left or --topic right"):
+        read_recording(folder, arm(SO101))
+    (log,), _ = read_recording(folder, arm(SO101), "right")
+    np.testing.assert_allclose(log.position, ticks(right), atol=2e-5)
+    (named,), _ = read_recording(folder, arm([f"left_{name}" for name in SO101]))
+    np.testing.assert_allclose(named.position, ticks(left), atol=2e-5)
