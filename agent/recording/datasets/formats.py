@@ -51,7 +51,7 @@ def open_dataset(path: Path, arm: str | None = None, joints: Sequence[str] = ())
     `arm` says which of two: `left` or `right`; else that of the `joints`, where these tell it.
 
     Raises:
-        InputError: it cannot be read, holds two arms of which none was chosen, or no such arm.
+        InputError: it cannot be read, holds two arms without a choice, or no such arm.
     """
     kind = _format_of(path)
     if kind is None:

@@ -139,12 +139,12 @@ def _percent(name: str, step: float | None) -> Unit:
 
 
 def _hand(name: str, step: float | None) -> Unit | None:
-    """A gripper beside joints in degrees is in percent."""
+    """Next to joints in degrees, a gripper is in percent."""
     return _percent(name, step) if is_gripper(name) else None
 
 
 def _open_hand(name: str, values: np.ndarray) -> Unit | None:
-    """A gripper beside joints in rad goes from 0 to 1 where its position is normalised."""
+    """Next to joints in rad, a normalised gripper goes from 0 to 1."""
     if not is_gripper(name) or np.nanmin(values) < -_SAME_STEP or np.nanmax(values) > 1 + _SAME_STEP:
         return None
     return Unit("", None, "0 to 1 of a range, or rad: nothing says which")
