@@ -214,6 +214,15 @@ def model_of(arm: SimulatedArm, robot: RobotDescription, provenance: dict[str, o
     )
 
 
+def smooth_torque(arm: SimulatedArm, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
+    """(S, n) joint torque [N·m] of everything in the file but Coulomb friction, which each simulator reverses its way.
+
+    By the bodies themselves: base parameters drop directions that rotations of few digits nearly cancel.
+    """
+    bodies = Dynamics(arm.robot).inverse_dynamics(q, qd, qdd)
+    return np.asarray(bodies + arm.armature * qdd + arm.damping * qd + arm.stiffness * (q - arm.rest))
+
+
 def check_mass_matrix(arm: SimulatedArm, robot: RobotDescription) -> None:
     """Raise InputError unless the mass matrix is positive definite at random postures."""
     links = Dynamics(robot)

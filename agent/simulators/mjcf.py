@@ -8,7 +8,6 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from copy import copy
-from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,7 @@ import numpy as np
 
 from agent.core import InputError, needed
 from agent.model import body_parameters
-from agent.simulators.arm import CarryingBody, SimulatedArm, described, model_of, plain_joint, plain_robot
+from agent.simulators.arm import CarryingBody, SimulatedArm, plain_joint, plain_robot, smooth_torque
 from agent.simulators.joints import leaving_out, listed
 from agent.simulators.servos import position_servos, pulled_joints
 from agent.simulators.urdf import digits, rpy_of, set_inertial
@@ -277,10 +276,8 @@ class _Scene:
 
     def check(self, arm: SimulatedArm) -> None:
         """Raise InputError unless the arm as read gives MuJoCo's own torque: else some force was not read."""
-        robot, _ = described(arm, None)
-        smooth = replace(arm, frictionloss=0 * arm.frictionloss)  # which MuJoCo has as a constraint
         q, qd, qdd = np.random.default_rng(0).uniform(-1, 1, (3, 10, len(self.chosen)))
-        torque = model_of(smooth, robot, {}).predict(q, qd, qdd, np.arange(10.0))
+        torque = smooth_torque(arm, q, qd, qdd)
         expected = self._inverse_dynamics(q, qd, qdd)
         worst = np.abs(torque - expected).max(axis=0)
         if not np.all(worst <= 1e-6 * np.abs(expected).max()):

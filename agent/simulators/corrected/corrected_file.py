@@ -11,13 +11,15 @@ import json
 import os
 import tempfile
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from agent.core import InputError, RejectedError, write_atomically
-from agent.model import IdentifiedModel, seen_from
+from agent.model import seen_from
 from agent.robot import about_centre
+from agent.simulators.arm import smooth_torque
 from agent.simulators.corrected.correction import Correction
 from agent.simulators.corrected.edits import MjcfEdits, UrdfEdits
 from agent.simulators.corrected.effects_file import effects_text
@@ -142,8 +144,8 @@ def _said(block: np.ndarray) -> dict[str, float | list[float]]:
 
 def _read_back(correction: Correction, simulator: Simulator, files: dict[Path, bytes], out: Path) -> None:
     """Raise RejectedError unless the files read as the corrected arm."""
-    arm, wanted = simulator.arm, correction.model
-    names = dict(zip(arm.file_joints, arm.joint_names, strict=True))
+    given, wanted = simulator.arm, correction.arm
+    names = dict(zip(given.file_joints, given.joint_names, strict=True))
     trial: dict[Path, Path] = {}
     try:
         for path in files:  # in the folder of the output, because relative paths start there
@@ -154,28 +156,24 @@ def _read_back(correction: Correction, simulator: Simulator, files: dict[Path, b
             for other, place in trial.items():
                 content = content.replace(f'"{other.name}"'.encode(), f'"{place.name}"'.encode())
             trial[path].write_bytes(content)
-        read = load_simulator(trial[out], simulator.robot, correction.arm.joint_names, names).model
+        read = load_simulator(trial[out], simulator.robot, wanted.joint_names, names).arm
     except InputError as error:
         said = str(error).replace(trial[out].name, out.name)
         raise RejectedError(f"{out}: nothing was written: the corrected file is not accepted: {said}") from None
     finally:
         for path in trial.values():
             path.unlink(missing_ok=True)
-    states = np.random.default_rng(0).uniform(-1, 1, (3, 50, wanted.robot.dof))
-    # a URDF has no rotor inertia: the effects file has it
-    expected = (
-        wanted.rigid.dynamics.inverse_dynamics(states[0], states[1], states[2])
-        if arm.is_urdf
-        else _plain(wanted, states)
-    )
-    difference = float(np.abs(_plain(read, states) - expected).max())
-    if not difference <= _TOLERANCE * float(np.abs(expected).max()):
+    if given.is_urdf:  # which has neither: the effects file has them
+        none = np.zeros(len(wanted.joint_names))
+        wanted = replace(wanted, armature=none, stiffness=none)
+    states = np.random.default_rng(0).uniform(-1, 1, (3, 50, len(wanted.joint_names)))
+    expected, torque = (smooth_torque(arm, *states) for arm in (wanted, read))
+    apart = np.abs(torque - expected).max(axis=0) + np.abs(read.frictionloss - wanted.frictionloss)
+    most = float(np.abs(expected).max())
+    if not np.all(apart <= _TOLERANCE * most):
+        worst = int(np.argmax(apart))
         raise RejectedError(
-            f"{out}: nothing was written: the file as changed gives torques that differ by {difference:.3g} N·m from "
-            "the corrected model's (something else in it scales or overrides inertias)"
+            f"{out}: nothing was written: with the changes, the file gives {wanted.joint_names[worst]} torques that "
+            f"differ by {apart[worst]:.3g} N·m from the corrected arm's, whose largest is {most:.3g} N·m (something "
+            "else in it scales or overrides inertias)"
         )
-
-
-def _plain(model: IdentifiedModel, states: np.ndarray) -> np.ndarray:
-    """(S, n) torque at q, qd, qdd (3, S, n) without friction (no file says how it reverses) and effects."""
-    return np.asarray(model.rigid.torque(states[0], states[1], states[2], model.base_values))
