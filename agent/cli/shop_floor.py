@@ -129,26 +129,35 @@ def export(
             autocompletion=completion.vendors,
         ),
     ] = None,
+    flange: Annotated[
+        str | None, Option(metavar="FRAME", help="with --load: the frame that is the controller's flange")
+    ] = None,
 ) -> None:
     """Write a model as URDF, MuJoCo model, SDF, CSV and Foxglove layout, or print the load for a robot vendor."""
     if (out is None) == (load is None):
-        raise InputError("export: name a folder to write to with -o, or a robot vendor with --load; not both")
+        raise InputError(
+            f"export: say what to make of {model}: -o DIR for URDF, MuJoCo model, SDF, friction file and table; "
+            f"--csv -o DIR for the table alone; or --load {'|'.join(simulators.VENDORS)} for the load"
+            + ("" if out is None else "; one of them at a time")
+        )
+    if flange is not None and load is None:
+        raise InputError("export: --flange belongs to --load")
+    loaded = models.IdentifiedModel.load(model)
     if load is not None:
-        text, about = simulators.load_text(simulators.identified_load(models.IdentifiedModel.load(model)), load)
+        text, about = simulators.load_text(simulators.identified_load(loaded, flange), load)
         print(about, end="\n" if about else "", file=sys.stderr)
         core.print_text(text)
     if out is None:
         return
     if out.exists() and not out.is_dir():
         raise InputError(f"{out}: is a file; name a folder to write to")
-    loaded = models.IdentifiedModel.load(model)
     if table:
         paths = simulators.export_table(loaded, out)
     else:
         loaded, note = models.possible_model(loaded)
         if note:
             print(f"warning: {note}", file=sys.stderr)
-        paths = simulators.export_model(loaded, out)
+        paths = simulators.export_model(loaded, out, lambda text: print(f"warning: {text}", file=sys.stderr))
     core.print_text("\n".join(map(str, paths)))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import glob
+import warnings
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
@@ -130,10 +131,12 @@ def report(result: GapDiagnosis | TorqueValidation | Calibration | str | Path, o
 def export(model: ModelLike, folder: str | Path) -> tuple[Path, ...]:
     """Write URDF, MuJoCo model and friction file of a model with physical links; returns their paths.
 
+    What the files do not have of the model is issued as a warning.
+
     Raises:
         RejectedError: no physical links have the model's base parameters; fit with method="consistent".
     """
-    return simulators.export_model(_model(model), Path(folder))
+    return simulators.export_model(_model(model), Path(folder), warnings.warn)
 
 
 def plan(recipe: Recipe | str | Path, folder: str | Path | None = None) -> PlannedLoop:

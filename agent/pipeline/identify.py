@@ -222,7 +222,7 @@ def estimate_files(
         question = replace(question, method="consistent")
     model, _ = fit_files(robot, paths, question, console)
     model.save(out)
-    written = [out, *(() if export is None else export_model(model, export))]
+    written = [out, *(() if export is None else export_model(model, export, console.warn))]
     return model.to_dict(), "\n".join([model.text(), *(str(path) for path in written)])
 
 

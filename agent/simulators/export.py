@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import json
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -28,6 +28,7 @@ from agent.model import ODD, IdentifiedModel, check_physical, full_parameters, s
 from agent.recording import FOXGLOVE_LAYOUT, foxglove_layout
 from agent.robot import Dynamics, Joint, ParameterLayout, about_centre, joint_axes, rotor_mass_matrix
 from agent.runs import make_folder
+from agent.simulators.effect_numbers import NumbersOfModel, in_numbers, left_out, usual_motion
 from agent.simulators.urdf import child_of, digits, end_of, mjcf_inertial, moved_links, rpy_of, set_inertial
 
 _TABLE = "parameters.csv"
@@ -36,23 +37,30 @@ _TOLERANCE, _LEFT_OUT = 1e-9, 1e-4  # of the largest torque: round-off; base par
 _SPEEDS = np.linspace(0.02, 1.0, 50)  # of the highest: where the line through a friction curve is laid
 
 
-def export_model(model: IdentifiedModel, folder: Path) -> tuple[Path, ...]:
+def export_model(
+    model: IdentifiedModel, folder: Path, say: Callable[[str], None] = lambda text: None
+) -> tuple[Path, ...]:
     """Write URDF, MuJoCo model, SDF, friction, parameters and a Foxglove layout into a folder; returns their paths.
+
+    Effects that are numbers of these files are in them, a load on the last link among others. `say` is told what the
+    files do not have, and its torque.
 
     Raises:
         RejectedError: no physical links have the model's base parameters, or what was written does not give them back.
         AgentError, OSError: the folder cannot be written.
     """
+    table, numbers = csv_text(model.rows()), in_numbers(model)
+    model = numbers.model
     standard = full_parameters(model)
     check_physical(model.robot, standard)
     lines, rotors = _friction_lines(model), standard[ParameterLayout.of(model.robot).rotors]
     links = _links(model, standard, lines)
     texts = {
         folder / f"{model.robot.name}.urdf": urdf_text(model, links),
-        folder / f"{model.robot.name}.xml": mujoco_text(model, links, model.robot.gear_ratios**2 * rotors, lines),
+        folder / f"{model.robot.name}.xml": mujoco_text(numbers, links, model.robot.gear_ratios**2 * rotors, lines),
         folder / "friction.json": json.dumps(friction_data(model, rotors, lines), indent=1, allow_nan=False),
-        folder / f"{model.robot.name}.sdf": sdf_text(model, links),
-        folder / _TABLE: csv_text(model.rows()),
+        folder / f"{model.robot.name}.sdf": sdf_text(numbers, links),
+        folder / _TABLE: table,
         folder / FOXGLOVE_LAYOUT: foxglove_layout(model.robot.joint_names),
     }
     make_folder(folder, "the export")
@@ -62,7 +70,34 @@ def export_model(model: IdentifiedModel, folder: Path) -> tuple[Path, ...]:
             part.write_text(text, encoding="utf-8")
         urdf, mujoco, friction, *_ = parts
         _read_back(model, standard, urdf, mujoco, friction)
+    for text in _missing(numbers, rotors, lines):
+        say(f"{folder}: {text}")
     return tuple(texts)
+
+
+def _missing(numbers: NumbersOfModel, rotors: np.ndarray, lines: np.ndarray) -> Iterator[str]:
+    """What which of the files lacks."""
+    model = numbers.model
+    if numbers.note:
+        yield numbers.note
+    if missing := list(left_out(model, lines)):
+        yield f"the files do not have: {'; '.join(missing)}"
+    turning = np.abs(usual_motion(model.robot)[3] @ rotor_mass_matrix(model.robot, rotors)).max(axis=0)
+    worst = int(np.argmax(turning))
+    if turning[worst] > 0:
+        unit = "N" if model.robot.joints[worst].prismatic else "N·m"
+        yield (
+            f"URDF and SDF have no rotor inertia (up to {turning[worst]:.3g} {unit} on "
+            f"{model.robot.joint_names[worst]}): take armature from friction.json"
+        )
+    if np.any(model.robot.coupling - np.diag(np.diag(model.robot.coupling))):
+        yield "URDF and SDF have no coupled axles: each joint has the friction of its own axle"
+    if numbers.springs:
+        names = ", ".join(name for entry in numbers.springs for name in entry.joints)
+        yield f"the URDF has no springs: that of {names} is in the MuJoCo model and the SDF only"
+    if np.linalg.norm(np.cross(model.robot.gravity, (0.0, 0.0, 1.0))) > 0:
+        gravity = ", ".join(f"{value:.6g}" for value in model.robot.gravity)
+        yield f"gravity is ({gravity}) m/s²: URDF and SDF leave it to the simulator's world, so set it there"
 
 
 def export_table(model: IdentifiedModel, folder: Path) -> tuple[Path, ...]:
@@ -134,9 +169,9 @@ def urdf_text(model: IdentifiedModel, links: Iterable[_Link]) -> str:
     return _document(root)
 
 
-def mujoco_text(model: IdentifiedModel, links: Iterable[_Link], armature: np.ndarray, lines: np.ndarray) -> str:
+def mujoco_text(numbers: NumbersOfModel, links: Iterable[_Link], armature: np.ndarray, lines: np.ndarray) -> str:
     """A MuJoCo model without geometry; `armature` (n,) and `lines` (n, 2) are those of the axles."""
-    robot = model.robot
+    model, robot = numbers.model, numbers.model.robot
     root = Element("mujoco", model=robot.name)
     SubElement(root, "compiler", angle="radian", autolimits="true")
     SubElement(root, "option", gravity=digits(*robot.gravity))
@@ -149,6 +184,9 @@ def mujoco_text(model: IdentifiedModel, links: Iterable[_Link], armature: np.nda
         element = SubElement(body, "joint", name=link.joint.name, type=kind, axis=digits(*link.axis))
         if np.isfinite([link.joint.lower, link.joint.upper]).all():
             element.set("range", digits(link.joint.lower, link.joint.upper))
+        if numbers.stiffness[k]:
+            element.set("stiffness", digits(numbers.stiffness[k]))
+            element.set("springref", digits(numbers.rest[k]))
         row = robot.coupling[k]
         if np.count_nonzero(row) == 1 and row[k] != 0:
             element.attrib.update(_axle(armature[k] * row[k] ** 2, link.damping, link.friction))
@@ -163,15 +201,15 @@ def mujoco_text(model: IdentifiedModel, links: Iterable[_Link], armature: np.nda
     return _document(root)
 
 
-def sdf_text(model: IdentifiedModel, links: Iterable[_Link]) -> str:
+def sdf_text(numbers: NumbersOfModel, links: Iterable[_Link]) -> str:
     """An SDF model of the moving links; the first is attached to `world`."""
     root = Element("sdf", version="1.9")
-    body, parent = SubElement(root, "model", name=model.robot.name), "world"
+    body, parent = SubElement(root, "model", name=numbers.model.robot.name), "world"
 
     def put(element: Element, tag: str, *numbers: float) -> None:
         SubElement(element, tag).text = digits(*numbers)
 
-    for one in links:
+    for k, one in enumerate(links):
         link = SubElement(body, "link", name=one.name)
         put(link, "pose", *one.pose[:3, 3], *rpy_of(one.pose))
         inertial = SubElement(link, "inertial")
@@ -192,12 +230,15 @@ def sdf_text(model: IdentifiedModel, links: Iterable[_Link]) -> str:
         put(limit, "velocity", one.joint.max_velocity)
         put(dynamics, "damping", one.damping)
         put(dynamics, "friction", one.friction)
+        if numbers.stiffness[k]:
+            put(dynamics, "spring_reference", numbers.rest[k])
+            put(dynamics, "spring_stiffness", numbers.stiffness[k])
         parent = one.name
     return _document(root)
 
 
 def friction_data(model: IdentifiedModel, rotors: np.ndarray, lines: np.ndarray) -> dict[str, Any]:
-    """Content of friction.json: rotors, coupling and every friction term."""
+    """Content of friction.json: rotors, coupling, every friction term, and effects that no file of these has."""
     robot = model.robot
     terms: list[list[dict[str, Any]]] = [[] for _ in robot.joints]
     for term, value in zip(model.terms, model.friction_values, strict=True):
@@ -229,6 +270,7 @@ def friction_data(model: IdentifiedModel, rotors: np.ndarray, lines: np.ndarray)
         "axles": axles,
         "motor_coupling": robot.coupling.tolist(),
         "reflected_inertia": (robot.coupling.T @ np.diag(robot.gear_ratios**2 * rotors) @ robot.coupling).tolist(),
+        "effects": [entry.to_dict() for entry in model.effects],
         "notes": list(_notes(model)),
     }
 
@@ -246,8 +288,6 @@ def _notes(model: IdentifiedModel) -> Iterable[str]:
     )
     if np.any(model.robot.coupling - np.diag(np.diag(model.robot.coupling))):
         yield "A URDF cannot describe coupled friction: the friction of a coupled axle is that of its own joint."
-    if model.effects:
-        yield f"Not in these files: {', '.join(effect.effect for effect in model.effects)}."
 
 
 def _friction_lines(model: IdentifiedModel) -> np.ndarray:

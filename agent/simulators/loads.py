@@ -1,8 +1,7 @@
 """The identified load of a model in the formats of robot vendors.
 
 The load is what the arm carries beyond the bodies of its model: mass [kg], centre of mass [m] and inertia [kg·m²] about
-it, in the axes of the robot's tip frame. The tip frame is taken for the vendor's flange (UR `tool0`, ABB wrist, KUKA
-and Franka flange). Sources of each vendor's fields, units and order:
+it, in the axes of the flange (`flange_of`). Sources of each vendor's fields, units and order:
 
 - Universal Robots Script Manual, `set_target_payload`
 - ABB RAPID reference, `loaddata`
@@ -23,18 +22,23 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from agent.core import InputError, RejectedError
-from agent.model import CATALOGUE, IdentifiedModel, ModelEffect, ball, seen_from
+from agent.model import IdentifiedModel, ModelEffect, seen_from
 from agent.robot import ParameterLayout, about_centre
-from agent.simulators.urdf import moved_links
+from agent.simulators.effect_numbers import load_block
+from agent.simulators.flange import flange_of
 
 _EFFECT = "payload"
 _MOMENT = ("moment_x", "moment_y", "moment_z")
 _ROUND_OFF, _UNFELT = 1e-9, 1e6  # kg·m, where no torque of the arm depends on a moment
+#: m²: 2 |c| δ, by which an inertia about the centre is off where a centre at |c| = 0.5 m is rounded to δ = 1 µm.
+_ROUNDED = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
 class IdentifiedLoad:
     """Mass [kg], centre (3,) [m] and inertia (3, 3) [kg·m²] about it in the axes of the frame `flange`.
+
+    `chosen`: why this frame is the flange.
 
     `mass_error`, `centre_error` (3,) and `inertia_error` are half the 95 % intervals; None where the model has none.
     """
@@ -43,6 +47,7 @@ class IdentifiedLoad:
     mass: float
     centre: np.ndarray
     inertia: np.ndarray
+    chosen: str
     mass_error: float | None = None
     centre_error: np.ndarray | None = None
     inertia_error: float | None = None
@@ -57,11 +62,11 @@ class IdentifiedLoad:
         return moments[order], Rotation.from_matrix(axes)
 
 
-def identified_load(model: IdentifiedModel) -> IdentifiedLoad:
-    """The load of a model: the sum of its payload effects.
+def identified_load(model: IdentifiedModel, flange: str | None = None) -> IdentifiedLoad:
+    """The load of a model: the sum of its payload effects; `flange` names the frame that it is given in.
 
     Raises:
-        InputError: it has none.
+        InputError: it has none, or the flange is not known.
         RejectedError: its mass or inertia is impossible for a body.
     """
     entries = [entry for entry in model.effects if entry.effect == _EFFECT]
@@ -70,42 +75,46 @@ def identified_load(model: IdentifiedModel) -> IdentifiedLoad:
             "the model has no identified load, so there is none to export: find one with agent diagnose --model MODEL "
             "LOG... -o WITH_LOAD.json, on logs with the load mounted, and export that model"
         )
-    robot, dynamics, zero = model.robot, model.rigid.dynamics, np.zeros((1, model.robot.dof))
+    robot, frame = model.robot, flange_of(model.robot, flange)
     block = np.sum([load_block(entry) for entry in map(_at_least_a_point, entries)], axis=0)
     if block[0] <= 0:
         raise RejectedError(
             f"the identified load has a mass of {block[0]:.3g} kg: the arm carries less than its model, and no vendor "
             "takes a negative load; reduce the load that is entered in the controller by it"
         )
-    last_link = dynamics.link_poses(zero, moved_links(robot)[-1])[0]
-    flange = np.linalg.solve(last_link, dynamics.tip_pose(zero)[0])
     unfelt = ~np.any(model.projection[:, ParameterLayout.of(robot).link(robot.dof - 1)][:, 1:4], axis=0)
-    errors = _errors(entries[0], flange[:3, :3], unfelt) if len(entries) == 1 else (None, None, None)
-    seen = seen_from(block, flange)
-    inertia = about_centre(seen)
-    inertia = np.where(np.abs(inertia) < _ROUND_OFF * seen[0], 0.0, inertia)
-    load = IdentifiedLoad(robot.tip_frame, float(seen[0]), seen[1:4] / seen[0], inertia, *errors)
-    low, middle, high = np.sort(load.principal()[0])
-    if low < -_ROUND_OFF * block[0] or low + middle < high - _ROUND_OFF * block[0]:
+    errors = _errors(entries[0], frame.pose[:3, :3], unfelt) if len(entries) == 1 else (None, None, None)
+    seen = seen_from(block, frame.pose)
+    inertia = _possible_inertia(about_centre(seen), float(seen[0]))
+    return IdentifiedLoad(frame.frame, float(seen[0]), seen[1:4] / seen[0], inertia, frame.chosen, *errors)
+
+
+def _possible_inertia(inertia: np.ndarray, mass: float) -> np.ndarray:
+    """(3, 3) [kg·m²] of a body of that mass [kg] where only rounding makes the given one impossible.
+
+    Raises:
+        RejectedError: no body is near.
+    """
+    inertia = np.where(np.abs(inertia) < _ROUND_OFF * mass, 0.0, inertia)
+    second = 0.5 * np.trace(inertia) * np.eye(3) - inertia  # of a body, its eigenvalues are not negative
+    values, axes = np.linalg.eigh(second)
+    if values[0] >= 0:
+        return inertia
+    if values[0] < -_ROUNDED * mass:
+        low, middle, high = np.linalg.eigvalsh(inertia)
         raise RejectedError(
             f"the identified load has principal moments of inertia {low:.3g}, {middle:.3g} and {high:.3g} kg·m²: no "
             "body has them (the two smallest add up to at least the largest), so nothing is exported; record motion "
             "that turns the wrist faster"
         )
-    return load
+    second = (axes * np.maximum(values, 0.0)) @ axes.T
+    return np.asarray(np.trace(second) * np.eye(3) - second)
 
 
 def _at_least_a_point(entry: ModelEffect) -> ModelEffect:
     """The load with a negative own inertia set to zero: a point mass."""
     own = {"inertia": 0.0} if entry.parameters.get("inertia", 0.0) < 0 else {}
     return replace(entry, parameters={**entry.parameters, **own})
-
-
-def load_block(entry: ModelEffect) -> np.ndarray:
-    """(10,) inertial parameters of a payload effect in the last link's frame."""
-    values = entry.parameters
-    added = np.array([values[name] for name in CATALOGUE[_EFFECT].names(values)])
-    return np.asarray(ball(values) @ added if "m0" in values else added)
 
 
 def _errors(
@@ -180,23 +189,24 @@ VENDORS = {
 
 
 def load_text(load: IdentifiedLoad, vendor: str) -> tuple[str, str]:
-    """The load in the format of a vendor, and remarks for stderr.
+    """The load in the format of a vendor, in any case, and remarks for stderr.
 
     The remarks, intervals among them, are comments at the top of the text where the vendor's format allows any.
 
     Raises:
         InputError: no such vendor.
     """
-    if vendor not in VENDORS:
+    if vendor.lower() not in VENDORS:
         raise InputError(f"--load {vendor}: no such vendor; there are {', '.join(VENDORS)}")
-    form, remarks = VENDORS[vendor], list(_remarks(load))
+    form, remarks = VENDORS[vendor.lower()], list(_remarks(load))
     if not form.comment:
         return form.statements(load), "\n".join(remarks)
     return "\n".join([*(f"{form.comment} {line}" for line in remarks), form.statements(load)]), ""
 
 
 def _remarks(load: IdentifiedLoad) -> Iterator[str]:
-    yield f"Identified load beyond the model's own last link, in the axes of {load.flange} (the flange)."
+    yield "Identified load beyond the model's own last link."
+    yield f"Frame: {load.flange} ({load.chosen}). Check that it is the controller's flange."
     if load.mass_error is None or load.centre_error is None:
         yield "Its intervals are not in the model: diagnose again with this version to get them."
     else:

@@ -1,6 +1,7 @@
 """From base parameters to bodies, and to files that other programs read."""
 
 import json
+import re
 import xml.etree.ElementTree as ElementTree
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +14,7 @@ from typer.testing import CliRunner
 
 from agent.cli.app import app
 from agent.core.errors import RejectedError
-from agent.model import FrictionTerm, IdentifiedModel, Reversal
+from agent.model import FrictionTerm, IdentifiedModel, ModelEffect, Reversal
 from agent.model.standard_parameters import check_physical, full_parameters, possible_model, pseudo_inertia
 from agent.robot import RobotDescription, load_robot, rigid_bodies
 from agent.simulators.export import export_model
@@ -167,16 +168,62 @@ def test_pinocchio_finds_the_torques_of_the_fit(ns16: RobotDescription, tmp_path
     assert (tmp_path / "foxglove-layout.json") in others
 
 
+def with_effects(model: IdentifiedModel) -> IdentifiedModel:
+    """Everything that numbers of a file can say, and two effects that none can."""
+    load = {"m0": 2.0, "hx0": 0.1, "hy0": -0.05, "hz0": 0.3, "mass": 2.0, "inertia": 0.02}
+    load |= {"moment_x": 0.1, "moment_y": -0.05, "moment_z": 0.3}
+    own = (
+        ModelEffect("payload", (), load),
+        ModelEffect(
+            "friction_change",
+            ("joint_2",),
+            {"coulomb": 1.0, "coulomb_change": 4.0, "viscous": 1.0, "viscous_change": 3.0},
+        ),
+        ModelEffect("base_tilt", (), {"tilt_1": 0.003, "tilt_2": -0.002}),
+        ModelEffect("encoder_offset", ("joint_3",), {"offset": 1e-5}),
+        ModelEffect("gravity_spring", ("joint_2",), {"constant": 30.0, "stiffness": 50.0}),
+        ModelEffect("stribeck", ("joint_1",), {"speed": 0.1, "shape": 1.0, "rise": 8.9}),
+        ModelEffect("torque_offset", ("joint_4",), {"offset": 2.0}),
+    )
+    return replace(model, effects=own)
+
+
+@needs_mujoco
+@pytest.mark.parametrize("known", [True, False])
+def test_a_load_and_other_effects_of_the_model_are_in_the_files(ns16: RobotDescription, tmp_path: Path, known: bool):
+    model = with_effects(model_of(ns16, bodies(ns16), known))
+    model.save(tmp_path / "model.json")
+    shown = CliRunner().invoke(app, ["export", str(tmp_path / "model.json"), "-o", str(tmp_path / "out")])
+    assert shown.exit_code == 0, shown.output
+    read = mujoco.MjModel.from_xml_path(str(tmp_path / "out" / f"{ns16.name}.xml"))
+    read.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_LIMIT | mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS
+    q, qd, qdd = states(ns16)
+    fast = np.sign(qd) * np.maximum(np.abs(qd), 1.0)  # where only the line of friction is left of Coulomb and Stribeck
+    torque = by_mujoco(read, mujoco.MjData(read), q, fast, qdd) + read.dof_frictionloss * np.sign(fast)
+    expected = replace(model, effects=model.effects[:5]).predict(q, fast, qdd, np.arange(len(q)) * 0.01)
+    np.testing.assert_allclose(torque, expected, rtol=0, atol=2e-4 * np.abs(expected).max())  # a tilt
+    root = ElementTree.parse(tmp_path / "out" / f"{ns16.name}.sdf").getroot()
+    assert float(next(root.iter("spring_stiffness")).text) == 50.0
+    said = shown.stderr
+    assert re.search(r"files do not have: stribeck of joint_1 \(up to \d\S* N·m on joint_1\)", said)
+    assert "torque_offset of joint_4 (up to 2 N·m on joint_4, of what the robot measures, not of how it moves)" in said
+    assert "the URDF has no springs: that of joint_2" in said
+    assert re.search(r"URDF and SDF have no rotor inertia \(up to \d", said)
+    assert "payload" not in said
+
+
 def test_other_friction_forms_are_exported_as_a_line_fit(ns16: RobotDescription, tmp_path: Path) -> None:
     model = model_of(ns16, bodies(ns16), known=True)
     terms = (*model.terms, FrictionTerm(1, "quadratic"))
     parameters = len(model.values) + 1
     model = replace(model, terms=terms, values=np.append(model.values, -1.5), covariance=np.eye(parameters))
-    axle = json.loads(export_model(model, tmp_path)[2].read_text())["axles"][1]
+    said: list[str] = []
+    axle = json.loads(export_model(model, tmp_path, said.append)[2].read_text())["axles"][1]
     speed = np.linspace(0, ns16.max_velocity[1], 20)
     curve = 11 + 6 * speed - 1.5 * speed**2
     assert np.abs(axle["friction"] + axle["damping"] * speed - curve).max() < 0.12 * curve.max()
     assert [term["form"] for term in axle["terms"]] == ["coulomb", "viscous", "quadratic"]
+    assert any(re.search(r"what friction differs by from the line .* \(up to .* on joint_2", text) for text in said)
 
 
 def test_bodies_fixed_to_a_link_become_part_of_it(tmp_path: Path) -> None:

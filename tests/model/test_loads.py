@@ -148,7 +148,7 @@ def test_exports_inertia_about_the_centre_of_mass_and_intervals_as_comments(bare
     entry = ball(1.5, centre, 0.004, {"mass": (1.45, 1.55), "inertia": (0.003, 0.005), **moments})
     replace(bare, effects=(entry,)).save(tmp_path / "model.json")
     assert IdentifiedModel.load(tmp_path / "model.json").effects == (entry,)
-    shown = CliRunner().invoke(app, ["export", str(tmp_path / "model.json"), "--load", "ur"])
+    shown = CliRunner().invoke(app, ["export", str(tmp_path / "model.json"), "--load", "UR"])
     assert shown.exit_code == 0, shown.output
     *comments, line = shown.stdout.splitlines()
     mass, found, inertia = read_ur(line)
@@ -196,11 +196,60 @@ def test_refuses_to_export_an_impossible_load(bare: IdentifiedModel) -> None:
 
 
 @pytest.mark.parametrize(
+    ("frames", "wanted", "found"),
+    [
+        ((("tool0", "0 0 1.5708"),), None, ("tool0", "0 0 1.5708", "usual name")),
+        ((("left_tool0", "0 1 0"), ("flange", "0 0 0")), None, ("left_tool0", "0 1 0", "usual name")),
+        ((("camera", "0 1 0"), ("panda_link8", "0 0 0.7854")), None, ("panda_link8", "0 0 0.7854", "usual name")),
+        ((("flange", "0 0 1"), ("ee_link", "0 0 1")), None, ("flange", "0 0 1", "usual name")),
+        ((("flange", "0 0 1"), ("ee_link", "0 1 0")), "ee_link", ("ee_link", "0 1 0", "--flange")),
+        ((("camera", "0 1 0"),), None, ("b", "0 0 0", "no frame beyond it is called like a flange")),
+        ((("flange", "0 0 1"), ("ee_link", "0 1 0")), None, "flange and ee_link .* --flange flange, or as tip_frame"),
+        ((("flange", "0 0 1"),), "wrist", "--flange wrist: no frame fixed to the last link of r; it has b, flange"),
+    ],
+)
+def test_a_load_is_in_the_flange_that_the_description_has(tmp_path, frames, wanted, found):
+    """The tip frame is the last moving link, as it is of an arm that a URDF alone describes."""
+    plates = "".join(joint(name, "fixed", "b", name, rpy=turn) for name, turn in frames)
+    robot = described(tmp_path, LINKS.split('<joint name="plate"')[0] + plates, ("j1", "j2"), "b")
+    masses, places = points(4)
+    inertia, first = about(masses, places, np.zeros(3)), masses @ places
+    keys = {"xx": (0, 0), "xy": (0, 1), "yy": (1, 1), "xz": (0, 2), "yz": (1, 2), "zz": (2, 2)}
+    values = dict(zip(("mass", "moment_x", "moment_y", "moment_z"), map(float, (masses.sum(), *first)), strict=True))
+    values |= {f"inertia_{key}": float(inertia[at]) for key, at in keys.items()}
+    model = replace(model_of(robot, bodies(robot), known=True), effects=(ModelEffect("payload", (), values),))
+    if isinstance(found, str):
+        with pytest.raises(InputError, match=found):
+            identified_load(model, wanted)
+        return
+    load = identified_load(model, wanted)
+    frame, turn, how = found
+    origin = np.zeros(3) if frame == "b" else np.array([0.1, 0, 0.2])  # that of `joint`
+    expected = turned(*map(float, turn.split())).T @ (first / masses.sum() - origin)
+    np.testing.assert_allclose(load.centre, expected, atol=1e-9)
+    assert load.flange == frame
+    assert f"Frame: {frame} (" in load_text(load, "abb")[0]
+    assert how in load_text(load, "abb")[0]
+
+
+def test_a_load_that_only_rounding_makes_impossible_is_exported(bare: IdentifiedModel) -> None:
+    """A point at arm's length, whose centre a file rounds to a micrometre."""
+    point = carried(np.array([2.0]), np.array([[0.0, 0.0, 0.06]]))
+    point.parameters["inertia_zz"] -= 4e-7
+    low, middle, high = np.linalg.eigvalsh(identified_load(replace(bare, effects=(point,))).inertia)
+    assert low >= 0
+    assert low + middle >= high - 1e-15
+    assert high < 1e-6
+
+
+@pytest.mark.parametrize(
     ("options", "said"),
     [
         (["--load", "ur"], "no identified load"),
-        ([], "a folder to write to with -o, or a robot vendor with --load"),
-        (["--load", "ur", "-o", "out"], "not both"),
+        ([], "-o DIR for URDF, MuJoCo model, SDF, friction file and table; "),
+        ([], "or --load ur|abb|kuka|franka|comau for the load"),
+        (["--load", "ur", "-o", "out"], "one of them at a time"),
+        (["-o", "out", "--flange", "tool0"], "--flange belongs to --load"),
     ],
 )
 def test_wrong_usage_gives_one_message(bare: IdentifiedModel, tmp_path, monkeypatch, capsys, options, said) -> None:

@@ -13,13 +13,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from agent.model import CATALOGUE, IdentifiedModel, ModelEffect, across, is_body, nearby_body, nearest_bodies, seen_from
-from agent.robot import LINK_PARAMETERS, ParameterLayout
+from agent.model import CATALOGUE, IdentifiedModel, ModelEffect, is_body, nearby_body, nearest_bodies, seen_from
+from agent.robot import ParameterLayout
 from agent.simulators.arm import SimulatedArm, described, model_of
+from agent.simulators.effect_numbers import added_body, linear_spring, own_reversal, tilted, with_zero
 from agent.simulators.loader import Simulator
-from agent.simulators.loads import load_block
 from agent.simulators.servos import PositionServos
-from agent.simulators.urdf import move_zero, set_inertial
+from agent.simulators.urdf import set_inertial
 
 _FRICTION = ("coulomb", "viscous")
 _LOST = 0.01  # of what moving bodies gained, from where on it is said that they could not exist
@@ -97,26 +97,24 @@ def correct(
         if term.axle in released.friction and term.form in _FRICTION:
             friction[term.axle, _FRICTION.index(term.form)] = change[b + k]
     layout = ParameterLayout.of(model.robot)
-    arm, left, commands = given, [], Commands.as_recorded(n)
+    arm, commands = given, Commands.as_recorded(n)
+    left: list[ModelEffect] = []
     for entry in effects:
         reason = reasons.get((entry.effect, entry.joints), entry.effect)
         joints = [names.index(name) for name in entry.joints]
         values = entry.parameters
-        if entry.effect in ("payload", "inertial_mismatch"):
-            link, block = _added(entry, n)
+        if (body := added_body(entry, n)) is not None:
+            link, block = body
             target += model.projection[:, layout.link(link)] @ block
             released.links.setdefault(link, reason)
         elif entry.effect == "friction_change":
             friction[joints[0]] += [values.get(f"{form}_change", 0.0) for form in _FRICTION]
             released.friction.setdefault(joints[0], reason)
+            left += own_reversal(entry)
         elif entry.effect == "base_tilt":
-            gravity = np.array(arm.robot.gravity)
-            first, second = across(gravity)
-            size = float(np.linalg.norm(gravity))
-            x, y, z = (gravity + size * (values["tilt_1"] * first + values["tilt_2"] * second)).tolist()
-            arm, released.gravity = replace(arm, robot=replace(arm.robot, gravity=(x, y, z))), reason
+            arm, released.gravity = replace(arm, robot=tilted(arm.robot, values)), reason
         elif entry.effect == "encoder_offset":
-            arm = _turned(arm, joints[0], values["offset"])
+            arm = replace(arm, robot=with_zero(arm.robot, joints[0], values["offset"]))
             released.offsets[joints[0]] = values["offset"]
         elif (spring := _spring(arm, joints, values)) is not None:
             stiffness, rest = _put(arm.stiffness, joints[0], spring[0]), _put(arm.rest, joints[0], spring[1])
@@ -173,35 +171,15 @@ def _command_notes(commands: Commands, names: Sequence[str]) -> Iterator[str]:
         )
 
 
-def _added(entry: ModelEffect, n: int) -> tuple[int, np.ndarray]:
-    """The link that a payload or a mismatch changes, and the change (10,)."""
-    values = entry.parameters
-    if entry.effect == "payload":
-        return n - 1, load_block(entry)
-    link = int(values["link"])
-    return link - 1, np.array([values[f"{name}{link}"] for name in LINK_PARAMETERS])
-
-
 def _spring(arm: SimulatedArm, joints: Sequence[int], values: Mapping[str, float]) -> tuple[float, float] | None:
     """Stiffness and rest position of a joint with a linear spring added; None if the file cannot hold one."""
-    if arm.is_urdf or set(values) != {"constant", "stiffness"}:
-        return None
-    before, rest = arm.stiffness[joints[0]], arm.rest[joints[0]]
-    stiffness = float(before + values["stiffness"])
-    return (stiffness, float(before * rest - values["constant"]) / stiffness) if stiffness > 0 else None
+    return None if arm.is_urdf else linear_spring(arm.stiffness[joints[0]], arm.rest[joints[0]], values)
 
 
 def _put(values: np.ndarray, joint: int, value: float) -> np.ndarray:
     found = values.copy()
     found[joint] = value
     return found
-
-
-def _turned(arm: SimulatedArm, joint: int, offset: float) -> SimulatedArm:
-    """The arm with the zero of one joint `offset` [rad or m] lower."""
-    root = ElementTree.fromstring(arm.robot.urdf)
-    move_zero(next(e for e in root.findall("joint") if e.get("name") == arm.joint_names[joint]), offset)
-    return _reshaped(arm, root)
 
 
 def _reshaped(arm: SimulatedArm, root: ElementTree.Element) -> SimulatedArm:
