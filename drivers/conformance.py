@@ -28,6 +28,7 @@ class Bench(Protocol):
     joint_names: tuple[str, ...]
     short: str  # a program of the name `p`: a motion of a second or so, rest to rest
     long: str  # the same, but a motion of minutes
+    comment: str  # how a comment begins in its programs
 
     def driver(self) -> Driver:
         """One for the controller, not connected; each call another."""
@@ -79,7 +80,7 @@ class DriverConformance:
             assert 0 <= status.override <= 2
 
     def test_returns_the_checksum_of_what_is_stored(self, bench: Bench) -> None:
-        text = bench.short + "-- äöü " + "x" * 3000 + "\n"
+        text = bench.short + f"{bench.comment} äöü " + "x" * 3000 + "\n"
         with _connected(bench) as driver:
             assert driver.upload(_NAME, text) == _sha256(text)
             status = driver.status()

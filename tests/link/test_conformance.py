@@ -50,7 +50,7 @@ class SocketBench:
     """What the benches of all wires share."""
 
     joint_names = ("shoulder", "elbow")
-    short, long = SHORT, LONG
+    short, long, comment = SHORT, LONG, "--"
     name: str
 
     def __init__(self, arm, undo):

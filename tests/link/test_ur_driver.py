@@ -48,7 +48,7 @@ def driver_for(place, **options):
 
 class UrBench(SocketBench):
     joint_names = JOINTS
-    short, long = SHORT, LONG
+    short, long, comment = SHORT, LONG, "#"
 
     def __init__(self, undo, peer):
         self.undo, self.controller = undo, peer

@@ -1,8 +1,4 @@
-"""URScript text to motion statements.
-
-An expression of URScript is one of Python too, poses (`p[…]`) included, so Python's own parser reads it; nothing is
-executed. Blocks end with `end`. What waits for the outside world (`while read_…`) counts as fulfilled.
-"""
+"""URScript statements to motion statements. What waits for the outside world (`while read_…`) counts as fulfilled."""
 
 from __future__ import annotations
 
@@ -13,12 +9,10 @@ import re
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from agent.core import InputError
 from agent.motion import rotation
 from agent.motion.program import (
     NO_FRAME,
@@ -32,6 +26,7 @@ from agent.motion.program import (
     frame_of,
     matrix_of,
 )
+from agent.motion.urscript.preamble import STILL, check_margin, check_preamble, check_statements, check_text, waits
 from agent.motion.urscript.settings import (
     JOINT_ACCELERATION,
     JOINT_SPEED,
@@ -39,24 +34,16 @@ from agent.motion.urscript.settings import (
     LINEAR_SPEED,
     UrSettings,
 )
+from agent.motion.urscript.statements import DEEPEST, HEADER, Line, UrScriptError, nested, parsed, rows_of
 
 if TYPE_CHECKING:
     from agent.robot import RobotDescription
 
-_OPENS = re.compile(r"(def|thread|sec|while|if)\b\s*(.*?)\s*:?$")
-_BRANCH = re.compile(r"(elif|else)\b\s*(.*?)\s*:?$")
-_CLOSES = re.compile(r"(end|elif|else)\b")
-_HEADER = re.compile(r"(\w+)\s*\((.*)\)$")
-_ASSIGNMENT = re.compile(r"(?:global |local )?\s*(\w+)\s*=(?!=)\s*(.+)$")
-#: Functions that move nothing and say nothing of the moves.
-_STILL = re.compile(
-    r"(popup|rtde_set_watchdog|set_gravity|set_\w*digital_out|stop[jl]|sync|textmsg|write_output_\w+_register)\b"
-)
 #: Functions that move the arm in ways that are no moves to a target.
 _MOVING = re.compile(r"\b(servo[jcl]|speed[jl]|optimove[jl]|force_mode|freedrive_mode|teach_mode|conveyor_\w+)\(")
 _TARGETED = re.compile(r"\bmove[jlpc]\(")
-#: Statements that a program may take, and calls within calls.
-_LONGEST, _DEEPEST = 10_000_000, 50
+#: Statements that a program may take.
+_LONGEST = 10_000_000
 _PARAMETERS = {
     "movej": ("q", "a", "v", "t", "r"),
     "movel": ("pose", "a", "v", "t", "r"),
@@ -91,23 +78,8 @@ _FUNCTIONS: dict[str, Callable[..., Any]] = {
 }
 
 
-class UrScriptError(InputError):
-    """A text that is not the motion subset of URScript; names path and line."""
-
-
 class _Outside(Exception):
     """A value that only the controller knows."""
-
-
-@dataclass
-class _Line:
-    """One statement: its `word` (a block's, `set`, `do`), text and line, and the lines in its block."""
-
-    word: str
-    text: str
-    number: int
-    block: list[_Line] = field(default_factory=list)
-    otherwise: list[_Line] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -116,7 +88,7 @@ class UrScriptProgram:
 
     name: str
     path: str
-    lines: list[_Line]
+    lines: list[Line]
     robot: RobotDescription | None = None
     lenient: bool = False
     passed: Counter[str] = field(default_factory=Counter)
@@ -131,14 +103,18 @@ class UrScriptProgram:
 
 
 def read_program(text: str, path: str = "", robot: RobotDescription | None = None) -> UrScriptProgram:
-    """Read a program of the motion subset.
+    """Read a program of the motion subset that may run: one whose watchdog is in effect before anything else.
 
     Raises:
         UrScriptError: not one; names path and line.
     """
+    check_text(text, path)
     program = _read(text, path, robot, lenient=False)
+    check_margin(text, path)
+    check_statements(program.lines, path)
     for _ in program.run(once=True):
         pass
+    check_preamble(program.lines, path)
     return program
 
 
@@ -153,49 +129,18 @@ def job_text(text: str, path: str, robot: RobotDescription | None) -> tuple[list
 
 
 def _read(text: str, path: str, robot: RobotDescription | None, lenient: bool) -> UrScriptProgram:
-    rows = [
-        (number, stripped)
-        for number, row in enumerate(text.splitlines(), 1)
-        if (stripped := re.sub(r"""("[^"]*")|#.*""", lambda found: found[1] or "", row).strip())
-        and not stripped.startswith("$")  # PolyScope's tree of the program
-    ]
-    lines, rest = _block(rows, path)
+    rows = [row for row in rows_of(text) if not row[1].startswith("$")]  # PolyScope's tree of the program
+    lines, rest = nested(rows, path)
     if rest:
         raise UrScriptError(f"{path}:{rest[0][0]}: `{rest[0][1]}` ends no block")
     top = [line for line in lines if line.word == "def"]
-    if len(top) != 1 and not lenient:
-        raise UrScriptError(f"{path}: one `def NAME():` is expected, not {len(top)}")
-    first = _HEADER.match(top[0].text) if top else None
-    if first is None and not lenient:
+    if not lenient and (len(top) != 1 or len(lines) != 1):
+        raise UrScriptError(f"{path}: one `def NAME():` is expected, and nothing before or after it")
+    first = HEADER.match(top[0].text) if top else None
+    if not lenient and (first is None or first[2].strip()):
         raise UrScriptError(f"{path}: `def NAME():` is expected first")
     body = top[0].block if len(top) == 1 and len(lines) == 1 else lines
     return UrScriptProgram(first[1] if first else "script", path, body, robot, lenient)
-
-
-def _block(rows: list[tuple[int, str]], path: str, depth: int = 0) -> tuple[list[_Line], list[tuple[int, str]]]:
-    """Lines up to one that ends a block, and what comes from that on."""
-    lines: list[_Line] = []
-    if depth > _DEEPEST:
-        raise UrScriptError(f"{path}:{rows[0][0]}: more than {_DEEPEST} blocks within each other")
-    while rows and not _CLOSES.match(rows[0][1]):
-        number, text = rows[0]
-        opens, assigned = _OPENS.match(text), _ASSIGNMENT.match(text)
-        if opens is None:
-            word, text = (f"set {assigned[1]}", assigned[2]) if assigned else ("do", text)
-            lines.append(_Line(word, text, number))
-            rows = rows[1:]
-            continue
-        line = last = _Line(opens[1], opens[2], number)
-        line.block, rows = _block(rows[1:], path, depth + 1)
-        while rows and (branch := _BRANCH.match(rows[0][1])):
-            other = _Line("if", branch[2] or "True", rows[0][0])
-            other.block, rows = _block(rows[1:], path, depth + 1)
-            last.otherwise, last = [other], other
-        if not rows:
-            raise UrScriptError(f"{path}:{number}: `{text}` has no `end`")
-        lines.append(line)
-        rows = rows[1:]
-    return lines, rows
 
 
 class _ScriptRun:
@@ -205,11 +150,11 @@ class _ScriptRun:
         self._program = program
         self._once = once or program.lenient
         self._values: dict[str, Any] = {"True": True, "False": False}
-        self._defined: dict[str, _Line] = {}
+        self._defined: dict[str, Line] = {}
         self._settings = UrSettings(base=NO_FRAME, uframe=NO_FRAME)
         self._left = _LONGEST
 
-    def block(self, lines: list[_Line], depth: int) -> Iterator[Statement]:
+    def block(self, lines: list[Line], depth: int) -> Iterator[Statement]:
         for line in lines:
             try:
                 yield from self._line(line, depth)
@@ -218,18 +163,18 @@ class _ScriptRun:
                     raise self._error(line, error) from None
                 self._program.passed[re.match(r"\W*\w*", line.text)[0] or line.text[:10]] += 1  # type: ignore[index]
 
-    def _error(self, line: _Line, error: Exception) -> UrScriptError:
+    def _error(self, line: Line, error: Exception) -> UrScriptError:
         if isinstance(error, UrScriptError):
             return error
         what = "depends on what only the controller knows" if isinstance(error, _Outside) else f"{error}"
         return UrScriptError(f"{self._program.path}:{line.number}: `{line.text[:60]}`: {what}")
 
-    def _line(self, line: _Line, depth: int) -> Iterator[Statement]:
+    def _line(self, line: Line, depth: int) -> Iterator[Statement]:
         self._left -= 1
-        if self._left < 0 or depth > _DEEPEST:
+        if self._left < 0 or depth > DEEPEST:
             raise UrScriptError(f"{self._program.path}:{line.number}: the program does not come to an end")
         if line.word == "def":
-            header = _HEADER.match(line.text)
+            header = HEADER.match(line.text)
             if header is None:
                 raise ValueError("a function needs a name and parentheses")
             self._defined[header[1]] = line
@@ -250,9 +195,9 @@ class _ScriptRun:
         else:
             yield from self._call(line, depth)
 
-    def _loop(self, line: _Line, depth: int) -> Iterator[Statement]:
+    def _loop(self, line: Line, depth: int) -> Iterator[Statement]:
         lenient = self._program.lenient
-        if isinstance(_parsed(line.text), ast.Constant) and not lenient:
+        if isinstance(parsed(line.text), ast.Constant) and not lenient:
             raise ValueError("a loop without an end is not understood")
         try:
             while self._value(line.text):
@@ -262,20 +207,20 @@ class _ScriptRun:
         except _Outside:  # it waits for the world outside
             if lenient:
                 yield from self.block(line.block, depth)
-            elif any(_TARGETED.search(one.text) for one in line.block):
+            elif not waits(line):
                 raise
 
-    def _call(self, line: _Line, depth: int) -> Iterator[Statement]:
-        tree = _parsed(line.text)
+    def _call(self, line: Line, depth: int) -> Iterator[Statement]:
+        tree = parsed(line.text)
         if not (isinstance(tree, ast.Call) and isinstance(tree.func, ast.Name)):
             raise ValueError("is no statement that is understood")
         name = tree.func.id
-        if _STILL.match(name):
+        if STILL.fullmatch(name):
             return
         given = [self._evaluated(one) for one in tree.args]
         named = {str(one.arg): self._evaluated(one.value) for one in tree.keywords}
         if name in self._defined:
-            header = _HEADER.match(self._defined[name].text)
+            header = HEADER.match(self._defined[name].text)
             assert header is not None
             parameters = [one.partition("=")[0].strip() for one in header[2].split(",")]
             self._values |= dict(zip(parameters, given, strict=False)) | named
@@ -319,7 +264,7 @@ class _ScriptRun:
         return JointTarget(position)
 
     def _value(self, text: str) -> Any:
-        return self._evaluated(_parsed(text))
+        return self._evaluated(parsed(text))
 
     def _evaluated(self, node: ast.expr) -> Any:
         match node:
@@ -348,11 +293,3 @@ class _ScriptRun:
             case ast.Name() | ast.Call():
                 raise _Outside
         raise ValueError("is no expression that is understood")
-
-
-@lru_cache(maxsize=4096)
-def _parsed(text: str) -> ast.expr:
-    try:
-        return ast.parse(text.strip(), mode="eval").body
-    except (SyntaxError, ValueError, RecursionError, MemoryError):
-        raise ValueError("is no statement that is understood") from None

@@ -22,13 +22,28 @@ LINES = (
     "while read_input_integer_register(25) != N: sync() end",
     "write_output_integer_register(25, 0)",
 )
-_HEAD = re.compile(r"(?m)\A(?:#.*\n|\s*\n)*def ([A-Za-z]\w{0,30})\(\):[ \t]*$", re.ASCII)
-_END = re.compile(r"(?m)^end[ \t]*$")
-_NUMBER = re.compile(r"(?m)^[ \t]+write_output_integer_register\(25, *(\d{1,10})\)")
-_PERMIT = r"(?s)read_input_integer_register\(25\) *!= *{}\b.*\n[ \t]+write_output_integer_register\(25, *0\)"
-_WATCHDOG = re.compile(r'(?m)^[ \t]+rtde_set_watchdog\("input_int_register_24", *([\d.]+), *"stop"\)')
-_TOOL = re.compile(r"(?m)^[ \t]+set_tcp\(p\[([^\]]+)\]\)")
-_LOAD = re.compile(r"(?m)^[ \t]+set_(?:target_)?payload\(([^,)\[]+)(?:, *\[([^\]]+)\])?")
+#: The rows of these lines in order, and how often each may stand there.
+_PREAMBLE = (
+    (r"write_output_integer_register\(25, *(?P<number>\d{1,10})\)", 1, 1),
+    (r"write_output_integer_register\(24, *-1\)", 0, 1),
+    (r'rtde_set_watchdog\("input_int_register_24", *(?P<hertz>\d+\.?\d*), *"stop"\)', 1, 1),
+    (r"set_(?:tcp|payload|target_payload)\([^()]*\)", 0, 9),
+    (r"while read_input_integer_register\(25\) *!= *(?P<permit>\d{1,10}):", 1, 1),
+    (r"sync\(\)", 1, 1),
+    (r"end", 1, 1),
+    (r"write_output_integer_register\(25, *0\)", 1, 1),
+)
+#: What no later row holds: another watchdog, another answer to the driver, another meaning of the words above.
+_LATER = re.compile(
+    r"(?i)rtde_set_watchdog|write_output_integer_register\(\s*(?!\d+\s*,)|write_output_integer_register\(\s*25\s*,"
+    r"|\b(?:def|thread|sec)\s+(?:read_|write_|set_|sync\b)|\b(?:thread|sec)\b"
+)
+_OPENS = re.compile(r"(?:def|thread|sec|while|if)\b")
+_ENDS = re.compile(r"\bend\b")
+_NAME = re.compile(r"def ([A-Za-z]\w{0,30})\(\):", re.ASCII)
+_COMMENT = re.compile(r"""("[^"]*")|#.*""")
+_TOOL = re.compile(r"(?m)^set_tcp\(p\[([^\]]+)\]\)")
+_LOAD = re.compile(r"(?m)^set_(?:target_)?payload\(([^,)\[]+)(?:, *\[([^\]]+)\])?")
 #: Tool frames and loads this near are the same [m or rad, kg, m].
 _SAME_TOOL, _SAME_MASS, _SAME_CENTRE = 1e-4, 0.005, 0.001
 
@@ -53,31 +68,34 @@ class UrProgram:
         Raises:
             RefusedError: no program, or one that could not be stopped or recognised.
         """
-        head = _HEAD.match(text)
-        if head is None or _END.search(text) is None:
+        rows = [_COMMENT.sub(lambda found: found[1] or "", row).rstrip() for row in text.split("\n")]
+        code = [row for row in rows if row] or [""]
+        head, body = _NAME.fullmatch(code[0]), [row.strip() for row in code[1:-1]]
+        indented = all(row[0] in " \t" for row in code[1:-1])
+        if not _readable(text, "".join(code)) or head is None or code[-1] != "end" or not indented:
             raise RefusedError(
                 "this is no URScript program: `def NAME():` comes first, the name of at most 31 letters, digits and _, "
-                "and `end` at the beginning of a line last"
+                "and `end` at the beginning of a line last; all between them is indented, and ASCII but for comments"
             )
-        number, watchdog = _NUMBER.search(text), _WATCHDOG.search(text)
-        permit = None if number is None else re.search(_PERMIT.format(number[1]), text)
+        said, later = _preamble(body)
         if (
-            number is None
-            or watchdog is None
-            or permit is None
-            or not 1 / WATCHDOG <= float(watchdog[1]) <= 4 / WATCHDOG
+            not later
+            or said["number"] != said["permit"]
+            or not 1 / WATCHDOG <= float(said["hertz"]) <= 4 / WATCHDOG
+            or any(_LATER.search(row) for row in later)
+            or not _closed(later)
         ):
             raise RefusedError(
                 f"program {head[1]} would go on when this end is gone, or could be taken for another: it has to begin "
-                f"with {'; '.join(LINES)}"
+                f"with {'; '.join(LINES)}, and nothing later may change that"
             )
-        tool, load = _TOOL.search(text), _LOAD.search(text)
+        tool, load = (pattern.search("\n".join(body)) for pattern in (_TOOL, _LOAD))
         try:
             frame = None if tool is None else _numbers(tool[1], 6)
             mass = None if load is None else _numbers(f"{load[1]},{load[2] or '0,0,0'}", 4)
         except ValueError:
             raise RefusedError(f"program {head[1]}: set_tcp and the payload need numbers, not expressions") from None
-        return cls(text, head[1], int(number[1]), frame, mass)
+        return cls(text, head[1], int(said["number"]), frame, mass)
 
     def differs(self, tool: np.ndarray, mass: float, centre: np.ndarray) -> str | None:
         """What the pendant has (tool (6,), mass [kg], centre (3,) [m]) where it is not what the program sets."""
@@ -95,6 +113,39 @@ class UrProgram:
             f"the payload at the pendant is {mass:.3f} kg at {_text(centre)}, the program is for {self.load[0]:.3f} kg "
             f"at {_text(self.load[1:])} [m]"
         )
+
+
+def _preamble(body: list[str]) -> tuple[dict[str, str], list[str]]:
+    """What the first rows of a program say, and the rows after them; none where they are not `LINES`."""
+    said: dict[str, str] = {}
+    for pattern, least, most in _PREAMBLE:
+        count = 0
+        while count < most and body and (found := re.fullmatch(pattern, body[0], re.ASCII)):
+            said |= found.groupdict()
+            body, count = body[1:], count + 1
+        if count < least:
+            return said, []
+    return said, body
+
+
+def _closed(rows: list[str]) -> bool:
+    """Whether blocks begin and end in rows of their own, and none ends that of the program itself."""
+    depth = 0
+    for row in rows:
+        if _OPENS.match(row):
+            depth += 1
+            if not row.endswith(":") or _ENDS.search(row):
+                return False
+        elif _ENDS.search(row):
+            depth -= 1
+            if row != "end" or depth < 0:
+                return False
+    return depth == 0
+
+
+def _readable(text: str, code: str) -> bool:
+    """Whether no character means something else to the controller than here."""
+    return code.replace("\t", " ").isascii() and all(one.isprintable() or one in "\t\n" for one in text)
 
 
 def _numbers(text: str, count: int) -> np.ndarray:

@@ -1,0 +1,94 @@
+"""URScript text to nested statements.
+
+An expression of URScript is one of Python too, poses (`p[…]`) included, so Python's own parser reads it; nothing is
+executed. Blocks end with `end`.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+from agent.core import InputError
+
+_OPENS = re.compile(r"(def|thread|sec|while|if)\b\s*(.*?)\s*:?$")
+_BRANCH = re.compile(r"(elif|else)\b\s*(.*?)\s*:?$")
+_CLOSES = re.compile(r"(end|elif|else)\b")
+_ASSIGNMENT = re.compile(r"(?:global |local )?\s*(\w+)\s*=(?!=)\s*(.+)$")
+_COMMENT = re.compile(r"""("[^"]*")|#.*""")
+#: Name and parameters of a routine.
+HEADER = re.compile(r"(\w+)\s*\((.*)\)$")
+#: Blocks within each other, and calls within calls.
+DEEPEST = 50
+
+
+class UrScriptError(InputError):
+    """A text that is not the motion subset of URScript; names path and line."""
+
+
+@dataclass
+class Line:
+    """One statement: its `word` (a block's, `set NAME`, `do`), text and line number, and the lines in its block."""
+
+    word: str
+    text: str
+    number: int
+    block: list[Line] = field(default_factory=list)
+    otherwise: list[Line] = field(default_factory=list)
+
+
+def rows_of(text: str) -> list[tuple[int, str]]:
+    """Line numbers and code of a text, without comments, empty lines and indentation.
+
+    Lines end with a line feed, as they do for the controller: other characters that Python counts as ends do not count.
+    """
+    return [
+        (number, stripped)
+        for number, row in enumerate(text.split("\n"), 1)
+        if (stripped := _COMMENT.sub(lambda found: found[1] or "", row).strip())
+    ]
+
+
+def nested(rows: list[tuple[int, str]], path: str, depth: int = 0) -> tuple[list[Line], list[tuple[int, str]]]:
+    """Statements up to a row that ends a block, and the rows from that one on.
+
+    Raises:
+        UrScriptError: a block without an end, or too many within each other.
+    """
+    lines: list[Line] = []
+    if depth > DEEPEST:
+        raise UrScriptError(f"{path}:{rows[0][0]}: more than {DEEPEST} blocks within each other")
+    while rows and not _CLOSES.match(rows[0][1]):
+        number, text = rows[0]
+        opens, assigned = _OPENS.match(text), _ASSIGNMENT.match(text)
+        if opens is None:
+            word, text = (f"set {assigned[1]}", assigned[2]) if assigned else ("do", text)
+            lines.append(Line(word, text, number))
+            rows = rows[1:]
+            continue
+        line = last = Line(opens[1], opens[2], number)
+        line.block, rows = nested(rows[1:], path, depth + 1)
+        while rows and (branch := _BRANCH.match(rows[0][1])):
+            other = Line("if", branch[2] or "True", rows[0][0])
+            other.block, rows = nested(rows[1:], path, depth + 1)
+            last.otherwise, last = [other], other
+        if not rows:
+            raise UrScriptError(f"{path}:{number}: `{text}` has no `end`")
+        lines.append(line)
+        rows = rows[1:]
+    return lines, rows
+
+
+@lru_cache(maxsize=4096)
+def parsed(text: str) -> ast.expr:
+    """The tree of one expression.
+
+    Raises:
+        ValueError: not one.
+    """
+    try:
+        return ast.parse(text.strip(), mode="eval").body
+    except (SyntaxError, ValueError, RecursionError, MemoryError):
+        raise ValueError("is no statement that is understood") from None
