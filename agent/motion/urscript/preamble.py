@@ -12,7 +12,7 @@ import re
 from collections.abc import Iterator
 from itertools import chain
 
-from agent.motion.urscript.statements import HEADER, Line, UrScriptError, parsed, rows_of
+from agent.motion.urscript.statements import HEADER, ScriptLine, UrScriptError, parsed, rows_of
 
 #: Functions that move nothing and say nothing of the moves.
 STILL = re.compile(
@@ -79,7 +79,7 @@ def check_margin(text: str, path: str) -> None:
         )
 
 
-def check_statements(lines: list[Line], path: str) -> None:
+def check_statements(lines: list[ScriptLine], path: str) -> None:
     """Every statement is one that is understood, whether it is reached or not.
 
     Raises:
@@ -93,7 +93,7 @@ def check_statements(lines: list[Line], path: str) -> None:
             raise UrScriptError(f"{path}:{line.number}: `{line.text[:60]}`: {error}") from None
 
 
-def check_preamble(lines: list[Line], path: str) -> None:
+def check_preamble(lines: list[ScriptLine], path: str) -> None:
     """The watchdog and the permit are the first statements, once, and nothing later touches them.
 
     Raises:
@@ -142,19 +142,19 @@ def check_preamble(lines: list[Line], path: str) -> None:
             raise UrScriptError(f"{path}:{line.number}: output register 25 belongs to the driver; write another one")
 
 
-def waits(line: Line) -> bool:
+def waits(line: ScriptLine) -> bool:
     """Whether the body of a loop does nothing but wait."""
     return all(one.word == "do" and re.fullmatch(f"{STILL.pattern}|sleep", _called(one)) for one in line.block)
 
 
-def _all(lines: list[Line]) -> Iterator[Line]:
+def _all(lines: list[ScriptLine]) -> Iterator[ScriptLine]:
     for line in lines:
         yield line
         yield from _all(line.block)
         yield from _all(line.otherwise)
 
 
-def _check(line: Line, routines: set[str]) -> None:
+def _check(line: ScriptLine, routines: set[str]) -> None:
     """Raises:
     ValueError: what is not understood.
     """
@@ -220,13 +220,13 @@ def _arguments(call: ast.Call) -> list[ast.expr]:
     return list(chain(call.args, (one.value for one in call.keywords)))
 
 
-def _called(line: Line) -> str:
+def _called(line: ScriptLine) -> str:
     """The function that a statement calls; empty if it is no call."""
     tree = parsed(line.text) if line.word == "do" else None
     return tree.func.id if isinstance(tree, ast.Call) and isinstance(tree.func, ast.Name) else ""
 
 
-def _literal(line: Line, name: str, place: int) -> object:
+def _literal(line: ScriptLine, name: str, place: int) -> object:
     """The number that stands as an argument of a call of `name`; None if there is none."""
     tree = parsed(line.text) if _called(line) == name else None
     if not (isinstance(tree, ast.Call) and len(tree.args) > place and isinstance(tree.args[place], ast.Constant)):

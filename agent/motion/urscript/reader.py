@@ -34,7 +34,7 @@ from agent.motion.urscript.settings import (
     LINEAR_SPEED,
     UrSettings,
 )
-from agent.motion.urscript.statements import DEEPEST, HEADER, Line, UrScriptError, nested, parsed, rows_of
+from agent.motion.urscript.statements import DEEPEST, HEADER, ScriptLine, UrScriptError, nested, parsed, rows_of
 
 if TYPE_CHECKING:
     from agent.robot import RobotDescription
@@ -88,7 +88,7 @@ class UrScriptProgram:
 
     name: str
     path: str
-    lines: list[Line]
+    lines: list[ScriptLine]
     robot: RobotDescription | None = None
     lenient: bool = False
     passed: Counter[str] = field(default_factory=Counter)
@@ -150,11 +150,11 @@ class _ScriptRun:
         self._program = program
         self._once = once or program.lenient
         self._values: dict[str, Any] = {"True": True, "False": False}
-        self._defined: dict[str, Line] = {}
+        self._defined: dict[str, ScriptLine] = {}
         self._settings = UrSettings(base=NO_FRAME, uframe=NO_FRAME)
         self._left = _LONGEST
 
-    def block(self, lines: list[Line], depth: int) -> Iterator[Statement]:
+    def block(self, lines: list[ScriptLine], depth: int) -> Iterator[Statement]:
         for line in lines:
             try:
                 yield from self._line(line, depth)
@@ -163,13 +163,13 @@ class _ScriptRun:
                     raise self._error(line, error) from None
                 self._program.passed[re.match(r"\W*\w*", line.text)[0] or line.text[:10]] += 1  # type: ignore[index]
 
-    def _error(self, line: Line, error: Exception) -> UrScriptError:
+    def _error(self, line: ScriptLine, error: Exception) -> UrScriptError:
         if isinstance(error, UrScriptError):
             return error
         what = "depends on what only the controller knows" if isinstance(error, _Outside) else f"{error}"
         return UrScriptError(f"{self._program.path}:{line.number}: `{line.text[:60]}`: {what}")
 
-    def _line(self, line: Line, depth: int) -> Iterator[Statement]:
+    def _line(self, line: ScriptLine, depth: int) -> Iterator[Statement]:
         self._left -= 1
         if self._left < 0 or depth > DEEPEST:
             raise UrScriptError(f"{self._program.path}:{line.number}: the program does not come to an end")
@@ -195,7 +195,7 @@ class _ScriptRun:
         else:
             yield from self._call(line, depth)
 
-    def _loop(self, line: Line, depth: int) -> Iterator[Statement]:
+    def _loop(self, line: ScriptLine, depth: int) -> Iterator[Statement]:
         lenient = self._program.lenient
         if isinstance(parsed(line.text), ast.Constant) and not lenient:
             raise ValueError("a loop without an end is not understood")
@@ -210,7 +210,7 @@ class _ScriptRun:
             elif not waits(line):
                 raise
 
-    def _call(self, line: Line, depth: int) -> Iterator[Statement]:
+    def _call(self, line: ScriptLine, depth: int) -> Iterator[Statement]:
         tree = parsed(line.text)
         if not (isinstance(tree, ast.Call) and isinstance(tree.func, ast.Name)):
             raise ValueError("is no statement that is understood")

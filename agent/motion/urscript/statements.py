@@ -29,14 +29,14 @@ class UrScriptError(InputError):
 
 
 @dataclass
-class Line:
+class ScriptLine:
     """One statement: its `word` (a block's, `set NAME`, `do`), text and line number, and the lines in its block."""
 
     word: str
     text: str
     number: int
-    block: list[Line] = field(default_factory=list)
-    otherwise: list[Line] = field(default_factory=list)
+    block: list[ScriptLine] = field(default_factory=list)
+    otherwise: list[ScriptLine] = field(default_factory=list)
 
 
 def rows_of(text: str) -> list[tuple[int, str]]:
@@ -51,13 +51,13 @@ def rows_of(text: str) -> list[tuple[int, str]]:
     ]
 
 
-def nested(rows: list[tuple[int, str]], path: str, depth: int = 0) -> tuple[list[Line], list[tuple[int, str]]]:
+def nested(rows: list[tuple[int, str]], path: str, depth: int = 0) -> tuple[list[ScriptLine], list[tuple[int, str]]]:
     """Statements up to a row that ends a block, and the rows from that one on.
 
     Raises:
         UrScriptError: a block without an end, or too many within each other.
     """
-    lines: list[Line] = []
+    lines: list[ScriptLine] = []
     if depth > DEEPEST:
         raise UrScriptError(f"{path}:{rows[0][0]}: more than {DEEPEST} blocks within each other")
     while rows and not _CLOSES.match(rows[0][1]):
@@ -65,13 +65,13 @@ def nested(rows: list[tuple[int, str]], path: str, depth: int = 0) -> tuple[list
         opens, assigned = _OPENS.match(text), _ASSIGNMENT.match(text)
         if opens is None:
             word, text = (f"set {assigned[1]}", assigned[2]) if assigned else ("do", text)
-            lines.append(Line(word, text, number))
+            lines.append(ScriptLine(word, text, number))
             rows = rows[1:]
             continue
-        line = last = Line(opens[1], opens[2], number)
+        line = last = ScriptLine(opens[1], opens[2], number)
         line.block, rows = nested(rows[1:], path, depth + 1)
         while rows and (branch := _BRANCH.match(rows[0][1])):
-            other = Line("if", branch[2] or "True", rows[0][0])
+            other = ScriptLine("if", branch[2] or "True", rows[0][0])
             other.block, rows = nested(rows[1:], path, depth + 1)
             last.otherwise, last = [other], other
         if not rows:
