@@ -22,7 +22,7 @@ from .hypotheses.law import LAW as LAW
 from .hypotheses.noise_model import smooth_columns as smooth_columns
 from .hypotheses.search import Search as Search
 from .hypotheses.testability import smallest_sizes as smallest_sizes
-from .labels import in_torque as in_torque, torque_gap as torque_gap
+from .labels import could_show as could_show, in_torque as in_torque, shown as shown, torque_gap as torque_gap
 from .limits import LIMITS as LIMITS
 from .randomisation import Range as Range, ranges as ranges, ranges_text as ranges_text
 from .rows.candidate import Candidate as Candidate, Place as Place

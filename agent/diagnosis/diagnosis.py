@@ -15,7 +15,7 @@ from agent.diagnosis.gap.motion_gap import MotionGap
 from agent.diagnosis.gap.regime_shares import regimes, share_intervals
 from agent.diagnosis.gap.torque_gap import HeldOutGap
 from agent.diagnosis.hypotheses.finding import Finding
-from agent.diagnosis.hypotheses.testability import not_testable
+from agent.diagnosis.hypotheses.testability import not_testable, power, smallest_sizes
 from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.dataset import Dataset
 from agent.diagnosis.simulator_file.explanation import Explanation
@@ -78,6 +78,7 @@ def build(
     dataset, finding, gap = found.dataset, found.finding, found.as_given
     closure = gap.closure if found.of_file and gap.closure is not None else verdict.closure
     where, causes = _where(dataset, gap), _with_figures(found, verdict.causes)
+    smallest = smallest_sizes(dataset, found.search.evidence)
     document = DiagnosisResult(
         verdict.name,
         TorqueGap(
@@ -91,13 +92,15 @@ def build(
         closure,
         where,
         causes,
-        tuple(not_testable(dataset, found.search)),
+        tuple(not_testable(dataset, found.search, smallest)),
         next_experiment(causes, verdict.name, where, finding.zero_known)
         if held is None
         else NextExperiment((), held.motion),
         _folds(dataset),
         (*(() if held is None else (held.text,)), *warnings, *_warnings(found, verdict)),
         found.steps,
+        tuple(power(dataset, found.search, smallest)),
+        dataset.model_error,
         "servos" if any(servo_stiffness(log.metadata) is not None for log in dataset.logs) else "motors",
     )
     return Diagnosis(document, finding, dataset, motion, gap, found.released if found.of_file else None, held)

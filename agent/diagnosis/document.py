@@ -83,6 +83,17 @@ class NotTestable:
 
 
 @dataclass(frozen=True)
+class EffectPower:
+    """The smallest size of an effect that these logs would have shown with 80 % power (None: no size), and the size
+    that matters: torque over nominal, or N·m where that is unknown. `joint` is None for the whole arm."""
+
+    effect: str
+    joint: str | None
+    smallest: float | None
+    practical: float
+
+
+@dataclass(frozen=True)
 class NextExperiment:
     """A motion that separates effects."""
 
@@ -124,6 +135,10 @@ class DiagnosisResult:
     warnings: tuple[str, ...]
     #: Place there is a gap in torque, and steps that close it.
     waterfall: tuple[WaterfallStep, ...] = ()
+    #: Of the effects in torque that do not happen only once, on the joints that moved.
+    power: tuple[EffectPower, ...] = ()
+    #: The model's held-out error over the torque of these logs; None of a simulator's file, which states no error.
+    model_error: float | None = None
     #: `servos` where torque was not measured but is that of the simulator's servos at recorded set-points.
     torque_of: str = "motors"
 
@@ -131,7 +146,7 @@ class DiagnosisResult:
         """Plain data, ready for JSON."""
         data = {"schema": SCHEMA, **_plain(self)}
         data["causes"] = [_unless(cause, {"closure_of_joints": None, "slides": False}) for cause in data["causes"]]
-        return _unless(data, {"waterfall": [], "torque_of": "motors"})
+        return _unless(data, {"waterfall": [], "model_error": None, "torque_of": "motors"})
 
 
 def _unless(data: Mapping[str, Any], usual: Mapping[str, Any]) -> dict[str, Any]:

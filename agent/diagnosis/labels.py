@@ -1,10 +1,11 @@
-"""Whether what a result says is about torque, or about the path alone."""
+"""What a result says: about torque or the path alone, and whether its logs could have shown a change."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Any
 
+from agent.diagnosis.limits import LIMITS
 from agent.model import CATALOGUE
 
 
@@ -18,3 +19,15 @@ def torque_gap(result: Mapping[str, Any]) -> bool:
     """Whether a result has a gap in torque, so that it makes sense to say where it is and what of it is closed."""
     causes = result["causes"]
     return result["verdict"] != "no_gap" and (not causes or any(in_torque(cause) for cause in causes))
+
+
+def shown(result: Mapping[str, Any]) -> tuple[int, int]:
+    """How many effects, joint by joint, these logs would have shown at their practical size, and of how many."""
+    found = [e["smallest"] is not None and e["smallest"] <= e["practical"] for e in result.get("power", ())]
+    return sum(found), len(found)
+
+
+def could_show(result: Mapping[str, Any]) -> bool:
+    """Whether the model is good enough, and the motion rich enough, that finding nothing means something."""
+    found, count = shown(result)
+    return found >= LIMITS.most * count and (result.get("model_error") or 0.0) <= LIMITS.weak_model

@@ -65,8 +65,12 @@ class DecisionLimits:
         "from where on a joint's error is more than the model's own",
         "tuned: of 62 healthy development runs one exceeds it",
     )
-    held_gap: float = known(
-        0.5, "energy over the background", "where a torque channel stands still: it is the sensor's", "chosen: most"
+    most: float = known(
+        0.5,
+        "part",
+        "of the excess energy where a torque channel stands still: it is the sensor's; and of the effects of practical "
+        "size that logs have to show before they say that nothing changed",
+        "chosen: half",
     )
     path_gap: float = known(1e-4, "rad or m, RMS", "between planned and executed path that is notable", "chosen")
     path_rate: float = known(

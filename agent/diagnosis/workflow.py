@@ -120,10 +120,8 @@ def _samples(log: Log) -> tuple[bytes, bytes]:
 
 def _of_model(dataset: Dataset) -> Iterator[str]:
     """Warning about a large error of the model itself: smaller effects are not visible."""
-    torque = np.concatenate([log.effort for log in dataset.logs if log.effort is not None])
-    error = dataset.model.held_out_rmse
-    share = float(np.linalg.norm(error) / np.sqrt(np.mean(torque**2, axis=0).sum()))
-    if dataset.model.method != SIMULATOR and share > LIMITS.weak_model:
+    share = dataset.model_error
+    if share is not None and share > LIMITS.weak_model:
         yield (
             f"the model errs by {100 * share:.0f} % of the torque on held-out parts of its own data: "
             "smaller gaps do not show"

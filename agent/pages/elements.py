@@ -76,14 +76,20 @@ class Table:
 
 
 def shaded_table(
-    name: str, caption: str, values: np.ndarray, columns: Sequence[str], rows: Sequence[str], units: Sequence[str] = ()
+    name: str,
+    caption: str,
+    values: np.ndarray,
+    columns: Sequence[str],
+    rows: Sequence[str],
+    units: Sequence[str] = (),
+    of_row: str = "joint",
 ) -> Table:
     """Cells (rows, columns) shaded by their values, against the largest of the rows with the same unit."""
     body: list[list[str | Shade]] = [
         [f"{row} [{unit}]" if unit else row, *(Shade(float(value), _figure(value), unit=unit) for value in line)]
         for row, unit, line in zip(rows, units or [""] * len(rows), values, strict=True)
     ]
-    return Table(name, ("joint", *(column.replace("_", " ") for column in columns)), body, caption=caption)
+    return Table(name, (of_row, *(column.replace("_", " ") for column in columns)), body, caption=caption)
 
 
 def _figure(value: float) -> str:

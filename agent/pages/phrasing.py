@@ -8,7 +8,16 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from agent.diagnosis import amplitude, in_torque, leading_parameter, size_text, torque_gap
+from agent.diagnosis import (
+    LIMITS,
+    amplitude,
+    could_show,
+    in_torque,
+    leading_parameter,
+    shown,
+    size_text,
+    torque_gap,
+)
 from agent.model import CATALOGUE
 from agent.pages.elements import NextStep
 from agent.robot import SHARE, figure_text
@@ -29,10 +38,9 @@ REGIMES = {
 FOUR = {"where": "Where", "what": "What", "how_sure": "How sure", "next": "Next"}
 #: Title of the page's section on what these motions cannot show.
 NOT_TESTABLE = "Not testable here"
-_VERDICTS = {
-    "no_gap": "no gap: model and robot agree within what may differ on a healthy arm",
-    "unknown": "there is a gap that no known effect explains",
-}
+_NO_GAP = "no gap: model and robot agree within what may differ on a healthy arm"
+_NOT_SHOWN = "no change found that these logs could show"
+_UNKNOWN = "there is a gap that no known effect explains"
 #: Equivalents of a cause that are named, regimes and steps of an attribution, at most.
 _MOST_OTHERS, _MOST_REGIMES, _MOST_STEPS = 2, 2, 3
 #: Shares of the gap from which a joint is a main carrier, is described, and a step of the attribution is named.
@@ -73,7 +81,9 @@ def verdict_text(result: Mapping[str, Any]) -> str:
         return (
             f"corrected simulator parameters close {100 * closed:.1f} % of the gap; no known effect explains the rest"
         )
-    return _VERDICTS[result["verdict"]]
+    if result["verdict"] == "no_gap":
+        return _NO_GAP if could_show(result) else _NOT_SHOWN
+    return _UNKNOWN
 
 
 def in_short(result: Mapping[str, Any]) -> str:
@@ -90,9 +100,14 @@ def headline(result: Mapping[str, Any]) -> str:
         return capital(f"{verdict_text(result)}{on}.")
     cause = result["causes"][0]
     sure = "" if cause["equivalent_to"] else ", most likely" if cause["probability"] >= _LIKELY else ", perhaps"
-    agrees = "" if torque_gap(result) else " In torque, model and robot agree."
+    agrees = "" if torque_gap(result) else f" {_in_torque(result)}"
     more = "".join(f" Also on {place(one)}: {what(one['effect'], result)}." for one in result["causes"][1:])
     return f"{_opening(cause)}{sure}: {_one_of(cause, result)}.{more}{agrees}"
+
+
+def _in_torque(result: Mapping[str, Any]) -> str:
+    """What a result without a gap in torque says of torque."""
+    return "In torque, model and robot agree." if could_show(result) else "In torque, these logs show no change."
 
 
 def capital(text: str) -> str:
@@ -210,7 +225,7 @@ def _where(result: Mapping[str, Any]) -> Iterator[str]:
     if result["causes"] and not any(said.startswith(f"{place(result['causes'][0])} has") for said in sentences):
         yield f"{_opening(result['causes'][0])}."
     if not torque_gap(result):
-        yield "In torque, model and robot agree."
+        yield _in_torque(result)
         if worst:
             yield f"The largest torque error on held-out motion is {_error(result, worst)}, on {worst}."
         return
@@ -266,11 +281,12 @@ def _how_sure(result: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _found_if_there(result: Mapping[str, Any]) -> str:
-    """Confidence in "no gap": effects that would have been found."""
-    missed = len({entry["effect"] for entry in result["not_testable"]})
-    count = f"{len(CATALOGUE) - missed} of {len(CATALOGUE)} effects" if missed else "Every effect"
-    others = " The others may be missed on some joints." if missed else ""
-    return f"{count} of practical size would have been found on every joint (80 % power).{others}"
+    """Confidence in "no gap": the effects that would have been found, joint by joint, and the model's own error."""
+    found, count = shown(result)
+    known = "Every effect" if found == count else f"{found} of {count} effects, counted joint by joint,"
+    error = result.get("model_error") or 0.0
+    limits = f" The model errs by {100 * error:.0f} % of the torque." if error > LIMITS.weak_model else ""
+    return f"{known} of practical size would have been found (80 % power).{limits}"
 
 
 def measures(result: Mapping[str, Any]) -> list[NextStep]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -223,7 +224,13 @@ def estimate_files(
     model, _ = fit_files(robot, paths, question, console)
     model.save(out)
     written = [out, *(() if export is None else export_model(model, export, console.warn))]
-    return model.to_dict(), "\n".join([model.text(), *(str(path) for path in written)])
+    lacks = f"What the model lacks: {what_a_model_lacks(robot, [str(path) for path in paths])}"
+    return model.to_dict(), "\n".join([model.text(), *map(str, written), lacks])
+
+
+def what_a_model_lacks(robot: str, logs: Sequence[str]) -> str:
+    """Return the command that finds in the logs of a fit what the fitted model cannot explain."""
+    return shlex.join(["agent", "diagnose", "--robot", robot, *logs])
 
 
 def fit_files(

@@ -12,6 +12,7 @@ from agent.core import Console
 from agent.core.errors import InputError
 from agent.diagnosis import diagnose
 from agent.model import CATALOGUE
+from agent.pages import headline
 from agent.pages.diagnosis.page import diagnosis_report
 from agent.pipeline import GapQuestion, diagnose_files
 from agent.pipeline.gap.printed_diagnosis import diagnosis_text
@@ -163,3 +164,18 @@ def test_warns_of_clipped_torque_and_a_stationary_joint(arm, baseline, runs):
     warnings = diagnose(arm, [replace(log, effort=effort, position=position)], baseline).warnings
     assert any("joint_2" in text and "clipped" in text for text in warnings)
     assert any("a joint that never moves can be judged: joint_6" in text for text in warnings)
+
+
+def test_no_gap_says_what_the_logs_could_show(diagnosed):
+    """The power is that of the testability; a weak model, or one that sees less than half, never "agrees"."""
+    result = diagnosed(0).result
+    missed = {(entry["effect"], entry["joint"]) for entry in result["not_testable"]}
+    for entry in result["power"]:
+        found = entry["smallest"] is not None and entry["smallest"] <= entry["practical"]
+        assert found != ((entry["effect"], entry["joint"]) in missed), entry
+    assert "No gap: model and robot agree" in headline(result)
+    blind = [{**entry, "smallest": 10 * entry["practical"]} for entry in result["power"]]
+    for weak in ({"power": blind}, {"model_error": 0.13}):
+        said = {**result, **weak}
+        assert headline(said) == "No change found that these logs could show."
+        assert "agree" not in diagnosis_text(said)

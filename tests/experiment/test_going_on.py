@@ -153,3 +153,11 @@ def test_a_model_that_is_written_is_not_asked_for_again(model, out):
     assert "-o" in shlex.split(step.command)
     (step,) = after_diagnosis(result, None, [Path("a.mcap")], replace(asked, out=Path(out)))
     assert shlex.split(step.command)[2:] == ["--model", out, "new.mcap"]
+
+
+def test_where_logs_could_not_show_a_change_the_model_is_asked_what_it_lacks():
+    blind = {"verdict": "no_gap", "causes": [], "next_experiment": None, "model_error": 0.4, "warnings": []}
+    (step,) = after_diagnosis(blind, "my robot.yaml", [Path("a b.mcap")], GapQuestion())
+    assert read(step.command)["next_recipe"] == Path("RECIPE"), "without a model, another motion has to show more"
+    (step,) = after_diagnosis({**blind, "model_error": 0.1}, "my robot.yaml", [Path("a b.mcap")], GapQuestion())
+    assert step.what == "nothing to do: keep the model."

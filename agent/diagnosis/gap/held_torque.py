@@ -86,7 +86,7 @@ def held_torque(dataset: Dataset, found: Fit) -> HeldTorque | None:
         stretches = _of_joint(dataset, joint, [torque[:, joint] for torque in predicted], excess[:, joint])
         energy = sum(stretch.energy for stretch in stretches)
         torque = np.sqrt(max(energy, 0.0) / len(excess)) * background / fit.reference.scale[joint]
-        if torque < LIMITS.practical_torque or energy < LIMITS.held_gap * whole:
+        if torque < LIMITS.practical_torque or energy < LIMITS.most * whole:
             continue
         large = [s for s in stretches if s.energy > _MATTERS * max(s.energy for s in stretches)]
         if sum(stretch.duration for stretch in large) < _SHORTEST:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
-from agent.diagnosis.document import NotTestable
+from agent.diagnosis.document import EffectPower, NotTestable
 from agent.diagnosis.hypotheses.evidence import Evidence
 from agent.diagnosis.hypotheses.search import Search
 from agent.diagnosis.rows.candidate import Place
@@ -33,9 +35,27 @@ def smallest_sizes(dataset: Dataset, evidence: Evidence) -> dict[Place, float]:
     return found
 
 
-def not_testable(dataset: Dataset, search: Search) -> list[NotTestable]:
-    """Return the effects whose practical size would not be found on these motions, and why."""
-    robot, sizes = dataset.robot, smallest_sizes(dataset, search.evidence)
+def power(dataset: Dataset, search: Search, sizes: Mapping[Place, float]) -> list[EffectPower]:
+    """Return the smallest size of every allowed effect that would be found; `sizes` as of `smallest_sizes`.
+
+    A joint that never moved has an entry only for effects that would have shown without motion.
+    """
+    robot, scale, found = dataset.robot, dataset.fit.reference.scale, []
+    moved = search.excursions.moved
+    for (name, joints), size in sizes.items():
+        if name not in search.allowed or not (np.isfinite(size) or moved[list(joints)].all()):
+            continue
+        at = list(joints) if joints else slice(None)
+        unit = 1.0 if np.isfinite(robot.nominal_torque[at]).all() else float(scale[at].max())
+        practical = CATALOGUE[name].practical * unit
+        where = ", ".join(robot.joint_names[j] for j in joints) or None
+        found.append(EffectPower(name, where, size * practical if np.isfinite(size) else None, practical))
+    return found
+
+
+def not_testable(dataset: Dataset, search: Search, sizes: Mapping[Place, float]) -> list[NotTestable]:
+    """Return the effects whose practical size would not be found on these motions, and why; `sizes` as above."""
+    robot = dataset.robot
     result = []
     for name, effect in CATALOGUE.items():
         if name not in search.allowed or effect.shows_in == "path":

@@ -27,7 +27,7 @@ from agent.estimation import (
 from agent.model import IdentifiedModel, MotionSignals, NominalModel, effect_torque, known_payload
 from agent.recording import Log
 from agent.robot import RobotDescription
-from agent.simulators import servo_stiffness
+from agent.simulators import SIMULATOR, servo_stiffness
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +49,13 @@ class Dataset:
     logs: tuple[Log, ...]
     rate: float
     cutoff: float
+
+    @property
+    def model_error(self) -> float | None:
+        """The model's held-out error over the torque of these logs; None of a simulator's file."""
+        torque = np.concatenate([log.effort for log in self.logs if log.effort is not None])
+        share = float(np.linalg.norm(self.model.held_out_rmse) / np.sqrt(np.mean(torque**2, axis=0).sum()))
+        return None if self.model.method == SIMULATOR else share
 
 
 def assemble(

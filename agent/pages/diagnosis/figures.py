@@ -52,6 +52,23 @@ def band_map(diagnosis: Diagnosis) -> Table:
     return shaded_table("bands", caption, values, [*labels, "motor angle"], names, ["%"] * len(names))
 
 
+def power_map(diagnosis: Diagnosis) -> Table:
+    """Effect × joint: the smallest size that would have been found, over the size that matters."""
+    power = diagnosis.document.power
+    effects = list(dict.fromkeys(entry.effect for entry in power))
+    columns = list(dict.fromkeys(entry.joint or "arm" for entry in power))
+    values = np.full((len(effects), len(columns)), np.nan)
+    for entry in power:
+        if entry.smallest is not None:
+            at = effects.index(entry.effect), columns.index(entry.joint or "arm")
+            values[at] = entry.smallest / entry.practical
+    caption = (
+        "Smallest size that would have been found with 80 % power, over the size that matters. At 1 or less, an effect "
+        "of practical size would have been found. -: no size would have been found."
+    )
+    return shaded_table("power", caption, values, columns, effects, of_row="effect")
+
+
 def timeline(diagnosis: Diagnosis) -> Plot:
     """Torque error of the joints over each log, before and after; the joint with most of the gap first."""
     dataset = diagnosis.dataset

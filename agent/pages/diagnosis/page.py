@@ -6,9 +6,17 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from agent.core import package_version
-from agent.diagnosis import Diagnosis, Simulated, reported_parameters, simulation_part, torque_gap
+from agent.diagnosis import Diagnosis, Simulated, could_show, reported_parameters, simulation_part, torque_gap
 from agent.model import CATALOGUE, PAYLOAD
-from agent.pages.diagnosis.figures import band_map, gap_table, regime_map, simulated_torque, timeline, waterfall
+from agent.pages.diagnosis.figures import (
+    band_map,
+    gap_table,
+    power_map,
+    regime_map,
+    simulated_torque,
+    timeline,
+    waterfall,
+)
 from agent.pages.diagnosis.simulator import drift_section, ranges_section, waterfall_section
 from agent.pages.diagnosis.summary import planned_section, rounds_section
 from agent.pages.elements import About, NextStep, Page, Section, Table, render
@@ -65,7 +73,7 @@ def diagnosis_report(
         _hypotheses_section(diagnosis),
         _testability_section(diagnosis),
     ]
-    colour = {"no_gap": "good", "explained": "bad"}.get(result["verdict"], "plain")
+    colour = {"no_gap": "good" if could_show(result) else "plain", "explained": "bad"}.get(result["verdict"], "plain")
     title = f"Gap between model and {diagnosis.dataset.robot.name}"
     return render(Page(title, headline(result), colour, sections, about_diagnosis(diagnosis, next_steps, result)))
 
@@ -250,4 +258,6 @@ def _testability_section(diagnosis: Diagnosis) -> Section:
         else "Every effect of the catalogue would have been found at the smallest size that matters."
     ]
     header = ("effect", "where", "why")
-    return Section(NOT_TESTABLE, text, (Table("not-testable", header, rows),) if rows else ())
+    return Section(
+        NOT_TESTABLE, text, ((Table("not-testable", header, rows),) if rows else ()) + (power_map(diagnosis),)
+    )

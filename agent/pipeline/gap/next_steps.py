@@ -8,11 +8,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from agent.diagnosis import LARGE_ERROR, SAME_MOTIONS
-from agent.model import CATALOGUE, PAYLOAD
+from agent.diagnosis import LARGE_ERROR, SAME_MOTIONS, could_show
+from agent.model import CATALOGUE, PAYLOAD, IdentifiedModel
 from agent.pages import NextStep
 from agent.pipeline.gap.next_experiment import BRAKES, DRIVES_OFF
 from agent.pipeline.gap.question import PLANNING_BUDGET, GapQuestion
+from agent.pipeline.identify import what_a_model_lacks
 from agent.simulators import is_simulator
 
 #: Names of logs that are still to be recorded, in commands that people copy.
@@ -31,6 +32,8 @@ def after_diagnosis(
         question, report=None, out=None, next_recipe=None, next_payload=None, planning_budget=PLANNING_BUDGET
     )
     named = ["--robot", robot] if robot else []
+    if result["verdict"] == "no_gap" and not could_show(result):
+        return [_what_the_model_lacks(named, question, logs)]
     if result["verdict"] == "no_gap":
         large = any(LARGE_ERROR in warning for warning in result["warnings"])
         return [NextStep("record more logs, or estimate again." if large else "nothing to do: keep the model.")]
@@ -80,3 +83,16 @@ def after_diagnosis(
 
 def _compared(simulator: Path) -> str:
     return shlex.join(["agent", "diagnose", "--model", str(simulator), _NEW_LOG])
+
+
+def _what_the_model_lacks(named: Sequence[str], question: GapQuestion, logs: Sequence[Path]) -> NextStep:
+    """The step after a diagnosis whose logs could not show a change."""
+    if question.model is None:
+        more = shlex.join(["agent", "diagnose", *named, "--next", "RECIPE", "-o", "next", *map(str, logs)])
+        return NextStep("plan a motion that shows more:", more)
+    if is_simulator(question.model):
+        return NextStep("record faster motions of every joint, then diagnose again.")
+    model = IdentifiedModel.load(question.model)
+    logs_of_fit = [entry["log"] for entry in model.provenance["logs"]]
+    command = what_a_model_lacks(named[-1] if named else model.robot.name, logs_of_fit)
+    return NextStep("ask what the model itself lacks:", command)
