@@ -14,6 +14,11 @@ from agent.pages.plots import SERIES, Panel, Plot, Series, joint_series
 from agent.runs import PastRun, Trend, Watch
 
 _MOST_RUNS = 1000
+#: Title of the runs of a kind, and what their error is of: the two cannot be compared.
+_KINDS = {
+    "calibrate": ("Calibrations", "The error is of motions that took no part in the fit."),
+    "recalibrate": ("Recalibrations", "The error is of the repeated loop that the model was fitted to."),
+}
 _MOST_PARAMETERS = 24
 #: A gate this much above all errors would flatten them.
 _GATE_SHOWN = 2.0
@@ -45,7 +50,8 @@ def index_page(
             for k, (one, course) in enumerate(zip(watched, parameters, strict=True))
         ),
         Section("Prediction error", (), plots) if plots else None,
-        _all_runs(runs, current),
+        *(_runs_of(kind, runs, current) for kind in _KINDS if any(run.kind == kind for run in runs)),
+        _runs_of("", [run for run in runs if run.kind not in _KINDS], current),
     ]
     return render(Page(f"Calibrations of {names}", headline, verdict, sections, _about(runs, current, alarms)))
 
@@ -65,17 +71,22 @@ def _about(runs: Sequence[PastRun], current: Collection[str], alarms: Sequence[t
     return About("How are the machines and their models doing?", (), steps, identity)
 
 
-def _all_runs(runs: Sequence[PastRun], current: Collection[str]) -> Section:
+def _runs_of(kind: str, runs: Sequence[PastRun], current: Collection[str]) -> Section | None:
+    """Runs of one kind, or all of these."""
+    title, error = _KINDS.get(kind, ("Other runs", ""))
+    chosen = [run for run in runs if run.kind == kind or not kind]
+    if not chosen:
+        return None
     rows, links = [], []
-    for run in reversed(runs):
+    for run in reversed(chosen):
         cycles = str(run.data["conditions"].get("cycles", "-"))
         outcome = run.outcome_with(current)
         rows.append((run.run, outcome, run.worst_text, run.kind, run.serial or "-", cycles, run.reason))
         links.append(f"{quote(run.run)}/report.html" if run.complete else "")
-    accepted = sum(run.accepted for run in runs)
-    text = (f"{counted(len(rows), 'run')}, {accepted} accepted; the newest first.",)
+    accepted = sum(run.accepted for run in chosen)
+    text = (f"{counted(len(rows), 'run')}, {accepted} accepted; the newest first.", error)
     header = ("run", "result", "worst axis", "kind", "serial", "cycles", "cause or reason")
-    return Section("Runs", text, (Table("runs", header, rows, links),))
+    return Section(title, [line for line in text if line], (Table(f"runs-{kind or 'other'}", header, rows, links),))
 
 
 def _machine(
@@ -166,19 +177,24 @@ def _errors(runs: Sequence[PastRun], current: Collection[str], robot: str, seria
     accepted = np.array([run.accepted for run in known], dtype=bool)
     marked = np.array([run.run in current for run in known], dtype=bool)
     caption = f"Prediction error of the worst axis of every run of {robot} {serial}".rstrip() + "; dates in UTC."
-    series = [
-        Series("accepted", np.where(accepted, worst, np.nan), "points", SERIES[2]),
-        Series("rejected", np.where(accepted, np.nan, worst), "points", SERIES[1]),
-    ]
-    if marked.any():
-        series.append(Series("current model", np.where(marked, worst, np.nan), "points", SERIES[0]))
-    if shares:
-        gates = np.array([np.nan if run.data["gate"] is None else 100 * run.data["gate"] for run in known])
-        lowest = np.nanmin(gates, initial=np.inf)
+    gates = np.array([np.nan if not shares or run.data["gate"] is None else 100 * run.data["gate"] for run in known])
+    lowest = np.nanmin(gates, initial=np.inf)
+    if _GATE_SHOWN * worst.max() < lowest < np.inf:
+        caption += f" The gate, {lowest:g} %, is above the plot."
+    panels = []
+    for kind in dict.fromkeys([*_KINDS, *(run.kind for run in known)]):
+        own_kind = np.array([run.kind == kind for run in known])
+        if not own_kind.any():
+            continue
+        looks = {"accepted": (accepted, SERIES[2]), "rejected": (~accepted, SERIES[1])}
+        looks |= {"current model": (marked, SERIES[0])} if (marked & own_kind).any() else {}
+        series = [
+            Series(name, np.where(shown & own_kind, worst, np.nan), "points", colour)
+            for name, (shown, colour) in looks.items()
+        ]
         if lowest <= _GATE_SHOWN * worst.max():
             series.append(Series("gate", gates, "dashed", SERIES[3]))
-        elif np.isfinite(lowest):
-            caption += f" The gate, {lowest:g} %, is above the plot."
-    panel = Panel(f"{robot} {serial}".strip(), "% of nominal" if shares else "N·m", series, from_zero=True)
+        title = _KINDS.get(kind, (kind, ""))[0]
+        panels.append(Panel(title, "% of nominal" if shares else "N·m", series, from_zero=True))
     x = np.array([run.time.timestamp() for run in known])
-    return Plot(f"errors-{number}", caption, "date", (panel,), x, dates=True)
+    return Plot(f"errors-{number}", caption, "date", panels, x, dates=True)

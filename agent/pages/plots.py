@@ -17,8 +17,11 @@ from agent.robot import RobotDescription
 
 #: Seven colours that read on white and on near-black, and that the colour-blind distinguish (after Okabe and Ito).
 SERIES = ("#2a86c8", "#d55e00", "#009e73", "#c0649a", "#8f75d6", "#9a7d0a", "#3f9fb5")
+#: A pattern of strokes and gaps [px] for each of them, so that lines differ without colour; the first is solid.
+DASHES = ((), (8, 3), (2, 3), (8, 3, 2, 3), (14, 4), (5, 5), (8, 3, 2, 3, 2, 3))
 #: Rows of a plot, at most: more than a wide screen has pixels for.
 MOST_ROWS = 2400
+_DASHED = (6, 4)  # of a curve that looks dashed
 #: Link of a plot whose panels zoom alone.
 UNLINKED = "-"
 
@@ -28,7 +31,8 @@ class Series:
     """One curve: `values` (S,) over the panel's abscissa, NaN where there is nothing.
 
     `look` is line, dashed, points, or part (of a stack, positive and negative parts apart); with `low` (S,) it is the
-    band between `low` and `values`. `joint` lets a reader switch it on and off with its joint.
+    band between `low` and `values`. `joint` lets a reader switch it on and off with its joint; `dash`: strokes and gaps
+    of its line [px].
     """
 
     label: str
@@ -37,6 +41,7 @@ class Series:
     colour: str = SERIES[0]
     low: np.ndarray | None = None
     joint: str = ""
+    dash: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,9 +89,10 @@ class Plot:
 
 
 def joint_series(joints: Sequence[str], values: np.ndarray, order: Sequence[int] | None = None) -> list[Series]:
-    """A curve a joint of (S, n), each with its colour; in the `order` of their numbers where that is given."""
+    """A curve a joint of (S, n), each with its colour and dashes; in the `order` of their numbers where given."""
     chosen = range(len(joints)) if order is None else order
-    return [Series(joints[k], values[:, k], colour=SERIES[k % len(SERIES)], joint=joints[k]) for k in chosen]
+    looks = [(SERIES[k % len(SERIES)], DASHES[k % len(DASHES)]) for k in range(len(joints))]
+    return [Series(joints[k], values[:, k], colour=looks[k][0], joint=joints[k], dash=looks[k][1]) for k in chosen]
 
 
 def worst_first(robot: RobotDescription, error: np.ndarray) -> list[int]:
@@ -188,6 +194,7 @@ def spec(plot: Plot) -> str:
                     "look": one.look if one.low is None else "band",
                     "colour": one.colour,
                     "joint": one.joint,
+                    "dash": _DASHED if one.look == "dashed" else one.dash,
                 }
                 for one in panel.series
             ],

@@ -22,11 +22,13 @@ _THIN = 0.012  # radius of a link without a body, as a share of the arm's length
 
 @dataclass(frozen=True, eq=False)
 class ArmPoses:
-    """The arm at T times (T,) [s]: B capsules each, `ends` (T, B, 2, 3) and `radius` (B,) [m]."""
+    """The arm at T times (T,) [s]: B capsules each, `ends` (T, B, 2, 3) and `radius` (B,) [m]; `joints` (T, J, 3) is
+    the line from the base by way of the joints to the tool."""
 
     time: np.ndarray
     ends: np.ndarray
     radius: np.ndarray
+    joints: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +59,8 @@ def scene_part(scene: Scene) -> dict[str, Any]:
     }
     if scene.arm is not None:
         time, ends = scene.arm.time, scene.arm.ends.reshape(len(scene.arm.time), -1)
-        arm = {"time": time, "ends": ends, "radius": scene.arm.radius}
+        joints = scene.arm.joints.reshape(len(scene.arm.time), -1)
+        arm = {"time": time, "ends": ends, "radius": scene.arm.radius, "joints": joints}
         data["arm"] = {key: np.round(values, 3).tolist() for key, values in arm.items()}
     rows = [["what", "x [m]", "y [m]", "z [m]"]]
     for name, line in {**scene.lines, **scene.points}.items():
@@ -77,7 +80,7 @@ def arm_along(robot: RobotDescription, time: np.ndarray, q: np.ndarray, tool: np
     bones = np.stack([joints[:, :-1], joints[:, 1:]], axis=2)
     length = float(np.linalg.norm(bones[0, :, 1] - bones[0, :, 0], axis=1).sum())
     if not robot.bodies:
-        return ArmPoses(time[chosen], bones, np.full(bones.shape[1], _THIN * length))
+        return ArmPoses(time[chosen], bones, np.full(bones.shape[1], _THIN * length), joints)
     dynamics = Dynamics(robot)
     ends, radii = [bones[:, -1]], [_THIN * length]
     for link, capsules in robot.bodies.items():
@@ -86,7 +89,7 @@ def arm_along(robot: RobotDescription, time: np.ndarray, q: np.ndarray, tool: np
             points = np.array([[*capsule.start, 1.0], [*capsule.end, 1.0]])
             ends.append(np.einsum("sij,pj->spi", poses, points)[..., :3])
             radii.append(capsule.radius)
-    return ArmPoses(time[chosen], np.stack(ends, axis=1), np.array(radii))
+    return ArmPoses(time[chosen], np.stack(ends, axis=1), np.array(radii), joints)
 
 
 def arm_picture(robot: RobotDescription, q: np.ndarray, marked: Collection[str]) -> str:

@@ -319,11 +319,12 @@ def validation_text(result: Validation) -> str:
     """A validation as a table for people."""
     overall = result.overall
     width = max(12, *map(len, result.joints))
-    lines = [f"{'joint':{width}} {'RMSE':>10} {'of nominal':>11} {'relative':>9}"]
+    lines = [f"{'joint':{width}} {'RMSE':>10}     {'of nominal':>12} {'of measured torque':>19}"]
     for k, name in enumerate(result.joints):
         nominal, relative = (error_text(of[k], None) for of in (overall.normalised_rmse, overall.relative_error))
-        lines.append(f"{name:{width}} {overall.rmse[k]:10.4g} {nominal:>11} {relative:>9}")
+        figures = f"{overall.rmse[k]:10.4g} {result.units[k]:3} {nominal:>12} {relative:>19}"
+        lines.append(f"{name:{width}} {figures}")
     logs = ", ".join(log.log for log in result.logs)
     error = error_text(overall.relative_error_all_joints, None)
-    lines.append(f"all joints: {error} at {result.cutoff_hz:g} Hz ({logs})")
+    lines.append(f"all joints: {error} of measured torque, at {result.cutoff_hz:g} Hz ({logs})")
     return "\n".join(lines)

@@ -13,6 +13,7 @@ from agent.core import InputError, finite
 from agent.estimation import FilterSettings, Motion, check_log, motions, resolve_cutoff
 from agent.model import IdentifiedModel
 from agent.recording import Log
+from agent.robot import torque_units
 
 SCHEMA = "validation/1"
 _MOVING = 1e-3  # of a joint's highest speed by the robot description
@@ -43,16 +44,21 @@ class LogErrors(TorqueErrors):
 
 @dataclass(frozen=True)
 class Validation:
-    """What a model leaves of measured torque, log by log and of all samples: the document of docs/estimation.md."""
+    """What a model leaves of measured torque, log by log and of all samples: the document of docs/estimation.md.
+
+    `units`: of each joint's torque, N·m, or N of a slide.
+    """
 
     joints: tuple[str, ...]
+    units: tuple[str, ...]
     cutoff_hz: float
     logs: tuple[LogErrors, ...]
     overall: TorqueErrors
 
     def to_dict(self) -> dict[str, Any]:
         """The document `validation/1`."""
-        return {"schema": SCHEMA, **asdict(self), "logs": [{"log": one.log, **asdict(one)} for one in self.logs]}
+        figures = {key: value for key, value in asdict(self).items() if key != "units"}
+        return {"schema": SCHEMA, **figures, "logs": [{"log": one.log, **asdict(one)} for one in self.logs]}
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,7 +257,13 @@ def summary(predictions: Sequence[Prediction]) -> Validation:
         np.concatenate([p.error for p in predictions]),
     )
     logs = [LogErrors(**_figures(model, p.measured, p.error), log=p.log, samples=len(p.time)) for p in predictions]
-    return Validation(model.robot.joint_names, predictions[0].cutoff, tuple(logs), TorqueErrors(**everything))
+    return Validation(
+        model.robot.joint_names,
+        torque_units(model.robot),
+        predictions[0].cutoff,
+        tuple(logs),
+        TorqueErrors(**everything),
+    )
 
 
 def _figures(model: IdentifiedModel, measured: np.ndarray, error: np.ndarray) -> dict[str, Any]:

@@ -40,7 +40,8 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
     every = slice(None, None, 20)
     dates = Panel("by date", "%", [Series(f"joint_{k}", wave[every, 0] * k, joint=f"joint_{k}") for k in (1, 2)])
     line = np.column_stack([np.cos(t[every]), np.sin(t[every]), 0 * t[every]])
-    arm = ArmPoses(np.array([0.0, 1.0]), np.arange(24.0).reshape(2, 2, 2, 3) / 24, np.array([0.1, 0.05]))
+    ends = np.arange(24.0).reshape(2, 2, 2, 3) / 24
+    arm = ArmPoses(np.array([0.0, 1.0]), ends, np.array([0.1, 0.05]), ends.reshape(2, 4, 3))
     boxes = {"keep-out: table": (np.zeros(3), np.ones(3))}
     cells = np.array([[1.0, np.nan], [0.25, 0.5]])
     left = {"loop": np.abs(line[:, 0])}

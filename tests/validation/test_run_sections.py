@@ -101,3 +101,10 @@ def test_the_parts_of_a_prediction_sum_to_it(logs):
     assert list(parts) == ["gravity", "inertia", "Coriolis", "friction"]
     total = np.sum(list(parts.values()), axis=0)
     np.testing.assert_allclose(total, prediction.predicted, atol=1e-6 * np.abs(prediction.predicted).max())
+
+
+def test_curves_of_joints_differ_without_their_colours():
+    from agent.pages import joint_series
+
+    series = joint_series([f"joint_{k}" for k in range(1, 8)], np.zeros((2, 7)))
+    assert len({one.dash for one in series}) == 7

@@ -51,6 +51,7 @@
       this.panel.series.forEach((one, k) => {
         const value = make("b", {});
         const mark = make("i", { class: one.look, style: `--c:${one.colour}` });
+        if (one.dash.length) mark.innerHTML = `<svg viewBox="0 0 26 4"><path d="M0 2H26" stroke="${one.colour}" stroke-width="3" stroke-dasharray="${one.dash}"/></svg>`;
         const button = make("button", { type: "button", "aria-pressed": "true" }, mark, one.label, value);
         button.addEventListener("click", () => this.toggle(k, !this.on[k], button));
         one.button = button;
@@ -98,7 +99,7 @@
           series.push(quiet, { ...quiet });
           bands.push({ series: [at + 1, at], fill: one.colour + "40" });
         } else if (one.look === "points") series.push({ stroke: one.colour, width: 0, paths: () => null, points: { show: true, size: 5, fill: one.colour, stroke: one.colour } });
-        else series.push({ stroke: one.colour, width: 1.4, dash: one.look === "dashed" ? [6, 4] : undefined, points: { show: false } });
+        else series.push({ stroke: one.colour, width: 1.4, dash: one.dash, points: { show: false } });
       });
       const axis = { stroke: () => colour("--soft"), font: "12px system-ui, sans-serif", grid: { stroke: () => colour("--grid"), width: 1 }, ticks: { stroke: () => colour("--line"), width: 1 } };
       const levels = panel.marks.map(mark => mark[1]);

@@ -41,8 +41,14 @@ for (const figure of document.querySelectorAll("figure.scene")) {
       context.strokeStyle = ink("--soft"); context.globalAlpha = 0.32;
       context.lineWidth = Math.max(3, 2 * body.radius * scale);
       context.beginPath(); context.moveTo(a[0], a[1]); context.lineTo(b[0] + 0.01, b[1]); context.stroke();
-      context.globalAlpha = 1; context.lineWidth = 1.5;
-      context.beginPath(); context.moveTo(a[0], a[1]); context.lineTo(b[0], b[1]); context.stroke();
+      context.globalAlpha = 1;
+    }
+    if (scene.arm) { // the line through the joints, which stays in view where bodies hide each other
+      const joints = scene.arm.joints[frame], chain = [];
+      for (let i = 0; i < joints.length; i += 3) chain.push(flat(joints.slice(i, i + 3)));
+      context.strokeStyle = context.fillStyle = ink("--ink"); context.lineWidth = 3;
+      context.beginPath(); chain.forEach((p, i) => i ? context.lineTo(p[0], p[1]) : context.moveTo(p[0], p[1])); context.stroke();
+      for (const p of chain) { context.beginPath(); context.arc(p[0], p[1], 5, 0, 7); context.fillStyle = ink("--paper"); context.fill(); context.lineWidth = 2; context.stroke(); }
     }
     context.lineWidth = 1.6;
     shapes.forEach((shape, k) => {

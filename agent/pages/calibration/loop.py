@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -9,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from agent.motion import Trajectory
-from agent.pages.elements import Page, Section, render
+from agent.pages.elements import About, NextStep, Page, Section, render
 from agent.pages.plots import SERIES, Panel, Plot, Series, joint_series
 from agent.pages.scene import Scene, arm_along
 from agent.recipe import Recipe
@@ -123,7 +124,15 @@ def search_section(found: Mapping[str, Any]) -> Section:
 
 def plan_report(loop: ShownLoop, found: Mapping[str, Any], program: str) -> str:
     """HTML text of a plan, before anything moves."""
-    headline = f"One cycle takes {loop.duration:.1f} s; fitness {found['fitness']:.2f}."
+    recipe, largest = loop.recipe, max(100 * float(values.max()) for values in loop.limit_use.values())
+    headline = f"The motion keeps all limits. One cycle takes {loop.duration:.1f} s."
+    facts = [
+        ("limits", f"at most {largest:.0f} % of any joint's position, speed or acceleration limit"),
+        ("fitness", f"{found['fitness']:.2f}, log10 det(HᵀH/M); higher is better"),
+    ]
+    command = f"agent calibrate {shlex.quote(str(recipe.path))}"
+    steps = [NextStep("watch the arm below; if its way is clear, run the whole job (the arm moves):", command)]
     listing = Section("Program", ("What the controller will be sent.",), (), program)
     sections = (motion_section(loop), search_section(found), listing)
-    return render(Page(f"Plan for {loop.recipe.robot.name}", headline, "plain", sections))
+    about = About("What will the arm do?", facts, steps)
+    return render(Page(f"Plan for {recipe.robot.name}", headline, "plain", sections, about))
