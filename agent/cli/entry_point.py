@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import os
 import sys
+import warnings
 
 import typer
 
@@ -32,6 +33,9 @@ def main() -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # With colours numba writes to the terminal as the program ends, and waits for one that is frozen.
     os.environ.setdefault("NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING", "1")
+    if not sys.warnoptions:  # a library's warning about numbers names no file; `python -W` shows them
+        warnings.simplefilter("ignore")
+        os.environ["PYTHONWARNINGS"] = "ignore"  # of processes that this one starts
     gc.set_threshold(_COLLECT_EVERY)
     open_standard_descriptors()
     with signals_raised(), patient_messages(hang_up):

@@ -29,6 +29,7 @@ from .errors import (
     SafetyError as SafetyError,
 )
 from .files import (
+    open_regular as open_regular,
     sha256_file as sha256_file,
     sha256_text as sha256_text,
     swept_folder as swept_folder,

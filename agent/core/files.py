@@ -7,13 +7,15 @@ import fcntl
 import hashlib
 import os
 import shutil
+import stat
 import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from io import BufferedReader
 from pathlib import Path
 
-from agent.core.errors import AgentError
+from agent.core.errors import AgentError, InputError
 from drivers.texts import hide
 
 #: A temporary folder younger than this [s] may have been made and not been held yet.
@@ -80,12 +82,25 @@ def _held(folder: Path) -> Iterator[None]:
         os.close(place)
 
 
+def open_regular(path: Path) -> BufferedReader:
+    """Open a file to read its bytes; a pipe or a device, which may never end, is not waited for.
+
+    Raises:
+        InputError: no regular file.
+    """
+    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+        os.close(descriptor)
+        raise InputError(f"{path}: a folder, pipe or device, not a regular file; copy its content into one")
+    return open(descriptor, "rb")
+
+
 def sha256_text(text: str) -> str:
     """SHA-256 (hex) of the UTF-8 text."""
     return hashlib.sha256(text.encode("utf-8")).hexdigest()
 
 
 def sha256_file(path: Path) -> str:
-    """SHA-256 (hex) of a file."""
-    with open(path, "rb") as file:
+    """SHA-256 (hex) of a regular file."""
+    with open_regular(path) as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

@@ -323,6 +323,8 @@ class _Source:
             matrices = [matrix for table in self.tables if len(matrix := table.matrix(names[0])) == n]
             names = [*matrices[0]] if matrices else names
         if len(names) != n:
+            if not any(table.column(name) is not None for table in self.tables for name in names):
+                self.mapping.fault(f"{key}.columns", "; ".join(table.missing(names) for table in self.tables))
             joints = f"{counted(n, 'joint')} ({', '.join(self.robot.joint_names)})"
             self.mapping.fault(f"{key}.columns", f"{counted(len(names), 'column')} for {joints}")
         table, found = self._columns(key, f"{key}.columns", columns.file, names)
@@ -358,8 +360,7 @@ class _Source:
             what = f"several columns are named {doubled[0]}; make them differ, or use numbers"
             fault(columns_key, f"{table.path.name}: {what}")
         if missing:
-            what = f"has no column {', '.join(missing)}; it has {', '.join(table.columns)}"
-            fault(columns_key, f"{table.path.name} {what}")
+            fault(columns_key, table.missing(missing))
         columns = [column for name in names if (column := table.column(name)) is not None]
         for name, column in zip(names, columns, strict=True):
             if len(column) >= 2 > np.count_nonzero(np.isfinite(column)):

@@ -13,15 +13,19 @@ from typing import Any, Literal
 
 import numpy as np
 
-from agent.core import InputError, needed
+from agent.core import InputError, needed, open_regular
 from agent.recording.text_tables import ColumnTable, Row, read_text, table_of_rows
 
 #: Columns that one matrix of a MAT file may hold; a wider one is no table of samples.
 _MAX_COLUMNS = 256
 #: Numbers that one table may hold: an hour of 37 columns at 500 Hz, 512 MiB in memory.
 _MOST_VALUES = 2**26
+#: Cells of a workbook, 16 columns of as many rows as Excel allows, and bytes of one as text.
+_MOST_CELLS, _CELL = 2**24, 64
 _MAT_HEADER, _MAT_TAG, _MAT_COMPRESSED = 128, 8, 15  # bytes, bytes, data type
 _PIECE = 2**20  # bytes
+#: From this mark of MATLAB 7.3 on, a variable is an object of a class.
+_OBJECT = 2
 
 
 def read_table(path: Path) -> ColumnTable:
@@ -33,15 +37,16 @@ def read_table(path: Path) -> ColumnTable:
     ending = path.suffix.lower()
     if ending not in _READERS:
         raise InputError(f"{path}: tables end in {', '.join(_READERS)}; this one ends in {path.suffix or 'nothing'}")
-    if not path.is_file():
-        raise InputError(f"{path}: no such file")
     kind, reader = _READERS[ending]
     try:
+        open_regular(path).close()
         table = reader(path)
     except InputError:
         raise
     except (MemoryError, RecursionError):
         raise InputError(f"{path}: takes more memory, or is nested deeper, than a table of samples") from None
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file") from None
     except OSError as error:
         if error.strerror:
             raise InputError(f"{path}: cannot be read: {error.strerror}") from None
@@ -54,11 +59,11 @@ def read_table(path: Path) -> ColumnTable:
     return table
 
 
-def _check_values(path: Path, values: int) -> None:
-    """Raise InputError if these are more numbers than a table may hold."""
-    if values > _MOST_VALUES:
+def _check_values(path: Path, values: int, most: int = _MOST_VALUES, size: int = 8) -> None:
+    """Raise InputError if these are more values, each of `size` bytes, than a table may hold."""
+    if values > most:
         raise InputError(
-            f"{path}: holds more than {_MOST_VALUES} numbers ({_MOST_VALUES >> 17} MiB in memory), the limit for one "
+            f"{path}: holds more than {most} values ({most * size >> 20} MiB in memory), the limit for one "
             "table; split the recording, or leave out columns that are not needed"
         )
 
@@ -92,17 +97,22 @@ def _check_mat(path: Path) -> None:
 
 
 class _Variables:
-    """Columns and constants of a file of named arrays."""
+    """Columns, constants and MATLAB objects of a file of named arrays."""
 
     def __init__(self) -> None:
         self.columns: dict[str, np.ndarray] = {}
         self.constants: dict[str, float] = {}
+        self.objects: dict[str, str] = {}
 
     def add(self, name: str, value: Any) -> None:
         """Numbers of a variable: scalars, vectors, matrices (samples along the longer side), fields of structs."""
         for part in getattr(value, "_fieldnames", ()):  # as SciPy reads a struct of MATLAB
             self.add(f"{name}.{part}", getattr(value, part))
         array = np.asarray(value)
+        if type(value).__name__ == "MatlabOpaque":  # an object; before SciPy 1.18 its name is a field, not the key
+            about = dict(zip(array.dtype.names or (), map(_ascii, array.reshape(-1)[0]), strict=True))
+            self.objects[about.get("s0", name)] = about.get("s2") or about.get("_Class", "class")
+            return
         for part in array.dtype.names or ():
             self.add(f"{name}.{part}".strip("."), array[part])
         if array.dtype.kind not in "biuf":
@@ -115,6 +125,14 @@ class _Variables:
         elif array.ndim == 2 and min(array.shape) <= _MAX_COLUMNS:
             samples = array if array.shape[0] >= array.shape[1] else array.T
             self.columns |= {f"{name}[{k + 1}]": column for k, column in enumerate(samples.T)}
+
+    def table(self, path: Path) -> ColumnTable:
+        """All of it."""
+        return ColumnTable(path, self.columns, self.constants, objects=self.objects)
+
+
+def _ascii(text: Any) -> str:
+    return text.decode("ascii", errors="replace") if isinstance(text, bytes) else str(text)
 
 
 def _read_mat(path: Path) -> ColumnTable:
@@ -129,7 +147,7 @@ def _read_mat(path: Path) -> ColumnTable:
     for name, value in content.items():
         if not name.startswith("__"):
             found.add(name, value)
-    return ColumnTable(path, found.columns, found.constants)
+    return found.table(path)
 
 
 def _read_hdf5(path: Path) -> ColumnTable:
@@ -138,8 +156,10 @@ def _read_hdf5(path: Path) -> ColumnTable:
     found, sizes = _Variables(), list[int]()
 
     def take(name: str, item: Any) -> None:
-        kind = item.attrs.get("MATLAB_class", b"double")
-        if isinstance(item, h5py.Dataset) and item.shape and not name.startswith("#") and kind != b"char":
+        kind = _ascii(item.attrs.get("MATLAB_class", b"double"))
+        if item.attrs.get("MATLAB_object_decode", 0) >= _OBJECT:
+            found.objects[name.replace("/", ".")] = kind
+        elif isinstance(item, h5py.Dataset) and item.shape and not name.startswith("#") and kind != "char":
             sizes.append(item.size)
             _check_values(path, sum(sizes))
             # MATLAB stores its matrices column by column, so they come transposed
@@ -147,7 +167,7 @@ def _read_hdf5(path: Path) -> ColumnTable:
 
     with h5py.File(path, "r") as file:
         file.visititems(take)
-    return ColumnTable(path, found.columns, found.constants)
+    return found.table(path)
 
 
 def _read_numpy(path: Path) -> ColumnTable:
@@ -161,23 +181,33 @@ def _read_numpy(path: Path) -> ColumnTable:
         return ColumnTable(path, columns, found.constants)
     for name in content.files:
         found.add(name, content[name])
-    return ColumnTable(path, found.columns, found.constants)
+    return found.table(path)
 
 
 def _read_workbook(path: Path) -> ColumnTable:
-    """The sheet with the most rows."""
+    """The sheet with the most rows. Cells are counted as they come: one cell far off makes a row of 16 384."""
     openpyxl = needed("openpyxl", f"{path}: reading Excel", "tables")
     _check_unzipped(path)
-    book = openpyxl.load_workbook(path, read_only=True, data_only=True)
-    sheets = [[[_text(value) for value in row] for row in sheet.values] for sheet in book.worksheets]
+    book, longest, cells = openpyxl.load_workbook(path, read_only=True, data_only=True), list[Row](), 0
+    for sheet in book.worksheets:
+        sheet.reset_dimensions()  # what the file says its size is need not be true
+        rows = []
+        for values in sheet.values:
+            if any(value is not None for value in values):
+                cells += len(values)
+                _check_values(path, cells, _MOST_CELLS, _CELL)
+                rows.append(Row([_text(value) for value in values]))
+        longest = max(longest, rows, key=len)
     book.close()
-    return table_of_rows(path, [Row(row) for row in max(sheets, key=len, default=[]) if any(row)])
+    return table_of_rows(path, longest)
 
 
 def _text(value: Any) -> str:
     """A cell as a CSV file would have it."""
     if value is None:
         return ""
+    if hasattr(value, "total_seconds"):  # a duration
+        return str(value.total_seconds())
     return value.isoformat() if hasattr(value, "isoformat") else str(value).strip()
 
 
@@ -200,13 +230,25 @@ def _read_parquet(path: Path) -> ColumnTable:
         content = file.read(names).flatten()  # fields of structs become columns
     found = _Variables()
     for name in content.column_names:
-        values = content.column(name).to_numpy(zero_copy_only=False)
+        values = _in_seconds(content.column(name)).to_numpy(zero_copy_only=False)
         if values.dtype.kind == "O" and len({np.shape(value) for value in values}) == 1 and np.ndim(values[0]) == 1:
             values = np.stack(values)
-        if values.dtype.kind == "M":
-            values = values.astype("datetime64[ns]").astype(np.int64) / 1e9
         found.add(name, values)
-    return ColumnTable(path, found.columns, found.constants)
+    return found.table(path)
+
+
+def _in_seconds(column: Any) -> Any:
+    """A column of Parquet; dates, times of day and durations as seconds."""
+    from pyarrow import compute, int32, int64, types
+
+    if not types.is_temporal(column.type) or types.is_interval(column.type):
+        return column
+    if types.is_date(column.type):
+        return compute.multiply(column.cast("date32").cast(int32()).cast("double"), 86400.0)
+    whole = column.cast(int32() if types.is_time32(column.type) else int64())
+    return compute.divide(
+        whole.cast("double", safe=False), {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}[column.type.unit]
+    )
 
 
 #: Kind of a file, and what reads it, by its ending.

@@ -21,13 +21,16 @@ import numpy as np
 
 from agent.core import InputError, counted
 
-_HIDDEN = re.compile(r'"[^"]*"|\[[^\]]*\]|\([^)]*\)')
+_HIDDEN = re.compile(r'"[^"]*"|\[[^\[\]]*\]|\([^()]*\)')
 _VECTOR = re.compile(r"(?:[a-z_.]+\()?(?:'\w',)?\s*\[([^\[\]]*)\][^\[\]]*|[({]([^\[\]]*)[)}]")
 _BETWEEN = re.compile(r"[\s,;|]+")
 _THOUSANDS = re.compile(r"[-+]?\d{1,3}(?:,\d{3})+\.\d*")
-_DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?|[-+]?\d+,")
+_NUMBER, _PLAIN = re.compile(r"[-+]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eEdD][-+]?\d+)?"), str.maketrans(",dD", ".ee")
 _DATE = re.compile(r"\d{4}-?\d\d-?\d\d[T ]\d\d:?\d\d")
 _CLOCK = re.compile(r"(\d{1,2}):(\d\d):(\d\d(?:[.,]\d+)?)")
+_KIND = {"[": "[", "]": "[", "(": "(", ")": "("}
+#: Characters of the longest number: more digits are no measurement, and take long to read.
+_LONGEST = 400
 #: What programs write for a number that is missing.
 _MISSING = {"", "nan", "na", "n/a", "#n/a", "null", "none", "-", "--", "inf", "-inf"}
 #: Types of UR's RTDE: code of NumPy, and how many of them.
@@ -47,7 +50,8 @@ class ColumnTable:
 
     A matrix (S, k) named q is columns q[1] to q[k]. Columns of a MAT file may differ in length. `words` has the first
     field of a column that is no number, where there is one; `other_names` the column of a name in another line of
-    names; `doubled` names that several columns have; `notes` what there is to say about the file.
+    names; `doubled` names that several columns have; `notes` what there is to say about the file; `objects` the class
+    of MATLAB's objects, which cannot be read.
     """
 
     path: Path
@@ -57,12 +61,13 @@ class ColumnTable:
     other_names: dict[str, str] = field(default_factory=dict)
     doubled: frozenset[str] = frozenset()
     notes: tuple[str, ...] = ()
+    objects: dict[str, str] = field(default_factory=dict)
 
     def name(self, key: str | int) -> str | None:
         """Name of a column, found by name or by number from 1; None if there is no such column."""
         if isinstance(key, int):
             return list(self.columns)[key - 1] if 1 <= key <= len(self.columns) else None
-        for text in (key, key.lstrip("#% ")):  # a comment that holds the names
+        for text in (key, key.lstrip("#% "), _dotted(key)):  # a comment that holds the names, a path of HDF5
             name = text if text in self.columns else self.other_names.get(text, f"{text}[1]")
             if name in self.columns:
                 return name
@@ -75,8 +80,25 @@ class ColumnTable:
 
     def matrix(self, name: str) -> list[str]:
         """Names of the columns of a matrix, q[1], q[2], …; empty if there is none of that name."""
-        name = self.other_names.get(name, name)
-        return [column for column in self.columns if column.startswith(f"{name}[")]
+        names = (self.other_names.get(text, text) for text in (name, _dotted(name)))
+        found = ([column for column in self.columns if column.startswith(f"{text}[")] for text in names)
+        return next(filter(None, found), [])
+
+    def missing(self, names: Sequence[str | int]) -> str:
+        """That it has none of these columns, what it has instead, and what to do."""
+        matrices = Counter(name.partition("[")[0] for name in self.columns)
+        rows = {name.partition("[")[0]: len(column) for name, column in self.columns.items()}
+        has = [f"{name} ({rows[name]} x {count})" if count > 1 else name for name, count in matrices.items()]
+        text = f"{self.path.name} has no column {', '.join(map(str, names))}; it has {', '.join(has) or 'none'}"
+        objects = [f"{name}, a MATLAB {kind}" for name, kind in self.objects.items()]
+        if not objects:
+            return text
+        return f"{text}, and {'; '.join(objects)}: save plain arrays of it, as in q = ts.Data; t = ts.Time"
+
+
+def _dotted(path: str) -> str:
+    """The name of a dataset of HDF5 by its path."""
+    return path.strip("/").replace("/", ".")
 
 
 class Row:
@@ -200,7 +222,8 @@ def _plain_table(path: Path, lines: list[str]) -> ColumnTable | None:
         return None
     plain = [line for line in lines[start:] if not line.lstrip().startswith(("#", "%"))]
     try:
-        numbers = plain if separator == "," else [line.replace(",", ".") for line in plain]
+        # a generator lets signals in
+        numbers = (line if separator == "," else line.replace(",", ".") for line in plain)
         values = np.loadtxt(numbers, delimiter=separator, ndmin=2, comments=None)
     except ValueError:
         return None
@@ -210,9 +233,10 @@ def _plain_table(path: Path, lines: list[str]) -> ColumnTable | None:
 
 def _rows(lines: list[str]) -> list[Row]:
     """Fields of lines by the separator that most of them have; a quoted field may go over several lines."""
-    bare = _HIDDEN.sub("", "\n".join(lines)).split("\n")
+    quoted = any('"' in line for line in lines)
+    bare = _HIDDEN.sub("", "\n".join(lines)).split("\n") if quoted else lines or [""]
     separator = Counter(map(_separator, bare)).most_common(1)[0][0]
-    if any('"' in line for line in lines):
+    if quoted:
         with contextlib.suppress(csv.Error):  # a field of very many characters
             return [_without_mark(fields) for fields in _quoted(lines, separator) if fields]
     return [_row(line, separator) for line in lines]
@@ -223,11 +247,24 @@ def _row(line: str, separator: str | None) -> Row:
         with contextlib.suppress(csv.Error):
             return _without_mark(_quoted([line], separator)[0])
     if "[" in line or "(" in line:
-        apart = re.escape(separator) if separator else r"\s+"
-        fields = re.split(rf"{apart}(?![^\[\]]*\])(?![^()]*\))", line.strip() if separator is None else line)
-    else:
-        fields = line.split(separator)
-    return _without_mark(fields)
+        return _without_mark(_outside_brackets(line.strip() if separator is None else line, separator))
+    return _without_mark(line.split(separator))
+
+
+def _outside_brackets(line: str, separator: str | None) -> list[str]:
+    """Fields between separators that stand in no [] or (): the next bracket of a kind does not close one.
+
+    From the end on, each mark is looked at once.
+    """
+    apart = r"\s+" if separator is None else re.escape(separator)
+    fields, stop, following = [], len(line), {"[": "", "(": ""}
+    for mark in reversed([*re.finditer(rf"[\[\]()]|{apart}", line)]):
+        if mark[0] in _KIND:
+            following[_KIND[mark[0]]] = mark[0]
+        elif following["["] != "]" and following["("] != ")":
+            fields.append(line[mark.end() : stop])
+            stop = mark.start()
+    return [line[:stop], *reversed(fields)]
 
 
 def _quoted(lines: list[str], separator: str | None) -> list[list[str]]:
@@ -263,13 +300,15 @@ def _cell(text: str) -> Cell:
 
 
 def _number(text: str) -> float:
-    """A number, a time of day or a date [s]; NaN for anything else."""
+    """A number (Fortran writes 1D-3, others 0,001), a time of day or a date [s]; NaN for anything else."""
+    if len(text) > _LONGEST:
+        return np.nan
     try:
         return float(text)
     except ValueError:
         pass
-    if _DECIMAL_COMMA.fullmatch(text):
-        return float(text.replace(",", "."))
+    if _NUMBER.fullmatch(text):
+        return float(text.translate(_PLAIN))
     if clock := _CLOCK.fullmatch(text):
         return 3600.0 * int(clock[1]) + 60.0 * int(clock[2]) + float(clock[3].replace(",", "."))
     if _DATE.match(text):

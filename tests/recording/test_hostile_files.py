@@ -1,7 +1,10 @@
 """Files that were made to harm: memory is bounded, and whatever stands in them is one message or one repair."""
 
+import os
 import struct
+import time
 import tracemalloc
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -109,7 +112,7 @@ def test_a_table_is_limited_in_memory(tmp_path, ending: str):
     assert path.stat().st_size < 4 * 2**20
     tracemalloc.start()
     try:
-        with pytest.raises(InputError, match="more than 67108864 numbers"):
+        with pytest.raises(InputError, match="more than 67108864 values"):
             read_table(path)
         assert tracemalloc.get_traced_memory()[1] < 50 * 2**20
     finally:
@@ -158,3 +161,59 @@ def test_reads_columns_of_every_number_type(tmp_path, kind: str):
     }[kind]
     parquet.write_table(pyarrow.table({"t": [0.0, 0.1], "q": values}), tmp_path / "log.parquet")
     assert len(read_table(tmp_path / "log.parquet").columns) == (3 if kind in ("list", "fixed") else 2)
+
+
+@pytest.mark.parametrize("rows", [1, 70])
+def test_far_cells_of_a_workbook_cost_little_memory(tmp_path, rows: int, monkeypatch):
+    """The last column that Excel knows, in one row far below or in many: cells are counted as they come."""
+    import openpyxl
+
+    monkeypatch.setattr("agent.recording.tables._MOST_CELLS", 2**20)
+
+    path = tmp_path / "far.xlsx"
+    book = openpyxl.Workbook()
+    book.active.append([0.0, 1.0])
+    book.save(path)
+    first = 20_000
+    cells = "".join(f'<row r="{first + k}"><c r="XFD{first + k}"><v>1</v></c></row>' for k in range(1, rows + 1))
+    with zipfile.ZipFile(path) as old:
+        parts = {name: old.read(name) for name in old.namelist()}
+    sheet = parts["xl/worksheets/sheet1.xml"].replace(b"</sheetData>", cells.encode() + b"</sheetData>")
+    parts["xl/worksheets/sheet1.xml"] = sheet.replace(b'ref="A1:B1"', b'ref="A1:XFD1048576"')
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as new:
+        for name, part in parts.items():
+            new.writestr(name, part)
+    tracemalloc.start()
+    try:
+        if rows == 1:
+            assert len(read_table(path).columns) in (2, 2**14)
+        else:
+            with pytest.raises(InputError, match=r"far\.xlsx: holds more than 1048576 values"):
+                read_table(path)
+        assert tracemalloc.get_traced_memory()[1] < 100 * 2**20
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.parametrize("text", ["[" * 9, "(" * 9, "[;" * 9, "1," * 9 + "[", '"' * 9, "9" * 9, ",1" * 9 + "(", "()-,"])
+def test_long_lines_are_read_in_linear_time(tmp_path, text: str):
+    """Four times the text takes four times as long, not sixteen."""
+
+    def seconds(times: int) -> float:
+        path = tmp_path / "line.csv"
+        path.write_text("t,q\n0,1\n1,2\n" + text * times + "\n2,3\n")
+        began = time.process_time()
+        read_table(path)
+        return time.process_time() - began
+
+    least = min(seconds(1000) for _ in range(3))
+    assert min(seconds(4000) for _ in range(2)) < 10 * least + 0.05
+
+
+@pytest.mark.parametrize("name", ["pipe.csv", "pipe.mcap", "pipe.npz"])
+def test_a_pipe_is_refused_and_not_waited_for(tmp_path, name: str):
+    os.mkfifo(tmp_path / name)
+    (tmp_path / f"link-{name}").symlink_to(tmp_path / name)
+    for path in (tmp_path / name, tmp_path / f"link-{name}"):
+        with pytest.raises(InputError, match=f"{name}: a folder, pipe or device"):
+            (read_log if name.endswith("mcap") else read_table)(path)

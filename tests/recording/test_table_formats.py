@@ -329,3 +329,50 @@ def test_numbers_come_back_as_they_were_written(tmp_path, rows, separator, pream
     table = read_table(path)
     names = ("t", "q[1]", "q[2]") if vectors else ("t", "q1", "q2")
     np.testing.assert_array_equal(np.column_stack([table.column(name) for name in names]), rows)
+
+
+def test_exponents_of_fortran_are_numbers(taken):
+    rows = "".join(",".join(f"{value:.12E}".replace("E", "D") for value in row) + "\n" for row in ROWS)
+    log, _ = taken("t,a,b,x,y\n" + rows, NAMES)
+    _same(log)
+
+
+@pytest.mark.parametrize("kind", ["duration", "timestamp", "time"])
+def test_times_of_parquet_are_seconds(taken, tmp_path, kind: str):
+    import pyarrow
+    from pyarrow import parquet
+
+    micro = np.rint(T * 1e6).astype(np.int64)
+    types = {"duration": pyarrow.duration("us"), "timestamp": pyarrow.timestamp("us"), "time": pyarrow.time64("us")}
+    columns = {"t": pyarrow.array(micro).cast(types[kind]), "a": Q[:, 0], "b": Q[:, 1], "x": TAU[:, 0], "y": TAU[:, 1]}
+    parquet.write_table(pyarrow.table(columns), tmp_path / "log.parquet")
+    log, _ = taken(tmp_path / "log.parquet", NAMES)
+    _same(log)
+
+
+def test_a_matrix_that_is_not_there_is_named_with_what_is(taken, tmp_path):
+    np.savez(tmp_path / "log.npz", t=T, q_actual=Q, tau=TAU)
+    with pytest.raises(InputError, match=r"log.npz has no column q; it has t, q_actual \(120 x 2\), tau \(120 x 2\)"):
+        taken(tmp_path / "log.npz", VECTORS)
+
+
+def test_a_dataset_may_be_written_as_its_path(taken, tmp_path):
+    import h5py
+
+    with h5py.File(tmp_path / "log.h5", "w") as file:
+        file["demo/t"], file["demo/q"], file["demo/tau"] = T, Q, TAU
+    mapping = "time: {column: demo/t}\nposition: {columns: /demo/q}\neffort: {columns: demo.tau}\n"
+    log, _ = taken(tmp_path / "log.h5", mapping)
+    _same(log)
+
+
+def test_an_object_of_matlab_is_named_with_how_to_save_it(taken, tmp_path):
+    """As MATLAB 7.3 stores a `timeseries`: a reference to its class, not its numbers."""
+    import h5py
+
+    with h5py.File(tmp_path / "log.h5", "w") as file:
+        file["t"] = T
+        item = file.create_dataset("run", data=np.array([[3707764736, 2, 1, 1, 1, 1]], np.uint32))
+        item.attrs["MATLAB_class"], item.attrs["MATLAB_object_decode"] = np.bytes_(b"timeseries"), np.int32(3)
+    with pytest.raises(InputError, match=r"no column run; it has t, and run, a MATLAB timeseries: save plain arrays"):
+        taken(tmp_path / "log.h5", VECTORS.replace("columns: q", "columns: run"))

@@ -19,7 +19,7 @@ from urllib.parse import quote
 import lz4.frame
 import zstandard
 
-from agent.core import InputError, needed, read_yaml
+from agent.core import InputError, needed, open_regular, read_yaml
 
 METADATA = "metadata.yaml"
 #: First bytes of a sqlite3 file, of a ROS 1 bag, and of whatever zstd has compressed.
@@ -78,9 +78,9 @@ def unpacked(path: Path) -> Iterator[tuple[IO[bytes], str]]:
     """A file and the path of what is in it: a temporary file where it is compressed as a whole (zstd, gzip, lz4).
 
     Raises:
-        InputError: it unpacks to more than any recording does.
+        InputError: it is no regular file, or unpacks to more than any recording does.
     """
-    with open(path, "rb") as file:
+    with open_regular(path) as file:
         start = file.read(len(ZSTD))
         file.seek(0)
         opener = next((opener for magic, opener in _COMPRESSED.items() if start.startswith(magic)), None)

@@ -27,7 +27,7 @@ from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Metadata, Schema
 
-from agent.core import InputError
+from agent.core import InputError, open_regular
 from agent.recording.mcap.bag import (
     MOST_TIMES,
     ROS1,
@@ -114,7 +114,7 @@ def scan(path: Path) -> Scan:
                 else:
                     _read_mcap(path, content, messages)
             messages.end_file()
-            with open(part, "rb") as file:
+            with open_regular(part) as file:
                 while block := file.read(_BLOCK):
                     digest.update(block)
     except FileNotFoundError:
