@@ -21,6 +21,7 @@ _BUILT_IN = {
     "modbus": "drivers.transports.modbus.driver:ModbusDriver",
     "cnr_comau": "drivers.transports.cnr.driver:create",
     "ur": "drivers.transports.ur.driver:UrDriver",
+    "ros2": "drivers.transports.ros2.driver:Ros2Driver",
 }
 
 _log = logging.getLogger(__name__)

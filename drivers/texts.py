@@ -24,7 +24,8 @@ _HIDDEN = "***"
 _IP = re.compile(r"[0-9A-Fa-f]{0,4}(?::[0-9A-Fa-f]{0,4}){2,7}")
 #: Where an address leads: a device, or a host with its port.
 _PLACE = re.compile(
-    r"/(?:[\w./+~-]|:(?=\d))*|\\\\\.\\\w+|(?:[a-z]+://)?(?:\[[\w:.%]+\]|[\w.-]*)(?::0*\d{1,5}(?!\w))?", re.ASCII
+    r"ros2://[\w/]*|/(?:[\w./+~-]|:(?=\d))*|\\\\\.\\\w+|(?:[a-z]+://)?(?:\[[\w:.%]+\]|[\w.-]*)(?::0*\d{1,5}(?!\w))?",
+    re.ASCII,
 )
 
 

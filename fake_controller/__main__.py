@@ -13,11 +13,13 @@ from contextlib import suppress
 from pathlib import Path
 
 from agent.core import AgentError, InputError, print_text, read_json, write_atomically
+from drivers.errors import ConfigurationError
 from fake_controller.actuation import effects_text
 from fake_controller.actuation.machine import weighs_nothing
-from fake_controller.build import build_controller, build_ur_cell
+from fake_controller.build import build_controller, build_ros2_cell, build_ur_cell
 from fake_controller.controller import Controller
 from fake_controller.interpolation import KINDS
+from fake_controller.ros2.cell import EFFORTS, Ros2Cell
 from fake_controller.scenario import SetupSection, load_scenario
 from fake_controller.servers import WIRES, NoBrokerError, Server, open_server
 from fake_controller.ur.arm import MODELS
@@ -26,7 +28,8 @@ from fake_controller.ur.server import UrServer
 
 #: Shortest watchdog [s] by clock: an arm that is simulated as fast as possible has no steady pace in wall time.
 WATCHDOGS = {"fast": 5.0, "real": 0.05}
-DEFAULT_PORT, UR = 9100, "ur"
+DEFAULT_PORT, UR, ROS2 = 9100, "ur", "ros2"
+HERE, ROS2_ADDRESS = "127.0.0.1", "ros2://0/joint_trajectory_controller"
 #: How long [s] the simulated arm may keep the interpreter from the servers' threads. A link with many short exchanges
 #: waits for it in each of them, and a controller answers while it plans.
 SWITCH_INTERVAL = 0.0005
@@ -71,7 +74,7 @@ def main(arguments: list[str] | None = None) -> int:
     return 0
 
 
-def _controller(options: argparse.Namespace) -> Controller | UrCell:
+def _controller(options: argparse.Namespace) -> Controller | UrCell | Ros2Cell:
     """What the scenario says, where the command line says nothing else; also sets `options.clock` and `driver`.
 
     Raises:
@@ -94,8 +97,13 @@ def _controller(options: argparse.Namespace) -> Controller | UrCell:
     seed = setup.seed if options.seed is None else options.seed
     faults = [] if scenario is None else scenario.build_faults(options.robot)
     about = (robot, seed, options.clock, effects, faults, options.model)
-    controller: Controller | UrCell
-    if options.driver != UR:
+    controller: Controller | UrCell | Ros2Cell
+    if options.driver == ROS2:
+        _check_ros2(options)
+        controller = build_ros2_cell(
+            robot, seed, effects, faults, options.model, rate=options.rate, effort=options.effort
+        )
+    elif options.driver != UR:
         controller = build_controller(*about, options.interpolator)
     elif options.port is not None:
         raise InputError("a UR controller listens at its published ports: leave out --port, choose an --address")
@@ -113,7 +121,19 @@ def _controller(options: argparse.Namespace) -> Controller | UrCell:
     return controller
 
 
-def _server(options: argparse.Namespace, controller: Controller | UrCell) -> Server:
+def _check_ros2(options: argparse.Namespace) -> None:
+    """Sets the address that ROS 2 has by default.
+
+    Raises:
+        InputError: a port, or a clock that is not the wall's.
+    """
+    if options.port is not None or options.clock != "real":
+        raise InputError("ROS 2 has no ports and one clock: leave out --port and --clock fast")
+    if options.address == HERE:
+        options.address = ROS2_ADDRESS
+
+
+def _server(options: argparse.Namespace, controller: Controller | UrCell | Ros2Cell) -> Server:
     """The server of the controller's wire.
 
     Raises:
@@ -123,6 +143,10 @@ def _server(options: argparse.Namespace, controller: Controller | UrCell) -> Ser
     try:
         if isinstance(controller, UrCell):
             return UrServer(controller, options.address)
+        if isinstance(controller, Ros2Cell):
+            from fake_controller.ros2.node import Ros2Server
+
+            return Ros2Server(controller, options.address)
         return open_server(
             options.driver,
             controller,
@@ -133,6 +157,9 @@ def _server(options: argparse.Namespace, controller: Controller | UrCell) -> Ser
             broker=options.broker,
             node_period=options.node_period and options.node_period * 1e-3,
         )
+    except (ImportError, ConfigurationError) as error:
+        advice = "; source ROS 2 (Jazzy or later) first, or run `make ros`" if isinstance(error, ImportError) else ""
+        raise InputError(f"{error}{advice}") from None
     except NoBrokerError as error:
         raise InputError(f"{error}; start one (apt-get install mosquitto), or name it by --broker") from None
     except OSError as error:
@@ -149,13 +176,19 @@ def _parser() -> argparse.ArgumentParser:
     )
     add = parser.add_argument
     add("--robot", help="built-in robot (default: comau_ns16), or path of a robot.yaml")
-    add("--driver", choices=[*WIRES, UR], help="which driver's wire to speak (default: ur for its robots, else tcp)")
+    add(
+        "--driver",
+        choices=[*WIRES, UR, ROS2],
+        help="which driver's wire to speak (default: ur for its robots, else tcp)",
+    )
     add(
         "--port",
         type=_port,
         help=f"TCP port (default: {DEFAULT_PORT}); 0 takes a free one and prints it; ur has its published ports",
     )
-    add("--address", default="127.0.0.1", help="where to listen; others cannot connect by default")
+    add("--address", default=HERE, help=f"where to listen; others cannot connect by default. For ros2: {ROS2_ADDRESS}")
+    add("--rate", type=_between(float, 50.0, 1000.0, "rate [Hz]"), default=500.0, help="cycles a second, of ros2")
+    add("--effort", choices=EFFORTS, default=EFFORTS[0], help="what joint_states have as effort, of ros2")
     add("--broker", type=_broker, default="127.0.0.1:1883", help="MQTT broker of cnr_comau's samples")
     add(
         "--node-period",

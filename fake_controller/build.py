@@ -15,6 +15,7 @@ from fake_controller.faults import Fault, Faults, check_wire
 from fake_controller.interpolation import build_interpolator
 from fake_controller.interpreter import left_over
 from fake_controller.plant import Plant
+from fake_controller.ros2.cell import IMPOSSIBLE as ON_ROS2, Ros2Cell
 from fake_controller.ur.arm import MODELS
 from fake_controller.ur.cell import IMPOSSIBLE, UrCell
 from fake_controller.ur.state import Version
@@ -85,6 +86,37 @@ def build_ur_cell(
         raise InputError(str(error)) from None
     serial = f"2019{int(_digest(seed)[:6], 16):08d}"
     return UrCell(robot, plant, CLOCKS[clock](), serial, seed, version, Faults(faults), shortest_watchdog)
+
+
+def build_ros2_cell(
+    robot_name: str,
+    seed: int,
+    effects: Sequence[Mapping[str, Any]] = (),
+    faults: Sequence[Fault] = (),
+    model: Path | None = None,
+    rate: float = 500.0,
+    effort: str = "torque",
+    tolerance: float = 0.2,
+) -> Ros2Cell:
+    """An arm with a trajectory controller of ROS 2, in real time.
+
+    Args:
+        robot_name, seed, effects, faults, model: as of `build_controller`.
+        rate: cycles a second.
+        effort: what joint_states have as effort, one of `fake_controller.ros2.cell.EFFORTS`.
+        tolerance: of the path, by the controller's parameters [rad]; 0 is none.
+
+    Raises:
+        InputError: no such robot or model, an effect that does not fit it, or a fault that makes no sense there.
+    """
+    robot, plant = _machine(robot_name, seed, effects, 1.0 / rate, model)
+    if plant.machine.path_changes:
+        raise InputError("interpolator_mismatch is not simulated on ROS 2; remove it from the effects")
+    try:
+        check_wire(faults, "ros2", ON_ROS2)
+    except ValueError as error:
+        raise InputError(str(error)) from None
+    return Ros2Cell(robot, plant, 1.0 / rate, Faults(faults), effort, tolerance)
 
 
 def _machine(

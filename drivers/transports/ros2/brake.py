@@ -1,0 +1,202 @@
+"""A process of its own that brakes the arm when the agent is gone, however it went.
+
+The agent holds its standard input. Each line is an order: `arm STRENGTH…` (deceleration of each joint [rad/s²]),
+`disarm`, or an empty one as a sign of life. Where the input ends or is silent while armed, the arm is braked by one
+point, and whatever runs is cancelled once it rests. Run as `python -m drivers.transports.ros2.brake`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Sequence
+from typing import IO, Any
+
+import numpy as np
+
+from drivers.errors import DriverError, ProtocolError
+from drivers.transports.ros2.following import Speed, brake_point
+from drivers.wire.ros2 import JOINT_STATES, JointSample, JointStateReader, RosAddress
+
+#: Silence [s] of an agent that is armed after which it is taken for gone: a busy computer keeps a process waiting for
+#: half a second.
+SILENCE = 1.0
+#: Time [s] that a goal has to rest before what runs is cancelled, at most.
+CANCEL_AFTER = 0.6
+_TURN = 0.01  # s
+_READY = "ready"
+_STILL = 0.01  # rad/s
+
+
+class BrakeProcess:
+    """The agent's end of it.
+
+    Args:
+        address: of the controller, as the recipe has it.
+        joints: of the arm, in their order.
+    """
+
+    def __init__(self, address: str, joints: Sequence[str], name: str) -> None:
+        self._lock = threading.Lock()
+        self._armed = False
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "drivers.transports.ros2.brake", address, name, *joints],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,  # a Ctrl-C at the terminal is for the agent alone
+            bufsize=0,
+        )
+        self._ready = False
+
+    def wait_ready(self, timeout: float) -> None:
+        """Wait until it would brake.
+
+        Raises:
+            DriverError: it has ended, or does not see the arm in time.
+        """
+        out: IO[bytes] | None = self._process.stdout
+        assert out is not None
+        until = time.monotonic() + timeout
+        while not self._ready:
+            readable, _, _ = select.select([out], [], [], max(0.0, until - time.monotonic()))
+            line = out.readline().decode().strip() if readable else ""
+            if line != _READY:
+                raise DriverError(
+                    "the second process, which brakes the arm when the agent is gone, "
+                    + (
+                        f"did not see the arm within {timeout:g} s"
+                        if not readable
+                        else f"has ended: {line or 'no word'}"
+                    )
+                    + "; nothing moved. Run the command again"
+                )
+            self._ready = True
+
+    @property
+    def alive(self) -> bool:
+        """Whether it would brake."""
+        return self._ready and self._process.poll() is None
+
+    def arm(self, strength: np.ndarray) -> None:
+        """From now on it brakes where nothing is heard."""
+        self._say("arm " + " ".join(f"{value:.6g}" for value in strength))
+        self._armed = True
+
+    def disarm(self) -> None:
+        """The arm rests: from now on it does nothing."""
+        self._armed = False
+        self._say("disarm")
+
+    def beat(self) -> None:
+        """A sign of life; never waits."""
+        if self._armed:
+            self._say("")
+
+    def close(self) -> None:
+        """End it, the arm at rest; never raises."""
+        with contextlib.suppress(OSError):
+            self._say("disarm")
+        for stream in (self._process.stdin, self._process.stdout):
+            with contextlib.suppress(OSError):
+                if stream is not None:
+                    stream.close()
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(2.0)
+            return
+        self._process.kill()
+        self._process.wait()
+
+    def _say(self, line: str) -> None:
+        pipe = self._process.stdin
+        with self._lock, contextlib.suppress(OSError, ValueError):  # one that has ended is seen by `alive`
+            if pipe is not None:
+                pipe.write(line.encode() + b"\n")
+
+
+class Orders:
+    """What has come from the agent."""
+
+    def __init__(self, now: float) -> None:
+        self.strength: np.ndarray | None = None  # while armed
+        self.heard, self.ended = now, False
+        self._rest = b""
+
+    def take(self, data: bytes, now: float) -> None:
+        """Bytes of its lines; none where its end is closed."""
+        self.heard, self.ended = now, not data
+        *lines, self._rest = (self._rest + data).split(b"\n")
+        for line in lines:
+            word, *values = line.split()[:65] or [b""]
+            if word == b"arm":
+                self.strength = np.array([float(value) for value in values])
+            elif word == b"disarm":
+                self.strength = None
+
+    def gone(self, now: float) -> bool:
+        """Whether the arm has to be braked."""
+        return self.strength is not None and (self.ended or now - self.heard > SILENCE)
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Watch over the agent; returns the exit code."""
+    address, name, *joints = arguments
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)  # it ends when the agent does
+    from drivers.transports.ros2.ros import Ros, trajectory_message
+
+    place = RosAddress.of(address)
+    ros = Ros(place.domain, name)
+    publisher = ros.commands(place)
+    reader, speed = JointStateReader(joints), Speed()
+    latest: list[tuple[JointSample, np.ndarray]] = []
+
+    def take(data: bytes) -> None:
+        with contextlib.suppress(ProtocolError):
+            sample = reader.read(data)
+            if sample is not None:
+                latest[:] = [(sample, speed.of(sample))]
+
+    ros.raw("sensor_msgs.msg", "JointState", place.name(JOINT_STATES), take, depth=2)
+    orders, told, braked = Orders(time.monotonic()), False, 0.0
+    while True:
+        ros.spin_once(_TURN if orders.strength is not None else 5 * _TURN)
+        if not told and latest and publisher.get_subscription_count() > 0:
+            told = True
+            print(_READY, flush=True)
+        readable, _, _ = select.select([0], [], [], 0.0)
+        if readable:
+            orders.take(os.read(0, 65536), time.monotonic())
+        if not braked and orders.gone(time.monotonic()) and latest:
+            sample, velocity = latest[0]
+            assert orders.strength is not None
+            position = sample.position + velocity * min(max(time.time() - sample.stamp, 0.0), 0.1)
+            seconds, goal = brake_point(position, velocity, orders.strength)
+            publisher.publish(trajectory_message(joints, 0.0, [(seconds, goal, 0.0 * goal)]))
+            braked = time.monotonic()
+        rests = bool(latest) and np.abs(latest[0][1]).max() <= _STILL
+        if braked and time.monotonic() - braked > CANCEL_AFTER and (rests or time.monotonic() - braked > 2.0):
+            ros.cancel_all(place)
+            ros.spin_for(0.5)
+            return 0
+        if orders.ended and orders.strength is None:
+            return 0
+
+
+def _run(arguments: Sequence[str]) -> Any:
+    code = 1
+    try:
+        code = main(arguments)
+    except Exception as error:  # the agent reads it
+        print(f"{type(error).__name__}: {error}", flush=True)
+    os._exit(code)  # rclpy may hang at the end
+
+
+if __name__ == "__main__":
+    _run(sys.argv[1:])

@@ -1,0 +1,280 @@
+"""The driver for arms with a JointTrajectoryController of ROS 2 (Jazzy and later).
+
+One goal a cycle is sent, from rest to rest and with a path tolerance; the next one only when the controller reports
+success and the samples agree. A controller has no watchdog for its client: where this computer dies, the arm goes on to
+the end of its goal. Where this process dies, a second one brakes the arm (`brake`).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+import sys
+from typing import Any
+
+import numpy as np
+
+from drivers.errors import ConfigurationError, DriverError, RefusedError
+from drivers.protocol import Identity, Status
+from drivers.transports.base.link import LinkDriver, check_currents
+from drivers.transports.ros2 import preconditions
+from drivers.transports.ros2.brake import BrakeProcess
+from drivers.transports.ros2.link import RosLink
+from drivers.transports.ros2.motion import Ros2Motion
+from drivers.transports.ros2.program import LONGEST, Program
+from drivers.wire.ros2 import MANAGER, JointSample, RosAddress, SetPoint, joints_of
+
+#: What `effort` of joint_states may be said to be.
+EFFORTS = ("torque", "current", "none")
+_DISCOVERY = 30.0  # s: nodes that were killed are known for 20 s, and keep new ones waiting
+_ROBOT = re.compile(rb"<robot\b[^>]*?\bname\s*=\s*[\"']([^\"'<>]{1,128})[\"']")
+_WATCHED = 100.0  # Hz; slower samples are too few for inertia
+_BRAKES = 1.5  # s that closing waits for the arm to rest
+
+
+class Ros2Driver(LinkDriver[RosLink, Ros2Motion]):
+    """`drivers.protocol.Driver` over topics, parameters and, where control_msgs is there, goals.
+
+    Args:
+        address: `ros2://DOMAIN/NAMESPACE/CONTROLLER`, and `,beside=NODE` for nodes that may hold an idle client.
+        effort: one of `EFFORTS`.
+        options: of `LinkDriver`.
+
+    Raises:
+        ConfigurationError: not such an address or effort.
+    """
+
+    dialect = "joint_trajectory"
+
+    def __init__(self, address: str, effort: str = "torque", **options: Any) -> None:
+        self._place = RosAddress.of(address)
+        if effort not in EFFORTS:
+            raise ConfigurationError(f"effort {effort!r}: {', '.join(EFFORTS)} are known")
+        self._text = address
+        super().__init__(address, **{"timeout": _DISCOVERY, **options})
+        self._effort = effort
+        if effort == "current":
+            self.torque_per_ampere = np.empty((0, 0))  # `MeasuresCurrents`
+        self._parameters: dict[str, Any] = {}
+        self._manager: dict[str, Any] = {}
+        self._period = 0.0
+        self._by_goal = False
+        self._stored: Program | None = None
+        self._name = ""
+        self._brake: BrakeProcess | None = None
+
+    def endpoints(self) -> tuple[str, ...]:
+        """`NamesEndpoints`: the controller's node."""
+        return (f"ros2 domain {self._place.domain} {self._place.node}",)
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """`ReportsDiagnostics`: how the motion was sent, when cycles began, and how the samples came."""
+        motion = self._motion
+        if motion is None:
+            return {}
+        return {
+            "ros2_sent_by": "goal" if self._by_goal else "topic",
+            "ros2_effort": self._effort,
+            "cycle_markers_s": json.dumps(motion.cycle_starts),
+            "stamp_jitter_s": f"{motion.counter.jitter:.6f}",
+            "oldest_sample_s": f"{motion.oldest:.4f}",
+            "samples_without_set_point_count": str(motion.unmatched),
+        }
+
+    def _open(self) -> None:
+        """See the controller, its parameters, its joints' samples, and that nobody else commands it."""
+        self._stored = None
+        link = self._link = RosLink(
+            self._place, self._timeout, self._on_sample, self._on_state, self._on_turn, self._on_failure
+        )
+        self._parameters = link.parameters(self._place.node)
+        if not self._parameters:
+            raise DriverError(
+                f"{self.address}: no node {self._place.node} answers in ROS domain {self._place.domain} within "
+                f"{self._timeout:g} s; is the controller loaded, are ROS_DOMAIN_ID, ROS_AUTOMATIC_DISCOVERY_RANGE and "
+                "RMW_IMPLEMENTATION those of the robot?"
+            )
+        self._manager = link.parameters(self._place.name(MANAGER), min(self._timeout, 3.0))
+        joints = joints_of(self._parameters.get("joints") or ())
+        preconditions.check_alone(link)
+        link.listen(joints)
+        link.describe()
+        self._by_goal = link.goals()
+        self._period = self._sampling(link)
+
+    def _sampling(self, link: RosLink) -> float:
+        """The period [s] of the samples: the manager's, where it says it and the stamps agree, else theirs."""
+        said = float(self._parameters.get("update_rate") or self._manager.get("update_rate") or 0.0)
+        found, _ = link.pace()
+        if said > 0.0 and found > 0.7 * said:
+            return 1.0 / said
+        return 1.0 / (round(found, -1) if found > 20.0 else found)
+
+    def identify(self) -> Identity:
+        """By the robot's description and the controller's parameters."""
+        link = self._connected()
+        named = _ROBOT.search(link.description)
+        digest = hashlib.sha256(link.description or repr(link.joints).encode()).hexdigest()
+        slow = f"joint_states come {1 / self._period:.0f} times a second, which tells nothing of inertia"
+        watch_only = slow if 1 / self._period < _WATCHED - 0.5 else ""
+        if self._effort == "none":
+            watch_only = "the recipe says that joint_states have no effort, so nothing can be identified from them"
+        return Identity(
+            robot=named[1].decode("utf-8", "replace") if named else self._place.controller,
+            serial=f"urdf-{digest[:12]}",
+            controller="JointTrajectoryController",
+            version=_distribution(),
+            joint_names=link.joints,
+            period=self._period,
+            watch_only=watch_only,
+            unguarded=f"if this computer dies, the arm ends its cycle, at most {LONGEST:g} s",
+        )
+
+    def status(self) -> Status:
+        """What the samples say; ROS 2 has no common word for modes, drives and stops, so a person confirms them."""
+        link = self._connected()
+        sample = self._latest(link)
+        streaming = self._motion is not None and not self._motion.over
+        text = "" if self._stored is None else self._stored.text
+        return Status(
+            drives_on=True,
+            mode="auto",
+            emergency_stop=False,
+            alarms=(),
+            override=1.0 if link.scaling is None else float(link.scaling),
+            cell_closed=True,
+            moving=streaming or bool(np.abs(link.velocity).max() > 0.05),
+            program=self._name,
+            checksum=_checksum(text) if text else "",
+            position=sample.position.astype(float),
+            emulator=bool(self._parameters.get("emulated_by_calibration_agent")),
+            override_known=link.scaling is not None,
+        )
+
+    def throughput(self) -> float:
+        """`MeasuresThroughput`: by the stamps of two seconds; a tenth may be left out by the controller itself."""
+        found, _ = self._connected().pace()
+        return 1.0 / self._period if found * self._period > 0.9 else found
+
+    def upload(self, name: str, text: str) -> str:
+        """Keep a program for `start`; returns the SHA-256 (hex) of its text.
+
+        Raises:
+            RefusedError: no program, one whose goals could not be left alone, or the arm moves.
+        """
+        link = self._connected()
+        if self._motion is not None and not self._motion.over:
+            raise RefusedError("no program is taken while the arm moves; stop it first")
+        self._stored, self._name = None, ""
+        self._stored, self._name = Program.of(text), name
+        if self._brake is None or not self._brake.alive:
+            self._brake = BrakeProcess(self._text, link.joints, f"{link.name}_brake")
+            self._brake.wait_ready(self._start_timeout)
+        return _checksum(text)
+
+    def start(self, name: str, checksum: str) -> None:
+        """Send the first goal, once, where every precondition holds."""
+        link = self._connected()
+        self._check_over()
+        program = self._stored
+        if program is None or (self._name, _checksum(program.text)) != (name, checksum):
+            raise RefusedError(f"the program that was stored is not the {name!r} that is to be started; nothing moved")
+        if self._effort == "current":
+            check_currents(self.torque_per_ampere, len(link.joints))
+        preconditions.check_controller(link, self._parameters, self._manager, self._by_goal)
+        preconditions.check_active(link)
+        preconditions.check_alone(link)
+        preconditions.check_arm(link, program.joints, self._effort != "none")
+        if self._brake is None or not self._brake.alive:
+            raise RefusedError("the second process, which brakes the arm when the agent is gone, has ended; try again")
+        torque = self.torque_per_ampere if self._effort == "current" else None
+        recorded = self._effort != "none"
+        motion = Ros2Motion(
+            program, link, self._period, self._by_goal, torque, recorded, self._buffer_limit, self._on_over
+        )
+        with self._start_of(motion):
+            self._brake.arm(motion.strength)
+            link.guarded = True
+            motion.begin()
+            if not link.wait(lambda: motion.begun, self._timeout):
+                link.check()
+                raise DriverError(f"{self.address}: the goal was sent, and nothing says that it was taken")
+
+    def _not_started(self) -> None:
+        super()._not_started()
+        if self._brake is not None:
+            self._brake.disarm()
+
+    def _bring_to_rest(self, link: RosLink, motion: Ros2Motion | None) -> None:
+        """Brake by one point, and wait until the arm rests."""
+        if motion is None or motion.over:
+            return
+        motion.stopping = True
+        motion.brake()
+        if not motion.wait(self._start_timeout):
+            raise self._still_moves()
+
+    def close(self) -> None:
+        """Close the link; where the arm may still move, it is braked first. Never raises."""
+        link, self._link = self._link, None
+        motion = self._motion
+        if link is not None:
+            if motion is not None and not motion.over:
+                motion.brake(DriverError(f"the link to {self.address} was closed while the arm moved"))
+                if not motion.wait(_BRAKES):
+                    link.cancel()
+                motion.finish(DriverError(f"the link to {self.address} was closed while the arm moved"))
+            link.close()
+        brake, self._brake = self._brake, None
+        if brake is not None:
+            brake.close()
+
+    def _latest(self, link: RosLink) -> JointSample:
+        assert link.latest is not None
+        return link.latest
+
+    # From here on in the thread of the link.
+
+    def _on_sample(self, sample: JointSample, now: float) -> None:
+        motion = self._motion
+        if motion is None or motion.over:
+            return
+        motion.sample(sample, now)
+        if (error := motion.too_full()) is not None:
+            motion.brake(error)
+
+    def _on_state(self, state: SetPoint) -> None:
+        if self._motion is not None:
+            self._motion.state(state)
+
+    def _on_turn(self) -> None:
+        if self._motion is not None and not self._motion.over:
+            self._motion.turn()
+            if self._brake is not None:
+                self._brake.beat()
+
+    def _on_over(self) -> None:
+        if self._link is not None:
+            self._link.guarded = False
+        if self._brake is not None:
+            self._brake.disarm()
+
+    def _on_failure(self, error: DriverError) -> None:
+        motion, link = self._motion, self._link
+        if link is not None and motion is not None and not motion.over:
+            link.brake(motion.strength, None if motion.course is None else motion.course.at)
+            link.linger()
+            link.cancel()
+        super()._on_failure(error)
+
+
+def _distribution() -> str:
+    import os
+
+    return os.environ.get("ROS_DISTRO", "") or f"rclpy of {sys.prefix}"
+
+
+def _checksum(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()

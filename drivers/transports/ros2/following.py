@@ -1,0 +1,115 @@
+"""Where the arm has to be at a stamp of the controller's clock, how it is braked, and how samples are numbered."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from drivers.transports.ros2.program import Points
+from drivers.wire.ros2 import JointSample
+
+#: Shortest and longest time [s] in which a brake brings the arm to rest.
+BRAKE, LONGEST_BRAKE = 0.3, 1.0
+#: Share of a number's error by which the origin of numbers follows the stamps: two clocks drift, jitter does not.
+_REFIT = 0.01
+
+
+class Course:
+    """A trajectory from rest at `start` (n,), as its controller joins its points: quintics from its stamp on.
+
+    Args:
+        stamp: of the trajectory [s], by the controller's clock.
+    """
+
+    def __init__(self, stamp: float, start: np.ndarray, points: Points) -> None:
+        self.stamp, self.start, self.points = stamp, start, points
+        self.end = stamp + points.duration
+
+    @cached_property
+    def _law(self) -> tuple[Any, Any]:
+        from scipy.interpolate import BPoly
+
+        rest = np.array([[self.start, 0.0 * self.start, 0.0 * self.start]])
+        rows = np.concatenate([rest, self.points.rows])
+        law = BPoly.from_derivatives(np.concatenate([[0.0], self.points.times]), rows)
+        return law, law.derivative()
+
+    def at(self, stamp: float) -> tuple[np.ndarray, np.ndarray]:
+        """Position and velocity (n,) at a stamp [s]; stationary before and after."""
+        passed = stamp - self.stamp
+        if passed <= 0.0:
+            return self.start, 0.0 * self.start
+        if passed >= self.points.duration:
+            return self.points.rows[-1, 0], 0.0 * self.start
+        law, rate = self._law
+        return law(passed), rate(passed)
+
+
+def brake_point(position: np.ndarray, velocity: np.ndarray, strength: np.ndarray) -> tuple[float, np.ndarray]:
+    """Time [s] and position (n,) of the one point that brakes an arm from this state at a constant deceleration.
+
+    Args:
+        strength: (n,) deceleration that the joints are known to bear [rad/s²].
+    """
+    needed = float(np.max(np.abs(velocity) / np.maximum(strength, 1e-3), initial=0.0))
+    seconds = min(max(BRAKE, needed), LONGEST_BRAKE)
+    return seconds, position + velocity * seconds / 2
+
+
+class Speed:
+    """Velocity (n,) from positions, where the controller has none; by two samples at least `span` [s] apart."""
+
+    def __init__(self, span: float = 0.02) -> None:
+        self._span = span
+        self._was: tuple[float, np.ndarray] | None = None
+        self.value: np.ndarray | None = None
+
+    def of(self, sample: JointSample) -> np.ndarray:
+        """At a sample; zero until it is known."""
+        if np.isfinite(sample.velocity).all():
+            return sample.velocity
+        if self._was is None or not 0.0 <= sample.stamp - self._was[0] <= 1.0:
+            self._was, self.value = (sample.stamp, sample.position), 0.0 * sample.position
+        elif sample.stamp - self._was[0] >= self._span:
+            self.value = (sample.position - self._was[1]) / (sample.stamp - self._was[0])
+            self._was = sample.stamp, sample.position
+        assert self.value is not None
+        return self.value
+
+
+class Counter:
+    """Numbers of samples by their stamps, which jitter with the controller's loop.
+
+    Args:
+        period: of samples [s].
+    """
+
+    def __init__(self, period: float) -> None:
+        self.period = period
+        self.first: float | None = None  # stamp [s] of number 0
+        self._origin = 0.0
+        self._last = -1
+        self.jitter = 0.0  # s, the largest
+
+    def number(self, stamp: float) -> int | None:
+        """Of the sample with this stamp; None where it has come already, or is older than one that has."""
+        if self.first is None:
+            self.first = self._origin = stamp
+        exact = (stamp - self._origin) / self.period
+        number = round(exact)
+        if number == self._last and exact > self._last + 0.25:  # late, and the one before was later
+            number += 1
+        if number <= self._last:
+            return None
+        off = stamp - (self._origin + number * self.period)
+        self._origin += _REFIT * off
+        self.jitter = max(self.jitter, abs(off))
+        self._last = number
+        return number
+
+    def time(self, number: int) -> float:
+        """[s] of a sample: steps are equal."""
+        assert self.first is not None
+        return self.first + number * self.period

@@ -1,0 +1,307 @@
+"""One controller on ROS 2 and the thread that alone reads it: samples, set-points, and what is sent to it."""
+
+from __future__ import annotations
+
+import os
+import secrets
+import time
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from drivers.errors import DriverError, ProtocolError
+from drivers.transports.base.link import LinkThread
+from drivers.transports.ros2.following import BRAKE, Speed, brake_point
+from drivers.transports.ros2.ros import Ros, set_time, trajectory_message, typed
+from drivers.wire.ros2 import (
+    DESCRIPTION,
+    JOINT_STATES,
+    JointSample,
+    JointStateReader,
+    RosAddress,
+    SetPoint,
+    SetPointReader,
+)
+
+_TURN = 0.05  # s
+_URDF = 16 * 1024 * 1024  # bytes
+#: Ages and rate are known over this time [s].
+OBSERVED = 2.0
+
+
+class RosLink(LinkThread):
+    """Subscriptions and publishers of one controller.
+
+    Args:
+        place: of the controller.
+        timeout: how long [s] to wait for what has to be there.
+        on_sample: is given each sample and the time of this computer [s] when it came, in the thread.
+        on_state: is given each set-point, in the thread.
+        on_turn: comes often, in the thread.
+        on_failure: comes once, as the last call.
+    """
+
+    def __init__(
+        self,
+        place: RosAddress,
+        timeout: float,
+        on_sample: Callable[[JointSample, float], None],
+        on_state: Callable[[SetPoint], None],
+        on_turn: Callable[[], None],
+        on_failure: Callable[[DriverError], None],
+    ) -> None:
+        super().__init__(place.node, on_failure)
+        self.place, self._timeout = place, timeout
+        self.name = f"calibration_agent_{os.getpid()}_{secrets.token_hex(3)}"
+        self._on_sample, self._on_state, self._on_turn = on_sample, on_state, on_turn
+        self.latest: JointSample | None = None
+        self.velocity = np.zeros(0)  # (n,) of the latest sample
+        self.received = 0.0  # when it came
+        self.scaling: float | None = None  # of the newest set-point
+        self.description = b""
+        self.joints: tuple[str, ...] = ()
+        self._seen: deque[tuple[float, float]] = deque()  # stamps and ages of the last seconds
+        self._fault: DriverError | None = None
+        self._speed = Speed()
+        self._silence, self._fresh = 0.0, False
+        self._ros = Ros(place.domain, self.name)
+        self._commands = self._ros.commands(place)
+        self._goals: Any = None
+        self._thread.start()
+
+    # Of the controller, in the caller's thread
+
+    def parameters(self, node: str, timeout: float | None = None) -> dict[str, Any]:
+        """Of a node, empty where it does not answer."""
+        found = self._ros.parameters(node, self._timeout if timeout is None else timeout, self.wait)
+        self.check()
+        return found
+
+    def call(self, package: str, name: str, service: str) -> Any:
+        """The answer of a service that is asked without arguments; None where type or service is not there."""
+        kind = typed(package, name)
+        if kind is None:
+            return None
+        client = self._ros.node.create_client(kind, service)
+        if not self.wait(client.service_is_ready, 2.0):
+            return None
+        asked = client.call_async(kind.Request())
+        return asked.result() if self.wait(asked.done, 2.0) else None
+
+    def topics(self) -> Mapping[str, Sequence[str]]:
+        """Types by topic, as far as they are known."""
+        return dict(self._ros.node.get_topic_names_and_types())
+
+    def others(self) -> tuple[str, ...]:
+        """Nodes that may command this controller: publishers of trajectories, and clients of its action."""
+        node, topic = self._ros.node, self.place.name(self.place.controller, "joint_trajectory")
+        found = {
+            f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in node.get_publishers_info_by_topic(topic)
+        }
+        for name, namespace in node.get_node_names_and_namespaces():
+            try:
+                clients = node.get_client_names_and_types_by_node(name, namespace)
+            except Exception:  # it has gone meanwhile
+                continue
+            if any(service == f"{self.place.action}/_action/send_goal" for service, _ in clients):
+                found.add(f"{namespace.rstrip('/')}/{name}")
+        return tuple(sorted(one for one in found if not one.rpartition("/")[2].startswith(self.name)))
+
+    def listen(self, joints: Sequence[str]) -> None:
+        """Receive samples of these joints, and set-points where their type is there.
+
+        Raises:
+            DriverError: none come.
+        """
+        self.joints = tuple(joints)
+        states, reader = self.place.name(JOINT_STATES), JointStateReader(joints)
+        kinds = self.topics().get(states, ())
+        if kinds and "sensor_msgs/msg/JointState" not in kinds:
+            raise ProtocolError(f"{states} has messages of type {kinds[0]}, and sensor_msgs/msg/JointState is expected")
+        self._ros.raw("sensor_msgs.msg", "JointState", states, lambda data: self._take(reader, data))
+        self._listen_to_states()
+        if not self.wait(lambda: self.latest is not None, self._timeout):
+            self.check()
+            raise DriverError(
+                f"{states}: no sample of {', '.join(joints)} within {self._timeout:g} s; is the "
+                "joint_state_broadcaster "
+                "active, and does the network let its messages through?"
+            )
+
+    def describe(self) -> None:
+        """Take the robot's description, where somebody publishes it."""
+        from rclpy.qos import DurabilityPolicy, QoSProfile
+
+        kind = typed("std_msgs.msg", "String")
+
+        def take(message: Any) -> None:
+            data = message.data.encode()
+            self.description = data if len(data) <= _URDF else b""
+
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self._ros.node.create_subscription(kind, self.place.name(DESCRIPTION), take, latched)
+        self.wait(lambda: bool(self.description), min(self._timeout, 3.0))
+
+    def goals(self) -> bool:
+        """Whether the controller takes goals from here: with tolerances, and a result."""
+        if self._goals is None and (kind := typed("control_msgs.action", "FollowJointTrajectory")) is not None:
+            from rclpy.action import ActionClient
+
+            client = ActionClient(self._ros.node, kind, self.place.action)
+            self._goals = client if self.wait(client.server_is_ready, min(self._timeout, 5.0)) else False
+        return bool(self._goals)
+
+    def pace(self) -> tuple[float, float]:
+        """Samples a second by the stamps of the last seconds, and the 99th percentile of their age beyond the least."""
+        first = time.monotonic()
+        self.wait(lambda: time.monotonic() - first >= OBSERVED, OBSERVED + 1.0)
+        self.check()
+        with self._changed:
+            seen = np.array(self._seen)
+        if len(seen) < 3 or not np.ptp(seen[:, 0]) > 0.0:
+            raise DriverError(f"{self.place.name(JOINT_STATES)} has fallen silent, or its clock stands still")
+        ages = seen[:, 1] - seen[:, 1].min()
+        return (len(seen) - 1) / float(np.ptp(seen[:, 0])), float(np.quantile(ages, 0.99))
+
+    # To the controller, from any thread
+
+    def send(self, message: Any) -> None:
+        """Send a trajectory by topic, once."""
+        self.check()
+        self._commands.publish(message)
+
+    def send_goal(
+        self,
+        message: Any,
+        tolerance: np.ndarray,
+        goal_time: float,
+        answered: Callable[[bool], None],
+        ended: Callable[[int, str], None],
+    ) -> None:
+        """Send a goal, once; `answered` says whether it was accepted, `ended` its error code and text."""
+        self.check()
+        goal_type, joint_tolerance = (
+            typed("control_msgs.action", "FollowJointTrajectory").Goal,
+            typed("control_msgs.msg", "JointTolerance"),
+        )
+        goal = goal_type(trajectory=message)
+        pairs = zip(self.joints, tolerance.tolist(), strict=True)
+        goal.path_tolerance = [joint_tolerance(name=name, position=value) for name, value in pairs]
+        set_time(goal.goal_time_tolerance, goal_time)
+
+        def on_result(future: Any) -> None:
+            result = future.result().result
+            ended(int(result.error_code), str(result.error_string))
+
+        def on_answer(future: Any) -> None:
+            handle = future.result()
+            answered(bool(handle.accepted))
+            if handle.accepted:
+                handle.get_result_async().add_done_callback(on_result)
+
+        self._goals.send_goal_async(goal).add_done_callback(on_answer)
+
+    def brake(self, strength: np.ndarray, expected: Callable[[float], tuple[np.ndarray, np.ndarray]] | None) -> None:
+        """Send the one point that brings the arm to rest, from what it did last; never raises.
+
+        `expected` (stamp) is the plan's state, for where samples are old.
+        """
+        sample = self.latest
+        if sample is None:
+            return
+        passed = max(time.time() - self.received, 0.0)
+        if passed > 0.1 and expected is not None:
+            position, velocity = expected(sample.stamp + passed)
+        else:
+            position, velocity = sample.position + self.velocity * min(passed, 0.1), self.velocity
+        if not (np.isfinite(position).all() and np.isfinite(velocity).all()):
+            return self.cancel()
+        seconds, goal = brake_point(position, velocity, strength)
+        try:
+            self._commands.publish(trajectory_message(self.joints, 0.0, [(seconds, goal, 0.0 * goal)]))
+        except Exception:  # a context that has ended: the second process brakes
+            return
+
+    def cancel(self) -> None:
+        """Cancel whatever runs; never raises."""
+        try:
+            self._ros.cancel_all(self.place)
+        except Exception:  # a context that has ended
+            return
+
+    def linger(self) -> None:
+        """Let a brake act before what runs is cancelled (in the thread, which has ended)."""
+        self._ros.spin_for(BRAKE + 0.3)
+
+    def close(self) -> None:
+        """End the link and its thread; never raises."""
+        super().close()
+        self._ros.close()
+
+    # In the thread
+
+    def _listen_to_states(self) -> None:
+        kind = typed("control_msgs.msg", "JointTrajectoryControllerState")
+        if kind is None or "speed_scaling_factor" not in kind.get_fields_and_field_types():
+            return
+        reader = SetPointReader(self.joints)
+        topic = self.place.name(self.place.controller, "controller_state")
+        self._ros.raw(
+            "control_msgs.msg", "JointTrajectoryControllerState", topic, lambda data: self._take_state(reader, data)
+        )
+
+    def _take(self, reader: JointStateReader, data: bytes) -> None:
+        now = time.time()
+        try:
+            sample = reader.read(data)
+        except ProtocolError as error:
+            self._fault = error
+            return
+        if sample is None:
+            return
+        before, self.latest = self.latest, sample
+        self.velocity, self.received, self._fresh = (
+            self._speed.of(sample),
+            now,
+            before is None or sample.stamp > before.stamp,
+        )
+        with self._changed:
+            self._seen.append((sample.stamp, now - sample.stamp))
+            while not 0.0 <= sample.stamp - self._seen[0][0] <= OBSERVED:
+                self._seen.popleft()
+        self._on_sample(sample, now)
+
+    def _take_state(self, reader: SetPointReader, data: bytes) -> None:
+        try:
+            state = reader.read(data)
+        except ProtocolError as error:
+            self._fault = error
+            return
+        if state is not None:
+            self.scaling = state.scaling
+            self._on_state(state)
+
+    def _work(self) -> None:
+        while not self._closing.is_set():
+            began = time.monotonic()
+            self._fresh = False
+            self._ros.spin_once(_TURN)
+            if self._fault is not None:
+                raise self._fault
+            self._on_turn()
+            with self._changed:
+                self._changed.notify_all()
+            # A stall of this process is not the controller's silence.
+            waited = min(time.monotonic() - began, _TURN)
+            self._silence = 0.0 if self._fresh else self._silence + waited
+            if self.guarded and self._silence >= self.watchdog:
+                raise self._fell_silent()
+
+    def _fell_silent(self) -> DriverError:
+        return DriverError(
+            f"{self.place.name(JOINT_STATES)} fell silent: no new sample for {self.watchdog:g} s, and the arm may "
+            "move; it "
+            "was told to brake: go and look at it"
+        )

@@ -1,0 +1,404 @@
+"""One motion: goals in turn, each watched sample by sample against what was sent, and the brake."""
+
+from __future__ import annotations
+
+import itertools
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from drivers.errors import DriverError, MotionStopped, RefusedError
+from drivers.protocol import SampleBlock
+from drivers.transports.base.samples import SampleStream
+from drivers.transports.ros2.following import Counter, Course
+from drivers.transports.ros2.link import RosLink
+from drivers.transports.ros2.program import Program, Step
+from drivers.transports.ros2.ros import trajectory_message
+from drivers.wire.reasons import EndReason
+from drivers.wire.ros2 import JointSample, SetPoint
+
+#: Time [s] from the newest stamp to that of a trajectory: with the lead to its first point it may come half a second
+#: late before the controller would jump.
+AHEAD = 0.3
+#: Share of its path tolerance that a joint may be off before the arm is braked; the controller stops it at the whole.
+SHARE = 0.8
+#: How old a sample may be beyond the least age [s], in addition to the watchdog.
+LATE = 0.2
+#: The arm stands so near to the first point of a goal [rad, m].
+START = 0.02
+#: Samples waiting to be read [s] beyond which no further goal is sent: nobody watches.
+UNREAD = 2.0
+#: Time after a brake [s] at which whatever runs is cancelled, whether the arm rests or not.
+CANCEL_AFTER = 0.6
+_ANSWER, _SETTLES = 2.0, 3.0  # s: of a goal's answer, and after its last point
+_SPAN, _STILL = 0.1, 0.003  # s, and rad/s over it: an arm that stands
+_BLOCK = 0.01  # s of samples that are handed out at once
+_CODES = {-4: "it left its path by more than the tolerance", -5: "it did not reach the end in time"}
+
+
+class Ros2Motion(SampleStream):
+    """Received data of one motion, and the goals that are left of it.
+
+    Args:
+        program: what is run.
+        link: to the controller.
+        by_goal: whether goals are sent, with tolerances and a result; trajectories by topic otherwise.
+        torque: (n, n) that makes torque of effort, or None where effort is torque.
+        recorded: whether effort is.
+        limit: bytes that may wait for the consumer.
+        on_over: comes once, when the arm rests or is lost from sight.
+    """
+
+    def __init__(
+        self,
+        program: Program,
+        link: RosLink,
+        period: float,
+        by_goal: bool,
+        torque: np.ndarray | None,
+        recorded: bool,
+        limit: int,
+        on_over: Callable[[], None],
+    ) -> None:
+        super().__init__(limit)
+        self.strength = program.fastest_change
+        self.goals_sent = 0
+        self.cycle_starts: list[float] = []  # s, by the controller's clock
+        self.oldest = 0.0  # s, of a sample beyond the least
+        self.unmatched = 0  # samples without a set-point of their cycle
+        self.counter = Counter(period)
+        self._program, self._link, self._period = program, link, period
+        self._by_goal, self._torque, self._recorded = by_goal, torque, recorded
+        self._on_over = on_over
+        self._steps = program.run()
+        self._messages: dict[int, Any] = {}
+        self._lock = threading.RLock()
+        self._phase = "idle"
+        self.course: Course | None = None
+        self._limit_off = np.inf * np.ones(len(program.joints))
+        self._since = 0.0  # stamp at which the phase began
+        self._sent_at = 0.0  # of this computer's clock
+        self._accepted: bool | None = None
+        self._result: tuple[int, str] | None = None
+        self._braked: float | None = None  # monotonic
+        self._cancelled = False
+        self._why: DriverError | None = None
+        self._recent: deque[tuple[float, np.ndarray]] = deque()
+        self._least = np.inf  # age of a sample
+        self._batch: list[tuple[int, JointSample, SetPoint | None]] = []
+        self._waiting: deque[tuple[int, JointSample]] = deque()  # for their set-points
+        self._states: deque[SetPoint] = deque(maxlen=8)
+
+    def begin(self) -> None:
+        """Send the first goal.
+
+        Raises:
+            RefusedError: it cannot be run from where the arm stands.
+        """
+        sample = self._link.latest
+        assert sample is not None
+        with self._lock:
+            self._go_on(sample)
+
+    @property
+    def begun(self) -> bool:
+        """Whether the controller has taken the first goal, as far as it says so."""
+        return self._accepted is True or not self._by_goal or self.over
+
+    def brake(self, why: DriverError | None = None) -> None:
+        """Bring the arm to rest by one point; once more, and by cancelling, where it was asked for before."""
+        with self._lock:
+            again, self._why = self._braked is not None, self._why or why
+            if self.over:
+                return
+            self._phase, self._braked = "braking", self._braked or time.monotonic()
+            self._link.brake(self.strength, None if self.course is None else self.course.at)
+            if again:
+                self._cancel()
+
+    def finish(self, error: DriverError | None) -> None:
+        """No more samples; `error` is raised once those that came are read."""
+        was = self.over
+        self._hand_out(flush=True)
+        super().finish(error)
+        if not was:
+            self._phase = "over"
+            self._on_over()
+
+    # In the thread of the link
+
+    def sample(self, sample: JointSample, now: float) -> None:
+        """The next sample, at the time [s] of this computer."""
+        if self.over or self._phase == "idle":
+            return
+        number = self.counter.number(sample.stamp)
+        if number is None:
+            return
+        self._keep(number, sample)
+        with self._lock:
+            self._watch(sample, now)
+
+    def state(self, state: SetPoint) -> None:
+        """The next set-point."""
+        self._states.append(state)
+        if self.over or self._phase == "idle":
+            return
+        if not abs(state.scaling - 1.0) <= 1e-6 and self._phase == "moving":
+            self.brake(
+                MotionStopped(
+                    f"the controller runs the trajectory at {100 * state.scaling:.0f} % of its speed; the arm was "
+                    "stopped: "
+                    "set the speed to 100 % there, then run the command again"
+                )
+            )
+        self._match(state.stamp)
+
+    def turn(self) -> None:
+        """Look at what depends on time alone."""
+        if self.over:
+            return
+        with self._lock:
+            now = time.monotonic()
+            if self._braked is not None and now - self._braked > CANCEL_AFTER:
+                self._cancel()
+            elif self._phase == "moving" and self._by_goal and self._accepted is None and now - self._sent_at > _ANSWER:
+                self.brake(
+                    DriverError(
+                        f"{self._link.place.action} did not answer a goal within {_ANSWER:g} s; whatever runs was "
+                        "braked and "
+                        "cancelled: look at the arm and the controller"
+                    )
+                )
+                self._cancel()
+
+    def _watch(self, sample: JointSample, now: float) -> None:
+        self._recent.append((sample.stamp, sample.position))
+        while sample.stamp - self._recent[0][0] > _SPAN:
+            self._recent.popleft()
+        age = now - sample.stamp
+        self._least = min(self._least, age)
+        self.oldest = max(self.oldest, age - self._least)
+        if self._phase in ("moving", "settling") and not age - self._least <= self._link.watchdog + LATE:
+            self.brake(
+                DriverError(
+                    f"samples came {age - self._least:.2f} s late, so nobody watched the arm, and it was stopped; "
+                    "has this "
+                    "computer or the network too much else to do?"
+                )
+            )
+        match self._phase:
+            case "moving":
+                self._follow(sample)
+            case "settling":
+                self._settle(sample)
+            case "resting" if sample.stamp >= self._since:
+                self._go_on(sample)
+            case "braking" if self._braked is not None and self._stands():
+                self._cancel()
+                self._come_to_rest()
+
+    def _follow(self, sample: JointSample) -> None:
+        course = self.course
+        assert course is not None
+        off = np.abs(sample.position - course.at(sample.stamp)[0])
+        if not np.all(off <= self._limit_off):
+            joint = int(np.argmax(np.where(np.isfinite(off), off - self._limit_off, np.inf)))
+            self.brake(
+                MotionStopped(
+                    f"{self._program.joints[joint]} was {off[joint]:.3f} rad off its trajectory, "
+                    f"{self._limit_off[joint]:.3f} "
+                    "are allowed; the arm was stopped: was the speed turned down, does something hold it, or does "
+                    "something else command it?"
+                )
+            )
+        elif self._result is not None and self._result[0] != 0:
+            self._held()
+        elif sample.stamp >= course.end:
+            self._phase, self._since = "settling", sample.stamp
+
+    def _settle(self, sample: JointSample) -> None:
+        """Wait for the result, or without one for an arm that stands at the end."""
+        course = self.course
+        assert course is not None
+        if self._by_goal and self._result is not None:
+            if self._result[0] == 0:
+                self._go_on(sample)
+            else:
+                self._held()
+        elif not self._by_goal and self._stands():
+            off = np.abs(sample.position - course.points.rows[-1, 0])
+            if np.all(off <= START):
+                self._go_on(sample)
+        if self._phase == "settling" and sample.stamp - course.end > _SETTLES:
+            self.brake(
+                DriverError(
+                    f"{_SETTLES:g} s after the end of a trajectory "
+                    + ("the controller says nothing of it" if self._by_goal else "the arm does not stand where it ends")
+                    + "; look at the arm and the controller"
+                )
+            )
+
+    def _held(self) -> None:
+        """The controller has ended the goal by itself, and holds."""
+        assert self._result is not None
+        code, text = self._result
+        self._why = self._why or MotionStopped(
+            f"the controller stopped the arm: {_CODES.get(code, f'error {code}')}{f' ({text})' if text else ''}; "
+            "look for "
+            "the cause, then run the command again"
+        )
+        self._phase, self._braked = "braking", time.monotonic()
+
+    def _go_on(self, sample: JointSample) -> None:
+        """Send the next goal, where there is one and somebody watches."""
+        if self.stopping:
+            return self._come_to_rest()
+        if self._unread() > UNREAD:
+            self._why = DriverError(
+                f"{self._unread():.0f} s of samples wait to be read, so the next cycle was not sent: has this "
+                "computer too "
+                "much else to do?"
+            )
+            return self._come_to_rest()
+        step = next(self._steps, None)
+        if step is None:
+            return self._come_to_rest()
+        if step.points is None and step.to is None:
+            self._phase, self._since = "resting", sample.stamp + step.rest
+            return None
+        self._send(step, sample)
+
+    def _send(self, step: Step, sample: JointSample) -> None:
+        points = step.from_(sample.position)
+        if step.points is not None and not np.all(np.abs(points.rows[0, 0] - sample.position) <= START):
+            off = np.abs(points.rows[0, 0] - sample.position)
+            error = RefusedError(
+                "the arm does not stand where the next trajectory begins: "
+                f"{self._program.joints[int(np.argmax(off))]} is "
+                f"off by {off.max():.3f} rad, {START:g} are allowed"
+            )
+            if self.goals_sent == 0:
+                raise error
+            self._why = error
+            return self._come_to_rest()
+        stamp = sample.stamp + AHEAD
+        self.course = Course(stamp, sample.position, points)
+        if step.points is not None:
+            self.cycle_starts.append(stamp + float(points.times[0]))
+        tolerance = np.full(len(self._program.joints), 0.1) if step.tolerance is None else step.tolerance
+        self._limit_off = SHARE * tolerance
+        rows = ((float(t), *row) for t, row in zip(points.times, points.rows, strict=True))
+        message = trajectory_message(self._program.joints, stamp, list(rows))
+        self._phase, self._accepted, self._result, self._sent_at = "moving", None, None, time.monotonic()
+        self.goals_sent += 1
+        if not self._by_goal:
+            self._link.send(message)
+            return None
+        number = self.goals_sent
+        self._link.send_goal(
+            message,
+            tolerance,
+            step.goal_time,
+            lambda accepted: self._answered(number, accepted),
+            lambda code, text: self._ended(number, code, text),
+        )
+        return None
+
+    def _answered(self, number: int, accepted: bool) -> None:
+        with self._lock:
+            if number != self.goals_sent or self.over:
+                return
+            self._accepted = accepted
+            if not accepted:
+                self._why = RefusedError("the controller refused a trajectory; its own log says why")
+                self._come_to_rest()
+
+    def _ended(self, number: int, code: int, text: str) -> None:
+        with self._lock:
+            if number == self.goals_sent and self._braked is None:
+                self._result = code, text
+
+    def _stands(self) -> bool:
+        times = [stamp for stamp, _ in self._recent]
+        if len(times) < 3 or times[-1] - times[0] < 0.8 * _SPAN:
+            return False
+        way = np.ptp([position for _, position in self._recent], axis=0)
+        return bool(np.all(way <= _STILL * _SPAN * 2))
+
+    def _cancel(self) -> None:
+        if not self._cancelled:
+            self._cancelled = True
+            self._link.cancel()
+
+    def _come_to_rest(self) -> None:
+        self._hand_out(flush=True)
+        if self._why is not None:
+            self.finish(self._why)
+        else:
+            count = self.sequencer.expected
+            self.ended(EndReason.STOPPED if self.stopping else EndReason.DONE, count, "")
+
+    def _unread(self) -> float:
+        """Samples [s] that wait for the consumer."""
+        each = 8 * (2 + 5 * len(self._program.joints))
+        return self.size / each * self._period
+
+    def _keep(self, number: int, sample: JointSample) -> None:
+        if self._states:
+            self._waiting.append((number, sample))
+            self._match(self._states[-1].stamp)
+        else:
+            self._batch.append((number, sample, None))
+        self._hand_out()
+
+    def _match(self, newest: float) -> None:
+        """Join samples with the nearest set-points, once those are there."""
+        while self._waiting:
+            number, sample = self._waiting[0]
+            if newest < sample.stamp - self._period / 2 and len(self._waiting) < 50:
+                return
+            self._waiting.popleft()
+            nearest = min(self._states, key=lambda state: abs(state.stamp - sample.stamp))
+            self.unmatched += abs(nearest.stamp - sample.stamp) > self._period
+            self._batch.append((number, sample, nearest))
+
+    def _hand_out(self, flush: bool = False) -> None:
+        """Deliver runs of samples without gaps."""
+        if flush and self._waiting and self._states:
+            self._match(np.inf)
+        batch = self._batch
+        if not batch or not (flush or len(batch) * self._period >= _BLOCK):
+            return
+        self._batch = []
+        numbers = np.array([number for number, *_ in batch])
+        cuts = np.flatnonzero(np.diff(numbers) > 1) + 1
+        for first, last in itertools.pairwise([0, *cuts.tolist(), len(batch)]):
+            part = batch[first:last]
+            self.lost(part[0][0])
+            self.take(self._block(part))
+
+    def _block(self, part: list[tuple[int, JointSample, SetPoint | None]]) -> SampleBlock:
+        position, velocity, effort = (
+            np.array([getattr(sample, name) for _, sample, _ in part]) for name in ("position", "velocity", "effort")
+        )
+        states = [state for *_, state in part if state is not None]
+        known = len(states) == len(part)
+        reference, rate = (
+            np.array([getattr(state, name) for state in states]) if known else None for name in ("position", "velocity")
+        )
+        torque = effort if self._torque is None else effort @ self._torque.T
+        return SampleBlock(
+            np.array([number for number, *_ in part]),
+            np.array([self.counter.time(number) for number, *_ in part]),
+            position,
+            velocity if np.isfinite(velocity).all() else None,
+            torque if self._recorded else np.zeros_like(position),
+            reference,
+            rate if rate is None or np.isfinite(rate).all() else None,
+            time.time(),
+            None if self._torque is None else effort,
+        )

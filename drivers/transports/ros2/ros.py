@@ -1,0 +1,166 @@
+"""rclpy in one context: nodes, raw subscriptions, parameters, cancelling; types come from the robot's distribution."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import os
+import sys
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from drivers.errors import DriverError
+from drivers.wire.ros2 import RosAddress
+
+#: Samples that wait in the middleware: at 10 a busy process loses one in ten, at 2000 none was lost.
+DEPTH = 2000
+
+
+def available() -> Mapping[str, str]:
+    """What there is of ROS 2 here: distribution, middleware, domain and discovery range; empty without rclpy."""
+    if importlib.util.find_spec("rclpy") is None:
+        return {}
+    messages = "with" if importlib.util.find_spec("control_msgs") else "without"
+    return {
+        "distribution": os.environ.get("ROS_DISTRO", "not sourced"),
+        "middleware": os.environ.get("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp by default"),
+        "domain": os.environ.get("ROS_DOMAIN_ID", "0"),
+        "discovery": os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET"),
+        "goals": f"{messages} control_msgs",
+    }
+
+
+def typed(package: str, name: str) -> Any:
+    """A type of the sourced distribution, or None where its package is not there."""
+    try:
+        return getattr(importlib.import_module(package), name)
+    except ImportError:
+        return None
+
+
+class Ros:
+    """A node of our own, and its executor.
+
+    Args:
+        domain: ROS_DOMAIN_ID.
+        name: of the node.
+
+    Raises:
+        DriverError: no ROS 2 here, or too old a one.
+    """
+
+    def __init__(self, domain: int, name: str) -> None:
+        try:
+            import rclpy
+            from rclpy.experimental import EventsExecutor
+            from rclpy.node import Node
+        except ImportError as error:
+            raise DriverError(
+                f"this Python has no ROS 2 from Jazzy on ({error}): source it first, as with `source "
+                "/opt/ros/jazzy/setup.bash`, and use a Python environment with --system-site-packages; "
+                f"{sys.executable} is in use"
+            ) from None
+        self.context = rclpy.Context()
+        rclpy.init(
+            context=self.context, domain_id=domain, signal_handler_options=rclpy.SignalHandlerOptions.NO
+        )  # or SIGTERM would end nothing
+        options = {"start_parameter_services": False, "enable_rosout": False}
+        self.node = Node(name, context=self.context, use_global_arguments=False, **options)
+        self._executor = EventsExecutor(context=self.context)
+        self._executor.add_node(self.node)
+
+    def spin_once(self, timeout: float) -> None:
+        """Handle what has come, or wait for it [s]."""
+        self._executor.spin_once(timeout_sec=timeout)
+
+    def spin_for(self, seconds: float) -> None:
+        """Handle what comes for some time [s]."""
+        until = time.monotonic() + seconds
+        while time.monotonic() < until:
+            self.spin_once(0.02)
+
+    def raw(self, package: str, name: str, topic: str, take: Callable[[bytes], None], depth: int = DEPTH) -> Any:
+        """Subscribe to CDR bytes; best effort where somebody publishes so, else reliable.
+
+        Raises:
+            DriverError: the type is not there.
+        """
+        from rclpy.qos import QoSProfile, ReliabilityPolicy
+
+        kind = typed(package, name)
+        if kind is None:
+            raise DriverError(
+                f"the ROS 2 that is sourced here has no {package}.{name}; install {package.split('.')[0]}"
+            )
+        infos = self.node.get_publishers_info_by_topic(topic)
+        best = any(info.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT for info in infos)
+        reliability = ReliabilityPolicy.BEST_EFFORT if best else ReliabilityPolicy.RELIABLE
+        return self.node.create_subscription(
+            kind, topic, take, QoSProfile(depth=depth, reliability=reliability), raw=True
+        )
+
+    def commands(self, place: RosAddress) -> Any:
+        """A publisher of trajectories to the controller."""
+        kind = typed("trajectory_msgs.msg", "JointTrajectory")
+        if kind is None:
+            raise DriverError("the ROS 2 that is sourced here has no trajectory_msgs; install it")
+        return self.node.create_publisher(kind, place.name(place.controller, "joint_trajectory"), 10)
+
+    def parameters(
+        self, node: str, timeout: float, wait: Callable[[Callable[[], bool], float], bool]
+    ) -> dict[str, Any]:
+        """All parameters of a node by their names; empty where it does not answer in time."""
+        from rclpy.parameter import parameter_value_to_python
+        from rclpy.parameter_client import AsyncParameterClient
+
+        client = AsyncParameterClient(self.node, node)
+        if not wait(client.services_are_ready, timeout):
+            return {}
+        listed = client.list_parameters([], 0)
+        if not wait(listed.done, timeout):
+            return {}
+        names = [str(name) for name in listed.result().result.names][:2000]
+        asked = client.get_parameters(names)
+        if not wait(asked.done, timeout):
+            return {}
+        values = asked.result().values
+        return {name: parameter_value_to_python(value) for name, value in zip(names, values, strict=False)}
+
+    def cancel_all(self, place: RosAddress) -> None:
+        """Cancel every goal of the controller, whoever sent it; needs no control_msgs. Returns at once."""
+        kind = typed("action_msgs.srv", "CancelGoal")
+        client = self.node.create_client(kind, f"{place.action}/_action/cancel_goal")
+        if client.service_is_ready() or client.wait_for_service(0.2):
+            client.call_async(kind.Request())  # no id and no stamp: all of them
+
+    def close(self) -> None:
+        """End the node; never raises."""
+        for end in (self._executor.shutdown, self.node.destroy_node, self.context.try_shutdown):
+            try:
+                end()
+            except Exception:  # what is left of it ends with the process
+                continue
+
+
+def trajectory_message(joints: Iterable[str], stamp: float, points: Sequence[Sequence[Any]]) -> Any:
+    """A JointTrajectory of points (time [s], positions, velocities and, where given, accelerations)."""
+    from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+    message = JointTrajectory(joint_names=list(joints))
+    set_time(message.header.stamp, stamp)
+    for time_from_start, *rows in points:
+        values = dict(
+            zip(("positions", "velocities", "accelerations"), (np.asarray(r).tolist() for r in rows), strict=False)
+        )
+        point = JointTrajectoryPoint(**values)
+        set_time(point.time_from_start, time_from_start)
+        message.points.append(point)
+    return message
+
+
+def set_time(message: Any, seconds: float) -> None:
+    """Set a Time or Duration."""
+    message.sec, message.nanosec = divmod(round(seconds * 1e9), 10**9)

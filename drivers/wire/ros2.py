@@ -1,0 +1,218 @@
+"""Names and bytes of ROS 2 that a JointTrajectoryController and its joint_state_broadcaster use.
+
+A JointState in CDR (little endian, after four bytes of encapsulation; offsets count from there):
+
+    int32 sec, uint32 nanosec, string frame_id, string[] name, float64[] position, velocity, effort
+
+A string is its length with the final zero byte, and its bytes; each number stands at a multiple of its size.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.errors import ConfigurationError, ProtocolError
+from drivers.texts import MANY, NAME, place_of, printable
+
+JOINT_STATES, DESCRIPTION, MANAGER = "joint_states", "robot_description", "controller_manager"
+_ADDRESS = re.compile(r"ros2://(\d{1,3})((?:/[A-Za-z_]\w*)+)((?:,beside=[\w/]+)*)", re.ASCII)
+_DOMAINS = 232  # the ports of higher ones are beyond 65535
+_ENCAPSULATION, _LITTLE = 4, b"\x00\x01\x00\x00"
+_JOINTS = 256  # that one message may name: grippers and other groups may be among them
+
+
+@dataclass(frozen=True)
+class RosAddress:
+    """`ros2://DOMAIN/NAMESPACE/CONTROLLER`, the namespace of any depth or none.
+
+    `beside`: nodes that may hold a client of the controller, named by `,beside=NODE`; they do not command it.
+    """
+
+    domain: int
+    namespace: str
+    controller: str
+    beside: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, address: str) -> RosAddress:
+        """Raises:
+        ConfigurationError: not such an address.
+        """
+        found = _ADDRESS.fullmatch(str(address).strip())
+        if found is None or int(found[1]) > _DOMAINS:
+            raise ConfigurationError(
+                f"address {place_of(address)!r}: ros2://DOMAIN/NAMESPACE/CONTROLLER is expected, such as "
+                f"ros2://0/joint_trajectory_controller; the domain is 0 to {_DOMAINS}, a namespace may be left out"
+            )
+        *namespace, controller = found[2].strip("/").split("/")
+        beside = tuple(part.removeprefix("beside=") for part in found[3].split(",") if part)
+        return cls(int(found[1]), "".join(f"/{part}" for part in namespace), controller, beside)
+
+    def name(self, *parts: str) -> str:
+        """An absolute name in the namespace."""
+        return "/".join((self.namespace, *parts))
+
+    @property
+    def node(self) -> str:
+        """Name of the controller's node."""
+        return self.name(self.controller)
+
+    @property
+    def action(self) -> str:
+        """Name of its action."""
+        return self.name(self.controller, "follow_joint_trajectory")
+
+
+@dataclass(frozen=True, eq=False)
+class JointSample:
+    """One JointState: stamp [s], and position, velocity and effort (n,) in the order that was asked for; NaN where the
+    message has none."""
+
+    stamp: float
+    position: np.ndarray
+    velocity: np.ndarray
+    effort: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class SetPoint:
+    """One JointTrajectoryControllerState: stamp [s], position and velocity (n,) of its reference, and the factor of its
+    speed."""
+
+    stamp: float
+    position: np.ndarray
+    velocity: np.ndarray
+    scaling: float
+
+
+class _Reader:
+    """Numbers by joint from CDR bytes that begin with a header and names.
+
+    Names are looked up once, and again where they or their number change. Messages without all of the joints are other
+    groups' and give None.
+    """
+
+    topic = ""
+
+    def __init__(self, joints: Sequence[str]) -> None:
+        self._joints = tuple(joints)
+        self._head = b""  # from frame_id to the last name
+        self._order: np.ndarray | None = None
+        self._count = 0
+        self._missing = np.full(len(self._joints), np.nan)
+
+    def _rows(self, data: bytes, count: int) -> tuple[float, list[np.ndarray]] | None:
+        """Stamp [s] and the first arrays (n,) in the order of the joints.
+
+        Raises:
+            ProtocolError: another type, or damaged.
+        """
+        try:
+            if not (self._head and data[12 : 12 + len(self._head)] == self._head):
+                self._look(data)
+            at = 12 + len(self._head)
+            arrays = []
+            for _ in range(count):
+                array, at = _numbers(data, at)
+                arrays.append(array)
+            if self._order is None:
+                return None
+            sec, nanosec = struct.unpack_from("<iI", data, _ENCAPSULATION)
+            return sec + 1e-9 * nanosec, [self._ordered(array) for array in arrays]
+        except (struct.error, ValueError, IndexError) as error:  # UnicodeDecodeError is a ValueError
+            self._head = b""
+            raise ProtocolError(f"a message on {self.topic} is damaged, or of another type: {error}") from None
+
+    def _look(self, data: bytes) -> None:
+        if bytes(data[:4]) != _LITTLE:
+            raise ValueError("not in little-endian CDR")
+        _, at = _string(data, 12)
+        at = _aligned(at, 4)
+        (count,) = struct.unpack_from("<I", data, at)
+        if count > _JOINTS:
+            raise ValueError(f"{count} joints")
+        names, at = [], at + 4
+        for _ in range(count):
+            name, at = _string(data, at)
+            names.append(name)
+        self._head, self._count = bytes(data[12:at]), count
+        self._order = np.array([names.index(one) for one in self._joints]) if {*self._joints} <= {*names} else None
+
+    def _ordered(self, array: np.ndarray) -> np.ndarray:
+        if len(array) == 0:
+            return self._missing
+        if len(array) != self._count:
+            raise ValueError(f"{len(array)} numbers for {self._count} joints")
+        found: np.ndarray = array[self._order]
+        return found
+
+
+class JointStateReader(_Reader):
+    """Reads JointStates of these joints."""
+
+    topic = JOINT_STATES
+
+    def read(self, data: bytes) -> JointSample | None:
+        """The sample, or None where this message has not all of the joints.
+
+        Raises:
+            ProtocolError: no JointState.
+        """
+        found = self._rows(data, 3)
+        return None if found is None else JointSample(found[0], found[1][0], found[1][1], found[1][2])
+
+
+class SetPointReader(_Reader):
+    """Reads JointTrajectoryControllerStates from Jazzy on: reference first, the speed scaling factor last."""
+
+    topic = "controller_state"
+
+    def read(self, data: bytes) -> SetPoint | None:
+        """The set-point, or None where it is of other joints.
+
+        Raises:
+            ProtocolError: no such message.
+        """
+        found = self._rows(data, 2)
+        if found is None:
+            return None
+        (scaling,) = struct.unpack_from("<d", data, len(data) - 8)
+        return SetPoint(found[0], found[1][0], found[1][1], scaling)
+
+
+def _aligned(at: int, size: int) -> int:
+    return at + -(at - _ENCAPSULATION) % size
+
+
+def _string(data: bytes, at: int) -> tuple[str, int]:
+    at = _aligned(at, 4)
+    (length,) = struct.unpack_from("<I", data, at)
+    if not 0 < length <= 4 * NAME or at + 4 + length > len(data):
+        raise ValueError("a text without an end")
+    return printable(bytes(data[at + 4 : at + 3 + length]).decode("utf-8")), at + 4 + length
+
+
+def _numbers(data: bytes, at: int) -> tuple[np.ndarray, int]:
+    at = _aligned(at, 4)
+    (count,) = struct.unpack_from("<I", data, at)
+    if count > _JOINTS:
+        raise ValueError(f"{count} numbers")
+    at = _aligned(at + 4, 8) if count else at + 4
+    return np.frombuffer(data, "<f8", count, at), at + 8 * count
+
+
+def joints_of(names: Sequence[object]) -> tuple[str, ...]:
+    """Names of joints as a controller says them.
+
+    Raises:
+        ProtocolError: none, or more than any arm has.
+    """
+    found = tuple(str(name) for name in names)
+    if not 1 <= len(found) <= MANY or len(set(found)) != len(found):
+        raise ProtocolError(f"the controller names {len(found)} joints, of which {len(set(found))} differ")
+    return found
