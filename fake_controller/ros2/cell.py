@@ -33,7 +33,7 @@ _BEHIND = 0.2  # s; a manager that is further behind leaves cycles out
 
 
 @dataclass(frozen=True, eq=False)
-class Cycles:
+class RosCycles:
     """K cycles: stamps (K,) [s of the Unix clock], what was measured and what was commanded (K, n)."""
 
     stamps: np.ndarray
@@ -106,7 +106,7 @@ class Ros2Cell(FaultyController):
         self.reach("stop" if self.moving else "start")
         return self._obeys
 
-    def run(self) -> Cycles | None:
+    def run(self) -> RosCycles | None:
         """The cycles that are due; None where none is."""
         due = int((self._clock() - self._begin) / self.period) - self._count
         if due <= 0:
@@ -123,7 +123,7 @@ class Ros2Cell(FaultyController):
         self.position, self.velocity = samples.position[-1], samples.velocity[-1]
         self._notice(count)
         effort = self._measured(samples.torque)
-        return Cycles(stamps, samples.position, samples.velocity, effort, reference, rate)
+        return RosCycles(stamps, samples.position, samples.velocity, effort, reference, rate)
 
     def _measured(self, torque: np.ndarray) -> np.ndarray:
         if self.effort == "none" or "no_numbers" in self._lies:

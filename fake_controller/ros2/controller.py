@@ -12,7 +12,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from fake_controller.ros2.trajectory import Message, Point, Trajectory
+from fake_controller.ros2.trajectory import SampledTrajectory, TrajectoryMessage, TrajectoryPoint
 
 
 class ErrorCode(IntEnum):
@@ -33,7 +33,7 @@ class Goal:
     `ended(status, code, text)`: status is `succeeded`, `aborted` or `canceled`.
     """
 
-    message: Message
+    message: TrajectoryMessage
     ended: Callable[[str, ErrorCode, str], object]
     path: Mapping[str, float] = field(default_factory=dict)
     goal: Mapping[str, float] = field(default_factory=dict)
@@ -79,8 +79,8 @@ class TrajectoryController:
         self.refused: list[str] = []
         self.command, self.command_velocity = position.copy(), np.zeros(count)
         self._lock = threading.RLock()
-        self._new: Message | None = None
-        self._trajectory: Trajectory | None = None
+        self._new: TrajectoryMessage | None = None
+        self._trajectory: SampledTrajectory | None = None
         self._goal: Goal | None = None
         self._time = 0.0  # of the trajectory [s], slower than the clock where it is scaled
         self._last = 0.0
@@ -91,7 +91,7 @@ class TrajectoryController:
         with self._lock:
             return self._new is not None or (self._trajectory is not None and self._time < self._trajectory.end)
 
-    def take(self, message: Message, now: float) -> str:
+    def take(self, message: TrajectoryMessage, now: float) -> str:
         """A trajectory by topic: it replaces what runs; why it is refused, or nothing."""
         with self._lock:
             refusal = message.refusal(self.joints, now) if self.active else "the controller is not active"
@@ -131,7 +131,7 @@ class TrajectoryController:
         """One cycle at `now` [s] with what was measured (n,); the position and velocity that are commanded next."""
         with self._lock:
             if self._new is not None:
-                self._trajectory = Trajectory(self._new, self.joints, now, (position.copy(), velocity.copy()))
+                self._trajectory = SampledTrajectory(self._new, self.joints, now, (position.copy(), velocity.copy()))
                 self._new, self._time = None, now
             else:
                 self._time += self.scaling * (now - self._last)
@@ -145,7 +145,7 @@ class TrajectoryController:
                     self.command_velocity = self.scaling * rate
             return self.command, self.command_velocity
 
-    def _within(self, trajectory: Trajectory, error: np.ndarray) -> bool:
+    def _within(self, trajectory: SampledTrajectory, error: np.ndarray) -> bool:
         """Whether tolerances hold; where they do not, the goal is aborted and the arm held."""
         tolerances = self.tolerances
         if self._time < trajectory.end:
@@ -166,8 +166,11 @@ class TrajectoryController:
     def _hold(self) -> None:
         """One point at the measured position, which is a step of the command back by the lag."""
         there = self._measured if self._trajectory is not None else self.command
-        message = Message(self.joints, 0.0, (Point.of(0.0, there.tolist()),))
-        self._new, self._trajectory = None, Trajectory(message, self.joints, self._last, (there, np.zeros_like(there)))
+        message = TrajectoryMessage(self.joints, 0.0, (TrajectoryPoint.of(0.0, there.tolist()),))
+        self._new, self._trajectory = (
+            None,
+            SampledTrajectory(message, self.joints, self._last, (there, np.zeros_like(there))),
+        )
         self.command, self.command_velocity = there.copy(), np.zeros_like(there)
 
     def _end(self, status: str, code: ErrorCode, text: str) -> None:

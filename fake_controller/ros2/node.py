@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from drivers.wire.ros2 import DESCRIPTION, JOINT_STATES, MANAGER, RosAddress
-from fake_controller.ros2.cell import Cycles, Ros2Cell
+from fake_controller.ros2.cell import Ros2Cell, RosCycles
 from fake_controller.ros2.controller import ErrorCode, Goal
-from fake_controller.ros2.trajectory import Message, Point
+from fake_controller.ros2.trajectory import TrajectoryMessage, TrajectoryPoint
 
 _TURN = 0.002  # s
 
@@ -47,13 +47,13 @@ def seconds(value: Any) -> float:
     return float(value.sec) + 1e-9 * float(value.nanosec)
 
 
-def message_of(message: Any) -> Message:
+def message_of(message: Any) -> TrajectoryMessage:
     """A trajectory_msgs/JointTrajectory as the controller takes it."""
     points = tuple(
-        Point.of(seconds(one.time_from_start), one.positions, one.velocities, one.accelerations)
+        TrajectoryPoint.of(seconds(one.time_from_start), one.positions, one.velocities, one.accelerations)
         for one in message.points
     )
-    return Message(tuple(message.joint_names), seconds(message.header.stamp), points)
+    return TrajectoryMessage(tuple(message.joint_names), seconds(message.header.stamp), points)
 
 
 class Ros2Server:
@@ -220,7 +220,7 @@ class Ros2Server:
                 except ConnectionResetError:  # the fault `drop`
                     return
 
-    def _publish(self, cycles: Cycles) -> None:
+    def _publish(self, cycles: RosCycles) -> None:
         for k, stamp in enumerate(cycles.stamps):
             rows = (cycles.position[k], cycles.velocity[k], cycles.effort[k])
             if not self.cell.mute:
@@ -230,7 +230,7 @@ class Ros2Server:
             if self._state_publisher is not None and not self.cell.mute:
                 self._publish_state(float(stamp), cycles, k)
 
-    def _publish_state(self, stamp: float, cycles: Cycles, k: int) -> None:
+    def _publish_state(self, stamp: float, cycles: RosCycles, k: int) -> None:
         state = self._state
         state.header.stamp.sec, state.header.stamp.nanosec = int(stamp), int(stamp % 1 * 1e9)
         pairs = (

@@ -29,14 +29,14 @@ _STILL = 1.2e-7  # rad/s: what passes for zero at the end
 
 
 @dataclass(frozen=True, eq=False)
-class Point:
+class TrajectoryPoint:
     """One point: time [s] from the start, position (n,), and velocity and acceleration (n,) or nothing (0,)."""
 
     time: float
     rows: tuple[np.ndarray, ...]
 
     @classmethod
-    def of(cls, time: float, *rows: Sequence[float]) -> Point:
+    def of(cls, time: float, *rows: Sequence[float]) -> TrajectoryPoint:
         """With plain numbers; what is empty is left out, and what comes after it."""
         arrays = [np.asarray(row, dtype=float) for row in rows]
         count = next((k for k, row in enumerate(arrays) if len(row) == 0), len(arrays))
@@ -44,12 +44,12 @@ class Point:
 
 
 @dataclass(frozen=True, eq=False)
-class Message:
+class TrajectoryMessage:
     """A JointTrajectory message: `stamp` [s] of the header, 0 for at once."""
 
     names: tuple[str, ...]
     stamp: float
-    points: tuple[Point, ...]
+    points: tuple[TrajectoryPoint, ...]
 
     def refusal(self, joints: Sequence[str], now: float) -> str:
         """Why a controller of these joints does not take it; empty where it does."""
@@ -73,26 +73,28 @@ class Message:
 
 
 @dataclass(eq=False)
-class Trajectory:
+class SampledTrajectory:
     """A message under way since it was first sampled, at `began` [s], from the state `before` (position, velocity).
 
     A first point that is due has no segment that leads to it.
     """
 
-    message: Message
+    message: TrajectoryMessage
     joints: tuple[str, ...]
     began: float
     before: tuple[np.ndarray, np.ndarray]
     times: np.ndarray = field(init=False)
-    _points: list[Point] = field(init=False)
+    _points: list[TrajectoryPoint] = field(init=False)
 
     def __post_init__(self) -> None:
         column = [self.message.names.index(name) for name in self.joints]
         start = self.message.stamp or self.began
-        points = [Point(start + one.time, tuple(row[column] for row in one.rows)) for one in self.message.points]
+        points = [
+            TrajectoryPoint(start + one.time, tuple(row[column] for row in one.rows)) for one in self.message.points
+        ]
         if self.began < points[0].time:
             position, velocity = self.before
-            points.insert(0, Point(self.began, (position, velocity, np.zeros_like(position))))
+            points.insert(0, TrajectoryPoint(self.began, (position, velocity, np.zeros_like(position))))
         self._points, self.times = points, np.array([point.time for point in points])
 
     @property

@@ -100,7 +100,7 @@ class BrakeProcess:
             self._say("")
 
     def close(self) -> None:
-        """End it, the arm at rest; never raises."""
+        """End it without braking; never raises."""
         with contextlib.suppress(OSError):
             self._say("disarm")
         for stream in (self._process.stdin, self._process.stdout):

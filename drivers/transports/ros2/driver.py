@@ -22,7 +22,7 @@ from drivers.transports.ros2 import preconditions
 from drivers.transports.ros2.brake import BrakeProcess
 from drivers.transports.ros2.link import RosLink
 from drivers.transports.ros2.motion import Ros2Motion
-from drivers.transports.ros2.program import LONGEST, Program
+from drivers.transports.ros2.program import LONGEST, GoalProgram
 from drivers.wire.ros2 import MANAGER, JointSample, RosAddress, SetPoint, joints_of
 
 #: What `effort` of joint_states may be said to be.
@@ -60,7 +60,7 @@ class Ros2Driver(LinkDriver[RosLink, Ros2Motion]):
         self._manager: dict[str, Any] = {}
         self._period = 0.0
         self._by_goal = False
-        self._stored: Program | None = None
+        self._stored: GoalProgram | None = None
         self._name = ""
         self._brake: BrakeProcess | None = None
 
@@ -89,6 +89,7 @@ class Ros2Driver(LinkDriver[RosLink, Ros2Motion]):
         link = self._link = RosLink(
             self._place, self._timeout, self._on_sample, self._on_state, self._on_turn, self._on_failure
         )
+        link.watchdog = self._watchdog
         self._parameters = link.parameters(self._place.node)
         if not self._parameters:
             raise DriverError(
@@ -168,7 +169,7 @@ class Ros2Driver(LinkDriver[RosLink, Ros2Motion]):
         if self._motion is not None and not self._motion.over:
             raise RefusedError("no program is taken while the arm moves; stop it first")
         self._stored, self._name = None, ""
-        self._stored, self._name = Program.of(text), name
+        self._stored, self._name = GoalProgram.of(text), name
         if self._brake is None or not self._brake.alive:
             self._brake = BrakeProcess(self._text, link.joints, f"{link.name}_brake")
             self._brake.wait_ready(self._start_timeout)

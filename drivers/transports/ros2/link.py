@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import secrets
 import time
@@ -233,7 +234,8 @@ class RosLink(LinkThread):
 
     def linger(self) -> None:
         """Let a brake act before what runs is cancelled (in the thread, which has ended)."""
-        self._ros.spin_for(BRAKE + 0.3)
+        with contextlib.suppress(Exception):  # whatever it is, the cancel follows
+            self._ros.spin_for(BRAKE + 0.3)
 
     def close(self) -> None:
         """End the link and its thread; never raises."""

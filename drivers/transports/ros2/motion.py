@@ -16,7 +16,7 @@ from drivers.protocol import SampleBlock
 from drivers.transports.base.samples import SampleStream
 from drivers.transports.ros2.following import Counter, Course
 from drivers.transports.ros2.link import RosLink
-from drivers.transports.ros2.program import Program, Step
+from drivers.transports.ros2.program import GoalProgram, Step
 from drivers.transports.ros2.ros import trajectory_message
 from drivers.wire.reasons import EndReason
 from drivers.wire.ros2 import JointSample, SetPoint
@@ -55,7 +55,7 @@ class Ros2Motion(SampleStream):
 
     def __init__(
         self,
-        program: Program,
+        program: GoalProgram,
         link: RosLink,
         period: float,
         by_goal: bool,

@@ -1,7 +1,7 @@
 """A program of joint trajectories as the driver runs it: goals in turn, each from rest to rest.
 
 `agent.motion.joint_trajectory` writes these texts and checks limits; this module takes nothing for granted that keeps
-the arm safe while nobody is there: an end at rest, a path tolerance, a bounded duration, a lead to the first point.
+the arm safe while nobody is there: a stationary end, a path tolerance, a bounded duration, a lead to the first point.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ class Step:
 
 
 @dataclass(frozen=True, eq=False)
-class Program:
+class GoalProgram:
     """A program under its `name`: joints, and steps in order."""
 
     text: str
@@ -103,7 +103,7 @@ class Program:
                 yield step
 
     @classmethod
-    def of(cls, text: str) -> Program:
+    def of(cls, text: str) -> GoalProgram:
         """Of a text.
 
         Raises:
