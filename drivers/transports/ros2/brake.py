@@ -151,9 +151,9 @@ def main(arguments: Sequence[str]) -> int:
         signal.signal(number, signal.SIG_IGN)  # it ends when the agent does
     from drivers.transports.ros2.ros import Ros, trajectory_message
 
-    place = RosAddress.of(address)
-    ros = Ros(place.domain, name)
-    publisher = ros.commands(place)
+    target = RosAddress.of(address)
+    ros = Ros(target.domain, name)
+    publisher = ros.commands(target)
     reader, speed = JointStateReader(joints), Speed()
     latest: list[tuple[JointSample, np.ndarray]] = []
 
@@ -163,7 +163,7 @@ def main(arguments: Sequence[str]) -> int:
             if sample is not None:
                 latest[:] = [(sample, speed.of(sample))]
 
-    ros.raw("sensor_msgs.msg", "JointState", place.name(JOINT_STATES), take, depth=2)
+    ros.raw("sensor_msgs.msg", "JointState", target.name(JOINT_STATES), take, depth=2)
     orders, told, braked = Orders(time.monotonic()), False, 0.0
     while True:
         ros.spin_once(_TURN if orders.strength is not None else 5 * _TURN)
@@ -182,7 +182,7 @@ def main(arguments: Sequence[str]) -> int:
             braked = time.monotonic()
         rests = bool(latest) and np.abs(latest[0][1]).max() <= _STILL
         if braked and time.monotonic() - braked > CANCEL_AFTER and (rests or time.monotonic() - braked > 2.0):
-            ros.cancel_all(place)
+            ros.cancel_all(target)
             ros.spin_for(0.5)
             return 0
         if orders.ended and orders.strength is None:

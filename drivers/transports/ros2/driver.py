@@ -48,7 +48,7 @@ class Ros2Driver(LinkDriver[RosLink, Ros2Motion]):
     dialect = "joint_trajectory"
 
     def __init__(self, address: str, effort: str = "torque", **options: Any) -> None:
-        self._place = RosAddress.of(address)
+        self._target = RosAddress.of(address)
         if effort not in EFFORTS:
             raise ConfigurationError(f"effort {effort!r}: {', '.join(EFFORTS)} are known")
         self._text = address
@@ -66,7 +66,7 @@ class Ros2Driver(LinkDriver[RosLink, Ros2Motion]):
 
     def endpoints(self) -> tuple[str, ...]:
         """`NamesEndpoints`: the controller's node."""
-        return (f"ros2 domain {self._place.domain} {self._place.node}",)
+        return (f"ros2 domain {self._target.domain} {self._target.node}",)
 
     @property
     def facts(self) -> dict[str, str]:
@@ -87,17 +87,17 @@ class Ros2Driver(LinkDriver[RosLink, Ros2Motion]):
         """See the controller, its parameters, its joints' samples, and that nobody else commands it."""
         self._stored = None
         link = self._link = RosLink(
-            self._place, self._timeout, self._on_sample, self._on_state, self._on_turn, self._on_failure
+            self._target, self._timeout, self._on_sample, self._on_state, self._on_turn, self._on_failure
         )
         link.watchdog = self._watchdog
-        self._parameters = link.parameters(self._place.node)
+        self._parameters = link.parameters(self._target.node)
         if not self._parameters:
             raise DriverError(
-                f"{self.address}: no node {self._place.node} answers in ROS domain {self._place.domain} within "
+                f"{self.address}: no node {self._target.node} answers in ROS domain {self._target.domain} within "
                 f"{self._timeout:g} s; is the controller loaded, are ROS_DOMAIN_ID, ROS_AUTOMATIC_DISCOVERY_RANGE and "
                 "RMW_IMPLEMENTATION those of the robot?"
             )
-        self._manager = link.parameters(self._place.name(MANAGER), min(self._timeout, 3.0))
+        self._manager = link.parameters(self._target.name(MANAGER), min(self._timeout, 3.0))
         joints = joints_of(self._parameters.get("joints") or ())
         preconditions.check_alone(link)
         link.listen(joints)
@@ -123,7 +123,7 @@ class Ros2Driver(LinkDriver[RosLink, Ros2Motion]):
         if self._effort == "none":
             watch_only = "the recipe says that joint_states have no effort, so nothing can be identified from them"
         return Identity(
-            robot=named[1].decode("utf-8", "replace") if named else self._place.controller,
+            robot=named[1].decode("utf-8", "replace") if named else self._target.controller,
             serial=f"urdf-{digest[:12]}",
             controller="JointTrajectoryController",
             version=_distribution(),

@@ -36,7 +36,7 @@ class RosLink(LinkThread):
     """Subscriptions and publishers of one controller.
 
     Args:
-        place: of the controller.
+        target: address of the controller, parsed.
         timeout: how long [s] to wait for what has to be there.
         on_sample: is given each sample and the time of this computer [s] when it came, in the thread.
         on_state: is given each set-point, in the thread.
@@ -46,15 +46,15 @@ class RosLink(LinkThread):
 
     def __init__(
         self,
-        place: RosAddress,
+        target: RosAddress,
         timeout: float,
         on_sample: Callable[[JointSample, float], None],
         on_state: Callable[[SetPoint], None],
         on_turn: Callable[[], None],
         on_failure: Callable[[DriverError], None],
     ) -> None:
-        super().__init__(place.node, on_failure)
-        self.place, self._timeout = place, timeout
+        super().__init__(target.node, on_failure)
+        self.target, self._timeout = target, timeout
         self.name = f"calibration_agent_{os.getpid()}_{secrets.token_hex(3)}"
         self._on_sample, self._on_state, self._on_turn = on_sample, on_state, on_turn
         self.latest: JointSample | None = None
@@ -67,8 +67,8 @@ class RosLink(LinkThread):
         self._fault: DriverError | None = None
         self._speed = Speed()
         self._silence, self._fresh = 0.0, False
-        self._ros = Ros(place.domain, self.name)
-        self._commands = self._ros.commands(place)
+        self._ros = Ros(target.domain, self.name)
+        self._commands = self._ros.commands(target)
         self._goals: Any = None
         self._thread.start()
 
@@ -97,7 +97,7 @@ class RosLink(LinkThread):
 
     def others(self) -> tuple[str, ...]:
         """Nodes that may command this controller: publishers of trajectories, and clients of its action."""
-        node, topic = self._ros.node, self.place.name(self.place.controller, "joint_trajectory")
+        node, topic = self._ros.node, self.target.name(self.target.controller, "joint_trajectory")
         found = {
             f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in node.get_publishers_info_by_topic(topic)
         }
@@ -106,7 +106,7 @@ class RosLink(LinkThread):
                 clients = node.get_client_names_and_types_by_node(name, namespace)
             except Exception:  # it has gone meanwhile
                 continue
-            if any(service == f"{self.place.action}/_action/send_goal" for service, _ in clients):
+            if any(service == f"{self.target.action}/_action/send_goal" for service, _ in clients):
                 found.add(f"{namespace.rstrip('/')}/{name}")
         return tuple(sorted(one for one in found if not one.rpartition("/")[2].startswith(self.name)))
 
@@ -117,7 +117,7 @@ class RosLink(LinkThread):
             DriverError: none come.
         """
         self.joints = tuple(joints)
-        states, reader = self.place.name(JOINT_STATES), JointStateReader(joints)
+        states, reader = self.target.name(JOINT_STATES), JointStateReader(joints)
         kinds = self.topics().get(states, ())
         if kinds and "sensor_msgs/msg/JointState" not in kinds:
             raise ProtocolError(f"{states} has messages of type {kinds[0]}, and sensor_msgs/msg/JointState is expected")
@@ -142,7 +142,7 @@ class RosLink(LinkThread):
             self.description = data if len(data) <= _URDF else b""
 
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self._ros.node.create_subscription(kind, self.place.name(DESCRIPTION), take, latched)
+        self._ros.node.create_subscription(kind, self.target.name(DESCRIPTION), take, latched)
         self.wait(lambda: bool(self.description), min(self._timeout, 3.0))
 
     def goals(self) -> bool:
@@ -150,7 +150,7 @@ class RosLink(LinkThread):
         if self._goals is None and (kind := typed("control_msgs.action", "FollowJointTrajectory")) is not None:
             from rclpy.action import ActionClient
 
-            client = ActionClient(self._ros.node, kind, self.place.action)
+            client = ActionClient(self._ros.node, kind, self.target.action)
             self._goals = client if self.wait(client.server_is_ready, min(self._timeout, 5.0)) else False
         return bool(self._goals)
 
@@ -162,7 +162,7 @@ class RosLink(LinkThread):
         with self._changed:
             seen = np.array(self._seen)
         if len(seen) < 3 or not np.ptp(seen[:, 0]) > 0.0:
-            raise DriverError(f"{self.place.name(JOINT_STATES)} has fallen silent, or its clock stands still")
+            raise DriverError(f"{self.target.name(JOINT_STATES)} has fallen silent, or its clock stands still")
         ages = seen[:, 1] - seen[:, 1].min()
         return (len(seen) - 1) / float(np.ptp(seen[:, 0])), float(np.quantile(ages, 0.99))
 
@@ -228,7 +228,7 @@ class RosLink(LinkThread):
     def cancel(self) -> None:
         """Cancel whatever runs; never raises."""
         try:
-            self._ros.cancel_all(self.place)
+            self._ros.cancel_all(self.target)
         except Exception:  # a context that has ended
             return
 
@@ -249,7 +249,7 @@ class RosLink(LinkThread):
         if kind is None or "speed_scaling_factor" not in kind.get_fields_and_field_types():
             return
         reader = SetPointReader(self.joints)
-        topic = self.place.name(self.place.controller, "controller_state")
+        topic = self.target.name(self.target.controller, "controller_state")
         self._ros.raw(
             "control_msgs.msg", "JointTrajectoryControllerState", topic, lambda data: self._take_state(reader, data)
         )
@@ -303,7 +303,7 @@ class RosLink(LinkThread):
 
     def _fell_silent(self) -> DriverError:
         return DriverError(
-            f"{self.place.name(JOINT_STATES)} fell silent: no new sample for {self.watchdog:g} s, and the arm may "
+            f"{self.target.name(JOINT_STATES)} fell silent: no new sample for {self.watchdog:g} s, and the arm may "
             "move; it "
             "was told to brake: go and look at it"
         )

@@ -168,7 +168,7 @@ class Ros2Motion(SampleStream):
             elif self._phase == "moving" and self._by_goal and self._accepted is None and now - self._sent_at > _ANSWER:
                 self.brake(
                     DriverError(
-                        f"{self._link.place.action} did not answer a goal within {_ANSWER:g} s; whatever runs was "
+                        f"{self._link.target.action} did not answer a goal within {_ANSWER:g} s; whatever runs was "
                         "braked and "
                         "cancelled: look at the arm and the controller"
                     )

@@ -24,7 +24,7 @@ def check_controller(link: RosLink, parameters: Mapping[str, Any], manager: Mapp
     Raises:
         RefusedError: it is not, or does not.
     """
-    node, kind = link.place.node, manager.get(f"{link.place.controller}.type")
+    node, kind = link.target.node, manager.get(f"{link.target.controller}.type")
     if kind is not None and kind not in _KINDS:
         raise RefusedError(f"{node} is a {kind}; activate a JointTrajectoryController, and name it in the address")
     method = parameters.get("interpolation_method", "splines")
@@ -53,16 +53,16 @@ def check_active(link: RosLink) -> None:
     Raises:
         RefusedError: they are not.
     """
-    place = link.place
-    listed = link.call("controller_manager_msgs.srv", "ListControllers", place.name(MANAGER, "list_controllers"))
+    target = link.target
+    listed = link.call("controller_manager_msgs.srv", "ListControllers", target.name(MANAGER, "list_controllers"))
     for one in [] if listed is None else listed.controller:
         claims = any(joint in interface for interface in one.claimed_interfaces for joint in link.joints)
-        if one.name == place.controller and one.state != "active":
-            raise RefusedError(f"{place.node} is {one.state}; activate it: ros2 control switch_controllers")
-        if one.name != place.controller and one.state == "active" and claims:
+        if one.name == target.controller and one.state != "active":
+            raise RefusedError(f"{target.node} is {one.state}; activate it: ros2 control switch_controllers")
+        if one.name != target.controller and one.state == "active" and claims:
             raise RefusedError(f"{one.name} is active and commands the arm too; deactivate it")
     hardware = link.call(
-        "controller_manager_msgs.srv", "ListHardwareComponents", place.name(MANAGER, "list_hardware_components")
+        "controller_manager_msgs.srv", "ListHardwareComponents", target.name(MANAGER, "list_hardware_components")
     )
     for one in [] if hardware is None else hardware.component:
         if one.state.label not in ("active", ""):
@@ -75,10 +75,10 @@ def check_alone(link: RosLink) -> None:
     Raises:
         RefusedError: somebody may.
     """
-    others = [one for one in link.others() if one.rpartition("/")[2] not in link.place.beside]
+    others = [one for one in link.others() if one.rpartition("/")[2] not in link.target.beside]
     if others:
         raise RefusedError(
-            f"{', '.join(others)} can command {link.place.node} too: end it. A client that stays idle, such as "
+            f"{', '.join(others)} can command {link.target.node} too: end it. A client that stays idle, such as "
             "MoveIt's, "
             f"may be named in the address: ',beside={others[0].rpartition('/')[2]}'. An agent that was killed is seen "
             "for 20 s"
@@ -92,7 +92,7 @@ def check_arm(link: RosLink, joints: Sequence[str], recorded: bool) -> None:
         RefusedError: something of that is not so.
     """
     if tuple(joints) != link.joints:
-        raise RefusedError(f"the program is for {', '.join(joints)}, {link.place.node} has {', '.join(link.joints)}")
+        raise RefusedError(f"the program is for {', '.join(joints)}, {link.target.node} has {', '.join(link.joints)}")
     sample = link.latest
     assert sample is not None
     if not np.isfinite(sample.position).all():

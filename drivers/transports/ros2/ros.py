@@ -15,7 +15,7 @@ import numpy as np
 from drivers.errors import DriverError
 from drivers.wire.ros2 import RosAddress
 
-#: Samples that wait in the middleware: at 10 a busy process loses one in ten, at 2000 none was lost.
+#: Samples that wait in the middleware: at 10 a busy process loses one in ten, at 2000 it loses nothing.
 DEPTH = 2000
 
 
@@ -102,12 +102,12 @@ class Ros:
             kind, topic, take, QoSProfile(depth=depth, reliability=reliability), raw=True
         )
 
-    def commands(self, place: RosAddress) -> Any:
+    def commands(self, target: RosAddress) -> Any:
         """A publisher of trajectories to the controller."""
         kind = typed("trajectory_msgs.msg", "JointTrajectory")
         if kind is None:
             raise DriverError("the ROS 2 that is sourced here has no trajectory_msgs; install it")
-        return self.node.create_publisher(kind, place.name(place.controller, "joint_trajectory"), 10)
+        return self.node.create_publisher(kind, target.name(target.controller, "joint_trajectory"), 10)
 
     def parameters(
         self, node: str, timeout: float, wait: Callable[[Callable[[], bool], float], bool]
@@ -129,10 +129,10 @@ class Ros:
         values = asked.result().values
         return {name: parameter_value_to_python(value) for name, value in zip(names, values, strict=False)}
 
-    def cancel_all(self, place: RosAddress) -> None:
+    def cancel_all(self, target: RosAddress) -> None:
         """Cancel every goal of the controller, whoever sent it; needs no control_msgs. Returns at once."""
         kind = typed("action_msgs.srv", "CancelGoal")
-        client = self.node.create_client(kind, f"{place.action}/_action/cancel_goal")
+        client = self.node.create_client(kind, f"{target.action}/_action/cancel_goal")
         if client.service_is_ready() or client.wait_for_service(0.2):
             client.call_async(kind.Request())  # no id and no stamp: all of them
 
