@@ -101,7 +101,8 @@ class _Reader:
 
     def __init__(self, joints: Sequence[str]) -> None:
         self._joints = tuple(joints)
-        self._head = b""  # from frame_id to the last name
+        self._known: list[tuple[int, bytes]] = []  # where the texts are: what is between them is not defined
+        self._begin = 0  # of the first array
         self._order: np.ndarray | None = None
         self._count = 0
         self._missing = np.full(len(self._joints), np.nan)
@@ -113,9 +114,9 @@ class _Reader:
             ProtocolError: another type, or damaged.
         """
         try:
-            if not (self._head and data[12 : 12 + len(self._head)] == self._head):
+            if not (self._known and all(data.startswith(text, place) for place, text in self._known)):
                 self._look(data)
-            at = 12 + len(self._head)
+            at = self._begin
             arrays = []
             for _ in range(count):
                 array, at = _numbers(data, at)
@@ -125,7 +126,7 @@ class _Reader:
             sec, nanosec = struct.unpack_from("<iI", data, _ENCAPSULATION)
             return sec + 1e-9 * nanosec, [self._ordered(array) for array in arrays]
         except (struct.error, ValueError, IndexError) as error:  # UnicodeDecodeError is a ValueError
-            self._head = b""
+            self._known = []
             raise ProtocolError(f"a message on {self.topic} is damaged, or of another type: {error}") from None
 
     def _look(self, data: bytes) -> None:
@@ -136,11 +137,14 @@ class _Reader:
         (count,) = struct.unpack_from("<I", data, at)
         if count > _JOINTS:
             raise ValueError(f"{count} joints")
-        names, at = [], at + 4
+        known, names = [(12, bytes(data[12:16])), (at, bytes(data[at : at + 4]))], []
+        at += 4
         for _ in range(count):
-            name, at = _string(data, at)
+            begin = _aligned(at, 4)
+            name, at = _string(data, begin)
+            known.append((begin, bytes(data[begin:at])))
             names.append(name)
-        self._head, self._count = bytes(data[12:at]), count
+        self._known, self._begin, self._count = known, at, count
         self._order = np.array([names.index(one) for one in self._joints]) if {*self._joints} <= {*names} else None
 
     def _ordered(self, array: np.ndarray) -> np.ndarray:
@@ -181,8 +185,10 @@ class SetPointReader(_Reader):
         found = self._rows(data, 2)
         if found is None:
             return None
-        (scaling,) = struct.unpack_from("<d", data, len(data) - 8)
-        return SetPoint(found[0], found[1][0], found[1][1], scaling)
+        try:
+            return SetPoint(found[0], found[1][0], found[1][1], _scaling(data, self._begin))
+        except (struct.error, ValueError) as error:
+            raise ProtocolError(f"a message on {self.topic} is damaged, or of another type: {error}") from None
 
 
 def _aligned(at: int, size: int) -> int:
@@ -204,6 +210,24 @@ def _numbers(data: bytes, at: int) -> tuple[np.ndarray, int]:
         raise ValueError(f"{count} numbers")
     at = _aligned(at + 4, 8) if count else at + 4
     return np.frombuffer(data, "<f8", count, at), at + 8 * count
+
+
+def _scaling(data: bytes, at: int) -> float:
+    """The last number of a JointTrajectoryControllerState: four points lie before it, and four of several degrees of
+    freedom, which are empty."""
+    for _ in range(4):
+        for _ in range(4):
+            _, at = _numbers(data, at)
+        at = _aligned(at, 4) + 8
+    empty = struct.unpack_from("<I", data, at)
+    at += 4
+    for _ in range(4):
+        empty += struct.unpack_from("<III", data, at)
+        at += 20
+    if any(empty):
+        raise ValueError("joints of several degrees of freedom")
+    (scaling,) = struct.unpack_from("<d", data, _aligned(at, 8))
+    return float(scaling)
 
 
 def joints_of(names: Sequence[object]) -> tuple[str, ...]:
