@@ -35,7 +35,7 @@ def test_the_built_in_driver():
 
 @pytest.mark.parametrize("name", ["telnet", "serial"])
 def test_an_unknown_name_lists_what_there_is(name):
-    with pytest.raises(ConfigurationError, match=f"no driver '{name}'; there are: cnr_comau, modbus, .*ros2, .*tcp, ur"):
+    with pytest.raises(ConfigurationError, match=f"no driver '{name}'; there are: cnr_comau, .*ros2, .*tcp, ur"):
         registry.create(name, "127.0.0.1:9100")
 
 
