@@ -1,4 +1,4 @@
-"""The identified model: data, prediction, friction terms, effects, export, and simulators read as a model."""
+"""The identified model: data, prediction, friction terms and effects."""
 
 import lazy_loader
 

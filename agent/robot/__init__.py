@@ -1,4 +1,4 @@
-"""Robot description, kinematics, dynamics, base parameters and friction.
+"""Robot description, kinematics, dynamics, base parameters and drives.
 
 `agent.robot.dynamics` is imported where it is used: it loads Pinocchio. So is
 `agent.robot.base_reduction`, whose function has its name.

@@ -1,5 +1,6 @@
 """What the documentation says of the code is there: packages, files, names."""
 
+import ast
 import importlib
 import importlib.util
 import re
@@ -18,6 +19,18 @@ def test_the_architecture_page_names_exactly_the_packages():
     named = {name.rstrip("/") for name in re.findall(r"`((?:agent|drivers|fake_controller)(?:/[a-z_0-9/]+)?)`", text)}
     there = {path.parent.relative_to(ROOT).as_posix() for top in TOPS for path in (ROOT / top).rglob("__init__.py")}
     assert named == there
+
+
+def test_answers_to_the_questions_of_a_newcomer_are_in_the_files_that_they_name():
+    text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8").split("## Ten questions of a newcomer")[1]
+    rows = [line.strip("| ").split(" | ") for line in text.splitlines() if line.startswith("| Wh")]
+    assert len(rows) == 10
+    for question, files, names in rows:
+        paths = re.findall(r"`([^`]+)`", files)
+        assert 1 <= len(paths) <= 3, question
+        nodes = (node for path in paths for node in ast.parse((ROOT / path).read_text("utf-8")).body)
+        tops = {node.name for node in nodes if isinstance(node, ast.ClassDef | ast.FunctionDef)}
+        assert set(re.findall(r"`(\w+)`", names)) <= tops, question
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())

@@ -1,4 +1,4 @@
-"""Forward and inverse kinematics of a serial arm, over many samples at once, all in NumPy.
+"""Forward and inverse kinematics of a serial arm, over many samples at once; the numerical inverse is compiled.
 
 Poses are those of the tool centre point (TCP) in the base frame.
 """
