@@ -250,8 +250,15 @@ class IdentifiedModel(RigidFrictionModel):
                 for e in data["effects"]
             ),
             healthy=tuple(
-                HealthyEffect(e["effect"], tuple(e["joints"]), dict(e["settings"]), float(e["size"]))
+                HealthyEffect(
+                    e["effect"],
+                    tuple(e["joints"]),
+                    dict(e["settings"]),
+                    dict(e["amount"]),
+                    {name: (mean, deviation) for name, (mean, deviation) in e.get("value", {}).items()},
+                )
                 for e in data.get("healthy", ())
+                if "amount" in e  # an older file has a torque, which says nothing of another motion
             ),
             provenance=data["provenance"],
         )

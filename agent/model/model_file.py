@@ -68,7 +68,8 @@ class _HealthyEffect(_Part):
     effect: str
     joints: list[str]
     settings: dict[str, _Number]
-    size: _Size
+    amount: dict[str, _Size] = {}
+    value: dict[str, list[_Number]] = {}
 
 
 class _Prior(_Part):

@@ -32,13 +32,17 @@ class ModelEffect:
 
 @dataclass(frozen=True)
 class HealthyEffect:
-    """What the arm has of an effect of the catalogue while it is healthy: name, joints, nonlinear parameters, and its
-    torque over nominal, root mean square on motions that the model was not fitted to."""
+    """What the arm has of an effect of the catalogue while it is healthy: name, joints and nonlinear parameters.
+
+    `amount`: standard deviation of each linear parameter, on motions that the model was not fitted to. `value`: mean
+    over the logs, and the standard deviation of a further log from it; empty where the logs do not show it.
+    """
 
     effect: str
     joints: tuple[str, ...]
     settings: dict[str, float]
-    size: float
+    amount: dict[str, float]
+    value: dict[str, tuple[float, float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ import pytest
 from agent.diagnosis.hypotheses import noise_model, pool
 from agent.diagnosis.hypotheses.evidence import Evidence
 from agent.diagnosis.hypotheses.law import LAW
-from agent.diagnosis.hypotheses.noise_model import NoiseModel, smooth_columns
+from agent.diagnosis.hypotheses.noise_model import HealthyForm, NoiseModel, smooth_columns
 from agent.diagnosis.rows.candidate import Candidate
 from agent.diagnosis.rows.fit import Fit
 from agent.model import CATALOGUE
@@ -40,7 +40,7 @@ HYPOTHESES = (
 class Written:
     """All rows of the first joint and then of the second, and what model, noise model and forms have on them."""
 
-    def __init__(self, fit: Fit, forms: Sequence[Candidate], healthy: Sequence[tuple[Candidate, float]] | None):
+    def __init__(self, fit: Fit, forms: Sequence[Candidate], healthy: Sequence[HealthyForm] | None):
         self.fit, self.forms, self.sigma = fit, forms, fit.sigma[::STEP].T
         whole, spans = written_out(fit, forms)
         whole = whole[:, ::STEP]
@@ -61,9 +61,9 @@ class Written:
             usual = [k for k, form in enumerate(forms) if form.effect.usual and healthy is None]
             self.common.append(np.hstack([smooth, *(self.base[j] * self.alike(k, j) for k in usual)]))
             alone = learned * whole[j, :, :5] @ covariance @ whole[j, :, :5].T
-            for form, size in healthy or ():
-                block = size * NOMINAL[j] * self.alike(forms.index(form), j)
-                alone = alone + block @ block.T / max(block.shape[1], 1)
+            for one in healthy or ():
+                block = self.effects[forms.index(one.candidate)][j] * one.amount
+                alone = alone + block @ block.T
             self.of_log.append(alone * (self.log[:, None] == self.log))
 
     def alike(self, number: int, joint: int) -> np.ndarray:
@@ -165,7 +165,8 @@ def case(request):
         for joint, block in forms[number].blocks.items():
             left[joint] += size * block.sum(axis=1)
     fit = fit.with_residual(np.stack(left, axis=1) * ([1, 0.05] if request.param == "file" else 1))
-    healthy = {"healthy": [(forms[1], 0.01), (forms[4], 0.02), (forms[5], 0.003)], "drawn": None, "file": ()}
+    amounts = [HealthyForm(forms[k], np.linspace(0.05, 0.1, len(forms[k].names))) for k in (1, 4, 5)]
+    healthy = {"healthy": amounts, "drawn": None, "file": ()}
     with patch.object(pool, "_AT_ONCE", 1):
         evidence = Evidence(fit, forms, healthy[request.param], THE_LAW)
     return evidence, Written(fit, forms, healthy[request.param])
@@ -266,11 +267,32 @@ def test_forms_are_known_by_number(case):
         assert evidence.possible(size, np.array(values)) == fine
 
 
+def test_how_far_an_effect_is_from_the_baselines():
+    """In torque on the joint with most of the difference, next to what both parameters leave open."""
+    fit = synthetic_fit()
+    forms = [synthetic_form(fit, *form) for form in FORMS]
+    known = HealthyForm(forms[5], np.full(2, 0.01), np.array([0.3, -0.1]), np.array([0.02, 0.05]))
+    evidence = Evidence(fit, forms, [known, HealthyForm(forms[1], np.full(3, 0.01))], THE_LAW)
+    one = evidence.evaluate((0, 5), {})
+    own = np.linalg.inv(one.precision)[-2:, -2:] + np.diag(known.deviation**2)
+    found = []
+    for j in forms[5].blocks:
+        columns = evidence.noise.thinned(forms[5], j).astype(float) * (fit.sigma[::STEP, j] / NOMINAL[j])[:, None]
+        weights = fit.sigma[::STEP, j].min() / fit.sigma[::STEP, j]
+        columns = columns * weights[:, None]
+        away = np.sqrt(np.mean((columns @ (one.values[1] - known.mean)) ** 2))
+        found.append((away, np.sqrt(np.trace(own @ columns.T @ columns) / len(columns))))
+    assert evidence.apart(one, 1) == pytest.approx(max(found), rel=1e-3)
+    assert evidence.apart(one, 0) is None
+    assert evidence.apart(evidence.evaluate((1,), {}), 0) is None
+
+
 def test_a_large_gap_adds_its_own_size_to_the_usual_ones(case):
     evidence, written = case
-    assert evidence.usual == (
-        {("ripple", (0,)): 0.01, ("contact", ()): 0.02, ("tilt", ()): 0.003} if evidence.usual else {}
-    )
+    for place, size in evidence.usual.items():
+        (k,) = (k for k, form in enumerate(written.forms) if form.place == place)
+        amount = np.linspace(0.05, 0.1, written.size[k].shape[1])
+        assert size == pytest.approx(np.max(np.linalg.norm(amount * written.size[k], axis=1) / NOMINAL), rel=1e-4)
     left = np.stack([rows[:, -1] for rows in written.fit.rows], axis=1)
     rows = written_out(written.fit, ())[0][:, ::STEP, -1] * written.sigma / NOMINAL[:, None]
     left = left / np.sqrt(np.mean(rows**2, axis=1)).max()
@@ -284,8 +306,8 @@ def test_a_large_gap_adds_its_own_size_to_the_usual_ones(case):
 def test_the_noise_model_trusts_no_form_beyond_a_limit_and_has_no_columns_that_the_logs_hardly_notice(case):
     written, fit = case[1], synthetic_fit(method=SIMULATOR)
     energy = WEIGHT * np.sum((written.alike(0, 1) * NOMINAL[1]) ** 2)
-    sizes = np.sqrt(np.array([0, 0.0099, 0.0101]) / energy)
-    plain, less, more = (NoiseModel(fit, [], [(written.forms[0], size)], THE_LAW) for size in sizes)
+    amounts = np.sqrt(np.array([0, 0.0099, 0.0101]) / energy) * NOMINAL[1] / written.size[0][1]
+    plain, less, more = (NoiseModel(fit, [], [HealthyForm(written.forms[0], one)], THE_LAW) for one in amounts)
     assert [[one.width(j)[1] - plain.width(j)[1] for j in range(2)] for one in (less, more)] == [[0, 0], [0, 2]]
     with patch.object(noise_model, "_ROWS", PERIOD):
         assert NoiseModel(fit, [], (), THE_LAW).rows == len(fit.cell)

@@ -29,8 +29,9 @@ def log_prior(places, free) -> float:
     return np.log(LAW.rare ** (count - 1) * np.prod([*effects, *[LAW.rare / JOINTS] * len(free)]))
 
 
-def hypothesis(share, *places, torque=(0.1, 0.1), free=(), left=0.0, scale=1.0):
-    return SimpleNamespace(share=share, places=places, largest=torque[: len(places)], left=left, free=free, scale=scale)
+def hypothesis(share, *places, torque=(0.1, 0.1), free=(), left=0.0, scale=1.0, apart=None):
+    told = {"share": share, "places": places, "largest": torque[: len(places)], "left": left, "free": free}
+    return SimpleNamespace(**told, scale=scale, apart=apart)
 
 
 def evaluated(*told, kinds=lambda place: 1, observed=lambda one: 0.0):
@@ -51,7 +52,8 @@ def evaluated(*told, kinds=lambda place: 1, observed=lambda one: 0.0):
     ]
     nothing = next(one for one in found if not one.effects and not one.free)
     pool = SimpleNamespace(candidate=candidates.__getitem__, kinds=kinds)
-    return SimpleNamespace(law=LAW, joints=JOINTS, nothing=nothing, pool=pool, usual={}), found
+    apart = lambda one, which: one.told.apart  # noqa: E731
+    return SimpleNamespace(law=LAW, joints=JOINTS, nothing=nothing, pool=pool, usual={}, apart=apart), found
 
 
 def decided(*told, **more):
@@ -218,3 +220,11 @@ def test_a_healthy_arm_may_have_more_than_usual_of_what_it_has_already(times, li
     assert (shares[frozenset({OFFSET})] > LAW.sure) is likely
     decision = named(compare(SimpleNamespace(with_chosen=list), evidence, found))
     assert verdict_on(decision) == ("explained" if likely else "no_gap")
+
+
+@pytest.mark.parametrize(("apart", "verdict"), [((0.0005, 0.001), "no_gap"), ((0.006, 0.001), "explained")])
+def test_what_equals_the_baselines_own_is_no_fault(apart, verdict):
+    """Twelve times the usual is a fault, unless the baseline had as much."""
+    evidence, found = evaluated(hypothesis(0.01, left=1.0), hypothesis(0.99, OFFSET, torque=(0.12,), apart=apart))
+    evidence.usual = {OFFSET: 0.01}
+    assert verdict_on(named(compare(SimpleNamespace(with_chosen=list), evidence, found))) == verdict

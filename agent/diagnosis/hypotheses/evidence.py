@@ -31,7 +31,7 @@ from scipy.linalg.lapack import dtrtrs
 from agent.diagnosis.hypotheses.law import LAW, EvidenceLaw
 from agent.diagnosis.hypotheses.noise_model import Healthy, NoiseModel, scaled_cholesky
 from agent.diagnosis.hypotheses.pool import Bank, Pool
-from agent.diagnosis.rows.candidate import Candidate
+from agent.diagnosis.rows.candidate import Candidate, Place
 from agent.diagnosis.rows.fit import Fit
 from agent.model import CATALOGUE
 from agent.simulators import SIMULATOR
@@ -95,9 +95,9 @@ class Evidence:
         Residual and columns of the model on the logs.
     candidates : sequence of Candidate
         The pool to begin with.
-    healthy : sequence of (Candidate, float), optional
-        Effects that the healthy arm has, and their torque over nominal: part of the noise model. If None, nothing is
-        known about this arm, and the noise model includes small amounts of the pool's effects that every arm has.
+    healthy : sequence of HealthyForm, optional
+        Effects that the healthy arm has: part of the noise model. If None, nothing is known about this arm, and the
+        noise model includes small amounts of the pool's effects that every arm has.
     law : EvidenceLaw, optional
         The numbers of the decision.
     """
@@ -106,8 +106,12 @@ class Evidence:
         self, fit: Fit, candidates: Sequence[Candidate], healthy: Healthy | None = None, law: EvidenceLaw = LAW
     ):
         self.law, self.joints, self.reference = law, len(fit.rows), fit.reference
-        self.usual = {form.place: size for form, size in healthy or ()}
         self.noise = noise = NoiseModel(fit, candidates, healthy, law)
+        self.usual: dict[Place, float] = {}
+        for one in healthy or ():
+            size = noise.torque_of(one.candidate, one.amount)
+            self.usual[one.candidate.place] = max(size, self.usual.get(one.candidate.place, 0.0))
+        self._baseline = {one.candidate.place: one for one in healthy or () if one.mean is not None}
         self.pool = Pool(noise)
         self._moments = lru_cache(maxsize=4 * self.joints)(self.pool.moments)  # the scales are fitted in rounds
         self._index, self._pull = list(fit.index), fit.shift
@@ -204,6 +208,32 @@ class Evidence:
             precision=precision,
             mean=mean,
         )
+
+    def apart(self, evaluated: Evaluated, which: int) -> tuple[float, float] | None:
+        """Torque over nominal, root mean square, by which an effect of a hypothesis differs from the baseline's.
+
+        Returns
+        -------
+        tuple of float, or None
+            The difference on the joint where it is largest, and its standard deviation: that of both parameters. None
+            where the baseline does not show the effect.
+        """
+        number, values = evaluated.effects[which], evaluated.values[which]
+        known = self._baseline.get(self.pool.candidate(number).place)
+        if known is None or known.mean is None or known.deviation is None:
+            return None
+        (other,), end = self.pool.numbers([known.candidate]), len(evaluated.mean)
+        first = end - sum(map(len, evaluated.values[which:]))
+        unit = 1 / np.sqrt(np.diag(evaluated.precision))
+        lower = scaled_cholesky(evaluated.precision, unit)
+        half = _solved_lower(lower, np.diag(unit)[:, first : first + len(values)])
+        own = half.T @ half
+        found = [
+            (self.pool.difference(number, values, other, known.mean, j), j) for j in self.pool.candidate(number).blocks
+        ]
+        torque, j = max(found)
+        spread = self.pool.variance(number, own, j) + self.pool.variance(other, np.diag(known.deviation**2), j)
+        return torque, float(np.sqrt(spread))
 
     def _own_change(self, j: int, joint: JointMoments, mean: np.ndarray) -> float:
         """Squared torque over σ by which the model's friction changed: its form is no better than an effect's."""

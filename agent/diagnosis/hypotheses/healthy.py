@@ -2,28 +2,28 @@
 
 A model of the other logs errs on the one that is left out. What an effect explains of that error is the model's own, or
 the arm's: a balancer that no parameter stands for, a drive that is warmer on some days. Judged logs have to show more.
+What an arm has is kept as parameters, not as torque: a delay is the same on a faster motion, and its torque is larger.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Sequence
-from contextlib import suppress
-from dataclasses import replace
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from agent.core import InputError
 from agent.diagnosis.hypotheses.evidence import Evidence
-from agent.diagnosis.hypotheses.noise_model import Healthy
+from agent.diagnosis.hypotheses.noise_model import Healthy, HealthyForm
 from agent.diagnosis.hypotheses.search import Search
 from agent.diagnosis.rows.candidate import Candidate, Place
 from agent.diagnosis.rows.dataset import assemble
 from agent.diagnosis.rows.fit import Fit
-from agent.estimation import EstimationSettings, estimate
 from agent.model import CATALOGUE, HealthyEffect, IdentifiedModel
 from agent.recording import Log
 
 _LONGEST = 60.0  # s of a log that are looked at
+_TRANSIENT = [effect.name for effect in CATALOGUE.values() if effect.once]
+_INVISIBLE = 1e-9  # torque over nominal of a unit of a parameter, up to which it shows nothing
 
 
 def with_healthy_effects(
@@ -31,48 +31,18 @@ def with_healthy_effects(
 ) -> IdentifiedModel:
     """Return the model with what the effects explain of its error while the arm is healthy.
 
-    Each log of the baseline is judged by a model of the others, and all of them by the model itself, whose choice of
-    terms may differ; logs that were `held_out` by the model itself. With one log alone nothing can be learned, and the
-    model is returned as it is.
+    Each log of the baseline is judged by parameters fitted to the others, and logs that were `held_out` by the model
+    itself, all together. With one log alone nothing can be learned, and the model is returned as it is.
     """
     baseline, held_out = ([_first_minute(log) for log in logs] for logs in (baseline, held_out))
-    found = _Learned()
-    if judged := held_out or (baseline if len(baseline) > 1 else []):
-        found.add([assemble(model.robot, model, judged, model.cutoff).fit])
-    found.add(_left_out(model, baseline))
-    return replace(model, healthy=found.effects(model.robot.joint_names))
-
-
-class _Learned:
-    """Per hypothesis: the explained torque over nominal, and the nonlinear parameters with the largest gain."""
-
-    def __init__(self) -> None:
-        self.size: dict[Place, float] = {}
-        self._best: dict[Place, tuple[float, dict[str, float]]] = {}
-
-    def add(self, fits: Iterable[Fit]) -> None:
-        """Take what n fits have, where it is larger than what was found before.
-
-        The mean square over n - 2: the variance of Student's predictive distribution with n degrees of freedom, as
-        few logs say little about how large an effect can become on a healthy arm.
-        """
-        power: dict[Place, list[float]] = {}
-        count = 0
-        for fit in fits:
-            count += 1
-            for place, gain, form, size in _explained(fit):
-                power.setdefault(place, []).append(size**2)
-                if gain > self._best.get(place, (0.0, {}))[0]:
-                    self._best[place] = gain, form
-        for place, squares in power.items():
-            self.size[place] = max(self.size.get(place, 0.0), float(np.sqrt(sum(squares) / max(count - 2, 1))))
-
-    def effects(self, names: Sequence[str]) -> tuple[HealthyEffect, ...]:
-        """As the model keeps them."""
-        return tuple(
-            HealthyEffect(effect, tuple(names[j] for j in joints), self._best[effect, joints][1], size)
-            for (effect, joints), size in self.size.items()
-        )
+    learned = [_judged(model, held_out)] if held_out else []
+    learned += [_left_out(model, baseline)] if len(baseline) > 1 else []
+    largest: dict[Place, tuple[float, list[HealthyEffect]]] = {}
+    for forms, shown in learned:
+        for place, (size, entries) in _effects(forms, shown, model.robot.joint_names).items():
+            if size >= largest.get(place, (0.0, []))[0]:
+                largest[place] = size, entries
+    return replace(model, healthy=tuple(entry for _, entries in largest.values() for entry in entries))
 
 
 def _first_minute(log: Log) -> Log:
@@ -80,43 +50,106 @@ def _first_minute(log: Log) -> Log:
     return log if log.t[-1] - start <= _LONGEST else log.between(start, start + _LONGEST)
 
 
-def _left_out(model: IdentifiedModel, baseline: Sequence[Log]) -> Iterator[Fit]:
-    settings = EstimationSettings.create(cutoff=model.cutoff)
-    for log in baseline if len(baseline) > 1 else ():
-        with suppress(InputError):  # the others are too little for a model
-            others = estimate(model.robot, [other for other in baseline if other is not log], settings)
-            yield assemble(model.robot, others, [log], model.cutoff).fit
+@dataclass(frozen=True, eq=False)
+class _Shown:
+    """What one log, or some together, show of each form: gain (N,), parameters (k,) each, torque (N,) over nominal, and
+    root mean square (k,) of the torque over nominal of a unit of each parameter."""
+
+    gains: np.ndarray
+    values: list[np.ndarray]
+    torque: np.ndarray
+    rms: list[np.ndarray]
+
+    @classmethod
+    def of(cls, fit: Fit, forms: Sequence[Candidate]) -> _Shown:
+        evidence = Evidence(fit, forms, healthy=())
+        gains, values = evidence.shortlist_gains(evidence.nothing)
+        torque = [max(evidence.pool.torque(k, found).values(), default=0.0) for k, found in enumerate(values)]
+        return cls(gains, values, np.array(torque), [evidence.pool.rms(k) for k in range(len(forms))])
 
 
-def _explained(fit: Fit) -> list[tuple[Place, float, dict[str, float], float]]:
-    """Hypotheses with a positive gain: log-likelihood gain, nonlinear parameters and torque over nominal of each."""
-    forms = Search(fit).forms()
-    evidence = Evidence(fit, forms, healthy=())
-    gains, values = evidence.shortlist_gains(evidence.nothing)
-    found: dict[Place, tuple[Place, float, dict[str, float], float]] = {}
-    for number in np.argsort(-gains).tolist():
-        form, gain = forms[number], float(gains[number])
-        if gain > 0 and not form.once and form.place not in found:
-            size = max(evidence.pool.torque(number, values[number]).values(), default=0.0)
-            found[form.place] = form.place, gain, dict(form.settings), size
-    return list(found.values())
+def _judged(model: IdentifiedModel, logs: Sequence[Log]) -> tuple[Sequence[Candidate], list[_Shown]]:
+    """Logs that the model has not seen, all together."""
+    fit = assemble(model.robot, model, logs, model.cutoff).fit
+    forms = Search(fit, _TRANSIENT).forms()
+    return forms, [_Shown.of(fit, forms)]
+
+
+def _left_out(model: IdentifiedModel, logs: Sequence[Log]) -> tuple[Sequence[Candidate], list[_Shown]]:
+    """Each log under parameters that were fitted to the others."""
+    fit = assemble(model.robot, model, logs, model.cutoff, refitted=True).fit
+    left, precision = np.empty(fit.sigma.shape), list[np.ndarray]()
+    for number in range(len(logs)):
+        rows = fit.rows_of(number)
+        cells = np.unique(fit.cell[rows][fit.cell[rows] >= 0])
+        folds = [fold for fold in fit.folds if fold.test[cells].any()]
+        for fold in reversed(folds):  # a guard between parts of one log goes with the first
+            own = np.isin(fit.cell[rows], np.flatnonzero(fold.test)) | (fold is folds[0]) & (fit.cell[rows] < 0)
+            left[rows][own] = fit.remaining(fit.solve(fold.train)[1])[rows][own]
+        precision.append(np.linalg.inv(fit.solve(folds[0].train)[0]))
+    fit = fit.with_residual(left / fit.sigma)
+    forms = Search(fit, _TRANSIENT).forms()
+    alone = (fit.of_log(number, precision[number]) for number in range(len(logs)))
+    return forms, [_Shown.of(one, [form.of_rows(fit.rows_of(k)) for form in forms]) for k, one in enumerate(alone)]
+
+
+def _effects(
+    forms: Sequence[Candidate], shown: Sequence[_Shown], names: Sequence[str]
+) -> dict[Place, tuple[float, list[HealthyEffect]]]:
+    """Per hypothesis the explained torque over nominal, and one entry for the best form of each kind.
+
+    The torque is the mean square over n - 2 of n logs, each explained by its best form: the variance of Student's
+    predictive distribution with n degrees of freedom, as few logs say little about how large an effect can become.
+    """
+    total = np.sum([one.gains for one in shown], axis=0)
+    places: dict[Place, list[int]] = {}
+    for number in np.argsort(-total).tolist():
+        if not forms[number].once:
+            places.setdefault(forms[number].place, []).append(number)
+    found = {}
+    for place, numbers in places.items():
+        best = [(one, max(numbers, key=lambda k: one.gains[k])) for one in shown]
+        squares = [one.torque[k] ** 2 for one, k in best if one.gains[k] > 0]
+        if not squares:
+            continue
+        size = float(np.sqrt(sum(squares) / max(len(shown) - 2, 1)))
+        kinds = {tuple(sorted(forms[k].settings)): k for k in reversed(numbers)}.values()
+        first = numbers[0] if total[numbers[0]] > 0 else None
+        found[place] = size, [_entry(forms[k], k, shown, size, names, k == first) for k in kinds]
+    return found
+
+
+def _entry(
+    form: Candidate, number: int, shown: Sequence[_Shown], size: float, names: Sequence[str], known: bool
+) -> HealthyEffect:
+    """An effect of a size over nominal, which its parameters share alike; with what all logs show if it is `known`."""
+    rms = np.sqrt(np.mean([one.rms[number] ** 2 for one in shown], axis=0))
+    some = rms > _INVISIBLE
+    amount = np.where(some, size / np.sqrt(max(int(some.sum()), 1)) / np.maximum(rms, _INVISIBLE), 0.0)
+    value: dict[str, tuple[float, float]] = {}
+    if known and len(shown) > 1:
+        each = np.array([one.values[number] for one in shown])
+        deviation = np.sqrt(1 + 1 / len(shown)) * each.std(axis=0, ddof=1)
+        value = dict(zip(form.names, zip(each.mean(axis=0).tolist(), deviation.tolist(), strict=True), strict=True))
+    joints = tuple(names[j] for j in form.joints)
+    amounts = dict(zip(form.names, map(float, amount), strict=True))
+    return HealthyEffect(form.effect.name, joints, dict(form.settings), amounts, value)
 
 
 def healthy_on(fit: Fit, model: IdentifiedModel, without: Collection[str] = ()) -> Healthy | None:
     """Return what the model's arm has of the effects, on other logs; those `without` are left out.
 
-    In the form found, and in one of every other kind of form that the effect has. None where nothing was learned.
+    None where nothing was learned.
     """
     if not model.healthy:
         return None
-    names, found = list(model.robot.joint_names), list[tuple[Candidate, float]]()
-    for one in model.healthy:
-        if one.effect not in CATALOGUE or one.effect in without or not set(one.joints) <= set(names):
-            continue
-        effect, joints = CATALOGUE[one.effect], tuple(map(names.index, one.joints))
-        kinds = {tuple(sorted(settings)): settings for settings in effect.settings(fit, joints)}
-        if tuple(sorted(one.settings)) in kinds:
-            kinds[tuple(sorted(one.settings))] = one.settings
-        forms = fit.candidates([(effect, joints, kind) for kind in kinds.values()])
-        found += [(form, one.size) for form in forms if form.stable]
+    places = list(model.robot.joint_names)
+    known = [e for e in model.healthy if e.effect in CATALOGUE and e.effect not in without and {*e.joints} <= {*places}]
+    forms = fit.candidates([(CATALOGUE[e.effect], tuple(map(places.index, e.joints)), e.settings) for e in known])
+    found = []
+    for entry, form in zip(known, forms, strict=True):
+        if form.stable and set(form.names) == set(entry.amount):
+            value = np.array([entry.value[name] for name in form.names]) if entry.value else None
+            mean, deviation = (None, None) if value is None else value.T
+            found.append(HealthyForm(form, np.array([entry.amount[name] for name in form.names]), mean, deviation))
     return found

@@ -9,6 +9,7 @@ while it is healthy is learned from its own baseline (`healthy`).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -19,13 +20,29 @@ from agent.diagnosis.rows.candidate import Candidate
 from agent.diagnosis.rows.fit import Fit
 from agent.simulators import SIMULATOR
 
-#: Effects that the arm has already, and their torque over nominal.
-Healthy = Sequence[tuple[Candidate, float]]
 _ROWS = 0.016  # s between the rows that are kept: their rate is twice the usual cut-off of 30 Hz
 _FORM = 100.0  # of σ² per noise column, at most, for a wrong parameterisation: moments are of float32 columns
 _NOTICED = 0.01  # energy over σ² of a direction of the noise model that is kept; with 0.001 and 0.1 the same verdicts
 _DRIFT = 3.0  # s between the nodes of a drift in time
 _TURNING = 0.03  # of the highest speed, over which friction turns around
+
+
+@dataclass(frozen=True, eq=False)
+class HealthyForm:
+    """An effect that the arm has already, on the logs that are judged.
+
+    `amount` (k,): standard deviation of each of its parameters from log to log. `mean`, `deviation` (k,): what the
+    baseline had, and by how much a further log differs from it; None where the baseline does not show it.
+    """
+
+    candidate: Candidate
+    amount: np.ndarray
+    mean: np.ndarray | None = None
+    deviation: np.ndarray | None = None
+
+
+#: What is known of an arm.
+Healthy = Sequence[HealthyForm]
 
 
 class NoiseModel:
@@ -40,8 +57,8 @@ class NoiseModel:
         Residual and columns of the model on the logs.
     candidates : sequence of Candidate
         Their effects that every arm has a little of count as usual if nothing is known about this arm.
-    healthy : sequence of (Candidate, float), optional
-        Effects that the healthy arm has, and their torque over nominal. None if nothing is known.
+    healthy : sequence of HealthyForm, optional
+        Effects that the healthy arm has. None if nothing is known.
     law : EvidenceLaw
         The numbers of the decision.
     """
@@ -73,7 +90,7 @@ class NoiseModel:
             own = fit.rests.whitened(j, rows)[thin]
             free = smooth_columns(q[:, j], qd[:, j], qdd[:, j], kept_time[thin], log)
             free = np.hstack([free * (base[j] / self.sigma[:, j])[:, None], *usual.get(j, ())])
-            amounts = [self._of_healthy(j, *h) for h in healthy if j in h[0].blocks]
+            amounts = [self.thinned(h.candidate, j) * h.amount for h in healthy if j in h.candidate.blocks]
             each = self._noticed(np.hstack([*amounts, own[:, :-1] @ spread[fit.index[j]]]))
             columns = np.hstack([own[:, :-1], free, each, own[:, -1:]])
             self._widths.append((own.shape[1] - 1, free.shape[1], each.shape[1]))
@@ -125,12 +142,14 @@ class NoiseModel:
                     found.setdefault(joint, []).append(block[:, some] * (least[joint] / size[some]))
         return found
 
-    def _of_healthy(self, joint: int, candidate: Candidate, size: float) -> np.ndarray:
-        """(S, k) columns over σ whose coefficients give an effect its usual torque on a joint, over nominal."""
-        block = self.thinned(candidate, joint)
-        torque = np.sqrt(np.mean((block * self.sigma[:, [joint]]) ** 2, axis=0)) / self.nominal[joint]
-        some = torque > 1e-9
-        return np.asarray(block[:, some] * (size / np.sqrt(max(int(some.sum()), 1)) / torque[some]))
+    def torque_of(self, candidate: Candidate, parameters: np.ndarray) -> float:
+        """Torque over nominal, root mean square, on the joint with most, of independent parameters of such sizes."""
+        weight = (self.sigma / self.nominal[None]) ** 2
+        power = [
+            float(np.mean(((self.thinned(candidate, j) * parameters) ** 2).sum(axis=1) * weight[:, j]))
+            for j in candidate.blocks
+        ]
+        return float(np.sqrt(max(power, default=0.0)))
 
     def _noticed(self, columns: np.ndarray) -> np.ndarray:
         """(S, b) columns with coefficients N(0, 1) that span the columns (S, k), which have such coefficients too.

@@ -143,6 +143,17 @@ class Pool:
             for j in self.candidate(number).blocks
         }
 
+    def difference(self, one: int, values: np.ndarray, other: int, others: np.ndarray, joint: int) -> float:
+        """Torque over nominal, root mean square, between an effect with parameters and another with others."""
+        both = self._product(one, other, joint)
+        power = values @ self._own(one, joint) @ values + others @ self._own(other, joint) @ others
+        return float(np.sqrt(max(power - 2 * values @ both @ others, 0.0) / self.noise.count) / self.noise.unit[joint])
+
+    def variance(self, number: int, covariance: np.ndarray, joint: int) -> float:
+        """Mean square of the torque over nominal by which parameters of a covariance (k, k) change an effect's."""
+        power = float(np.sum(covariance * self._own(number, joint))) / self.noise.count
+        return power / float(self.noise.unit[joint]) ** 2
+
     def lasting_torque(self, number: int, values: np.ndarray) -> dict[int, float]:
         """Per joint the torque of an effect over nominal, root mean square: in the log with most, while it lasts."""
         noise, found = self.noise, {}

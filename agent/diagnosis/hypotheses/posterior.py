@@ -104,7 +104,10 @@ def _priors(evidence: Evidence, hypothesis: Evaluated) -> dict[frozenset[Place],
     found = {}
     places = [evidence.pool.candidate(k).place for k in hypothesis.effects]
     sizes = zip(places, hypothesis.largest, strict=True)
-    healthy = [_log_healthy(size, evidence.usual.get(place)) for place, size in sizes]
+    healthy = [
+        _log_healthy(size, evidence.usual.get(place), evidence.apart(hypothesis, k))
+        for k, (place, size) in enumerate(sizes)
+    ]
     each = float(np.log((1 - LAW.rare) / len(CATALOGUE)))
     for faulty in product((True, False), repeat=len(places)):
         faults = frozenset(compress(places, faulty))
@@ -117,15 +120,18 @@ def _priors(evidence: Evidence, hypothesis: Evaluated) -> dict[frozenset[Place],
     return found
 
 
-def _log_healthy(size: float, usual: float | None) -> float:
+def _log_healthy(size: float, usual: float | None, apart: tuple[float, float] | None) -> float:
     """Log density of a torque of a healthy arm over that of a fault as large, which is normal with this size.
 
-    Few logs tell what is usual: Student's t, less the normal density that the noise model has.
+    Few logs tell what is usual: Student's t, less the normal density that the noise model has. `apart` is how far the
+    effect is from the baseline's, and the standard deviation of that: a healthy arm has what it had.
     """
-    if usual is None:
+    if not usual:
         return -np.inf
     scale = usual * np.sqrt((LAW.nu - 2) / LAW.nu)
     density = _student(size / scale, LAW.nu) / scale - _normal(size / usual) / usual
+    if apart is not None and apart[1] > 0:
+        density = max(density, _normal(apart[0] / apart[1]) / apart[1])
     return float(np.log(density * size / _normal(1.0))) if density > 0 else -np.inf
 
 

@@ -40,8 +40,8 @@ class Search:
         Hypotheses that are tried; all if None.
     observed : callable, optional
         Log likelihood of something else that was observed, given a hypothesis.
-    healthy : sequence of (Candidate, float), optional
-        Effects that the arm has already, and their torque over nominal; None if that is not known.
+    healthy : sequence of HealthyForm, optional
+        Effects that the arm has already; None if that is not known.
     """
 
     def __init__(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -47,6 +47,10 @@ class Candidate:
     def stable(self) -> bool:
         """Whether its torque can be computed with; that of an unstable simulation overflows."""
         return all(np.abs(block).max(initial=0.0) < 1e15 for block in self.blocks.values())
+
+    def of_rows(self, rows: slice) -> Candidate:
+        """The same on some of the rows."""
+        return replace(self, blocks={joint: block[rows] for joint, block in self.blocks.items()})
 
     def text(self, joint_names: Sequence[str]) -> str:
         """Name of the candidate in steps and ranges."""

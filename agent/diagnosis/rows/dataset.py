@@ -64,10 +64,12 @@ def assemble(
     logs: Sequence[Log],
     cutoff: float | None,
     friction: IdentifiedModel | None = None,
+    refitted: bool = False,
 ) -> Dataset:
     """Residuals of a model, given or fitted, on logs.
 
-    `friction` gives the stiction level at standstill if the model's own levels do not.
+    `friction` gives the stiction level at standstill if the model's own levels do not. Parameters of a model that was fitted
+    to these very logs are `refitted` in every fold.
 
     Raises:
         InputError: a log or model of another robot, a log too short for the filter or without torque, or one with a
@@ -121,7 +123,7 @@ def assemble(
     log = np.concatenate([np.full(len(s.time[s.kept]), s.log_index) for s in signals])
     residual = np.stack([block[:, -1] for block in joined], axis=1) * sigma
     cell, folds, single = folds_of(time, log, logs)
-    if given:
+    if given and not refitted:
         precision, shift = precision_of(model.covariance), np.zeros(len(model.values))
     else:
         prior = physical_prior(observation, model.terms, _links(model))

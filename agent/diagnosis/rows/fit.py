@@ -121,6 +121,20 @@ class Fit:
         signals = [replace(one, reference=new) for one, new in zip(self.signals, seen, strict=True)]
         return self.with_chosen(reference=reference, signals=signals, _made={})
 
+    def rows_of(self, number: int) -> slice:
+        """Rows of a log."""
+        motions = [k for k, signals in enumerate(self.signals) if signals.log_index == number]
+        ends = np.concatenate([[0], self.cuts, [len(self.cell)]])
+        return slice(int(ends[motions[0]]), int(ends[motions[-1] + 1]))
+
+    def of_log(self, number: int, precision: np.ndarray) -> Fit:
+        """One log alone, without effects, and with another prior precision (p, p) of the model's parameters."""
+        here, nothing = self.rows_of(number), np.zeros(len(self.precision))
+        rows, sigma, block = [rows[here] for rows in self.rows], self.sigma[here], self.block[here]
+        signals = [one for one in self.signals if one.log_index == number]
+        cell = np.zeros(len(sigma), dtype=int)
+        return Fit(self.reference, signals, rows, self.index, sigma, precision, nothing, cell, block, [], [])
+
     @property
     def sigmas(self) -> list[np.ndarray]:
         """Noise level per motion (S', n) [N·m]."""
