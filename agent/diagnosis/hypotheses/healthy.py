@@ -87,7 +87,8 @@ def _left_out(model: IdentifiedModel, logs: Sequence[Log]) -> tuple[Sequence[Can
             own = np.isin(fit.cell[rows], np.flatnonzero(fold.test)) | (fold is folds[0]) & (fit.cell[rows] < 0)
             left[rows][own] = fit.remaining(fit.solve(fold.train)[1])[rows][own]
         precision.append(np.linalg.inv(fit.solve(folds[0].train)[0]))
-    fit = fit.with_residual(left / fit.sigma)
+    unseen = fit.with_residual(left / fit.sigma)  # as of a model of other logs
+    fit = unseen.with_chosen(precision=np.mean(precision, axis=0), shift=np.zeros(len(precision[0])))
     forms = Search(fit, _TRANSIENT).forms()
     alone = (fit.of_log(number, precision[number]) for number in range(len(logs)))
     return forms, [_Shown.of(one, [form.of_rows(fit.rows_of(k)) for form in forms]) for k, one in enumerate(alone)]
