@@ -68,8 +68,8 @@ def assemble(
 ) -> Dataset:
     """Residuals of a model, given or fitted, on logs.
 
-    `friction` gives the stiction level at standstill if the model's own levels do not. Parameters of a model that was fitted
-    to these very logs are `refitted` in every fold.
+    `friction` gives the stiction level at standstill if the model's own levels do not. Parameters of a model that was
+    fitted to these very logs are `refitted` in every fold.
 
     Raises:
         InputError: a log or model of another robot, a log too short for the filter or without torque, or one with a
