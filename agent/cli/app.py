@@ -295,21 +295,24 @@ def trajectories(as_json: opt.AsJson = False) -> None:
 
 @app.command("import", rich_help_panel=opt.DATA, epilog="Example: agent import --robot ur5e --map m.yaml a.csv b.mcap")
 def import_(
-    files: Annotated[list[Path], Argument(metavar="IN... OUT.mcap", help="tables, then the log to write")],
+    files: Annotated[
+        list[Path], Argument(metavar="IN... OUT", help="tables, then the log to write; or a dataset and a folder")
+    ],
     robot: opt.RobotOption,
     mapping: Annotated[Path | None, Option("--map", metavar="MAP.yaml", help="meaning of each column")] = None,
     preset: Annotated[
-        str | None, Option(metavar="NAME", help="columns of a known recorder: ur-rtde or ur-record")
+        str | None,
+        Option(metavar="NAME", help="a known recorder: ur-rtde, ur-record, lerobot, pace, isaac-sysid or isaaclab"),
     ] = None,
+    topic: opt.Topic = None,
     messages: opt.Messages = None,
 ) -> None:
-    """Convert CSV, Excel, MAT, HDF5, NumPy or Parquet files to a log."""
+    """Convert tables to a log, or a dataset to a log for each episode."""
     if len(files) < 2:
         raise InputError("import: name at least one table and the log to write: agent import … IN OUT.mcap")
-    columns = preset if mapping is None else mapping
-    if columns is None or (mapping is not None and preset is not None):
-        raise InputError("import: describe the columns with either --map MAP.yaml or --preset NAME")
-    for note in pipeline.import_files(robot, columns, files[:-1], files[-1]):
+    if mapping is not None and preset is not None:
+        raise InputError(pipeline.MAP_OR_PRESET)
+    for note in pipeline.import_files(robot, mapping or preset, files[:-1], files[-1], topic):
         opt.console_for(messages).say(note)
     print(files[-1])
 

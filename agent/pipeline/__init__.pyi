@@ -9,6 +9,7 @@ from .gap.question import (
     planning_time as planning_time,
 )
 from .identify import (
+    MAP_OR_PRESET as MAP_OR_PRESET,
     FitQuestion as FitQuestion,
     check_one_machine as check_one_machine,
     check_plausible as check_plausible,

@@ -15,26 +15,50 @@ from agent.data_quality import check_quality, fitted_doubts, spoiled
 from agent.diagnosis import with_healthy_effects, with_structure
 from agent.estimation import EstimationSettings, FilterSettings, beyond_fit, estimate, used_text
 from agent.model import PAYLOAD, IdentifiedModel
-from agent.recording import Log, import_log, mapped_joints, read_recording, recorded_joints
+from agent.recording import (
+    DATASET_PRESETS,
+    Log,
+    import_dataset,
+    import_log,
+    is_dataset,
+    mapped_joints,
+    read_recording,
+    recorded_joints,
+)
 from agent.robot import RobotDescription, load_robot
 from agent.runs import check_output
 from agent.simulators import export_model, is_simulator, load_arm as load
 from agent.validation import Validation, flipped_joints, predict_log, predicts, same_scale, summary, torque_scales
 
+MAP_OR_PRESET = "import: describe the columns with either --map MAP.yaml or --preset NAME"
 
-def import_files(robot: str, mapping: Path | str, tables: list[Path], out: Path) -> list[str]:
-    """Turn columns of tables into a log, by a mapping file or a preset; returns what there is to say about it.
+
+def import_files(
+    robot: str, mapping: Path | str | None, inputs: list[Path], out: Path, topic: str | None = None
+) -> list[str]:
+    """Turn recordings into logs; returns what there is to say about it.
+
+    `mapping` is a mapping file for columns of tables, the name of a preset, or None for a dataset of a known format,
+    whose episodes become a log each. `topic` chooses one of its two arms.
 
     Raises:
-        InputError: a table, the mapping or the output is not usable.
+        InputError: a recording, the mapping or the output is not usable.
     """
+    if mapping is None and not is_dataset(inputs[0]):
+        raise InputError(MAP_OR_PRESET)
     if out.exists():
         raise InputError(f"{out}: exists already; name another log, or move it away")
-    check_output(out, tables)
+    check_output(out, inputs)
+    if mapping is None or mapping in DATASET_PRESETS:
+        if len(inputs) > 1:
+            raise InputError(f"import: one dataset at a time; given were {', '.join(map(str, inputs))}")
+        known = is_dataset(inputs[0])
+        arm = load_arm(robot, inputs if known else (), topic)
+        return list(import_dataset(arm, inputs[0], out, topic, None if known else str(mapping)))
     # what the table has no column for, such as a finger of a gripper, is no joint of the arm
     alone = is_simulator(Path(robot))
     description = load(Path(robot), most=mapped_joints(mapping)) if alone else load_robot(robot)
-    return [str(note) for note in import_log(description, mapping, tables, out)]
+    return [str(note) for note in import_log(description, mapping, inputs, out)]
 
 
 def load_arm(robot: str, logs: Sequence[Path] = (), topic: str | None = None) -> RobotDescription:

@@ -1,11 +1,15 @@
-"""Whatever holds motions: a log, a bag, or a dataset of many episodes."""
+"""Whatever holds motions: a log, a bag, or a dataset of many episodes; and datasets that become logs."""
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
+from agent.core import InputError, counted
 from agent.recording.datasets import dataset_logs, is_dataset, open_dataset
 from agent.recording.log import Log
+from agent.recording.mcap.log_file import write_log
 from agent.recording.mcap.topics import logged_joints
 from agent.recording.reading import read_log
 from agent.robot import RobotDescription
@@ -32,3 +36,31 @@ def recorded_joints(path: Path, topic: str | None = None) -> tuple[str, ...] | i
         return logged_joints(path, topic)
     recorded = open_dataset(path, topic)
     return recorded.joints or recorded.columns
+
+
+def import_dataset(
+    robot: RobotDescription, path: Path, out: Path, topic: str | None = None, preset: str | None = None
+) -> tuple[str, ...]:
+    """Write a log for each episode of a dataset: into the folder `out`, or, of a single one, into a file `.mcap`.
+
+    `preset` names the format where the path does not show it. All logs are written, or none.
+
+    Raises:
+        InputError: the dataset cannot be read, or `out` is a file where a folder is needed.
+        RecordingError: a log cannot be written.
+    """
+    logs, notes = dataset_logs(path, robot, topic, preset)
+    if out.suffix == ".mcap":
+        if len(logs) > 1:
+            raise InputError(f"{path}: holds {counted(len(logs), 'episode')}: name a folder for their logs, not {out}")
+        write_log(out, logs[0])
+    else:
+        with TemporaryDirectory(dir=out.absolute().parent, prefix=f".{out.name}.") as unfinished:
+            whole = Path(unfinished) / out.name
+            whole.mkdir()
+            for log in logs:
+                write_log(whole / f"{log.path.stem}.mcap", log)
+            os.rename(whole, out)
+    repairs = [f"{log.name}: {repair}" for log in logs for repair in log.repairs]
+    frames = sum(len(log.t) for log in logs)
+    return (*notes, *repairs, f"{counted(len(logs), 'log')}, {frames} samples")

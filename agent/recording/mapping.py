@@ -12,6 +12,7 @@ import numpy as np
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from agent.core import Dimension, InputError, Quantity, line_of, read_yaml, validate_document
+from agent.recording.datasets import DATASET_PRESETS
 from agent.recording.text_tables import ColumnTable
 
 Side = Literal["motor", "joint"]
@@ -207,7 +208,7 @@ def preset_map(name: str, tables: Sequence[ColumnTable]) -> tuple[Mapping, list[
         InputError: there is no such preset.
     """
     if name not in PRESETS:
-        raise InputError(f"--preset {name!r} is not known; there are {', '.join(PRESETS)}")
+        raise InputError(f"--preset {name!r} is not known; there are {', '.join((*PRESETS, *DATASET_PRESETS))}")
     mapping = load_mapping(Path(str(files("agent.recording") / PRESETS[name])))
     changes: dict[str, None] = {}
     notes = []

@@ -1,4 +1,4 @@
 """Recordings of positions and commands as simulators' users have them: one leaf for each format, found by `FORMATS`."""
 
-from agent.recording.datasets.formats import dataset_logs, is_dataset, open_dataset
+from agent.recording.datasets.formats import DATASET_PRESETS, dataset_logs, is_dataset, open_dataset
 from agent.recording.datasets.joints import is_gripper, joint_pairs

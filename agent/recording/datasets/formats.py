@@ -9,10 +9,13 @@ from pathlib import Path
 import numpy as np
 
 from agent.core import InputError, counted
+from agent.recording.datasets.demonstrations import read_demonstrations
 from agent.recording.datasets.episodes import Episode, Recorded
+from agent.recording.datasets.isaac_csv import is_isaac_csv, read_isaac_csv
 from agent.recording.datasets.joints import columns_of, side_of, without_side
 from agent.recording.datasets.lerobot import is_lerobot, read_lerobot
 from agent.recording.datasets.pace import read_pace
+from agent.recording.datasets.set_points import checked
 from agent.recording.log import NANO, Log, Repair
 from agent.recording.mcap.log_file import nanoseconds
 from agent.recording.repair.stamps import put_in_order, spacing_of
@@ -21,19 +24,37 @@ from agent.robot import RobotDescription
 
 @dataclass(frozen=True)
 class DatasetFormat:
-    """A format: name of its preset, what it is called, whether a path is of it, and what reads it."""
+    """A format: name of its preset, what it is called, whether a path is of it, and what reads it, from the number of
+    the arm's joints where the file does not say it."""
 
     preset: str
     text: str
     recognises: Callable[[Path], bool]
-    read: Callable[[Path], Recorded]
+    read: Callable[[Path, int | None], Recorded]
+
+
+def _ends(*endings: str) -> Callable[[Path], bool]:
+    return lambda path: path.suffix.lower() in endings
+
+
+def _refuse_pickle(path: Path, joints: int | None = None) -> Recorded:
+    raise InputError(
+        f"{path}: a pickle runs whatever code is in it when it is loaded, so it is not read. Where you trust its "
+        "source, save plain arrays from it: np.savez('log.npz', t=t, q=q, target=target), then "
+        "agent import --map MAP.yaml log.npz log.mcap"
+    )
 
 
 #: Formats of recordings that need no map.
 FORMATS = (
-    DatasetFormat("lerobot", "a LeRobot dataset", is_lerobot, read_lerobot),
-    DatasetFormat("pace", "a PACE recording", lambda path: path.suffix.lower() in (".pt", ".pth"), read_pace),
+    DatasetFormat("lerobot", "a LeRobot dataset", is_lerobot, lambda path, joints: read_lerobot(path)),
+    DatasetFormat("pace", "a PACE recording", _ends(".pt", ".pth"), lambda path, joints: read_pace(path)),
+    DatasetFormat("isaac-sysid", "a CSV file of Isaac Sim", is_isaac_csv, read_isaac_csv),
+    DatasetFormat("isaaclab", "demonstrations", _ends(".h5", ".hdf5"), lambda path, joints: read_demonstrations(path)),
+    DatasetFormat("", "a pickle", _ends(".pkl", ".pickle"), _refuse_pickle),
 )
+#: Names of the formats for `agent import --preset`.
+DATASET_PRESETS = tuple(one.preset for one in FORMATS if one.preset)
 
 
 def _format_of(path: Path) -> DatasetFormat | None:
@@ -45,18 +66,19 @@ def is_dataset(path: Path) -> bool:
     return _format_of(path) is not None
 
 
-def open_dataset(path: Path, arm: str | None = None, joints: Sequence[str] = ()) -> Recorded:
+def open_dataset(path: Path, arm: str | None = None, joints: Sequence[str] = (), preset: str | None = None) -> Recorded:
     """The recording of a path, in rad, of one arm.
 
-    `arm` says which of two: `left` or `right`; else that of the `joints`, where these tell it.
+    `arm` says which of two: `left` or `right`; else that of the `joints`, where these tell it. `preset` names the
+    format where the path does not show it.
 
     Raises:
         InputError: it cannot be read, holds two arms without a choice, or no such arm.
     """
-    kind = _format_of(path)
+    kind = _format_of(path) if preset is None else next(one for one in FORMATS if one.preset == preset)
     if kind is None:
         raise InputError(f"{path}: none of {', '.join(one.text for one in FORMATS)}")
-    recorded = kind.read(path)
+    recorded = kind.read(path, len(joints) or None)
     sides = sorted({side_of(name) for name in recorded.joints} - {""})
     if arm is not None and arm.lower() not in sides:
         raise InputError(
@@ -77,7 +99,9 @@ def open_dataset(path: Path, arm: str | None = None, joints: Sequence[str] = ())
     return replace(taken, joints=tuple(map(without_side, taken.joints)))
 
 
-def dataset_logs(path: Path, robot: RobotDescription, arm: str | None = None) -> tuple[list[Log], tuple[str, ...]]:
+def dataset_logs(
+    path: Path, robot: RobotDescription, arm: str | None = None, preset: str | None = None
+) -> tuple[list[Log], tuple[str, ...]]:
     """One log for each episode, with the joints of a robot in its order, and what there is to say.
 
     Columns are found by name. Where the format has no names they are those of the robot in its order.
@@ -85,7 +109,7 @@ def dataset_logs(path: Path, robot: RobotDescription, arm: str | None = None) ->
     Raises:
         InputError: as `open_dataset`, or joints of the robot are missing.
     """
-    recorded = open_dataset(path, arm, robot.joint_names)
+    recorded = checked(open_dataset(path, arm, robot.joint_names, preset))
     if recorded.joints:
         columns = columns_of(recorded.joints, robot.joint_names)
         if columns is None:
