@@ -7,6 +7,7 @@ from agent.recording.log import PARTS, PLANNED_PARTS, Log, machines_of
 from agent.recording.mcap.foxglove import FILTERED, FOXGLOVE_LAYOUT, PREDICTED, RESIDUAL, foxglove_layout
 from agent.recording.mcap.log_file import write_log
 from agent.recording.mcap.relabel import LogCopy
+from agent.recording.mcap.topics import is_nameless
 from agent.recording.mcap.writer import LogWriter
 from agent.recording.reading import read_log
 from agent.recording.repair.grid import line, sample_numbers, settled

@@ -10,7 +10,7 @@ from agent.core import InputError, counted
 from agent.recording.datasets import dataset_logs, is_dataset, open_dataset
 from agent.recording.log import Log
 from agent.recording.mcap.log_file import write_log
-from agent.recording.mcap.topics import logged_joints
+from agent.recording.mcap.topics import is_nameless, logged_joints
 from agent.recording.reading import read_log
 from agent.robot import RobotDescription
 
@@ -33,7 +33,8 @@ def recorded_joints(path: Path, topic: str | None = None) -> tuple[str, ...] | i
         InputError: it cannot be read.
     """
     if not is_dataset(path):
-        return logged_joints(path, topic)
+        names = logged_joints(path, topic)
+        return len(names) if is_nameless(names) else names
     recorded = open_dataset(path, topic)
     return recorded.joints or recorded.columns
 

@@ -17,6 +17,8 @@ from agent.recording.scratch import Scratch
 NANO = 1_000_000_000
 #: Keys of `Log.metadata` that say whose motion it is, where that is known.
 MACHINE = ("serial", "tool", "controller")
+#: Key of `Log.metadata`: what the effort is, where the driver or the user says it (docs/logs.md).
+EFFORT = "effort"
 #: Key of `Log.metadata`: number of parts in which a motion of pieces that differ is held out.
 PARTS = "parts"
 #: Parts of a motion planned for a diagnosis: after one short look, it would else be predicted from that alone.

@@ -11,7 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from agent.core import InputError
-from agent.recording.log import NANO, Log, Repair
+from agent.recording.commands import commanded
+from agent.recording.datasets.episodes import UNITS
+from agent.recording.datasets.units import units_of_columns
+from agent.recording.log import EFFORT, NANO, Log, Repair
 from agent.recording.mcap.log_file import PLANNED, REFERENCES, RUN
 from agent.recording.mcap.scan import Messages, Scan, scan
 from agent.recording.mcap.topics import choose_topics, namesake
@@ -69,7 +72,8 @@ def read_log(path: str | Path, robot: RobotDescription | None = None, topic: str
     found = scan(path)
     run = found.metadata.get(RUN, {})
     topics, names, left_out = choose_topics(path, found, robot, topic, run.get("robot"))
-    topic = topics[0]
+    topic_wanted, topic = topic, topics[0]
+    late = found.receive_delay(topics)
     table = _table([group for one in topics for group in found.topics.pop(one)], names, found.scratch)
     if table is None:
         raise InputError(f"{path}: {topic}: no message holds finite numbers that an arm can have of {', '.join(names)}")
@@ -86,6 +90,15 @@ def read_log(path: str | Path, robot: RobotDescription | None = None, topic: str
         _set_points(found, namesake(found, wanted, topic), names, stamp, spacing.rate, repairs)
         for wanted in (REFERENCES, PLANNED)
     )
+    if references is None:
+        commands = commanded(found, topics, names, stamp, arrays["position"], late, topic_wanted)
+        references = commands.values
+        run = run | commands.facts
+        repairs += commands.repairs
+    if topic in found.effort_is:
+        run = {EFFORT: found.effort_is[topic]} | run
+    if found.types[topic].endswith("(json)"):
+        references, run = _in_radians(path, arrays, references, names, run)
     pieces = [[a, *(cut for cut in cuts if a < cut < b), b] for a, b in spacing.segments]
     return Log(
         path=path,
@@ -263,6 +276,20 @@ def _set_points(
     total = sum(len(group.stamp) for group in groups)
     repairs.append(Repair(f"{topic}: messages {problem}, left out", when, total))
     return None
+
+
+def _in_radians(
+    path: Path, arrays: dict[str, np.ndarray], references: np.ndarray | None, names: Sequence[str], run: dict[str, str]
+) -> tuple[np.ndarray | None, dict[str, str]]:
+    """Turn positions of a recorder whose unit nothing says into rad; returns set-points in rad, and the record."""
+    try:
+        units = units_of_columns(names, arrays["position"])
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    factors = np.array([1.0 if unit.factor is None else unit.factor for unit in units])
+    arrays["position"] = arrays["position"] * factors
+    said = "; ".join(dict.fromkeys(f"{unit.name}: {unit.found}" for unit in units))
+    return (None if references is None else references * factors), {UNITS: said} | run
 
 
 def _nominal_rate(run: dict[str, str]) -> float | None:

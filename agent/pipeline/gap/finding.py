@@ -14,7 +14,7 @@ from agent.pipeline.gap.next_experiment import check_arm, check_tool
 from agent.pipeline.gap.question import GapQuestion
 from agent.pipeline.identify import check_one_machine, check_plausible, joints_of, read_logs, say_used
 from agent.recipe import load_recipe
-from agent.recording import Log, is_dataset, read_log
+from agent.recording import Log, is_dataset, is_nameless, read_log
 from agent.robot import RobotDescription
 from agent.simulators import SIMULATOR, Simulator, is_simulator, load_joint_map, load_simulator
 
@@ -109,6 +109,8 @@ def read_reference(
         log_joints = joints_of(paths[0], question.model, question.topic)
     else:
         log_joints = read_log(paths[0], topic=question.topic).joint_names
+        if is_nameless(log_joints):
+            log_joints = joints_of(paths[0], question.model, question.topic)
     found = load_simulator(question.model, robot, log_joints, names)
     for note in found.notes:
         console.warn(f"{question.model.name}: {note}")

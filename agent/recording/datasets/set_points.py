@@ -40,8 +40,8 @@ def checked(recorded: Recorded) -> Recorded:
             "targets that go to the robot"
         )
     longest = max(recorded.episodes, key=lambda episode: len(episode.time))
-    correlation, gain = follows(longest, moved)
-    if correlation < _LEAST_CORRELATION or not _LEAST_GAIN < gain < _MOST_GAIN:
+    if not are_followed(longest):
+        correlation, gain = follows(longest)
         raise InputError(
             f"{recorded.path}: the positions do not follow the commands (correlation {correlation:.2f}, gain "
             f"{gain:.2g} in {longest.name}). Commands of the end effector, steps relative to the position, or those of "
@@ -60,15 +60,21 @@ def checked(recorded: Recorded) -> Recorded:
     return recorded
 
 
-def follows(episode: Episode, moved: np.ndarray) -> tuple[float, float]:
-    """Median over the joints that `moved` (n,) of the correlation of positions with commands, and of the gain, at the
-    lag at which they are most alike."""
+def are_followed(episode: Episode) -> bool:
+    """Whether the positions of an episode follow its commands."""
+    correlation, gain = follows(episode)
+    return correlation >= _LEAST_CORRELATION and _LEAST_GAIN < gain < _MOST_GAIN
+
+
+def follows(episode: Episode) -> tuple[float, float]:
+    """Median over the joints that move of the correlation of positions with commands, and of the gain, at the lag at
+    which they are most alike."""
     if episode.command is None:
         return 1.0, 1.0
     period = (episode.time[-1] - episode.time[0]) / max(len(episode.time) - 1, 1)
     lags = min(int(_LONGEST_LAG / period), len(episode.time) // 2)
     found = []
-    for k in np.flatnonzero(moved & (np.ptp(episode.position, axis=0) > _MOVED)):
+    for k in np.flatnonzero(np.ptp(episode.position, axis=0) > _MOVED):
         position, command = episode.position[:, k], episode.command[:, k]
         pairs = [_regression(command[: len(command) - lag], position[lag:]) for lag in range(lags + 1)]
         found.append(max(pairs))

@@ -105,12 +105,12 @@ def unpacked(path: Path) -> Iterator[tuple[IO[bytes], str]]:
 class _BagTaker(Protocol):
     """Who takes the topics and messages of a bag; numbers are those of the bag."""
 
-    def channel(self, number: int, topic: str, kind: str, encoding: str) -> None: ...
-    def message(self, channel: int, data: bytes) -> None: ...
+    def channel(self, number: int, topic: str, kind: str, encoding: str, definition: str = "") -> bool: ...
+    def message(self, channel: int, data: bytes, received: int = 0) -> None: ...
 
 
-def read_database(path: Path, file: str, messages: _BagTaker, types: tuple[str, ...]) -> int:
-    """Take the topics of a sqlite3 bag and the messages of those types; `path` is named in errors.
+def read_database(path: Path, file: str, messages: _BagTaker) -> int:
+    """Take the topics of a sqlite3 bag and the messages of those that are read; `path` is named in errors.
 
     Returns:
         Bytes that are missing at its end, where it is cut off after messages that can be read.
@@ -123,15 +123,18 @@ def read_database(path: Path, file: str, messages: _BagTaker, types: tuple[str, 
         with closing(sqlite3.connect(f"file:{quote(str(Path(file).resolve()))}?mode=ro", uri=True)) as connection:
             connection.execute("PRAGMA writable_schema=ON")  # else a file that is cut off is not opened at all
             topics = connection.execute("SELECT id, name, type, serialization_format FROM topics").fetchall()
-            for number, *about in topics:
-                messages.channel(number, *map(str, about))
-            wanted = [number for number, _, kind, _ in topics if kind in types]
+            definitions = _definitions(connection)
+            wanted = [
+                number
+                for number, topic, kind, encoding in topics
+                if messages.channel(number, str(topic), str(kind), str(encoding), definitions.get(str(kind), ""))
+            ]
             marks = ",".join("?" * len(wanted))
             # in the order of the file, in which they were recorded: a sort would need all of it
-            for number, data in connection.execute(
-                f"SELECT topic_id, data FROM messages WHERE topic_id IN ({marks})", wanted
+            for number, data, received in connection.execute(
+                f"SELECT topic_id, data, timestamp FROM messages WHERE topic_id IN ({marks})", wanted
             ):
-                messages.message(number, bytes(data))
+                messages.message(number, bytes(data), max(int(received), 0))
                 count += 1
     except (sqlite3.Error, TypeError, UnicodeError) as error:
         if count == 0:
@@ -140,8 +143,17 @@ def read_database(path: Path, file: str, messages: _BagTaker, types: tuple[str, 
     return 0
 
 
-def read_ros1(path: Path, file: str, messages: _BagTaker, types: tuple[str, ...]) -> int:
-    """Take the topics of a ROS 1 bag and the messages of those types; `path` is named in errors.
+def _definitions(connection: sqlite3.Connection) -> dict[str, str]:
+    """Definitions of the message types that a sqlite3 bag holds, since ROS 2 Iron; empty where it has none."""
+    try:
+        rows = connection.execute("SELECT topic_type, encoding, encoded_message_definition FROM message_definitions")
+        return {str(kind): str(text) for kind, encoding, text in rows if encoding == "ros2msg"}
+    except sqlite3.Error:
+        return {}
+
+
+def read_ros1(path: Path, file: str, messages: _BagTaker) -> int:
+    """Take the topics of a ROS 1 bag and the messages of those that are read; `path` is named in errors.
 
     Returns:
         0: a bag that is cut off cannot be read.
@@ -154,11 +166,13 @@ def read_ros1(path: Path, file: str, messages: _BagTaker, types: tuple[str, ...]
     bags = needed("rosbags.rosbag1", what, "ros1")
     try:
         with bags.Reader(file) as reader:
-            for connection in reader.connections:
-                messages.channel(connection.id, connection.topic, connection.msgtype, "ros1")
-            wanted = [one for one in reader.connections if one.msgtype in types]
-            for connection, _, raw in reader.messages(wanted) if wanted else ():
-                messages.message(connection.id, bytes(raw))
+            wanted = [
+                one
+                for one in reader.connections
+                if messages.channel(one.id, one.topic, one.msgtype, "ros1", one.msgdef.data)
+            ]
+            for connection, received, raw in reader.messages(wanted) if wanted else ():
+                messages.message(connection.id, bytes(raw), max(int(received), 0))
     except InputError:
         raise
     except Exception as error:  # rosbags raises whatever a damaged file leads it to

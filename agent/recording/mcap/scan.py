@@ -12,9 +12,10 @@ import os
 import struct
 import zlib
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import partial
 from io import BytesIO
 from pathlib import Path
 from typing import IO
@@ -40,6 +41,16 @@ from agent.recording.mcap.bag import (
     unpacked,
 )
 from agent.recording.mcap.joint_state import JointStateLayout, parse_layout
+from agent.recording.mcap.json_messages import holds_commands, joint_values
+from agent.recording.mcap.message_forms import (
+    NAMELESS,
+    FormLayout,
+    MessageForm,
+    MessageSchema,
+    definition_of,
+    form_of,
+    parse_form,
+)
 from agent.recording.scratch import Scratch
 
 _MAGIC = b"\x89MCAP0\r\n"
@@ -59,22 +70,35 @@ TYPES = ("sensor_msgs/msg/JointState", "sensor_msgs/JointState")
 _DAMAGED = (struct.error, UnicodeDecodeError, EndOfFile, zstandard.ZstdError, RuntimeError, EOFError, MemoryError)
 
 
+@dataclass(frozen=True)
+class NamedJoints:
+    """The joints of messages without a layout in bytes."""
+
+    names: tuple[str, ...]
+    whole: bool = True
+
+
 @dataclass(frozen=True, eq=False)
 class Messages:
     """K messages of one topic and layout: offset in the file (K,), header stamps (K,) [ns], position, velocity and
-    effort (K, n) or None."""
+    effort (K, n) or None; receive times (K,) [ns], and the stamps (K,) [ns] at which set-points were sent."""
 
-    layout: JointStateLayout
+    layout: JointStateLayout | FormLayout | NamedJoints
     order: np.ndarray
     stamp: np.ndarray
     position: np.ndarray | None
     velocity: np.ndarray | None
     effort: np.ndarray | None
+    received: np.ndarray
+    sent: np.ndarray
 
 
 @dataclass(eq=False)
 class Scan:
-    """What was found. topics: decoded messages by topic; types: message type and encoding of every topic.
+    """What was found. topics: decoded states by topic; types: message type and encoding of every topic.
+
+    set_points: those in messages of states, by topic; commands: topics of nothing else; others: topics of states that
+    are no joint states of ROS; effort_is: meaning of the effort on a topic, where its driver is known.
 
     closed: the writer finished every file; dropped: bytes that could not be read at its end; damaged: numbers of the
     chunks left out; unreadable: messages by topic that are no joint states; sha256: of the whole file; scratch: where
@@ -83,6 +107,10 @@ class Scan:
 
     scratch: Scratch = field(default_factory=Scratch)
     topics: dict[str, list[Messages]] = field(default_factory=lambda: defaultdict(list))
+    set_points: dict[str, list[Messages]] = field(default_factory=lambda: defaultdict(list))
+    commands: dict[str, list[Messages]] = field(default_factory=lambda: defaultdict(list))
+    others: set[str] = field(default_factory=set)
+    effort_is: dict[str, str] = field(default_factory=dict)
     types: dict[str, str] = field(default_factory=dict)
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     closed: bool = True
@@ -92,6 +120,11 @@ class Scan:
     sha256: str = ""
     file_size: int = 0
     unpacked_size: int = 0
+
+    def receive_delay(self, topics: Sequence[str]) -> int:
+        """Median time [ns] from the stamps of the states on these topics to their receipt."""
+        late = [group.received - group.stamp for topic in topics for group in self.topics[topic]]
+        return int(np.median(np.concatenate(late)))
 
 
 def scan(path: Path) -> Scan:
@@ -109,7 +142,7 @@ def scan(path: Path) -> Scan:
                 content.seek(0)
                 if magic.startswith((SQLITE, ROS1)):
                     read = read_database if magic == SQLITE else read_ros1
-                    missing = read(part, name, messages, TYPES)
+                    missing = read(part, name, messages)
                     found.closed, found.dropped = found.closed and not missing, found.dropped + missing
                 else:
                     _read_mcap(path, content, messages)
@@ -215,22 +248,41 @@ def _take_records(records: bytes, messages: _Collector) -> bool:
         if at > end or opcode == 0:  # no record has it; zeros would be walked nine bytes at a time
             return False
         if opcode == _MESSAGE and length >= _MESSAGE_HEAD:  # nearly all are, and a call for each counts
-            messages.message(records[start] | records[start + 1] << 8, records[start + _MESSAGE_HEAD : at])
+            time = int.from_bytes(records[start + 6 : start + 14], "little")
+            messages.message(records[start] | records[start + 1] << 8, records[start + _MESSAGE_HEAD : at], time)
         else:
             messages.take(opcode, records[start:at])
     return at == end
 
 
+@dataclass(frozen=True, eq=False)
+class _Channel:
+    """What the messages of a number are; those without a form are joint states, or JSON where they have no bytes."""
+
+    topic: str
+    ros1: bool | None = None
+    form: MessageForm | None = None
+    schema: MessageSchema | None = None
+    commands: bool = False
+
+    @property
+    def in_json(self) -> bool:
+        """Whether the messages are texts."""
+        return self.ros1 is None
+
+
 class _Collector:
-    """Decodes messages of joint states."""
+    """Decodes messages of joints' states and commands."""
 
     def __init__(self, found: Scan):
         self.found = found
-        self._schemas: dict[int, str] = {}
-        self._channels: dict[int, tuple[str, bool]] = {}
-        self._layouts: dict[tuple[int, int], list[JointStateLayout]] = defaultdict(list)
+        self._schemas: dict[int, tuple[str, str]] = {}
+        self._channels: dict[int, _Channel] = {}
+        self._layouts: dict[tuple[int, int], list[list[JointStateLayout] | list[FormLayout]]] = defaultdict(list)
         self._layout_count = 0
-        self._waiting: dict[tuple[int, int], tuple[list[int], list[bytes]]] = defaultdict(lambda: ([], []))
+        self._waiting: dict[tuple[int, int], tuple[list[int], list[int], list[bytes]]] = defaultdict(
+            lambda: ([], [], [])
+        )
         self._size = 0
         self._place = 0
 
@@ -238,32 +290,47 @@ class _Collector:
         """A record of an MCAP file; one that cannot be read is ignored."""
         if opcode == _MESSAGE:
             if len(body) >= _MESSAGE_HEAD:
-                self.message(body[0] | body[1] << 8, body[_MESSAGE_HEAD:])
+                self.message(body[0] | body[1] << 8, body[_MESSAGE_HEAD:], int.from_bytes(body[6:14], "little"))
         elif opcode == Opcode.SCHEMA:
             with suppress(*_DAMAGED):
                 schema = Schema.read(_stream(body))
-                self._schemas[schema.id] = schema.name
+                text = schema.data.decode() if schema.encoding in ("ros2msg", "ros1msg") else ""
+                self._schemas[schema.id] = schema.name, text
         elif opcode == Opcode.CHANNEL:
             with suppress(*_DAMAGED):
                 channel = Channel.read(_stream(body))
-                kind = self._schemas.get(channel.schema_id, "no type")
-                self.channel(channel.id, channel.topic, kind, channel.message_encoding)
+                kind, text = self._schemas.get(channel.schema_id, ("no type", ""))
+                self.channel(channel.id, channel.topic, kind, channel.message_encoding, text)
 
-    def channel(self, number: int, topic: str, kind: str, encoding: str) -> None:
-        """Messages of this number are of this topic."""
+    def channel(self, number: int, topic: str, kind: str, encoding: str, definition: str = "") -> bool:
+        """Messages of this number are of this topic. Returns whether they are read."""
         self.found.types[topic] = f"{kind} ({encoding})"
         self._channels.pop(number, None)
-        if kind in TYPES and encoding in ("cdr", "ros1"):
-            self._channels[number] = topic, encoding == "ros1"
+        form, text = form_of(kind), definition_of(kind, definition)
+        if encoding == "json":
+            self._channels[number] = _Channel(topic, commands=holds_commands(topic))
+        elif encoding in ("cdr", "ros1") and kind in TYPES:
+            self._channels[number] = _Channel(topic, encoding == "ros1")
+        elif encoding in ("cdr", "ros1") and form is not None and text:
+            with suppress(ValueError):
+                schema = MessageSchema(text)
+                self._channels[number] = _Channel(topic, encoding == "ros1", form, schema, form.commands)
+        channel = self._channels.get(number)
+        if channel is not None and (channel.form is not None or encoding == "json") and not channel.commands:
+            self.found.others.add(topic)
+            if channel.form is not None and channel.form.effort_is:
+                self.found.effort_is[topic] = channel.form.effort_is
+        return channel is not None
 
-    def message(self, channel: int, data: bytes) -> None:
-        """A message, which may be compressed by itself."""
+    def message(self, channel: int, data: bytes, received: int = 0) -> None:
+        """A message, which may be compressed by itself, and when it was received [ns]."""
         if channel not in self._channels:
             return
         if data.startswith(ZSTD):
             data = _message_data(data)
-        places, waiting = self._waiting[channel, len(data)]
+        places, times, waiting = self._waiting[channel, len(data)]
         places.append(self._place)
+        times.append(received)
         waiting.append(data)
         self._place += 1
         self._size += len(data)
@@ -278,43 +345,91 @@ class _Collector:
 
     def decode(self) -> None:
         """Decode what was collected, messages of one channel and length together."""
-        for (channel, length), (places, waiting) in self._waiting.items():
+        for (number, length), (places, times, waiting) in self._waiting.items():
+            channel, order = self._channels[number], np.array(places)
+            received = np.array(times, np.uint64).astype(np.int64)
+            if channel.in_json:
+                self._decode_json(channel, waiting, order, received)
+                continue
             messages = np.frombuffer(b"".join(waiting), np.uint8).reshape(len(waiting), length)
-            self._decode_alike(channel, messages, np.array(places))
+            self._decode_alike(number, messages, order, received)
         self._waiting.clear()
         self._size = 0
 
-    def _decode_alike(self, channel: int, messages: np.ndarray, order: np.ndarray) -> None:
-        topic, ros1 = self._channels[channel]
-        layouts = self._layouts[channel, messages.shape[1]]
-        known = 0
+    def _decode_alike(self, number: int, messages: np.ndarray, order: np.ndarray, received: np.ndarray) -> None:
+        channel = self._channels[number]
+        known, tried = self._layouts[number, messages.shape[1]], 0
         while len(messages):
-            if known == len(layouts):
-                layout = self._next_layout(messages[0].tobytes(), ros1)
-                if layout is None:
-                    self.found.unreadable[topic] += 1
-                    messages, order = messages[1:], order[1:]
+            if tried == len(known):
+                layouts = self._next_layouts(messages[0].tobytes(), channel)
+                if layouts is None:
+                    self.found.unreadable[channel.topic] += 1
+                    messages, order, received = messages[1:], order[1:], received[1:]
                     continue
-                layouts.append(layout)
-            layout = layouts[known]
-            known += 1
-            alike = layout.matches(messages)
+                known.append(layouts)
+            layouts = known[tried]
+            tried += 1
+            alike = layouts[0].matches(messages) if layouts else np.all(messages == messages[0], axis=1)
             if alike.any():
                 rows = messages if alike.all() else messages[alike]
-                arrays = (layout.array(rows, index) for index in range(3))
-                kept = (None if values is None else self.found.scratch.keep(values) for values in arrays)
-                self.found.topics[topic].append(Messages(layout, order[alike], layout.stamps(rows), *kept))
-                messages, order = messages[~alike], order[~alike]
+                for layout in layouts:
+                    self._take(channel, layout, rows, order[alike], received[alike])
+                messages, order, received = messages[~alike], order[~alike], received[~alike]
 
-    def _next_layout(self, message: bytes, ros1: bool) -> JointStateLayout | None:
+    def _take(
+        self,
+        channel: _Channel,
+        layout: JointStateLayout | FormLayout,
+        rows: np.ndarray,
+        order: np.ndarray,
+        received: np.ndarray,
+    ) -> None:
+        """Messages (K, L) of one layout as numbers."""
+        keep, found = self.found.scratch.keep, self.found
+        taken = map(partial(layout.array, rows), range(3))
+        position, velocity, effort = (None if values is None else keep(values) for values in taken)
+        if isinstance(layout, JointStateLayout):
+            stamp = sent = layout.stamps(rows)
+        else:
+            stamp, sent = layout.stamps(rows, received)
+        topics = found.commands if channel.commands else found.topics
+        topics[channel.topic].append(Messages(layout, order, stamp, position, velocity, effort, received, sent))
+        if isinstance(layout, FormLayout) and (points := layout.array(rows, 3)) is not None:
+            held = Messages(layout, order, stamp, keep(points), None, None, received, sent)
+            found.set_points[channel.topic].append(held)
+
+    def _decode_json(self, channel: _Channel, messages: list[bytes], order: np.ndarray, received: np.ndarray) -> None:
+        alike: dict[tuple[tuple[str, ...], tuple[str, ...], int], list[tuple[int, dict[str, list[float]]]]] = {}
+        for k, data in enumerate(messages):
+            try:
+                names, values = joint_values(data)
+            except ValueError:
+                self.found.unreadable[channel.topic] += 1
+                continue
+            alike.setdefault((names, tuple(values), len(values["position"])), []).append((k, values))
+        topics = self.found.commands if channel.commands else self.found.topics
+        for (names, _, count), found in alike.items():
+            called = names or tuple(f"{NAMELESS}{k + 1}" for k in range(count))
+            rows = [k for k, _ in found]
+            position, velocity, effort = (
+                np.array([values[name] for _, values in found]) if name in found[0][1] else None
+                for name in ("position", "velocity", "effort")
+            )
+            layout, times = NamedJoints(called), received[rows]
+            topics[channel.topic].append(Messages(layout, order[rows], times, position, velocity, effort, times, times))
+
+    def _next_layouts(self, message: bytes, channel: _Channel) -> list[JointStateLayout] | list[FormLayout] | None:
         if self._layout_count == _MAX_LAYOUTS:
             return None
         try:
-            layout = parse_layout(message, ros1)
+            if channel.form is None or channel.schema is None:
+                layouts: list[JointStateLayout] | list[FormLayout] = [parse_layout(message, bool(channel.ros1))]
+            else:
+                layouts = parse_form(message, channel.form, channel.schema, bool(channel.ros1))
         except ValueError:
             return None
         self._layout_count += 1
-        return layout
+        return layouts
 
 
 def _message_data(packed: bytes) -> bytes:

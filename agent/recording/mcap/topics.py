@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from agent.core import InputError
 from agent.recording.log import Repair
 from agent.recording.mcap.foxglove import FILTERED, PREDICTED, RESIDUAL
 from agent.recording.mcap.log_file import CURRENTS, PLANNED, REFERENCES, STATES, TEMPERATURES
-from agent.recording.mcap.scan import Messages, Scan, scan
+from agent.recording.mcap.message_forms import NAMELESS
+from agent.recording.mcap.scan import Messages, NamedJoints, Scan, scan
 from agent.robot import RobotDescription
 
 #: Topics of joint states that are not measured states of the arm.
@@ -82,9 +84,12 @@ def namesake(found: Scan, wanted: str, states: str) -> str | None:
 
 
 def _candidates(path: Path, found: Scan, robot: RobotDescription | None, wanted: str | None) -> _Topics:
-    """Topics that may hold the measured states, or the one that is wanted."""
+    """Topics that may hold the measured states, or the one that is wanted, unless it holds commands."""
+    if robot is not None:
+        for topic, several in found.topics.items():
+            found.topics[topic] = [_of_robot(group, robot) for group in several]
     groups = {topic: found.topics[topic] for topic in sorted(found.topics) if found.topics[topic]}
-    if wanted is not None:
+    if wanted is not None and not any(topic.strip("/") == wanted.strip("/") for topic in found.commands):
         name = next((topic for topic in groups if topic.strip("/") == wanted.strip("/")), None)
         if name is None:
             raise InputError(f"{path}: no joint states on the topic {wanted}; it has {_listed(groups) or 'none'}")
@@ -94,12 +99,26 @@ def _candidates(path: Path, found: Scan, robot: RobotDescription | None, wanted:
     def may_be_states(topic: str) -> bool:
         """By its name, or of the robot's joints with torque."""
         own = any(joints & set(group.layout.names) and group.effort is not None for group in groups[topic])
-        return not topic.endswith(_OTHERS) and (topic.endswith(_USUAL) or own)
+        return not topic.endswith(_OTHERS) and (topic.endswith(_USUAL) or own) and topic not in found.others
 
     topics = {topic: groups[topic] for topic in groups if may_be_states(topic)}
+    topics = topics or {topic: groups[topic] for topic in groups if topic in found.others}
     if not topics:
         raise InputError(f"{path}: {_no_joint_states(found, groups)}")
     return topics
+
+
+def is_nameless(names: Sequence[str]) -> bool:
+    """Whether the joints of messages have numbers for names."""
+    return bool(names) and all(name.startswith(NAMELESS) for name in names)
+
+
+def _of_robot(group: Messages, robot: RobotDescription) -> Messages:
+    """Messages without names, with those of the robot if it has as many joints."""
+    names = group.layout.names
+    if not is_nameless(names) or len(names) != robot.dof:
+        return group
+    return replace(group, layout=NamedJoints(robot.joint_names, group.layout.whole))
 
 
 def _holding(topics: _Topics, joints: set[str]) -> list[str]:
@@ -118,14 +137,11 @@ def _of_another_robot(topics: _Topics, robot: RobotDescription, named: str | Non
     known = {name for groups in topics.values() for name in _names(groups)}
     missing = ", ".join(name for name in robot.joint_names if name not in known)
     of = f"of robot {named!r}, " if named else ""
-    joints = _listed(topics) if len(topics) > 1 else ", ".join(_names(next(iter(topics.values()))))
+    joints = _listed(topics) if len(topics) > 1 else _shown(_names(next(iter(topics.values()))))
     advice = "Name the robot description that belongs to the log"
     if prefixes := _prefixes(known, robot.joint_names):
         advice = f"Its names begin with {' or '.join(prefixes)}: give the joints of one arm these names in robot.yaml"
-    return (
-        f"the log is {of}not of robot {robot.name!r}: {missing} missing, its joints are "
-        f"{joints or 'without names'}. {advice}"
-    )
+    return f"the log is {of}not of robot {robot.name!r}: {missing} missing, its joints are {joints}. {advice}"
 
 
 def _prefixes(known: Collection[str], joints: Sequence[str]) -> list[str]:
@@ -140,7 +156,11 @@ def _names(groups: Sequence[Messages]) -> list[str]:
 
 
 def _listed(topics: _Topics) -> str:
-    return "; ".join(f"{topic} ({', '.join(_names(groups)) or 'no names'})" for topic, groups in topics.items())
+    return "; ".join(f"{topic} ({_shown(_names(groups))})" for topic, groups in topics.items())
+
+
+def _shown(names: Sequence[str]) -> str:
+    return f"{len(names)} without names" if is_nameless(names) else ", ".join(names) or "without names"
 
 
 def _no_joint_states(found: Scan, groups: _Topics) -> str:

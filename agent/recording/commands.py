@@ -1,0 +1,135 @@
+"""Set-points of a log that has no topic of them as joint states: of controllers' states, or of topics of commands."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from agent.core import InputError
+from agent.recording.datasets.episodes import HELD, HOLD, SMOOTH, Episode
+from agent.recording.datasets.set_points import are_followed
+from agent.recording.log import NANO, Repair
+from agent.recording.mcap.message_forms import NAMELESS
+from agent.recording.mcap.scan import Messages, Scan
+from agent.recording.repair.held import held, interpolated
+
+
+@dataclass(frozen=True, eq=False)
+class Commands:
+    """Set-points (S, n) on the stamps of a log, what the record `run` says of them, and what there is to say."""
+
+    values: np.ndarray | None = None
+    facts: dict[str, str] = field(default_factory=dict)
+    repairs: tuple[Repair, ...] = ()
+
+
+def commanded(
+    found: Scan,
+    states: Sequence[str],
+    names: Sequence[str],
+    stamp: np.ndarray,
+    position: np.ndarray,
+    late: int,
+    wanted: str | None,
+) -> Commands:
+    """Set-points of the named joints at the stamps (S,) [ns] of their positions (S, n), received `late` [ns].
+
+    The first of these that there is: the topic that is `wanted`, set-points in the messages of the `states`, those of
+    another controller, and a topic of commands.
+
+    Raises:
+        InputError: the wanted topic has no set-points of these joints.
+    """
+    offers = {**found.set_points, **found.commands}
+    fitting = {topic: rows for topic, groups in offers.items() if (rows := _columns(groups, names)) is not None}
+    if wanted is not None and wanted in offers and wanted not in states:
+        if wanted not in fitting:
+            raise InputError(f"{wanted}: holds no set-points of {', '.join(names)}")
+        fitting = {wanted: fitting[wanted]}
+    for several in ([t for t in fitting if t in states], [t for t in fitting if t in found.set_points], [*fitting]):
+        if len(several) == 1:
+            taken = _on_stamps(found, several[0], fitting[several[0]], stamp, position, late)
+            return replace(taken, repairs=()) if several[0] in states and taken.values is not None else taken
+        if several:
+            kind = f"several topics of set-points, none taken; choose one with --topic: {', '.join(several)}; topics"
+            return Commands(repairs=(Repair(kind, 0.0, len(several)),))
+    return Commands()
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """Set-points (C, n) with the stamps (C,) [ns] at which they hold, and those at which they were sent."""
+
+    stamp: np.ndarray
+    sent: np.ndarray
+    values: np.ndarray
+    received: bool
+    nameless: bool
+
+
+def _columns(groups: Sequence[Messages], names: Sequence[str]) -> _Rows | None:
+    """Set-points of the named joints; of messages without names, if there are as many numbers."""
+    parts = []
+    for group in groups:
+        own = group.layout.names
+        nameless = own[0].startswith(NAMELESS)
+        if group.position is None or not (set(names) <= set(own) or (nameless and len(own) == len(names))):
+            continue
+        columns = [k if nameless else own.index(name) for k, name in enumerate(names)]
+        parts.append((group, group.position[:, columns], nameless))
+    if not parts:
+        return None
+    stamp, sent = (np.concatenate([getattr(group, name) for group, _, _ in parts]) for name in ("stamp", "sent"))
+    values = np.concatenate([values for _, values, _ in parts])
+    order = np.lexsort((stamp, sent))
+    known = order[np.all(np.isfinite(values[order]), axis=1)]
+    received = all(np.array_equal(group.sent, group.received) for group, _, _ in parts)
+    return _Rows(stamp[known], sent[known], values[known], received, any(nameless for _, _, nameless in parts))
+
+
+def _on_stamps(found: Scan, topic: str, rows: _Rows, stamp: np.ndarray, position: np.ndarray, late: int) -> Commands:
+    """Set-points at the stamps of the samples."""
+    late = late if rows.received else 0
+    at, sent = rows.stamp - late, rows.sent - late
+    if len(at) < 2:
+        return Commands(repairs=(Repair(f"{topic}: too few set-points, left out", 0.0, len(at)),))
+    steps = topic in found.commands and np.array_equal(at, sent)
+    if steps:
+        values = held(stamp, at, rows.values)
+    else:
+        at, knots = _followed(at, sent, rows.values) if topic in found.commands else (at, rows.values)
+        at, first = np.unique(at, return_index=True)
+        values = interpolated(stamp, at, knots[first])
+    known = np.all(np.isfinite(values), axis=1)
+    if not known.any():
+        when = (int(at[0]) - int(stamp[0])) / NANO
+        return Commands(repairs=(Repair(f"{topic}: set-points at other times, left out", when, len(at)),))
+    episode = Episode(topic, (stamp[known] - stamp[0]) / NANO, position[known], values[known])
+    if rows.nameless and not are_followed(episode):
+        return Commands(repairs=(Repair(f"{topic}: numbers that the joints do not follow, left out", 0.0, len(at)),))
+    facts = {HOLD: HELD if steps else SMOOTH}
+    kind = f"set-points of {topic}" + (", taken in the order of the arm" if rows.nameless else "")
+    return Commands(values, facts, (Repair(f"{kind}; samples", 0.0, int(known.sum())),))
+
+
+def _followed(at: np.ndarray, sent: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Points of trajectories as they were followed: a trajectory ends where the next one is sent."""
+    starts = np.flatnonzero(np.append(True, np.diff(sent) != 0))
+    times: list[int] = []
+    points: list[np.ndarray] = []
+    for first, stop in zip(starts, [*starts[1:], len(sent)], strict=True):
+        begin = int(sent[first])
+        while times and times[-1] > begin:
+            last, at_last = times.pop(), points.pop()
+            if times and times[-1] <= begin:
+                share = (begin - times[-1]) / max(last - times[-1], 1)
+                times.append(begin)
+                points.append(points[-1] + share * (at_last - points[-1]))
+        if times and times[-1] < begin:
+            times.append(begin)
+            points.append(points[-1])
+        times += at[first:stop].tolist()
+        points += [*values[first:stop]]
+    return np.array(times), np.array(points)
