@@ -108,13 +108,13 @@ def _content(archive: zipfile.ZipFile) -> dict[Any, Any]:
             raise _Refused(f"the numbers {storage.key} end within one")
         return np.frombuffer(data, kind)
 
-    found = _Walk(numbers).result(archive.read(pickles[0]))
+    found = _PickleWalk(numbers).result(archive.read(pickles[0]))
     if not isinstance(found, dict):
         raise _Refused(f"it holds {type(found).__name__}, not a dict of tensors")
     return found
 
 
-class _Walk:
+class _PickleWalk:
     """The opcodes of a pickle, of which none calls anything but the two functions that are known here."""
 
     def __init__(self, numbers: Callable[[_Storage], np.ndarray]):
@@ -235,10 +235,10 @@ _CONSTANTS: dict[str, Callable[[], Any]] = {
 }
 _LITERALS = ("BINUNICODE", "SHORT_BINUNICODE", "BININT", "BININT1", "BININT2", "LONG1", "BINFLOAT")
 #: What the other opcodes do.
-_ACTIONS: dict[str, Callable[[_Walk, Any], None]] = {
-    **dict.fromkeys(("BINPUT", "LONG_BINPUT", "PUT", "MEMOIZE"), _Walk._put),
-    **dict.fromkeys(("BINGET", "LONG_BINGET", "GET"), _Walk._get),
-    "MARK": _Walk._mark,
+_ACTIONS: dict[str, Callable[[_PickleWalk, Any], None]] = {
+    **dict.fromkeys(("BINPUT", "LONG_BINPUT", "PUT", "MEMOIZE"), _PickleWalk._put),
+    **dict.fromkeys(("BINGET", "LONG_BINGET", "GET"), _PickleWalk._get),
+    "MARK": _PickleWalk._mark,
     "TUPLE": lambda walk, _: walk._tuple(None),
     "TUPLE1": lambda walk, _: walk._tuple(1),
     "TUPLE2": lambda walk, _: walk._tuple(2),
@@ -247,8 +247,8 @@ _ACTIONS: dict[str, Callable[[_Walk, Any], None]] = {
     "SETITEMS": lambda walk, _: walk._set(None),
     "APPEND": lambda walk, _: walk._extend(1),
     "APPENDS": lambda walk, _: walk._extend(None),
-    "GLOBAL": _Walk._name,
-    "STACK_GLOBAL": _Walk._name,
-    "BINPERSID": _Walk._refer,
-    "REDUCE": _Walk._reduce,
+    "GLOBAL": _PickleWalk._name,
+    "STACK_GLOBAL": _PickleWalk._name,
+    "BINPERSID": _PickleWalk._refer,
+    "REDUCE": _PickleWalk._reduce,
 }

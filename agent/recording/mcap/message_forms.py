@@ -181,7 +181,7 @@ def _fields(text: str) -> list[_Field]:
 
 
 @dataclass(eq=False)
-class _Walk:
+class _MessageWalk:
     """Where the fields of one message lie: numbers by path (offset, count, type), and texts by path."""
 
     message: bytes
@@ -304,7 +304,7 @@ def parse_form(message: bytes, form: MessageForm, schema: MessageSchema, ros1: b
     Raises:
         ValueError: not such a message, or no position for every joint in it.
     """
-    walk = _Walk(message, schema, ros1)
+    walk = _MessageWalk(message, schema, ros1)
     names = tuple(walk.texts.get(form.names, ()))
     found: list[tuple[list[np.ndarray | None], tuple[int, ...]]]
     if form.interfaces:
@@ -328,7 +328,7 @@ def parse_form(message: bytes, form: MessageForm, schema: MessageSchema, ros1: b
     return layouts
 
 
-def _numbers(walk: _Walk, paths: Sequence[str], joints: int) -> np.ndarray | None:
+def _numbers(walk: _MessageWalk, paths: Sequence[str], joints: int) -> np.ndarray | None:
     """Offsets of the first of several arrays that is filled; None where none has a number for every joint."""
     for path in paths:
         start, count, code = walk.numbers.get(path, (0, 0, ""))
@@ -337,13 +337,13 @@ def _numbers(walk: _Walk, paths: Sequence[str], joints: int) -> np.ndarray | Non
     return None
 
 
-def _point(walk: _Walk, path: str, joints: int) -> tuple[list[np.ndarray | None], tuple[int, ...]]:
+def _point(walk: _MessageWalk, path: str, joints: int) -> tuple[list[np.ndarray | None], tuple[int, ...]]:
     """Offsets of the positions of a point of a trajectory, and of the time from its start."""
     delay = (walk.numbers[f"{path}.time_from_start.{part}"][0] for part in ("sec", "nanosec"))
     return [_numbers(walk, (f"{path}.positions",), joints), None, None, None], tuple(delay)
 
 
-def _interfaces(walk: _Walk, path: str, names: Sequence[str]) -> tuple[tuple[str, ...], list[np.ndarray | None]]:
+def _interfaces(walk: _MessageWalk, path: str, names: Sequence[str]) -> tuple[tuple[str, ...], list[np.ndarray | None]]:
     """Joints that have a position, and the offsets of their positions, velocities and efforts."""
     kinds = [walk.texts.get(f"{path}[{k}].interface_names", []) for k in range(len(names))]
     joints = [k for k, kind in enumerate(kinds) if "position" in kind]
@@ -355,7 +355,7 @@ def _interfaces(walk: _Walk, path: str, names: Sequence[str]) -> tuple[tuple[str
     return tuple(names[k] for k in joints), [*offsets, None]
 
 
-def _value(walk: _Walk, path: str, kinds: Sequence[str], quantity: str) -> int | None:
+def _value(walk: _MessageWalk, path: str, kinds: Sequence[str], quantity: str) -> int | None:
     start, count, code = walk.numbers.get(path, (0, 0, ""))
     if quantity not in kinds or kinds.index(quantity) >= count or code != "f8":
         return None
