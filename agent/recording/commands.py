@@ -17,7 +17,7 @@ from agent.recording.repair.held import held, interpolated
 
 
 @dataclass(frozen=True, eq=False)
-class SetPoints:
+class CommandedPositions:
     """Set-points (S, n) on the stamps of a log, what the record `run` says of them, and what there is to say."""
 
     values: np.ndarray | None = None
@@ -33,7 +33,7 @@ def commanded(
     position: np.ndarray,
     late: int,
     wanted: str | None,
-) -> SetPoints:
+) -> CommandedPositions:
     """Set-points of the named joints at the stamps (S,) [ns] of their positions (S, n), received `late` [ns].
 
     The first of these that there is: the topic that is `wanted`, set-points in the messages of the `states`, those of
@@ -54,8 +54,8 @@ def commanded(
             return replace(taken, repairs=()) if several[0] in states and taken.values is not None else taken
         if several:
             kind = f"several topics of set-points, none taken; choose one with --topic: {', '.join(several)}; topics"
-            return SetPoints(repairs=(Repair(kind, 0.0, len(several)),))
-    return SetPoints()
+            return CommandedPositions(repairs=(Repair(kind, 0.0, len(several)),))
+    return CommandedPositions()
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,12 +89,14 @@ def _columns(groups: Sequence[Messages], names: Sequence[str]) -> _Rows | None:
     return _Rows(stamp[known], sent[known], values[known], received, any(nameless for _, _, nameless in parts))
 
 
-def _on_stamps(found: Scan, topic: str, rows: _Rows, stamp: np.ndarray, position: np.ndarray, late: int) -> SetPoints:
+def _on_stamps(
+    found: Scan, topic: str, rows: _Rows, stamp: np.ndarray, position: np.ndarray, late: int
+) -> CommandedPositions:
     """Set-points at the stamps of the samples."""
     late = late if rows.received else 0
     at, sent = rows.stamp - late, rows.sent - late
     if len(at) < 2:
-        return SetPoints(repairs=(Repair(f"{topic}: too few set-points, left out", 0.0, len(at)),))
+        return CommandedPositions(repairs=(Repair(f"{topic}: too few set-points, left out", 0.0, len(at)),))
     steps = topic in found.commands and np.array_equal(at, sent)
     if steps:
         values = held(stamp, at, rows.values)
@@ -105,13 +107,15 @@ def _on_stamps(found: Scan, topic: str, rows: _Rows, stamp: np.ndarray, position
     known = np.all(np.isfinite(values), axis=1)
     if not known.any():
         when = (int(at[0]) - int(stamp[0])) / NANO
-        return SetPoints(repairs=(Repair(f"{topic}: set-points at other times, left out", when, len(at)),))
+        return CommandedPositions(repairs=(Repair(f"{topic}: set-points at other times, left out", when, len(at)),))
     episode = Episode(topic, (stamp[known] - stamp[0]) / NANO, position[known], values[known])
     if rows.nameless and not are_followed(episode):
-        return SetPoints(repairs=(Repair(f"{topic}: numbers that the joints do not follow, left out", 0.0, len(at)),))
+        return CommandedPositions(
+            repairs=(Repair(f"{topic}: numbers that the joints do not follow, left out", 0.0, len(at)),)
+        )
     facts = {HOLD: HELD if steps else SMOOTH}
     kind = f"set-points of {topic}" + (", taken in the order of the arm" if rows.nameless else "")
-    return SetPoints(values, facts, (Repair(f"{kind}; samples", 0.0, int(known.sum())),))
+    return CommandedPositions(values, facts, (Repair(f"{kind}; samples", 0.0, int(known.sum())),))
 
 
 def _followed(at: np.ndarray, sent: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
