@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 
+from agent.data_quality.alignment import late_velocity
 from agent.data_quality.channels import (
     dead_channels,
     discontinuous_positions,
@@ -27,6 +28,7 @@ CHECKS: tuple[tuple[Callable[[Recordings], Iterator[QualityFinding]], ...], ...]
     (discontinuous_positions,),
     (dead_channels, position_units, excessive_torque, unsigned_channels),
     (velocity_mismatch,),
+    (late_velocity,),
     (stuck_joints,),
     (described_weight,),
     (implausible_mechanics,),

@@ -9,7 +9,17 @@ from typing import Any
 
 import numpy as np
 
-from agent.diagnosis.document import Cause, DiagnosisResult, FoldNames, JointShare, NextExperiment, PathGap, TorqueGap
+from agent.diagnosis.document import (
+    Cause,
+    DiagnosisResult,
+    FoldNames,
+    JointShare,
+    NextExperiment,
+    PathGap,
+    Rejected,
+    TorqueGap,
+)
+from agent.diagnosis.gap.adequacy import remainders
 from agent.diagnosis.gap.held_torque import HeldTorque
 from agent.diagnosis.gap.motion_gap import MotionGap
 from agent.diagnosis.gap.regime_shares import regimes, share_intervals
@@ -29,7 +39,6 @@ from agent.simulators import servo_stiffness
 _WHEN_UNKNOWN = "slow single-joint ramps both ways on {joints}, then the same at full speed, each twice"
 #: In the warning of a gap that no effect explains better than what differs on a healthy arm.
 LARGE_ERROR = "times the model's own"
-_MUCH = 0.3  # of the gap of the joint that has most: a joint that is worth a motion of its own
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,6 +108,11 @@ def build(
         _folds(dataset),
         (*(() if held is None else (held.text,)), *warnings, *_warnings(found, verdict)),
         found.steps,
+        tuple(
+            Rejected(effect, tuple(dataset.robot.joint_names[j] for j in joints), why)
+            for (effect, joints), why in finding.rejected
+        ),
+        () if verdict.name == "no_gap" else tuple(remainders(dataset, gap)),
         tuple(power(dataset, found.search, smallest)),
         dataset.model_error,
         "servos" if any(servo_stiffness(log.metadata) is not None for log in dataset.logs) else "motors",
@@ -182,7 +196,7 @@ def next_experiment(
     """A motion that would tell the first cause from what equals it, or more of the joints `where` most of the gap is;
     None where nothing is open. `zero_known`: there was a log with the drives off."""
     if verdict == "unknown":
-        joints = [entry.joint for entry in where if entry.share > _MUCH * where[0].share]
+        joints = [entry.joint for entry in where if entry.share > LIMITS.most * where[0].share]
         return NextExperiment((), _WHEN_UNKNOWN.format(joints=", ".join(joints)))
     if verdict != "ambiguous" or not causes:
         return None

@@ -54,6 +54,26 @@ class JointShare:
 
 
 @dataclass(frozen=True)
+class Remainder:
+    """What the causes leave on a joint: its `size` over what a healthy arm may leave, where in the motion it lies, and
+    the share of it that a smooth function of the joint's position, speed, acceleration or of time explains."""
+
+    joint: str
+    size: float
+    regimes: tuple[RegimeShare, ...]
+    follows: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Rejected:
+    """An effect that was likely and is not named, and why it does not explain the gap."""
+
+    effect: str
+    joints: tuple[str, ...]
+    why: str
+
+
+@dataclass(frozen=True)
 class TorqueGap:
     """Held-out error per joint, in `units`: without the causes, with them, and what does not repeat."""
 
@@ -135,6 +155,9 @@ class DiagnosisResult:
     warnings: tuple[str, ...]
     #: Place there is a gap in torque, and steps that close it.
     waterfall: tuple[WaterfallStep, ...] = ()
+    #: Likely effects that do not explain the gap, and what they would leave.
+    rejected: tuple[Rejected, ...] = ()
+    remainder: tuple[Remainder, ...] = ()
     #: Of the effects in torque that do not happen only once, on the joints that moved.
     power: tuple[EffectPower, ...] = ()
     #: The model's held-out error over the torque of these logs; None of a simulator's file, which states no error.
@@ -146,7 +169,9 @@ class DiagnosisResult:
         """Plain data, ready for JSON."""
         data = {"schema": SCHEMA, **_plain(self)}
         data["causes"] = [_unless(cause, {"closure_of_joints": None, "slides": False}) for cause in data["causes"]]
-        return _unless(data, {"waterfall": [], "model_error": None, "torque_of": "motors"})
+        return _unless(
+            data, {"waterfall": [], "rejected": [], "remainder": [], "model_error": None, "torque_of": "motors"}
+        )
 
 
 def _unless(data: Mapping[str, Any], usual: Mapping[str, Any]) -> dict[str, Any]:

@@ -59,6 +59,12 @@ class DecisionLimits:
 
     # In plain held-out error
     no_closure: float = known(1.1, "floor", "a gap below it has no closure", _CONTRACT)
+    adequate: float = known(
+        1.65,
+        "held-out error of the model",
+        "that the named causes may leave on moving rows of their joints, next to 5 % of the squared error there",
+        "tuned: see docs/decisions/evidence-law.md",
+    )
     usual_error: float = known(
         2.0,
         "held-out error of the model",
@@ -68,8 +74,8 @@ class DecisionLimits:
     most: float = known(
         0.5,
         "part",
-        "of the excess energy where a torque channel stands still: it is the sensor's; and of the effects of practical "
-        "size that logs have to show before they say that nothing changed",
+        "that counts as most: of the energy where a torque channel stands still, of the closure that causes close "
+        "themselves, of the effects that logs have to show before nothing changed, of the largest gap of a joint",
         "chosen: half",
     )
     path_gap: float = known(1e-4, "rad or m, RMS", "between planned and executed path that is notable", "chosen")

@@ -20,10 +20,12 @@ from math import isfinite
 import numpy as np
 
 from agent.diagnosis.document import Cause, EffectPlace
+from agent.diagnosis.gap.adequacy import shortfalls
 from agent.diagnosis.gap.torque_gap import HeldOutGap, held_out_gap
 from agent.diagnosis.hypotheses.finding import Finding
 from agent.diagnosis.hypotheses.law import LAW
 from agent.diagnosis.limits import LIMITS
+from agent.diagnosis.rows.candidate import Candidate
 from agent.diagnosis.rows.dataset import Dataset
 
 
@@ -99,17 +101,21 @@ def named(finding: Finding) -> Finding:
     if not sure or finding.explained < LIMITS.explained:
         return finding.without_causes(leaves_gap=True)
     finding = replace(finding.only(sure), leaves_gap=exceeded)
-    if finding.rivals[0] or finding.ignored.isdisjoint(finding.causes[0].effect.structurally_equivalent):
-        return finding
-    finding = finding.with_runner_up()
-    return finding if finding.rivals[0] else finding.without_causes(leaves_gap=True)
+    lonely = []
+    for k, cause in enumerate(finding.causes):
+        if not finding.rivals[k] and not finding.ignored.isdisjoint(cause.effect.structurally_equivalent):
+            finding = finding.with_runner_up(k)
+            lonely += [] if finding.rivals[k] else [k]
+    return finding.only([k for k in range(len(finding.causes)) if k not in lonely], leaves_gap=exceeded or bool(lonely))
 
 
 def supported(dataset: Dataset, finding: Finding, unit: np.ndarray | None = None) -> tuple[Finding, HeldOutGap]:
     """Return the named causes that held-out figures support, and these figures; `unit` is that of `held_out_gap`.
 
     If the causes close less than `explained` needs, another cause may exist: the likeliest one is named with the first.
-    If nothing is left, the causes explained at most the model's own error, unless the gap exceeds that by far.
+    Causes that leave more than a healthy arm leaves are no explanation (`shortfalls`); the others are judged again
+    without them. If nothing else is left, the causes explained at most the model's own error, unless the gap exceeds
+    that by far.
     """
     while True:
         gap = held_out_gap(dataset, finding.fit, unit)
@@ -117,12 +123,17 @@ def supported(dataset: Dataset, finding: Finding, unit: np.ndarray | None = None
             return finding, gap
         if not finding.rivals[0] and (gap.closure or 0.0) < LIMITS.explained:
             finding = finding.with_runner_up()
-        causes = causes_of(dataset, finding, gap)
+        causes, lacking = causes_of(dataset, finding, gap), shortfalls(finding.fit, gap, finding.causes)
         explanation = _explanation(causes, gap.closure)
         kept = () if explanation is None else explanation.causes
-        if len(kept) == len(causes):
+        if len(kept) == len(causes) and not any(lacking):
             return finding, gap
-        finding = finding.only([k for k, cause in enumerate(causes) if cause in kept])
+        if any(lacking):
+            kept, finding = causes, finding.with_rejected(lacking)
+        finding = finding.only(
+            [k for k, cause in enumerate(causes) if cause in kept and not lacking[k]],
+            leaves_gap=finding.leaves_gap or any(lacking),
+        )
 
 
 def causes_of(dataset: Dataset, finding: Finding, gap: HeldOutGap) -> tuple[Cause, ...]:
@@ -140,10 +151,16 @@ def causes_of(dataset: Dataset, finding: Finding, gap: HeldOutGap) -> tuple[Caus
                 fit.reference, _floats(candidate.settings.items()), _floats(zip(candidate.names, values, strict=True))
             ),
             tuple(EffectPlace(name, tuple(joints[j] for j in there)) for name, there in rivals),
-            gap.closure_on(candidate.joints, left) if candidate.joints else None,
+            gap.closure_on(candidate.joints, left) if _alone(finding.causes, number) else None,
         )
-        for candidate, left, values, rivals, probability in parts
+        for number, (candidate, left, values, rivals, probability) in enumerate(parts)
     )
+
+
+def _alone(causes: Sequence[Candidate], number: int) -> bool:
+    """Whether a cause may be judged by the gap of its own joints: a larger cause has none of them."""
+    joints = set(causes[number].joints)
+    return bool(joints) and all(joints.isdisjoint(larger.joints) for larger in causes[:number])
 
 
 def _floats(pairs: Iterable[tuple[str, float]]) -> dict[str, float]:

@@ -40,6 +40,7 @@ FOUR = {"where": "Where", "what": "What", "how_sure": "How sure", "next": "Next"
 NOT_TESTABLE = "Not testable here"
 _NO_GAP = "no gap: model and robot agree within what may differ on a healthy arm"
 _NOT_SHOWN = "no change found that these logs could show"
+_NO_SHAPE = "no smooth function of position, speed, acceleration or time explains it"
 _UNKNOWN = "there is a gap that no known effect explains"
 #: Equivalents of a cause that are named, regimes and steps of an attribution, at most.
 _MOST_OTHERS, _MOST_REGIMES, _MOST_STEPS = 2, 2, 3
@@ -260,11 +261,25 @@ def _what(result: Mapping[str, Any]) -> Iterator[str]:
             yield f"Also on {place(cause)}: {what(cause['effect'], result)}{f', which {figures}' if figures else ''}."
     if result.get("torque_of") == "servos":
         yield "No torque was measured; it is that of the simulated servos at the set-points."
+    yield from remainder_sentences(result)
     steps = [step for step in result.get("waterfall", ())[:-1] if step["closes"] >= _STEP]
     if {step["step"] for step in steps} - set(map(_step_of, result["causes"])):
         largest = sorted(steps, key=lambda step: -step["closes"])[:_MOST_STEPS]
         closing = ", ".join(f"{step['step']} ({100 * step['closes']:.0f} %)" for step in largest)
         yield f"Most of the gap closes with: {closing}."
+
+
+def remainder_sentences(result: Mapping[str, Any]) -> Iterator[str]:
+    """What no named cause explains, joint by joint: how large it is, in which regimes, and what it follows."""
+    for entry in result.get("remainder", ())[:_MOST_OTHERS]:
+        marked = [r for r in entry["regimes"] if r["name"] in REGIMES and r["share"] > 1.4 * r["of_samples"]]
+        where = " and ".join(REGIMES[r["name"]] for r in marked[:_MOST_REGIMES])
+        name, share = max(entry["follows"].items(), key=lambda one: one[1])
+        shape = f"a smooth function of {name} explains {100 * share:.0f} % of it" if share > _MUCH else _NO_SHAPE
+        text = f"{entry['joint']} keeps {entry['size']:.1f} times what a healthy arm may leave"
+        yield f"{text}{f', mostly {where}' if where else ''}; {shape}."
+    for entry in result.get("rejected", ()):
+        yield f"Not named: {what(entry['effect'], result)} on {place(entry)}, as {entry['why']}."
 
 
 def _how_sure(result: Mapping[str, Any]) -> Iterator[str]:

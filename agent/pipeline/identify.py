@@ -235,7 +235,12 @@ def say_used(logs: Sequence[Log], cutoff: float, order: int, console: Console) -
 
 
 def estimate_files(
-    robot: str, paths: list[Path], out: Path, question: FitQuestion, console: Console, export: Path | None = None
+    robot: str | RobotDescription,
+    paths: list[Path],
+    out: Path,
+    question: FitQuestion,
+    console: Console,
+    export: Path | None = None,
 ) -> tuple[dict[str, Any], str]:
     """Fit a model to logs and write its file; returns its content and a table for people.
 
@@ -248,7 +253,8 @@ def estimate_files(
     model, _ = fit_files(robot, paths, question, console)
     model.save(out)
     written = [out, *(() if export is None else export_model(model, export, console.warn))]
-    lacks = f"What the model lacks: {what_a_model_lacks(robot, [str(path) for path in paths])}"
+    name = robot if isinstance(robot, str) else robot.name
+    lacks = f"What the model lacks: {what_a_model_lacks(name, [str(path) for path in paths])}"
     return model.to_dict(), "\n".join([model.text(), *map(str, written), lacks])
 
 

@@ -163,8 +163,11 @@ def candidate_of(name, *joints, **more):
     return SimpleNamespace(place=(name, joints), effect=CATALOGUE[name], **more)
 
 
-def judged_by(finding, gap_of, told):
-    """A finding as it is supported, and the verdict, where fits have these gaps, and findings these causes."""
+def judged_by(finding, gap_of, told, failing=()):
+    """A finding as it is supported, and the verdict, where fits have these gaps, and findings these causes.
+
+    Causes at `failing` joints do not explain what they claim.
+    """
     dataset, unit, gaps = SimpleNamespace(), np.ones(JOINTS), []
 
     def made(*seen):
@@ -176,7 +179,12 @@ def judged_by(finding, gap_of, told):
         assert seen == (dataset, seen[1], gaps[-1])
         return told(*seen)
 
-    with patch.object(rules, "held_out_gap", made), patch.object(rules, "causes_of", told_of):
+    def lacking(fit, gap, chosen):
+        assert gap is gaps[-1]
+        return ["it leaves too much" if set(failing) & set(cause.place[1]) else "" for cause in chosen]
+
+    patches = {"held_out_gap": made, "causes_of": told_of, "shortfalls": lacking}
+    with patch.multiple(rules, **patches):
         judged, gap = supported(dataset, finding, unit)  # type: ignore[arg-type]
     assert gap is gaps[-1]
     return judged, decide_verdict(judged, told(None, judged, gap), gap.closure)
@@ -187,8 +195,9 @@ def judged_by(finding, gap_of, told):
     closings=st.lists(closures, min_size=1, max_size=4),
     other=st.booleans(),
     scale=st.sampled_from([1.0, 10.0]),
+    failing=st.sets(st.integers(0, 2)),
 )
-def test_every_search_result_gives_an_answer_that_meets_the_contract(found, closings, other, scale):
+def test_every_search_result_gives_an_answer_that_meets_the_contract(found, closings, other, scale, failing):
     """Whatever is taken away: the gap is then another, and so are the causes' parts of it."""
     candidates = tuple(candidate_of("stribeck", k, cause=cause) for k, cause in enumerate(found))
     runner_up = (candidate_of("presliding", 0),) if other else ()
@@ -203,8 +212,10 @@ def test_every_search_result_gives_an_answer_that_meets_the_contract(found, clos
         of = zip((c.cause for c in finding.causes), there, strict=True)
         return tuple(replace(cause, equivalent_to=equal, closure_of_joints=None) for cause, equal in of)
 
-    judged, decided = judged_by(finding, gap_of, told)
+    judged, decided = judged_by(finding, gap_of, told, failing)
     assert keeps_its_promises(decided.name, decided.causes, decided.closure)
+    assert failing.isdisjoint(joint for cause in judged.causes for joint in cause.place[1])
+    assert decided.name != "no_gap" or not judged.rejected, "what is rejected leaves its gap"
     assert len(decided.causes) == len(judged.causes), "what is supported is named"
 
 

@@ -53,6 +53,7 @@ class Finding:
     the torque beyond the noise model that the likeliest hypothesis explains. `hypotheses` are sorted by probability;
     `healthy` is the probability of no effect that matters. `ignored`: effects that were not tried. `leaves_gap`:
     whether there is a gap also if no cause may be named. `zero_known`: there was a log with the drives off.
+    `rejected`: likely effects that do not explain the gap, and why.
     """
 
     plain: Fit
@@ -67,14 +68,17 @@ class Finding:
     ignored: frozenset[str] = frozenset()
     leaves_gap: bool = False
     zero_known: bool = False
+    rejected: tuple[tuple[Place, str], ...] = ()
 
     @property
     def scale(self) -> float:
         """Largest squared error of a joint without effects, over its noise variance."""
         return next(h for h in self.hypotheses if not h.effects and not h.free).scale
 
-    def only(self, kept: Sequence[int]) -> Finding:
-        """The same finding with some of the causes, by number."""
+    def only(self, kept: Sequence[int], leaves_gap: bool | None = None) -> Finding:
+        """The same finding with some of the causes, by number, and whether there is a gap without them."""
+        if leaves_gap is not None:
+            return replace(self, leaves_gap=leaves_gap).only(kept)
         if len(kept) == len(self.causes):
             return self
         causes = tuple(self.causes[k] for k in kept)
@@ -90,14 +94,19 @@ class Finding:
         """The same finding with no cause, and whether there is a gap nevertheless."""
         return replace(self.only(()), leaves_gap=leaves_gap)
 
+    def with_rejected(self, why: Sequence[str]) -> Finding:
+        """The same finding with the causes that do not explain the gap among what is rejected; `why` of every cause."""
+        new = tuple((cause.place, one) for cause, one in zip(self.causes, why, strict=True) if one)
+        return replace(self, rejected=(*self.rejected, *new))
+
     def with_rival(self, number: int, place: Place) -> Finding:
         """The same finding with one more hypothesis that equals a cause, by number."""
         rivals = tuple((place, *r) if k == number and place not in r else r for k, r in enumerate(self.rivals))
         return replace(self, rivals=rivals)
 
-    def with_runner_up(self) -> Finding:
-        """The same finding with the likeliest replacement of the first cause in another hypothesis as its equal."""
-        place = self.causes[0].place
+    def with_runner_up(self, number: int = 0) -> Finding:
+        """The same finding with the likeliest replacement of a cause in another hypothesis as its equal."""
+        place = self.causes[number].place
         others = (other for h in self.hypotheses if place not in h.places for other in h.places)
         likely = next((other for other in others if near(place, other)), None)
-        return self if likely is None else self.with_rival(0, likely)
+        return self if likely is None else self.with_rival(number, likely)

@@ -188,16 +188,27 @@ def smooth_columns(q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, time: np.ndar
     ndarray, shape (S, m)
         Columns of order one.
     """
+    columns = np.hstack(list(smooth_parts(q, qd, qdd, time, log).values()))
+    return np.asarray(columns[:, np.abs(columns).max(axis=0) > 1e-6])
+
+
+def smooth_parts(
+    q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, time: np.ndarray, log: np.ndarray
+) -> dict[str, np.ndarray]:
+    """Return the same columns by what they are functions of."""
     speed = np.abs(qd)
     sign = np.tanh(qd / (_TURNING * max(float(speed.max()), 1e-9)))[:, None]
     logs = (log[:, None] == np.unique(log)).astype(float)
-    parts = [_hats(q, 8), sign * _hats(speed, 5, 0.0), _hats(speed, 4, 0.0), sign * _hats(q, 5), _hats(qdd, 5)]
-    parts += [logs, sign * logs]
+    drift = []
     for here in logs.T.astype(bool):
         low, high = float(time[here].min()), float(time[here].max())
-        parts.append(_hats(time, max(3, int((high - low) / _DRIFT) + 1), low, high) * here[:, None])
-    columns = np.hstack(parts)
-    return np.asarray(columns[:, np.abs(columns).max(axis=0) > 1e-6])
+        drift.append(_hats(time, max(3, int((high - low) / _DRIFT) + 1), low, high) * here[:, None])
+    return {
+        "position": np.hstack([_hats(q, 8), sign * _hats(q, 5)]),
+        "speed": np.hstack([sign * _hats(speed, 5, 0.0), _hats(speed, 4, 0.0)]),
+        "acceleration": _hats(qdd, 5),
+        "time": np.hstack([logs, sign * logs, *drift]),
+    }
 
 
 def _hats(x: np.ndarray, count: int, low: float | None = None, high: float | None = None) -> np.ndarray:

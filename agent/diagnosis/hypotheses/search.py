@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 
 import numpy as np
 
@@ -65,6 +65,7 @@ class Search:
         ]
         self._known: set[Candidate] = set()
         self._found: dict[Key, Evaluated] = {}
+        self._tried: set[Key] = set()
 
     def run(self) -> Finding:
         """Evaluate the promising hypotheses, and compare them."""
@@ -82,7 +83,33 @@ class Search:
             deeper = [one.log_evidence for one in self._found.values() if len(one.effects) + len(one.free) > depth]
             if max(deeper, default=-np.inf) < before:
                 break
-        return compare(self.fit, evidence, list(self._found.values()), self._observed, self._ignored)
+        found = self._compared()
+        for _ in range(LAW.most):
+            if not self._replace(found):
+                break
+            found = self._compared()
+        return found
+
+    def _compared(self) -> Finding:
+        return compare(self.fit, self.evidence, list(self._found.values()), self._observed, self._ignored)
+
+    def _replace(self, found: Finding) -> bool:
+        """Try other effects in place of each of several causes; False where all have been tried already.
+
+        Forward selection compares a cause with others only next to those that were found before it.
+        """
+        others = [found.causes[:k] + found.causes[k + 1 :] for k in range(len(found.causes))]
+        new = [forms for forms in others if forms and self._key(forms, ()) not in self._tried]
+        for forms in new:
+            self._progress(f"comparing with others next to {' and '.join(form.effect.name for form in forms)}")
+            base = self.evidence.evaluate(self.evidence.pool.numbers(forms))
+            self._keep(base)
+            self._extend(base, _THEN)
+        return bool(new)
+
+    @staticmethod
+    def _key(forms: Iterable[Candidate], free: Iterable[int]) -> Key:
+        return frozenset(form.place for form in forms), frozenset(free)
 
     def forms(self) -> list[Candidate]:
         """Return every effect on all its possible joints, with the grid of its nonlinear parameters."""
@@ -108,6 +135,7 @@ class Search:
     def _extend(self, base: Evaluated, count: int) -> None:
         """Extend a hypothesis by the most promising effects, and by something else on each joint, and evaluate each."""
         evidence = self.evidence
+        self._tried.add(self._key(map(evidence.pool.candidate, base.effects), base.free))
         gains, values = self._refined(evidence.as_expected(base))
         for forms in self._promising(base, gains, values, count).values():
             for k in forms:
@@ -173,7 +201,7 @@ class Search:
         evidence = self.evidence
         if not all(map(evidence.possible, evaluated.effects, evaluated.values)):
             return
-        key = frozenset(evidence.pool.candidate(k).place for k in evaluated.effects), frozenset(evaluated.free)
+        key = self._key(map(evidence.pool.candidate, evaluated.effects), evaluated.free)
         if key not in self._found or self._found[key].log_evidence < evaluated.log_evidence:
             self._found[key] = evaluated
 

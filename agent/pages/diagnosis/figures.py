@@ -17,6 +17,7 @@ from agent.robot import SHARE, figure_text, torque_units
 
 _MOST_JOINTS = 3
 _MOST_LOGS = 6
+_BINS = 24  # of a joint's position and speed
 
 
 def regime_map(diagnosis: Diagnosis) -> Table:
@@ -67,6 +68,28 @@ def power_map(diagnosis: Diagnosis) -> Table:
         "of practical size would have been found. -: no size would have been found."
     )
     return shaded_table("power", caption, values, columns, effects, of_row="effect")
+
+
+def remainder(diagnosis: Diagnosis) -> Plot | None:
+    """What no cause explains on the joint that keeps most: its mean over position or speed, by direction."""
+    if not diagnosis.document.remainder:
+        return None
+    dataset, entry = diagnosis.dataset, diagnosis.document.remainder[0]
+    joint = dataset.robot.joint_names.index(entry.joint)
+    error, speed = diagnosis.gap.left[:, joint], dataset.speed[:, joint]
+    position = np.concatenate([s.q[s.kept, joint] for s in dataset.fit.signals])
+    name, over = ("position", position) if entry.follows["position"] >= entry.follows["speed"] else ("speed", speed)
+    edges = np.linspace(over.min(), over.max(), _BINS + 1)
+    number = np.clip(np.searchsorted(edges, over) - 1, 0, _BINS - 1)
+    series = []
+    for words, way, colour in (("moving up", speed > 0, SERIES[0]), ("moving down", speed < 0, SERIES[1])):
+        here = way & np.isfinite(error)
+        count = np.bincount(number[here], minlength=_BINS)
+        mean = np.bincount(number[here], error[here], _BINS) / np.where(count, count, np.nan)
+        series.append(Series(words, mean, colour=colour))
+    panel = Panel(entry.joint, torque_units(dataset.robot)[joint], series, 0.5 * (edges[1:] + edges[:-1]))
+    caption = f"What remains on {entry.joint}: mean torque error over its {name}, by direction of motion."
+    return Plot("remainder", caption, name, (panel,))
 
 
 def timeline(diagnosis: Diagnosis) -> Plot:

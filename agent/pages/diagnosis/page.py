@@ -13,6 +13,7 @@ from agent.pages.diagnosis.figures import (
     gap_table,
     power_map,
     regime_map,
+    remainder,
     simulated_torque,
     timeline,
     waterfall,
@@ -167,8 +168,14 @@ def _about_cause(cause: Mapping[str, Any], result: Mapping[str, Any]) -> Iterato
 
 def _where_section(diagnosis: Diagnosis) -> Section:
     about = "Torque errors are RMS on held-out motion, in % of nominal torque if known."
-    parts = (gap_table(diagnosis.result), regime_map(diagnosis), band_map(diagnosis), timeline(diagnosis))
-    return Section("Where it is", [*where_sentences(diagnosis.result), about], parts)
+    parts = (
+        gap_table(diagnosis.result),
+        regime_map(diagnosis),
+        band_map(diagnosis),
+        timeline(diagnosis),
+        remainder(diagnosis),
+    )
+    return Section("Where it is", [*where_sentences(diagnosis.result), about], [part for part in parts if part])
 
 
 def _closure_section(diagnosis: Diagnosis, simulated: Sequence[Simulated]) -> Section:

@@ -1,0 +1,77 @@
+"""Whether the channels of a log are simultaneous: how far velocity lags position, and position lags the set-points.
+
+A channel y that is x delayed by L is x(t) = y(t + L), so x ≈ y + L ẏ where both are slow. A regression of x on y and ẏ
+gives L for a recorder's filters of any order: it is their group delay at low frequency.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import butter, sosfiltfilt
+
+from agent.data_quality.faults import MOVING, QualityFinding, Recordings
+from agent.recording import Log
+
+_SLOW = 5.0  # Hz, below which a filter of a recorder is a pure delay
+_LATE = 4e-3  # s: recorders without a filter show up to 3.1 ms, those with one 4.5 ms or more (two worlds, 27 logs)
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """Seconds (median over the moving joints) by which channels of a log lag; None where the log lacks one.
+
+    `velocity` behind position, `position` behind the set-points: the latter is the servo's lag and no fault.
+    """
+
+    log: str
+    velocity: float | None
+    position: float | None
+
+
+def alignment(log: Log) -> Alignment:
+    """The lags between the channels of a log."""
+    return Alignment(log.name, _lag(log, log.velocity, True), _lag(log, log.reference_position, False))
+
+
+def late_velocity(of: Recordings) -> Iterator[QualityFinding]:
+    """Velocities that a filter of the recorder delays."""
+    found = {log.name: lag for log in of.logs if (lag := alignment(log).velocity) is not None and abs(lag) > _LATE}
+    if found:
+        longest = max(found.values(), key=abs)
+        way = "lags" if longest > 0 else "leads"
+        yield QualityFinding(
+            f"the velocity in {', '.join(found)} {way} its position by {1e3 * abs(longest):.0f} ms",
+            advice="it is not used: positions are differentiated instead",
+            refuses=False,
+        )
+
+
+def _lag(log: Log, other: np.ndarray | None, is_velocity: bool) -> float | None:
+    """Seconds by which the velocity lags the position, or the position lags its set-points."""
+    if other is None or log.sample_rate <= 2.5 * _SLOW:
+        return None
+    low_pass = butter(2, _SLOW, fs=log.sample_rate, output="sos")
+    lags = []
+    for joint in np.flatnonzero(np.ptp(log.position, axis=0) > MOVING):
+        early, late = [], []
+        for a, b in log.segments:
+            if b - a < 2 * log.sample_rate / _SLOW:
+                continue
+            position, second = (sosfiltfilt(low_pass, x[a:b, joint]) for x in (log.position, other))
+            speed = np.gradient(position) * log.sample_rate
+            pair = (speed, second) if is_velocity else (np.gradient(second) * log.sample_rate, speed)
+            early.append(pair[0])
+            late.append(pair[1])
+        if early:
+            lags.append(_delay(np.concatenate(early), np.concatenate(late), log.sample_rate))
+    return float(np.median(lags)) if lags else None
+
+
+def _delay(early: np.ndarray, late: np.ndarray, rate: float) -> float:
+    """Seconds by which one signal (S,) lags another: x = a y + b ẏ has the delay b / a."""
+    columns = np.column_stack([late, np.gradient(late) * rate])
+    scale, slope = np.linalg.lstsq(columns, early, rcond=None)[0]
+    return float(slope / scale) if scale else 0.0

@@ -1,0 +1,94 @@
+"""Whether causes explain what they claim: what they leave of held-out motion has to look like a healthy arm's.
+
+Log evidence compares effects of the catalogue with each other. It cannot tell that all of them are wrong. Held-out
+errors can, whatever the effect (Kennedy and O'Hagan, J. R. Statist. Soc. B 63, 2001).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from agent.diagnosis.document import Remainder
+from agent.diagnosis.gap.regime_shares import regimes
+from agent.diagnosis.gap.torque_gap import HeldOutGap, rms
+from agent.diagnosis.hypotheses.law import LAW
+from agent.diagnosis.hypotheses.noise_model import smooth_parts
+from agent.diagnosis.limits import LIMITS
+from agent.diagnosis.rows.candidate import Candidate
+from agent.diagnosis.rows.dataset import Dataset
+from agent.diagnosis.rows.fit import Fit
+
+
+def remainder_sizes(fit: Fit, gap: HeldOutGap) -> np.ndarray:
+    """(n,) error that causes leave while the joint moves, over what a healthy arm leaves.
+
+    That is the model's own error, and what the formula of a certain cause misses: 5 % of the squared error. 1 is the
+    limit.
+    """
+    moving = ~fit.near_rest & ~np.isnan(gap.left)
+    before, after = (np.where(moving, rows, np.nan) for rows in (gap.raw, gap.left))
+    has_motion = moving.any(axis=0)
+    sizes = np.zeros(len(has_motion))
+    own = LIMITS.adequate * fit.sigma.min(axis=0)[has_motion]
+    usual = np.sqrt(own**2 + (1 - LAW.certain) * rms(before[:, has_motion]) ** 2)
+    sizes[has_motion] = rms(after[:, has_motion]) / usual
+    return sizes
+
+
+def shortfalls(fit: Fit, gap: HeldOutGap, causes: Sequence[Candidate]) -> list[str]:
+    """Return per cause why it does not explain what it claims; empty where it does.
+
+    `gap` is that of `fit`, whose chosen effects are the `causes`.
+    """
+    if not causes or gap.closure is None:
+        return [""] * len(causes)
+    left = fit.out_of_fold(fit.once)
+    taken_out = [fit.out_of_fold(fit.once, number) for number in range(len(causes))]
+    own = gap.closure_without(np.sum(taken_out, axis=0) - (len(causes) - 1) * left) or 0.0
+    if own < LIMITS.most * gap.closure:
+        return ["the model's own parameters close more of the gap than it does"] * len(causes)
+    sizes = remainder_sizes(fit, gap)
+    found = []
+    for candidate, rows in zip(causes, taken_out, strict=True):
+        joint = _main_joint(fit, gap, candidate, rows)
+        if (gap.closure_without(rows) or 0.0) > gap.closure / LIMITS.explained:
+            found.append("it and another cause cancel each other")
+        elif sizes[joint] > 1:
+            name = fit.reference.robot.joint_names[joint]
+            found.append(f"it leaves {sizes[joint]:.1f} times what a healthy arm may leave on {name}")
+        else:
+            found.append("")
+    return found
+
+
+def _main_joint(fit: Fit, gap: HeldOutGap, candidate: Candidate, taken_out: np.ndarray) -> int:
+    """The joint on which a cause explains most; `taken_out` (S', n) [N·m] is the error without it."""
+    change = rms(gap.beyond(taken_out)) ** 2 - rms(gap.left) ** 2
+    joints = list(candidate.blocks)
+    return joints[int(np.argmax(change[joints] / fit.sigma.min(axis=0)[joints] ** 2))]
+
+
+def remainders(dataset: Dataset, gap: HeldOutGap) -> Iterator[Remainder]:
+    """What causes leave on the joints where it is more than a healthy arm leaves, largest first."""
+    sizes = remainder_sizes(dataset.fit, gap)
+    for joint in np.argsort(-sizes, kind="stable").tolist():
+        if sizes[joint] > 1:
+            found = regimes(dataset, gap.left[:, joint], joint)
+            name = dataset.robot.joint_names[joint]
+            yield Remainder(name, float(sizes[joint]), found, _follows(dataset, gap.left[:, joint], joint))
+
+
+def _follows(dataset: Dataset, error: np.ndarray, joint: int) -> dict[str, float]:
+    """Share of the squared error (S',) that a smooth function of each state of the joint explains."""
+    signals = dataset.fit.signals
+    q, qd, qdd = (np.concatenate([getattr(s, x)[s.kept, joint] for s in signals]) for x in ("q", "qd", "qdd"))
+    good = np.isfinite(error)
+    parts = smooth_parts(q[good], qd[good], qdd[good], dataset.time[good], dataset.log[good])
+    whole = float(np.sum(error[good] ** 2))
+    return {name: 1 - float(np.sum(_left(columns, error[good]) ** 2)) / whole for name, columns in parts.items()}
+
+
+def _left(columns: np.ndarray, error: np.ndarray) -> np.ndarray:
+    return np.asarray(error - columns @ np.linalg.lstsq(columns, error, rcond=1e-9)[0])

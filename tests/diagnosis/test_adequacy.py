@@ -1,0 +1,104 @@
+"""A cause is named only if what it leaves of held-out motion looks like a healthy arm's remainder."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given, strategies as st
+
+from agent.diagnosis.gap.adequacy import remainder_sizes, remainders, shortfalls
+from agent.diagnosis.gap.torque_gap import HeldOutGap, held_out_gap, rms
+from agent.diagnosis.rows.dataset import assemble
+from agent.model import CATALOGUE
+from fake_controller.plant import Plant
+from tests.small_arms import learn, make_arm, record
+
+JOINTS = ("joint_1", "joint_2")
+LONG = np.random.default_rng(0).normal(size=(4000, 5, 2))  # unit noise: model error and torques of four effects
+
+
+def judged(*parts: tuple[float, ...], error: float = 1.0, by_model: float = 0.0) -> list[str]:
+    """Reasons against causes with these torques per joint; `by_model` is what the model's own change closes."""
+    torque = [LONG[:, 1 + k] * np.array(sizes) for k, sizes in enumerate(parts)]
+    left = error * LONG[:, 0]
+    raw = left + sum(torque) + by_model * LONG[:, 4]
+    causes = [SimpleNamespace(blocks={j: None for j in range(2) if sizes[j]}) for sizes in parts]
+    fit = SimpleNamespace(
+        once=False,
+        near_rest=np.zeros(left.shape, dtype=bool),
+        sigma=np.ones(left.shape),
+        out_of_fold=lambda once, number=None: left if number is None else left + torque[number],
+        reference=SimpleNamespace(robot=SimpleNamespace(joint_names=JOINTS)),
+    )
+    one = np.ones(2)
+    gap = HeldOutGap(raw, left, np.zeros(left.shape), one, rms(raw), rms(left), None)
+    return shortfalls(fit, gap, causes)
+
+
+@given(st.floats(2, 50), st.floats(0.1, 1.3))
+def test_a_cause_that_leaves_the_models_own_error_explains_what_it_claims(size, error):
+    assert judged((size, 0.0), error=error) == [""]
+
+
+@given(st.floats(3, 30), st.floats(1.3, 3))
+def test_a_cause_that_leaves_more_than_a_healthy_arm_does_not(size, over):
+    error = over * np.hypot(1.65, 0.23 * size)
+    (why,) = judged((size, 0.0), error=error)
+    assert "what a healthy arm may leave on joint_1" in why or "the model's own parameters" in why
+
+
+def test_what_the_model_closes_by_itself_is_no_merit_of_the_cause():
+    (why,) = judged((5.0, 0.0), by_model=8.0)
+    assert "the model's own parameters" in why
+    assert judged((8.0, 0.0), by_model=5.0) == [""]
+
+
+def test_causes_that_cancel_each_other_are_no_explanation():
+    rng = np.random.default_rng(1)
+    large, rest = 20 * rng.normal(size=4000), 5 * LONG[:, 2, 0]
+    left = LONG[:, 0]
+    torque = [np.column_stack([large, 0 * large]), np.column_stack([rest - large, 0 * large])]
+    fit = SimpleNamespace(
+        once=False,
+        near_rest=np.zeros(left.shape, dtype=bool),
+        sigma=np.ones(left.shape),
+        out_of_fold=lambda once, number=None: left if number is None else left + torque[number],
+        reference=SimpleNamespace(robot=SimpleNamespace(joint_names=JOINTS)),
+    )
+    raw = left + sum(torque)
+    gap = HeldOutGap(raw, left, np.zeros(left.shape), np.ones(2), rms(raw), rms(left), None)
+    found = shortfalls(fit, gap, [SimpleNamespace(blocks={0: None})] * 2)
+    assert all("cancel" in why for why in found)
+
+
+@given(st.floats(2, 20), st.floats(0.5, 1.2))
+def test_a_cause_that_fails_does_not_take_one_of_another_joint_with_it(size, error):
+    """The first joint is explained, on the second one half of the torque stays."""
+    assert judged((size, 0.0), (0.0, size), error=np.array([error, 2 + 0.6 * size]))[0] == ""
+
+
+@pytest.fixture(scope="module")
+def case():
+    """A small arm whose gear rubs under load, and its model."""
+    arm = make_arm("RRR")
+    effect = {"effect": "load_dependent_friction", "joints": ["joint_3"], "parameters": {"coefficient": 0.15}}
+    plant = Plant(arm, seed=3, effects=[effect])
+    logs = [record(plant, name, seed) for name, seed in (("one", 21), ("two", 22))]
+    return assemble(arm, learn(arm), logs, None)
+
+
+def test_on_an_arm_the_right_cause_passes_and_a_relative_of_it_does_not(case):
+    found = {}
+    for name in ("load_dependent_friction", "friction_change"):
+        effect = CATALOGUE[name]
+        forms = case.fit.candidates([(effect, (2,), s) for s in effect.settings(case.fit, (2,))])
+        fits = [case.fit.with_chosen([form]) for form in forms]
+        best = min(fits, key=lambda fit: fit.error())
+        gap = held_out_gap(case, best)
+        found[name] = shortfalls(best, gap, best.chosen)[0], list(remainders(case, gap))
+    assert found["load_dependent_friction"] == ("", [])
+    why, (left,) = found["friction_change"]
+    assert why
+    assert (left.joint, left.size > 1) == ("joint_3", True)
+    assert max(left.follows.values()) <= 1
+    assert remainder_sizes(case.fit, held_out_gap(case, case.fit))[2] > left.size
