@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from agent.data_quality.faults import QualityFinding, Recordings
-from agent.data_quality.rigid_fit import FitSamples
+from agent.data_quality.rigid_fit import FitSamples, RigidFit
 from agent.estimation import placeholders
 from agent.robot import Dynamics, RobotDescription
 
@@ -155,11 +155,13 @@ def described_gravity(
         return
     best = min(gravity_axes(robot), key=left)
     if left(best) < _FITS * length:
+        held_out = _unweighed(robot, s, masses, robot.gravity) / _unweighed(robot, s, masses, best)
         yield QualityFinding(
             f"{gravity_text(robot, best)}, or the described centres of mass are wrong: of the gravity torque, the "
             f"described masses explain {100 * (1 - left(best) / length):.0f} % so, and none as given",
             robot.joint_names,
             advice=MEND_GRAVITY,
+            refuses=bool(np.log(held_out).mean() > 0),
         )
 
 
@@ -184,11 +186,13 @@ def described_weight(of: Recordings) -> Iterator[QualityFinding]:
         absent.append(abs(times[-1]) < _ABSENT and share < _ABSENT and np.linalg.norm(own) > _VISIBLE * left)
     if len(heavy) and all(absent):
         whose = of.named(heavy)
+        held_out = _unweighed(robot, s, masses, robot.gravity) / _unweighed(robot, s, masses, (0.0, 0.0, 0.0))
         yield QualityFinding(
             f"these torques carry no gravity: the described masses need {np.std(weight[:, heavy], axis=0).max():.3g} "
             f"N·m of it, root mean square, and {', '.join(whose)} show next to none",
             whose,
             advice=WITH_GRAVITY,
+            refuses=bool(np.log(held_out).mean() > 0),
         )
     elif any(alike):
         yield from _other_unit(of, heavy[alike], np.array(times)[alike], len(heavy))
@@ -222,6 +226,14 @@ def _other_unit(of: Recordings, joints: np.ndarray, times: np.ndarray, judged: i
         refuses=False,
         scale=True,
     )
+
+
+def _unweighed(
+    robot: RobotDescription, s: FitSamples, masses: np.ndarray, gravity: tuple[float, float, float]
+) -> np.ndarray:
+    """(FOLDS, n) squared error held out of a rigid arm without weight, on the torque less that of described masses."""
+    weight = Dynamics(replace(robot, gravity=gravity)).regressor(s.q, 0 * s.q, 0 * s.q) @ masses
+    return RigidFit(Dynamics(replace(robot, gravity=(0.0, 0.0, 0.0))), s).errors(s.torque - weight)
 
 
 def _measured_masses(robot: RobotDescription) -> np.ndarray | None:

@@ -19,6 +19,7 @@ import numpy as np
 from agent.data_quality.description_fit import MEND_GRAVITY, WITH_GRAVITY, described_gravity, gravity_axes, gravity_text
 from agent.data_quality.faults import QualityFinding, Recordings
 from agent.data_quality.rigid_fit import FOLDS, RigidFit, fitted_gravity
+from agent.data_quality.signs import passive_errors
 from agent.robot import Dynamics, RobotDescription
 
 _UNEXPLAINED = 0.5  # of the torque of all joints, root mean square
@@ -57,13 +58,11 @@ def implausible_mechanics(of: Recordings) -> Iterator[QualityFinding]:
     likeliest = None if right else _likeliest(plain, pushing, driven_on)
     if unexplained > _UNEXPLAINED:
         share = f"a rigid arm explains {100 * max(0.0, 1 - unexplained):.0f} % of the torque, whatever its parameters"
-        found = likeliest or QualityFinding(
-            "torque and motion do not belong together, and no mistake tried explains it"
-        )
+        found = likeliest or _unrelated(plain)
         yield replace(found, text=f"{found.text}: {share}")
     elif len(driven_on):
         whose = ", ".join(robot.joint_names[k] for k in driven_on)
-        found = likeliest or QualityFinding(f"torque and motion of {whose} have opposite signs", robot.joint_names)
+        found = likeliest or _opposite(plain, driven_on, whose)
         push = f"friction and inertia would drive {whose} on, by {100 * pushing.max():.0f} % of its torque"
         yield replace(found, text=f"{found.text}: {push}")
     elif likeliest and not _refuted(of):
@@ -72,6 +71,32 @@ def implausible_mechanics(of: Recordings) -> Iterator[QualityFinding]:
         rest = 0 * samples.q
         gravity = plain.regressor(samples.q, rest, rest) @ solution.parameters[: 11 * robot.dof]
         yield from described_gravity(robot, samples, gravity, unexplained)
+
+
+def _unrelated(plain: RigidFit) -> QualityFinding:
+    """Torque that motion hardly explains: refused unless it predicts what is held out clearly better than none does."""
+    torque, fold = plain.samples.torque, plain.samples.fold
+    away = (torque - torque.mean(axis=0)) ** 2
+    still = np.array([away[fold == part].sum(axis=0) for part in range(FOLDS)])
+    gain, error = _gain(still, plain.errors(torque))
+    if gain > max(_GAIN, _CERTAIN * error):
+        text, advice = (
+            "most of the torque comes from neither bodies nor friction",
+            "look for springs, contact and noise",
+        )
+        return QualityFinding(text, advice=advice, refuses=False)
+    return QualityFinding("torque and motion do not belong together, and no mistake tried explains it")
+
+
+def _opposite(plain: RigidFit, driven_on: np.ndarray, whose: str) -> QualityFinding:
+    """Joints that are driven on: refused if turned torque of a passive arm predicts better what is held out."""
+    torque, names = plain.samples.torque, plain.robot.joint_names
+    turned = torque * np.where(np.isin(np.arange(plain.robot.dof), driven_on), -1.0, 1.0)
+    if _gain(passive_errors(plain, torque), passive_errors(plain, turned))[0] > 0:
+        return QualityFinding(f"torque and motion of {whose} have opposite signs", names)
+    text = f"the sign of the torque of {whose} fits better than the opposite one, with friction that falls with speed"
+    advice = "the effort has to be total motor torque, without compensation of friction"
+    return QualityFinding(text, tuple(names[k] for k in driven_on), advice=advice, refuses=False)
 
 
 def _refuted(of: Recordings) -> bool:

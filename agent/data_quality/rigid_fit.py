@@ -62,7 +62,7 @@ def fit_samples(logs: Sequence[Log]) -> FitSamples | None:
             still = 0.01 * np.maximum(np.abs(motion.qd).max(axis=0), 1e-9)
             signals = (motion.q, motion.qd, motion.qdd, motion.torque, np.tanh(motion.qd / still))
             parts.append(motion.low_pass(np.hstack(signals)))
-            folds.append(np.arange(len(parts[-1])) * FOLDS // max(len(parts[-1]), 1))
+            folds.append(_held_together(motion.time[motion.kept], motion.cycle_starts))
             independent += 2 * cutoff * float(np.ptp(motion.time[motion.kept]))
     rows = np.concatenate(parts) if parts else np.empty((0, 5))
     every = max(1, -(-len(rows) // _SAMPLES))
@@ -71,6 +71,15 @@ def fit_samples(logs: Sequence[Log]) -> FitSamples | None:
         return None
     q, qd, qdd, torque, direction = np.split(rows, 5, axis=1)
     return FitSamples(q, qd, qdd, torque, direction, fold, independent)
+
+
+def _held_together(time: np.ndarray, cycle_starts: Sequence[float]) -> np.ndarray:
+    """(S,) fold of each sample: a part of the motion, in all of its cycles, as one would tell of the next."""
+    if len(cycle_starts) > 1:
+        starts = np.asarray(cycle_starts)
+        time = time - starts[np.maximum(np.searchsorted(starts, time, side="right") - 1, 0)]
+    first, last = (time.min(), time.max()) if len(time) else (0.0, 1.0)
+    return np.minimum((time - first) / max(last - first, 1e-9) * FOLDS, FOLDS - 1).astype(int)
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ from agent.core import InputError, keep_freed_memory
 from agent.estimation.estimators import ESTIMATORS
 from agent.estimation.filtering import FilterSettings
 from agent.estimation.model_building import build_model
-from agent.estimation.normal_equations import clearly_better
+from agent.estimation.normal_equations import predicts_better
 from agent.estimation.observation import Observation, Partition, observe, partition
 from agent.estimation.problem import Problem
 from agent.estimation.selection import (
@@ -105,8 +105,8 @@ def _problem(observation: Observation, cells: Partition, friction: str) -> Probl
         return usual
     selected = select_friction_terms(observation, cells).with_own_prior_weight()
     weights = selected.weights()
-    before, after = (np.sum(weights * each.held_out(weights), axis=(1, 2)) for each in (usual, selected))
-    return selected if clearly_better(before, after, _MORE_FRICTION) else usual
+    before, after = (each.held_out(weights) for each in (usual, selected))
+    return selected if predicts_better(before, after, weights, _MORE_FRICTION) else usual
 
 
 def observe_predictable(rigid: RigidBodies, logs: Sequence[Log], settings: FilterSettings) -> Observation:

@@ -220,6 +220,15 @@ def clear_gain(gains: np.ndarray) -> np.ndarray | bool:
     return gains.sum(axis=0) > gains.std(axis=0, ddof=1) * np.sqrt(len(gains))
 
 
+def predicts_better(before: np.ndarray, after: np.ndarray, weights: np.ndarray, least: float) -> bool:
+    """Whether squared errors (folds, 2, n) fall clearly with the joints' weights (2, n), and do not rise without them.
+
+    Weights are from residuals of a fit: a joint that more terms fit closely would outweigh all that they spoil.
+    """
+    weighted = (np.sum(weights * each, axis=(1, 2)) for each in (before, after))
+    return clearly_better(*weighted, least) and float(after.sum()) <= float(before.sum())
+
+
 def clearly_better(before: np.ndarray, after: np.ndarray, least: float) -> bool:
     """Whether squared errors (folds,) fall by a share of `least`, geometric mean, and by two of its standard errors.
 

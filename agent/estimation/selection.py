@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from agent.estimation.normal_equations import clear_gain, clearly_better, log_evidence
+from agent.estimation.normal_equations import clear_gain, log_evidence, predicts_better
 from agent.estimation.observation import Observation, Partition
 from agent.estimation.prior import DESCRIPTION, EITHER, SIZE, Prior
 from agent.estimation.problem import Estimate, Problem
@@ -22,13 +22,14 @@ def choose(found: dict[str, Estimate]) -> tuple[str, Estimate]:
     """Name and estimate of the best of several estimators by name, with the reason in its note.
 
     The first is the reference. Another estimator replaces it only if its weighted squared error on the held-out folds
-    is lower by 2 % and by two standard errors of that gain. A much larger error of `consistent`, one of them, reveals
-    data that no arm can produce.
+    is lower by 2 % and by two standard errors of that gain, and its error in all joints' torque is not larger. A much
+    larger error of `consistent`, one of them, reveals data that no arm can produce.
     """
     first = next(iter(found))
     weights = found[first].weights
     errors = {name: np.sum(weights * estimate.held_out, axis=(1, 2)) for name, estimate in found.items()}
-    better = [name for name, error in errors.items() if clearly_better(errors[first], error, _METHOD_GAIN)]
+    reference = found[first].held_out
+    better = [n for n, one in found.items() if predicts_better(reference, one.held_out, weights, _METHOD_GAIN)]
     best = min(better, key=lambda name: errors[name].sum(), default=first)
     table = ", ".join(f"{name} {np.sqrt(error.sum() / errors[first].sum()):.3f}" for name, error in errors.items())
     others = [f"{name} {'by less' if name in better else 'does not'}" for name in errors if name not in (first, best)]

@@ -358,3 +358,35 @@ def test_logs_that_the_model_predicts_are_not_refused(healthy, monkeypatch):
     mistaken = replace(log, effort=turned(log.effort))
     with pytest.raises(RejectedError, match="look swapped"):
         check_plausible(robot, [mistaken], False, quiet, model=model)
+
+
+def with_friction(log, friction):
+    """A log with more torque on the wrist: `friction` of speed over its highest, as a part of the torque."""
+    speed = np.gradient(log.position, log.t, axis=0)
+    highest, size = np.abs(speed).max(axis=0), np.sqrt(np.mean(log.effort**2, axis=0))
+    wrist = np.arange(log.position.shape[1]) >= 3
+    return replace(log, effort=log.effort + size * wrist * np.tanh(100 * speed / highest) * friction(speed / highest))
+
+
+def test_a_sign_is_refused_only_if_the_turned_one_predicts_better(healthy):
+    """Friction that falls with speed, as a compensated drive's, drives the joints of a linear fit on."""
+    robot, log = healthy
+    falling = with_friction(log, lambda speed: 40 * np.maximum(1 - 4 * np.abs(speed), -0.3))
+    (found,) = check_quality(robot, [falling])
+    assert not found.refuses
+    assert re.search("sign of the torque of joint_5 fits better .*would drive joint_5 on", found.text)
+    driving = with_friction(log, lambda speed: 40 * np.maximum(1 - 8 * np.abs(speed), -0.3))
+    (found,) = check_quality(robot, [driving])
+    assert found.refuses
+    assert "joint_4, joint_5, joint_6 have opposite signs" in found.text
+
+
+def test_torque_that_a_rigid_arm_explains_in_part_is_not_refused(healthy):
+    robot, log = healthy
+    size, rng = np.sqrt(np.mean(log.effort**2, axis=0)), np.random.default_rng(0)
+    (found,) = check_quality(robot, [replace(log, effort=log.effort + size * np.sin(8 * log.position))])
+    assert not found.refuses
+    assert "neither bodies nor friction" in found.text
+    (found,) = check_quality(robot, [replace(log, effort=rng.normal(size=log.effort.shape).cumsum(axis=0))])
+    assert found.refuses
+    assert "do not belong together" in found.text

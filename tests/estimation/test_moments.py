@@ -189,6 +189,15 @@ def test_errors_are_clearly_better_by_a_share_and_by_two_standard_errors():
     assert not sums.clearly_better(np.array([0.0, 0.0, 1.0]), np.full(3, 0.5), 0.0)
 
 
+def test_a_joint_that_is_fitted_closely_does_not_pay_for_what_others_lose():
+    before, weights = np.ones((4, 2, 2)), np.array([[100.0, 1.0], [100.0, 1.0]])
+    for other, expected in ((1.4, True), (1.6, False)):
+        after = before * [0.5, other]  # of a joint with much weight, and one with little
+        assert sums.clearly_better(*(np.sum(weights * e, axis=(1, 2)) for e in (before, after)), 0.1)
+        assert sums.predicts_better(before, after, weights, 0.1) is expected
+    assert not sums.predicts_better(before, 0.99 * before, weights, 0.1)
+
+
 @pytest.mark.parametrize("memory", [0.0, 0.9, 0.98])
 def test_autocorrelation_time(memory):
     """Of the noise, whatever it is about, also in parts; rows that never change count as one each."""

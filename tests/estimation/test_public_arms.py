@@ -19,6 +19,7 @@ ARMS = {
     "KR300": ("real-dev/kr300/robot_real.yaml", ("A", "B"), ("C",), 10.0, 9.26),
     "KR300 without inertials": ("real-dev/kr300/robot_none.yaml", ("A", "B"), ("C",), 10.0, 9.26),
     "KR300 with placeholders": ("real-dev/kr300/robot_dummy.yaml", ("A", "B"), ("C",), 10.0, 9.5 / RISE),
+    "KR300 by its links": ("real-dev/kr300/robot_real.yaml", ("A_se", "B_se"), ("C_se",), 10.0, 9.99),
     "TIAGo": ("real-dev/tiago/robot.yaml", ("fit",), ("held",), 10.0, 9.84),
     "XL330": (
         "real-dev/bam_xl330/robot.yaml",
@@ -57,7 +58,7 @@ def public(shared_data: Path, tmp_path: Path) -> Public:
     return load
 
 
-QUICK = ("KR300", "KR300 without inertials", "KR300 with placeholders", "EMPS")
+QUICK = ("KR300", "KR300 without inertials", "KR300 with placeholders", "KR300 by its links", "EMPS")
 
 
 @pytest.mark.parametrize("arm", [arm if arm in QUICK else pytest.param(arm, marks=pytest.mark.verify) for arm in ARMS])
@@ -80,6 +81,7 @@ def test_the_held_out_error_of_a_public_arm_does_not_rise(public: Public, arm: s
         pytest.param("TX40", "paper", marks=pytest.mark.verify),
         ("EMPS", "paper"),
         ("KR300", "plain"),
+        ("KR300 by its links", "plain"),
     ],
 )
 def test_public_arms_are_predicted_better_than_by_simpler_methods(public: Public, arm, method, measured) -> None:
