@@ -55,6 +55,11 @@ def dialect(name: str) -> str:
     return getattr(_load(name), "dialect", "pdl2")
 
 
+def efforts(name: str) -> tuple[str, ...]:
+    """What a recipe may say that a driver's controllers report as effort; empty where the wire leaves no choice."""
+    return tuple(getattr(_load(name), "efforts", ()))
+
+
 def _load(name: str) -> Callable[..., Driver] | None:
     if name in _BUILT_IN:
         module, _, attribute = _BUILT_IN[name].partition(":")

@@ -20,7 +20,7 @@ def create_driver(recipe: Recipe, tell: Callable[[str], None]) -> Driver:
     from agent.robot import torque_per_ampere
     from drivers.registry import create
 
-    driver = create(recipe.controller.driver, recipe.controller.address)
+    driver = create(recipe.controller.driver, recipe.controller.address, **recipe.controller.options)
     if isinstance(driver, MeasuresCurrents):
         driver.torque_per_ampere = torque_per_ampere(recipe.robot)
     if isinstance(driver, RequiresOperator):

@@ -243,6 +243,12 @@ def _controller_faults(controller: ControllerSection) -> Iterator[tuple[Location
         registry.create(controller.driver, controller.address)  # opens nothing
     except ConfigurationError as error:
         yield ("controller", "address"), str(error)
+    efforts = registry.efforts(controller.driver)
+    if efforts and controller.effort not in efforts:
+        message = f"{', '.join(efforts)} are allowed: say what this robot reports as effort"
+        yield ("controller", *(("effort",) if controller.effort else ())), message
+    elif controller.effort is not None and not efforts:
+        yield ("controller", "effort"), f"not for driver {controller.driver}, which knows what it reports"
 
 
 def _range_faults(robot: RobotDescription, narrowed: Collection[str]) -> Iterator[str]:

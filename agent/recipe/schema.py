@@ -58,6 +58,12 @@ class ControllerSection(RecipeSection):
 
     driver: Name = "tcp"
     address: Name
+    effort: Name | None = None
+
+    @property
+    def options(self) -> dict[str, str]:
+        """What the driver is told besides the address: what `effort` is, where the wire leaves that open."""
+        return {} if self.effort is None else {"effort": self.effort}
 
     @property
     def place(self) -> str:

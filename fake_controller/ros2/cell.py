@@ -29,7 +29,7 @@ IMPOSSIBLE = {
 #: What joint_states may have as effort.
 EFFORTS = ("torque", "current", "compensated", "none")
 _SLICE = 25  # cycles at once
-_BEHIND = 0.2  # s; a manager that is further behind leaves cycles out
+_BEHIND = 1.0  # s; what is further behind is left out, as a manager does that was held up
 
 
 @dataclass(frozen=True, eq=False)

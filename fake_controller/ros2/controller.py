@@ -165,6 +165,7 @@ class TrajectoryController:
 
     def _hold(self) -> None:
         """One point at the measured position, which is a step of the command back by the lag."""
+        self._time = self._last
         there = self._measured if self._trajectory is not None else self.command
         message = TrajectoryMessage(self.joints, 0.0, (TrajectoryPoint.of(0.0, there.tolist()),))
         self._new, self._trajectory = (

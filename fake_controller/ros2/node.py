@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import struct
 import threading
+from collections import deque
 from collections.abc import Sequence
 from typing import Any
 
@@ -73,6 +74,7 @@ class Ros2Server:
         from rclpy.experimental import EventsExecutor
 
         self.cell, self.address = cell, address
+        self.taken: deque[Any] = deque(maxlen=100)  # trajectories, as they came
         self._place = place = RosAddress.of(address)
         self.context = rclpy.Context()
         rclpy.init(context=self.context, domain_id=place.domain, signal_handler_options=rclpy.SignalHandlerOptions.NO)
@@ -127,7 +129,7 @@ class Ros2Server:
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._description = node.create_publisher(String, place.name(DESCRIPTION), latched)
         self._description.publish(String(data=cell.robot.urdf))
-        node.create_subscription(JointTrajectory, place.name(place.controller, "joint_trajectory"), self._take, 10)
+        node.create_subscription(JointTrajectory, place.name(place.controller, "joint_trajectory"), self.take, 10)
         self._state_publisher: Any = None
         if not (goals and self._offer_goals(node)):
             node.create_service(CancelGoal, f"{place.action}/_action/cancel_goal", self._cancel)
@@ -196,7 +198,9 @@ class Ros2Server:
 
     # What comes in, in the executor's thread
 
-    def _take(self, message: Any) -> None:
+    def take(self, message: Any) -> None:
+        """A trajectory by topic."""
+        self.taken.append(message)
         if self.cell.faults.heard(b" ") and self.cell.accepts():
             self.cell.controller.take(message_of(message), self.cell.now())
 

@@ -50,7 +50,7 @@ class SocketBench:
     """What the benches of all wires share."""
 
     joint_names = ("shoulder", "elbow")
-    short, long, comment = SHORT, LONG, "--"
+    short, long, comment, set_points = SHORT, LONG, "--", True
     name: str
 
     def __init__(self, arm, undo):

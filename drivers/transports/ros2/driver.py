@@ -46,6 +46,7 @@ class Ros2Driver(LinkDriver[RosLink, Ros2Motion]):
     """
 
     dialect = "joint_trajectory"
+    efforts = EFFORTS
 
     def __init__(self, address: str, effort: str = "torque", **options: Any) -> None:
         self._target = RosAddress.of(address)

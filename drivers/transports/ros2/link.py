@@ -168,26 +168,27 @@ class RosLink(LinkThread):
 
     # To the controller, from any thread
 
-    def send(self, message: Any) -> None:
-        """Send a trajectory by topic, once."""
+    def send(self, stamp: float, points: Sequence[Sequence[Any]]) -> None:
+        """Send a trajectory by topic, once: points (time [s], then rows (n,) of position and rates) from a stamp."""
         self.check()
-        self._commands.publish(message)
+        self._commands.publish(trajectory_message(self.joints, stamp, points))
 
     def send_goal(
         self,
-        message: Any,
+        stamp: float,
+        points: Sequence[Sequence[Any]],
         tolerance: np.ndarray,
         goal_time: float,
         answered: Callable[[bool], None],
         ended: Callable[[int, str], None],
     ) -> None:
-        """Send a goal, once; `answered` says whether it was accepted, `ended` its error code and text."""
+        """The same as a goal, once; `answered` says whether it was accepted, `ended` its error code and text."""
         self.check()
         goal_type, joint_tolerance = (
             typed("control_msgs.action", "FollowJointTrajectory").Goal,
             typed("control_msgs.msg", "JointTolerance"),
         )
-        goal = goal_type(trajectory=message)
+        goal = goal_type(trajectory=trajectory_message(self.joints, stamp, points))
         pairs = zip(self.joints, tolerance.tolist(), strict=True)
         goal.path_tolerance = [joint_tolerance(name=name, position=value) for name, value in pairs]
         set_time(goal.goal_time_tolerance, goal_time)

@@ -7,7 +7,6 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
@@ -17,7 +16,6 @@ from drivers.transports.base.samples import SampleStream
 from drivers.transports.ros2.following import Counter, Course
 from drivers.transports.ros2.link import RosLink
 from drivers.transports.ros2.program import GoalProgram, Step
-from drivers.transports.ros2.ros import trajectory_message
 from drivers.wire.reasons import EndReason
 from drivers.wire.ros2 import JointSample, SetPoint
 
@@ -51,6 +49,7 @@ class Ros2Motion(SampleStream):
         recorded: whether effort is.
         limit: bytes that may wait for the consumer.
         on_over: comes once, when the arm rests or is lost from sight.
+        clock: seconds of this computer, for what has to be answered or braked in time.
     """
 
     def __init__(
@@ -63,8 +62,10 @@ class Ros2Motion(SampleStream):
         recorded: bool,
         limit: int,
         on_over: Callable[[], None],
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         super().__init__(limit)
+        self._clock = clock
         self.strength = program.fastest_change
         self.goals_sent = 0
         self.cycle_starts: list[float] = []  # s, by the controller's clock
@@ -75,7 +76,6 @@ class Ros2Motion(SampleStream):
         self._by_goal, self._torque, self._recorded = by_goal, torque, recorded
         self._on_over = on_over
         self._steps = program.run()
-        self._messages: dict[int, Any] = {}
         self._lock = threading.RLock()
         self._phase = "idle"
         self.course: Course | None = None
@@ -115,7 +115,7 @@ class Ros2Motion(SampleStream):
             again, self._why = self._braked is not None, self._why or why
             if self.over:
                 return
-            self._phase, self._braked = "braking", self._braked or time.monotonic()
+            self._phase, self._braked = "braking", self._braked or self._clock()
             self._link.brake(self.strength, None if self.course is None else self.course.at)
             if again:
                 self._cancel()
@@ -162,7 +162,7 @@ class Ros2Motion(SampleStream):
         if self.over:
             return
         with self._lock:
-            now = time.monotonic()
+            now = self._clock()
             if self._braked is not None and now - self._braked > CANCEL_AFTER:
                 self._cancel()
             elif self._phase == "moving" and self._by_goal and self._accepted is None and now - self._sent_at > _ANSWER:
@@ -251,7 +251,7 @@ class Ros2Motion(SampleStream):
             "look for "
             "the cause, then run the command again"
         )
-        self._phase, self._braked = "braking", time.monotonic()
+        self._phase, self._braked = "braking", self._clock()
 
     def _go_on(self, sample: JointSample) -> None:
         """Send the next goal, where there is one and somebody watches."""
@@ -291,16 +291,16 @@ class Ros2Motion(SampleStream):
             self.cycle_starts.append(stamp + float(points.times[0]))
         tolerance = np.full(len(self._program.joints), 0.1) if step.tolerance is None else step.tolerance
         self._limit_off = SHARE * tolerance
-        rows = ((float(t), *row) for t, row in zip(points.times, points.rows, strict=True))
-        message = trajectory_message(self._program.joints, stamp, list(rows))
-        self._phase, self._accepted, self._result, self._sent_at = "moving", None, None, time.monotonic()
+        rows = [(float(t), *row) for t, row in zip(points.times, points.rows, strict=True)]
+        self._phase, self._accepted, self._result, self._sent_at = "moving", None, None, self._clock()
         self.goals_sent += 1
         if not self._by_goal:
-            self._link.send(message)
+            self._link.send(stamp, rows)
             return None
         number = self.goals_sent
         self._link.send_goal(
-            message,
+            stamp,
+            rows,
             tolerance,
             step.goal_time,
             lambda accepted: self._answered(number, accepted),

@@ -16,6 +16,7 @@ _KINDS = ("joint_trajectory_controller/JointTrajectoryController", "ur_controlle
 _STILL = 0.01
 #: Age of samples beyond the least [s] that a motion may begin with (99th percentile).
 _OLDEST = 0.3
+_UNKNOWN, _NAMED = "_NODE_NAME_UNKNOWN_", 5.0  # of a node whose name has not come yet, and how long it may take [s]
 
 
 def check_controller(link: RosLink, parameters: Mapping[str, Any], manager: Mapping[str, Any], by_goal: bool) -> None:
@@ -75,6 +76,7 @@ def check_alone(link: RosLink) -> None:
     Raises:
         RefusedError: somebody may.
     """
+    link.wait(lambda: _UNKNOWN not in "".join(link.others()), _NAMED)  # names come after what they publish
     others = [one for one in link.others() if one.rpartition("/")[2] not in link.target.beside]
     if others:
         raise RefusedError(

@@ -1,0 +1,422 @@
+"""The ROS 2 driver's motion without ROS: the emulated controller at the other end, in simulated time."""
+
+import json
+
+import numpy as np
+import pytest
+
+from drivers.errors import DriverError, MotionStopped, RefusedError
+from drivers.transports.ros2.brake import SILENCE, Orders
+from drivers.transports.ros2.following import BRAKE, Counter, Course, Speed, brake_point
+from drivers.transports.ros2.motion import AHEAD, LATE, Ros2Motion
+from drivers.transports.ros2.program import LONGEST, GoalProgram, Points
+from drivers.wire.ros2 import JointSample, RosAddress, SetPoint
+from fake_controller.ros2.controller import Goal, TrajectoryController
+from fake_controller.ros2.trajectory import SampledTrajectory, TrajectoryMessage, TrajectoryPoint
+
+JOINTS = ("a", "b")
+PERIOD = 0.002
+BEGIN = 1_795_900_000.0
+
+
+def goal(way=0.5, seconds=2.0, cycles=1, begin=0.0, lead=0.2, tolerance=0.1, joints=JOINTS):
+    """A line of a program: from `begin` out by `way` [rad] and back, rest to rest."""
+    t = np.arange(0.0, seconds + 1e-6, 0.05)
+    phase = 2 * np.pi * t / seconds
+    rows = np.array(
+        [
+            begin + way * (1 - np.cos(phase)) / 2,
+            way * np.pi / seconds * np.sin(phase),
+            way * 2 * (np.pi / seconds) ** 2 * np.cos(phase),
+        ]
+    )
+    rows[1:, [0, -1]] = 0.0
+    points = []
+    for k, time in enumerate(t + lead):
+        sec, nanosec = divmod(round(time * 1e9), 10**9)
+        values = {name: [row[k]] * len(joints) for name, row in zip(FIELDS, rows, strict=True)}
+        points.append({**values, "time_from_start": {"sec": sec, "nanosec": nanosec}})
+    trajectory = {"joint_names": list(joints), "points": points}
+    limits = [{"name": name, "position": tolerance} for name in joints if tolerance]
+    return json.dumps({"cycles": cycles, "goal": {"trajectory": trajectory, "path_tolerance": limits}}) + "\n"
+
+
+FIELDS = ("positions", "velocities", "accelerations")
+HEADER = json.dumps({"program": "p", "joint_names": list(JOINTS)}) + "\n"
+TO = '{"to": [0, 0], "velocity": [1, 1], "acceleration": [2, 2]}\n'
+
+
+class Arm:
+    """A link whose far end is the emulated controller; time passes when a test says so."""
+
+    target = RosAddress.of("ros2://0/arm")
+    watchdog = 0.5
+
+    def __init__(self, by_goal, position=(0.0, 0.0), lag=0.0):
+        self.by_goal, self.lag = by_goal, lag
+        self.now, self.delay = BEGIN, 0.001
+        self.controller = TrajectoryController(JOINTS, PERIOD, np.array(position, dtype=float))
+        self.position, self.velocity = np.array(position, dtype=float), np.zeros(2)
+        self.offset = np.zeros(2)
+        self.latest = None
+        self.sent, self.brakes, self.cancels = [], [], 0
+        self.deaf = self.answers_nothing = False
+        self.motion = None
+        self.sample()
+
+    def run_program(self, text, **options):
+        program = GoalProgram.of(text)
+        self.over, self.kept = [], []
+        self.motion = Ros2Motion(
+            program, self, PERIOD, self.by_goal, None, True, 1 << 28, lambda: self.over.append(1), lambda: self.now,
+            **options,
+        )  # fmt: skip
+        self.motion.begin()
+        self._reader = self.motion.blocks()
+        return self.motion
+
+    def sample(self):
+        self.latest = JointSample(self.now, self.position + self.offset, self.velocity.copy(), np.ones(2))
+
+    def run(self, seconds, states=False, until_over=False, reading=True):
+        for _ in range(round(seconds / PERIOD)):
+            self.now += PERIOD
+            command, rate = self.controller.update(self.now, self.position, self.velocity)
+            before = self.position
+            self.position = command - self.lag * rate
+            self.velocity = (self.position - before) / PERIOD
+            self.sample()
+            if states:
+                self.motion.state(SetPoint(self.now, command, rate, self.controller.scaling))
+            self.motion.sample(self.latest, self.now + self.delay)
+            self.motion.turn()
+            while reading and self.motion.size > 4000:
+                self.kept.append(next(self._reader))
+            if until_over and self.motion.over:
+                return
+
+    # As the driver sees it
+
+    def send(self, stamp, points):
+        self.sent.append((stamp, points))
+        if not self.deaf:
+            assert self.controller.take(self._message(stamp, points), self.now) == ""
+
+    def send_goal(self, stamp, points, tolerance, goal_time, answered, ended):
+        self.sent.append((stamp, points))
+        if self.answers_nothing:
+            return
+        limits = dict(zip(JOINTS, tolerance.tolist(), strict=True))
+        given = Goal(
+            self._message(stamp, points), lambda status, code, text: ended(int(code), text), limits, {}, goal_time
+        )
+        answered(self.controller.take_goal(given, self.now) == "")
+
+    def brake(self, strength, expected):
+        self.brakes.append(self.now)
+        seconds, place = brake_point(self.latest.position, self.velocity, strength)
+        if not self.deaf:
+            self.controller.take(self._message(0.0, [(seconds, place, 0.0 * place)]), self.now)
+
+    def cancel(self):
+        self.cancels += 1
+        self.controller.cancel()
+
+    def _message(self, stamp, points):
+        return TrajectoryMessage(JOINTS, stamp, tuple(TrajectoryPoint.of(t, *rows) for t, *rows in points))
+
+
+BOTH = pytest.mark.parametrize("by_goal", [True, False], ids=["goal", "topic"])
+
+
+def blocks_of(arm):
+    """All that was handed out; raises what ended the motion."""
+    return [*arm.kept, *arm._reader]
+
+
+@BOTH
+def test_goals_are_sent_in_turn_each_when_the_arm_rests(by_goal):
+    arm = Arm(by_goal, (0.1, -0.1))
+    motion = arm.run_program(HEADER + TO + goal(cycles=3))
+    arm.run(20.0, states=True, until_over=True)
+    assert motion.over
+    assert len(arm.sent) == 4
+    assert not arm.brakes
+    assert len(motion.cycle_starts) == 3
+    blocks = blocks_of(arm)
+    sequence = np.concatenate([block.sequence for block in blocks])
+    assert np.array_equal(sequence, np.arange(len(sequence)))
+    assert np.allclose(np.diff(np.concatenate([block.time for block in blocks])), PERIOD, rtol=1e-3)
+    assert not motion.sequencer.gaps
+    for (_, points), (_, before) in zip(arm.sent[1:], arm.sent[:-1], strict=True):
+        assert points[0][0] >= 0.2
+        assert np.array_equal(points[0][1], before[-1][1])
+        assert not np.any(points[-1][2])
+    assert arm.over == [1]
+
+
+@BOTH
+def test_each_goal_begins_in_the_future_by_the_controllers_clock(by_goal):
+    arm = Arm(by_goal)
+    arm.run_program(HEADER + goal())
+    (stamp, points), *_ = arm.sent
+    assert stamp == arm.latest.stamp + AHEAD
+    assert stamp + points[0][0] >= arm.now + 0.5
+
+
+@BOTH
+def test_a_joint_off_its_trajectory_is_braked_before_the_controller_holds_it(by_goal):
+    arm = Arm(by_goal)
+    arm.run_program(HEADER + goal(way=1.0, seconds=4.0))
+    arm.run(1.5)
+    arm.offset = np.array([0.0, 0.085])
+    arm.run(2.0, until_over=True)
+    assert len(arm.brakes) == 1
+    with pytest.raises(MotionStopped, match=r"b was 0.0.. rad off its trajectory, 0.080 are allowed"):
+        blocks_of(arm)
+    assert not arm.velocity.any()
+    assert arm.brakes[0] - (BEGIN + 1.5) <= 0.01
+
+
+def test_positions_that_are_no_numbers_are_braked():
+    arm = Arm(True)
+    motion = arm.run_program(HEADER + goal())
+    arm.run(1.0)
+    arm.offset = np.array([np.nan, 0.0])
+    arm.run(PERIOD)
+    assert len(arm.brakes) == 1
+    assert not motion.over
+
+
+@BOTH
+def test_a_stop_brakes_by_one_point_and_cancels_once_the_arm_rests(by_goal):
+    arm = Arm(by_goal)
+    motion = arm.run_program(HEADER + goal(way=1.0, seconds=4.0, cycles=5))
+    arm.run(1.5)
+    fast = arm.velocity.copy()
+    assert fast[0] > 0.3
+    motion.stopping = True
+    motion.brake()
+    arm.run(2.0, until_over=True)
+    assert motion.over
+    assert (len(arm.brakes), arm.cancels) == (1, 1)
+    assert len(arm.sent) == 1
+    blocks_of(arm)
+    assert arm.now - arm.brakes[0] < 0.8
+    assert not arm.velocity.any()
+
+
+def test_a_controller_that_does_not_brake_is_cancelled():
+    arm = Arm(True)
+    motion = arm.run_program(HEADER + goal(way=1.0, seconds=8.0))
+    arm.run(1.5)
+    arm.deaf = True
+    motion.stopping = True
+    motion.brake()
+    arm.run(0.55)
+    assert arm.cancels == 0
+    arm.run(0.2)
+    assert arm.cancels == 1
+    arm.run(1.0, until_over=True)
+    assert motion.over
+
+
+def test_a_second_stop_brakes_again_and_cancels():
+    arm = Arm(True)
+    motion = arm.run_program(HEADER + goal(way=1.0, seconds=8.0))
+    arm.run(1.5)
+    motion.brake()
+    motion.brake()
+    assert (len(arm.brakes), arm.cancels) == (2, 1)
+
+
+def test_late_samples_are_judged_by_their_stamp():
+    arm = Arm(True)
+    arm.run_program(HEADER + goal(seconds=8.0))
+    arm.run(2.0)
+    arm.delay = arm.watchdog + LATE - 0.05
+    arm.run(0.1)
+    assert not arm.brakes
+    arm.delay = arm.watchdog + LATE + 0.05
+    arm.run(0.1)
+    assert len(arm.brakes) == 1
+    arm.run(1.0, until_over=True)
+    with pytest.raises(DriverError, match="s late, so nobody watched the arm"):
+        blocks_of(arm)
+
+
+def test_a_delay_that_is_always_the_same_is_the_clocks():
+    arm = Arm(True)
+    arm.delay = 3600.0
+    arm.run_program(HEADER + goal())
+    arm.run(10.0, until_over=True)
+    blocks_of(arm)
+    assert not arm.brakes
+
+
+def test_the_controllers_own_end_of_a_goal_is_told():
+    arm = Arm(True)
+    arm.run_program(HEADER + goal(way=1.0, seconds=4.0))
+    arm.run(1.5)
+    arm.controller.deactivate()
+    arm.run(2.0, until_over=True)
+    with pytest.raises(MotionStopped, match="the controller stopped the arm: error -1"):
+        blocks_of(arm)
+    assert not arm.brakes or arm.cancels
+
+
+def test_a_goal_that_nobody_answers_is_braked_and_cancelled_and_not_sent_again():
+    arm = Arm(True)
+    arm.answers_nothing = True
+    arm.run_program(HEADER + goal(way=0.02, seconds=15.0))
+    arm.run(2.5)
+    assert (len(arm.sent), len(arm.brakes), arm.cancels) == (1, 1, 1)
+    arm.run(1.0, until_over=True)
+    with pytest.raises(DriverError, match="did not answer a goal within 2 s"):
+        blocks_of(arm)
+
+
+def test_a_scaled_trajectory_is_noticed():
+    arm = Arm(True)
+    arm.run_program(HEADER + goal(seconds=8.0))
+    arm.run(1.5, states=True)
+    arm.controller.scaling = 0.97
+    arm.run(1.0, states=True, until_over=True)
+    with pytest.raises(MotionStopped, match="at 97 % of its speed"):
+        blocks_of(arm)
+
+
+def test_a_scaled_trajectory_without_set_points_is_found_off_its_plan():
+    arm = Arm(False)
+    arm.run_program(HEADER + goal(way=1.0, seconds=4.0))
+    arm.run(1.0)
+    arm.controller.scaling = 0.5
+    arm.run(3.0, until_over=True)
+    with pytest.raises(MotionStopped, match="was the speed turned down"):
+        blocks_of(arm)
+
+
+@BOTH
+def test_no_goal_is_sent_while_samples_wait_to_be_read(by_goal):
+    arm = Arm(by_goal)
+    arm.run_program(HEADER + goal(cycles=50))
+    arm.run(30.0, until_over=True, reading=False)
+    assert len(arm.sent) < 4
+    with pytest.raises(DriverError, match="wait to be read, so the next cycle was not sent"):
+        blocks_of(arm)
+    assert not arm.velocity.any()
+
+
+@BOTH
+def test_an_arm_elsewhere_is_sent_nothing(by_goal):
+    arm = Arm(by_goal, (0.1, 0.0))
+    with pytest.raises(RefusedError, match=r"a is off by 0\.100 rad"):
+        arm.run_program(HEADER + goal())
+    assert not arm.sent
+
+
+def test_a_rest_between_goals_is_kept():
+    arm = Arm(True)
+    motion = arm.run_program(HEADER + goal() + '{"rest": 1.5}\n' + goal())
+    arm.run(20.0, until_over=True)
+    assert motion.over
+    (first, points), (second, _) = arm.sent
+    assert second - (first + points[-1][0]) > 1.5
+
+
+def test_a_servo_that_lags_is_no_fault():
+    arm = Arm(False, lag=0.04)
+    arm.run_program(HEADER + goal(way=1.0, seconds=3.0))
+    arm.run(20.0, until_over=True)
+    blocks_of(arm)
+    assert not arm.brakes
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_course_is_what_the_controller_commands(seed):
+    rng = np.random.default_rng(seed)
+    times = np.cumsum(rng.uniform(0.2, 1.0, 6))
+    rows = rng.normal(size=(6, 3, 2))
+    rows[-1, 1:] = 0.0
+    start = rng.normal(size=2)
+    course = Course(50.0, start, Points(times, rows))
+    points = tuple(TrajectoryPoint.of(t, *row) for t, row in zip(times, rows, strict=True))
+    sampled = SampledTrajectory(TrajectoryMessage(JOINTS, 50.0, points), JOINTS, 50.0, (start, np.zeros(2)))
+    for t in 50.0 + np.linspace(0.0, times[-1] + 0.5, 200):
+        for one, other in zip(course.at(t), sampled.at(t), strict=True):
+            assert np.allclose(one, other, atol=1e-9)
+    assert np.array_equal(course.at(49.0)[0], start)
+
+
+def test_a_brake_takes_longer_where_the_joints_are_weak_but_never_for_ever():
+    position, velocity = np.zeros(2), np.array([1.0, -2.0])
+    for strength, seconds in (((100.0, 100.0), BRAKE), ((100.0, 4.0), 0.5), ((0.1, 4.0), 1.0), ((0.0, 0.0), 1.0)):
+        took, end = brake_point(position, velocity, np.array(strength))
+        assert took == pytest.approx(seconds)
+        assert np.allclose(end, velocity * took / 2)
+
+
+def test_numbers_follow_the_stamps():
+    rng = np.random.default_rng(0)
+    counter = Counter(PERIOD)
+    stamps = BEGIN + np.arange(60_000) * PERIOD * (1 + 1e-4) + rng.uniform(-0.4, 0.4, 60_000) * PERIOD
+    assert [counter.number(stamp) for stamp in stamps] == list(range(60_000))
+    assert counter.number(stamps[-1]) is None
+    assert counter.number(stamps[-1] + 5 * PERIOD) in (60_003, 60_004, 60_005)
+    assert counter.time(10) - counter.time(9) == pytest.approx(PERIOD, rel=1e-3)
+
+
+def test_speed_without_a_velocity_comes_from_positions():
+    speed, nothing = Speed(), np.full(1, np.nan)
+    for k in range(50):
+        found = speed.of(JointSample(BEGIN + k * PERIOD, np.array([0.7 * k * PERIOD]), nothing, nothing))
+    assert found[0] == pytest.approx(0.7, rel=1e-4)
+
+
+def test_the_second_process_brakes_where_the_agent_is_gone_or_silent():
+    orders = Orders(0.0)
+    assert not orders.gone(100.0)
+    orders.take(b"arm 1.5 2", 1.0)
+    orders.take(b".0\n", 1.0)
+    assert orders.strength.tolist() == [1.5, 2.0]
+    assert not orders.gone(1.0 + 0.9 * SILENCE)
+    orders.take(b"\n\n", 2.0)
+    assert not orders.gone(2.9)
+    assert orders.gone(2.1 + SILENCE)
+    orders.take(b"\n", 4.0)
+    assert not orders.gone(4.1)
+    orders.take(b"", 4.1)
+    assert orders.gone(4.1)
+    calm = Orders(0.0)
+    calm.take(b"arm 1\ndisarm\n", 0.0)
+    calm.take(b"", 0.0)
+    assert not calm.gone(100.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("", "no program"),
+        (HEADER, "moves nothing"),
+        ("this is no program\n", "line 1"),
+        (HEADER + goal(tolerance=0), "line 2"),
+        (HEADER + goal(tolerance=0.5), "path tolerance"),
+        (HEADER + goal(lead=0.05), "rising times from 0.2"),
+        (HEADER + goal(seconds=LONGEST + 1), "20 s are allowed"),
+        (HEADER + goal(joints=("a", "c")), "other joints"),
+        (HEADER + goal().replace('"cycles": 1', '"cycles": 0'), "0 cycles"),
+        (HEADER + TO.replace("[1, 1]", "[0, 1]"), "above zero"),
+        (HEADER + TO.replace("[0, 0]", "[NaN, 0]"), "finite"),
+        (HEADER + '{"rest": -1}\n', "a rest of -1"),
+        (HEADER + "[" * 100_000, "line 2"),
+    ],
+)
+def test_a_program_that_could_not_be_left_alone_is_refused(text, why):
+    with pytest.raises(RefusedError, match=why):
+        GoalProgram.of(text)
+
+
+def test_a_move_from_far_away_is_refused():
+    program = GoalProgram.of(HEADER + TO)
+    with pytest.raises(RefusedError, match="20 s are allowed"):
+        program.steps[0].from_(np.array([30.0, 0.0]))
