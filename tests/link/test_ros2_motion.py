@@ -117,6 +117,7 @@ class Arm:
         seconds, place = brake_point(self.latest.position, self.velocity, strength)
         if not self.deaf:
             self.controller.take(self._message(0.0, [(seconds, place, 0.0 * place)]), self.now)
+        return seconds
 
     def cancel(self):
         self.cancels += 1

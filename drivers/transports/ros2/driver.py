@@ -100,11 +100,11 @@ class Ros2Driver(LinkDriver[RosLink, Ros2Motion]):
             )
         self._manager = link.parameters(self._target.name(MANAGER), min(self._timeout, 3.0))
         joints = joints_of(self._parameters.get("joints") or ())
-        preconditions.check_alone(link)
         link.listen(joints)
         link.describe()
         self._by_goal = link.goals()
         self._period = self._sampling(link)
+        preconditions.check_alone(link)  # others are known by now: all of this takes seconds
 
     def _sampling(self, link: RosLink) -> float:
         """The period [s] of the samples: the manager's, where it says it and the stamps agree, else theirs."""

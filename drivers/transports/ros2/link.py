@@ -205,26 +205,28 @@ class RosLink(LinkThread):
 
         self._goals.send_goal_async(goal).add_done_callback(on_answer)
 
-    def brake(self, strength: np.ndarray, expected: Callable[[float], tuple[np.ndarray, np.ndarray]] | None) -> None:
-        """Send the one point that brings the arm to rest, from what it did last; never raises.
+    def brake(self, strength: np.ndarray, expected: Callable[[float], tuple[np.ndarray, np.ndarray]] | None) -> float:
+        """Send the one point that brings the arm to rest, from what it did last; how long that takes [s]. Never raises.
 
         `expected` (stamp) is the plan's state, for where samples are old.
         """
         sample = self.latest
         if sample is None:
-            return
+            return 0.0
         passed = max(time.time() - self.received, 0.0)
         if passed > 0.1 and expected is not None:
             position, velocity = expected(sample.stamp + passed)
         else:
             position, velocity = sample.position + self.velocity * min(passed, 0.1), self.velocity
         if not (np.isfinite(position).all() and np.isfinite(velocity).all()):
-            return self.cancel()
+            self.cancel()
+            return 0.0
         seconds, goal = brake_point(position, velocity, strength)
         try:
             self._commands.publish(trajectory_message(self.joints, 0.0, [(seconds, goal, 0.0 * goal)]))
         except Exception:  # a context that has ended: the second process brakes
-            return
+            return 0.0
+        return seconds
 
     def cancel(self) -> None:
         """Cancel whatever runs; never raises."""

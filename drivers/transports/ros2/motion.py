@@ -116,7 +116,9 @@ class Ros2Motion(SampleStream):
             if self.over:
                 return
             self._phase, self._braked = "braking", self._braked or self._clock()
-            self._link.brake(self.strength, None if self.course is None else self.course.at)
+            latest = self._link.latest
+            seconds = self._link.brake(self.strength, None if self.course is None else self.course.at)
+            self._since = (0.0 if latest is None else latest.stamp) + seconds
             if again:
                 self._cancel()
 
@@ -197,7 +199,7 @@ class Ros2Motion(SampleStream):
                 self._settle(sample)
             case "resting" if sample.stamp >= self._since:
                 self._go_on(sample)
-            case "braking" if self._braked is not None and self._stands():
+            case "braking" if sample.stamp >= self._since and self._stands():
                 self._cancel()
                 self._come_to_rest()
 

@@ -14,8 +14,8 @@ from drivers.wire.ros2 import MANAGER, JointSample
 _KINDS = ("joint_trajectory_controller/JointTrajectoryController", "ur_controllers/ScaledJointTrajectoryController")
 #: Faster joints are not stationary [rad/s].
 _STILL = 0.01
-#: Age of samples beyond the least [s] that a motion may begin with (99th percentile).
-_OLDEST = 0.3
+#: Age of samples beyond the least that a motion may begin with (99th percentile), as a share of the watchdog.
+_OLDEST = 0.6
 _UNKNOWN, _NAMED = "_NODE_NAME_UNKNOWN_", 5.0  # of a node whose name has not come yet, and how long it may take [s]
 
 
@@ -111,9 +111,10 @@ def check_arm(link: RosLink, joints: Sequence[str], recorded: bool) -> None:
     if scaling is not None and not abs(scaling - 1.0) <= 1e-6:
         raise RefusedError(f"the controller's speed is scaled to {100 * scaling:.0f} %; set it to 100 % there")
     _, age = link.pace()
-    if not age <= _OLDEST:
+    if not age <= _OLDEST * link.watchdog:
         raise RefusedError(
-            f"joint_states come up to {age:.2f} s late, {_OLDEST:g} s are allowed; free this computer or the network"
+            f"joint_states come up to {age:.2f} s late, {_OLDEST * link.watchdog:.2g} s are allowed; "
+            "free this computer or the network"
         )
 
 
