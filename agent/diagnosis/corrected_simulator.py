@@ -8,8 +8,12 @@ from dataclasses import replace
 import numpy as np
 
 from agent.diagnosis.diagnosis import Diagnosis
+from agent.diagnosis.gap.torque_gap import rms
 from agent.diagnosis.rows.dataset import assemble
+from agent.diagnosis.rows.fit import Fit
+from agent.diagnosis.simulator_file.reversals import reversals_as_effects
 from agent.diagnosis.simulator_file.servo_torque import at_gains
+from agent.model import IdentifiedModel
 from agent.simulators import Correction, Released, Simulator, correct
 
 
@@ -34,6 +38,9 @@ def corrected(diagnosis: Diagnosis, simulator: Simulator, without: int | None = 
     for candidate, values in zip(fit.chosen, fitted, strict=True):
         reasons[candidate.effect.name, tuple(names[j] for j in candidate.joints)] = reason(candidate.text(names))
         effects.append(candidate.part_of_model(values, names))
+    reversing = reversals_as_effects(diagnosis.dataset.model, change)
+    effects += reversing
+    reasons |= {(one.effect, one.joints): "how friction reverses" for one in reversing}
     inertia = np.mean([np.diagonal(s.mass, axis1=1, axis2=2).mean(axis=0) for s in fit.signals], axis=0)
     unexplained = fit.error(fit.once) / fit.repeat
     found = correct(simulator, change, weight, unexplained, inertia, effects, released, reasons)
@@ -47,6 +54,48 @@ def corrected(diagnosis: Diagnosis, simulator: Simulator, without: int | None = 
         weights=1 / np.stack([np.maximum(gap.after * gap.unit, 1e-9) ** 2] * 2),
     )
     return replace(found, model=model)
+
+
+def supported_correction(diagnosis: Diagnosis, simulator: Simulator) -> Correction:
+    """The correction; none, with a note, where it does not lower the error of the corrected file itself."""
+    found = corrected(diagnosis, simulator)
+    if simulator.servos is not None or not ((diagnosis.released and diagnosis.released.groups) or found.effects):
+        return found
+    before, after = held_out_errors(diagnosis, simulator)
+    unit = diagnosis.gap.unit
+    if np.mean((after / unit) ** 2) < np.mean((before / unit) ** 2):
+        return found
+    worst = int(np.argmax((after - before) / unit))
+    note = (
+        "nothing is corrected: on motion that was held out, the corrected file would err more than the one given "
+        f"({simulator.arm.joint_names[worst]}: {before[worst]:.3g} before, {after[worst]:.3g} after)"
+    )
+    zero, count = np.zeros(len(simulator.model.values)), len(simulator.model.independent)
+    none = correct(simulator, zero, np.eye(count), 1.0, found.inertia, (), Released(), {})
+    return replace(none, notes=(*none.notes, note))
+
+
+def held_out_errors(diagnosis: Diagnosis, simulator: Simulator) -> tuple[np.ndarray, np.ndarray]:
+    """(n,) RMS error [N·m] of the simulator as given and as it would be written, on motion that was held out.
+
+    Of the arm that the file can say, with its effects: bodies that could exist, no friction below zero, friction that
+    reverses at once. What the fit gains and these lose is no gain.
+    """
+    fit, dataset = diagnosis.finding.fit, diagnosis.dataset
+    given, left = diagnosis.gap.raw, np.full(diagnosis.gap.raw.shape, np.nan)
+    as_given = _predicted(fit, simulator.model)
+    for number, fold in enumerate(fit.folds):
+        rows = np.isin(fit.cell, np.flatnonzero(fold.test))
+        fixed = _predicted(fit, corrected(diagnosis, simulator, number).model)
+        left[rows] = (dataset.residual + as_given - fixed)[rows]
+    left = np.where(np.isnan(given), np.nan, left)
+    return rms(given), rms(diagnosis.gap.beyond(left))
+
+
+def _predicted(fit: Fit, model: IdentifiedModel) -> np.ndarray:
+    """(S', n) torque [N·m] of a model on the fit's motions, filtered alike."""
+    parts = (s.low_pass(model.predict(s.q, s.qd, s.qdd, s.time)) for s in fit.signals)
+    return np.concatenate(list(parts))
 
 
 def _at_own_gains(

@@ -69,8 +69,12 @@ class Diagnosis:
 
     @cached_property
     def result(self) -> dict[str, Any]:
-        """The document as plain data, with the 95 % intervals of every cause's parameters."""
-        return {**self.document.to_dict(), "intervals": intervals(self.finding)}
+        """The document as plain data, with the 95 % intervals of every cause's parameters; numbers have ranges."""
+        joints = self.dataset.robot.joint_names
+        places = [(c.effect.name, tuple(joints[j] for j in c.joints)) for c in self.finding.causes]
+        found = dict(zip(places, intervals(self.finding), strict=True))
+        own = [found.get((cause.effect, cause.joints), {}) for cause in self.document.causes]
+        return {**self.document.to_dict(), "intervals": own}
 
 
 def build(

@@ -1,9 +1,10 @@
 """Ranges for domain randomisation: the remaining uncertainty of each number of a corrected simulator.
 
-Numbers that were moved are x = x₀ + D c with the prior c ~ N(0, 1). The logs reduce its covariance to
-cov(c) = (1 + Dᵀ H D)⁻¹, for effects and all numbers at once; H is their information, as in `fit`. If the error of the
-held-out motion exceeds the noise model, all deviations are scaled up by the same factor. Numbers that were not moved
-have no range: the logs gave no reason to move them.
+Values are those of the corrected file. All numbers that could move are x = x₀ + D c with the prior c ~ N(0, 1). The
+logs reduce its covariance to cov(c) = (1 + Dᵀ H D)⁻¹, for effects and all numbers at once; H is their information, as
+in `fit`. So the range of one link's mass allows that another link was meant. If the error of the held-out motion
+exceeds the noise model, all deviations are scaled up by the same factor. Numbers that were not moved have no range: the
+logs gave no reason to move them.
 """
 
 from __future__ import annotations
@@ -14,8 +15,9 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from agent.diagnosis.diagnosis import Diagnosis
+from agent.diagnosis.simulator_file.released_numbers import groups_of
 from agent.diagnosis.sizes import unit_of
-from agent.robot import ParameterLayout
+from agent.simulators import Correction
 
 _WIDTH = 1.645  # standard deviations, 90 %
 
@@ -32,17 +34,19 @@ class Range:
     unit: str
 
 
-def ranges(diagnosis: Diagnosis) -> tuple[Range, ...]:
-    """All numbers that the diagnosis moved or found; empty without a simulator file."""
+def ranges(diagnosis: Diagnosis, correction: Correction) -> tuple[Range, ...]:
+    """All numbers that the diagnosis moved or found, as the correction writes them; empty without a simulator file."""
     if diagnosis.released is None:
         return ()
     fit, found = diagnosis.finding.fit, diagnosis.released
-    model, robot = diagnosis.dataset.model, diagnosis.dataset.robot
+    model, robot, arm = diagnosis.dataset.model, diagnosis.dataset.robot, correction.arm
     p, b = len(model.values), len(model.independent)
-    groups = [group.directions for group in found.groups]
-    count = sum(columns.shape[1] for columns in groups)
+    groups = [*found.groups]
+    groups += [group for group in groups_of(found.given) if (group.kind, group.joint) not in found.parts]
+    columns = np.hstack([group.directions for group in groups])
+    count = columns.shape[1]
     spread = np.zeros((fit.size, count + fit.size - p))
-    spread[:p, :count] = np.hstack([np.zeros((p, 0)), *groups])
+    spread[:p, :count] = columns
     spread[p:, count:] = np.eye(fit.size - p)
     information = fit.gram[:, :-1, :-1].sum(axis=0) / fit.repeat
     prior = np.eye(spread.shape[1])
@@ -50,32 +54,31 @@ def ranges(diagnosis: Diagnosis) -> tuple[Range, ...]:
     covariance = np.linalg.inv(spread.T @ information @ spread + prior)
     energy = np.nanmean((fit.out_of_fold(fit.once) / fit.sigma) ** 2)
     deviation = np.sqrt(np.diag(covariance) * max(1.0, float(energy)))
-    change, effects = fit.fitted()
-    moved = np.linalg.lstsq(spread[:p, :count], change, rcond=1e-9)[0] if count else np.zeros(0)
-    layout = ParameterLayout.of(robot)
-    standard = np.zeros(layout.size) if model.standard is None else model.standard
     result, at = [], 0
     for group in found.groups:
-        columns, joint, name = group.directions, group.joint, robot.joint_names[group.joint]
-        own = slice(at, at + columns.shape[1])
+        joint, name = group.joint, robot.joint_names[group.joint]
+        own = slice(at, at + group.directions.shape[1])
         at = own.stop
         unit, way = ("N", "m") if robot.joints[joint].prismatic else ("N·m", "rad")
         if group.kind == "friction":
             terms = [k for k, term in enumerate(model.terms) if term.axle == joint]
             for column, k in enumerate(terms):
-                size = columns[b + k, column]
-                coulomb = model.terms[k].form == "coulomb"
-                value, least = model.values[b + k] + change[b + k], size * deviation[own][column]
-                called, of = ("frictionloss", unit) if coulomb else ("damping", f"{unit}·s/{way}")
-                result.append(_range(f"joint {name}", called, value, least, of))
+                least = group.directions[b + k, column] * deviation[own][column]
+                if model.terms[k].form == "coulomb":
+                    result.append(_range(f"joint {name}", "frictionloss", arm.frictionloss[joint], least, unit))
+                else:
+                    result.append(_range(f"joint {name}", "damping", arm.damping[joint], least, f"{unit}·s/{way}"))
         elif group.kind == "rotor inertia":
-            gear, size = robot.gear_ratios[joint] ** 2, group.scale[0]
-            value = gear * (standard[layout.rotors][joint] + size * moved[own][0])
+            gear = robot.gear_ratios[joint] ** 2
             mass = "kg" if robot.joints[joint].prismatic else "kg·m²"
-            result.append(_range(f"joint {name}", "armature", value, gear * size * deviation[own][0], mass))
+            least = gear * group.scale[0] * deviation[own][0]
+            result.append(_range(f"joint {name}", "armature", arm.armature[joint], least, mass))
         else:
-            value = standard[layout.link(joint)][0] + group.scale[0] * moved[own][0]
-            result.append(_range(f"link of {name}", "mass", value, group.scale[0] * deviation[own][0], "kg"))
+            body = arm.carrying[joint]
+            owner = f"{'link' if arm.is_urdf else 'body'} {body.name or 'of ' + name}"
+            result.append(_range(owner, "mass", body.own[0], group.scale[0] * deviation[own][0], "kg"))
+    at = count
+    _, effects = fit.fitted()
     for candidate, values in zip(fit.chosen, effects, strict=True):
         own = slice(at, at + len(values))
         at = own.stop

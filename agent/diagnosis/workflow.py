@@ -18,8 +18,8 @@ from agent.diagnosis.hypotheses.search import Search
 from agent.diagnosis.hypotheses.testability import effects_of_path
 from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.dataset import Dataset, assemble
-from agent.diagnosis.simulator_file.explanation import Explanation, search_simulator
-from agent.diagnosis.simulator_file.released_numbers import ReleasedSimulator, causes_of_steps
+from agent.diagnosis.simulator_file.explanation import Explanation, search_simulator, with_numbers
+from agent.diagnosis.simulator_file.released_numbers import ReleasedSimulator, causes_of_numbers
 from agent.diagnosis.verdict import Verdict, causes_of, decide_verdict, named, supported
 from agent.estimation import beyond_fit
 from agent.model import CATALOGUE, IdentifiedModel
@@ -76,10 +76,11 @@ def _verdict(found: Explanation, motion: MotionGap | None) -> Verdict:
     """The verdict on causes, executed path and moved numbers of a simulator's file."""
     gap, by_numbers = found.gap if found.of_file else found.as_given, found.as_given.closure or 0.0
     causes = causes_of(found.dataset, found.finding, gap)
-    numbers = causes_of_steps(found.released, found.steps, by_numbers)
+    numbers = causes_of_numbers(found.released, found.finding, found.as_given)
     of_path = [name for name in effects_of_path() if name in found.search.allowed]
     path = None if motion is None else motion.causes(of_path)
-    return decide_verdict(found.finding, causes, gap.closure, path, numbers, by_numbers)
+    verdict = decide_verdict(found.finding, causes, gap.closure, path, numbers, by_numbers)
+    return with_numbers(verdict, found, numbers) if found.of_file else verdict
 
 
 def check_effects(names: Sequence[str]) -> None:

@@ -103,7 +103,17 @@ def headline(result: Mapping[str, Any]) -> str:
     sure = "" if cause["equivalent_to"] else ", most likely" if cause["probability"] >= _LIKELY else ", perhaps"
     agrees = "" if torque_gap(result) else f" {_in_torque(result)}"
     more = "".join(f" Also on {place(one)}: {what(one['effect'], result)}." for one in result["causes"][1:])
-    return f"{_opening(cause)}{sure}: {_one_of(cause, result)}.{more}{agrees}"
+    return f"{_numbers_first(result)}{_opening(cause)}{sure}: {_one_of(cause, result)}.{more}{agrees}"
+
+
+def _numbers_first(result: Mapping[str, Any]) -> str:
+    """Numbers of a simulator that close more than its first cause, such as a rotor that no cause names; or nothing."""
+    steps = {step["step"]: step["closes"] for step in result.get("waterfall", ())[:-1]}
+    named = {_step_of(cause) for cause in result["causes"]}
+    first = steps.get(_step_of(result["causes"][0]), result["causes"][0]["closure"] or 0.0)
+    bodies = [name for name in steps if name not in named and not name.startswith("friction") and steps[name] > first]
+    larger = sorted(bodies, key=lambda name: -steps[name])[:1]
+    return "".join(f"{capital(name)}: {100 * steps[name]:.0f} % of the gap. " for name in larger)
 
 
 def _in_torque(result: Mapping[str, Any]) -> str:

@@ -6,6 +6,7 @@ from .corrected.correction import (
     Released as Released,
     correct as correct,
 )
+from .effect_numbers import reversal_over as reversal_over
 from .export import export_model as export_model, export_table as export_table
 from .forward_simulation import (
     ExternalTorque as ExternalTorque,

@@ -15,6 +15,7 @@ from agent.model import (
     CATALOGUE,
     IdentifiedModel,
     ModelEffect,
+    Reversal,
     across,
     ball,
     effect_torque,
@@ -151,7 +152,12 @@ def own_reversal(entry: ModelEffect) -> tuple[ModelEffect, ...]:
     if "reversal_travel" not in entry.parameters:
         return ()
     travel, level = (entry.parameters[f"reversal_{key}"] for key in ("travel", "level"))
-    return (ModelEffect("presliding", entry.joints, {"travel": travel, "level": level}),)
+    return (reversal_over(entry.joints, travel, level),)
+
+
+def reversal_over(joints: tuple[str, ...], travel: float, level: float) -> ModelEffect:
+    """A friction `level` [N·m] that reverses over a `travel` [rad], beyond the one that changes sign at once."""
+    return ModelEffect("presliding", joints, {"travel": travel, "level": level})
 
 
 def left_out(model: IdentifiedModel, friction: np.ndarray) -> Iterator[str]:
@@ -174,9 +180,8 @@ def left_out(model: IdentifiedModel, friction: np.ndarray) -> Iterator[str]:
         yield f"{entry.effect}{place} ({most(torque)}{of})"
     speed = qd @ model.robot.coupling.T
     line = (friction[:, 0] * speed + friction[:, 1] * np.sign(speed)) @ model.robot.coupling
-    curve = np.where(np.abs(qd) > 0, model.rigid_and_friction(q, qd, qdd)[1] - line, 0.0)
-    slow = np.abs(speed) < 0.02 * np.abs(speed).max(axis=0)  # where a line has a step and a robot a slope
-    curve[np.any(slow, axis=1)] = 0.0
+    sharp = tuple(term if term.reversal is None else replace(term, reversal=Reversal()) for term in model.terms)
+    curve = replace(model, terms=sharp).rigid_and_friction(q, qd, qdd)[1] - line
     if np.any(np.abs(curve).max(axis=0) > _ROUND_OFF * np.maximum(np.abs(line).max(axis=0), 1e-12)):
         yield f"what friction differs by from the line of damping and Coulomb level ({most(curve)})"
 

@@ -20,7 +20,7 @@ from functools import cached_property, partial
 import numpy as np
 
 from agent.core import InputError
-from agent.diagnosis.document import WaterfallStep
+from agent.diagnosis.document import Cause, WaterfallStep
 from agent.diagnosis.gap.torque_gap import HeldOutGap, held_out_gap
 from agent.diagnosis.hypotheses.finding import Finding
 from agent.diagnosis.hypotheses.search import Search
@@ -30,7 +30,8 @@ from agent.diagnosis.rows.dataset import Dataset, assemble
 from agent.diagnosis.rows.fit import Fit
 from agent.diagnosis.rows.rounding import quiet_cutoff
 from agent.diagnosis.simulator_file.released_numbers import ReleasedSimulator, release, release_all, waterfall
-from agent.diagnosis.verdict import named, supported
+from agent.diagnosis.simulator_file.reversals import with_reversals
+from agent.diagnosis.verdict import Verdict, causes_of, has_size, named, supported
 from agent.estimation import FilterSettings, resolve_cutoff
 from agent.model import CATALOGUE, IdentifiedModel, NominalModel
 from agent.recording import Log
@@ -150,6 +151,9 @@ def search_simulator(
     """
     progress("moving friction, rotors and links of the simulator, step by step")
     dataset = assemble(robot, with_expected_error(model, logs), logs, cutoff)
+    if not any(servo_stiffness(log.metadata) is not None for log in logs):
+        model = replace(model, terms=with_reversals(dataset).terms)
+        dataset = assemble(robot, with_expected_error(model, logs), logs, cutoff)
     first = release(dataset)
     if first.groups:
         expected = with_expected_error(model, logs, _expected(dataset, first.moved.residual))
@@ -190,6 +194,22 @@ def _search_with(
         finding = finding.only(kept) if kept else finding.without_causes(leaves_gap=True)
         finding, gap = supported(moved, finding, unit)
     return Explanation(released, search, finding, gap)
+
+
+def with_numbers(verdict: Verdict, found: Explanation, numbers: Sequence[Cause]) -> Verdict:
+    """The verdict with the numbers of the file among its causes, what closes most of the given file's gap first.
+
+    A file without friction is wrong in its friction, whatever else is found next to it.
+    """
+    if not found.finding.causes or not verdict.causes:
+        return verdict
+    figures = {(one.effect, one.joints): one for one in causes_of(found.dataset, found.finding, found.as_given)}
+    effects = [
+        replace(one, closure=figures[one.effect, one.joints].closure) if (one.effect, one.joints) in figures else one
+        for one in verdict.causes
+    ]
+    causes = tuple(sorted([*effects, *filter(has_size, numbers)], key=lambda cause: -(cause.closure or 0.0)))
+    return Verdict("ambiguous" if causes[0].equivalent_to else "explained", causes, verdict.closure)
 
 
 def numbers_instead(entry: Explanation, number: int, unit: np.ndarray) -> ReleasedSimulator | None:

@@ -87,7 +87,7 @@ def release(dataset: Dataset, beside: Sequence[Candidate] = (), links: bool = Tr
 
     The choice of numbers includes the effects `beside`. The numbers are then moved without them, as the search's start.
     """
-    pool = [group for group in _groups(dataset) if links or group.kind != "link inertia"]
+    pool = [group for group in groups_of(dataset) if links or group.kind != "link inertia"]
     chosen: list[Group] = []
     fit = dataset.fit.with_chosen(beside)
     least = LIMITS.least_gain * float(fit.count.sum())
@@ -104,7 +104,7 @@ def release(dataset: Dataset, beside: Sequence[Candidate] = (), links: bool = Tr
 
 def release_all(dataset: Dataset) -> ReleasedSimulator:
     """Release every group, so that no choice among them stands between a search and its effects."""
-    return _moved(dataset, _groups(dataset))
+    return _moved(dataset, groups_of(dataset))
 
 
 def _moved(dataset: Dataset, groups: Sequence[Group]) -> ReleasedSimulator:
@@ -117,8 +117,11 @@ def _moved(dataset: Dataset, groups: Sequence[Group]) -> ReleasedSimulator:
     return replace(found, moved=replace(found.moved, fit=fit.seen_from(NominalModel(found.model))))
 
 
-def _groups(dataset: Dataset) -> list[Group]:
-    """All groups, the plainer kinds first, of links the outermost: what is mounted there counts with them."""
+def groups_of(dataset: Dataset) -> list[Group]:
+    """All groups of numbers that may be released, the plainer kinds first.
+
+    Of links the outermost comes first: what is mounted there counts with it.
+    """
     model, reference = dataset.model, dataset.fit.reference
     layout, base = ParameterLayout.of(dataset.robot), len(model.independent)
     torque = np.sqrt(np.mean(np.concatenate([s.predicted[s.kept] for s in dataset.fit.signals]) ** 2, axis=0))
@@ -246,30 +249,43 @@ def _unloaded_servos(dataset: Dataset) -> tuple[int, ...]:
     return tuple(np.flatnonzero(load < _UNLOADED * np.sqrt(np.mean(whole**2, axis=0))).tolist())
 
 
-def causes_of_steps(found: ReleasedSimulator, steps: Sequence[WaterfallStep], closure: float) -> tuple[Cause, ...]:
-    """The released groups in the vocabulary of effects, what closes most first: where no effect is needed."""
+def causes_of_numbers(found: ReleasedSimulator, finding: Finding, gap: HeldOutGap) -> tuple[Cause, ...]:
+    """The released groups in the vocabulary of effects, what closes most first.
+
+    As of every cause, what it closes is what is lost when these numbers alone stay as the file has them and everything
+    else is fitted again, not what they close by themselves, of which others would take a part. `gap` is that of the
+    simulator as given.
+    """
     model, names = found.given.model, found.given.robot.joint_names
     base, change = len(model.independent), found.moved.fit.change
-    probability = LAW.certain * min(closure, 1.0)
+    probability = LAW.certain * min(gap.closure or 0.0, 1.0)
     load = _load(found)
     called = {effect.numbers: effect.name for effect in reversed([*CATALOGUE.values()])}  # the built-in ones last
     gain = next((name for name, effect in CATALOGUE.items() if effect.scales_report), "")
     scaled, causes = _unloaded_servos(found.given) if gain else (), []
-    bodies = 0.0
-    for group, step in zip(found.groups, steps, strict=False):
+
+    def closes(*groups: Group) -> float | None:
+        others = [group for group in found.groups if not any(group is one for one in groups)]
+        fit = _released(found.given, others).with_chosen(finding.causes)
+        return gap.closure_without(fit.out_of_fold(fit.once))
+
+    bodies: list[Group] = []
+    for group in found.groups:
         if load and group.kind == "link inertia" and group.joint == len(names) - 1:
             equal = (EffectPlace(called["links"], ()),)
-            causes.append(Cause(called["load"], (), step.closes, probability, load, equal))
+            causes.append(Cause(called["load"], (), closes(group), probability, load, equal))
             continue
         if group.kind != "friction":
-            bodies += step.closes
+            bodies.append(group)
             continue
         own = {term.form: float(change[base + k]) for k, term in enumerate(model.terms) if term.axle == group.joint}
         parameters = {f"{form}_change": value for form, value in own.items()}
         own_gain = (EffectPlace(gain, (names[group.joint],)),) if group.joint in scaled else ()
-        causes.append(Cause(called["friction"], (names[group.joint],), step.closes, probability, parameters, own_gain))
+        causes.append(
+            Cause(called["friction"], (names[group.joint],), closes(group), probability, parameters, own_gain)
+        )
     if bodies:
         known = np.abs(change[:base]) > _MOVED * model.standard_deviations[:base]
         parameters = {model.names[k]: float(change[k]) for k in np.flatnonzero(known)}
-        causes.append(Cause(called["links"], (), bodies, probability, parameters))
+        causes.append(Cause(called["links"], (), closes(*bodies), probability, parameters))
     return tuple(sorted(causes, key=lambda cause: -(cause.closure or 0.0)))

@@ -55,7 +55,8 @@ def diagnosis_report(
     """HTML text of the report.
 
     `next_steps` are commands that whoever asked can run; `result` is what was made of the diagnosis' own, where a
-    simulator was run forward (`forward`) or further motions were planned or run (`next_experiment`, `rounds`).
+    simulator was run forward (`forward`, `ranges`) or further motions were planned or run (`next_experiment`,
+    `rounds`).
     """
     result = diagnosis.result if result is None else result
     forward = result.get("forward")
@@ -70,7 +71,7 @@ def diagnosis_report(
         _closure_section(diagnosis, simulated),
         waterfall_section(diagnosis),
         None if first else drift_section(forward),
-        ranges_section(diagnosis),
+        ranges_section(result),
         _hypotheses_section(diagnosis),
         _testability_section(diagnosis),
     ]

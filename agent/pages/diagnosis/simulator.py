@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from agent.diagnosis import Diagnosis, Range, forward_warning, ranges, ranges_text
+from agent.diagnosis import Diagnosis, Range, forward_warning, ranges_text
 from agent.pages.diagnosis.figures import waterfall
 from agent.pages.elements import Section, Table
 from agent.pages.phrasing import capital
@@ -19,9 +19,9 @@ def waterfall_section(diagnosis: Diagnosis) -> Section | None:
     return Section("What the simulator gets wrong", (text,), (table,))
 
 
-def ranges_section(diagnosis: Diagnosis) -> Section | None:
+def ranges_section(result: Mapping[str, Any]) -> Section | None:
     """Ranges of the corrected parameters for training."""
-    found: tuple[Range, ...] = () if diagnosis.released is None else ranges(diagnosis)
+    found = tuple(Range(**one) for one in result.get("ranges", ()))
     if not found:
         return None
     rows = [

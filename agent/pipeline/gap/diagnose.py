@@ -11,7 +11,7 @@ from shutil import copyfile
 from typing import Any
 
 from agent.core import AgentError, Console, words_of, write_atomically
-from agent.diagnosis import Diagnosis, extended_model, simulation_part
+from agent.diagnosis import Diagnosis, extended_model, simulation_part, supported_correction
 from agent.experiment import Deadline
 from agent.model import CATALOGUE, payload_of
 from agent.pages import diagnosis_report, in_short, summary
@@ -195,7 +195,9 @@ def _results(found: Found, question: GapQuestion, console: Console, rounds: Roun
         console.warn(warning)
     result = {**found.result, "simulation": simulation_part(diagnosis, found.simulated)}
     result |= rounds.to_dict() if rounds is not None else {}
-    result |= {} if simulator is None else run_forward(diagnosis, simulator, console)
+    correction = None if simulator is None else supported_correction(diagnosis, simulator)
+    if simulator is not None and correction is not None:
+        result |= run_forward(diagnosis, simulator, correction, console)
     yield result
     if question.next_recipe is not None:
         motions = _planned(diagnosis, question, console)
@@ -209,8 +211,8 @@ def _results(found: Found, question: GapQuestion, console: Console, rounds: Roun
             if planned:
                 result = {**result, **planned}
                 yield result
-    elif question.out is not None and simulator is not None:
-        write_simulator(diagnosis, simulator, question.out, console)
+    elif question.out is not None and simulator is not None and correction is not None:
+        write_simulator(diagnosis, simulator, correction, question.out, console)
     elif question.out is not None:
         _write_model(diagnosis, question.out, console)
 

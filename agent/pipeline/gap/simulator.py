@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from agent.core import Console, InputError, write_atomically
-from agent.diagnosis import Diagnosis, corrected, forward_or_reason, forward_warning, ranges, ranges_text
+from agent.diagnosis import Diagnosis, forward_or_reason, forward_warning, ranges, ranges_text
 from agent.model import CATALOGUE
 from agent.runs import check_output
-from agent.simulators import Simulator, write_corrected, written_files
+from agent.simulators import Correction, Simulator, write_corrected, written_files
 
 _OVER_RANGE = 0.01  # rad or m, tolerated beyond the range of a joint
 _FORMATS = {".xml": "an MJCF", ".mjcf": "an MJCF", ".urdf": "a URDF"}
@@ -38,14 +39,15 @@ def check_simulator_out(model: Path | None, out: Path, inputs: Sequence[Path]) -
         check_output(path, inputs)
 
 
-def run_forward(found: Diagnosis, simulator: Simulator, console: Console) -> dict[str, Any]:
-    """`forward` and `warnings` of a result: the simulator as given and corrected; empty where it cannot be run."""
+def run_forward(found: Diagnosis, simulator: Simulator, correction: Correction, console: Console) -> dict[str, Any]:
+    """`ranges`, `forward` and `warnings` of a result: the simulator as given and corrected, where it can be run."""
     console.step("running the simulator forward, as given and corrected")
     figures, reason = forward_or_reason(found, simulator)
     warnings = [*beyond_range(found, simulator), *filter(None, [forward_warning(figures) if figures else ""])]
     for text in (*filter(None, [reason]), *warnings):
         console.warn(text)
-    result: dict[str, Any] = {"forward": figures} if figures else {}
+    result: dict[str, Any] = {"ranges": [asdict(one) for one in ranges(found, correction)]}
+    result |= {"forward": figures} if figures else {}
     return {**result, "warnings": [*found.result["warnings"], *warnings]} if warnings else result
 
 
@@ -64,13 +66,14 @@ def beyond_range(found: Diagnosis, simulator: Simulator) -> Iterator[str]:
         )
 
 
-def write_simulator(found: Diagnosis, simulator: Simulator, out: Path, console: Console) -> None:
+def write_simulator(
+    found: Diagnosis, simulator: Simulator, correction: Correction, out: Path, console: Console
+) -> None:
     """Write the corrected simulator: in its own format with its companion files, or as a model file.
 
     Raises:
         InputError, RejectedError: the file cannot be edited, or did not read back as meant.
     """
-    correction = corrected(found, simulator)
     for note in correction.notes:
         console.warn(f"{out}: {note}")
     left_out = [cause.effect for cause in found.document.causes if not CATALOGUE[cause.effect].of_the_arm]
@@ -83,7 +86,7 @@ def write_simulator(found: Diagnosis, simulator: Simulator, out: Path, console: 
         correction.model.save(out)
         return
     written = [*write_corrected(simulator, correction, out)]
-    written.append(write_atomically(_ranges_file(out), ranges_text(ranges(found))))
+    written.append(write_atomically(_ranges_file(out), ranges_text(ranges(found, correction))))
     for path in written:
         console.say(f"wrote {path}")
 

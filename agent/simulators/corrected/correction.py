@@ -173,7 +173,9 @@ def _command_notes(commands: Commands, names: Sequence[str]) -> Iterator[str]:
 
 def _spring(arm: SimulatedArm, joints: Sequence[int], values: Mapping[str, float]) -> tuple[float, float] | None:
     """Stiffness and rest position of a joint with a linear spring added; None if the file cannot hold one."""
-    return None if arm.is_urdf else linear_spring(arm.stiffness[joints[0]], arm.rest[joints[0]], values)
+    if arm.is_urdf or len(joints) != 1:
+        return None
+    return linear_spring(arm.stiffness[joints[0]], arm.rest[joints[0]], values)
 
 
 def _put(values: np.ndarray, joint: int, value: float) -> np.ndarray:

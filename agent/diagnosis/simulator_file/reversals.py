@@ -1,0 +1,64 @@
+"""How the robot's friction reverses, which no number of a simulator's file says.
+
+A file has a Coulomb level. Whether it changes sign at once or over a travel (Dahl's bristles) is not in the file, and
+every simulator regularises it its own way. So it is taken from the logs before anything is called a gap: a model that
+predicts the logs predicts them as a file too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from agent.diagnosis.limits import LIMITS
+from agent.diagnosis.rows.dataset import Dataset
+from agent.model import IdentifiedModel, ModelEffect, Reversal
+from agent.simulators import reversal_over
+
+#: Of the range of motion: below, friction changes sign within a sample; above, it hardly slides.
+_TRAVELS = np.geomspace(1e-5, 0.03, 15)
+
+
+def with_reversals(dataset: Dataset) -> IdentifiedModel:
+    """The model of the data with the travel per axle over which friction reverses that leaves least of the residual.
+
+    The level is fitted along, because the file's may be wrong. An axle keeps its own reversal unless another one takes
+    as much of its squared error as a number of the file has to (`LIMITS.least_gain`).
+    """
+    model, signals = dataset.model, dataset.fit.signals
+    terms = list(model.terms)
+    for k, term in enumerate(terms):
+        if term.form != "coulomb" or term.reversal is None:
+            continue
+        ends = [(s.axles.position[:, term.axle].min(), s.axles.position[:, term.axle].max()) for s in signals]
+        travelled = max(high for _, high in ends) - min(low for low, _ in ends)
+        options = [term.reversal, *(Reversal("travel", float(part * travelled)) for part in _TRAVELS)]
+        level = model.values[len(model.independent) + k]
+        share = dataset.robot.coupling[term.axle]
+        columns = []
+        for reversal in options:
+            parts = [s.low_pass(np.outer(s.axles.direction(term.axle, reversal), share)) for s in signals]
+            columns.append(np.concatenate(parts) / dataset.fit.sigma)
+        target = dataset.residual / dataset.fit.sigma + level * columns[0]
+        left = [_left(target, column) for column in columns]
+        best = int(np.argmin(left))
+        if left[best] < (1 - LIMITS.least_gain) * left[0]:
+            terms[k] = replace(term, reversal=options[best])
+    return replace(model, terms=tuple(terms))
+
+
+def _left(target: np.ndarray, column: np.ndarray) -> float:
+    """Squared error of `target` (S', n) that a level times `column` (S', n) leaves; the level is not negative."""
+    level = max(float(np.nansum(target * column) / max(np.nansum(column**2), 1e-300)), 0.0)
+    return float(np.nansum((target - level * column) ** 2))
+
+
+def reversals_as_effects(model: IdentifiedModel, change: np.ndarray) -> list[ModelEffect]:
+    """These reversals for a simulator that changes the sign at once, at the levels after a `change` (p,)."""
+    found, names = [], model.robot.joint_names
+    for k, term in enumerate(model.terms):
+        level = float(model.values[len(model.independent) + k] + change[len(model.independent) + k])
+        if term.form == "coulomb" and term.reversal is not None and term.reversal.kind == "travel" and level > 0:
+            found.append(reversal_over((names[term.axle],), float(term.reversal.scale), level))
+    return found
