@@ -6,6 +6,7 @@ The controller's interpolator is not known exactly, so samples are not compared 
 - These points advance along the path: the points of a sample are reached from those of the sample before, never
   backwards (as in the Fréchet distance of two paths). If several points fit, all are kept.
 - The time along the path matches the plan, without the pauses at stops.
+- The arm stands only where the plan stops, and its positions change as its reported speeds say.
 
 The tool may leave its path by the distance that the cell was checked with (the FLY distance of the recipe). A joint may
 move by the amount that this distance causes, by the row of the damped inverse Jacobian. A blend of another family turns
@@ -22,6 +23,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from agent.safety.freshness import CREEPS, FROZEN, Frozen
 from agent.safety.planned_program import is_there
 from agent.safety.reference_path import ReferencePath
 
@@ -87,10 +89,17 @@ class Adherence:
         robot, tool: the arm that moves.
         margin: distance from its path that the cell check allowed the tool [m].
         period: of the samples [s]; with their numbers it gives the motion time before the first sample.
+        rest: longest time [s] that the arm may stand at a stop, once it has moved.
     """
 
     def __init__(
-        self, chains: Sequence[Trajectory], robot: RobotDescription, tool: Tool | None, margin: float, period: float
+        self,
+        chains: Sequence[Trajectory],
+        robot: RobotDescription,
+        tool: Tool | None,
+        margin: float,
+        period: float,
+        rest: float = np.inf,
     ) -> None:
         from agent.robot import Dynamics
 
@@ -99,7 +108,9 @@ class Adherence:
         self._dynamics = Dynamics(robot, tool)
         if len(chains) > 1 and is_there(chains[0]):
             chains = chains[1:]
-        self._path = ReferencePath.of(chains, self._dynamics, self._margin)
+        self._path = ReferencePath.of(chains, self._dynamics, self._margin, robot.max_velocity)
+        self._frozen = Frozen(robot.max_velocity, GAP)
+        self._rest, self._stands_since = rest, np.nan
         self._period = period
         self._began = np.nan
         self._last = 0.0
@@ -149,7 +160,38 @@ class Adherence:
             reason = self._judge(time[part], measured[part], None if given is None else given[part])
             if reason is not None:
                 return reason
-        return None
+        self._frozen.take(blocks)
+        return self._stands(measured[-1], None if given is None else given[-1])
+
+    def _stands(self, measured: np.ndarray, given: np.ndarray | None) -> str | None:
+        """Why an arm that is now at these positions (n,) may not stand, if it seems to stand."""
+        at = f"{self._last - self._began:.2f} s into the motion"
+        if (joint := self._frozen.contradiction()) is not None:
+            return (
+                f"{at} the speed of {self._robot.joint_names[joint]} says that it moves, its positions do not change: "
+                f"what the controller sends cannot be trusted; {_FAULT}"
+            )
+        crept, position, allowed = self._frozen.crept(), given, SET_POINTS
+        if position is None:
+            position, allowed = measured, MEASURED
+        ways = self._first + np.flatnonzero(self._fits)
+        nearest = ways[np.argmin(self._path.apart(position, ways))]
+        slowest = float(self._path.slowest[self._path.rows[nearest]])
+        if crept is None or not crept <= CREEPS * FROZEN * max(slowest, allowed.resting):
+            self._stands_since = np.nan
+            return None
+        if np.isnan(self._stands_since):
+            self._stands_since = self._last
+        stops = self._path.stops[(self._path.stops >= ways[0]) & (self._path.stops <= ways[-1])]
+        near = stops[self._near(position[None], allowed, stops, SMALLEST_MARGIN)[0]] if len(stops) else stops
+        if len(near) == 0 and slowest > 0.0:
+            return (
+                f"{at} the positions stand still where the plan does not stop: the arm was halted, or what the "
+                f"controller sends is frozen; {_FAULT}"
+            )
+        if self._last - self._stands_since <= self._rest or self._moved == 0.0:
+            return None
+        return f"{at} the arm has stood for more than {self._rest:.1f} s at a stop of its program; {_FAULT}"
 
     def _judge(self, time: np.ndarray, measured: np.ndarray, given: np.ndarray | None) -> str | None:
         """As `take`, for samples without NaN."""
@@ -196,11 +238,14 @@ class Adherence:
                 near &= (of_joint[:, None] <= fastest) | lost
         return near, speed
 
-    def _near(self, positions: np.ndarray, allowed: Tolerance, ways: np.ndarray) -> np.ndarray:
-        """Mask (K, W) of path points that are close enough to positions (K, n)."""
+    def _near(
+        self, positions: np.ndarray, allowed: Tolerance, ways: np.ndarray, margin: float | None = None
+    ) -> np.ndarray:
+        """Mask (K, W) of path points that are close enough to positions (K, n); `margin` [m], if not the usual one."""
         rows = self._path.rows[ways]
         tool = self._dynamics.tcp_pose(positions)[:, :3, 3]
-        near = self._path.distance(tool, rows) <= self._margin + allowed.tool
+        margin = self._margin if margin is None else margin
+        near = self._path.distance(tool, rows) <= margin + allowed.tool
         for joint, here in enumerate(positions.T):
             there, within = self._path.q[rows, joint], self._path.reach[rows, joint] + allowed.joint
             farthest = max(here.max() - there.min(), there.max() - here.min())

@@ -209,7 +209,7 @@ class GuardedLink:
         position = self._check(program)
         plan = program.chains or (rest_at(position),)
         period = self.identity.period
-        adherence = Adherence(plan, self.robot, self._tool, self._margin, period)
+        adherence = Adherence(plan, self.robot, self._tool, self._margin, period, program.longest_rest)
         watch = MotionWatch(
             self._driver, self.robot, self.address, period, adherence, program.longest, self._clock, self._warn
         )

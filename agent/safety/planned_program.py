@@ -76,6 +76,16 @@ class PlannedProgram:
         return SLOWER * (self.duration - self.pauses) + self.pauses + SETTLING * len(self.chains) + WAITING
 
     @property
+    def longest_rest(self) -> float:
+        """Seconds that the arm may stand at one stop: the longest rest that the program asks for, and settling."""
+        from agent.motion import Delay
+
+        rests = [0.0]
+        for statement in self.statements:
+            rests.append(rests[-1] + statement.seconds if isinstance(statement, Delay) else 0.0)
+        return SETTLING + (max(rests) if self.statements else self.pauses)
+
+    @property
     def speed(self) -> float:
         """Highest speed of the tool centre point [m/s]."""
         return float(np.max([np.max(chain.path_speed) for chain in self.chains], initial=0.0))

@@ -36,6 +36,8 @@ class ReferencePath:
     reach (S, n): joint motion if the tool leaves the path by the margin, or a blend turns the tool earlier or later.
     speed (S, n): highest speed around the row.
     turning (S, n): speed at which each joint alone would move something as fast as the tool moves around the row.
+    slowest (S,): lowest speed around the row of the joint that is fastest, as a part of its limit.
+    stops: the points at which the plan stands, in order.
     levers (n,) and step: largest tool motion per joint motion [m/rad, or 1], largest time between points [s].
     """
 
@@ -46,12 +48,17 @@ class ReferencePath:
     reach: np.ndarray
     speed: np.ndarray
     turning: np.ndarray
+    slowest: np.ndarray
+    stops: np.ndarray
     levers: np.ndarray
     step: float
 
     @classmethod
-    def of(cls, chains: Sequence[Trajectory], dynamics: Dynamics, margin: float) -> ReferencePath:
-        """The path of `chains`, from stop to stop, for a tool that may be `margin` [m] away from it."""
+    def of(cls, chains: Sequence[Trajectory], dynamics: Dynamics, margin: float, limits: np.ndarray) -> ReferencePath:
+        """The path of `chains`, from stop to stop, for a tool that may be `margin` [m] away from it.
+
+        `limits` (n,) are the speed limits of the joints.
+        """
         different = {id(chain): chain for chain in chains}
         first_row = dict(zip(different, np.cumsum([0, *(len(chain.t) for chain in different.values())]), strict=False))
         rows, when, passed = [], [], 0.0
@@ -59,14 +66,16 @@ class ReferencePath:
             rows.append(first_row[id(chain)] + np.arange(len(chain.t)))
             when.append(passed + chain.t - chain.t[0])
             passed += chain.duration
-        parts = [_along(chain, dynamics, margin) for chain in different.values()]
-        q, tool, reach, speed, pace = (
-            np.concatenate(columns) for columns in zip(*(part[:5] for part in parts), strict=True)
+        parts = [_along(chain, dynamics, margin, limits) for chain in different.values()]
+        q, tool, reach, speed, pace, slowest = (
+            np.concatenate(columns) for columns in zip(*(part[:6] for part in parts), strict=True)
         )
-        levers = np.max([part[5] for part in parts], axis=0)
+        levers = np.max([part[6] for part in parts], axis=0)
+        ends = np.cumsum([len(chain.t) for chain in chains])
+        stops = np.unique([0, *(ends - 1), *ends[:-1]])
         times = np.concatenate(when)
         step = float(np.max(np.diff(times), initial=0.0))
-        return cls(np.concatenate(rows), times, q, tool, reach, speed, pace / levers, levers, step)
+        return cls(np.concatenate(rows), times, q, tool, reach, speed, pace / levers, slowest, stops, levers, step)
 
     def place_at(self, when: Any) -> Any:
         """Index, in the shape of `when`, of the last point that is no later than a time [s] of the plan."""
@@ -153,9 +162,9 @@ def _run(low: int, high: int, count: int) -> np.ndarray:
     return run
 
 
-def _along(chain: Trajectory, dynamics: Dynamics, margin: float) -> tuple[np.ndarray, ...]:
-    """q, tool, reach, speed and highest speed of the tool around by sample of a stretch, and its levers."""
-    from scipy.ndimage import maximum_filter1d
+def _along(chain: Trajectory, dynamics: Dynamics, margin: float, limits: np.ndarray) -> tuple[np.ndarray, ...]:
+    """q, tool, reach, speed, highest speed of the tool around and slowest by sample of a stretch, and its levers."""
+    from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
     some = np.unique(np.append(np.arange(0, len(chain.t), _EVERY), len(chain.t) - 1))
     jacobian = dynamics.tcp_jacobian(chain.q[some])
@@ -173,7 +182,9 @@ def _along(chain: Trajectory, dynamics: Dynamics, margin: float) -> tuple[np.nda
     speed = np.maximum(speed, _highest(np.abs(chain.qd), way, span))
     turned_by = np.maximum(_highest(chain.q, way, span) - chain.q, chain.q + _highest(-chain.q, way, span))
     pace = _highest(np.gradient(way, period)[:, None], way, span) if period > 0 else np.zeros((1, 1))
-    return chain.q, point, reach[nearest] + turned_by, speed, pace, levers
+    fastest = np.max(np.abs(chain.qd) / limits, axis=1)
+    slowest = minimum_filter1d(fastest, min(width, 2 * len(chain.t) + 1), mode="nearest")
+    return chain.q, point, reach[nearest] + turned_by, speed, pace, slowest, levers
 
 
 def _highest(values: np.ndarray, way: np.ndarray, span: float) -> np.ndarray:
