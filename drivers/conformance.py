@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import threading
 import time
 from collections.abc import Generator, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -16,7 +17,7 @@ from typing import Protocol
 import numpy as np
 
 from drivers.errors import DriverError, ProtocolError, RefusedError
-from drivers.protocol import Driver, Identity, MeasuresThroughput, SampleBlock
+from drivers.protocol import Driver, Identity, ListensFirst, MeasuresThroughput, SampleBlock
 
 _PATIENCE = 60.0  # s for something that must come
 _NAME = "p"
@@ -170,6 +171,44 @@ class DriverConformance:
             sequence = np.unique(np.concatenate([block.sequence for block in blocks]))
             np.testing.assert_array_equal(sequence, np.arange(len(sequence)))
             assert len(sequence) > len(blocks[0])
+
+    def test_hands_out_samples_while_it_starts(self, bench: Bench) -> None:
+        """They can be judged from before anything is sent."""
+        with _connected(bench) as driver:
+            assert isinstance(driver, ListensFirst)
+            heard: list[SampleBlock] = []
+            begun: list[int] = []
+            threads: list[threading.Thread] = []
+
+            def listen() -> None:
+                begun.append(bench.motions_started())
+                source = driver.samples()
+                threads.append(threading.Thread(target=lambda: heard.extend(source), daemon=True))
+                threads[0].start()
+
+            driver.listening = listen
+            driver.start(_NAME, driver.upload(_NAME, bench.short))
+            threads[0].join(_PATIENCE)
+            assert begun == [0]
+            _check_samples(driver, heard, len(bench.joint_names))
+
+    def test_a_stop_while_it_starts_keeps_the_arm_at_rest_or_stops_it(self, bench: Bench) -> None:
+        with _connected(bench) as driver:
+            assert isinstance(driver, ListensFirst)
+            with ThreadPoolExecutor(1) as stopping:
+
+                def stop_at_once(source: Iterator[SampleBlock]) -> None:
+                    next(source)
+                    driver.stop()
+
+                def listen() -> None:
+                    stopping.submit(stop_at_once, driver.samples())
+
+                driver.listening = listen
+                with contextlib.suppress(DriverError):
+                    driver.start(_NAME, driver.upload(_NAME, bench.long))
+            assert not bench.moving()
+            assert bench.motions_started() <= 1
 
     def test_says_how_long_it_may_be_silent_and_what_it_carries(self, bench: Bench) -> None:
         """The age that samples may have follows from the one, the rate from the other."""

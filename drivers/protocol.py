@@ -177,6 +177,17 @@ class ViaPoint:
 
 
 @runtime_checkable
+class ListensFirst(Protocol):
+    """A driver whose samples can be read while `start` still runs.
+
+    `start` calls `listening` once it hands out samples and before it sends anything; then `samples` may be called by
+    another thread. A stop that is asked for meanwhile keeps the motion from beginning, or ends it.
+    """
+
+    listening: Callable[[], None]
+
+
+@runtime_checkable
 class NamesEndpoints(Protocol):
     """A driver whose address is more than `host:port`; two runs at one controller are kept apart by its endpoints."""
 

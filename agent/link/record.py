@@ -184,9 +184,13 @@ class RobotLink:
                     writer.write_temperatures(guard.temperatures)
                     for start in aligner.finish(writer.write_planned):
                         writer.cycle_start(start)
+        except BaseException:
+            if aligner.samples:
+                self._console.warn(f"{log}: holds the {aligner.samples} samples up to the stop")
+            raise
         finally:
             if aligner.samples == 0:
-                log.unlink(missing_ok=True)  # nothing has moved, or nothing is known of it
+                log.unlink(missing_ok=True)  # there is nothing to look at
         felt = [tuple(values.tolist()) for _, values in guard.temperatures]
         ends = (felt[0], felt[-1]) if felt else ()
         return Recording(log, aligner.samples, writer.lost, aligner.elapsed, tuple(aligner.cycle_starts), ends)

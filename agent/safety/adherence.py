@@ -89,7 +89,7 @@ class Adherence:
         robot, tool: the arm that moves.
         margin: distance from its path that the cell check allowed the tool [m].
         period: of the samples [s]; with their numbers it gives the motion time before the first sample.
-        rest: longest time [s] that the arm may stand at a stop, once it has moved.
+        rest: longest time [s] that the arm may stand at a stop, between its first and its last one.
     """
 
     def __init__(
@@ -189,7 +189,7 @@ class Adherence:
                 f"{at} the positions stand still where the plan does not stop: the arm was halted, or what the "
                 f"controller sends is frozen; {_FAULT}"
             )
-        if self._last - self._stands_since <= self._rest or self._moved == 0.0:
+        if self._last - self._stands_since <= self._rest or self._moved == 0.0 or self.left == 0.0:
             return None
         return f"{at} the arm has stood for more than {self._rest:.1f} s at a stop of its program; {_FAULT}"
 

@@ -45,12 +45,18 @@ class Freshness:
         self.oldest = watchdog + max(WAITS, BATCH * period)
         self._clock = clock
         self._since = clock()
+        self._begun = True
         self._newest: float | None = None  # controller time of the newest judged sample
         self._offset = self._least = 0.0  # of our clock to the controller's, and what it is at least
 
+    def hold(self) -> None:
+        """The motion is being started: who knows when its first sample comes."""
+        self._begun = False
+
     def begin(self) -> None:
         """The motion has started: from now on samples have to come."""
-        self._since = self._clock()
+        self._begun = True
+        self._since = self._clock() if self._newest is None else self._since
 
     def judged(self, newest: float) -> None:
         """A block was judged; `newest` is the controller time [s] of its last sample."""
@@ -79,7 +85,7 @@ class Freshness:
         """Why the arm has to stop now, if it has to; `excused` seconds passed while nobody could look at anything."""
         silent = self.silent - excused
         if self._newest is None:
-            late = not silent <= self.oldest + HELD_UP
+            late = self._begun and not silent <= self.oldest + HELD_UP
             return f"no sample came within {silent:.1f} s of the start" if late else None
         age = self.age - excused
         if age <= self.oldest:

@@ -37,6 +37,7 @@ from drivers.protocol import (
     AcceptsViaPoints,
     Driver,
     Identity,
+    ListensFirst,
     ReportsDiagnostics,
     SampleBlock,
 )
@@ -233,14 +234,7 @@ class GuardedLink:
             self._watch = watch
             try:
                 with self._advice(_AFTER_MOTION, _AFTER_MOTION):
-                    try:
-                        self._driver.start(program.name, program.checksum)
-                    except RefusedError:
-                        raise
-                    except DriverError as error:  # the arm may be moving: what came of that is kept, and judged
-                        lost, watch.stopped = error, True
-                        watch.stopping.request()
-                        watch.stopping.wait(ANSWERED)
+                    lost = self._start(program, watch)
                     yield given
             except RefusedError:
                 raise
@@ -255,6 +249,27 @@ class GuardedLink:
                 self._watch = None
         if over and program.chains and not self._emulator and not self._unseen:  # it moved, slowly or known before
             self._checked.add(self.identity.serial or self.address, program.stands_for or program.checksum)
+
+    def _start(self, program: PlannedProgram, watch: MotionWatch) -> DriverError | None:
+        """Start a program while its samples are judged; returns why it failed where the arm may be moving all the same.
+
+        Raises:
+            RefusedError: the controller did not start it, and its samples, if any, show the arm at rest.
+        """
+        if isinstance(self._driver, ListensFirst):
+            self._driver.listening = watch.listen
+        try:
+            self._driver.start(program.name, program.checksum)
+        except DriverError as error:
+            if isinstance(error, RefusedError):
+                watch.settle(ANSWERED)
+                if watch.stopping.since is None:
+                    raise
+            watch.stopped = True  # what came of that is kept, and judged
+            watch.stopping.request()
+            watch.stopping.wait(ANSWERED)
+            return error
+        return None
 
     @property
     def lost(self) -> int:

@@ -135,7 +135,7 @@ class Stopping:
         self._sent: list[threading.Thread] = []
         self._eyes = ThreadPoolExecutor(1, "eyes")
         self._look: Future[None] = self._eyes.submit(lambda: None)
-        self._state_at = -np.inf  # when the state was read last
+        self._state_at = -np.inf  # when the state that was read last was asked for
         self._excused = 0.0  # s without observation
         self._ended = False
         #: Whether there is nothing left to follow.
@@ -229,9 +229,15 @@ class Stopping:
                     )
 
     def _let_go(self, when: str) -> None:
-        speed, known = self._braking.speed, self._shown or self._clock() - self._state_at <= RECENT
+        speed, age = self._braking.speed, self._freshness.age
+        # Where samples come late, the state may be as old: it shows rest, but accuses nobody.
+        late = not (self._shown or self._ended or self._freshness.silent > RECENT)
+        known = self._shown or (self._clock() - self._state_at <= RECENT and not late)
         if speed is None or not known:
-            self._give_up(f"{when} nothing shows what the arm does; the link was closed, which stops it. Go and look")
+            newest = f"the newest sample is {age:.1f} s old" if np.isfinite(age) else "no sample came"
+            self._give_up(
+                f"{when} nothing shows what the arm does: {newest}. The link was closed, which stops it. Go and look"
+            )
             return
         self.disobeyed = True
         self._give_up(
@@ -251,14 +257,15 @@ class Stopping:
     def _look_at_state(self) -> None:
         """Ask for the state, one question at a time."""
         if self._look.done():
-            self._look = self._eyes.submit(self._take_state)
+            self._look = self._eyes.submit(self._take_state, self._clock())
 
-    def _take_state(self) -> None:
+    def _take_state(self, asked: float) -> None:
+        """What the state says, which was asked for at a time [s] of our clock: it may be as old as that."""
         try:
             position = np.asarray(self._driver.status().position, dtype=float).reshape(self._dof)
         except (DriverError, ValueError):  # no answer, or one of another arm
             return
         with self._lock:
             if np.isfinite(position).all():
-                self._state_at = self._clock()
+                self._state_at = asked
                 self._stated.take(np.array([self._state_at]), position[None])

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator
+from collections import deque
+from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor, wait
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -81,8 +82,53 @@ class MotionWatch:
         #: (controller time [s], (n,) [°C]), where the controller measures temperatures.
         self.temperatures: list[tuple[float, np.ndarray]] = []
         self._freshness = Freshness(period, driver.watchdog, clock)
+        self._listener: threading.Thread | None = None
+        self._heard: deque[SampleBlock] = deque()  # judged while the motion was being started
+        self._lost: Exception | None = None  # of the thread that judged them
+        self._started = threading.Event()
+        self._until_started = ExitStack()
+        self._source: Iterator[SampleBlock] | None = None
         #: The stop of this motion.
         self.stopping = Stopping(driver, robot, address, self._freshness, clock, warn)
+
+    def listen(self) -> None:
+        """Judge samples while the motion is being started, in a thread, until `samples` or `rest` goes on with them."""
+        self._freshness.hold()
+        self._source = self._driver.samples()
+        self._until_started.enter_context(self._watched())
+        self._listener = threading.Thread(target=self._hear, name="listener", daemon=True)
+        self._listener.start()
+
+    def _hear(self) -> None:
+        assert self._source is not None
+        try:
+            for block in self._source:
+                if self._judge(block):
+                    self._heard.append(block)
+                if self._started.is_set():
+                    break
+        except Exception as error:  # whatever it is, it is raised where the samples are read
+            self._lost = error
+            self.stopping.request()
+
+    def settle(self, limit: float | None = None) -> None:
+        """The start has ended: the thread that listened hands over, with the next block; after `limit` [s] at most."""
+        self._started.set()
+        if self._listener is not None:
+            self._listener.join(limit)
+        self._until_started.close()
+
+    def _judged(self) -> Iterator[SampleBlock]:
+        """Samples for the log: those that came while the motion was being started, and all that follow."""
+        self.settle()
+        while self._heard:
+            yield self._heard.popleft()
+        if self._lost is not None:
+            raise self._lost
+        self._source = self._driver.samples() if self._source is None else self._source
+        for block in self._source:
+            if self._judge(block):
+                yield block
 
     def samples(self) -> Iterator[SampleBlock]:
         """The samples, with a look at the controller's state now and then; what is left after a stop comes too.
@@ -96,9 +142,7 @@ class MotionWatch:
         self._freshness.begin()
         with self._watched():
             try:
-                for block in self._driver.samples():
-                    if not self._judge(block):
-                        continue
+                for block in self._judged():
                     yield block
                     recently = self._now - self._looked < WATCH_INTERVAL
                     if not (recently and self._clock() - self._looked_at < WATCH_INTERVAL):
@@ -119,6 +163,11 @@ class MotionWatch:
         failed: Exception | None = None
         with self._watched():
             try:
+                self.settle()
+                while self._heard:
+                    yield self._heard.popleft()
+                if isinstance(self._source, Generator):
+                    self._source.close()  # what it has not handed out comes once more
                 for block in self._driver.samples():
                     if int(block.sequence[-1]) <= self._last:
                         yield block  # once more: whoever was interrupted may not have taken it

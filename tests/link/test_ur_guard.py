@@ -7,7 +7,7 @@ import threading
 import numpy as np
 import pytest
 
-from agent.core import Console
+from agent.core import Console, SafetyError
 from agent.link.record import record_program_file
 from agent.motion import JointTarget, Move, MoveType, create_dialect, with_frames
 from agent.motion.urscript.settings import UrSettings
@@ -15,6 +15,9 @@ from agent.recipe import load_recipe
 from agent.recording import read_log
 from agent.robot import Tool, load_robot
 from agent.runs import lock
+from drivers.transports.ur.driver import UrDriver
+from drivers.transports.ur.link import UrLink
+from drivers.wire import ur_rtde as rtde
 from fake_controller.ur.fields import Cycles
 from fake_controller.ur.ports import DashboardConnection, ScriptConnection
 from fake_controller.ur.rtde import RtdeConnection
@@ -100,6 +103,48 @@ def test_a_tool_that_differs_from_the_pendant_is_refused_with_both_values(fake, 
         record(fake, program, "tool: {frame: [0 mm, 0 mm, 120 mm, 0 deg, 0 deg, 0 deg], mass: 1.2 kg}")
     assert refused.value.exit_code == 4
     assert fake.cell.motions_started == 0
+
+
+def replaced(monkeypatch, fake, moment):
+    """Somebody else's script comes just before the permit is given, or once our program waits for it."""
+    if moment == "permit":
+        allow = UrLink.allow
+
+        def also(link, number):
+            if number:
+                fake.cell.take_script(OTHER)
+            allow(link, number)
+
+        monkeypatch.setattr(UrLink, "allow", also)
+    else:
+        see = UrDriver._see_program
+
+        def first(driver, link, motion, program):
+            link.wait(lambda: link.latest[rtde.RUNNING] == program.number, 5.0)
+            fake.cell.take_script(OTHER)
+            link.wait(lambda: link.latest[rtde.RUNNING] != program.number, 0.5)
+            see(driver, link, motion, program)
+
+        monkeypatch.setattr(UrDriver, "_see_program", first)
+
+
+@pytest.mark.parametrize("moment", ["permit", "wait"])
+def test_another_script_during_the_start_is_stopped_by_its_samples(program, monkeypatch, tmp_path, moment, capsys):
+    """And they are in a log, whose name is said; nobody says that nothing moved."""
+    monkeypatch.setattr(lock, "FOLDERS", (tmp_path,))
+    with contextlib.closing(FakeUr("real")) as fake:
+        replaced(monkeypatch, fake, moment)
+        with pytest.raises(SafetyError, match="not what was planned") as stopped:
+            record(fake, program)
+        assert stopped.value.exit_code == 5
+        assert "nothing moved" not in str(stopped.value)
+        assert fake.wait(patience(5.0))
+        assert not fake.cell.running
+    log = read_log(program.with_suffix(".mcap"), load_robot("ur5e"))
+    moved = np.flatnonzero(np.any(np.abs(log.position - log.position[0]) > 1e-3, axis=1))
+    assert len(moved)
+    assert log.t[-1] - log.t[moved[0]] < patience(2.5), "it was followed to the end of the driver's patience"
+    assert "loop.mcap: holds the " in capsys.readouterr().err
 
 
 def told(monkeypatch, fake, name, value):

@@ -42,6 +42,7 @@ class Controller:
     refuses: Refusal | None = None
     lose_answer: bool = False
     keep_answer: bool = False  # to a start, which it carries out
+    loses_start: bool = False  # which never arrives
     confirms_stop: bool = True
     blocks: int = 10
     end: EndReason = EndReason.DONE
@@ -164,6 +165,8 @@ class Peer(threading.Thread):
                     continue
                 if isinstance(message, tcp.Start):
                     told.starts += 1
+                    if told.loses_start:
+                        continue
                     if told.lose_answer:
                         connection.shutdown(socket.SHUT_RDWR)
                         return

@@ -254,6 +254,49 @@ def test_late_samples_do_not_hide_the_state(silent):
     assert "does not report the end" in arm.stopping.seen
 
 
+@pytest.mark.parametrize("answers", [True, False], ids=["state as late", "no state"])
+def test_an_arm_seen_late_is_not_accused(answers):
+    """A lag that grows 10 % a second to 0.7 s: the arm obeys at once, and what comes shows it in motion still."""
+    arm = Arm(brakes=0.16)
+    seen = [arm._time]
+
+    def late(block: SampleBlock) -> None:
+        position = HOME + block.position[-1]
+        arm.state = (lambda: position) if answers else (lambda: None)
+        seen.append(float(block.time[-1]))
+
+    take, arm.stopping.take = arm.stopping.take, lambda block: (take(block), late(block))
+    arm.run(0.3)
+    arm.clock.now += 0.7  # what has come since is as old as that
+    arm.request()
+    arm._stopped_at += 0.7
+    arm.turns(40, seen=True)
+    assert arm.closed.is_set()
+    assert not arm.stopping.disobeyed
+    (said,) = arm.warned
+    assert "obey" not in said
+    assert "EMERGENCY" not in said
+    assert "nothing shows what the arm does: the newest sample is 0.7 s old" in said
+
+
+@pytest.mark.parametrize("took", [0.0, RECENT + 0.05])
+def test_a_state_is_as_old_as_its_question(took):
+    """Without samples the state alone shows the arm; one that was long on its way accuses nobody."""
+    arm = Arm(brakes=None)
+    arm.run(0.3)
+    arm.run(2 * RECENT, seen=False)
+
+    def state():
+        position = HOME + 2.0 * arm.clock.now
+        arm.clock.now += took
+        return position
+
+    arm.state = state
+    arm.request()
+    arm.turns(60)
+    assert arm.stopping.disobeyed is (took == 0.0)
+
+
 def test_an_outdated_state_is_not_evidence_of_braking():
     arm = Arm(brakes=None)
     arm.run(0.3)

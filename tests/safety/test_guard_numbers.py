@@ -26,7 +26,7 @@ NO_NUMBERS = [np.nan, np.inf, -np.inf, 5e-324, -5e-324, 1e308]
 #: values that are never NaN, are under a `not` or `~`: they state what is allowed, and fail for NaN.
 FALSE_STOPS = {
     "adherence.py": {
-        "self._path.distance(tool, rows) <= self._margin + allowed.tool": "true is near",
+        "self._path.distance(tool, rows) <= margin + allowed.tool": "true is near",
         "of_joint[:, None] <= fastest": "true is slow",
     },
     "first_run.py": {"peak <= FIRST_SPEED": "true is slow enough, anything else is planned again or refused"},

@@ -89,6 +89,17 @@ def test_a_refused_start_is_not_repeated_and_not_stopped(bench, program):
     assert (bench.controller.starts, bench.controller.stops) == (1, 0)
 
 
+def test_a_failed_start_sends_a_stop(bench, program):
+    """Who knows whether it arrived."""
+    bench.controller.loses_start = True
+    guard = bench.build()
+    guard._driver._start_timeout = 0.5
+    guard.open()
+    with pytest.raises(DriverError, match=r"did not answer start.*Make sure that the arm rests"):
+        bench.run(program(), guard)
+    assert (bench.controller.starts, bench.controller.stops) == (1, 1)
+
+
 @pytest.mark.parametrize("error", [KeyboardInterrupt, OSError, AgentError, SystemExit])
 def test_any_sample_error_stops_the_arm(bench, error, program):
     asked, order, began = threading.Event(), [], time.monotonic()

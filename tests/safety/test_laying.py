@@ -12,7 +12,19 @@ STEP = 0.02
 def path_of(count: int) -> ReferencePath:
     nothing = np.zeros((count, 1))
     when = STEP * np.arange(count)
-    return ReferencePath(np.arange(count), when, nothing, nothing, nothing, nothing, nothing, np.ones(1), STEP)
+    return ReferencePath(
+        np.arange(count),
+        when,
+        nothing,
+        nothing,
+        nothing,
+        nothing,
+        nothing,
+        nothing[:, 0],
+        np.arange(1),
+        np.ones(1),
+        STEP,
+    )
 
 
 def place_by_place(path, fits, reached, first, passed, ahead):

@@ -177,6 +177,8 @@ class LinkDriver(Generic[Link, Motion]):
         self._watchdog = watchdog
         self._link: Link | None = None
         self._motion: Motion | None = None
+        #: `ListensFirst`
+        self.listening: Callable[[], None] = lambda: None
 
     @property
     def watchdog(self) -> float:
@@ -241,18 +243,36 @@ class LinkDriver(Generic[Link, Motion]):
 
     @contextlib.contextmanager
     def _start_of(self, motion: Motion) -> Iterator[Motion]:
-        """Listen to a motion that is started in here. A refused start moved nothing; after any other failure the arm
-        may move, so the link is closed, which stops it."""
+        """Listen to a motion that is started in here. After a refusal the arm stands, unless its samples say otherwise;
+        after any other failure it may move: a stop is sent, and the link is closed, which stops it too."""
         self._motion = motion
+        self.listening()
         try:
             yield motion
-        except RefusedError:
-            self._motion = None
-            self._not_started()
+        except BaseException as error:
+            if isinstance(error, RefusedError) and not motion.moved:
+                motion.finish(None)  # whoever listened to it is done
+                self._motion = None
+                self._not_started()
+                raise
+            self._stop_for_good(motion)
+            if isinstance(error, RefusedError):
+                raise DriverError(f"{error}; {motion.seen}") from None
             raise
-        except BaseException:
-            self.close()
-            raise
+
+    def _stop_for_good(self, motion: Motion) -> None:
+        """Send a stop, give the arm a moment, and close the link, which stops the arm too."""
+        link = self._link
+        if link is not None and link.failure is None:
+
+            def stop() -> None:
+                with contextlib.suppress(DriverError):
+                    self._bring_to_rest(link, motion)
+
+            stopping = threading.Thread(target=stop, name="stop of a failed start", daemon=True)
+            stopping.start()
+            stopping.join(_LAST_CALL)
+        self.close()
 
     def _not_started(self) -> None:
         """The start was refused."""

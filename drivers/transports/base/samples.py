@@ -15,6 +15,8 @@ from drivers.wire.reasons import SAFETY_ENDS, EndReason
 
 _MAX_HELD = 200_000  # samples waiting for earlier ones
 _LATEST = 2.0**31  # s: what a log's stamps can say
+#: A joint this far [rad, m] from where it stood has moved.
+_MOVED = 1e-3
 _JITTER = 25  # steps between two neighbours are none: 50 ms at 500 Hz
 
 
@@ -141,7 +143,23 @@ class SampleStream:
         self._ready: deque[SampleBlock] = deque()
         self._error: DriverError | None = None
         self._changed = threading.Condition()
+        self._origin: np.ndarray | None = None  # (n,) where the arm stood
+        self._farthest = 0.0  # [rad, m] from there
         self.over = False
+
+    @property
+    def moved(self) -> bool:
+        """Whether the samples show that the arm left the place where it stood."""
+        return not self._farthest <= _MOVED
+
+    @property
+    def seen(self) -> str:
+        """What the samples show of the arm up to now."""
+        if self._origin is None:
+            return "no sample shows what the arm did: look at it"
+        if not self.moved:
+            return "its samples show the arm at rest until then"
+        return f"meanwhile a joint moved by {self._farthest:.3f} rad: look at the arm, and for another program there"
 
     def too_full(self) -> DriverError | None:
         """Where the consumer is too far behind: the error that the motion is to end with, once it is stopped."""
@@ -213,6 +231,9 @@ class SampleStream:
     def _append(self, blocks: list[SampleBlock]) -> None:
         if blocks:
             with self._changed:
+                for block in blocks:
+                    self._origin = block.position[0] if self._origin is None else self._origin
+                    self._farthest = np.fmax(self._farthest, np.max(np.abs(block.position - self._origin), initial=0.0))
                 self._ready.extend(blocks)
                 self.size += sum(_bytes(block) for block in blocks)
                 self._changed.notify_all()

@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
+import threading
 from typing import Any
 
 import numpy as np
@@ -66,6 +67,7 @@ class UrDriver(LinkDriver[UrLink, UrMotion]):
         self._dashboard: Dashboard | None = None
         self._model: UrModel | None = None
         self._stored: tuple[str, UrProgram] | None = None
+        self._permitting = threading.Lock()  # its holder may allow the program to move, or say that it may not
 
     @property
     def facts(self) -> dict[str, str]:
@@ -172,24 +174,26 @@ class UrDriver(LinkDriver[UrLink, UrMotion]):
         with self._start_of(motion):
             link.beating = True
             link.allow(0)
+            motion.begun = link.guarded = True
             link.send_program(program.text)
             self._see_program(link, motion, program)
-            link.guarded = True
-            motion.begun = True
-            link.allow(program.number)
-            if not link.wait(lambda: link.latest[rtde.RUNNING] != program.number, self._timeout):
-                link.check()
-                raise DriverError(f"{self.address}: the program was let go and does not move; it is being stopped")
+            with self._permitting:
+                if motion.stopping or motion.over:
+                    raise DriverError(f"{self.address}: the motion was stopped before the program was allowed to move")
+                motion.permitted = True
+                link.allow(program.number)
+            self._see_permit_taken(link, motion, program)
             link.allow(0)  # a program that arrives once more is not allowed to move
 
     def _not_started(self) -> None:
         if self._link is not None:
-            self._link.beating = False
+            self._link.beating = self._link.guarded = False
 
     def _bring_to_rest(self, link: UrLink, motion: UrMotion | None) -> None:
         """End the program, and wait until the arm rests; where it goes on, the heartbeat is withheld."""
         if motion is not None:
-            motion.stopping = True
+            with self._permitting:
+                motion.stopping = True
         elif link.failure is None and not _plays(link.fresh()):
             return
         self._end_program(link)
@@ -271,15 +275,36 @@ class UrDriver(LinkDriver[UrLink, UrMotion]):
             waits = int(link.latest[rtde.RUNNING]) == program.number
             return motion.loaded and waits and int(link.latest["runtime_state"]) == states.PLAYING
 
-        seen = link.wait(lambda: runs() or motion.fault is not None, self._timeout)
+        def over() -> bool:
+            return motion.fault is not None or motion.stopping or motion.over
+
+        seen = link.wait(lambda: runs() or over(), self._timeout)
         link.check()
         if motion.fault is not None:
-            raise RefusedError(f"{self.address}: the controller refused program {program.name}: {motion.fault}")
-        if not seen:
             self._end_program(link)
+            raise RefusedError(
+                f"{self.address}: the controller refused program {program.name}: {motion.fault} ({motion.seen})"
+            )
+        if not seen:
             raise DriverError(
-                f"{self.address}: the controller did not start program {program.name} within {self._timeout:g} s; "
-                "nothing moved. Is the primary interface switched on there, and the robot in remote control?"
+                f"{self.address}: the controller did not start program {program.name} within {self._timeout:g} s "
+                f"({motion.seen}). Is the primary interface switched on there, and the robot in remote control?"
+            )
+
+    def _see_permit_taken(self, link: UrLink, motion: UrMotion, program: UrProgram) -> None:
+        """Wait until the program that was sent goes on.
+
+        Raises:
+            DriverError: it does not, or the motion is to end.
+        """
+
+        def taken() -> bool:
+            return int(link.latest[rtde.RUNNING]) != program.number
+
+        if not link.wait(lambda: taken() or motion.stopping or motion.over, self._timeout) or not taken():
+            link.check()
+            raise DriverError(
+                f"{self.address}: the program was let go and does not answer; it is being stopped ({motion.seen})"
             )
 
     # From here on in the thread of the link.

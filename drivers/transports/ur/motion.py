@@ -53,6 +53,7 @@ class UrMotion(SampleStream):
     def __init__(self, program: str, period: float, torque_per_ampere: np.ndarray, limit: int) -> None:
         super().__init__(limit)
         self.begun = False  # the next sample is the first of the motion, or one after it
+        self.permitted = False  # the program may move
         self.loaded = False  # the controller says that the program has started; it waits for its permit
         self.withheld = False  # the heartbeat, as the arm did not obey
         self.fault: ProgramFault | None = None
@@ -94,7 +95,8 @@ class UrMotion(SampleStream):
         still = (samples["runtime_state"] != PLAYING) & np.all(np.abs(samples["target_qd"]) < STILL, axis=1)
         runs = np.arange(1, len(still) + 1) - np.maximum.accumulate(np.where(still, 0, np.arange(1, len(still) + 1)))
         runs = np.where(np.cumsum(~still) == 0, runs + self._idle, runs)
-        settled = np.flatnonzero(runs * self._period >= _SETTLED)
+        ending = self.permitted or self.stopping  # before, the controller only gets ready
+        settled = np.flatnonzero(runs * self._period >= _SETTLED) if ending else np.empty(0, dtype=int)
         last = int(settled[0]) + 1 if len(settled) else len(samples)
         self._idle = int(runs[last - 1])
         self._give(samples[:last], numbers[:last])
@@ -113,7 +115,7 @@ class UrMotion(SampleStream):
         """Deliver runs without gaps; missing samples never come, because RTDE sends nothing twice."""
         cycles = samples[rtde.CYCLE]
         changed = np.flatnonzero(np.diff(cycles, prepend=cycles[0] if self._cycle is None else self._cycle))
-        self.markers += samples["timestamp"][changed].tolist()
+        self.markers += samples["timestamp"][changed[cycles[changed] >= 0]].tolist()
         self._cycle = int(cycles[-1])
         received = time.time()
         for part in np.split(np.arange(len(numbers)), np.flatnonzero(np.diff(numbers) > 1) + 1):
