@@ -192,7 +192,7 @@ class DriverConformance:
             assert begun == [0]
             _check_samples(driver, heard, len(bench.joint_names))
 
-    def test_a_stop_while_it_starts_keeps_the_arm_at_rest_or_stops_it(self, bench: Bench) -> None:
+    def test_a_stop_while_it_starts_is_obeyed(self, bench: Bench) -> None:
         with _connected(bench) as driver:
             assert isinstance(driver, ListensFirst)
             with ThreadPoolExecutor(1) as stopping:

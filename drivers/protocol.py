@@ -233,6 +233,14 @@ class ReportsFrames(Protocol):
 
 
 @runtime_checkable
+class ReportsSettings(Protocol):
+    """A driver whose wire has what is set at the controller for the tool and its load."""
+
+    def settings(self) -> Mapping[str, str]:
+        """Texts by name, such as TCP and payload. Allowed at any time, as `status` is."""
+
+
+@runtime_checkable
 class AcceptsViaPoints(Protocol):
     """A driver that is given via-points instead of a program. The last of them is a stop."""
 

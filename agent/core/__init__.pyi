@@ -53,7 +53,9 @@ from .parallel import (
 )
 from .signals import (
     Ended as Ended,
+    deferred as deferred,
     hang_up as hang_up,
+    interrupted as interrupted,
     signals_raised as signals_raised,
     stop_to_come as stop_to_come,
     undisturbed as undisturbed,

@@ -69,6 +69,7 @@ class _State:
     raised = -float("inf")  # when a signal was, the last time
     moving = False  # whatever is raised now leads to a stop
     shields = 0
+    held: int | None = None  # the first signal that came under a shield
     failure: BaseException | None = None  # of another thread
 
 
@@ -178,6 +179,28 @@ def undisturbed() -> Iterator[None]:
             _state.shields -= main
 
 
+@contextlib.contextmanager
+def deferred() -> Iterator[None]:
+    """Hold signals back while something is brought to its end that is over soon, then raise the first of them."""
+    main = threading.current_thread() is threading.main_thread()
+    with signals_raised():
+        _state.shields += main
+        if _state.shields == main:
+            _state.held = None
+        try:
+            yield
+        finally:
+            _state.shields -= main
+        number, _state.held = _state.held, None
+        if main and number is not None and not _state.shields:
+            raise _exception(number)
+
+
+def interrupted() -> bool:
+    """Whether a signal waits for the end of `deferred`."""
+    return _state.held is not None
+
+
 def hang_up() -> None:
     """Raise the hang-up of a terminal that was found closed; callable from any thread."""
     if _state.catching:
@@ -186,13 +209,19 @@ def hang_up() -> None:
 
 def _raise(number: int, _: FrameType | None) -> None:
     since = time.monotonic() - _state.raised
+    if _state.shields and _state.held is None:
+        _state.held = number
     if _state.shields or (_state.moving and since < _WAY_TO_STOP) or (number not in _BY_HAND and since < _ONE_END):
         return
     _state.raised = time.monotonic()
     if _state.failure is not None:
         failure, _state.failure = _state.failure, None
         raise failure
-    raise KeyboardInterrupt if number == signal.SIGINT else Ended(number)
+    raise _exception(number)
+
+
+def _exception(number: int) -> BaseException:
+    return KeyboardInterrupt() if number == signal.SIGINT else Ended(number)
 
 
 def _reporting(hook: Callable[[threading.ExceptHookArgs], Any]) -> Callable[[threading.ExceptHookArgs], Any]:

@@ -164,6 +164,7 @@ class RobotLink:
                 motion=motion,
                 sample_rate=1.0 / self.identity.period,
                 facts={**self._machine, **self._facts, **limits},
+                tell=self._console.say,
             ) as writer:
 
                 def keep(block: SampleBlock) -> None:

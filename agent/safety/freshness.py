@@ -122,7 +122,7 @@ class Frozen:
     def crept(self) -> float | None:
         """How far the joint that went farthest got in the last `FROZEN` seconds, over its speed limit [s].
 
-        By set-points or, without them, measured positions; None where it is not known for so long.
+        By set-points or, without them, measured positions; None where less is known.
         """
         _time, since = self._span()
         leading = self._column("reference_position")

@@ -8,6 +8,7 @@ the arm is not seen to stand, the link is closed, and the controller's own watch
 from __future__ import annotations
 
 import gc
+import json
 import time
 from collections.abc import Callable, Generator, Iterator
 from contextlib import closing, contextmanager, suppress
@@ -102,6 +103,7 @@ class GuardedLink:
         self._watch: MotionWatch | None = None  # of a motion in which the arm may still move
         #: (controller time [s], (n,) [°C]) of the last motion, where the controller measures temperatures.
         self.temperatures: list[tuple[float, np.ndarray]] = []
+        self._changes: list[tuple[float, str, str, str]] = []  # of what is set at the controller, in the last motion
 
     @property
     def identity(self) -> Identity:
@@ -214,7 +216,7 @@ class GuardedLink:
         watch = MotionWatch(
             self._driver, self.robot, self.address, period, adherence, program.longest, self._clock, self._warn
         )
-        self.temperatures = watch.temperatures
+        self.temperatures, self._changes = watch.temperatures, watch.changes
         over = False
         lost: DriverError | None = None
 
@@ -254,11 +256,12 @@ class GuardedLink:
         """Start a program while its samples are judged; returns why it failed where the arm may be moving all the same.
 
         Raises:
-            RefusedError: the controller did not start it, and its samples, if any, show the arm at rest.
+            RefusedError: the controller did not start it, and its samples, if any, show a stationary arm.
         """
         if isinstance(self._driver, ListensFirst):
             self._driver.listening = watch.listen
         try:
+            watch.read_settings(-np.inf)
             self._driver.start(program.name, program.checksum)
         except DriverError as error:
             if isinstance(error, RefusedError):
@@ -278,8 +281,12 @@ class GuardedLink:
 
     @property
     def facts(self) -> dict[str, str]:
-        """What the driver knows of the last motion beyond its samples."""
-        return self._driver.facts if isinstance(self._driver, ReportsDiagnostics) else {}
+        """What is known of the last motion beyond its samples."""
+        facts = dict(self._driver.facts) if isinstance(self._driver, ReportsDiagnostics) else {}
+        if self._changes:
+            keys = ("time_s", "setting", "before", "after")
+            facts["controller_changes"] = json.dumps([dict(zip(keys, one, strict=True)) for one in self._changes])
+        return facts
 
     def close(self) -> None:
         """Close the link; the arm is stopped first, where something has kept that from happening. Never raises."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import ExitStack, contextmanager, suppress
 from typing import TYPE_CHECKING
@@ -17,7 +17,7 @@ from agent.safety.freshness import EXCUSED, Freshness
 from agent.safety.preconditions import unsafe_in_motion
 from agent.safety.stopping import Stopping
 from drivers.errors import DriverError, MotionStopped
-from drivers.protocol import Driver, ReportsTemperatures, SampleBlock, Status
+from drivers.protocol import Driver, ReportsSettings, ReportsTemperatures, SampleBlock, Status
 
 if TYPE_CHECKING:
     from agent.robot import RobotDescription
@@ -79,6 +79,10 @@ class MotionWatch:
         self._sampled = False  # the last sample has come
         #: The end was asked for, so it comes before that of the plan.
         self.stopped = False
+        self._settings: Mapping[str, str] = {}  # at the controller, when they were read last
+        #: What was set anew at the controller: controller time [s], name, and texts before and after.
+        self.changes: list[tuple[float, str, str, str]] = []
+        self._warn = warn
         #: (controller time [s], (n,) [°C]), where the controller measures temperatures.
         self.temperatures: list[tuple[float, np.ndarray]] = []
         self._freshness = Freshness(period, driver.watchdog, clock)
@@ -156,6 +160,7 @@ class MotionWatch:
         self._raise_fault(dropped)
         with suppress(DriverError):  # the motion is over and recorded
             self._read_temperatures(self._now, 0.0)
+            self.read_settings(self._now)
 
     def rest(self) -> Iterator[SampleBlock]:
         """What is left of the samples after a stop, until the arm stands or the link is closed. Never raises."""
@@ -305,6 +310,25 @@ class MotionWatch:
             if values is not None:
                 self.temperatures.append((now, values))
 
+    def read_settings(self, now: float) -> None:
+        """Tell what was set anew at the controller since the last time: no position shows it.
+
+        Raises:
+            DriverError: the link failed.
+        """
+        if not isinstance(self._driver, ReportsSettings):
+            return
+        settings = self._driver.settings()
+        for name, text in settings.items():
+            before = self._settings.get(name, text)
+            if text != before:
+                self.changes.append((now, name, before, text))
+                self._warn(
+                    f"{self._address}: the {name} was set anew at the controller in motion, from {before} to {text}; "
+                    "the log notes it"
+                )
+        self._settings = settings
+
     def _look_at_state(self) -> None:
         """Ask for the state in a thread of its own, one question at a time; raises what the last question raised."""
         if self._asked.done():
@@ -316,6 +340,7 @@ class MotionWatch:
         try:
             status: Status = self._driver.status()
             self._read_temperatures(now)
+            self.read_settings(now)
         except DriverError as error:
             self._blame(
                 ControllerError(

@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import re
 import threading
 
 import numpy as np
@@ -145,6 +146,24 @@ def test_another_script_during_the_start_is_stopped_by_its_samples(program, monk
     assert len(moved)
     assert log.t[-1] - log.t[moved[0]] < patience(2.5), "it was followed to the end of the driver's patience"
     assert "loop.mcap: holds the " in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        ("payload", [2.5, 0.0, 0.0, 0.07, *[0.0] * 6], "the payload was set anew .* to 2.500 kg at [0, 0, 0.07]"),
+        ("tcp", np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0.2], [0, 0, 0, 1]]), "the TCP was set anew"),
+    ],
+)
+def test_what_is_set_anew_at_the_controller_in_motion_is_told_and_noted(fake, program, capsys, name, value, said):
+    program.write_text(program.read_text().replace("while i < 2:", "while i < 6:"))
+    fake.on_moving = lambda: setattr(fake.cell, name, value)
+    recording = record(fake, program)
+    (change,) = json.loads(read_log(recording.path, load_robot("ur5e")).metadata["controller_changes"])
+    assert change["setting"].lower() == name
+    assert change["before"] != change["after"]
+    assert change["time_s"] > 0.0
+    assert re.search(said.replace("[", r"\["), " ".join(capsys.readouterr().err.split()))
 
 
 def told(monkeypatch, fake, name, value):

@@ -1,5 +1,7 @@
 """Logs as the writer leaves them, seen with other people's readers and with ours."""
 
+import os
+import signal
 import threading
 from pathlib import Path
 
@@ -12,6 +14,7 @@ from mcap.records import Chunk, Metadata
 from mcap.stream_reader import StreamReader
 from mcap_ros2.decoder import DecoderFactory
 
+from agent.core import Ended, signals_raised
 from agent.core.errors import InputError
 from agent.recording import Log, LogWriter, read_log, write_log
 from agent.recording.mcap.joint_state import layout_for
@@ -301,6 +304,52 @@ def test_a_stuck_disk_is_an_error_and_loses_no_sample(tools, tmp_path, slow_disk
             writer.write(tools.cut(block, slice(50, 100)))
         slow_disk.set()
     np.testing.assert_array_equal(read_log(path).position, block.position)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_loses_no_sample_that_waits_for_a_slow_disk(tools, tmp_path, slow_disk, monkeypatch, number):
+    """It is raised once everything is written; meanwhile somebody says how far that is."""
+    from agent.recording.mcap import writer as module
+
+    monkeypatch.setattr(module, "_TOLD", 0.001)
+    path, block, told = tmp_path / "log.mcap", tools.motion(1000), []
+
+    def tell(text):
+        told.append(text)
+        if len(told) == 2:
+            os.kill(os.getpid(), number)
+        if len(told) == 4:
+            slow_disk.set()
+
+    def record():
+        with LogWriter(path, tools.JOINTS, robot="arm", motion="test", tell=tell) as writer:
+            for k in range(0, 1000, 10):
+                writer.write(tools.cut(block, slice(k, k + 10)))
+
+    with signals_raised(), pytest.raises((KeyboardInterrupt, Ended)):
+        record()
+    np.testing.assert_array_equal(read_log(path).position, block.position)
+    assert "log.mcap: the disk is slow; 0 of 1000 samples are written" in told[0]
+    assert told[3].endswith("the program ends when that is done")
+
+
+def test_a_disk_is_asked_a_few_times_a_second(tools, tmp_path, monkeypatch):
+    """Or one that takes 0.3 s for each write, however small, falls behind by minutes."""
+    from agent.recording.mcap import log_file as module
+
+    asked, flush = [], module._KeptFile.flush
+
+    def counted(file):
+        asked.append(len(file._waiting) > 0)
+        flush(file)
+
+    monkeypatch.setattr(module._KeptFile, "flush", counted)
+    block = tools.motion(5000)
+    with LogWriter(tmp_path / "log.mcap", tools.JOINTS, robot="arm", motion="test") as writer:
+        for k in range(0, 5000, 10):
+            writer.write(tools.cut(block, slice(k, k + 10)))
+    seconds = block.time[-1] - block.time[0]
+    assert sum(asked) <= 2 * seconds + 8
 
 
 @pytest.fixture

@@ -72,7 +72,7 @@ def blocks_of(chains, pauses: float, seen: bool, size: int = 8, slower: float = 
 
 
 def lied_to(watch: Adherence, blocks, moment: float, lie: Lie, robot: RobotDescription) -> float | None:
-    """Time [s] from a freeze to the stop; None if none was asked for."""
+    """Time [s] from a freeze to the stop; None without a stop."""
     rng, at = np.random.default_rng(3), None
     for block in blocks:
         if at is not None:

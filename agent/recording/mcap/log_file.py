@@ -34,6 +34,8 @@ FLUSH_INTERVAL = 0.5
 #: Uncompressed size at which a chunk is closed [bytes]: 64 KiB, less the message that comes on top.
 _CHUNK_SIZE = 60 * 1024
 _ROWS = 1000  # samples encoded at a time
+#: Bytes that wait for one write at most.
+_WAITING = 2**20
 #: Missing samples that may still come; older ones count as lost for good.
 _REMEMBERED = 256
 
@@ -104,6 +106,7 @@ class LogFile:
         self._writer.start("ros2", f"calibration-agent {package_version()}")
         self._channel(STATES)
         self._file.write(_record(Metadata(RUN, self._run)))
+        self._file.flush()
 
     @property
     def lost(self) -> int:
@@ -175,6 +178,7 @@ class LogFile:
     def flush(self) -> None:
         """Hand over to the operating system what is still in memory, and see that the file is still there."""
         self._writer.flush()
+        self._file.flush()
         self._file.check_kept()
 
     def finish(self, padding: int = 0) -> None:
@@ -277,12 +281,13 @@ class _SequenceCheck:
 class _KeptFile:
     """A file that only grows, by whole records; whoever deletes, replaces or truncates it is noticed.
 
-    Every write goes to the operating system at once.
+    Records wait in memory for `flush`: a disk may take its time for every write, whatever its size.
     """
 
     def __init__(self, path: Path):
         self._path = path
-        self._end = 0
+        self._end = 0  # of what the operating system has
+        self._waiting = bytearray()
         try:
             # At the end of the file, wherever that is: else a file that was truncated grows to its size again.
             self._file = open(path, "xb", buffering=0, opener=_appending)  # noqa: SIM115  closed by `close`
@@ -292,9 +297,17 @@ class _KeptFile:
             raise RecordingError(path, error.strerror) from None
 
     def tell(self) -> int:
-        return self._end
+        return self._end + len(self._waiting)
 
     def write(self, data: bytes) -> int:
+        self._waiting += data
+        if len(self._waiting) > _WAITING:
+            self.flush()
+        return len(data)
+
+    def flush(self) -> None:
+        """Hand everything over to the operating system, at once."""
+        data, self._waiting = bytes(self._waiting), bytearray()
         rest = memoryview(data)
         try:
             while rest:
@@ -304,13 +317,10 @@ class _KeptFile:
                 self._file.truncate(self._end)
             raise RecordingError(self._path, error.strerror, self._end) from None
         self._end += len(data)
-        return len(data)
-
-    def flush(self) -> None:
-        """Do nothing: no data wait in memory."""
 
     def sync(self) -> None:
         """Wait until the disk has everything: a power cut cannot lose it any more."""
+        self.flush()
         try:
             os.fsync(self._file.fileno())
         except OSError as error:
@@ -332,6 +342,8 @@ class _KeptFile:
             raise self._lost(f"it has {here.st_size} bytes, and {self._end} were written")
 
     def close(self) -> None:
+        with suppress(RecordingError):  # it was raised before, or is about to be
+            self.flush()
         self._file.close()
 
     def _lost(self, how: str) -> RecordingError:

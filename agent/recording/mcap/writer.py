@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from agent.core import deferred, interrupted
 from agent.recording.mcap.log_file import FLUSH_INTERVAL, PLANNED, TEMPERATURES, LogFile, RecordingError
 from drivers.protocol import SampleBlock
 
@@ -21,6 +22,8 @@ BACKLOG_LIMIT = 256 * 2**20
 STALL_LIMIT = 10.0
 #: Longest time a closed log may wait for a disk that takes nothing at all [s].
 CLOSE_LIMIT = 60.0
+#: Interval between two messages on how far a log is that is being closed [s].
+_TOLD = 2.0
 
 
 class LogWriter:
@@ -30,13 +33,15 @@ class LogWriter:
     loses at most that. A disk that falls further behind than `backlog_limit` or `stall_limit` is an error of `write`:
     whoever records then stops the arm; what waits is still written where the disk takes it again.
 
-    Use it as a context manager: leaving it closes the log, also after an error, which keeps what was recorded.
+    Use it as a context manager: leaving it closes the log, also after an error, which keeps what was recorded. A signal
+    that comes meanwhile is raised when everything is written.
 
     Args:
         path: file to write; it must not exist.
         joint_names: as in the robot description.
         backlog_limit: [bytes].
         stall_limit: [s].
+        tell: takes messages on how far a slow disk is, once the log is being closed.
         robot, motion, sample_rate, clock, facts: as in `LogFile`.
 
     Raises:
@@ -57,8 +62,11 @@ class LogWriter:
         backlog_limit: int = BACKLOG_LIMIT,
         stall_limit: float = STALL_LIMIT,
         facts: Mapping[str, str] | None = None,
+        tell: Callable[[str], None] = lambda _: None,
     ):
         self.path = Path(path)
+        self._tell = tell
+        self._samples = self._written = 0
         self._file = LogFile(self.path, joint_names, robot, motion, sample_rate, clock, facts)
         self._limit = backlog_limit
         self._stall_limit = stall_limit
@@ -91,7 +99,8 @@ class LogWriter:
         references = (block.reference_position, block.reference_velocity)
         arrays = (block.position, block.velocity, block.torque, block.current, *references)
         size = sum(values.nbytes for values in arrays if values is not None) + block.time.nbytes
-        self._put(size, lambda: self._file.write(block))
+        self._samples += len(block)
+        self._put(size, lambda: self._write(block))
         if self._failure is not None:
             raise self._failure
         since = self._busy_since
@@ -100,6 +109,10 @@ class LogWriter:
             raise self._too_slow(f"{self.backlog >> 20} MiB wait for it")
         if stalled > self._stall_limit:
             raise self._too_slow(f"it has taken nothing for {stalled:.0f} s")
+
+    def _write(self, block: SampleBlock) -> None:
+        self._file.write(block)
+        self._written += len(block)
 
     def write_planned(self, time: np.ndarray, position: np.ndarray, velocity: np.ndarray | None = None) -> None:
         """Add what was planned for controller times (K,) [s]: position and velocity (K, n)."""
@@ -133,14 +146,25 @@ class LogWriter:
             return
         self._closing = True
         self._jobs.put(None)
-        steps = -1
-        while self._thread.is_alive() and steps != self._steps:
-            steps = self._steps
-            self._thread.join(CLOSE_LIMIT)
-        if self._thread.is_alive():
-            raise self._too_slow(f"it has taken nothing for {CLOSE_LIMIT:g} s")
+        with deferred():
+            self._finish()
         if self._failure is not None:
             raise self._failure
+
+    def _finish(self) -> None:
+        """Wait for the thread, and say how far it is."""
+        steps, stuck, turn = -1, 0.0, min(_TOLD, CLOSE_LIMIT)
+        while True:
+            self._thread.join(turn)
+            if not self._thread.is_alive():
+                return
+            stuck, steps = (stuck + turn if steps == self._steps else 0.0), self._steps
+            if not stuck < CLOSE_LIMIT:
+                raise self._too_slow(f"it has taken nothing for {CLOSE_LIMIT:g} s")
+            ends = "; the program ends when that is done" if interrupted() else ""
+            self._tell(
+                f"{self.path.name}: the disk is slow; {self._written} of {self._samples} samples are written{ends}"
+            )
 
     def __enter__(self) -> LogWriter:
         return self

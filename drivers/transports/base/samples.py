@@ -149,7 +149,7 @@ class SampleStream:
 
     @property
     def moved(self) -> bool:
-        """Whether the samples show that the arm left the place where it stood."""
+        """Whether the samples show that the arm moved away from its first position."""
         return not self._farthest <= _MOVED
 
     @property
@@ -158,7 +158,7 @@ class SampleStream:
         if self._origin is None:
             return "no sample shows what the arm did: look at it"
         if not self.moved:
-            return "its samples show the arm at rest until then"
+            return "its samples show a stationary arm until then"
         return f"meanwhile a joint moved by {self._farthest:.3f} rad: look at the arm, and for another program there"
 
     def too_full(self) -> DriverError | None:

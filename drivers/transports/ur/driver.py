@@ -24,7 +24,7 @@ from drivers.transports.ur import motion as states
 from drivers.transports.ur.dashboard import Dashboard, UrModel
 from drivers.transports.ur.link import UrLink
 from drivers.transports.ur.motion import UrMotion, safety_text
-from drivers.transports.ur.program import UrProgram
+from drivers.transports.ur.program import UrProgram, number_text, payload_text
 from drivers.wire import ur_rtde as rtde
 from drivers.wire.ur_primary import ProgramChange, ProgramFault
 
@@ -147,6 +147,12 @@ class UrDriver(LinkDriver[UrLink, UrMotion]):
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = rotation(tool[3:]), tool[:3]
         return {"TCP": pose}
+
+    def settings(self) -> dict[str, str]:
+        """`ReportsSettings`: TCP and payload."""
+        sample = self._connected().fresh(0)
+        mass, centre = float(sample["payload"]), sample["payload_cog"].astype(float)
+        return {"TCP": f"{number_text(sample['tcp_offset'])} [m, rad]", "payload": payload_text(mass, centre)}
 
     def upload(self, name: str, text: str) -> str:
         """Keep a program for `start`; returns the SHA-256 (hex) of its text.

@@ -103,15 +103,17 @@ class UrProgram:
             np.abs(self.tool[:3] - tool[:3]).max() <= _SAME_TOOL
             and np.abs(rotation(self.tool[3:]) - rotation(tool[3:])).max() <= _SAME_TOOL
         ):
-            return f"the TCP at the pendant is {_text(tool)}, the program is for {_text(self.tool)} [m, rad]"
+            return (
+                f"the TCP at the pendant is {number_text(tool)}, the program is for {number_text(self.tool)} [m, rad]"
+            )
         if self.load is None:
             return None
         near = np.abs(self.load[1:] - centre).max() <= _SAME_CENTRE or max(mass, self.load[0]) <= _SAME_MASS
         if abs(self.load[0] - mass) <= _SAME_MASS and near:
             return None
         return (
-            f"the payload at the pendant is {mass:.3f} kg at {_text(centre)}, the program is for {self.load[0]:.3f} kg "
-            f"at {_text(self.load[1:])} [m]"
+            f"the payload at the pendant is {payload_text(mass, centre)}, the program is for "
+            f"{payload_text(self.load[0], self.load[1:])}"
         )
 
 
@@ -155,5 +157,11 @@ def _numbers(text: str, count: int) -> np.ndarray:
     return values
 
 
-def _text(values: np.ndarray) -> str:
+def payload_text(mass: float, centre: np.ndarray) -> str:
+    """A mass [kg] and its centre (3,) [m]."""
+    return f"{mass:.3f} kg at {number_text(centre)} [m]"
+
+
+def number_text(values: np.ndarray) -> str:
+    """A few numbers in brackets."""
     return f"[{', '.join(f'{value:.4g}' for value in values + 0.0)}]"
