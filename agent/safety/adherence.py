@@ -184,7 +184,7 @@ class Adherence:
             self._stands_since = self._last
         stops = self._path.stops[(self._path.stops >= ways[0]) & (self._path.stops <= ways[-1])]
         near = stops[self._near(position[None], allowed, stops, SMALLEST_MARGIN)[0]] if len(stops) else stops
-        if len(near) == 0 and slowest > 0.0:
+        if len(near) == 0:
             return (
                 f"{at} the positions stand still where the plan does not stop: the arm was halted, or what the "
                 f"controller sends is frozen; {_FAULT}"

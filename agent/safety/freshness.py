@@ -112,10 +112,7 @@ class Frozen:
 
     def take(self, blocks: Iterable[SampleBlock]) -> None:
         """The next samples."""
-        for block in blocks:
-            if self._blocks and not block.time[0] - self._blocks[-1].time[-1] <= self._gap:
-                self._blocks = []
-            self._blocks.append(block)
+        self._blocks.extend(blocks)
         while len(self._blocks) > 1 and self._blocks[1].time[0] <= self._blocks[-1].time[-1] - FROZEN:
             self._blocks.pop(0)
 

@@ -67,7 +67,6 @@ ALWAYS_NUMBERS: dict[str, dict[str, str]] = {
         "farthest <= within.min()": "the same",
         "self._path.stops >= ways[0]": "indices",
         "self._path.stops <= ways[-1]": "indices",
-        "slowest > 0.0": "of a plan that was checked",
         "self._last - self._stands_since <= self._rest": "of times that are numbers",
         "self._path.distance(tool, rows) <= margin + allowed.tool": "where the joints' distances are numbers",
         "ways >= begin[:, None]": "indices",

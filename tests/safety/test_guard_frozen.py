@@ -173,12 +173,50 @@ def test_rests_of_the_plan_are_no_freeze(pauses, seen):
         assert not any(watch.take(block) for block in blocks_of(chains, pauses, seen, 50, slower))
 
 
-def test_an_arm_may_wait_at_its_start():
-    """For a permit, or for a person who presses START."""
-    robot, start, end = FOREIGN["ur5e"]
-    chains = there_and_back(robot, start, end)
+def test_an_arm_that_rests_off_its_stop_by_a_servo_error_is_not_frozen():
+    """A slow plan moves on from there, whereas the arm stands: by 2 mm or so, as measured."""
+    robot, start, end = FOREIGN["7 axes"]
+    chains = there_and_back(robot, start, end, 0.05)
     watch = Adherence(chains, robot, None, 0.02, PERIOD, rest=3.0)
-    nothing = np.zeros((50, 6))
-    for first in range(0, 15_000, 50):
-        number, q = np.arange(first, first + 50), np.repeat(start[None], 50, axis=0)
-        assert watch.take(SampleBlock(number, PERIOD * number, q, nothing, nothing, q, nothing)) is None
+    way = end - start
+    for block in blocks_of(chains[:2], 1.5, False, 50):
+        part = np.minimum((block.position - start) / np.where(way, way, np.inf), 1.0 - 0.003 / np.abs(way).max())
+        assert watch.take(replace(block, position=start + part * way)) is None
+
+
+def stationary(q: np.ndarray, first: int, count: int) -> Iterator[SampleBlock]:
+    nothing = np.zeros((50, len(q)))
+    for number in np.arange(first, first + count).reshape(-1, 50):
+        there = np.repeat(q[None], 50, axis=0)
+        yield SampleBlock(number, PERIOD * number, there, nothing, nothing, there, nothing)
+
+
+def test_an_arm_may_wait_at_its_start_and_at_its_end():
+    """For a permit, for a person who presses START, or for the controller to say that the motion is over."""
+    robot, start, end = FOREIGN["ur5e"]
+    chains = there_and_back(robot, start, end)[:1]
+    watch = Adherence(chains, robot, None, 0.02, PERIOD, rest=3.0)
+    assert not any(watch.take(block) for block in stationary(start, 0, 15_000))
+    moving = list(blocks_of(chains, 0.0, True, 50))
+    later = [replace(block, sequence=block.sequence + 15_000, time=block.time + 30.0) for block in moving]
+    assert not any(watch.take(block) for block in later)
+    assert not any(watch.take(block) for block in stationary(end, int(later[-1].sequence[-1]) + 1, 5000))
+
+
+def test_speeds_of_set_points_that_run_on_are_a_contradiction():
+    robot, start, end = FOREIGN["ur5e"]
+    chains = there_and_back(robot, start, end)[:1]
+    watch = Adherence(chains, robot, None, 0.02, PERIOD)
+    fast = np.full((50, 6), 0.3) * robot.max_velocity
+    took = [watch.take(replace(block, reference_velocity=fast)) for block in stationary(start, 0, 300)]
+    assert took[2] is None, "less than 0.4 s is too short to tell"
+    assert "says that it moves" in took[-1]
+
+
+def test_positions_that_are_no_longer_known_for_long_enough_are_not_frozen():
+    """Samples were lost for a while: two of them that are alike say nothing about the time between."""
+    robot, start, end = FOREIGN["ur5e"]
+    chains = there_and_back(robot, start, end, 0.3)
+    watch, blocks = Adherence(chains, robot, None, 0.02, PERIOD), list(blocks_of(chains, 0.0, True, 10))
+    seen = [block for block in blocks if not 0.5 < block.time[0] < 0.8]
+    assert not any(watch.take(block) for block in seen)
