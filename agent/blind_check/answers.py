@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from agent.core import InputError
+from agent.core import LARGEST_JSON, InputError, read_text
 from agent.model import CATALOGUE
 
 
@@ -64,10 +64,7 @@ def read_answers(path: Path) -> list[dict[str, Any]]:
     Raises:
         InputError: a line that is no answer, or two for one run; names file and line.
     """
-    try:
-        lines = path.read_text(encoding="utf-8-sig").split("\n")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read: {error}") from None
+    lines = read_text(path, LARGEST_JSON).removeprefix("\ufeff").split("\n")
     found: dict[tuple[str, bool], dict[str, Any]] = {}
     for number, line in enumerate(lines, start=1):
         if not line.strip():

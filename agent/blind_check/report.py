@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -77,7 +78,8 @@ def read_results(path: Path) -> list[dict[str, Any]]:
 
 
 def page(results: Sequence[Result]) -> str:
-    """Markdown."""
+    """Markdown, in which names of tools, worlds and recorders are text."""
+    results = [{**one, **{key: _as_text(one[key]) for key in ("tool", "world", "recorder")}} for one in results]
     lines = [f"# {NAME} {VERSION}: results", "", _DEFINITIONS]
     for world in dict.fromkeys(one["world"] for one in results):
         here = [one for one in results if one["world"] == world]
@@ -85,6 +87,11 @@ def page(results: Sequence[Result]) -> str:
         said = f"{len({one['run'] for one in here})} runs, answered by {', '.join(scores)}."
         lines += [f"## World {world}", "", said, "", *_verdicts(scores), *_further(scores), *_power(scores)]
     return "\n".join(lines).rstrip() + "\n"
+
+
+def _as_text(name: object) -> str:
+    """A name without the characters that Markdown or HTML act on."""
+    return re.sub(r"([\\`*\[\]<>|#!&~])", r"\\\1", " ".join(str(name).split()))
 
 
 def summary_of(scores: Mapping[str, Any]) -> str:

@@ -8,10 +8,14 @@ from .console import (
     print_text as print_text,
 )
 from .documents import (
+    LARGEST_JSON as LARGEST_JSON,
+    LARGEST_PROGRAM as LARGEST_PROGRAM,
+    LARGEST_ROBOT_FILE as LARGEST_ROBOT_FILE,
     find_faults as find_faults,
     first_fault as first_fault,
     line_of as line_of,
     load_document as load_document,
+    read_bytes as read_bytes,
     read_json as read_json,
     read_text as read_text,
     read_yaml as read_yaml,

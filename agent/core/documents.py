@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from agent.core.errors import InputError
+from agent.core.files import open_regular
 from agent.core.units import kind_of
 from drivers.texts import hide_all, printable
 
@@ -23,6 +24,8 @@ DEEPEST = 50
 LARGEST_YAML, LONGEST_VALUE, MOST_VALUES = 256 << 10, 10_000, 100_000
 #: Bytes of a JSON file; the largest that the agent writes, a model with its covariance, has a few million.
 LARGEST_JSON = 64 << 20
+#: Bytes of a URDF or an MJCF, and of a robot program; the largest public robot files have a few million.
+LARGEST_ROBOT_FILE, LARGEST_PROGRAM = 64 << 20, 16 << 20
 #: Characters of a key or of a fault that are shown.
 _SHOWN = 600
 
@@ -71,25 +74,42 @@ def read_yaml(path: Path) -> Any:
     return data
 
 
-def read_text(path: Path, largest: int) -> str:
-    """A text file that a person wrote.
+def read_bytes(path: Path, largest: int) -> bytes:
+    """The content of a regular file.
 
     Args:
         largest: bytes; a longer file is not read.
 
     Raises:
-        InputError: missing, unreadable, not UTF-8 or too long.
+        InputError: missing, unreadable, a pipe or device, or too long.
     """
     try:
-        with open(path, "rb") as file:
+        with open_regular(path) as file:
             data = file.read(largest + 1)
-        if len(data) > largest:
-            raise InputError(f"{path}: longer than {largest >> 10} KiB; is it the right file?")
-        return data.decode("utf-8")
     except FileNotFoundError:
         raise InputError(f"{path}: no such file") from None
-    except (OSError, ValueError) as error:  # not UTF-8, or a name with a null byte
+    except (OSError, ValueError) as error:  # or a name with a null byte
+        raise InputError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
+    if len(data) > largest:
+        size = f"{largest >> 20} MiB" if largest >> 20 else f"{largest >> 10} KiB"
+        raise InputError(f"{path}: longer than {size}; is it the right file?")
+    return data
+
+
+def read_text(path: Path, largest: int) -> str:
+    """A text file that a person wrote; an end of line is a line feed.
+
+    Args:
+        largest: bytes; a longer file is not read.
+
+    Raises:
+        InputError: missing, unreadable, a pipe or device, not UTF-8 or too long.
+    """
+    try:
+        text = read_bytes(path, largest).decode("utf-8")
+    except ValueError as error:
         raise InputError(f"{path}: cannot be read as text: {error}") from None
+    return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
 class _Bounds:
@@ -141,18 +161,9 @@ def read_json(path: Path) -> Any:
     Raises:
         InputError: missing, unreadable, not UTF-8, not JSON, nested too deep, or longer than 64 MiB.
     """
+    data = read_bytes(path, LARGEST_JSON)
     try:
-        if path.exists() and not path.is_file():  # opening a pipe blocks for ever
-            raise ValueError("it is no file")
-        with open(path, "rb") as file:
-            data = file.read(LARGEST_JSON + 1)
-        if len(data) > LARGEST_JSON:
-            raise ValueError(f"it is longer than {LARGEST_JSON >> 20} MiB")
         return json.loads(data.decode("utf-8"))
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
     except RecursionError:
         raise InputError(f"{path}: damaged: lists and objects are nested too deep") from None
     except ValueError as error:  # text that is no UTF-8 or no JSON, a number of thousands of digits

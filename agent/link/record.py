@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from agent.core import Console, InputError
+from agent.core import LARGEST_PROGRAM, Console, InputError, read_text
 from agent.link.alignment import Aligner
 from agent.link.controller import create_driver, torque_facts
 from agent.link.planning import interpolator_of, plan_program, torque_limits
@@ -274,10 +274,7 @@ def record_program_file(
     log = log or program.with_suffix(".mcap")
     if log.exists():
         raise InputError(f"{log}: exists already; name another log with -o")
-    try:
-        text = program.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{program}: cannot be read: {error}") from None
+    text = read_text(program, LARGEST_PROGRAM)
     facts = known_of(program, text, payload, console.confirm)
     load = known_payload(facts)
     if load is not None:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from agent.core import InputError, first_fault, write_atomically
+from agent.core import InputError, first_fault, read_json, write_atomically
 from agent.model.friction_terms import FrictionTerm, Reversal
 from agent.model.model_file import ModelDocument, check_model
 from agent.model.rigid_friction import HealthyEffect, ModelEffect, ParameterPrior, RigidFrictionModel
@@ -182,13 +182,10 @@ class IdentifiedModel(RigidFrictionModel):
         """
         path = Path(path)
         try:
-            data = json.loads(path.read_text(encoding="utf-8"))
-        except FileNotFoundError:
-            raise InputError(f"{path}: no such model file") from None
-        except (OSError, ValueError, RecursionError) as error:
-            why = error.strerror if isinstance(error, OSError) else f"it is not JSON ({error})"
+            data = read_json(path)
+        except InputError as error:
             advice = "name a model.json that `agent estimate` or `agent calibrate` has written"
-            raise InputError(f"{path}: cannot be read as a model: {why}; {advice}") from None
+            raise InputError(f"{error}; {advice}") from None
         schema = data.get("schema") if isinstance(data, dict) else None
         if schema != SCHEMA:
             raise InputError(f"{path}: not a model file of schema {SCHEMA!r} (it says {schema!r})")

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from agent.core import Console, InputError, write_atomically
+from agent.core import LARGEST_PROGRAM, Console, InputError, read_text, write_atomically
 from agent.link import Aligner, moving_segments
 from agent.motion import (
     Delay,
@@ -148,11 +148,7 @@ def _statements(log: Log, robot: RobotDescription) -> list[Statement]:
     chosen = named if named.is_file() else of_run if log.path.stem == "excitation" and of_run.is_file() else None
     if chosen is None:
         return list(pdl2.read(_of_the_plan(log), str(log.path), robot).run())
-    try:
-        text = chosen.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{chosen}: cannot be read: {error}") from None
-    return list(pdl2.read(text, str(chosen), robot).run())
+    return list(pdl2.read(read_text(chosen, LARGEST_PROGRAM), str(chosen), robot).run())
 
 
 def _of_the_plan(log: Log) -> str:

@@ -9,7 +9,18 @@ from typing import Any
 
 import numpy as np
 
-from agent.core import Console, InputError, TaskEngine, read_json, sha256_file, sha256_text, write_atomically
+from agent.core import (
+    LARGEST_PROGRAM,
+    Console,
+    InputError,
+    TaskEngine,
+    read_bytes,
+    read_json,
+    read_text,
+    sha256_file,
+    sha256_text,
+    write_atomically,
+)
 from agent.excitation import Candidates, Loop, LoopProblem, LoopScore, check_sub_region, search, via_joints
 from agent.link import check_cell, trajectories
 from agent.motion import CartesianTarget, JointTarget, Target, ViaRegions, dialect_of, pose_of, with_frames
@@ -180,12 +191,9 @@ def _task_poses(recipe: Recipe, path: Path) -> np.ndarray:
 def _job(recipe: Recipe, path: Path) -> tuple[str, dict[str, int]]:
     """The moving part of a job's program, and how often each word without motion was skipped."""
     dialect = dialect_of(path) or recipe.dialect
-    try:
-        text = path.read_text(encoding="utf-8")
-        listing = dialect.companion(path)
-        variables = "" if listing is None else listing.read_text(encoding="utf-8", errors="replace")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read: {error}") from None
+    text = read_text(path, LARGEST_PROGRAM)
+    listing = dialect.companion(path)
+    variables = "" if listing is None else read_bytes(listing, LARGEST_PROGRAM).decode("utf-8", errors="replace")
     return dialect.job(text, str(path), recipe.robot, variables)
 
 

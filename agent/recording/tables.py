@@ -78,7 +78,7 @@ def _check_unzipped(path: Path) -> None:
 def _check_mat(path: Path) -> None:
     """Unpack every compressed variable (versions 5 to 7) in pieces, and keep none; a damaged file is left to SciPy."""
     unpacked = 0
-    with open(path, "rb") as file:
+    with open_regular(path) as file:
         order: Literal["big", "little"] = "big" if file.read(_MAT_HEADER)[-2:] == b"MI" else "little"
         while len(tag := file.read(_MAT_TAG)) == _MAT_TAG:
             kind, size = int.from_bytes(tag[:4], order), int.from_bytes(tag[4:], order)

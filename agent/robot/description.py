@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, TypeAdapter, ValidationError
 
-from agent.core import InputError, load_document
+from agent.core import LARGEST_ROBOT_FILE, InputError, load_document, read_text
 from agent.robot.urdf_checks import check_urdf, parse_robot_file
 
 _NAMED_ENDS = 8  # links of a message
@@ -285,9 +285,9 @@ def _load_file(path: Path) -> RobotDescription:
     entry = load_document(path, _RobotFile)
     urdf_path = path.parent / entry.urdf
     try:
-        urdf = urdf_path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: urdf: {urdf_path} cannot be read: {error}") from None
+        urdf = read_text(urdf_path, LARGEST_ROBOT_FILE)
+    except InputError as error:
+        raise InputError(f"{path}: urdf: {error}") from None
     root = parse_robot_file(urdf_path, urdf.encode())
     if root.tag == "mujoco":
         raise InputError(f"{path}: urdf: {urdf_path} is an MJCF: name it with --robot instead of {path.name}")

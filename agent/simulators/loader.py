@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
-from agent.core import InputError
+from agent.core import LARGEST_ROBOT_FILE, InputError, read_bytes
 from agent.model import IdentifiedModel
 from agent.recording import joint_pairs
 from agent.robot import RobotDescription, parse_robot_file
@@ -107,10 +107,7 @@ def load_arm(path: Path, log_joints: Sequence[str] = (), most: int = _MOST_JOINT
 
 
 def _content(path: Path) -> tuple[bytes, Element]:
-    try:
-        text = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    text = read_bytes(path, LARGEST_ROBOT_FILE)
     return text, parse_robot_file(path, text)
 
 

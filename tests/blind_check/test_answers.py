@@ -180,7 +180,7 @@ def test_a_key_without_runs_and_tools_of_one_name_are_refused(tmp_path: Path):
     Key("tiny", 1, 1, "salt", [truth("a")]).save(tmp_path / "key.json")
     with pytest.raises(InputError, match="have one name"):
         score_answers(tmp_path / "key.json", [tmp_path / "tool.jsonl", tmp_path / "more" / "tool.jsonl"])
-    with pytest.raises(InputError, match="cannot be read"):
+    with pytest.raises(InputError, match="no such file"):
         read_answers(tmp_path / "missing.jsonl")
 
 
@@ -211,6 +211,15 @@ def test_runs_with_three_effects_and_path_effects_are_scored_separately(tmp_path
     assert (found["outcomes"]["three"]["named"], found["outcomes"]["one"]["named"]) == (1, 1)
     assert (found["all_of_three"]["count"], found["all_of_two"]["of"]) == (1, 0)
     assert sum(row["found"]["of"] for row in found["power"]) == 0
+
+
+@pytest.mark.parametrize("key", ["tool", "world", "recorder"])
+def test_names_are_text_on_the_page(tmp_path: Path, key: str):
+    scored(tmp_path, [truth("a")], [answer("a", "unknown")], out=tmp_path / "out")
+    (result,) = read_results(tmp_path / "out" / "results.jsonl")
+    text = page([{**result, key: "<img src=x> | [x](y) **z**\n# w_w"}])
+    assert r"\<img src=x\> \| \[x\](y) \*\*z\*\* \# w_w" in text
+    assert "\n# w" not in text
 
 
 def test_the_page_counts_each_world_separately(tmp_path: Path):

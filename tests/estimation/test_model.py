@@ -54,8 +54,8 @@ def test_a_failed_save_leaves_the_old_model(model, tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (None, "no such model file"),
-        ("{", r"cannot be read as a model: it is not JSON \(.*\); name a model\.json that `agent estimate`"),
+        (None, "no such file"),
+        ("{", r"damaged: .*; name a model\.json that `agent estimate`"),
         ("[]", "not a model file of schema 'model/1'"),
         ('{"schema": "validation/1"}', "it says 'validation/1'"),
         ('{"schema": "model/1"}', "incomplete or damaged"),

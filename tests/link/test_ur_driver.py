@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from drivers.conformance import DriverConformance
-from drivers.errors import ConfigurationError, DriverError, MotionStopped, RefusedError
+from drivers.errors import ConfigurationError, DriverError, MotionStopped, ProtocolError, RefusedError
 from drivers.registry import create
 from drivers.transports.ur.driver import JOINTS
 from drivers.wire import ur_rtde as rtde
@@ -150,6 +150,13 @@ def test_the_series_follows_from_the_version(peer, driver, version, robot, perio
     peer.version = version
     driver.connect()
     assert (driver.identify().robot, driver.identify().period) == (robot, period)
+
+
+@pytest.mark.parametrize("version", ["5." + "1" * 3000, "9" * 3000, "5.12.6.1." * 20, "five", "5"])
+def test_what_is_no_version_is_named(peer, driver, version):
+    peer.version = version
+    with pytest.raises(ProtocolError, match="the version of PolyScope is not in"):
+        driver.connect()
 
 
 def test_torque_is_the_current_times_the_torque_per_ampere(driver):

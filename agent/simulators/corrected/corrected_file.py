@@ -6,7 +6,6 @@ effects that the format cannot express. Everything is read back and compared wit
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import tempfile
@@ -16,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from agent.core import InputError, RejectedError, write_atomically
+from agent.core import InputError, RejectedError, sha256_file, write_atomically
 from agent.model import seen_from
 from agent.robot import about_centre
 from agent.simulators.arm import smooth_torque
@@ -60,7 +59,7 @@ def write_corrected(simulator: Simulator, correction: Correction, out: Path) -> 
     code = effects_text(correction, source.name, out.name)
     document = {
         "schema": SCHEMA,
-        "from": {"file": source.name, "sha256": hashlib.sha256(source.read_bytes()).hexdigest()},
+        "from": {"file": source.name, "sha256": sha256_file(source)},
         "changes": changes,
         "effects": [entry.to_dict() for entry in correction.effects],
         "effects_file": None if code is None else effects.name,

@@ -12,7 +12,7 @@ from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
-from agent.core import InputError
+from agent.core import LARGEST_ROBOT_FILE, InputError, read_bytes
 from agent.simulators.arm import SimulatedArm
 from agent.simulators.corrected.xml_document import XmlDocument
 from agent.simulators.urdf import child_of, digits, mjcf_inertial, move_zero, rpy_of, set_inertial
@@ -29,8 +29,8 @@ def opened(path: Path) -> XmlDocument:
         InputError: it cannot be read or edited.
     """
     try:
-        return XmlDocument(path.read_bytes())
-    except (OSError, ValueError) as error:
+        return XmlDocument(read_bytes(path, LARGEST_ROBOT_FILE))
+    except ValueError as error:
         raise InputError(f"{path}: cannot be changed in place: {error}") from None
 
 

@@ -91,7 +91,7 @@ class Dashboard:
             ProtocolError: a version that cannot be read.
         """
         text = self.ask("PolyscopeVersion")
-        found = re.search(r"\d+(?:\.\d+)+", text)
+        found = re.search(r"(?<!\d)\d{1,9}(?:\.\d{1,9}){1,5}(?![\d.])", text)
         if found is None:
             raise ProtocolError(f"{self.address}: the version of PolyScope is not in {printable(text, NAME)!r}")
         version = tuple(int(part) for part in found[0].split("."))
