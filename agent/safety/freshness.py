@@ -17,6 +17,7 @@ HELD_UP = 0.3
 EXCUSED = 0.5
 #: Two clocks that are both right differ by no more than this part of the time that passes.
 DRIFT = 2e-4
+#: Of 24 healthy motions of two laws, none is stopped with `FROZEN` of 0.2 to 0.8 s and `CREEPS` of 0.025 to 0.2.
 #: Duration [s] over which positions are compared with plan and speeds: a stop follows a freeze within 0.7 s, of which
 #: the link takes up to 0.2 s (`WAITS`).
 FROZEN = 0.4
@@ -123,8 +124,9 @@ class Frozen:
         """
         _time, since = self._span()
         leading = self._column("reference_position")
-        leading = self._column("position") if leading is None else leading
-        if since is None or leading is None:
+        if leading is None:
+            leading = np.concatenate([block.position for block in self._blocks])
+        if since is None:
             return None
         return float(np.max(np.ptp(leading[since:], axis=0) / self._limits))
 

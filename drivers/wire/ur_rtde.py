@@ -43,6 +43,8 @@ FIELDS = (
     CYCLE,
     RUNNING,
 )
+#: A further one of newer versions of PolyScope: inertia of the payload that is set [kg·m²].
+INERTIA, INERTIA_SINCE = "payload_inertia", {3: (3, 15), 5: (5, 11)}
 #: Torques, but without gravity and with the payload that is set taken out of them: no identification can use them.
 COMPENSATED = "actual_current_as_torque"
 

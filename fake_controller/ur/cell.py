@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
 import traceback
@@ -158,6 +159,9 @@ class UrCell(UrState):
 
     def take_script(self, text: str) -> None:
         """A script came by one of the ports; in local mode nothing happens."""
+        if text.startswith("sec "):
+            self._take_secondary(text)
+            return
         self.reach("upload")
         if not self.remote:
             return
@@ -176,6 +180,21 @@ class UrCell(UrState):
             self._end_program(EndReason.STOPPED)
             self._next_script = script
         self._wake.set()
+
+    def _take_secondary(self, text: str) -> None:
+        """Carry out a secondary program within one cycle, while a program runs: it cannot move or wait."""
+        if not self.remote:
+            return
+        try:
+            run, answer = Script(text.replace("sec ", "def ", 1), self._functions).run(), None
+            with self._lock, contextlib.suppress(StopIteration):
+                while True:
+                    request = run.send(answer)
+                    if not isinstance(request, Request):
+                        raise ScriptError("runtime_error: a secondary program cannot move or wait", 1)
+                    answer = request.act(self, None)
+        except ScriptError as error:
+            self._tell(exception_message(self.time, error.line, error.column, str(error)))
 
     def stop(self, reason: EndReason, message: str) -> None:
         """End the program, the arm coming to rest on its path."""

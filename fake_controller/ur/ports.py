@@ -153,7 +153,7 @@ class ScriptConnection(UrConnection):
 
     def _next_script(self) -> str | None:
         """The next whole script or line, if there is one."""
-        if not self._text.startswith("def "):
+        if not self._text.startswith(("def ", "sec ")):
             line, newline, rest = self._text.partition("\n")
             if newline:
                 self._text = rest

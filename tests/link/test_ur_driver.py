@@ -217,6 +217,28 @@ def test_a_program_that_could_not_be_stopped_or_recognised_is_refused(driver, li
         driver.upload("p", text)
 
 
+@pytest.mark.parametrize(("version", "inertia"), [("5.12.6.1", ", [0.01, 0.02, 0.03, 0, 0, 0.001]"), ("5.10.2.1", "")])
+def test_tcp_and_payload_are_set_as_they_were_after_a_motion(peer, driver, version, inertia):
+    peer.version = version
+    peer.state |= {"tcp_offset": np.array([0, 0, 0.00004, 0, 0, 0]), "payload": 0.004}
+    driver.start("p", stored(driver))
+    list(driver.samples())
+    until = time.monotonic() + patience(5.0)
+    while not peer.secondary and time.monotonic() < until:
+        time.sleep(0.001)
+    assert peer.secondary == [
+        f"sec restore():\n  set_tcp(p[0, 0, 4e-05, 0, 0, 0])\n  set_target_payload(0.004, [0, 0, 0]{inertia})\nend\n"
+    ]
+
+
+def test_a_program_that_sets_no_tool_leaves_nothing_to_restore(peer, driver):
+    lines = [line for line in SHORT.splitlines() if not line.startswith("  set_t")]
+    driver.start("p", stored(driver, "\n".join(lines) + "\n"))
+    list(driver.samples())
+    driver.stop()
+    assert not peer.secondary
+
+
 def test_a_script_error_is_reported_and_nothing_moves(peer, driver):
     peer.refusal = 9, 3, "compile_error_name_not_found:movej:"
     checksum = stored(driver)

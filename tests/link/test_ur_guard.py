@@ -4,6 +4,7 @@ import contextlib
 import json
 import re
 import threading
+import time
 
 import numpy as np
 import pytest
@@ -146,6 +147,20 @@ def test_another_script_during_the_start_is_stopped_by_its_samples(program, monk
     assert len(moved)
     assert log.t[-1] - log.t[moved[0]] < patience(2.5), "it was followed to the end of the driver's patience"
     assert "loop.mcap: holds the " in capsys.readouterr().err
+
+
+def test_the_payload_of_the_pendant_is_restored(fake, program):
+    """Its inertia too, which the program does not know."""
+    before = [0.0, 0.0, 0.0, 0.0, 0.01, 0.02, 0.03, 0.0, 0.0, 0.001]
+    fake.cell.payload = list(before)
+    seen = []
+    fake.on_moving = lambda: seen.append(list(fake.cell.payload))
+    record(fake, program)
+    assert seen == [[0.0] * 10]
+    until = time.monotonic() + patience(5.0)
+    while fake.cell.payload != before and time.monotonic() < until:
+        time.sleep(0.001)
+    assert fake.cell.payload == before
 
 
 @pytest.mark.parametrize(

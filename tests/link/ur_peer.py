@@ -33,7 +33,7 @@ class UrPeer:
         self.drop, self.every = 0, 1  # samples to leave out from now on; which of them are sent
         self.stamp = lambda now: now  # what is told of the time
         self.motions_started = 0
-        self.scripts = []
+        self.scripts, self.secondary = [], []
         self.faster = faster
         self.state = {
             "timestamp": 100.0,
@@ -50,6 +50,7 @@ class UrPeer:
             "tcp_offset": np.zeros(JOINTS),
             "payload": 0.0,
             "payload_cog": np.zeros(3),
+            "payload_inertia": np.array([0.01, 0.02, 0.03, 0.0, 0.0, 0.001]),
             "output_int_register_24": 0,
             "output_int_register_25": 0,
         }
@@ -134,8 +135,11 @@ class UrPeer:
                 self._answer("stop")
                 text = b""
             if b"\nend\n" in text:
-                self._run(text.decode())
-                text = b""
+                script, text = text.decode(), b""
+                if script.startswith("sec "):
+                    self.secondary.append(script)
+                else:
+                    self._run(script)
 
     def _say(self, kind, content):
         for client in self._primaries:

@@ -213,6 +213,15 @@ def test_speeds_of_set_points_that_run_on_are_a_contradiction():
     assert "says that it moves" in took[-1]
 
 
+def test_the_first_samples_are_too_few_to_tell():
+    """Those before them were lost, so that the motion is seen from mid-path on."""
+    robot, start, end = FOREIGN["ur5e"]
+    chains = there_and_back(robot, start, end, 0.3)
+    for seen in (True, False):
+        watch = Adherence(chains, robot, None, 0.02, PERIOD)
+        assert not any(watch.take(block) for block in list(blocks_of(chains, 0.0, seen, 10))[60:])
+
+
 def test_positions_that_are_no_longer_known_for_long_enough_are_not_frozen():
     """Samples were lost for a while: two of them that are alike say nothing about the time between."""
     robot, start, end = FOREIGN["ur5e"]

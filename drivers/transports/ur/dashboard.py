@@ -10,6 +10,7 @@ from drivers.errors import DriverError, ProtocolError, RefusedError
 from drivers.texts import ALARM, NAME, printable
 from drivers.transports.base.link import dropped
 from drivers.transports.base.ports import open_socket
+from drivers.wire.ur_rtde import INERTIA_SINCE
 
 _GREETING = "Connected: Universal Robots Dashboard Server"
 _LONGEST = 4096  # bytes of a line
@@ -27,6 +28,11 @@ class UrModel:
     def remote(self) -> bool:
         """Whether this controller has a remote and a local mode, and says which."""
         return self.version >= (5, 6)
+
+    @property
+    def tells_inertia(self) -> bool:
+        """Whether RTDE has the inertia of the payload."""
+        return self.version >= INERTIA_SINCE.get(self.version[0], (6,))
 
     @property
     def period(self) -> float:

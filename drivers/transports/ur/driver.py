@@ -67,6 +67,7 @@ class UrDriver(LinkDriver[UrLink, UrMotion]):
         self._dashboard: Dashboard | None = None
         self._model: UrModel | None = None
         self._stored: tuple[str, UrProgram] | None = None
+        self._restoring = ""  # a script that sets TCP and payload as they were, to be sent after the motion
         self._permitting = threading.Lock()  # its holder may allow the program to move, or say that it may not
 
     @property
@@ -87,6 +88,7 @@ class UrDriver(LinkDriver[UrLink, UrMotion]):
         self._link = UrLink(
             self._places["primary"],
             self._places["rtde"],
+            (*rtde.FIELDS, rtde.INERTIA) if self._model.tells_inertia else rtde.FIELDS,
             self._model.period,
             self._timeout,
             self._on_samples,
@@ -176,6 +178,7 @@ class UrDriver(LinkDriver[UrLink, UrMotion]):
         program = self._stored[1]
         self._check_ready(link, program)
         assert self._model is not None
+        self._restoring = program.restoring(link.latest)
         motion = UrMotion(program.name, self._model.period, self.torque_per_ampere, self._buffer_limit)
         with self._start_of(motion):
             link.beating = True
@@ -336,6 +339,10 @@ class UrDriver(LinkDriver[UrLink, UrMotion]):
         # A program that was interrupted feels no heartbeat any more, so that nobody can resume the rest of it.
         link.beating = not (motion.over or motion.unsafe or motion.withheld)
         link.guarded = not motion.over
+        if motion.over and self._restoring:
+            script, self._restoring = self._restoring, ""
+            with contextlib.suppress(DriverError):
+                link.send_program(script)
 
     def _on_message(self, message: ProgramChange | ProgramFault) -> None:
         if self._motion is not None:

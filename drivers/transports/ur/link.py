@@ -37,6 +37,7 @@ class UrLink(LinkThread):
 
     Args:
         primary, data: host:port of the primary interface and of RTDE.
+        fields: of RTDE, that are asked for.
         period: of the controller [s].
         timeout: how long [s] to wait for an answer.
         on_samples: is given samples (K,) of `rtde.FIELDS`, in the thread.
@@ -52,6 +53,7 @@ class UrLink(LinkThread):
         self,
         primary: str,
         data: str,
+        fields: tuple[str, ...],
         period: float,
         timeout: float,
         on_samples: Callable[[np.ndarray], None],
@@ -61,7 +63,7 @@ class UrLink(LinkThread):
         super().__init__(data, on_failure)
         self.beating = False  # where it does not, a program stops the arm
         self.real: bool | None = None  # whether a robot is there, once that was said
-        self._period = period
+        self._fields, self._period = fields, period
         self._timeout = timeout
         self._on_samples, self._on_message = on_samples, on_message
         self._permit = 0
@@ -151,8 +153,8 @@ class UrLink(LinkThread):
         """Set the messages that are sent and received from now on."""
         if self._ask(rtde.package(rtde.VERSION, struct.pack(">H", 2))) != b"\1":
             raise ProtocolError(f"{self.peer}: the controller does not speak version 2 of RTDE")
-        answer = self._ask(rtde.output_request(rtde.FIELDS, 1.0 / self._period))
-        outputs = rtde.OutputRecipe.of(rtde.FIELDS, answer)
+        answer = self._ask(rtde.output_request(self._fields, 1.0 / self._period))
+        outputs = rtde.OutputRecipe.of(self._fields, answer)
         names = (rtde.HEARTBEAT, rtde.PERMIT)
         inputs = rtde.input_recipe(names, self._ask(rtde.package(rtde.INPUTS, ",".join(names).encode())))
         if self._ask(rtde.package(rtde.START)) != b"\1":

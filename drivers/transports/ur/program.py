@@ -14,6 +14,7 @@ import numpy as np
 from drivers.errors import RefusedError
 from drivers.transports.base.link import WATCHDOG
 from drivers.transports.base.poses import rotation
+from drivers.wire.ur_rtde import INERTIA
 
 #: How a program that may be sent begins; `N` is a number that belongs to its text.
 LINES = (
@@ -97,6 +98,21 @@ class UrProgram:
             raise RefusedError(f"program {head[1]}: set_tcp and the payload need numbers, not expressions") from None
         return cls(text, head[1], int(said["number"]), frame, mass)
 
+    def restoring(self, before: np.void) -> str:
+        """A script that moves nothing and sets again what this program changes.
+
+        `before` is a sample of RTDE with TCP and payload as they were; empty where the program sets neither.
+        """
+        lines = []
+        if self.tool is not None:
+            lines.append(f"set_tcp(p{_literal(before['tcp_offset'])})")
+        if self.load is not None:
+            known = INERTIA in (before.dtype.names or ())
+            inertia = f", {_literal(before[INERTIA])}" if known else ""
+            mass, centre = float(before["payload"]), _literal(before["payload_cog"])
+            lines.append(f"set_target_payload({mass:.9g}, {centre}{inertia})")
+        return "\n".join(["sec restore():", *(f"  {line}" for line in lines), "end", ""]) if lines else ""
+
     def differs(self, tool: np.ndarray, mass: float, centre: np.ndarray) -> str | None:
         """What the pendant has (tool (6,), mass [kg], centre (3,) [m]) where it is not what the program sets."""
         if self.tool is not None and not (
@@ -115,6 +131,10 @@ class UrProgram:
             f"the payload at the pendant is {payload_text(mass, centre)}, the program is for "
             f"{payload_text(self.load[0], self.load[1:])}"
         )
+
+
+def _literal(values: np.ndarray) -> str:
+    return f"[{', '.join(f'{float(value):.9g}' for value in values)}]"
 
 
 def _preamble(body: list[str]) -> tuple[dict[str, str], list[str]]:
