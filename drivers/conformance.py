@@ -190,7 +190,7 @@ class DriverConformance:
             driver.start(_NAME, driver.upload(_NAME, bench.short))
             threads[0].join(_PATIENCE)
             assert begun == [0]
-            _check_samples(driver, heard, len(bench.joint_names))
+            _check_samples(driver, heard, bench)
 
     def test_a_stop_while_it_starts_is_obeyed(self, bench: Bench) -> None:
         with _connected(bench) as driver:

@@ -160,7 +160,6 @@ class MotionWatch:
         self._raise_fault(dropped)
         with suppress(DriverError):  # the motion is over and recorded
             self._read_temperatures(self._now, 0.0)
-            self.read_settings(self._now)
 
     def rest(self) -> Iterator[SampleBlock]:
         """What is left of the samples after a stop, until the arm stands or the link is closed. Never raises."""

@@ -179,6 +179,7 @@ def test_what_is_set_anew_at_the_controller_in_motion_is_told_and_noted(fake, pr
     assert change["before"] != change["after"]
     assert change["time_s"] > 0.0
     assert re.search(said.replace("[", r"\["), " ".join(capsys.readouterr().err.split()))
+    assert np.array_equal(getattr(fake.cell, name), value), "somebody else's setting is not undone"
 
 
 def told(monkeypatch, fake, name, value):

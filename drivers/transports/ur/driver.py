@@ -265,12 +265,16 @@ class UrDriver(LinkDriver[UrLink, UrMotion]):
                 f"{self.address}: the robot is in local control, and remote control is needed: choose it at the "
                 "pendant, then connect again"
             )
-        tool, centre = (sample[name].astype(float) for name in ("tcp_offset", "payload_cog"))
-        differs = program.differs(tool, float(sample["payload"]), centre)
+        differs = self._differs(program, sample)
         if differs is not None:
             raise RefusedError(
                 f"{self.address}: {differs}. Set it in the installation at the pendant, or change the recipe's tool"
             )
+
+    def _differs(self, program: UrProgram, sample: np.void) -> str | None:
+        """What is set at the controller where it is not what the program sets."""
+        tool, centre = (sample[name].astype(float) for name in ("tcp_offset", "payload_cog"))
+        return program.differs(tool, float(sample["payload"]), centre)
 
     def _see_program(self, link: UrLink, motion: UrMotion, program: UrProgram) -> None:
         """Wait until the program that was sent is seen to run; it moves nothing yet.
@@ -341,8 +345,9 @@ class UrDriver(LinkDriver[UrLink, UrMotion]):
         link.guarded = not motion.over
         if motion.over and self._restoring:
             script, self._restoring = self._restoring, ""
-            with contextlib.suppress(DriverError):
-                link.send_program(script)
+            if self._stored is not None and self._differs(self._stored[1], samples[-1]) is None:
+                with contextlib.suppress(DriverError):
+                    link.send_program(script)
 
     def _on_message(self, message: ProgramChange | ProgramFault) -> None:
         if self._motion is not None:
