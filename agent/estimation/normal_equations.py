@@ -225,8 +225,8 @@ def predicts_better(before: np.ndarray, after: np.ndarray, weights: np.ndarray, 
 
     Weights are from residuals of a fit: a joint that more terms fit closely would outweigh all that they spoil.
     """
-    weighted = (np.sum(weights * each, axis=(1, 2)) for each in (before, after))
-    return clearly_better(*weighted, least) and float(after.sum()) <= float(before.sum())
+    was, now = (np.sum(weights * each, axis=(1, 2)) for each in (before, after))
+    return clearly_better(was, now, least) and float(after.sum()) <= float(before.sum())
 
 
 def clearly_better(before: np.ndarray, after: np.ndarray, least: float) -> bool:
