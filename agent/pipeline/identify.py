@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,13 +22,12 @@ from agent.recording import (
     import_dataset,
     import_log,
     is_dataset,
-    mapped_joints,
     read_recording,
     recorded_joints,
 )
 from agent.robot import RobotDescription, load_robot
 from agent.runs import check_output
-from agent.simulators import export_model, is_simulator, load_arm as load
+from agent.simulators import export_model, is_simulator, load_arm as load, load_arm_of
 from agent.validation import Validation, flipped_joints, predict_log, predicts, same_scale, summary, torque_scales
 
 MAP_OR_PRESET = "import: describe the columns with either --map MAP.yaml or --preset NAME"
@@ -55,9 +55,8 @@ def import_files(
         known = is_dataset(inputs[0])
         arm = load_arm(robot, inputs if known else (), topic)
         return list(import_dataset(arm, inputs[0], out, topic, None if known else str(mapping)))
-    # what the table has no column for, such as a finger of a gripper, is no joint of the arm
     alone = is_simulator(Path(robot))
-    description = load(Path(robot), most=mapped_joints(mapping)) if alone else load_robot(robot)
+    description = partial(load_arm_of, Path(robot)) if alone else load_robot(robot)
     return [str(note) for note in import_log(description, mapping, inputs, out)]
 
 

@@ -1,7 +1,8 @@
 """Logs of motions: written while the motion runs, read from whoever wrote them, imported from tables."""
 
+from agent.recording.column_names import named_joints, prefixed
 from agent.recording.datasets import DATASET_PRESETS, is_dataset, is_gripper, joint_pairs
-from agent.recording.importer import import_log, mapped_joints
+from agent.recording.importer import import_log
 from agent.recording.inputs import import_dataset, read_recording, recorded_joints
 from agent.recording.log import PARTS, PLANNED_PARTS, Log, machines_of
 from agent.recording.mcap.foxglove import FILTERED, FOXGLOVE_LAYOUT, PREDICTED, RESIDUAL, foxglove_layout

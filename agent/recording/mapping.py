@@ -113,7 +113,7 @@ class Columns(_MappingPart):
 
     columns: _Names
     unit: _Unit = (None,)
-    file: str | None = None
+    file: str | list[str] | None = None
     scale: _Scale = (1.0,)
     side: Side | None = None
 

@@ -102,7 +102,7 @@ def read_log(path: str | Path, robot: RobotDescription | None = None, topic: str
     pieces = [[a, *(cut for cut in cuts if a < cut < b), b] for a, b in spacing.segments]
     return Log(
         path=path,
-        joint_names=names,
+        joint_names=names if robot is None else robot.joint_names,
         t=t,
         position=arrays["position"],
         velocity=arrays.get("velocity"),

@@ -20,6 +20,7 @@ from .loader import (
     Simulator as Simulator,
     is_simulator as is_simulator,
     load_arm as load_arm,
+    load_arm_of as load_arm_of,
     load_simulator as load_simulator,
 )
 from .loads import VENDORS as VENDORS, identified_load as identified_load, load_text as load_text

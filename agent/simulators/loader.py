@@ -8,18 +8,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
-from agent.core import LARGEST_ROBOT_FILE, InputError, read_bytes
+from agent.core import LARGEST_ROBOT_FILE, InputError, counted, read_bytes
 from agent.model import IdentifiedModel
-from agent.recording import joint_pairs
+from agent.recording import is_gripper, joint_pairs, named_joints, prefixed
 from agent.robot import RobotDescription, parse_robot_file
 from agent.simulators.arm import SimulatedArm, described, model_of
 from agent.simulators.joints import matched
-from agent.simulators.mjcf import longest_branch, read_mjcf
+from agent.simulators.mjcf import branches_of, longest_branch, read_mjcf
 from agent.simulators.servos import PositionServos
-from agent.simulators.urdf import longest_chain, read_urdf
+from agent.simulators.urdf import chains_of, longest_chain, read_urdf
 
 _GRAVITY = (0.0, 0.0, -9.80665)
 _MOST_JOINTS = 7
+_ONE_ARM = "write a robot.yaml with tip_frame and joints of one arm (docs/how-to-robot.md), and name it with --robot"
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +58,13 @@ def load_simulator(
     text, root = _content(path)
     wanted = tuple(log_joints) if robot is None else robot.joint_names
     owner, gravity = ("the logs", _GRAVITY) if robot is None else (f"robot {robot.name}", robot.gravity)
-    arm = _arm(path, root, lambda in_file: matched(path, in_file, wanted, owner, names), gravity)
+
+    def match(in_file: Sequence[str]) -> dict[str, str]:
+        found = matched(path, in_file, wanted, owner, names)
+        arms = [] if not names else [arm for arm in _arms(path, root, lambda name: name in found) if {*names} <= {*arm}]
+        return {name: found[name] for name in in_file if name in arms[0]} if arms else found
+
+    arm = _arm(path, root, match, gravity)
     if len(arm.joint_names) > _MOST_JOINTS:
         raise InputError(
             f"{path}: {len(arm.joint_names)} joints are to be compared, and a serial arm has at most "
@@ -79,6 +86,31 @@ def load_simulator(
     return Simulator(arm, model, robot, (*arm.notes, *said, *ignored))
 
 
+def load_arm_of(path: Path, columns: Sequence[str]) -> RobotDescription:
+    """The arm in a URDF or MJCF whose joints columns name, or the only one with as many joints, grippers not counted.
+
+    Raises:
+        InputError: a file that cannot be read or used, several arms that may be meant, or another number of joints.
+    """
+    root = _content(path)[1]
+
+    def match(in_file: Sequence[str]) -> dict[str, str]:
+        named = named_joints(columns, in_file)
+        if named is not None:
+            return {name: name for name in in_file if name in named}
+        arms = _arms(path, root, lambda name: not is_gripper(name))
+        fitting = [arm for arm in arms if len(arm) == len(columns)]
+        if len(fitting) == 1:
+            return {name: name for name in fitting[0]}
+        listed = "; ".join(", ".join(arm) for arm in fitting or arms) or "none"
+        raise InputError(
+            f"{path}: the joints are {listed}. The names of the {counted(len(columns), 'column')} "
+            f"({', '.join(columns)}) do not say which they are of: name columns after their joints, or {_ONE_ARM}"
+        )
+
+    return described(_arm(path, root, match, _GRAVITY), None)[0]
+
+
 def load_arm(path: Path, log_joints: Sequence[str] = (), most: int = _MOST_JOINTS) -> RobotDescription:
     """The description of the arm in a URDF or MJCF: gear ratios of 1 and no nominal torques.
 
@@ -92,8 +124,11 @@ def load_arm(path: Path, log_joints: Sequence[str] = (), most: int = _MOST_JOINT
 
     def match(in_file: Sequence[str]) -> dict[str, str]:
         if log_joints:
-            pairs = joint_pairs(in_file, log_joints)
+            pairs = joint_pairs(in_file, log_joints) or prefixed(in_file, log_joints)
             chain = {name: pairs[name] for name in in_file if name in pairs}
+            if len(arms := _arms(path, root, lambda name: name in chain)) > 1:
+                listed = "; ".join(", ".join(arm) for arm in arms)
+                raise InputError(f"{path}: the log has joints of several of its arms ({listed}): {_ONE_ARM}")
         else:
             chain = {name: name for name in (longest_chain(root) if root.tag == "robot" else longest_branch(path))}
         if not chain:
@@ -104,6 +139,13 @@ def load_arm(path: Path, log_joints: Sequence[str] = (), most: int = _MOST_JOINT
         return dict(list(chain.items())[:most])
 
     return described(_arm(path, root, match, _GRAVITY), None)[0]
+
+
+def _arms(path: Path, root: Element, takes: Callable[[str], bool]) -> list[tuple[str, ...]]:
+    """Joints of the branches that it takes, base to tip, without branches that are part of another."""
+    chains = chains_of(root) if root.tag == "robot" else branches_of(path)
+    found = {tuple(name for name in chain if takes(name)): None for chain in chains}
+    return [arm for arm in found if arm and not any(set(arm) < set(other) for other in found)]
 
 
 def _content(path: Path) -> tuple[bytes, Element]:

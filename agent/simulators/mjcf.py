@@ -117,7 +117,16 @@ def read_mjcf(path: Path, root: Element, match: Callable[[Sequence[str]], Mappin
 
 
 def longest_branch(path: Path) -> list[str]:
-    """Joints of the branch that has most of them, base to tip, without those coupled by an equality.
+    """Joints of the branch that has most of them.
+
+    Raises:
+        InputError: MuJoCo does not accept the file.
+    """
+    return max(branches_of(path), key=len)
+
+
+def branches_of(path: Path) -> list[list[str]]:
+    """Joints of every branch, base to tip, without those coupled by an equality.
 
     Raises:
         InputError: MuJoCo does not accept the file.
@@ -130,7 +139,7 @@ def longest_branch(path: Path) -> list[str]:
     for body in range(1, model.nbody):
         own = [name for j, name in free.items() if model.jnt_bodyid[j] == body]
         branches.append(branches[model.body_parentid[body]] + own)
-    return max(branches, key=len)
+    return branches
 
 
 def _single_axes(mujoco: Any, model: Any) -> dict[int, str]:

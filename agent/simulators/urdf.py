@@ -83,14 +83,18 @@ def read_urdf(
 
 
 def longest_chain(root: Element) -> list[str]:
-    """Joints of the branch that has most of them, base to tip, without those paired by `mimic`."""
+    """Joints of the branch that has most of them."""
+    return max(chains_of(root), key=len, default=[])
+
+
+def chains_of(root: Element) -> list[list[str]]:
+    """Joints of every branch, base to tip, without those paired by `mimic`."""
     joints = root.findall("joint")
     paired = {name for j in joints for mimic in j.iter("mimic") for name in (j.get("name"), mimic.get("joint"))}
-    chains = (
+    return [
         [str(j.get("name")) for j in path if j.get("type") in _MOVABLE and j.get("name") not in paired]
         for path in _paths(root)
-    )
-    return max(chains, key=len, default=[])
+    ]
 
 
 def _paths(root: Element) -> list[list[Element]]:

@@ -70,7 +70,11 @@ def test_joint_side_columns_are_imported_unchanged(convert, table):
     np.testing.assert_allclose(log.t, values[:, 0], atol=1e-9)
     assert log.sample_rate == pytest.approx(200)
     assert log.metadata["robot"] == "pair"
-    assert notes == ("out.mcap: 400 samples, 1.995 s at 200 Hz",)
+    assert notes == (
+        *(f"out.mcap: {key}: turn from {x}1, slide from {x}2" for key, x in [("position", "q"), ("velocity", "v")]),
+        "out.mcap: effort: turn from e1, slide from e2",
+        "out.mcap: 400 samples, 1.995 s at 200 Hz",
+    )
 
 
 def test_applies_units_scales_and_offsets(convert, table):
@@ -172,10 +176,95 @@ def test_joins_columns_of_several_files(convert, tmp_path, table):
     with pytest.raises(InputError, match=r"map.yaml:2: position.columns: data.csv, other.csv all have these columns"):
         convert("rate: 200 Hz\nposition: {columns: [q1, q2]}\n", path, tmp_path / "other.csv")
     np.savetxt(tmp_path / "short.csv", values[:300, 5:7], delimiter=",", header="a,b", comments="")
-    with pytest.raises(InputError, match=r"different length: position 400, effort 300 rows"):
+    with pytest.raises(InputError, match=r"different length: .*\(data.csv\) 400, effort \(short.csv\) 300 rows"):
         convert(
             "rate: 200 Hz\nposition: {columns: [q1, q2]}\neffort: {columns: [a, b]}\n", path, tmp_path / "short.csv"
         )
+
+
+def _save(path: Path, names: str, *columns: np.ndarray) -> Path:
+    np.savetxt(path, np.column_stack(columns), delimiter=",", header=names, comments="", fmt="%.17g")
+    return path
+
+
+CLOCKS = "time: {file: data.csv, column: t}\nposition: {columns: [q1, q2]}\neffort: {columns: [e1, e2]}\n"
+
+
+@pytest.mark.parametrize("kept", [slice(50, None), [*range(150), *range(157, 400)], slice(None, None, 4)])
+def test_files_with_stamps_of_their_own_are_joined_by_time(convert, tmp_path, table, kept):
+    """A logger that started later, lost rows, or is slower."""
+    _, values = table
+    t, q, e = values[:, 0], values[:, 1:3], values[:, 5:7]
+    files = _save(tmp_path / "data.csv", "t,q1,q2", t, q), _save(tmp_path / "tau.csv", "t,e1,e2", t[kept], e[kept])
+    log, notes = convert(CLOCKS, *files)
+    np.testing.assert_allclose(log.position, q[kept], atol=1e-12)
+    np.testing.assert_allclose(log.effort, e[kept], atol=1e-12)
+    assert any("data.csv, tau.csv: columns have stamps of their own, joined by time" in note for note in notes)
+
+
+def test_files_without_a_common_time_are_refused(convert, tmp_path, table):
+    _, values = table
+    t, q, e = values[:, 0], values[:, 1:3], values[:, 5:7]
+    files = _save(tmp_path / "data.csv", "t,q1,q2", t, q), _save(tmp_path / "tau.csv", "t,e1,e2", t + 1e4, e)
+    with pytest.raises(InputError, match=r"no time in common \(data.csv 0 s to 1.995 s; tau.csv 10000 s"):
+        convert(CLOCKS, *files)
+
+
+def test_rows_of_two_topics_are_joined_by_time(convert, tmp_path, table):
+    """As a plotting tool exports them: the cells of the other topic are empty."""
+    _, values = table
+    lines = ["t,q1,q2,e1,e2"]
+    for t, q1, q2, _, _, e1, e2 in values.tolist():
+        lines += [f"{t!r},{q1!r},{q2!r},,", f"{t + 0.0005!r},,,{e1!r},{e2!r}"]
+    (tmp_path / "data.csv").write_text("\n".join(lines))
+    log, _ = convert(CLOCKS, tmp_path / "data.csv")
+    np.testing.assert_allclose(log.position, values[1:, 1:3], atol=1e-12)
+    np.testing.assert_allclose(log.effort, 0.9 * values[1:, 5:7] + 0.1 * values[:-1, 5:7], atol=1e-9)
+
+
+def test_each_joint_may_have_a_file_of_its_own(convert, tmp_path, table):
+    _, values = table
+    paths = [_save(tmp_path / f"{k}.csv", "q,e", values[:, k], values[:, k + 4]) for k in (1, 2)]
+    files = "file: [1.csv, 2.csv], columns: "
+    mapping = f"rate: 200 Hz\nposition: {{{files}[q, q]}}\neffort: {{{files}[e, e]}}\n"
+    log, notes = convert(mapping, *paths)
+    np.testing.assert_array_equal(log.position, values[:, 1:3])
+    np.testing.assert_array_equal(log.effort, values[:, 5:7])
+    assert "out.mcap: position: turn from q of 1.csv, slide from q of 2.csv" in notes
+    with pytest.raises(InputError, match=r"position.file: 1 file for 2 columns"):
+        convert("rate: 200 Hz\nposition: {file: [1.csv], columns: [q, q]}\n", *paths)
+
+
+def test_columns_that_are_named_after_other_joints_are_refused(convert, tmp_path, table):
+    _, values = table
+    path = _save(tmp_path / "data.csv", "t,slide.q,turn.q", values[:, 0], values[:, 1:3])
+    with pytest.raises(InputError, match=r"joints are turn, slide, but slide.q is of slide, turn.q is of turn; write"):
+        convert("time: {column: t}\nposition: {columns: [2, 3]}\n", path)
+    log, _ = convert("time: {column: t}\nposition: {columns: [3, 2]}\n", path)
+    np.testing.assert_array_equal(log.position, values[:, [2, 1]])
+
+
+@pytest.mark.parametrize("share", [0.01, 0.06])
+def test_rows_that_were_lost_show_against_the_velocity(convert, tmp_path, share):
+    rng = np.random.default_rng(4)
+    t = np.arange(2000) / 100
+    q, v = np.column_stack([np.sin(2 * t), 0.1 * t]), np.column_stack([2 * np.cos(2 * t), 0.1 + 0 * t])
+    kept = np.append(0, 1 + np.flatnonzero(rng.random(1999) > share))
+    path = _save(tmp_path / "data.csv", "q1,q2,v1,v2", q[kept].round(4), v[kept].round(4))
+    log, notes = convert("rate: 100 Hz\nposition: {columns: [q1, q2]}\nvelocity: {columns: [v1, v2]}\n", path)
+    recovered = round(100 * log.t[-1]) + 1 - len(kept)  # but for what was lost while the arm hardly moved
+    assert 0.7 * (2000 - len(kept)) <= recovered <= 2000 - len(kept)
+    assert any("rows are missing at" in note for note in notes)
+    whole = _save(tmp_path / "whole.csv", "q1,q2,v1,v2", q, v)
+    log, notes = convert("rate: 100 Hz\nposition: {columns: [q1, q2]}\nvelocity: {columns: [v1, v2]}\n", whole)
+    assert not any("missing" in note for note in notes)
+
+
+def test_rows_too_far_apart_for_a_motion_ask_for_the_unit_of_time(convert, tmp_path, table):
+    _, values = table
+    path = _save(tmp_path / "data.csv", "t,q1,q2", 1e4 * values[:, 0], values[:, 1:3])
+    with pytest.raises(InputError, match=r"map.yaml:1: time.unit: rows are 50 s apart .*is s right, or is it ms"):
+        convert("time: {column: t}\nposition: {columns: [q1, q2]}\n", path)
 
 
 def test_repairs_broken_and_jittered_rows(convert, tmp_path, table):
@@ -241,7 +330,7 @@ def test_names_the_unusable_column(convert, tmp_path, rows, complaint):
 
 def test_reports_a_clock_set_back_in_a_table(convert, tmp_path):
     times = np.concatenate([np.arange(300), np.arange(300)]) / 100
-    rows = [f"{t},{k},{k}" for k, t in enumerate(times)]
+    rows = [f"{t},{k % 300},{k}" for k, t in enumerate(times)]
     (tmp_path / "data.csv").write_text("\n".join(["t,a,b", *rows]))
     with pytest.raises(InputError, match=r"data.csv: the controller's clock was set back"):
         convert("time: {column: t}\nposition: {columns: [a, b]}\n", tmp_path / "data.csv")

@@ -106,10 +106,54 @@ def test_refuses_constant_stamps(log_at):
         log_at(np.full(100, 7.0), position=np.arange(100))
 
 
-def test_refuses_a_log_whose_clock_was_set_back(log_at):
+def test_refuses_two_recordings_in_one_log(log_at):
     times = np.arange(1000) / 500
+    q = np.concatenate([np.arange(1000), 5000 + np.arange(600)])
     with pytest.raises(InputError, match=r"log.mcap: the controller's clock was set back.*sample 1000 on"):
-        log_at(np.concatenate([times, times[:600] + 0.0005]), position=np.arange(1600))
+        log_at(np.concatenate([times, times[:600] + 0.0005]), position=q)
+
+
+@pytest.mark.parametrize("lag", [0.1, 1.0, 50.0])
+def test_a_clock_that_is_set_back_once_is_a_cut(log_at, lag):
+    true = 200 + np.arange(1500) / 500
+    log = log_at(np.where(true < 202, true, true - lag), position=np.sin(true))
+    assert log.segments == ((0, 1000), (1000, 1500))
+    np.testing.assert_array_equal(log.position[:, 0], np.sin(true))
+    assert repair(log, f"the clock was set back by {lag - 0.002:.6g} s, cut there").time == pytest.approx(1.998)
+
+
+@pytest.mark.parametrize("whole", [2.0**32 * 1e-6, 2.0**16 * 1e-3, 86_400.0, 3_600.0])
+@pytest.mark.parametrize("lost", [0, 3])
+def test_a_clock_that_wraps_goes_on(log_at, whole, lost):
+    true = whole - 5 + np.arange(1000) / 100
+    kept = np.delete(np.arange(1000), np.arange(500, 500 + lost))
+    log = log_at(true[kept] % whole, position=np.sin(true)[kept])
+    np.testing.assert_allclose(log.t, true[kept] - true[0], atol=1e-6)
+    np.testing.assert_array_equal(log.position[:, 0], np.sin(true)[kept])
+    assert repair(log, "stamps that start again").count == 1
+
+
+@pytest.mark.parametrize("size", [5, 10, 40])
+def test_stamps_of_arrival_are_spread_evenly(log_at, size):
+    rng = np.random.default_rng(1)
+    true = np.arange(2000) / 200
+    burst = np.arange(2000) // size
+    arrival = (
+        (burst + 1) * size / 200
+        + rng.uniform(0, 0.02, 2000 // size)[burst] * size / 200
+        + np.arange(2000) % size * 1e-4
+    )
+    log = log_at(arrival, position=np.sin(true))
+    assert log.sample_rate == pytest.approx(200, rel=2e-3)
+    assert len(log.segments) == 1
+    assert repair(log, f"stamps of arrival, {size} at a time every {size / 200:.3g} s").count == 2000
+
+
+def test_bursts_that_were_sampled_as_bursts_stay(log_at):
+    """Ten samples at 2 kHz every 0.1 s: the arm stands still between neither of them."""
+    true = np.arange(200).repeat(10) * 0.1 + np.tile(np.arange(10), 200) * 5e-4
+    log = log_at(true, position=np.sin(true))
+    np.testing.assert_allclose(log.t, true, atol=1e-8)
 
 
 def test_halves_in_the_wrong_order_are_sorted(log_at):

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from agent.core import InputError
+from agent.recording.column_names import prefixed, prefixes_of
 from agent.recording.log import Repair
 from agent.recording.mcap.foxglove import FILTERED, PREDICTED, RESIDUAL
 from agent.recording.mcap.log_file import CURRENTS, PLANNED, REFERENCES, STATES, TEMPERATURES
@@ -26,7 +27,7 @@ _Topics = dict[str, list[Messages]]
 def choose_topics(
     path: Path, found: Scan, robot: RobotDescription | None, wanted: str | None, named: str | None
 ) -> tuple[tuple[str, ...], tuple[str, ...], list[Repair]]:
-    """The topics to read, the joints in their order, and what was left out.
+    """The topics to read, the joints by their names in the log, in the robot's order, and what there is to say.
 
     One topic is read unless the joints of the arm are spread over several: `wanted`, or the only one that holds the
     joints of the robot. `named` is the robot that the log says it is of.
@@ -46,7 +47,8 @@ def choose_topics(
         if len(set(most)) != len(most) or not most:
             raise InputError(f"{path}: joint names are empty or stand twice in a message: {list(most)}")
         return (topic,), most, []
-    joints = set(robot.joint_names)
+    own = _own_names(topics, robot.joint_names)
+    joints = set(own)
     chosen = _holding(topics, joints)
     if not chosen:
         raise InputError(f"{path}: {_of_another_robot(topics, robot, named)}")
@@ -57,10 +59,20 @@ def choose_topics(
         raise InputError(f"{path}: several topics {what}: {_listed(topics)}. Say which with --topic")
     others = {topic: groups for topic, groups in topics.items() if topic not in chosen}
     repairs = []
+    if own != robot.joint_names:
+        kind = f"joints {', '.join(own)} are taken for {', '.join(robot.joint_names)}; joints"
+        repairs.append(Repair(kind, 0.0, len(own)))
     for topic, groups in others.items():
         kind = f"messages of another topic, left out: {_listed({topic: groups})}"
         repairs.append(Repair(kind, 0.0, sum(len(group.stamp) for group in groups)))
-    return tuple(chosen), robot.joint_names, repairs
+    return tuple(chosen), own, repairs
+
+
+def _own_names(topics: _Topics, joints: tuple[str, ...]) -> tuple[str, ...]:
+    """What the joints are called in the log: as they are, or with a prefix more or less."""
+    known = {name for groups in topics.values() for name in _names(groups)}
+    called = {} if set(joints) <= known else prefixed(joints, known)
+    return tuple(called.get(name, name) for name in joints)
 
 
 def logged_joints(path: Path, wanted: str | None = None) -> tuple[str, ...]:
@@ -139,15 +151,9 @@ def _of_another_robot(topics: _Topics, robot: RobotDescription, named: str | Non
     of = f"of robot {named!r}, " if named else ""
     joints = _listed(topics) if len(topics) > 1 else _shown(_names(next(iter(topics.values()))))
     advice = "Name the robot description that belongs to the log"
-    if prefixes := _prefixes(known, robot.joint_names):
+    if prefixes := prefixes_of(robot.joint_names, known):
         advice = f"Its names begin with {' or '.join(prefixes)}: give the joints of one arm these names in robot.yaml"
     return f"the log is {of}not of robot {robot.name!r}: {missing} missing, its joints are {joints}. {advice}"
-
-
-def _prefixes(known: Collection[str], joints: Sequence[str]) -> list[str]:
-    """Prefixes of all of the robot's joints in a log, such as `left_` and `right_`."""
-    found = {name.removesuffix(joints[0]) for name in known if name.endswith(joints[0])}
-    return sorted(prefix for prefix in found if all(prefix + joint in known for joint in joints))
 
 
 def _names(groups: Sequence[Messages]) -> list[str]:

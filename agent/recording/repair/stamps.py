@@ -10,6 +10,7 @@ import numpy as np
 
 from agent.core import InputError
 from agent.recording.log import NANO, Repair
+from agent.recording.repair.clock import evened_bursts, set_back, unwrapped
 from agent.recording.repair.grid import grid_rate, line, sample_numbers
 
 #: A stretch without samples of at most this [s], or of two samples, can be interpolated; a longer one is a gap.
@@ -64,10 +65,15 @@ def put_in_order(stamp: np.ndarray, values: Sequence[np.ndarray], name: str) -> 
     """
     if len(stamp) < 2:
         raise InputError(f"{name}: 1 sample at {stamp[0] / NANO:.6f} s; a motion has more")
+    stamp, said = unwrapped(stamp)
+    if len(values):
+        stamp, cut = set_back(stamp, values[0])
+        stamp, spread = evened_bursts(stamp, values[0])
+        said += cut + spread
     far = far_off(stamp)
     rows = np.flatnonzero(~far)
     first = int(stamp[rows].min())
-    repairs = Repair.of("samples with stamps far off, dropped", (stamp - first) / NANO, far)
+    repairs = [*said, *Repair.of("samples with stamps far off, dropped", (stamp - first) / NANO, far)]
     back = np.append(False, np.diff(stamp[rows]) < 0)
     where = (stamp[rows] - first) / NANO
     if back.any() and len(values) and (kept := _in_file_order(stamp[rows], values[0][rows])) is not None:

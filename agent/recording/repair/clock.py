@@ -1,0 +1,115 @@
+"""Clocks that wrap around, pass midnight or are set back, stamps of arrival, and rows that were lost without stamps."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from agent.core import counted
+from agent.recording.log import NANO, Repair
+from agent.recording.repair.grid import line
+
+#: Full ranges of clocks [s]: counters of 16, 31 and 32 bit in usual units, and the time of day, of half a day, an hour.
+_RANGES = np.array([2.0**bits * unit for bits in (16, 31, 32) for unit in (1, 1e-3, 1e-6, 1e-7, 1e-9)])
+_RANGES = np.append(_RANGES, [86_400.0, 43_200.0, 3_600.0])
+#: Periods that may be missing where a clock wraps.
+_NEAR = 10.0
+#: Rows for which a clock that was set back stays behind: fewer are late samples. The stretch is cut out by this [s].
+_BEHIND, _CUT = 20, 1.0
+#: Of arrival: samples of a burst at least, part of the bursts with nearly as many, pause over spacing within, part of
+#: the time in pauses, scatter of the pauses; and how much further positions may go over a pause than within.
+_FEWEST, _ALIKE, _PAUSE, _WAITING, _REGULAR, _FURTHER = 3, 0.9, 5.0, 0.8, 0.25, 3.0
+#: Of a lost row: steps by their velocity, at least this part of the largest; and how near the way is to whole steps.
+_CLEAR, _WHOLE = 0.2, 0.25
+
+
+def unwrapped(stamp: np.ndarray) -> tuple[np.ndarray, list[Repair]]:
+    """Stamps (S,) [ns] in the order of the file without steps back by the full range of a clock.
+
+    A step is one only where the clock goes on by its usual period after it, so that blocks in wrong order are none.
+    """
+    step = np.diff(stamp)
+    back = np.flatnonzero(step < 0)
+    if not len(back) or len(back) > 0.1 * len(step):
+        return stamp, []
+    period = float(np.median(step[step > 0])) if np.any(step > 0) else 0.0
+    ranges = np.rint(_RANGES * NANO).astype(np.int64)
+    on = step[back][:, None] + ranges - period
+    long = ranges > _NEAR**2 * period  # a shorter range is that of late samples
+    whole = np.where(long & (np.abs(on) <= _NEAR * period), ranges, 0).max(axis=1)
+    if not whole.all():
+        return stamp, []
+    added = np.zeros(len(stamp), np.int64)
+    added[back + 1] = whole
+    kind = f"stamps that start again after {whole[0] / NANO:.9g} s, continued"
+    return stamp + np.cumsum(added), Repair.of(kind, (stamp[back] - stamp[0]) / NANO)
+
+
+def set_back(stamp: np.ndarray, position: np.ndarray) -> tuple[np.ndarray, list[Repair]]:
+    """Stamps (S,) [ns] in the order of the file; where a clock was set back once while positions (S, n) went on, what
+    follows comes a second later, as a segment of its own."""
+    back = np.flatnonzero(np.diff(stamp) < 0)
+    if len(back) != 1 or min(back[0] + 1, len(stamp) - back[0] - 1) < _BEHIND:
+        return stamp, []
+    first = int(back[0]) + 1
+    way = np.abs(np.diff(position[first - _BEHIND : first + _BEHIND], axis=0)).sum(axis=1)
+    if np.count_nonzero(stamp[first:] < stamp[first - 1]) < _BEHIND or way[_BEHIND - 1] > _FURTHER * np.median(way):
+        return stamp, []
+    lag = int(stamp[first - 1] - stamp[first])
+    moved = stamp.copy()
+    moved[first:] += lag + int(_CUT * NANO)
+    kind = f"the clock was set back by {lag / NANO:.6g} s, cut there"
+    return moved, [Repair(kind, float(stamp[first - 1] - stamp[0]) / NANO, 1)]
+
+
+def evened_bursts(stamp: np.ndarray, position: np.ndarray) -> tuple[np.ndarray, list[Repair]]:
+    """Stamps (S,) [ns] of samples that arrive in bursts, in the order of the file, on the grid they were taken on.
+
+    Positions (S, n) go as far from row to row over a pause as within a burst: the arm moved on, the stamps did not.
+    Then the arrivals give the rate. Where rows are missing they do not lie on a line, and the stamps stay.
+    """
+    step = np.diff(stamp)
+    usual = float(np.median(np.abs(step)))
+    pause = step > _PAUSE * usual
+    starts = np.append(0, np.flatnonzero(pause) + 1)
+    size = np.diff(starts)
+    if usual == 0 or len(size) < _FEWEST or np.median(size) < _FEWEST:
+        return stamp, []
+    apart = np.diff(stamp[starts])
+    alike = np.mean(np.abs(size - np.median(size)) <= 1)
+    waiting = step[pause].sum() > _WAITING * step.sum() and step.min() > -0.5 * step[pause].min()
+    if alike < _ALIKE or not waiting or np.std(apart) > _REGULAR * np.mean(apart):
+        return stamp, []
+    way = np.abs(np.diff(position, axis=0)).sum(axis=1)
+    if not way.any() or np.mean(way[pause]) > _FURTHER * np.mean(way[~pause]):
+        return stamp, []
+    slope, intercept = line(starts.astype(float), (stamp[starts] - stamp[0]).astype(float))
+    if np.abs(stamp[starts] - stamp[0] - intercept - slope * starts).max() > 0.5 * np.mean(apart):
+        return stamp, []
+    even = stamp[0] + np.rint(intercept + slope * np.arange(len(stamp))).astype(np.int64)
+    kind = f"stamps of arrival, {np.median(size):.0f} at a time every {np.mean(apart) / NANO:.3g} s, spread evenly"
+    return even, [Repair(f"{kind} at {NANO / slope:.6g} Hz; samples", 0.0, len(stamp))]
+
+
+def with_lost_rows(stamp: np.ndarray, position: np.ndarray, velocity: np.ndarray) -> tuple[np.ndarray, list[Repair]]:
+    """Stamps (S,) [ns] of rows that are counted and not stamped, with the time of those that are missing.
+
+    Between two rows joints go by their velocity (S, n) for one period, or for two where a row was lost: the way over
+    that by velocity is then 2, for all joints alike. Slow steps do not show it.
+    """
+    step = np.diff(stamp)
+    by_velocity = 0.5 * (velocity[1:] + velocity[:-1]) * step[:, None] / NANO
+    way, square = np.diff(position, axis=0), np.sum(by_velocity**2, axis=1)
+    clear = square > (_CLEAR**2) * np.quantile(square, 0.95)
+    times = np.sum(way * by_velocity, axis=1) / np.where(square > 0, square, 1.0)
+    left = np.sum((way - times[:, None] * by_velocity) ** 2, axis=1)
+    periods = np.rint(times)
+    # a velocity that is not the derivative of its position says nothing
+    agrees = clear.any() and np.median(np.abs(times[clear] - 1)) < _WHOLE / 2
+    lost = clear & (periods >= 2) & (np.abs(times - periods) < _WHOLE) & (left < _WHOLE**2 * np.sum(way**2, axis=1))
+    if not agrees or not lost.any():
+        return stamp, []
+    missing = np.where(lost, periods - 1, 0).astype(np.int64)
+    places = f"{counted(int(lost.sum()), 'place')}, first after row {int(np.argmax(lost)) + 1}"
+    kind = f"rows are missing at {places}: positions move on by more than the velocity says; their time is added; rows"
+    shifted = stamp + np.append(0, np.cumsum(missing * step))
+    return shifted, [Repair(kind, float(stamp[np.argmax(lost)] - stamp[0]) / NANO, int(missing.sum()))]
