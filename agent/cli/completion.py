@@ -40,6 +40,13 @@ def robots(incomplete: str) -> list[str]:
     return [*_starting(builtin_robots(), incomplete), *_files(incomplete, ".yaml", ".urdf", ".xml")]
 
 
+def simulators(incomplete: str) -> list[str]:
+    """Simulators that get files of their own."""
+    from agent.simulators import TARGETS
+
+    return _starting(TARGETS, incomplete)
+
+
 def structures(incomplete: str) -> list[str]:
     """Structures of a model."""
     return _starting(("rigid", "auto"), incomplete)

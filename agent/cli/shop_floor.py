@@ -118,9 +118,17 @@ def report(
 
 @app.command(rich_help_panel=opt.DATA, epilog="Example: agent export model.json -o exported")
 def export(
-    model: Annotated[Path, Argument(metavar="MODEL", help="model file")],
+    model: Annotated[Path, Argument(metavar="MODEL", help="model file; with --for also an MJCF or URDF")],
     out: Annotated[Path | None, Option("-o", "--out", metavar="DIR", help="folder to write to")] = None,
-    table: Annotated[bool, Option("--csv", help="only the table of parameters")] = False,
+    simulator: Annotated[
+        str | None,
+        Option(
+            "--for",
+            metavar="SIMULATOR",
+            help="mjcf, isaaclab, mjlab, usd, newton or genesis; csv for the table of parameters alone",
+            autocompletion=completion.simulators,
+        ),
+    ] = None,
     load: Annotated[
         str | None,
         Option(
@@ -133,32 +141,44 @@ def export(
         str | None, Option(metavar="FRAME", help="with --load: the frame that is the controller's flange")
     ] = None,
 ) -> None:
-    """Write a model as URDF, MuJoCo model, SDF, CSV and Foxglove layout, or print the load for a robot vendor."""
-    if (out is None) == (load is None):
+    """Write a model as URDF, MuJoCo model, SDF, CSV and Foxglove layout, for a simulator, or print its load."""
+    if (out is None) == (load is None) or (load is not None and simulator is not None):
         raise InputError(
             f"export: say what to make of {model}: -o DIR for URDF, MuJoCo model, SDF, friction file and table; "
-            f"--csv -o DIR for the table alone; or --load {'|'.join(simulators.VENDORS)} for the load"
-            + ("" if out is None else "; one of them at a time")
+            f"--for {'|'.join(simulators.TARGETS)}|csv -o DIR for one simulator or the table alone; "
+            f"or --load {'|'.join(simulators.VENDORS)} for the load"
+            + ("" if out is None or load is None else "; one of them at a time")
         )
     if flange is not None and load is None:
         raise InputError("export: --flange belongs to --load")
-    loaded = models.IdentifiedModel.load(model)
+    if simulators.is_simulator(model) and simulator in (None, "csv"):
+        raise InputError(f"{model}: is a simulator's file: name with --for the simulator that gets its numbers")
     if load is not None:
+        loaded = models.IdentifiedModel.load(model)
         text, about = simulators.load_text(simulators.identified_load(loaded, flange), load)
         print(about, end="\n" if about else "", file=sys.stderr)
         core.print_text(text)
-    if out is None:
-        return
+    if out is not None:
+        core.print_text("\n".join(map(str, _exported(model, out, simulator))))
+
+
+def _exported(model: Path, out: Path, simulator: str | None) -> tuple[Path, ...]:
+    """Write the files that are asked for; what they lack goes to stderr."""
+
+    def say(text: str) -> None:
+        print(f"warning: {text}", file=sys.stderr)
+
     if out.exists() and not out.is_dir():
         raise InputError(f"{out}: is a file; name a folder to write to")
-    if table:
-        paths = simulators.export_table(loaded, out)
-    else:
-        loaded, note = models.possible_model(loaded)
-        if note:
-            print(f"warning: {note}", file=sys.stderr)
-        paths = simulators.export_model(loaded, out, lambda text: print(f"warning: {text}", file=sys.stderr))
-    core.print_text("\n".join(map(str, paths)))
+    if simulator not in (None, "csv"):
+        return simulators.write_target(simulators.numbers_of_file(model), str(simulator), out, say)
+    loaded = models.IdentifiedModel.load(model)
+    if simulator == "csv":
+        return simulators.export_table(loaded, out)
+    loaded, note = models.possible_model(loaded)
+    if note:
+        say(note)
+    return simulators.export_model(loaded, out, say)
 
 
 @app.command(rich_help_panel=opt.TOOLS, epilog="Example: agent learn-interpolator --robot arm.yaml -o law.yaml a.mcap")

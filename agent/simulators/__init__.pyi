@@ -30,3 +30,4 @@ from .servos import (
     PositionServos as PositionServos,
     servo_stiffness as servo_stiffness,
 )
+from .targets import TARGETS as TARGETS, numbers_of_file as numbers_of_file, write_target as write_target

@@ -46,7 +46,8 @@ class SimulatedArm:
 
     Per joint (n,), on the joint side: armature [kg·m²], damping [N·m·s/rad], frictionloss [N·m], stiffness [N·m/rad]
     and the rest position [rad] of the spring; `file_joints` are the joints' names in the file. `carrying`
-    (n,): which body takes a change of each link. `servos`: those of the file's joints, or why it has none.
+    (n,): which body takes a change of each link. `servos`: those of the file's joints, or why it has none. `step` [s]
+    is that of the file's physics.
     """
 
     path: Path
@@ -60,6 +61,7 @@ class SimulatedArm:
     carrying: tuple[CarryingBody, ...]
     notes: tuple[str, ...] = ()
     servos: PositionServos | str = "a URDF has no servos"
+    step: float | None = None
 
     @property
     def joint_names(self) -> tuple[str, ...]:

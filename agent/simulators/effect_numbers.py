@@ -165,25 +165,29 @@ def left_out(model: IdentifiedModel, friction: np.ndarray) -> Iterator[str]:
 
     `friction` (n, 2): damping and Coulomb level of each axle as they are written.
     """
-    time, q, qd, qdd = usual_motion(model.robot)
-    units = ["N" if joint.prismatic else "N·m" for joint in model.robot.joints]
-
-    def most(torque: np.ndarray) -> str:
-        largest = np.abs(torque).max(axis=0)
-        k = int(np.argmax(largest))
-        return f"up to {largest[k]:.3g} {units[k]} on {model.robot.joint_names[k]}"
-
+    _, q, qd, qdd = usual_motion(model.robot)
     for entry in model.effects:
-        torque = effect_torque(model, entry, {"time": time, "q": q, "qd": qd, "qdd": qdd})
         place = f" of {', '.join(entry.joints)}" if entry.joints else ""
         of = "" if CATALOGUE[entry.effect].moves_arm else ", of what the robot measures, not of how it moves"
-        yield f"{entry.effect}{place} ({most(torque)}{of})"
+        yield f"{entry.effect}{place} ({torque_text(model, entry)}{of})"
     speed = qd @ model.robot.coupling.T
     line = (friction[:, 0] * speed + friction[:, 1] * np.sign(speed)) @ model.robot.coupling
     sharp = tuple(term if term.reversal is None else replace(term, reversal=Reversal()) for term in model.terms)
     curve = replace(model, terms=sharp).rigid_and_friction(q, qd, qdd)[1] - line
     if np.any(np.abs(curve).max(axis=0) > _ROUND_OFF * np.maximum(np.abs(line).max(axis=0), 1e-12)):
-        yield f"what friction differs by from the line of damping and Coulomb level ({most(curve)})"
+        yield f"what friction differs by from the line of damping and Coulomb level ({_most(model.robot, curve)})"
+
+
+def torque_text(model: IdentifiedModel, entry: ModelEffect) -> str:
+    """The largest torque of an effect on that motion, and on which joint."""
+    time, q, qd, qdd = usual_motion(model.robot)
+    return _most(model.robot, effect_torque(model, entry, {"time": time, "q": q, "qd": qd, "qdd": qdd}))
+
+
+def _most(robot: RobotDescription, torque: np.ndarray) -> str:
+    largest = np.abs(torque).max(axis=0)
+    k = int(np.argmax(largest))
+    return f"up to {largest[k]:.3g} {'N' if robot.joints[k].prismatic else 'N·m'} on {robot.joint_names[k]}"
 
 
 def usual_motion(robot: RobotDescription) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

@@ -53,11 +53,12 @@ def export_model(
     model = numbers.model
     standard = full_parameters(model)
     check_physical(model.robot, standard)
-    lines, rotors = _friction_lines(model), standard[ParameterLayout.of(model.robot).rotors]
+    lines, rotors = friction_lines(model), standard[ParameterLayout.of(model.robot).rotors]
     links = _links(model, standard, lines)
+    urdf_of_arm, mjcf_of_arm = body_texts(numbers, standard, lines)
     texts = {
-        folder / f"{model.robot.name}.urdf": urdf_text(model, links),
-        folder / f"{model.robot.name}.xml": mujoco_text(numbers, links, model.robot.gear_ratios**2 * rotors, lines),
+        folder / f"{model.robot.name}.urdf": urdf_of_arm,
+        folder / f"{model.robot.name}.xml": mjcf_of_arm,
         folder / "friction.json": json.dumps(friction_data(model, rotors, lines), indent=1, allow_nan=False),
         folder / f"{model.robot.name}.sdf": sdf_text(numbers, links),
         folder / _TABLE: table,
@@ -140,6 +141,13 @@ def _links(model: IdentifiedModel, standard: np.ndarray, lines: np.ndarray) -> l
         pose = model.rigid.dynamics.link_poses(np.zeros((1, robot.dof)), name)[0]
         found.append(_Link(joint, name, blocks[k], pose, axis, *map(float, lines[k] * (own[k] ** 2, own[k]))))
     return found
+
+
+def body_texts(numbers: NumbersOfModel, standard: np.ndarray, lines: np.ndarray) -> tuple[str, str]:
+    """URDF and MJCF of the bodies, with the friction of `lines` (n, 2), for standard parameters (11 n,)."""
+    links, rotors = _links(numbers.model, standard, lines), standard[ParameterLayout.of(numbers.model.robot).rotors]
+    armature = numbers.model.robot.gear_ratios**2 * rotors
+    return urdf_text(numbers.model, links), mujoco_text(numbers, links, armature, lines)
 
 
 def urdf_text(model: IdentifiedModel, links: Iterable[_Link]) -> str:
@@ -290,7 +298,7 @@ def _notes(model: IdentifiedModel) -> Iterable[str]:
         yield "A URDF cannot describe coupled friction: the friction of a coupled axle is that of its own joint."
 
 
-def _friction_lines(model: IdentifiedModel) -> np.ndarray:
+def friction_lines(model: IdentifiedModel) -> np.ndarray:
     """(n, 2) damping and friction, neither negative, nearest to what changes sign with the speed of every axle."""
     robot, values = model.robot, model.friction_values
     highest = np.abs(robot.coupling) @ robot.max_velocity

@@ -111,6 +111,7 @@ def read_mjcf(path: Path, root: Element, match: Callable[[Sequence[str]], Mappin
         carrying=carrying,
         notes=tuple(scene.notes()),
         servos=position_servos(scene.mujoco, model, chosen),
+        step=float(model.opt.timestep),
     )
     scene.check(arm)
     return arm

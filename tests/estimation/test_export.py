@@ -396,7 +396,7 @@ def test_exports_the_table_of_a_model_without_physical_links(ns16, tmp_path):
     standard[39] *= -1
     model_of(ns16, standard, known=True).save(tmp_path / "model.json")
     out = tmp_path / "out"
-    found = CliRunner().invoke(app, ["export", str(tmp_path / "model.json"), "-o", str(out), "--csv"])
+    found = CliRunner().invoke(app, ["export", str(tmp_path / "model.json"), "-o", str(out), "--for", "csv"])
     assert (found.exit_code, found.output) == (0, f"{out / 'parameters.csv'}\n")
     assert [path.name for path in out.iterdir()] == ["parameters.csv"]
 

@@ -248,6 +248,7 @@ def test_a_load_that_only_rounding_makes_impossible_is_exported(bare: Identified
         (["--load", "ur"], "no identified load"),
         ([], "-o DIR for URDF, MuJoCo model, SDF, friction file and table; "),
         ([], "or --load ur|abb|kuka|franka|comau for the load"),
+        ([], "--for mjcf|isaaclab|mjlab|usd|newton|genesis|csv -o DIR for one simulator"),
         (["--load", "ur", "-o", "out"], "one of them at a time"),
         (["-o", "out", "--flange", "tool0"], "--flange belongs to --load"),
     ],

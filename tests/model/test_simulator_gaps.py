@@ -282,6 +282,8 @@ def test_the_corrected_urdf_simulates_the_robot(nominal, tmp_path):
     correction = supported_correction(found, simulator)
     write_simulator(found, simulator, correction, tmp_path / "fixed.urdf", Console(-1))
     fixed = load_simulator(tmp_path / "fixed.urdf", None, ("pan", "lift")).model
+    beside = tmp_path / "fixed_for/isaaclab/isaaclab_3_0.py"
+    assert "armature" in beside.read_text()
     document = json.loads((tmp_path / "fixed.changes.json").read_text())
     assert document["changes"][0]["reason"].endswith("of the held-out gap")
     armature = np.zeros(2)

@@ -9,11 +9,19 @@ from typing import Any
 
 import numpy as np
 
-from agent.core import Console, InputError, write_atomically
+from agent.core import Console, InputError, RejectedError, write_atomically
 from agent.diagnosis import Diagnosis, forward_or_reason, forward_warning, ranges, ranges_text
 from agent.model import CATALOGUE
 from agent.runs import check_output
-from agent.simulators import Correction, Simulator, write_corrected, written_files
+from agent.simulators import (
+    TARGETS,
+    Correction,
+    Simulator,
+    numbers_of_file,
+    write_corrected,
+    write_target,
+    written_files,
+)
 
 _OVER_RANGE = 0.01  # rad or m, tolerated beyond the range of a joint
 _FORMATS = {".xml": "an MJCF", ".mjcf": "an MJCF", ".urdf": "a URDF"}
@@ -89,6 +97,14 @@ def write_simulator(
     written.append(write_atomically(_ranges_file(out), ranges_text(ranges(found, correction))))
     for path in written:
         console.say(f"wrote {path}")
+    folder = out.with_name(f"{out.stem}_for")
+    try:
+        numbers = numbers_of_file(out, simulator.arm.file_joints)
+        for name in TARGETS:
+            write_target(numbers, name, folder / name, lambda text: None)
+        console.say(f"wrote {folder}: the same for {', '.join(TARGETS)}, with what each cannot say in left_out.json")
+    except RejectedError as error:  # a file may have bodies that other simulators refuse
+        console.warn(f"{folder}: no files for other simulators: {error}")
 
 
 def _ranges_file(out: Path) -> Path:

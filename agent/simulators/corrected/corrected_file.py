@@ -61,7 +61,10 @@ def write_corrected(simulator: Simulator, correction: Correction, out: Path) -> 
         "schema": SCHEMA,
         "from": {"file": source.name, "sha256": sha256_file(source)},
         "changes": changes,
-        "effects": [entry.to_dict() for entry in correction.effects],
+        "effects": [
+            {**entry.to_dict(), "reason": correction.reasons.get((entry.effect, entry.joints), "")}
+            for entry in correction.effects
+        ],
         "effects_file": None if code is None else effects.name,
         "notes": list(correction.notes),
     }

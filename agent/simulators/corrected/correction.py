@@ -59,7 +59,7 @@ class Correction:
     """The corrected arm, its model with all effects, what was released, and the effects that are not in the file.
 
     `inertia` (n,) [kg·m²] that the joints carried on average while effects were fitted; `commands`: how set-points
-    reach the servos, where torque is theirs.
+    reach the servos, where torque is theirs; `reasons` for effects, by effect and joints.
     """
 
     given: SimulatedArm
@@ -70,6 +70,7 @@ class Correction:
     inertia: np.ndarray
     notes: tuple[str, ...]
     commands: Commands
+    reasons: Mapping[tuple[str, tuple[str, ...]], str]
 
 
 def correct(
@@ -138,7 +139,7 @@ def correct(
         effects=(*fixed.effects, *left),
         notes=(f"corrected from {given.path.name}, by what logs of the robot say", *given.notes),
     )
-    return Correction(given, arm, fixed, released, tuple(left), inertia, (*notes, *said), commands)
+    return Correction(given, arm, fixed, released, tuple(left), inertia, (*notes, *said), commands, reasons)
 
 
 def _servo_of(

@@ -1,0 +1,208 @@
+"""The numbers of an arm that simulators are told, from a model or from a simulator's file."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from agent.core import InputError
+from agent.model import IdentifiedModel, full_parameters, possible_model
+from agent.robot import Dynamics, ParameterLayout, rotor_mass_matrix
+from agent.simulators.arm import SimulatedArm
+from agent.simulators.effect_numbers import in_numbers, left_out, torque_text
+from agent.simulators.export import body_texts, friction_lines
+from agent.simulators.loader import is_simulator, load_arm, load_simulator
+from agent.simulators.servos import PositionServos
+from agent.simulators.urdf import moved_links
+
+_POSTURES = 200
+
+
+@dataclass(frozen=True)
+class JointNumbers:
+    """One joint, SI on the joint side: rad or m, N·m or N.
+
+    `inertia` is the least that it turns over its range, rotor included; `kp`, `kv`, `effort` and `delay` [s] are those
+    of its position servo, None where no servo is known; `stiffness`, `rest`: a spring. Of joints whose axles are
+    coupled, `armature`, `damping` and `frictionloss` are those of their own axle.
+    """
+
+    name: str
+    prismatic: bool
+    lower: float
+    upper: float
+    velocity: float
+    armature: float
+    damping: float
+    frictionloss: float
+    stiffness: float
+    rest: float
+    inertia: float
+    kp: float | None = None
+    kv: float | None = None
+    effort: float | None = None
+    delay: float = 0.0
+
+
+@dataclass(frozen=True)
+class LeftEffect:
+    """An effect that no number of the joints says, and what stays of the gap without it."""
+
+    effect: str
+    joints: tuple[str, ...]
+    leaves: str
+
+
+@dataclass(frozen=True)
+class NumberRange:
+    """A number's value and 90 % interval: `of` is "joint NAME" or "link NAME", as the exported files call them."""
+
+    of: str
+    parameter: str
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class ArmNumbers:
+    """An arm: joints base to tip, bodies as URDF and MJCF text, ranges, effects left out, the step of its file [s]."""
+
+    name: str
+    source: str
+    joints: tuple[JointNumbers, ...]
+    urdf: str
+    mjcf: str
+    ranges: tuple[NumberRange, ...]
+    left: tuple[LeftEffect, ...]
+    notes: tuple[str, ...]
+    step: float | None = None
+
+    @property
+    def has_servos(self) -> bool:
+        """Whether every joint's servo is known."""
+        return all(joint.kp is not None for joint in self.joints)
+
+    def table(self, key: str) -> dict[str, Any]:
+        """One number of every joint by the joint's name."""
+        return {joint.name: getattr(joint, key) for joint in self.joints}
+
+
+def numbers_of_file(path: Path, joints: Sequence[str] = ()) -> ArmNumbers:
+    """The numbers of a model file, an MJCF or a URDF; of a corrected one also what is written next to it.
+
+    `joints` are those of the arm in a simulator's file; without them, the longest chain.
+
+    Raises:
+        InputError: a file that cannot be read or used.
+        RejectedError: no bodies that could exist have these numbers.
+    """
+    if not is_simulator(path):
+        return _of_model(IdentifiedModel.load(path), path, None, (), (), None)
+    names = tuple(joints) or load_arm(path).joint_names
+    simulator = load_simulator(path, None, names, {name: name for name in names})
+    servos = simulator.arm.servos if isinstance(simulator.arm.servos, PositionServos) else None
+    changes, ranges = path.with_name(f"{path.stem}.changes.json"), path.with_name(f"{path.stem}.ranges.yaml")
+    left = tuple(_of_changes(changes)) if changes.is_file() else ()
+    told = tuple(_as_exported(_of_ranges(ranges), simulator.arm)) if ranges.is_file() else ()
+    return _of_model(simulator.model, path, servos, left, told, simulator.arm.step)
+
+
+def _of_changes(path: Path) -> Iterator[LeftEffect]:
+    try:
+        for entry in json.loads(path.read_text(encoding="utf-8"))["effects"]:
+            reason = entry.get("reason") or "its part of the gap stays"
+            yield LeftEffect(entry["effect"], tuple(entry["joints"]), f"{reason}, which stays")
+    except (ValueError, KeyError, TypeError, AttributeError):
+        raise InputError(
+            f"{path}: is not what agent diagnose writes next to a corrected file; delete or mend it"
+        ) from None
+
+
+def _of_ranges(path: Path) -> Iterator[NumberRange]:
+    """Each line is a list item with a JSON object, as `ranges_text` writes it."""
+    keys = ("of", "parameter", "value", "low", "high")
+    try:
+        for line in path.read_text(encoding="utf-8").splitlines():
+            if line.strip().startswith("- {"):
+                row = json.loads(line.strip()[2:])
+                yield NumberRange(*(row[key] for key in keys))
+    except (ValueError, KeyError):
+        raise InputError(
+            f"{path}: is not what agent diagnose writes next to a corrected file; delete or mend it"
+        ) from None
+
+
+def _as_exported(ranges: Iterable[NumberRange], arm: SimulatedArm) -> Iterator[NumberRange]:
+    """Ranges of bodies as those of the links that they are part of in the exported files."""
+    links = ParameterLayout.of(arm.robot).blocks(Dynamics(arm.robot).standard_parameters())
+    for one in ranges:
+        kind, _, owner = one.of.partition(" ")
+        k = next((k for k, body in enumerate(arm.carrying) if kind in ("body", "link") and body.name == owner), None)
+        if k is None:
+            yield one
+        else:
+            rest = float(links[k][0]) - one.value
+            name = f"link {moved_links(arm.robot)[k]}"
+            yield NumberRange(name, one.parameter, rest + one.value, rest + one.low, rest + one.high)
+
+
+def _of_model(
+    model: IdentifiedModel,
+    path: Path,
+    servos: PositionServos | None,
+    left: Sequence[LeftEffect],
+    ranges: Sequence[NumberRange],
+    step: float | None,
+) -> ArmNumbers:
+    numbers = in_numbers(model)
+    model, far = possible_model(numbers.model)
+    numbers, robot = replace(numbers, model=model), model.robot
+    standard, lines = full_parameters(model), friction_lines(model)
+    rotors = standard[ParameterLayout.of(robot).rotors]
+    bodies = model.rigid.dynamics
+    low, high = (np.clip(limit, -np.pi, np.pi) for limit in robot.position_limits)
+    postures = np.random.default_rng(0).uniform(low, high, (_POSTURES, robot.dof))
+    turned = np.diag(rotor_mass_matrix(robot, rotors)) + np.min(
+        [np.diag(bodies.mass_matrix(q)) for q in postures], axis=0
+    )
+    delay = getattr(servos, "delay", np.zeros(robot.dof))
+    joints = tuple(
+        JointNumbers(
+            joint.name,
+            joint.prismatic,
+            joint.lower,
+            joint.upper,
+            joint.max_velocity,
+            float(joint.gear_ratio**2 * rotors[k]),
+            float(lines[k, 0]),
+            float(lines[k, 1]),
+            float(numbers.stiffness[k]),
+            float(numbers.rest[k]),
+            float(turned[k]),
+            None if servos is None else float(servos.stiffness[k]),
+            None if servos is None else float(servos.damping[k]),
+            _effort(servos, k, joint.max_torque),
+            0.0 if servos is None else float(delay[k]),
+        )
+        for k, joint in enumerate(robot.joints)
+    )
+    own = [LeftEffect(entry.effect, entry.joints, f"{torque_text(model, entry)} stays out") for entry in model.effects]
+    more = [f"not in the files: {text}" for text in left_out(model, lines) if text.startswith("what friction")]
+    if np.any(robot.coupling - np.diag(np.diag(robot.coupling))):
+        more.append("axles are coupled: numbers of a joint are those of its own axle; the MJCF has tendons for them")
+    urdf, mjcf = body_texts(numbers, standard, lines)
+    notes = (*filter(None, [numbers.note, far]), *more)
+    return ArmNumbers(robot.name, path.name, joints, urdf, mjcf, tuple(ranges), (*own, *left), notes, step)
+
+
+def _effort(servos: PositionServos | None, k: int, known: float | None) -> float | None:
+    """Largest torque of a joint's servo, or of its drive; None where there is no limit."""
+    most = np.inf if servos is None else float(min(servos.high[k], -servos.low[k]))
+    most = min(most, np.inf if known is None else known)
+    return float(most) if np.isfinite(most) else None

@@ -1,0 +1,246 @@
+"""The numbers of an arm in files for simulators: each is compiled, and run or checked where its simulator is."""
+
+import ast
+import importlib.util
+import json
+import runpy
+import subprocess
+import sys
+from dataclasses import replace
+from math import pi
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from agent.cli.app import app
+from agent.core import InputError
+from agent.model import CATALOGUE, ModelEffect
+from agent.simulators import load_simulator
+from agent.simulators.targets import TARGETS, numbers_of_file, write_target
+from tests.estimation.test_export import bodies, described, joint, model_of
+from tests.model.bench import written
+
+SERVO = """<mujoco model="two"><compiler angle="radian"/><option timestep="0.002"/><worldbody><body name="a">
+<joint name="pan" axis="0 1 0" armature="0.05" damping="0.4" frictionloss="0.2" range="-1.5 1.5"/>
+<inertial pos="0.1 0 0" mass="0.5" diaginertia="0.002 0.002 0.002"/><body name="b" pos="0.3 0 0">
+<joint name="slide" type="slide" axis="1 0 0" armature="0.3" damping="2" frictionloss="1.5" stiffness="30"
+springref="0.1" range="-0.5 0.5"/><inertial pos="0.05 0 0" mass="0.3" diaginertia="0.001 0.001 0.001"/></body></body>
+</worldbody><actuator><position name="p" joint="pan" kp="20" kv="1" forcerange="-5 5"/>
+<position name="s" joint="slide" kp="200" kv="10"/></actuator></mujoco>"""
+RANGES = """schema: randomisation/1
+interval: 0.9
+ranges:
+  - {"of": "joint pan", "parameter": "frictionloss", "value": 0.2, "low": 0.15, "high": 0.25, "unit": "N·m"}
+  - {"of": "joint slide", "parameter": "armature", "value": 0.3, "low": 0.2, "high": 0.4, "unit": "kg"}
+  - {"of": "body b", "parameter": "mass", "value": 0.3, "low": 0.27, "high": 0.33, "unit": "kg"}
+"""
+CHANGES = {
+    "schema": "simulator-changes/1",
+    "effects": [
+        {
+            "effect": "stribeck",
+            "joints": ["pan"],
+            "parameters": {"speed": 0.1, "shape": 1.0, "rise": 0.4},
+            "reason": "stribeck of pan: closes 31.0 % of the held-out gap",
+        }
+    ],
+}
+LATE = 0.067
+
+
+@pytest.fixture(scope="module")
+def fixed(tmp_path_factory) -> Path:
+    """A corrected file of an arm with a slide, with what stands next to it."""
+    pytest.importorskip("mujoco")
+    folder = tmp_path_factory.mktemp("fixed")
+    written(folder, RANGES, "fixed.ranges.yaml")
+    written(folder, json.dumps(CHANGES), "fixed.changes.json")
+    return written(folder, SERVO, "fixed.xml")
+
+
+@pytest.fixture(scope="module")
+def numbers(fixed):
+    """Its numbers, commands 67 ms late."""
+    found = numbers_of_file(fixed)
+    return replace(found, joints=tuple(replace(one, delay=LATE) for one in found.joints))
+
+
+def exported(numbers, name: str, folder: Path) -> tuple[dict[str, Path], list[str]]:
+    said: list[str] = []
+    return {path.name: path for path in write_target(numbers, name, folder / name, said.append)}, said
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_every_simulator_gets_files_that_parse_and_a_list_of_what_it_cannot_say(numbers, tmp_path, name):
+    paths, said = exported(numbers, name, tmp_path)
+    for path in paths.values():
+        if path.suffix == ".py":
+            compile(path.read_text(encoding="utf-8"), path.name, "exec")
+            assert max(map(len, path.read_text(encoding="utf-8").splitlines())) < 200
+    left = json.loads(paths["left_out.json"].read_text(encoding="utf-8"))
+    assert [(one["effect"], one["of"]) for one in left["effects"]] == [("stribeck", " of pan")]
+    assert any("stribeck of pan" in text and "closes 31.0 % of the held-out gap, which stays" in text for text in said)
+
+
+def test_what_simulators_can_say_is_known_for_effects_of_the_catalogue():
+    table = json.loads((Path(__file__).parents[2] / "agent/simulators/targets/effects.json").read_text("utf-8"))
+    assert set(table) <= set(CATALOGUE)
+    assert {name for row in table.values() for name in row} <= set(TARGETS)
+
+
+def test_the_mjcf_moves_as_the_file_with_commands_that_much_later(numbers, fixed, tmp_path):
+    import mujoco
+
+    paths, _ = exported(numbers, "mjcf", tmp_path)
+    late, plain = (mujoco.MjModel.from_xml_path(str(path)) for path in (paths["two.xml"], fixed))
+    np.testing.assert_allclose(late.actuator_delay, LATE)
+    command = 0.4 * np.sin(np.arange(1000) * 0.002 * 5.0)[:, None] * [1.0, 0.3]
+    steps = 34  # of 2 ms, 67 ms rounded up: MuJoCo holds a control between steps
+    ahead = np.vstack([np.zeros((steps, 2)), command])[: len(command)]
+    moved = []
+    for model, commands in ((late, command), (plain, ahead)):
+        data = mujoco.MjData(model)
+        places = []
+        for control in commands:
+            data.ctrl[:] = control
+            mujoco.mj_step(model, data)
+            places.append(data.qpos.copy())
+        moved.append(np.array(places))
+    np.testing.assert_allclose(moved[0], moved[1], atol=2e-3)
+    assert np.abs(moved[0]).max(axis=0).min() > 0.05
+    again = load_simulator(paths["two.xml"], None, ("pan", "slide"))
+    np.testing.assert_allclose(again.arm.frictionloss, [0.2, 1.5])
+    np.testing.assert_allclose(again.arm.stiffness, [0.0, 30.0])
+
+
+def calls(path: Path) -> dict[str, set[str]]:
+    """Names that are called with keywords in a file, and these keywords; of `func=a.b` with `params`, those of b."""
+    found: dict[str, set[str]] = {}
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Call) and node.keywords:
+            name = getattr(node.func, "id", getattr(node.func, "attr", ""))
+            found.setdefault(name, set()).update(word.arg for word in node.keywords if word.arg)
+            words = {word.arg: word.value for word in node.keywords}
+            if isinstance(words.get("func"), ast.Attribute) and isinstance(words.get("params"), ast.Dict):
+                keys = {key.value for key in words["params"].keys if isinstance(key, ast.Constant)}
+                found.setdefault(words["func"].attr, set()).update(keys)
+    return found
+
+
+@pytest.mark.parametrize("version", ["2.3", "3.0"])
+def test_isaac_lab_gets_fields_that_its_version_has_and_the_delay_in_physics_steps(numbers, tmp_path, version):
+    known = json.loads((Path(__file__).parents[2] / "agent/simulators/targets/isaaclab_fields.json").read_text("utf-8"))
+    paths, said = exported(numbers, "isaaclab", tmp_path)
+    path = paths[f"isaaclab_{version.replace('.', '_')}.py"]
+    used = calls(path)["DelayedPDActuatorCfg"]
+    assert used <= set(known["fields"][version])
+    assert {"min_delay", "max_delay", "armature", "viscous_friction"} <= used
+    fake = "class DelayedPDActuatorCfg(dict): pass"
+    text = path.read_text(encoding="utf-8").replace("from isaaclab.actuators import DelayedPDActuatorCfg", fake)
+    made = runpy.run_path(str(written(tmp_path, text, f"run_{version[0]}.py")))
+    arm = made["ACTUATORS"]["arm"]
+    assert made["PHYSICS_DT"] == 0.002, "that of the file"
+    assert arm["min_delay"] == arm["max_delay"] == round(LATE / 0.002)
+    assert arm["stiffness"] == {"pan": 20.0, "slide": 200.0}
+    assert arm[known["versions"][version]["effort"]] == {"pan": 5.0, "slide": 1e9}, "the slide has no limit"
+    assert "MASSES = {'b_2': (0.9, 1.1)}" in paths["isaaclab_events.py"].read_text("utf-8"), "as the URDF calls it"
+    assert '<link name="b_2">' in paths["two.urdf"].read_text("utf-8")
+    events = calls(paths["isaaclab_events.py"])
+    for name in ("randomize_joint_parameters", "randomize_rigid_body_mass"):
+        assert events[name] <= set(known["events"][name])
+    assert '"operation": "scale"' in paths["isaaclab_events.py"].read_text("utf-8")
+    assert not any("explicit servo" in text for text in said)
+
+
+def test_gains_that_an_explicit_servo_cannot_have_are_said(numbers, tmp_path):
+    _, said = exported(replace(numbers, step=0.1), "isaaclab", tmp_path)
+    (slide, *_) = [text for text in said if text.startswith("slide: at a physics step of 100 ms")]
+    assert "stable below kp" in slide
+    assert "it has 200 and 10" in slide
+
+
+def test_usd_has_angles_in_degrees_where_its_schemas_do(numbers, tmp_path):
+    rows = json.loads(exported(numbers, "usd", tmp_path)[0]["usd_attributes.json"].read_text("utf-8"))["attributes"]
+    value = {(row["joint"], row["attribute"]): row["value"] for row in rows}
+    assert value["pan", "drive:angular:physics:stiffness"] == pytest.approx(20 * pi / 180)
+    assert value["pan", "physxJointAxis:angular:viscousFrictionCoefficient"] == pytest.approx(0.4 * pi / 180)
+    assert value["pan", "newton:damping"] == pytest.approx(0.4 * pi / 180)
+    assert value["pan", "mjc:damping"] == pytest.approx(0.4)
+    assert value["pan", "physxJointAxis:angular:staticFrictionEffort"] == pytest.approx(0.2)
+    assert value["slide", "drive:linear:physics:stiffness"] == pytest.approx(200)
+    assert value["slide", "mjc:springref"] == pytest.approx(0.1)
+    assert value["slide", "newton:delaySteps"] == round(LATE / 0.002)
+
+
+def real(package: str) -> None:
+    if importlib.util.find_spec(package) is None:
+        pytest.skip(f"{package} is not installed")
+
+
+def run(code: str) -> str:
+    """In a process of its own: these packages start compilers and graphics."""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr[-2000:]
+    return done.stdout
+
+
+def test_mjlab_accepts_its_files(numbers, tmp_path):
+    real("mjlab")
+    paths, _ = exported(numbers, "mjlab", tmp_path)
+    code = f"""
+import runpy
+made = runpy.run_path({str(paths["mjlab_actuators.py"])!r})
+(pan, slide) = made["actuators"]()
+print(pan.delay_min_lag, pan.stiffness, slide.viscous_damping, slide.frictionloss)
+print(sorted(runpy.run_path({str(paths["mjlab_events.py"])!r})["EVENTS"]))
+"""
+    said = run(code).splitlines()
+    assert said[-2] == f"{round(LATE / 0.002)} 20.0 2.0 1.5"
+    assert said[-1] == str(["dof_armature_slide", "dof_frictionloss_pan", "mass_b_2"])
+
+
+def test_newton_builds_the_arm_with_its_numbers(numbers, tmp_path):
+    real("newton")
+    paths, _ = exported(numbers, "newton", tmp_path)
+    code = f"""
+import runpy, numpy as np
+b = runpy.run_path({str(paths["newton_arm.py"])!r})["build"]()
+print([round(float(x), 6) for x in b.joint_friction], [round(float(x), 6) for x in b.joint_armature])
+m = b.finalize(device="cpu")
+print(len(m.actuators))
+"""
+    said = run(code).splitlines()
+    assert "[0.2, 1.5] [0.05, 0.3]" in said
+
+
+def test_a_model_with_a_load_is_exported_for_every_simulator(tmp_path):
+    links = joint("j1", "revolute", "base", "a", "0 1 0") + joint("j2", "revolute", "a", "b", "0 1 0")
+    robot = described(tmp_path, links, ("j1", "j2"), "b")
+    load = {"m0": 2.0, "hx0": 0.1, "hy0": 0.0, "hz0": 0.0, "mass": 2.0, "inertia": 0.02}
+    load |= {"moment_x": 0.1, "moment_y": 0.0, "moment_z": 0.0}
+    own = (
+        ModelEffect("payload", (), load),
+        ModelEffect("stribeck", ("j1",), {"speed": 0.1, "shape": 1.0, "rise": 8.9}),
+    )
+    model = replace(model_of(robot, bodies(robot), known=True), effects=own)
+    model.save(tmp_path / "model.json")
+    out = tmp_path / "out"
+    shown = CliRunner().invoke(app, ["export", str(tmp_path / "model.json"), "--for", "IsaacLab", "-o", str(out)])
+    assert shown.exit_code == 0, shown.output
+    could = "Isaac Lab could say it nearly, by static above dynamic friction, which is not written"
+    assert f"stribeck of j1 is not in the files ({could}): up to " in shown.stderr
+    assert (out / "isaaclab_3_0.py").is_file()
+    masses = [float(part.split('"')[0]) for part in (out / "r.urdf").read_text().split('mass value="')[1:]]
+    assert sum(masses) == pytest.approx(model.standard[0] + model.standard[10] + 2.0)
+
+
+def test_wrong_names_say_what_there_is(numbers, tmp_path, fixed):
+    with pytest.raises(
+        InputError, match="--for gazebo: no such simulator; there are mjcf, isaaclab, mjlab, usd, newton, g"
+    ):
+        write_target(numbers, "gazebo", tmp_path, print)
+    shown = CliRunner().invoke(app, ["export", str(fixed), "-o", str(tmp_path / "x")])
+    assert shown.exit_code != 0
+    assert "--for" in str(shown.exception)
