@@ -25,6 +25,8 @@ def judged(*parts: tuple[float, ...], error: float = 1.0, by_model: float = 0.0)
     causes = [SimpleNamespace(blocks={j: None for j in range(2) if sizes[j]}) for sizes in parts]
     fit = SimpleNamespace(
         once=False,
+        chosen=(),
+        rows=JOINTS,
         near_rest=np.zeros(left.shape, dtype=bool),
         sigma=np.ones(left.shape),
         out_of_fold=lambda once, number=None: left if number is None else left + torque[number],
@@ -60,6 +62,8 @@ def test_causes_that_cancel_each_other_are_no_explanation():
     torque = [np.column_stack([large, 0 * large]), np.column_stack([rest - large, 0 * large])]
     fit = SimpleNamespace(
         once=False,
+        chosen=(),
+        rows=JOINTS,
         near_rest=np.zeros(left.shape, dtype=bool),
         sigma=np.ones(left.shape),
         out_of_fold=lambda once, number=None: left if number is None else left + torque[number],
@@ -102,3 +106,17 @@ def test_on_an_arm_the_right_cause_passes_and_a_relative_of_it_does_not(case):
     assert (left.joint, left.size > 1) == ("joint_3", True)
     assert max(left.follows.values()) <= 1
     assert remainder_sizes(case.fit, held_out_gap(case, case.fit))[2] > left.size
+
+
+def test_a_right_cause_is_kept_where_the_motion_held_out_goes_further_than_the_fit(case):
+    """A spring with two harmonics that was fitted to the smaller of two motions says little about the larger one."""
+    arm, effect = case.robot, CATALOGUE["gravity_spring"]
+    spring = {"effect": effect.name, "joints": ["joint_2"], "parameters": {"rate": 40.0, "preload": 50.0}}
+    plant = Plant(arm, seed=3, effects=[spring])
+    logs = [record(plant, name, 23, share) for name, share in (("wide", 1.0), ("narrow", 0.3))]
+    dataset = assemble(arm, case.model, logs, None)
+    form = dataset.fit.candidate(effect, (1,), {"harmonics": 2.0})
+    fit = dataset.fit.with_chosen([form])
+    gap = held_out_gap(dataset, fit)
+    assert gap.after[1] * gap.unit[1] > 4 * fit.sigma.min(axis=0)[1]
+    assert shortfalls(fit, gap, [form]) == [""]

@@ -24,17 +24,43 @@ from agent.diagnosis.rows.fit import Fit
 def remainder_sizes(fit: Fit, gap: HeldOutGap) -> np.ndarray:
     """(n,) error that causes leave while the joint moves, over what a healthy arm leaves.
 
-    That is the model's own error, and what the formula of a certain cause misses: 5 % of the squared error. 1 is the
-    limit.
+    That is the model's own error, what the formula of a certain cause misses (5 % of the squared error), and what the
+    uncertainty of the fitted parameters makes of the motion that is held out. 1 is the limit.
     """
     moving = ~fit.near_rest & ~np.isnan(gap.left)
     before, after = (np.where(moving, rows, np.nan) for rows in (gap.raw, gap.left))
     has_motion = moving.any(axis=0)
     sizes = np.zeros(len(has_motion))
-    own = LIMITS.adequate * fit.sigma.min(axis=0)[has_motion]
-    usual = np.sqrt(own**2 + (1 - LAW.certain) * rms(before[:, has_motion]) ** 2)
-    sizes[has_motion] = rms(after[:, has_motion]) / usual
+    own = (LIMITS.adequate * fit.sigma.min(axis=0)) ** 2 + _prediction_variance(fit, moving)
+    usual = own[has_motion] + (1 - LAW.certain) * rms(before[:, has_motion]) ** 2
+    sizes[has_motion] = rms(after[:, has_motion]) / np.sqrt(usual)
     return sizes
+
+
+def _prediction_variance(fit: Fit, moving: np.ndarray) -> np.ndarray:
+    """(n,) mean square [N²·m²] by which uncertain parameters err on held-out rows: x H⁻¹ xᵀ, in units of σ².
+
+    A spring that was fitted over half of the range says little about the other half. `moving` (S', n) rows count.
+    """
+    found = np.zeros(len(fit.rows))
+    if not fit.chosen:
+        return found
+    ends = len(fit.precision) + np.cumsum([0, *(len(c.names) for c in fit.chosen)])
+    for joint in {joint for candidate in fit.chosen for joint in candidate.blocks}:
+        parts, at = [fit.rows[joint][:, :-1]], [fit.index[joint]]
+        for candidate, a, b in zip(fit.chosen, ends[:-1], ends[1:], strict=True):
+            if joint in candidate.blocks:
+                parts.append(candidate.blocks[joint])
+                at.append(np.arange(a, b))
+        columns, places = np.hstack(parts), np.concatenate(at)
+        variance = np.zeros(len(columns))
+        for fold in fit.single if fit.once else fit.folds:
+            inverse = fit.solve(fold.train)[0][np.ix_(places, places)]
+            test = np.isin(fit.cell, np.flatnonzero(fold.test))
+            variance[test] = np.einsum("si,ij,sj->s", columns[test], inverse, columns[test], optimize=True)
+        here = moving[:, joint]
+        found[joint] = float(np.mean(variance[here] * fit.sigma[here, joint] ** 2)) if here.any() else 0.0
+    return found
 
 
 def shortfalls(fit: Fit, gap: HeldOutGap, causes: Sequence[Candidate]) -> list[str]:
