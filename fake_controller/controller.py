@@ -7,7 +7,6 @@ import time
 import traceback
 from collections import OrderedDict, deque
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
 from itertools import chain
 from typing import Protocol
 
@@ -326,8 +325,7 @@ class Controller(FaultyController):
             return
         if "clock_back" in self._lies:
             time_ns = time_ns - round(1e9 * self._lies["clock_back"].amount)
-        if "no_numbers" in self._lies:
-            samples = replace(samples, torque=np.full_like(samples.torque, np.nan))
+        samples = self._told(samples)
         if "columns" in self._lies:
             samples = Slice(*(column[:, :-1] for column in samples.columns))
         listener.on_samples(first, time_ns, samples)

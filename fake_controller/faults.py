@@ -9,7 +9,10 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
 
 from drivers.wire.reasons import EndReason
 
@@ -52,6 +55,7 @@ MACHINE = {
     "disobey": frozenset({"streaming"}),  # a stop on command is confirmed, but the arm continues
     "no_end": frozenset({"streaming"}),  # that the motion is over is never said
     "clock_back": frozenset({"streaming"}),  # stamps go back by `value` seconds
+    "frozen": frozenset({"streaming"}),  # positions and set-points are told as they were; stamps and speeds run on
     "no_numbers": frozenset({"streaming"}),  # invalid torques
     "columns": frozenset({"start", "streaming"}),  # samples with one joint less
     "other_motion": frozenset({"start"}),  # a joint makes `value` times its way, under the name of the program
@@ -62,7 +66,7 @@ MACHINE = {
 }
 FAULTS = {**WIRE, **MACHINE}
 #: Faults of the samples only.
-LIES = ("mute", "no_end", "clock_back", "no_numbers", "columns")
+LIES = ("mute", "no_end", "clock_back", "frozen", "no_numbers", "columns")
 _DEFAULT_VALUE = {
     "delay": 0.1,
     "override": 0.5,
@@ -218,6 +222,7 @@ class FaultyController:
         self.motions_started = 0
         self.ends: list[EndReason] = []
         self._lies: dict[str, Fault] = {}
+        self._frozen: tuple[np.ndarray, np.ndarray] | None = None  # what is told of positions and set-points
         self._obeys, self._slowness = True, 1.0
 
     @property
@@ -242,6 +247,17 @@ class FaultyController:
             self._obeys = self._obeys and fault.name != "disobey"
             self._slowness = fault.amount if fault.name == "slow" else self._slowness
             self._apply_fault(fault)
+
+    def _told(self, samples: Any) -> Any:
+        """Samples (`fake_controller.execution.Slice`) as they are reported."""
+        if "frozen" in self._lies:
+            if self._frozen is None:
+                self._frozen = samples.position[:1], samples.reference_position[:1]
+            position, given = (np.repeat(values, len(samples), axis=0) for values in self._frozen)
+            samples = replace(samples, position=position, reference_position=given)
+        if "no_numbers" in self._lies:
+            samples = replace(samples, torque=np.full_like(samples.torque, np.nan))
+        return samples
 
     def _apply_fault(self, fault: Fault) -> None:
         """What a fault does here."""

@@ -358,13 +358,12 @@ class UrCell(UrState):
         before = np.vstack([self.reference_velocity, qd])
         qdd = np.diff(before, axis=0) / self.period
         samples = follow(self._plant, self._astray, q, qd, self.reference)
-        if "no_numbers" in self._lies:
-            samples = replace(samples, torque=np.full_like(samples.torque, np.nan))
         times = SWITCHED_ON + (self.cycle + 1 + np.arange(len(q))) * self.period - self._clock_back
         self.cycle += len(q)
         position, velocity, torque, q, qd = samples.columns
         self.reference, self.reference_velocity = q[-1], qd[-1]
         self.position, self.velocity = position[-1], velocity[-1]
+        position, velocity, torque, q, qd = self._told(samples).columns
         return Cycles(self, times, q, qd, qdd, position, velocity, torque)
 
     def _set_points(self, count: int) -> tuple[np.ndarray, np.ndarray]:

@@ -19,13 +19,13 @@ MADE_GOOD = {
 #: Tried on a UR, in motion; damaged numbers end in more than one way there.
 UR_TRIED = {
     *("silent", "drop", "protective_stop", "off_path", "off_speed", "servo_error", "override", "mute"),
-    *("emergency_stop", "drive_fault", "alarm", "restart", "reset_counters", "no_numbers", "clock_back"),
+    *("emergency_stop", "drive_fault", "alarm", "restart", "reset_counters", "no_numbers", "frozen", "clock_back"),
     *("teach_mode", "lost_client"),
 }
 #: What the controller refuses a start for.
 STATES = ("emergency_stop", "drive_fault", "alarm", "protective_stop", "teach_mode")
 #: Of these the agent has to notice in time, so the arm moves in real time.
-SLOW_TO_SHOW = ("silent", "lost_client", "override", "mute", "no_numbers", "no_end", "clock_back")
+SLOW_TO_SHOW = ("silent", "lost_client", "override", "mute", "no_numbers", "frozen", "no_end", "clock_back")
 #: Motions that are not the planned ones; nothing but their samples tells of them.
 ASTRAY = ("off_path", "off_speed", "servo_error", "other_motion")
 #: One of each, in the phase where it is worst; and on the other wires what they meet in their own way.
@@ -65,7 +65,10 @@ def expected(wire: str, name: str, phase: str) -> tuple[int, int, bool]:
         return 0, 1, True
     if name == "emergency_stop":
         return 5, int(phase == "streaming"), phase == "streaming"
-    if name in (*ASTRAY, "no_numbers") or (wire, name) == ("ur", "lost_client"):  # there it is a protective stop
+    if name in (*ASTRAY, "no_numbers", "frozen") or (wire, name) == (
+        "ur",
+        "lost_client",
+    ):  # there it is a protective stop
         return 5, 1, True
     if name in STATES:
         return (5, 1, True) if phase == "streaming" else (4, 0, False)

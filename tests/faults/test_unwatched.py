@@ -27,6 +27,7 @@ ATTACKS = {
     "silence": (Fault("mute", "streaming", STRIKES),),
     "silence from the start on": (Fault("mute", "streaming", 0.0),),
     "lag": (Fault("slow", "streaming", STRIKES, 6.0),),
+    "frozen": (Fault("frozen", "streaming", STRIKES),),
     "disobedience": (Fault("disobey", "streaming", STRIKES), Fault("off_path", "streaming", STRIKES, 0.3)),
 }
 DELAYS = (0.0, 0.02, 0.04, 0.1)
@@ -148,6 +149,15 @@ def assert_stopped(one: Attacked, name: str) -> None:
 @pytest.mark.parametrize("name", ["silence", "lag", "disobedience"])
 def test_stops_an_arm_that_cannot_be_watched(attack, wire, name):
     assert_stopped(attack(wire, ATTACKS[name], 0.0), name)
+
+
+@pytest.mark.parametrize("wire", ["tcp", "ur"])
+def test_stops_an_arm_whose_samples_freeze(attack, wire):
+    """Within 0.7 s by the controller's clock, the way there and back included."""
+    one = attack(wire, ATTACKS["frozen"], 0.0)
+    assert_stopped(one, "frozen")
+    assert "positions" in one.errors
+    assert 0.0 < one.faults.stopped - one.faults.struck <= patience(0.7)
 
 
 def test_a_too_slow_link_prevents_motion(attack):
