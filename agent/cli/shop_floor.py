@@ -142,6 +142,8 @@ def export(
     ] = None,
 ) -> None:
     """Write a model as URDF, MuJoCo model, SDF, CSV and Foxglove layout, for a simulator, or print its load."""
+    if simulator is not None and out is None and load is None:
+        raise InputError(f"export --for {simulator}: name the folder to write to with -o DIR")
     if (out is None) == (load is None) or (load is not None and simulator is not None):
         raise InputError(
             f"export: say what to make of {model}: -o DIR for URDF, MuJoCo model, SDF, friction file and table; "

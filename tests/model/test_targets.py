@@ -22,7 +22,8 @@ from agent.simulators.targets import TARGETS, numbers_of_file, write_target
 from tests.estimation.test_export import bodies, described, joint, model_of
 from tests.model.bench import written
 
-SERVO = """<mujoco model="two"><compiler angle="radian"/><option timestep="0.002"/><worldbody><body name="a">
+SERVO = """<mujoco model="two"><compiler angle="radian"/><option timestep="0.002" integrator="implicitfast"/>
+<worldbody><body name="a">
 <joint name="pan" axis="0 1 0" armature="0.05" damping="0.4" frictionloss="0.2" range="-1.5 1.5"/>
 <inertial pos="0.1 0 0" mass="0.5" diaginertia="0.002 0.002 0.002"/><body name="b" pos="0.3 0 0">
 <joint name="slide" type="slide" axis="1 0 0" armature="0.3" damping="2" frictionloss="1.5" stiffness="30"
@@ -108,7 +109,7 @@ def test_the_mjcf_moves_as_the_file_with_commands_that_much_later(numbers, fixed
             mujoco.mj_step(model, data)
             places.append(data.qpos.copy())
         moved.append(np.array(places))
-    np.testing.assert_allclose(moved[0], moved[1], atol=2e-3)
+    np.testing.assert_allclose(moved[0], moved[1], atol=1e-6)
     assert np.abs(moved[0]).max(axis=0).min() > 0.05
     again = load_simulator(paths["two.xml"], None, ("pan", "slide"))
     np.testing.assert_allclose(again.arm.frictionloss, [0.2, 1.5])
@@ -244,3 +245,5 @@ def test_wrong_names_say_what_there_is(numbers, tmp_path, fixed):
     shown = CliRunner().invoke(app, ["export", str(fixed), "-o", str(tmp_path / "x")])
     assert shown.exit_code != 0
     assert "--for" in str(shown.exception)
+    shown = CliRunner().invoke(app, ["export", str(fixed), "--for", "usd"])
+    assert "name the folder to write to with -o DIR" in str(shown.exception)

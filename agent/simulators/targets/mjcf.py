@@ -17,7 +17,7 @@ def files(numbers: ArmNumbers, step: float) -> Mapping[str, str]:
     root = ElementTree.fromstring(numbers.mjcf)
     option = root.find("option")
     assert option is not None
-    option.set("timestep", digits(step))
+    option.attrib.update(timestep=digits(step), integrator="implicitfast")  # kv of a servo is integrated implicitly
     actuator = SubElement(root, "actuator")
     for joint in numbers.joints:
         if joint.kp is None or joint.kv is None:
