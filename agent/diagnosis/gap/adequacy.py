@@ -66,20 +66,21 @@ def _prediction_variance(fit: Fit, moving: np.ndarray) -> np.ndarray:
 def shortfalls(fit: Fit, gap: HeldOutGap, causes: Sequence[Candidate]) -> list[str]:
     """Return per cause why it does not explain what it claims; empty where it does.
 
-    `gap` is that of `fit`, whose chosen effects are the `causes`.
+    `gap` is that of `fit`, whose chosen effects are the `causes`. A model that was fitted to the same logs trades with
+    them freely, so only their remainder counts then.
     """
     if not causes or gap.closure is None:
         return [""] * len(causes)
     left = fit.out_of_fold(fit.once)
     taken_out = [fit.out_of_fold(fit.once, number) for number in range(len(causes))]
     own = gap.closure_without(np.sum(taken_out, axis=0) - (len(causes) - 1) * left) or 0.0
-    if own < LIMITS.most * gap.closure:
+    if fit.given and own < LIMITS.most * gap.closure:
         return ["the model's own parameters close more of the gap than it does"] * len(causes)
     sizes = remainder_sizes(fit, gap)
     found = []
     for candidate, rows in zip(causes, taken_out, strict=True):
         joint = _main_joint(fit, gap, candidate, rows)
-        if (gap.closure_without(rows) or 0.0) > gap.closure / LIMITS.explained:
+        if fit.given and (gap.closure_without(rows) or 0.0) > gap.closure / LIMITS.explained:
             found.append("it and another cause cancel each other")
         elif sizes[joint] > 1:
             name = fit.reference.robot.joint_names[joint]

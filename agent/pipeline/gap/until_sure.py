@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from agent.core import Console, sha256_text, words_of
+from agent.diagnosis import could_show
 from agent.experiment import Deadline
 from agent.link import Recording, open_link
 from agent.pipeline.gap.finding import Found
@@ -115,7 +116,7 @@ def _end(rounds: Rounds, left: float, console: Console) -> str:
         causes = [{key: cause[key] for key in ("effect", "joints", "probability")} for cause in result["causes"]]
         rounds.asked[-1] |= {"verdict": verdict, "causes": causes}
         console.say(f"round {len(rounds.asked)}: {verdict}")
-    if verdict in ("explained", "no_gap"):
+    if verdict == "explained" or (verdict == "no_gap" and could_show(result)):
         absorbed = verdict == "no_gap" and not rounds.last.diagnosis.dataset.given
         beyond = ". A model fitted to these logs can hide a gap: name an earlier model with --model"
         return f"settled: {verdict}{beyond if absorbed else ''}"
