@@ -41,17 +41,56 @@ _POWER = 0.84  # standard deviations that 80 % of draws exceed
 
 
 @dataclass(frozen=True, eq=False)
+class NoiseRoot:
+    """L of the noise model's precision L Lᵀ, without what each log has for itself, which is diagonal, in full.
+
+    Of columns that all logs share, with a variance v, and others with 1: [[1 / v + Q_cc / s, Q_co / s], [·, 1 + Q_oo /
+    s]] with Q_oo diagonal (`noise_model`). Eliminating the latter first leaves a matrix whose size no log adds to.
+    """
+
+    own: np.ndarray
+    cross: np.ndarray
+    lower: np.ndarray
+
+    @classmethod
+    def of(cls, square: np.ndarray, common: int, scale: float, variance: float) -> NoiseRoot:
+        """Of products (m, m) of the columns, the first `common` of which all logs share."""
+        own = np.sqrt(1 + np.diag(square)[common:] / scale)
+        cross = square[:common, common:] / (scale * own)
+        left = square[:common, :common] / scale - cross @ cross.T
+        left.flat[:: common + 1] += 1 / variance
+        return cls(own, cross, np.linalg.cholesky(left))
+
+    @property
+    def log_det(self) -> float:
+        """Of the precision."""
+        return 2 * float(np.log(np.diag(self.lower)).sum() + np.log(self.own).sum())
+
+    def solved(self, side: np.ndarray) -> np.ndarray:
+        """L⁻¹ of (m, k) or (m,)."""
+        common = len(self.lower)
+        own = (side[common:].T / self.own).T
+        return np.concatenate([_solved_lower(self.lower, side[:common] - self.cross @ own), own])
+
+    def solved_transposed(self, side: np.ndarray) -> np.ndarray:
+        """L⁻ᵀ of (m,)."""
+        common = len(self.lower)
+        first = _solved_lower(self.lower, side[:common], transposed=True)
+        return np.concatenate([first, (side[common:] - self.cross.T @ first) / self.own])
+
+
+@dataclass(frozen=True, eq=False)
 class JointMoments:
     """One joint under a hypothesis, over [X, Z, r].
 
-    `reduced`: moments with the noise model integrated out; `lower`: Cholesky factor of the noise model's precision;
-    `half`: its solution with the cross moments; `moments`: B of [X, Z, r], V of U with these, Q of U; `at`: indices of
-    X and Z among all parameters; `effects`: which effects act here.
+    `reduced`: moments with the noise model integrated out; `root` of the noise model's precision; `half`: its solution
+    with the cross moments; `moments`: B of [X, Z, r], V of U with these, Q of U; `at`: indices of X and Z among all
+    parameters; `effects`: which effects act here.
     """
 
     reduced: np.ndarray
     log_det: float
-    lower: np.ndarray
+    root: NoiseRoot
     half: np.ndarray
     moments: tuple[np.ndarray, np.ndarray, np.ndarray]
     at: np.ndarray
@@ -289,7 +328,7 @@ class Evidence:
             if not len(at):
                 continue
             (width, free), scale, moments = self.noise.width(j), base.scales[j], bank.moments[j]
-            reach = _solved_lower(joint.lower, moments[width : width + free]) / scale
+            reach = joint.root.solved(moments[width : width + free]) / scale
             others = [self.pool.with_bank(k, bank, j) for k in joint.effects]
             cross[np.ix_(joint.at, at)] += np.vstack([moments[:width], *others]) / scale - joint.half[:, :-1].T @ reach
             side[at] += moments[-1] / scale - joint.half[:, -1] @ reach
@@ -338,7 +377,7 @@ class Evidence:
         for j in range(self.joints):
             here = [place for place, form in enumerate(forms) if j in form.blocks]
             at = np.concatenate([self._index[j], *(np.arange(ends[k], ends[k + 1]) for k in here)]).astype(int)
-            variance = self.noise.variances(j, float(scales[j]), 0.0, {})
+            variance = self.noise.variance(j, float(scales[j]), 0.0, {})
             joint = self._joint(j, float(scales[j]), variance, tuple(numbers[k] for k in here), at)
             total[np.ix_(at, at)] += joint.reduced[:-1, :-1]
         prior = block_diag(self._prior, *(self.pool.ridge(number, self.law.sizes[-1]) for number in numbers))
@@ -383,13 +422,13 @@ class Evidence:
         return best, values
 
     def _joint(
-        self, j: int, scale: float, variance: np.ndarray, effects: tuple[int, ...], at: np.ndarray
+        self, j: int, scale: float, variance: float, effects: tuple[int, ...], at: np.ndarray
     ) -> JointMoments:
         own, cross, square = self._moments(j, effects)
-        lower = np.linalg.cholesky(np.diag(1 / variance) + square / scale)
-        half = _solved_lower(lower, cross) / scale
-        log_det = self.noise.count * np.log(scale) + 2 * np.log(np.diag(lower)).sum() + np.log(variance).sum()
-        return JointMoments(own / scale - half.T @ half, float(log_det), lower, half, (own, cross, square), at, effects)
+        root = NoiseRoot.of(square, self.noise.common(j), scale, variance)
+        half = root.solved(cross) / scale
+        log_det = self.noise.count * np.log(scale) + root.log_det + self.noise.common(j) * np.log(variance)
+        return JointMoments(own / scale - half.T @ half, float(log_det), root, half, (own, cross, square), at, effects)
 
     def _together(
         self, effects: Sequence[int], free: dict[int, float], scales: np.ndarray, form: np.ndarray, sizes: list[float]
@@ -408,7 +447,7 @@ class Evidence:
             else:
                 spans = [np.arange(ends[place], ends[place + 1]) for place in here]
                 at = np.concatenate([self._index[j], *spans]).astype(int)
-                variance = self.noise.variances(j, float(scales[j]), float(form[j]), free)
+                variance = self.noise.variance(j, float(scales[j]), float(form[j]), free)
                 joint = self._joint(j, float(scales[j]), variance, tuple(effects[place] for place in here), at)
             precision[np.ix_(joint.at, joint.at)] += joint.reduced[:-1, :-1]
             side[joint.at] += joint.reduced[:-1, -1]
@@ -425,7 +464,9 @@ class Evidence:
     def _left(self, j: int, joint: JointMoments, mean: np.ndarray) -> float:
         """Squared torque over nominal that remains beyond the noise model's usual energy."""
         rest, square = np.append(mean, -1.0), joint.moments[2]
-        usual = 1 + float(np.diag(square) @ self.noise.variances(j, 1.0, 0.0, {})) / self.noise.count
+        energy, common = np.diag(square), self.noise.common(j)
+        usual = self.noise.variance(j, 1.0, 0.0, {}) * energy[:common].sum() + energy[common:].sum()
+        usual = 1 + float(usual) / self.noise.count
         left = max(float(rest @ joint.moments[0] @ rest) / self.noise.count - usual, 0.0)
         return left / float(self.noise.unit[j]) ** 2
 
@@ -463,7 +504,7 @@ def _energy(joint: JointMoments, mean: np.ndarray) -> float:
     """Energy that model, effects and noise model leave on a joint at parameters (k,)."""
     own, cross, square = joint.moments
     rest = np.append(mean, -1.0)
-    pull, background = cross @ rest, -_solved_lower(joint.lower, joint.half @ rest, transposed=True)
+    pull, background = cross @ rest, -joint.root.solved_transposed(joint.half @ rest)
     return max(float(rest @ own @ rest + 2 * background @ pull + background @ square @ background), 0.0)
 
 

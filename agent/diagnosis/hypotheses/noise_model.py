@@ -49,7 +49,8 @@ class NoiseModel:
     """The noise model on the rows of some logs, next to the model's own columns and the residual.
 
     Every joint has [X, U, r], divided by its noise level σ: columns of the model's parameters, those of the noise model
-    and the residual. Of U, `common` columns are shared by all logs; each log has the others for itself.
+    and the residual. Of U, `common` columns are shared by all logs; each log has the others for itself, turned so that
+    they are orthogonal there.
 
     Parameters
     ----------
@@ -91,7 +92,7 @@ class NoiseModel:
             free = smooth_columns(q[:, j], qd[:, j], qdd[:, j], kept_time[thin], log)
             free = np.hstack([free * (base[j] / self.sigma[:, j])[:, None], *usual.get(j, ())])
             amounts = [self.thinned(h.candidate, j) * h.amount for h in healthy if j in h.candidate.blocks]
-            each = self._noticed(np.hstack([*amounts, own[:, :-1] @ spread[fit.index[j]]]))
+            each = self._turned(self._noticed(np.hstack([*amounts, own[:, :-1] @ spread[fit.index[j]]])))
             columns = np.hstack([own[:, :-1], free, each, own[:, -1:]])
             self._widths.append((own.shape[1] - 1, free.shape[1], each.shape[1]))
             self.known.append(columns.astype(np.float32))
@@ -114,10 +115,9 @@ class NoiseModel:
         by_log = [known[rows, own].T @ columns[rows] for rows in self._logs]
         return np.vstack([known[:, : own.start].T @ columns, *by_log, known[:, own.stop :].T @ columns])
 
-    def variances(self, joint: int, scale: float, form: float, free: Mapping[int, float]) -> np.ndarray:
-        """Prior variances of all coefficients of the noise model."""
-        common, count = self._widths[joint][1], self.width(joint)[1]
-        return np.r_[np.full(common, self.variance(joint, scale, form, free)), np.ones(count - common)]
+    def common(self, joint: int) -> int:
+        """How many columns of U all logs share."""
+        return self._widths[joint][1]
 
     def variance(self, joint: int, scale: float, form: float, free: Mapping[int, float]) -> float:
         """Prior variance of the coefficients that are common to all logs, over σ²."""
@@ -158,6 +158,11 @@ class NoiseModel:
         """
         energy, directions = np.linalg.eigh(columns.T @ columns * self.weight)
         return np.asarray(columns @ directions[:, energy > _NOTICED])
+
+    def _turned(self, columns: np.ndarray) -> np.ndarray:
+        """(S, b) columns whose coefficients are N(0, 1) in each log, orthogonal in each."""
+        parts = [columns[rows] for rows in self._logs]
+        return np.concatenate([part @ np.linalg.eigh(part.T @ part)[1] for part in parts])
 
     def _squared(self, joint: int, columns: np.ndarray) -> np.ndarray:
         """Products of [X, U, r] with themselves."""
