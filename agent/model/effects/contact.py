@@ -32,6 +32,7 @@ _FEW, _RARE = 6, 0.15  # pushes of any duration; share of the time that more pus
 _EDGE_STEPS, _EDGE_PARTS = 8, 40  # steps by which each end moves in the fit; steps per duration
 _PARTS, _PART = np.linspace(0.13, 0.7, 10), 1 / 6  # starts and length of the parts checked for a pause, per duration
 _PAUSE, _SHOWS = 0.5, 0.1  # share of the force missing in a pause; least share of the usual gain to see it
+_LOOK = 16  # windows that are looked at for a pause together, the strongest first
 _ROUNDS = 30  # alternating fits of force and point
 _WEAK = 1e-6  # regularisation over the mean information: moving the point along the force changes no torque
 _LARGE = 1 / 3  # size of a link in any direction over the arm's reach, if it is not longer
@@ -191,15 +192,14 @@ class _Sums:
 
 @dataclass(frozen=True, eq=False)
 class Windows:
-    """All windows of a length in one motion: starts (K,) [s], gain (K,) of a force on a link, from its `sums`; `again`
-    (K,) is the largest gain at the same phase of another cycle; `whole` (K,): no pause in the middle of it."""
+    """All windows of a length in one motion: starts (K,) [s], gain (K,) of a force (K, 3) on a link, by its `sums`."""
 
     link: int
     log: int
     duration: float
     starts: np.ndarray
     gain: np.ndarray
-    whole: np.ndarray
+    force: np.ndarray
     cycle_starts: Sequence[float]
     sums: _Sums
 
@@ -208,8 +208,7 @@ class Windows:
         """Windows of every length from running sums over the rows: moments of the force's columns and the error."""
         rows = np.zeros(len(signals.time), dtype=bool)
         rows[signals.kept] = True
-        columns = -signals.pushed(link, rows) / sigma[:, None]
-        gram = np.cumsum(np.einsum("san,sbn->sab", columns, columns), axis=0)
+        columns, gram = _force(link, signals, rows, sigma)
         side = np.cumsum(np.einsum("san,sn->sa", columns, residual / sigma), axis=0)
         time = signals.time[signals.kept]
         sums = _Sums(time, gram, side)
@@ -218,8 +217,7 @@ class Windows:
                 return
             starts = np.arange(time[0], time[-1] - duration, _STARTS)
             gain, force = sums.forces(starts, starts + duration)
-            whole = sums.whole(starts, duration, gain, force)
-            yield cls(link, signals.log_index, duration, starts, gain, whole, signals.cycle_starts, sums)
+            yield cls(link, signals.log_index, duration, starts, gain, force, signals.cycle_starts, sums)
 
     @cached_property
     def strongest(self) -> PushedWindow | None:
@@ -227,12 +225,16 @@ class Windows:
         return self.best([])
 
     def best(self, taken: Sequence[PushedWindow]) -> PushedWindow | None:
-        """The strongest window that shares no time with those taken."""
-        gain = np.where(self._shared(taken) | ~self.whole, -np.inf, self.gain)
-        at = int(np.argmax(gain))
-        if not np.isfinite(gain[at]):
-            return None
-        return PushedWindow(float(gain[at]), self.link, self.log, float(self.starts[at]), self.duration)
+        """The strongest window without a pause in it that shares no time with those taken."""
+        free = np.flatnonzero(~self.shared(taken))
+        order = free[np.argsort(-self.gain[free], kind="stable")]
+        for first in range(0, len(order), _LOOK):
+            some = order[first : first + _LOOK]
+            whole = self.sums.whole(self.starts[some], self.duration, self.gain[some], self.force[some])
+            if whole.any():
+                at = int(some[np.argmax(whole)])
+                return PushedWindow(float(self.gain[at]), self.link, self.log, float(self.starts[at]), self.duration)
+        return None
 
     def fitted(self, push: PushedWindow, taken: Sequence[PushedWindow]) -> PushedWindow:
         """A push with both ends moved to where it gains most, so that no remainder shows next to it."""
@@ -255,14 +257,10 @@ class Windows:
         """Whether a push starts with the samples, so that there is no quiet time before it to compare with."""
         return push.log == self.log and push.start < self.starts[0] + _BORDER
 
-    def beside(self, taken: Sequence[PushedWindow]) -> np.ndarray:
-        """Gains of the windows that share no time with those taken."""
-        return self.gain[~self._shared(taken)]
-
-    def near(self, push: PushedWindow, taken: Sequence[PushedWindow]) -> float:
-        """Largest gain of the windows right before and after a push that share no time with those taken."""
+    def near(self, push: PushedWindow, free: np.ndarray) -> float:
+        """Largest gain of the windows right before and after a push that are `free` (K,) of any other."""
         reach = (1 + _CLEARANCE) * push.duration
-        around = (np.abs(self.starts - push.start) <= reach) & ~self._shared(taken)
+        around = (np.abs(self.starts - push.start) <= reach) & free
         return float(self.gain[around].max(initial=0.0))
 
     def beside_edges(self, push: PushedWindow) -> float:
@@ -287,12 +285,25 @@ class Windows:
             (float(self.gain[np.abs(self.starts - at) < 2 * _STARTS].max(initial=0.0)) for at in places), default=0
         )
 
-    def _shared(self, taken: Sequence[PushedWindow]) -> np.ndarray:
+    def shared(self, taken: Sequence[PushedWindow]) -> np.ndarray:
+        """(K,) bool: windows that share time with a push."""
         shared = np.zeros(len(self.starts), dtype=bool)
         for push in taken:
             if push.log == self.log:
                 shared |= push.overlaps(self.starts, self.duration)
         return shared
+
+
+def _force(link: int, signals: MotionSignals, rows: np.ndarray, sigma: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(S', 3, n) columns of a force on a link over `sigma`, and running sums (S', 3, 3) of their moments.
+
+    Every scan of a search needs them, with another error each time.
+    """
+    known = signals.memory.setdefault("forces", {})
+    if link not in known or not np.array_equal(known[link][0], sigma):
+        columns = -signals.pushed(link, rows) / sigma[:, None]
+        known[link] = sigma, columns, np.cumsum(np.einsum("san,sbn->sab", columns, columns), axis=0)
+    return known[link][1:]
 
 
 def strongest(windows: Sequence[Windows]) -> list[PushedWindow]:
@@ -314,7 +325,8 @@ def strongest(windows: Sequence[Windows]) -> list[PushedWindow]:
         taken.append(last)
         # a strongest window that shares no time with the new push stays the strongest
         best = [w.best(taken) if one and last.meets(one) else one for one, w in zip(best, windows, strict=True)]
-    found = [(push, *_beside(push, taken, windows)) for push in taken]
+    free = [(w, ~w.shared(taken)) for w in windows]
+    found = [(push, *_beside(push, taken, free)) for push in taken]
     bare = [push for push in taken if any(w.bare(push) for w in windows)]
     alone = [
         push
@@ -325,26 +337,30 @@ def strongest(windows: Sequence[Windows]) -> list[PushedWindow]:
     return [p for p, around, _ in found if p in alone or (alone and p.gain > _SHARP * around)]
 
 
-def _beside(push: PushedWindow, taken: Sequence[PushedWindow], windows: Sequence[Windows]) -> tuple[float, float]:
+#: Windows, and which of them (K,) share no time with a push.
+Free = Sequence[tuple[Windows, np.ndarray]]
+
+
+def _beside(push: PushedWindow, taken: Sequence[PushedWindow], windows: Free) -> tuple[float, float]:
     """Gain that is usual or near a push, and the gain that repeats at its phase of another cycle."""
-    of_link = [w for w in windows if w.link == push.link]
-    here = [w for w in of_link if w.log == push.log]
-    as_long = min((w.duration for w in here), key=lambda duration: abs(duration - push.duration))
+    of_link = [(w, free) for w, free in windows if w.link == push.link]
+    here = [(w, free) for w, free in of_link if w.log == push.log]
+    as_long = min((w.duration for w, _ in here), key=lambda duration: abs(duration - push.duration))
     scale = push.duration / as_long
-    usual = _usual(push, taken, of_link)
-    again = scale * max((w.again(push, taken) for w in here if w.duration == as_long), default=0.0)
-    near = scale * max((w.near(push, taken) for w in here if w.duration == as_long), default=0.0)
-    shortest = [w for w in of_link if w.duration == _DURATIONS[0] and w.log == push.log]
+    usual = _usual(push, of_link)
+    again = scale * max((w.again(push, taken) for w, _ in here if w.duration == as_long), default=0.0)
+    near = scale * max((w.near(push, free) for w, free in here if w.duration == as_long), default=0.0)
+    shortest = [w for w, _ in here if w.duration == _DURATIONS[0]]
     return max(usual, near, push.duration * max((w.beside_edges(push) for w in shortest), default=0.0)), again
 
 
-def _usual(push: PushedWindow, taken: Sequence[PushedWindow], windows: Sequence[Windows]) -> float:
+def _usual(push: PushedWindow, windows: Free) -> float:
     """Usual gain of a window as long as a push, scaled up from shorter windows if no such window is free.
 
     Infinite if no window is free: a force from the first sample to the last is no event.
     """
     for duration in (length for length in reversed(_DURATIONS) if length <= push.duration):
-        parts = [w.beside(taken) for w in windows if w.duration == duration]
+        parts = [w.gain[free] for w, free in windows if w.duration == duration]
         others = np.concatenate([np.zeros(0), *parts])
         if len(others):
             return float(np.quantile(others, _USUAL)) * push.duration / duration
