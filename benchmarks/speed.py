@@ -97,7 +97,7 @@ def candidate_ms() -> dict[str, float]:
 
 def commands(trees: dict[str, Path], folder: Path) -> None:
     """Commands on a minute of log, process start included."""
-    minute, model = folder / "minute.mcap", folder / "model.json"
+    minute, model, known = folder / "minute.mcap", folder / "model.json", folder / "known.json"
     write(minute, 60.0)
     whole, short = [folder / f"whole{k}.mcap" for k in range(3)], [folder / f"stribeck{k}.mcap" for k in range(3)]
     for k in range(3):
@@ -109,6 +109,8 @@ def commands(trees: dict[str, Path], folder: Path) -> None:
         "check": ["check", str(RECIPE)],
         "diagnose, 3 logs of 20 s, no gap": ["diagnose", "--robot", "comau_ns16", *map(str, whole)],
         "diagnose, 3 logs of 20 s, a gap of one joint": ["diagnose", "--model", str(model), *map(str, short)],
+        "estimate, 3 logs of 20 s": ["estimate", "--robot", "comau_ns16", "-o", str(known), *map(str, whole)],
+        "diagnose, 3 logs of 20 s, what is healthy known": ["diagnose", "--model", str(known), *map(str, short)],
         "--help": ["--help"],
     }
     seconds: Table = {tree: {} for tree in trees}

@@ -9,7 +9,7 @@ import pytest
 
 from agent.diagnosis import diagnose, with_healthy_effects
 from agent.diagnosis.hypotheses import healthy
-from agent.estimation import estimate
+from agent.estimation import estimate, filtering
 from agent.model import HealthyEffect, IdentifiedModel
 from fake_controller.plant import Plant
 from tests.small_arms import make_arm, record
@@ -65,14 +65,45 @@ def test_what_the_arm_has_is_no_fault_on_a_faster_motion(plant, model, more, nam
     assert {cause["effect"] for cause in diagnose(plant.robot, [log], model).result["causes"]} == named
 
 
-def test_only_the_first_minute_of_a_log_is_looked_at(monkeypatch):
+def filtered(monkeypatch, work):
+    """How many samples pass a filter: what most of the time goes into, and no clock tells it from other jobs."""
+    count, respond = [0], filtering._respond
+
+    def counted(signals, *more):
+        count[0] += signals.size
+        return respond(signals, *more)
+
+    monkeypatch.setattr(filtering, "_respond", counted)
+    found = work()
+    monkeypatch.setattr(filtering, "_respond", respond)
+    return found, count[0]
+
+
+def test_work_grows_with_the_logs_and_stays_near_that_of_the_fit(plant, monkeypatch):
+    """Raise no figure here without a reason: 3.7 times the fit's samples and 2.0 times with twice the logs."""
+    logs, spent = [record(plant, f"log {k}", k, 0.5) for k in (21, 22, 23, 24)], {}
+    for count in (2, 4):
+        fitted, fit = filtered(monkeypatch, lambda count=count: estimate(plant.robot, logs[:count]))
+        known, learning = filtered(
+            monkeypatch, lambda fitted=fitted, count=count: with_healthy_effects(fitted, logs[:count])
+        )
+        assert learning < 4.2 * fit
+        spent[count] = learning
+    assert spent[4] < 2.1 * spent[2]
+    (_, one), (_, two) = (
+        filtered(monkeypatch, lambda count=count: diagnose(plant.robot, logs[:count], known)) for count in (1, 2)
+    )
+    assert two < 2.5 * one
+
+
+def test_only_the_first_half_minute_of_a_log_is_looked_at(monkeypatch):
     def log(last):
         return SimpleNamespace(t=np.array([5.0, 6.0, last]), between=lambda *times: SimpleNamespace(t=np.array(times)))
 
     seen, nothing = [], SimpleNamespace(gains=np.empty(0))
     monkeypatch.setattr(healthy, "_judged", lambda model, logs: ([], (seen.extend(logs), [nothing])[1]))
-    assert healthy.with_healthy_effects(Model(), [log(70.0)], [log(65.0), log(65.1)]).healthy == ()
-    assert [one.t.tolist() for one in seen] == [[5.0, 6.0, 65.0], [5.0, 65.0]]
+    assert healthy.with_healthy_effects(Model(), [log(70.0)], [log(35.0), log(35.1)]).healthy == ()
+    assert [one.t.tolist() for one in seen] == [[5.0, 6.0, 35.0], [5.0, 35.0]]
     assert [hasattr(one, "between") for one in seen] == [True, False]
 
 

@@ -421,9 +421,7 @@ class Evidence:
             best[better], values[better] = gain[better], fitted[better]
         return best, values
 
-    def _joint(
-        self, j: int, scale: float, variance: float, effects: tuple[int, ...], at: np.ndarray
-    ) -> JointMoments:
+    def _joint(self, j: int, scale: float, variance: float, effects: tuple[int, ...], at: np.ndarray) -> JointMoments:
         own, cross, square = self._moments(j, effects)
         root = NoiseRoot.of(square, self.noise.common(j), scale, variance)
         half = root.solved(cross) / scale

@@ -21,7 +21,7 @@ from agent.diagnosis.rows.fit import Fit
 from agent.model import CATALOGUE, HealthyEffect, IdentifiedModel
 from agent.recording import Log
 
-_LONGEST = 60.0  # s of a log that are looked at
+_LONGEST = 30.0  # s of a log that are looked at
 _TRANSIENT = [effect.name for effect in CATALOGUE.values() if effect.once]
 _INVISIBLE = 1e-9  # torque over nominal of a unit of a parameter, up to which it shows nothing
 
@@ -34,7 +34,7 @@ def with_healthy_effects(
     Each log of the baseline is judged by parameters fitted to the others, and logs that were `held_out` by the model
     itself, all together. With one log alone nothing can be learned, and the model is returned as it is.
     """
-    baseline, held_out = ([_first_minute(log) for log in logs] for logs in (baseline, held_out))
+    baseline, held_out = ([_beginning(log) for log in logs] for logs in (baseline, held_out))
     learned = [_judged(model, held_out)] if held_out else []
     learned += [_left_out(model, baseline)] if len(baseline) > 1 else []
     largest: dict[Place, tuple[float, list[HealthyEffect]]] = {}
@@ -45,7 +45,7 @@ def with_healthy_effects(
     return replace(model, healthy=tuple(entry for _, entries in largest.values() for entry in entries))
 
 
-def _first_minute(log: Log) -> Log:
+def _beginning(log: Log) -> Log:
     start = float(log.t[0])
     return log if log.t[-1] - start <= _LONGEST else log.between(start, start + _LONGEST)
 
