@@ -66,7 +66,7 @@ def test_what_the_arm_has_is_no_fault_on_a_faster_motion(plant, model, more, nam
 
 
 def filtered(monkeypatch, work):
-    """How many samples pass a filter: what most of the time goes into, and no clock tells it from other jobs."""
+    """How many samples pass a filter: most of the time goes there, and other jobs on the machine do not change it."""
     count, respond = [0], filtering._respond
 
     def counted(signals, *more):
