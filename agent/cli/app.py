@@ -119,6 +119,7 @@ def diagnose(
     cutoff: opt.Cutoff = None,
     without: opt.Without = None,
     topic: opt.Topic = None,
+    effort: opt.Effort = None,
     allow_mixed: opt.AllowMixed = False,
     force: opt.Force = False,
     as_json: opt.AsJson = False,
@@ -152,6 +153,7 @@ def diagnose(
         next_payload=load,
         drives_off=drives_off,
         topic=topic,
+        effort=effort,
         planning_budget=pipeline.planning_time(planning_budget),
     )
     console = opt.console_for(messages)
@@ -204,6 +206,7 @@ def estimate(
     ] = None,
     structure: opt.Structure = "rigid",
     topic: opt.Topic = None,
+    effort: opt.Effort = None,
     allow_mixed: opt.AllowMixed = False,
     force: opt.Force = False,
     as_json: opt.AsJson = False,
@@ -211,7 +214,13 @@ def estimate(
 ) -> None:
     """Estimate a model from logs and write the model file."""
     fit = pipeline.FitQuestion(
-        cutoff=cutoff, method=method, structure=structure, topic=topic, allow_mixed=allow_mixed, force=force
+        cutoff=cutoff,
+        method=method,
+        structure=structure,
+        topic=topic,
+        effort=effort,
+        allow_mixed=allow_mixed,
+        force=force,
     )
     model, text = pipeline.estimate_files(robot, logs, out, fit, opt.console_for(messages), export)
     opt.print_found(as_json, model, text)
@@ -223,12 +232,13 @@ def validate(
     model: opt.ModelFile,
     cutoff: opt.Cutoff = None,
     topic: opt.Topic = None,
+    effort: opt.Effort = None,
     allow_mixed: opt.AllowMixed = False,
     as_json: opt.AsJson = False,
     messages: opt.Messages = None,
 ) -> None:
     """Compare predicted and measured torque on logs that took no part in the fit."""
-    result = pipeline.validate_files(model, logs, cutoff, opt.console_for(messages), allow_mixed, topic)
+    result = pipeline.validate_files(model, logs, cutoff, opt.console_for(messages), allow_mixed, topic, effort)
     opt.print_found(as_json, result.to_dict(), pipeline.validation_text(result))
 
 
@@ -305,6 +315,7 @@ def import_(
         Option(metavar="NAME", help="a known recorder: ur-rtde, ur-record, lerobot, pace, isaac-sysid or isaaclab"),
     ] = None,
     topic: opt.Topic = None,
+    effort: opt.Effort = None,
     messages: opt.Messages = None,
 ) -> None:
     """Convert tables to a log, or a dataset to a log for each episode."""
@@ -312,7 +323,7 @@ def import_(
         raise InputError("import: name at least one table and the log to write: agent import … IN OUT.mcap")
     if mapping is not None and preset is not None:
         raise InputError(pipeline.MAP_OR_PRESET)
-    for note in pipeline.import_files(robot, mapping or preset, files[:-1], files[-1], topic):
+    for note in pipeline.import_files(robot, mapping or preset, files[:-1], files[-1], topic, effort):
         opt.console_for(messages).say(note)
     print(files[-1])
 

@@ -53,6 +53,12 @@ Cutoff = Annotated[float | None, Option("--cutoff", metavar="HZ", help="cut-off 
 Topic = Annotated[
     str | None, Option("--topic", metavar="T", help="topic of the arm's joint states, if a log has several")
 ]
+Effort = Annotated[
+    str | None,
+    Option(
+        "--effort", metavar="WHAT", help="what the logs' effort is: current, torque, torque-without-gravity or load"
+    ),
+]
 RunsFolder = Annotated[Path, Option("--logs", metavar="DIR", help="folder of the runs")]
 AnyRobot = Annotated[str | None, Option("--robot", metavar="R", help=_ANY, autocompletion=completion.robots)]
 _DRIVES = "built-in robot, or robot.yaml"

@@ -17,7 +17,13 @@ from agent.data_quality.channels import (
     unsigned_channels,
     velocity_mismatch,
 )
-from agent.data_quality.description_fit import described_weight, excessive_torque, excessive_weight, position_units
+from agent.data_quality.description_fit import (
+    compared_weight,
+    described_weight,
+    excessive_torque,
+    excessive_weight,
+    position_units,
+)
 from agent.data_quality.faults import QualityFinding, Recordings
 from agent.data_quality.mechanics import implausible_mechanics, wrong_lengths
 from agent.recording import Log
@@ -53,6 +59,26 @@ def check_quality(robot: RobotDescription, logs: Sequence[Log], others: Sequence
         if any(finding.refuses or finding.scale for finding in found):
             break
     return found
+
+
+def contradicted(robot: RobotDescription, logs: Sequence[Log], declared: str) -> str | None:
+    """What in the torques of logs contradicts that they are `current` or `torque-without-gravity`; None: nothing.
+
+    Torque itself is checked by `check_quality`.
+    """
+    measured = [log for log in logs if log.effort is not None]
+    if declared not in ("current", "torque-without-gravity") or not measured:
+        return None
+    found = compared_weight(Recordings(robot, measured))
+    if found is None:
+        return None
+    if declared == "torque-without-gravity" and found.alike.any():
+        sizes = zip(found.joints[found.alike], found.times[found.alike], strict=True)
+        listed = ", ".join(f"{robot.joint_names[k]} {times:.2g}" for k, times in sizes)
+        return f"they carry gravity, as a multiple of what the described masses weigh: {listed}"
+    if declared == "current" and found.absent.all():
+        return "currents carry gravity, and these show none"
+    return None
 
 
 def spoiled(robot: RobotDescription, logs: Sequence[Log]) -> list[QualityFinding]:

@@ -9,7 +9,7 @@ says nothing here.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -38,7 +38,8 @@ MEND_GRAVITY = (
 )
 WITH_GRAVITY = (
     "record joint torque that includes gravity: take the controller's total torque or the motor currents instead of "
-    "the gravity-compensated effort (UR's ROS 2 driver takes gravity off by default; libfranka's tau_J includes it)"
+    "the gravity-compensated effort (UR's ROS 2 driver: `use_currents_as_efforts: true`, the default on Humble, Jazzy "
+    "and Kilted; libfranka's tau_J includes gravity)"
 )
 
 
@@ -165,11 +166,35 @@ def described_gravity(
         )
 
 
-def described_weight(of: Recordings) -> Iterator[QualityFinding]:
-    """Torque that carries no gravity, or is like the described gravity in all but its size, joint by joint."""
+@dataclass(frozen=True, eq=False)
+class DescribedWeight:
+    """How the torque of the joints that carry most compares with the described gravity.
+
+    Attributes
+    ----------
+    joints : (k,) numbers of these joints.
+    times : (k,) their torque as a multiple of gravity.
+    alike : (k,) whether gravity of any size explains most of what friction and inertia leave.
+    absent : (k,) whether they show next to none.
+    root_mean_square : of the largest gravity torque [N·m].
+    """
+
+    joints: np.ndarray
+    times: np.ndarray
+    alike: np.ndarray
+    absent: np.ndarray
+    root_mean_square: float
+
+    def off(self) -> np.ndarray:
+        """(k,) joints whose gravity is beyond what wrong masses make of it."""
+        return self.alike & ((self.times < _SCALES[0]) | (self.times > _SCALES[1]))
+
+
+def compared_weight(of: Recordings) -> DescribedWeight | None:
+    """Torque against the described gravity; None where the masses or the samples say nothing."""
     robot, s, masses = of.robot, of.samples, _measured_masses(of.robot)
     if s is None or masses is None:
-        return
+        return None
     dynamics = Dynamics(robot)
     weight, whole = (dynamics.regressor(s.q, *rest) @ masses for rest in ((0 * s.q, 0 * s.q), (s.qd, s.qdd)))
     heavy = np.flatnonzero(of.turning & (np.std(weight, axis=0) > _SEEN * np.std(weight * of.turning, axis=0).max()))
@@ -184,48 +209,66 @@ def described_weight(of: Recordings) -> Iterator[QualityFinding]:
         share = 1 - left**2 / max(float(torque @ torque), 1e-300)
         alike.append(share > _ALIKE and times[-1] > 0)
         absent.append(abs(times[-1]) < _ABSENT and share < _ABSENT and np.linalg.norm(own) > _VISIBLE * left)
-    if len(heavy) and all(absent):
-        whose = of.named(heavy)
-        held_out = _unweighed(robot, s, masses, robot.gravity) / _unweighed(robot, s, masses, (0.0, 0.0, 0.0))
+    if not len(heavy):
+        return None
+    largest = float(np.std(weight[:, heavy], axis=0).max())
+    return DescribedWeight(heavy, np.array(times), np.array(alike, bool), np.array(absent, bool), largest)
+
+
+def described_weight(of: Recordings) -> Iterator[QualityFinding]:
+    """Torque that carries no gravity, or is like the described gravity in all but its size, joint by joint."""
+    found = compared_weight(of)
+    if found is not None and found.absent.all():
+        whose = of.named(found.joints)
         yield QualityFinding(
-            f"these torques carry no gravity: the described masses need {np.std(weight[:, heavy], axis=0).max():.3g} "
-            f"N·m of it, root mean square, and {', '.join(whose)} show next to none",
+            f"these torques carry no gravity: the described masses need {found.root_mean_square:.3g} N·m of it, root "
+            f"mean square, and {', '.join(whose)} show next to none",
             whose,
             advice=WITH_GRAVITY,
-            refuses=bool(np.log(held_out).mean() > 0),
+            refuses=_fits_without_gravity(of),
         )
-    elif any(alike):
-        yield from _other_unit(of, heavy[alike], np.array(times)[alike], len(heavy))
+    elif found is not None and found.alike.any():
+        yield from _other_unit(of, found)
 
 
-def _other_unit(of: Recordings, joints: np.ndarray, times: np.ndarray, judged: int) -> Iterator[QualityFinding]:
-    """Torque of `joints` (k,) that is a multiple `times` (k,) of the described gravity torque; `judged` counts the
-    joints with enough weight to be judged."""
+def _other_unit(of: Recordings, found: DescribedWeight) -> Iterator[QualityFinding]:
+    """Torque that is a multiple of the described gravity; refused where every joint with weight is off."""
     robot = of.robot
+    joints, times = found.joints[found.alike], found.times[found.alike]
     size = float(np.exp(np.mean(np.log(times))))
     if size > _TOO_STRONG:
         weighed = f"torques look like N·mm: gravity on the joints is {size:.3g} times what the described masses weigh"
         yield from [*excessive_weight(of), QualityFinding(weighed, robot.joint_names, scale=True)][:1]
         return
-    off = (times < _SCALES[0]) | (times > _SCALES[1])
-    unit = "motor currents, or % or ‰ of a nominal torque"
+    off = found.off()[found.alike]
+    unit, what = "motor currents, or % or ‰ of a nominal or stall torque", "--effort current or --effort load"
     parts = np.log(times * drive_torque(robot)[joints])
     for name, whole in (("%", 100.0), ("‰", 1000.0)):
         wrong = np.mean(np.abs(parts - np.log(whole)))
         if wrong < np.log(_UNIT) < np.mean(np.abs(np.log(times))) / 2:
-            unit, off = f"{name} of nominal torque", np.ones(len(joints), bool)
+            unit, off, what = f"{name} of nominal torque", np.ones(len(joints), bool), "--effort load"
     if not off.any():
         return
-    whose = robot.joint_names if off.sum() == judged else of.named(joints[off])
+    every = int(off.sum()) == len(found.joints)
+    whose = robot.joint_names if every else of.named(joints[off])
     sizes = ", ".join(f"{robot.joint_names[k]} {x:.2g}" for k, x in zip(joints[off], times[off], strict=True))
     yield QualityFinding(
         f"the torques of {', '.join(whose)} look like another unit ({unit}) in 100 % of the samples: as multiples of "
         f"what the described masses weigh, their gravity is {sizes}",
         whose,
-        advice="scale them by torque constant and gear ratio, or by nominal torque, when you import them",
-        refuses=False,
+        advice=f"say what they are with {what}, or correct the masses of the description",
+        refuses=every,
         scale=True,
     )
+
+
+def _fits_without_gravity(of: Recordings) -> bool:
+    """Whether samples held out fit better without the described gravity than with it."""
+    masses, s = _measured_masses(of.robot), of.samples
+    if masses is None or s is None:
+        return False
+    with_it, without = (_unweighed(of.robot, s, masses, gravity) for gravity in (of.robot.gravity, (0.0, 0.0, 0.0)))
+    return bool(np.log(with_it / without).mean() > 0)
 
 
 def _unweighed(

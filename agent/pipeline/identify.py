@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -16,12 +18,15 @@ from agent.data_quality import check_quality, fitted_doubts, spoiled
 from agent.diagnosis import with_healthy_effects, with_structure
 from agent.estimation import EstimationSettings, FilterSettings, beyond_fit, estimate, used_text
 from agent.model import PAYLOAD, IdentifiedModel
+from agent.pipeline.declared_effort import check_torque, with_declared_effort
 from agent.recording import (
     DATASET_PRESETS,
     Log,
+    check_effort,
     import_dataset,
     import_log,
     is_dataset,
+    read_log,
     read_recording,
     recorded_joints,
 )
@@ -34,16 +39,23 @@ MAP_OR_PRESET = "import: describe the columns with either --map MAP.yaml or --pr
 
 
 def import_files(
-    robot: str, mapping: Path | str | None, inputs: list[Path], out: Path, topic: str | None = None
+    robot: str,
+    mapping: Path | str | None,
+    inputs: list[Path],
+    out: Path,
+    topic: str | None = None,
+    effort: str | None = None,
 ) -> list[str]:
     """Turn recordings into logs; returns what there is to say about it.
 
     `mapping` is a mapping file for columns of tables, the name of a preset, or None for a dataset of a known format,
-    whose episodes become a log each. `topic` chooses one of its two arms.
+    whose episodes become a log each. `topic` chooses one of its two arms. `effort` is what the log's effort is.
 
     Raises:
         InputError: a recording, the mapping or the output is not usable.
+        RejectedError: the numbers contradict the `effort`; nothing is written.
     """
+    check_effort(effort)
     if mapping is None and not is_dataset(inputs[0]):
         raise InputError(MAP_OR_PRESET)
     if out.exists():
@@ -57,7 +69,15 @@ def import_files(
         return list(import_dataset(arm, inputs[0], out, topic, None if known else str(mapping)))
     alone = is_simulator(Path(robot))
     description = partial(load_arm_of, Path(robot)) if alone else load_robot(robot)
-    return [str(note) for note in import_log(description, mapping, inputs, out)]
+    if effort is None:
+        return list(import_log(description, mapping, inputs, out))
+    with TemporaryDirectory(dir=out.absolute().parent, prefix=f".{out.name}.") as folder:
+        unchecked = Path(folder) / out.name
+        notes = import_log(description, mapping, inputs, unchecked, effort)
+        arm = load_arm(robot, [unchecked])
+        with_declared_effort(arm, [read_log(unchecked, arm)], None, False, Console(-1))
+        os.rename(unchecked, out)
+    return list(notes)
 
 
 def load_arm(robot: str, logs: Sequence[Path] = (), topic: str | None = None) -> RobotDescription:
@@ -82,8 +102,22 @@ def joints_of(recording: Path, simulator: Path, topic: str | None = None) -> tup
     return load(simulator, most=found).joint_names if isinstance(found, int) else found
 
 
-def read_logs(paths: Sequence[Path], robot: RobotDescription, console: Console, topic: str | None = None) -> list[Log]:
-    """Read logs and warn of what was repaired; `topic` holds the joint states if a log has several."""
+def read_logs(
+    paths: Sequence[Path],
+    robot: RobotDescription,
+    console: Console,
+    topic: str | None = None,
+    effort: str | None = None,
+    force: bool = False,
+) -> list[Log]:
+    """Read logs and warn of what was repaired.
+
+    `topic` holds the joint states if a log has several; `effort` is what their effort is, where no driver says it.
+
+    Raises:
+        InputError: a file cannot be read, or its driver says something else of its effort.
+        RejectedError: the numbers contradict the `effort`, and there is no `force`.
+    """
     logs: list[Log] = []
     for path in paths:
         found, notes = read_recording(path, robot, topic)
@@ -93,7 +127,7 @@ def read_logs(paths: Sequence[Path], robot: RobotDescription, console: Console, 
             for repair in log.repairs:
                 console.warn(f"{log.name}: {repair}")
         logs += found
-    return logs
+    return with_declared_effort(robot, logs, effort, force, console)
 
 
 @dataclass(frozen=True)
@@ -106,6 +140,7 @@ class FitQuestion:
     method : estimator; None: the best on held-out data.
     structure : `rigid`, or `auto` to add the effects that these logs clearly show (`agent.diagnosis.structure`).
     topic : topic of the joint states in the logs.
+    effort : what the effort of the logs is (`agent.recording.EFFORTS`); None: as their driver says it, or torque.
     allow_mixed : logs may be of several machines or tools.
     force : continue although a log is implausible.
     """
@@ -114,6 +149,7 @@ class FitQuestion:
     method: str | None = None
     structure: str = "rigid"
     topic: str | None = None
+    effort: str | None = None
     allow_mixed: bool = False
     force: bool = False
 
@@ -268,7 +304,9 @@ def fit_files(
     """`fit_logs` of files; the robot is a description or its name."""
     check_structure(question.structure)
     description = load_arm(robot, paths, question.topic) if isinstance(robot, str) else robot
-    return fit_logs(description, read_logs(paths, description, console, question.topic), question, console)
+    logs = read_logs(paths, description, console, question.topic, question.effort, question.force)
+    check_torque(logs)
+    return fit_logs(description, logs, question, console)
 
 
 def fit_logs(
@@ -312,10 +350,12 @@ def validate_files(
     console: Console,
     allow_mixed: bool = False,
     topic: str | None = None,
+    effort: str | None = None,
 ) -> Validation:
     """Prediction of logs by a model."""
     model = IdentifiedModel.load(model_path)
-    logs = read_logs(paths, model.robot, console, topic)
+    logs = read_logs(paths, model.robot, console, topic, effort)
+    check_torque(logs)
     check_one_machine(logs, model, allow_mixed)
     say_spoiled(model.robot, logs, console)
     predictions = [predict_log(model, log, cutoff) for log in logs]

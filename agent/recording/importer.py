@@ -10,9 +10,12 @@ from typing import Any
 import numpy as np
 
 from agent.core import InputError, counted
-from agent.recording.log import ARRAYS, MACHINE, NANO, Log
+from agent.recording.effort import TORQUE
+from agent.recording.log import ARRAYS, EFFORT, MACHINE, NANO, Log
 from agent.recording.map_columns import Source, position_columns
 from agent.recording.mapping import (
+    CURRENT,
+    OF_NOMINAL,
     Mapping,
     load_mapping,
     preset_map,
@@ -34,13 +37,14 @@ def import_log(
     map_or_preset: Path | str,
     inputs: Sequence[Path],
     output: Path,
+    effort: str | None = None,
 ) -> tuple[str, ...]:
     """Turn columns of one or more tables into a log, by a mapping file, or by the name of a recorder (`PRESETS`).
 
     `robot` may also be what finds it by the names of the columns of positions.
 
     Motor-side columns come to the joints by the robot's gear ratios g and coupling C: q = C⁻¹ diag(1/g) q_m and
-    τ = Cᵀ diag(g) τ_m; a current i by its torque constant first, τ_m = k i.
+    τ = Cᵀ diag(g) τ_m; a current i by its torque constant first, τ_m = k i. `effort` is what the log then says of it.
 
     Returns:
         Notes on rows, samples and repairs.
@@ -59,6 +63,12 @@ def import_log(
     source.notes += said
     log, current = _assembled(source, output)
     entries = mapping.entries
+    if effort is not None:
+        units = [] if entries.effort is None else [unit for unit in entries.effort.unit if unit in CURRENT | OF_NOMINAL]
+        if log.effort is None or (units and effort != TORQUE):
+            what = f"is {units[0]}, which becomes torque" if units else "gives the log none"
+            mapping.fault("effort", f"it {what}; leave out --effort {effort}")
+        log = replace(log, metadata=log.metadata | {EFFORT: effort})
     if entries.decimate is not None:
         if entries.decimate > len(log.t) // 10:
             mapping.fault("decimate", f"{len(log.t)} samples would leave fewer than ten")

@@ -9,6 +9,7 @@ import pytest
 from agent.core import Console, InputError, RejectedError
 from agent.data_quality import check_quality, fitted_doubts, spoiled
 from agent.estimation import estimate
+from agent.pipeline.declared_effort import check_torque, with_declared_effort
 from agent.pipeline.identify import FitQuestion, check_plausible, estimate_files, validate_files
 from agent.recording import read_log, write_log
 from agent.robot import Dynamics, load_robot
@@ -196,7 +197,7 @@ def test_detects_a_torque_unit_from_the_described_masses(robot, scale, unit):
     log = motion(described, 15)
     assert check_quality(described, [log]) == []
     (found,) = check_quality(described, [replace(log, effort=log.effort * scale(nominal))])
-    assert not found.refuses
+    assert found.refuses
     assert unit in found.text
     assert found.joints == robot.joint_names
 
@@ -255,7 +256,7 @@ def test_a_simulators_own_masses_do_not_excuse_missing_gravity(robot, tmp_path):
         check_plausible(robot, [weightless], False, Console(-1), model=model)
 
 
-def test_detects_currents_against_a_frictionless_simulator(robot, tmp_path, capsys):
+def test_detects_currents_against_a_frictionless_simulator(robot, tmp_path):
     """A simulator without friction predicts next to nothing on some joints, of which currents are no smaller."""
     path = tmp_path / "arm.urdf"
     path.write_text(robot.urdf, encoding="utf-8")
@@ -265,8 +266,8 @@ def test_detects_currents_against_a_frictionless_simulator(robot, tmp_path, caps
     carried = np.median(np.abs(dynamics.regressor(log.position, rest, rest) @ dynamics.standard_parameters()), axis=0)
     rubbing = np.where(np.arange(4) == np.argmax(carried), 0.0, 8 * carried)
     effort = log.effort + rubbing * np.tanh(np.gradient(log.position, log.t, axis=0) / 0.01)
-    check_plausible(robot, [replace(log, effort=effort / 9)], False, Console(0), model=model)
-    assert "look like another unit" in capsys.readouterr().err
+    with pytest.raises(RejectedError, match="look like another unit"):
+        check_plausible(robot, [replace(log, effort=effort / 9)], False, Console(0), model=model)
 
 
 def test_zero_effort_is_refused_by_estimate_and_validate(robot, tmp_path, shared_robot):
@@ -338,7 +339,7 @@ FOLDERS = [
     (("07-two-publishers-one-topic/A3_zero_full",), PUBLISHERS, ()),
     (("07-two-publishers-one-topic/A3_zero_full10",), PUBLISHERS, ()),
     (("07-two-publishers-one-topic/E4_same_topic_same_names",), PUBLISHERS, ()),
-    (("20-currents-and-bad-effort/U_cur1", "20-currents-and-bad-effort/U_cur2"), None, ("another unit", "100 %")),
+    (("20-currents-and-bad-effort/U_cur1", "20-currents-and-bad-effort/U_cur2"), "another unit", ("100 %",)),
     (("20-currents-and-bad-effort/U_hold1",), None, ("holds its value for 100.0 %",)),
     (("20-currents-and-bad-effort/U_sat1",), None, ("shoulder_lift_joint stays at its largest value for 34.8 %",)),
     (("20-currents-and-bad-effort/Z_drop2_1",), None, ("shoulder_lift_joint is exactly zero for 9.0 %",)),
@@ -373,3 +374,45 @@ def test_uneven_kilohertz_stamps_give_the_accelerations_of_an_even_clock(shared_
     inside = (times > even.time[even.kept][0]) & (times < even.time[even.kept][-1])
     expected = np.column_stack([np.interp(times[inside], even.time[even.kept], column) for column in a.T])
     assert np.all(np.std(b[inside] - expected, axis=0) < 0.01 * np.std(expected, axis=0))
+
+
+def test_what_an_effort_is_declared_to_be_is_checked_against_the_numbers(robot):
+    log, amperes = motion(robot, 16), np.array([9.0, 11.0, 8.0, 12.0])
+    constants = zip(robot.joints, amperes / 7, strict=True)
+    driven = replace(robot, joints=tuple(replace(one, torque_constant=k, gear_ratio=7.0) for one, k in constants))
+    bare = motion(robot, 17, carried=False)
+    given = {
+        "torque": log,
+        "current": replace(log, effort=log.effort / amperes),
+        "torque-without-gravity": bare,
+        "load": replace(log, effort=1000 * log.effort / 300),
+        "franka": replace(bare, metadata={"effort": "torque"}),
+    }
+
+    def judged(name, effort, arm=robot):
+        logs = with_declared_effort(arm, [given[name]], effort, False, Console(-1))
+        check_torque(logs)
+        check_plausible(arm, logs, False, Console(-1))
+        return logs[0]
+
+    for name, effort, arm, reason in (
+        ("current", None, robot, "look like another unit"),
+        ("current", "torque", robot, "look like another unit"),
+        ("current", "current", robot, "torque_constant for every joint"),
+        ("load", None, robot, "look like another unit"),
+        ("load", "load", robot, "share of the stall torque"),
+        ("torque-without-gravity", None, robot, "carry no gravity"),
+        ("torque-without-gravity", "torque-without-gravity", robot, "took gravity off"),
+        ("torque-without-gravity", "current", robot, "contradict that the effort is current"),
+        ("torque", "torque-without-gravity", robot, "contradict that the effort is torque-without-gravity: they carry"),
+        ("torque", "current", driven, "look like another unit"),
+        ("franka", None, robot, "carry no gravity"),
+    ):
+        with pytest.raises(RejectedError, match=reason):
+            judged(name, effort, arm)
+    with pytest.raises(InputError, match="as its driver says"):
+        judged("franka", "load")
+    with pytest.raises(InputError, match="choose torque, current"):
+        judged("torque", "volts")
+    np.testing.assert_array_equal(judged("torque", "torque").effort, log.effort)
+    np.testing.assert_allclose(judged("current", "current", driven).effort, log.effort)

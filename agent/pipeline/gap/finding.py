@@ -10,6 +10,7 @@ from typing import Any
 from agent.core import AgentError, Console, InputError, counted
 from agent.diagnosis import Diagnosis, Simulated, channel_zero, diagnose, simulate, with_servo_torque
 from agent.model import IdentifiedModel
+from agent.pipeline.declared_effort import check_torque
 from agent.pipeline.gap.next_experiment import check_arm, check_tool
 from agent.pipeline.gap.question import GapQuestion
 from agent.pipeline.identify import check_one_machine, check_plausible, joints_of, read_logs, say_used
@@ -50,13 +51,15 @@ def find(robot: RobotDescription | None, paths: Sequence[Path], question: GapQue
     if further is not None:
         check_arm(further, robot)
     console.step(f"reading {counted(len(paths), 'log')}")
-    logs = read_logs(list(paths), robot, console, question.topic)
+    logs = read_logs(list(paths), robot, console, question.topic, question.effort, question.force)
     if further is not None and not question.allow_mixed:
         check_tool(further, logs, {} if reference is None else reference.provenance)
     at_rest = read_at_rest(robot, reference, question, console)
     of_machine = logs if at_rest is None else [*logs, at_rest]
     check_one_machine(of_machine, reference, question.allow_mixed, payload_counts=True)
     said: tuple[str, ...] = ()
+    if simulator is None or any(log.reference_position is None for log in logs):
+        check_torque(logs)
     if simulator is not None:
         simulator, logs, said = with_servo_torque(simulator, logs)
     if not said:
@@ -85,7 +88,7 @@ def read_at_rest(
     """
     if question.drives_off is None:
         return None
-    (log,) = read_logs([question.drives_off], robot, console, question.topic)
+    (log,) = read_logs([question.drives_off], robot, console, question.topic, question.effort, question.force)
     channel_zero(robot, log, reference)
     return log
 

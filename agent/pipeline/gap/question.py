@@ -38,6 +38,7 @@ class GapQuestion:
     next_payload : known mass at the flange for that motion.
     drives_off : log of the stationary arm with its drives off.
     topic : topic of the joint states in the logs.
+    effort : what the effort of the logs is; None: as their driver says it, or torque.
     planning_budget : longest time for planning [s].
     """
 
@@ -53,6 +54,7 @@ class GapQuestion:
     next_payload: str | None = None
     drives_off: Path | None = None
     topic: str | None = None
+    effort: str | None = None
     planning_budget: float = PLANNING_BUDGET
 
     def options(self) -> list[str]:
@@ -67,6 +69,7 @@ class GapQuestion:
             "--payload": self.next_payload,
             "--drives-off": self.drives_off,
             "--topic": self.topic,
+            "--effort": self.effort,
         }
         words = [word for option, value in named.items() if value is not None for word in (option, str(value))]
         if self.planning_budget != PLANNING_BUDGET:

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from agent.core import InputError, counted, needed, sha256_file
+from agent.core import InputError, counted, needed, open_regular, sha256_file
 from agent.recording.datasets.episodes import FRAME_NUMBER, STAMPS, Episode, Recorded
 
 _MOST_VALUES = 2**26
@@ -31,7 +31,7 @@ def read_demonstrations(path: Path) -> Recorded:
     """
     h5py = needed("h5py", f"{path}: reading HDF5", "tables")
     try:
-        with h5py.File(path, "r") as file:
+        with open_regular(path) as regular, h5py.File(regular, "r") as file:
             return _read(path, file)
     except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
         if isinstance(error, FileNotFoundError):

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from agent.core import InputError, sha256_file
+from agent.core import InputError, open_regular, sha256_file
 from agent.recording.datasets.episodes import Episode, Recorded
 
 #: Field of the file → field of an episode, in rad and s.
@@ -56,7 +56,7 @@ def read_pace(path: Path) -> Recorded:
         InputError: no zip of torch, anything in it but tensors, or sizes that do not fit together.
     """
     try:
-        with zipfile.ZipFile(path) as archive:
+        with open_regular(path) as file, zipfile.ZipFile(file) as archive:
             content = _content(archive)
         missing = [name for name in _NEEDED if not isinstance(content.get(name), np.ndarray)]
         if missing:
