@@ -385,7 +385,7 @@ def test_what_an_effort_is_declared_to_be_is_checked_against_the_numbers(robot):
         "torque": log,
         "current": replace(log, effort=log.effort / amperes),
         "torque-without-gravity": bare,
-        "load": replace(log, effort=1000 * log.effort / 300),
+        "load": replace(log, effort=1000 * log.effort / 100),
         "franka": replace(bare, metadata={"effort": "torque"}),
     }
 
