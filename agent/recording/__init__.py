@@ -2,7 +2,6 @@
 
 from agent.recording.column_names import named_joints, prefixed
 from agent.recording.datasets import DATASET_PRESETS, is_dataset, is_gripper, joint_pairs
-from agent.recording.effort import EFFORTS, check_effort, effort_of, with_joint_torque
 from agent.recording.importer import import_log
 from agent.recording.inputs import import_dataset, read_recording, recorded_joints
 from agent.recording.log import PARTS, PLANNED_PARTS, Log, machines_of
@@ -12,5 +11,6 @@ from agent.recording.mcap.relabel import LogCopy
 from agent.recording.mcap.topics import is_nameless
 from agent.recording.mcap.writer import LogWriter
 from agent.recording.reading import read_log
+from agent.recording.repair.effort import EFFORTS, check_effort, effort_of, with_joint_torque
 from agent.recording.repair.grid import line, sample_numbers, settled
 from agent.recording.scratch import Scratch

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from agent.core import InputError, counted
-from agent.recording.effort import TORQUE
 from agent.recording.log import ARRAYS, EFFORT, MACHINE, NANO, Log
 from agent.recording.map_columns import Source, position_columns
 from agent.recording.mapping import (
@@ -22,6 +21,7 @@ from agent.recording.mapping import (
 )
 from agent.recording.mcap.log_file import CURRENTS, nanoseconds, write_log
 from agent.recording.repair.clock import with_lost_rows
+from agent.recording.repair.effort import TORQUE
 from agent.recording.repair.outliers import LIMITS, impossible
 from agent.recording.repair.stamps import put_in_order, spacing_of
 from agent.recording.tables import read_table

@@ -13,7 +13,7 @@ from agent.recording.datasets.demonstrations import read_demonstrations
 from agent.recording.datasets.episodes import Episode, Recorded
 from agent.recording.datasets.isaac_csv import is_isaac_csv, read_isaac_csv
 from agent.recording.datasets.joints import columns_of, side_of, without_side
-from agent.recording.datasets.lerobot import is_lerobot, read_lerobot
+from agent.recording.datasets.lerobot import INFO, is_lerobot, read_lerobot
 from agent.recording.datasets.pace import read_pace
 from agent.recording.datasets.set_points import checked
 from agent.recording.log import NANO, Log, Repair
@@ -45,12 +45,20 @@ def _refuse_pickle(path: Path, joints: int | None = None) -> Recorded:
     )
 
 
+def _refuse_table(path: Path, joints: int | None = None) -> Recorded:
+    raise InputError(
+        f"{path}: is one table: name the folder of the LeRobot dataset that it is of, the one with {INFO}, or describe "
+        "its columns: agent import --map MAP.yaml IN log.mcap"
+    )
+
+
 #: Formats of recordings that need no map.
 FORMATS = (
     DatasetFormat("lerobot", "a LeRobot dataset", is_lerobot, lambda path, joints: read_lerobot(path)),
     DatasetFormat("pace", "a PACE recording", _ends(".pt", ".pth"), lambda path, joints: read_pace(path)),
     DatasetFormat("isaac-sysid", "a CSV file of Isaac Sim", is_isaac_csv, read_isaac_csv),
     DatasetFormat("isaaclab", "demonstrations", _ends(".h5", ".hdf5"), lambda path, joints: read_demonstrations(path)),
+    DatasetFormat("", "a table", _ends(".parquet"), _refuse_table),
     DatasetFormat("", "a pickle", _ends(".pkl", ".pickle"), _refuse_pickle),
 )
 #: Names of the formats for `agent import --preset`.

@@ -14,7 +14,7 @@ _QUANTITIES = {
 }
 _ENDS = re.compile(rf"^(.*)[./]({'|'.join(_QUANTITIES)})$")
 #: Beginnings of names that do not say which joint it is.
-_ROLE = re.compile(r"^(?:main|follower|observation\.state|state|action)[_./]+", re.IGNORECASE)
+_ROLE = re.compile(r"^(?:main|follower|arm|observation\.state|state|action)[_./]+", re.IGNORECASE)
 _SIDE = re.compile(r"^(left|right)(?:_?arm)?[_./]+", re.IGNORECASE)
 _GRIPPER = re.compile(r"gripper|finger|jaw|hand", re.IGNORECASE)
 #: Joints of one arm under the names of its makers' own files: SO-100 in MuJoCo Menagerie against LeRobot.
@@ -34,8 +34,9 @@ _POSE = re.compile(
 
 def flat_names(names: Any) -> list[str]:
     """Names of columns from `info.json`: a list, a list in a list, or a mapping of lists; empty where it has none."""
-    if isinstance(names, Mapping):
-        names = [*names.values()] if any(isinstance(value, list) for value in names.values()) else [*names]
+    if isinstance(names, Mapping):  # lists by what they name, or the place of each name
+        lists = [value for value in names.values() if isinstance(value, (list, Mapping))]
+        names = lists or [name for name, value in names.items() if value is not None]
     if isinstance(names, list):
         return [name for one in names for name in (flat_names(one) if isinstance(one, (list, Mapping)) else [str(one)])]
     return []
@@ -71,7 +72,7 @@ def is_gripper(name: str) -> bool:
 
 def poses(names: Sequence[str]) -> list[str]:
     """Those of the columns that are coordinates of a hand."""
-    return [name for name in names if _POSE.match(without_side(name))]
+    return [name for name in names if quantity_of(name) == "position" and _POSE.match(without_side(name))]
 
 
 def same_joint(one: str, other: str) -> bool:

@@ -26,6 +26,10 @@ _STATE, _ACTION = "observation.state", "action"
 #: First bytes of a file that Git LFS has not fetched.
 _POINTER = b"version https://git-lfs"
 _MOST_FPS = 1e5
+#: A shorter episode is no motion.
+_FEWEST_FRAMES = 10
+#: Names that a message lists.
+_LISTED = 8
 
 
 def is_lerobot(path: Path) -> bool:
@@ -43,7 +47,7 @@ def read_lerobot(path: Path) -> Recorded:
     info = read_json(path / INFO)
     features = info.get("features") if isinstance(info, dict) else None
     fps = info.get("fps") if isinstance(info, dict) else None
-    if not isinstance(features, dict) or not isinstance(fps, (int, float)) or not 0 < fps < _MOST_FPS:
+    if not isinstance(features, dict) or type(fps) not in (int, float) or not 0 < fps < _MOST_FPS:
         raise InputError(f"{path / INFO}: names no features or no fps, so it describes no LeRobot dataset")
     states, actions = (_names(features, feature) for feature in (_STATE, _ACTION))
     joints = _joints(path, states)
@@ -56,11 +60,17 @@ def read_lerobot(path: Path) -> Recorded:
         for number, frames in _episodes_in(file, columns):
             parts.setdefault(number, []).append(frames)
     whole = {number: _joined(frames) for number, frames in sorted(parts.items())}
+    short = [number for number, frames in whole.items() if len(frames.number) < _FEWEST_FRAMES]
     notes = [f"{counted(len(whole), 'episode')} at {fps:g} Hz"]
     if isinstance(total := info.get("total_episodes"), int) and total > len(whole):
         notes[0] += f" of {total}; the files of the others are missing"
     if actions and columns["command"] is None:
         notes.append("no action of the set is a joint's set-point")
+    if short:
+        notes.append(f"{counted(len(short), 'episode')} of less than {_FEWEST_FRAMES} frames left out")
+        whole = {number: frames for number, frames in whole.items() if number not in short}
+    if not whole:
+        raise InputError(f"{path}: no episode has {_FEWEST_FRAMES} frames")
     recorded = Recorded(
         path=path,
         joints=tuple(map(clean, joints)),
@@ -71,7 +81,7 @@ def read_lerobot(path: Path) -> Recorded:
         sha256=sha256_text("".join(map(sha256_file, files))),
         notes=tuple(notes),
     )
-    found = in_radians(recorded)
+    found = in_radians(recorded, str(info.get("robot_type")))
     bus_servos = not found.facts[UNITS].startswith("rad")  # then LeRobot's own loop sent the commands
     return replace(found, facts=found.facts | ({HOLD: HELD} if bus_servos else {}))
 
@@ -94,7 +104,7 @@ def _names(features: dict[str, Any], feature: str) -> list[str]:
 def _joints(path: Path, states: list[str]) -> list[str]:
     """Columns of the state that are positions of joints, as `info.json` names them."""
     joints = [name for name in states if quantity_of(name) == "position"]
-    listed = ", ".join(states) or "none"
+    listed = _listed(states)
     if not joints or poses(joints):
         raise InputError(
             f"{path / INFO}: the names of {_STATE} are no joints: {listed}. Joint positions with their names are "
@@ -116,17 +126,21 @@ def _set_points(path: Path, joints: list[str], actions: list[str]) -> list[int] 
         return None
     if ends := poses(actions):
         raise InputError(
-            f"{path}: the actions are of the end effector ({', '.join(ends)}), not set-points of the joints. Without "
+            f"{path}: the actions are of the end effector ({_listed(ends)}), not set-points of the joints. Without "
             "set-points no servo can be identified: record the joint targets that the robot was sent"
         )
     named = [clean(name) for name in actions if quantity_of(name) == "position"]
     if missing := [name for name in map(clean, joints) if name not in named]:
         raise InputError(
-            f"{path}: states and actions are of different joints: {', '.join(missing)} has no set-point; the actions "
-            f"are {', '.join(actions)}. Record leader and follower of one arm"
+            f"{path}: states and actions are of different joints: {_listed(missing)} has no set-point; the actions "
+            f"are {_listed(actions)}. Record leader and follower of one arm"
         )
     places = {clean(name): k for k, name in enumerate(actions) if quantity_of(name) == "position"}
     return [places[clean(name)] for name in joints]
+
+
+def _listed(names: list[str]) -> str:
+    return ", ".join(names[:_LISTED]) + (", …" if len(names) > _LISTED else "") or "none"
 
 
 def _episodes_in(file: Path, columns: dict[str, list[int] | None]) -> Iterator[tuple[int, _Frames]]:
@@ -159,8 +173,8 @@ def _matrix(file: Path, table: ColumnTable, name: str, columns: list[int], rows:
     found = [table.columns[one] for one in names]
     if found and len(found[0]) != rows and len(found) == rows:  # an episode with fewer frames than joints
         found = [*np.stack(found).T]
-    if rows == 1 and not found:
-        raise InputError(f"{file}: holds a single frame")
+    if rows == 1 and name in table.constants:
+        found = [np.array([table.constants[name]])]
     if max(columns) >= len(found) or any(len(column) != rows for column in found):
         raise InputError(
             f"{file}: {name} has {len(found)} columns of numbers, and {INFO} names {max(columns) + 1} or more"

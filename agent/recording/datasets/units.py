@@ -31,6 +31,8 @@ _ON_GRID, _OFF_GRID = 0.98, 0.12
 _PERCENT = 100.5
 #: A joint in rad goes no further than this [rad]: a turn either way, and a little.
 _TURN = 2 * math.pi * 1.05
+#: Robots whose positions LeRobot writes in degrees, from motors finer than float32 shows.
+_IN_DEGREES = ("openarm",)
 _BY_STEP = "found from the step of the values,"
 _DISTINCT = 4000  # values are enough to see a step
 
@@ -64,8 +66,8 @@ def step_of(values: np.ndarray) -> float | None:
     return step if np.mean(off < _OFF_GRID) >= _ON_GRID else None
 
 
-def units_of_columns(names: Sequence[str], values: np.ndarray) -> list[Unit]:
-    """Unit of each column of positions (K, n), all of one arm.
+def units_of_columns(names: Sequence[str], values: np.ndarray, robot_type: str = "") -> list[Unit]:
+    """Unit of each column of positions (K, n), all of one arm; `robot_type` decides where the values have no step.
 
     Raises:
         InputError: nothing says whether the values are degrees or percent.
@@ -88,8 +90,10 @@ def units_of_columns(names: Sequence[str], values: np.ndarray) -> list[Unit]:
         return [_open_hand(name, values[:, k]) or Unit("rad", 1.0, found) for k, name in enumerate(names)]
     if known and most <= _PERCENT:
         return [_percent(name, step) for name, step in columns]
-    if not known and most > _PERCENT:
+    maker = next((maker for maker in _IN_DEGREES if maker in robot_type.lower()), None)
+    if not known and (maker or most > _PERCENT):
         found = f"the values go to {most:.0f}, further than percent or rad, and have no step"
+        found = found if maker is None else f"that is the unit of {maker} arms, and the values have no step"
         return [_hand(name, step) or Unit("deg", math.pi / 180, found) for name, step in columns]
     listed = ", ".join(f"{names[k]} {step:.4g}" for k in arm if (step := steps[k]) is not None) or "none"
     raise InputError(
@@ -99,19 +103,23 @@ def units_of_columns(names: Sequence[str], values: np.ndarray) -> list[Unit]:
     )
 
 
-def in_radians(recorded: Recorded) -> Recorded:
+def in_radians(recorded: Recorded, robot_type: str = "") -> Recorded:
     """The recording in rad, without grippers whose range is unknown; it says which unit it had.
 
     Raises:
         InputError: the unit cannot be told, or is percent of a range that the values do not show.
     """
     values = np.concatenate([episode.position for episode in recorded.episodes])
-    units = units_of_columns(recorded.joints, values)
+    try:
+        units = units_of_columns(recorded.joints, values, robot_type)
+    except InputError as error:
+        raise InputError(f"{recorded.path}: {error}") from None
     unknown = [k for k, unit in enumerate(units) if unit.factor is None]
     if bare := [recorded.joints[k] for k in unknown if not is_gripper(recorded.joints[k])]:
         raise InputError(
-            f"{', '.join(bare)} is in percent of a range that nothing says: the joint moves too little to show the "
-            "step of its encoder. Record it moving, or say rad per percent in a map: agent import --map, scale"
+            f"{recorded.path}: {', '.join(bare)} is in percent of a range that nothing says: the joint moves too "
+            "little to show the step of its encoder. Record it moving, or say rad per percent in a map: agent import "
+            "--map, scale"
         )
     kept = [k for k in range(len(units)) if k not in unknown]
     factors = np.array([factor for k in kept if (factor := units[k].factor) is not None])

@@ -3,7 +3,9 @@
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pytest
+from pyarrow import parquet
 
 from agent.core import InputError
 from agent.recording import read_log, read_recording
@@ -83,3 +85,34 @@ def test_a_dataset_of_two_arms_is_read_one_arm_at_a_time(tmp_path: Path):
     np.testing.assert_allclose(log.position, ticks(right), atol=2e-5)
     (named,), _ = read_recording(folder, arm([f"left_{name}" for name in SO101]))
     np.testing.assert_allclose(named.position, ticks(left), atol=2e-5)
+
+
+def test_short_episodes_and_other_columns_are_left_out(tmp_path: Path):
+    (long,) = drawn(8)
+    names = [*(f"arm_{name}.pos" for name in SO101), "x.vel"]
+    whole = [np.column_stack([in_degrees(values), values[:, :1]]) for values in long]
+    shorter = [[values[:frames] for values in whole] for frames in (3, 1)]
+    folder = write_lerobot(tmp_path / "set", [whole, *shorter], names=names, version="v2.1")
+    (log,), notes = read_recording(folder, arm(SO101))
+    np.testing.assert_allclose(log.position, ticks(long[0]), atol=2e-5)
+    assert "2 episodes of less than 10 frames left out" in notes
+
+
+def test_a_gripper_that_stands_still_is_left_out(tmp_path: Path):
+    (long,) = drawn(9)
+    still = [np.column_stack([in_degrees(values)[:, :5], np.full(300, 20.0)]) for values in long]
+    folder = write_lerobot(tmp_path / "set", [still])
+    (log,), notes = read_recording(folder, arm(SO101[:5]))
+    assert log.joint_names == SO101[:5]
+    assert any(note.startswith("gripper is left out") for note in notes)
+
+
+def test_missing_frames_are_a_gap(tmp_path: Path):
+    (long,) = drawn(10)
+    folder = write_lerobot(tmp_path / "set", [[in_degrees(values) for values in long]])
+    file = folder / "data/chunk-000/file-000.parquet"
+    table = parquet.read_table(file)
+    parquet.write_table(pa.concat_tables([table.slice(0, 100), table.slice(140)]), file)
+    (log,), _ = read_recording(folder, arm(SO101))
+    assert log.segments == ((0, 100), (100, 260))
+    assert log.t[100] == pytest.approx(140 / 30)
