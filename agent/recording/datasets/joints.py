@@ -34,7 +34,7 @@ _POSE = re.compile(
 
 def flat_names(names: Any) -> list[str]:
     """Names of columns from `info.json`: a list, a list in a list, or a mapping of lists; empty where it has none."""
-    if isinstance(names, Mapping):  # lists by what they name, or the place of each name
+    if isinstance(names, Mapping):  # lists by what they name, or names with their numbers
         lists = [value for value in names.values() if isinstance(value, (list, Mapping))]
         names = lists or [name for name, value in names.items() if value is not None]
     if isinstance(names, list):

@@ -315,7 +315,7 @@ def parse_form(message: bytes, form: MessageForm, schema: MessageSchema, ros1: b
     else:
         paths = (form.position, form.velocity, form.effort, form.set_point)
         found = [([_numbers(walk, several, len(names)) for several in paths], ())]
-    stamp = tuple(walk.numbers[path][0] for path in form.stamp if path in walk.numbers)
+    stamp = _clock(walk, form.stamp)
     layouts = []
     for offsets, delay in found:
         position = offsets[0]
@@ -326,6 +326,13 @@ def parse_form(message: bytes, form: MessageForm, schema: MessageSchema, ros1: b
         template = np.frombuffer(message, np.uint8)
         layouts.append(FormLayout(called, template, walk.structure, walk.order, alike, stamp, delay))
     return layouts
+
+
+def _clock(walk: _MessageWalk, paths: Sequence[str]) -> tuple[int, ...]:
+    """Offsets of seconds and nanoseconds; empty where the message lacks them."""
+    found = [walk.numbers[path] for path in paths if path in walk.numbers]
+    whole = len(found) == 2 and all(count == 1 and code in ("i4", "u4") for _, count, code in found)
+    return tuple(start for start, _, _ in found) if whole else ()
 
 
 def _numbers(walk: _MessageWalk, paths: Sequence[str], joints: int) -> np.ndarray | None:
@@ -339,8 +346,8 @@ def _numbers(walk: _MessageWalk, paths: Sequence[str], joints: int) -> np.ndarra
 
 def _point(walk: _MessageWalk, path: str, joints: int) -> tuple[list[np.ndarray | None], tuple[int, ...]]:
     """Offsets of the positions of a point of a trajectory, and of the time from its start."""
-    delay = (walk.numbers[f"{path}.time_from_start.{part}"][0] for part in ("sec", "nanosec"))
-    return [_numbers(walk, (f"{path}.positions",), joints), None, None, None], tuple(delay)
+    delay = _clock(walk, [f"{path}.time_from_start.{part}" for part in ("sec", "nanosec")])
+    return [_numbers(walk, (f"{path}.positions",), joints), None, None, None], delay
 
 
 def _interfaces(walk: _MessageWalk, path: str, names: Sequence[str]) -> tuple[tuple[str, ...], list[np.ndarray | None]]:
