@@ -327,8 +327,9 @@ def test_smooth_columns_are_straight_between_nodes():
         return np.stack([np.interp(x, nodes, one) for one in np.eye(count)], axis=1)
 
     expected = [
-        *(hats(q, q.min(), q.max(), 8), turns * hats(np.abs(qd), 0, top, 5), hats(np.abs(qd), 0, top, 4)),
-        *(turns * hats(q, q.min(), q.max(), 5), hats(qdd, qdd.min(), qdd.max(), 5), logs, turns * logs),
+        *(hats(q, q.min(), q.max(), 8), turns * hats(q, q.min(), q.max(), 5)),
+        *(turns * hats(np.abs(qd), 0, top, 5), hats(np.abs(qd), 0, top, 4)),
+        *(hats(qdd, qdd.min(), qdd.max(), 5), logs, turns * logs),
         *(hats(time, 0, 10.5, 4) * logs[:, :1], hats(time, 5, 8, 3) * logs[:, 1:]),
     ]
     np.testing.assert_allclose(smooth_columns(q, qd, qdd, time, log), np.hstack(expected), atol=1e-9)
