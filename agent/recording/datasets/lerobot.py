@@ -47,7 +47,7 @@ def read_lerobot(path: Path) -> Recorded:
     info = read_json(path / INFO)
     features = info.get("features") if isinstance(info, dict) else None
     fps = info.get("fps") if isinstance(info, dict) else None
-    if not isinstance(features, dict) or type(fps) not in (int, float) or not 0 < fps < _MOST_FPS:
+    if not isinstance(features, dict) or not isinstance(fps, int | float) or not 0 < fps < _MOST_FPS:
         raise InputError(f"{path / INFO}: names no features or no fps, so it describes no LeRobot dataset")
     states, actions = (_names(features, feature) for feature in (_STATE, _ACTION))
     joints = _joints(path, states)
