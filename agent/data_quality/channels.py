@@ -19,13 +19,15 @@ _DEGREE = 180 / np.pi
 _TIMES, _LATE = 5.0, 0.010  # of the highest speed, and s: as the reader allows for stamps that are late
 _JUMPS = 0.01  # of the samples; fewer are repaired by the reader
 _ROUGH = 0.5  # of a step, by which it differs from the one before: a motion that is only too fast differs less
+_SLOWEST_RATE = 2.0  # Hz; a cut-off follows from it that no motion of an arm stays below
+_STILL, _POSTURES = 0.1, 0.5  # of the way to the next row by its velocity: it stands; part of the rows that do
 _RUN = 4  # equal samples in a row
 _STEPS = 3  # of the resolution that a torque jumps by where it was held
 _HELD = 0.02  # of the samples in such runs, from where on it is said
 _ZERO = 0.1  # of a torque's root mean square, to which it returns after a dropout
 _SPOILED = 0.002  # of the samples, at the largest torque or dropped out, from where on it is said
 _LEVELS = 50  # of a torque, or it is in coarse steps, which stand at zero and at their largest anyway
-_OFTEN = 3  # times as many samples at the largest torque as at any of the three values below
+_OFTEN = 3  # times as many samples at the largest torque, or at zero, as at any of the values next to it
 
 
 def discontinuous_positions(of: Recordings) -> Iterator[QualityFinding]:
@@ -72,6 +74,25 @@ def _second_motion(log: Log, robot: RobotDescription) -> np.ndarray | None:
         track[k], last[nearest], at[nearest] = nearest, rows[k], log.t[k]
     second = track == int(2 * track.sum() <= len(track))
     return second if lost <= _JUMPS * len(rows) and second.any() else None
+
+
+def static_postures(of: Recordings) -> Iterator[QualityFinding]:
+    """Rows that are postures at standstill, each recorded once: no motion can be derived from them."""
+    for log in of.logs:
+        step = np.abs(np.diff(log.position, axis=0))
+        apart = step.max(axis=1) > MOVING
+        slow = log.sample_rate < _SLOWEST_RATE
+        if log.velocity is not None and not slow:
+            speed = np.maximum(np.abs(log.velocity[1:]), np.abs(log.velocity[:-1])) * np.diff(log.t)[:, None]
+            apart &= np.all(speed < _STILL * step.max(axis=1, keepdims=True), axis=1)
+        elif not slow:
+            continue
+        if np.mean(apart) > _POSTURES:
+            where = f"{log.name}: " if len(of.logs) > 1 else ""
+            text = f"{where}these are {len(log.t)} postures at standstill, {1 / log.sample_rate:.3g} s apart, and no"
+            text += " motion: nothing says how the arm went from one to the next"
+            advice = "record a motion through them at 50 Hz or more; the arm may stop at each"
+            yield QualityFinding(text, of.robot.joint_names, 1.0, advice)
 
 
 def dead_channels(of: Recordings) -> Iterator[QualityFinding]:
@@ -213,7 +234,7 @@ def spoiled_samples(of: Recordings) -> Iterator[QualityFinding]:
 
 def _spoiled(torque: np.ndarray, position: np.ndarray) -> Iterator[tuple[float, str, str]]:
     """Share of the samples, what it is and what to do, of a torque (S,) and position (S,)."""
-    levels = np.unique(torque)
+    levels, counts = np.unique(torque, return_counts=True)
     if len(levels) < 3 or len(torque) < 2 * _RUN:
         return
     fine = len(levels) > _LEVELS
@@ -227,7 +248,9 @@ def _spoiled(torque: np.ndarray, position: np.ndarray) -> Iterator[tuple[float, 
     ends = starts + length - 1
     size = float(np.sqrt(np.mean(torque**2)))
     sides = np.where(length >= _RUN, np.maximum(before, after), away)  # a friction step is no dropout
-    dropped = fine & (value == 0) & (sides > max(_STEPS * resolution, _ZERO * size))
+    dropped = (
+        fine & (not _zero_is_a_level(levels, counts)) & (value == 0) & (sides > max(_STEPS * resolution, _ZERO * size))
+    )
     largest, rows = np.unique(np.abs(torque), return_counts=True)
     clipped = fine and rows[-1] > _OFTEN * rows[-4:-1].max(initial=0)
     held = ~dropped & (length >= _RUN) & (away > _STEPS * resolution) & (position[starts] != position[ends])
@@ -255,3 +278,12 @@ def _spoiled(torque: np.ndarray, position: np.ndarray) -> Iterator[tuple[float, 
     ):
         if samples > least * len(torque):
             yield float(samples) / len(torque), text, advice
+
+
+def _zero_is_a_level(levels: np.ndarray, counts: np.ndarray) -> bool:
+    """Whether zero is no more frequent among the rising levels of a torque than the levels next to it."""
+    zero = int(np.searchsorted(levels, 0.0))
+    if zero == len(levels) or levels[zero] != 0:
+        return False
+    around = [int(counts[k]) for k in (zero - 1, zero + 1) if 0 <= k < len(levels)]
+    return int(counts[zero]) <= _OFTEN * max(around, default=0)

@@ -13,6 +13,7 @@ from agent.data_quality.channels import (
     dead_channels,
     discontinuous_positions,
     spoiled_samples,
+    static_postures,
     stuck_joints,
     unsigned_channels,
     velocity_mismatch,
@@ -31,6 +32,7 @@ from agent.robot import RobotDescription
 
 #: Every check in stages. One that refuses, or finds another unit, ends the list.
 CHECKS: tuple[tuple[Callable[[Recordings], Iterator[QualityFinding]], ...], ...] = (
+    (static_postures,),
     (discontinuous_positions,),
     (dead_channels, position_units, excessive_torque, unsigned_channels),
     (velocity_mismatch,),

@@ -34,6 +34,11 @@ def fitted_doubts(model: IdentifiedModel, logs: Sequence[Log]) -> Iterator[Quali
         text = f"the fit gives rotors a negative inertia ({listed}), which none has"
         advice = "check lengths and axes of the URDF, gear ratios, and that positions and torques share their stamps"
         yield QualityFinding(text, tuple(rotors), advice=advice, refuses=False)
+    if friction := _negative_friction(model):
+        listed = ", ".join(f"{name} {value:.3g}" for name, value in friction.items())
+        text = f"the fit gives Coulomb friction that drives the joint on ({listed} N·m or N), which none does"
+        advice = "check that torques and positions share their stamps, and signs and units of torques"
+        yield QualityFinding(text, tuple(friction), advice=advice, refuses=False)
     if errors := _large_errors(model, logs):
         listed = ", ".join(f"{name} {100 * share:.0f} %" for name, share in errors.items())
         text = f"the model leaves much more of the torque than its noise: {listed}"
@@ -65,6 +70,17 @@ def _negative_rotors(model: IdentifiedModel) -> dict[str, float]:
     }
 
 
+def _negative_friction(model: IdentifiedModel) -> dict[str, float]:
+    """Coulomb friction [N·m or N] by joint, where it is clearly negative."""
+    deviation = np.sqrt(np.diag(model.covariance))
+    found = {
+        int(name.removeprefix("f0_")): value
+        for name, value, scatter in zip(model.names, model.values, deviation, strict=True)
+        if name.startswith("f0_") and name[3:].isdecimal() and value < -_CERTAIN * scatter
+    }
+    return {model.robot.joint_names[number - 1]: float(value) for number, value in found.items()}
+
+
 def _large_errors(model: IdentifiedModel, logs: Sequence[Log]) -> dict[str, float]:
     """Held-out error relative to the torque, by joint, where it is large and far above the noise."""
     efforts = [(log.effort, log.sample_rate) for log in logs if log.effort is not None]
@@ -73,7 +89,7 @@ def _large_errors(model: IdentifiedModel, logs: Sequence[Log]) -> dict[str, floa
     return {
         name: float(error / torque)
         for name, error, torque, least in zip(model.robot.joint_names, model.held_out_rmse, size, noise, strict=True)
-        if error > _FAR * least and error > _MUCH * torque
+        if torque > 0 and error > _FAR * least and error > _MUCH * torque
     }
 
 

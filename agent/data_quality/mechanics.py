@@ -154,6 +154,12 @@ def _mistakes(plain: RigidFit, driven: np.ndarray) -> Iterator[_Mistake]:
     def under(gravity: tuple[float, float, float]) -> RigidFit:
         return RigidFit(Dynamics(replace(robot, gravity=gravity)), s, plain.precision)
 
+    for k in np.flatnonzero(turning).tolist():
+        for angle in (90.0, -90.0):
+            offset = np.where(given == k, np.radians(angle), 0.0)
+            values = ", ".join(f"{value:g} deg" if value else "0" for value in np.degrees(offset))
+            text = f"the zero of {names[k]} looks 90° off: import with `position: {{offset: [{values}]}}`"
+            yield _Mistake(text, RigidFit(plain.dynamics, replace(s, q=s.q + offset), plain.precision), torque, (k,))
     for gravity in (*gravity_axes(robot), *_tilted(plain)):
         yield _Mistake(gravity_text(robot, gravity), under(gravity), torque, everyone)
     yield _Mistake("these torques carry no gravity", under((0.0, 0.0, 0.0)), torque, everyone)

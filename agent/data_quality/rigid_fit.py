@@ -139,7 +139,7 @@ class RigidFit:
         left, square = np.maximum(_squared_error(moments, parameters), 0.0), moments[:, -1, -1]
         matrix = np.tensordot(weights, moments[:, :-1, :-1], 1) + np.diag(self.precision)
         unexplained = float(np.sqrt(left.sum() / max(float(square.sum()), 1e-300)))
-        each = np.sqrt(left / np.maximum(square, 1e-300))
+        each = np.sqrt(np.where(square > 0, left / np.maximum(square, 1e-300), 0.0))
         return Solution(parameters, self.samples.rows_each * inverse(matrix), each, unexplained)
 
     def errors(self, torque: np.ndarray) -> np.ndarray:
@@ -151,7 +151,8 @@ class RigidFit:
         for fold, part in enumerate(moments):
             error = _squared_error(part, _solved(np.tensordot(weights, whole - part, 1), self.precision))
             found[fold] = np.minimum(error, away[self.samples.fold == fold].sum(axis=0))
-        return np.maximum(found, _LEAST * whole[:, -1, -1] + 1e-300)
+        # a joint without torque says nothing, whatever is fitted
+        return np.where(whole[:, -1, -1] > 0, np.maximum(found, _LEAST * whole[:, -1, -1] + 1e-300), 1.0)
 
     def _moments(self, torque: np.ndarray) -> np.ndarray:
         """(FOLDS, n, p + 1, p + 1) of a torque (S, n), the last row and column."""
@@ -162,8 +163,9 @@ class RigidFit:
 
 def _fitted(moments: np.ndarray, fit: RigidFit, rounds: int = _ROUNDS) -> tuple[np.ndarray, np.ndarray]:
     """Parameters (p,) and the joints' weights (n,) from moments (n, p + 1, p + 1) of all samples of a fit."""
-    rows, least = len(fit.samples.q), _LEAST * moments[:, -1, -1] + 1e-300
-    weights = rows / np.maximum(moments[:, -1, -1], least)
+    square = moments[:, -1, -1]
+    rows, least = np.where(square > 0, len(fit.samples.q), 0), _LEAST * square + 1e-300  # parked: no torque, no weight
+    weights = rows / np.maximum(square, least)
     for _ in range(rounds):
         parameters = _solved(np.tensordot(weights, moments, 1), fit.precision)
         weights = rows / np.maximum(_squared_error(moments, parameters), least)

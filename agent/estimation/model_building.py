@@ -89,8 +89,8 @@ def _notes(model: IdentifiedModel, problem: Problem, found: Estimate, times: np.
     yield from _doubts(problem.observation)
     if problem.observation.noisy is not None:
         yield (
-            f"The cut-off is {model.cutoff:g} Hz: above it a prediction is further from the measured torque than none, "
-            f"first of all on {model.robot.joint_names[problem.observation.noisy]}."
+            f"Record positions with more digits to use faster motion: above the cut-off of {model.cutoff:g} Hz their "
+            f"noise outweighs the torque, most on {model.robot.joint_names[problem.observation.noisy]}."
         )
     if model.condition_number > _BAD_CONDITION:
         number = condition_text(model.condition_number)
@@ -103,8 +103,9 @@ def _notes(model: IdentifiedModel, problem: Problem, found: Estimate, times: np.
     if len(directions) and found.prior_weight > 0:
         names = ", ".join(_leading_names(model.names, directions))
         yield (
-            f"{len(directions)} of {len(model.values)} parameter directions are not in these data and stay near their "
-            f"prior ({_prior_in_words(problem.links)}): mainly {names}."
+            f"Record more varied motion if you need these values: {names}. These logs leave {len(directions)} of "
+            f"{len(model.values)} combinations of parameters open, and the prior fills them "
+            f"({_prior_in_words(problem.links)}). Torque of similar motions does not depend on them."
         )
     still = problem.moments.rows[:, 1].sum(axis=0) / problem.moments.rows.sum(axis=(0, 1))
     lighter = np.sqrt(found.weights[1] / found.weights[0])

@@ -186,14 +186,18 @@ def _determined(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 def reweight(moments: Moments, parameters: np.ndarray) -> np.ndarray:
-    """(2, n) inverse residual variance of each group at parameters (p,)."""
+    """(2, n) inverse residual variance of each group at parameters (p,).
+
+    A joint whose torque is always exactly zero is held by its brake, and its rows say nothing.
+    """
     rows = moments.rows.sum(axis=0)
     energy = moments.energy(parameters)
     with np.errstate(divide="ignore", invalid="ignore"):
         variance = energy / rows
     moving = np.where(rows[0] > 0, variance[0], variance[1])
     still = np.where(rows[1] > 0, np.maximum(variance[1], moving), moving)
-    floor = 1e-30 + 1e-20 * moments.torque_energy().sum() / rows.sum()
+    mean = moments.torque_energy().sum() / rows.sum()
+    floor = 1e-30 + np.where(moments.torque_energy().sum(axis=0) > 0, 1e-20, 1e12) * mean
     return 1 / np.maximum(np.stack([moving, still]), floor)
 
 

@@ -32,10 +32,10 @@ def choose(found: dict[str, Estimate]) -> tuple[str, Estimate]:
     better = [n for n, one in found.items() if predicts_better(reference, one.held_out, weights, _METHOD_GAIN)]
     best = min(better, key=lambda name: errors[name].sum(), default=first)
     table = ", ".join(f"{name} {np.sqrt(error.sum() / errors[first].sum()):.3f}" for name, error in errors.items())
-    others = [f"{name} {'by less' if name in better else 'does not'}" for name in errors if name not in (first, best)]
-    reason = f"{best if better else 'no other'} predicts held-out segments clearly better than {first}"
-    reason += f", {', '.join(others)}" if better else ""
-    notes = [f"Method: {best}; {reason} (held-out error over that of {first}: {table}).", found[best].note]
+    reason = f"It predicts held-out segments clearly better than {first}"
+    if not better:
+        reason = "The other methods do not predict held-out segments clearly better"
+    notes = [f"Method: {best}. {reason} (held-out error relative to {first}: {table}).", found[best].note]
     if errors["consistent"].sum() > _NOT_PHYSICAL**2 * errors[first].sum():
         notes.append(
             "No bodies with mass and no friction that brakes explain these torques nearly as well: are signs and units "

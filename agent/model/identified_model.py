@@ -92,7 +92,7 @@ class IdentifiedModel(RigidFrictionModel):
             unit = _standard_unit(name) if k < b else self._term_unit(self.terms[k - b])
             meaning = self.combinations[k] if k < b else self._term_meaning(self.terms[k - b])
             value, deviation = self.values[k], deviations[k]
-            relative = f"{100 * deviation / abs(value):.1f}" if value != 0 else "-"
+            relative = f"{100 * deviation / abs(value):.1f}" if deviation < 10 * abs(value) else ">1000"
             rows.append((name, f"{value:.5g}", f"{deviation:.2g}", relative, unit, meaning, *self._prior_cells(k)))
         return rows
 

@@ -11,14 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from agent.core import Console, counted, error_text
+from agent.core import Console, counted, csv_text, error_text, write_atomically
 from agent.diagnosis import Diagnosis
 from agent.model import IdentifiedModel
 from agent.pages import SERIES, Bar, Bars, Panel, Plot, Table, headline, joint_series, still, table_html
 from agent.pipeline import Outcome, PlanFiles, diagnosis_text, validation_text
-from agent.recording import Log
+from agent.recording import Log, read_log
 from agent.robot import SHARE, torque_units
-from agent.validation import Prediction, summary
+from agent.validation import Prediction, predict_log, summary
 
 
 class Shown(ABC):
@@ -100,6 +100,22 @@ class Model(Shown, IdentifiedModel):
             f"terms; largest held-out RMSE {error} on {self.robot.joint_names[worst]}"
         )
 
+    def predict(self, q: Any, qd: Any = None, qdd: Any = None, time: Any = None) -> Any:
+        """Torque of a motion.
+
+        Parameters
+        ----------
+        q : (S, n) positions, with velocities `qd` and accelerations `qdd`; or a log or its path
+        time : (S,) [s], where an effect depends on it
+
+        Returns
+        -------
+        (S, n) torque [N·m or N]; of a log, a `Prediction` with `time`, `measured` and `predicted`, filtered alike
+        """
+        if isinstance(q, (str, Path)):
+            q = read_log(q, self.robot)
+        return predict_log(self, q) if isinstance(q, Log) else IdentifiedModel.predict(self, q, qd, qdd, time)
+
     def text(self) -> str:
         return IdentifiedModel.text(self)
 
@@ -115,6 +131,45 @@ class TorqueValidation(Shown):
     """Torque predicted on logs that took no part in the fit: the figures, and the signals behind them."""
 
     predictions: tuple[Prediction, ...]
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the n joints."""
+        return self.predictions[0].model.robot.joint_names
+
+    @property
+    def logs(self) -> tuple[str, ...]:
+        """Names of the L logs."""
+        return tuple(prediction.log for prediction in self.predictions)
+
+    @property
+    def rmse(self) -> np.ndarray:
+        """(L, n) root mean square error [N·m, N of a slide] of each log and joint."""
+        return self._figures("rmse")
+
+    @property
+    def normalised_rmse(self) -> np.ndarray:
+        """(L, n) the same over nominal torque, NaN where the description has none."""
+        return self._figures("normalised_rmse")
+
+    @property
+    def relative_error(self) -> np.ndarray:
+        """(L, n) norm of the error over that of the torque, NaN where there is none."""
+        return self._figures("relative_error")
+
+    def _figures(self, key: str) -> np.ndarray:
+        return np.array([getattr(log, key) for log in summary(self.predictions).logs], dtype=float)
+
+    def to_csv(self, out: str | Path | None = None) -> str:
+        """One row for each log and joint, as text; also written to the file `out`, if there is one."""
+        rows: list[Sequence[object]] = [("log", "joint", "rmse", "normalised_rmse", "relative_error")]
+        tables = self.rmse, self.normalised_rmse, self.relative_error
+        for k, log in enumerate(self.logs):
+            rows += [(log, joint, *(table[k, j] for table in tables)) for j, joint in enumerate(self.joints)]
+        text = csv_text(rows)
+        if out is not None:
+            write_atomically(Path(out), text)
+        return text
 
     def to_dict(self) -> dict[str, Any]:
         """The document that `agent validate --json` prints."""
@@ -143,6 +198,27 @@ class GapDiagnosis(Shown):
     """Where model and robot disagree, which effect causes it, and how far the gap closes with it."""
 
     diagnosis: Diagnosis
+
+    @property
+    def verdict(self) -> str:
+        """`no_gap`, `explained`, `ambiguous` or `unknown`."""
+        return self.diagnosis.verdict
+
+    @property
+    def causes(self) -> list[dict[str, Any]]:
+        """Causes, the one that closes most first: `effect`, `joints`, `closure`, `probability`, `parameters`."""
+        return list(self.to_dict()["causes"])
+
+    @property
+    def closure(self) -> float | None:
+        """Part of the gap that the causes explain; None without a gap."""
+        closure: float | None = self.to_dict()["closure"]
+        return closure
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What to know of the result."""
+        return self.diagnosis.warnings
 
     def to_dict(self) -> dict[str, Any]:
         """The document that `agent diagnose --json` prints, without the forward simulation."""
@@ -188,6 +264,12 @@ class Calibration(Shown):
         """The run folder."""
         assert self.outcome.run is not None
         return self.outcome.run
+
+    @property
+    def accepted(self) -> bool | None:
+        """Whether it passed its gate; None where nothing was validated."""
+        accepted: bool | None = self.outcome.result["accepted"]
+        return accepted
 
     @property
     def model(self) -> Model:

@@ -152,10 +152,10 @@ def closes(cause: Mapping[str, Any], result: Mapping[str, Any]) -> str:
     if not in_torque(cause):
         return f"closes {part} of the gap between planned and executed path"
     own = cause.get("closure_of_joints") if closure < _STEP else None  # named by its own joints
-    of_rest = "" if own is None else f"{100 * own:.0f} % of the remaining gap on {place(cause)}"
-    if closure <= -0.005:  # the order of the steps gives its part to the others
-        return f"closes {of_rest or 'a part of the gap'}, with the other causes in place"
-    return f"closes {part} of the gap{of_rest and f' and {of_rest}'}"
+    if own is not None:  # little of the arm's gap is much of its own joints'
+        return f"closes {100 * own:.0f} % of what the other causes leave on {place(cause)} ({part} of the arm's gap)"
+    part = part if closure > -0.005 else "a part"  # the order of the steps gives its part to the others
+    return f"closes {part} of the gap"
 
 
 def _step_of(cause: Mapping[str, Any]) -> str:

@@ -139,3 +139,31 @@ def test_plans_a_recipe_from_python(write_recipe, tmp_path):
     assert repr(loop).startswith("fitness ")
     assert "<svg" in loop._repr_html_()
     assert (tmp_path / "plan" / "program.pdl").is_file()
+
+
+def test_results_have_the_attributes_that_the_page_lists(folder, monkeypatch):
+    """`dir` lists each of them, and tables are arrays and CSV."""
+    import re
+
+    import numpy as np
+
+    import agent as ca
+
+    monkeypatch.chdir(folder)
+    logs = sorted(folder.glob("**/*.mcap"))
+    robot = ca.load_robot("comau_ns16")
+    given = ca.read_logs(logs[0], robot)
+    model = ca.estimate(robot, given, force=True)
+    checked = ca.validate(model, given)
+    rows = re.findall(r"^\| `(Logs|Model|TorqueValidation)` \| (.*) \|$", (DOCS / "python.md").read_text(), re.M)
+    assert len(rows) == 3
+    for (_, listed), result in zip(rows, (given[0], model, checked), strict=True):
+        names = set(re.findall(r"`(\w+)`", listed)) - {"Log", "time", "measured", "predicted"}
+        assert names <= set(dir(result)) | {"t"}
+    prediction = model.predict(given[0])
+    np.testing.assert_array_equal(prediction.predicted, checked.predictions[0].predicted)
+    assert checked.rmse.shape == (1, robot.dof)
+    lines = checked.to_csv().splitlines()
+    assert lines[0] == "log,joint,rmse,normalised_rmse,relative_error"
+    assert len(lines) == 1 + robot.dof
+    assert float(lines[1].split(",")[2]) == checked.rmse[0, 0]

@@ -416,3 +416,50 @@ def test_what_an_effort_is_declared_to_be_is_checked_against_the_numbers(robot):
         judged("torque", "volts")
     np.testing.assert_array_equal(judged("torque", "torque").effort, log.effort)
     np.testing.assert_allclose(judged("current", "current", driven).effort, log.effort)
+
+
+def test_zero_that_is_a_level_like_its_neighbours_is_no_dropout(robot):
+    """A joint that rests: its torque is noise in steps of a converter, around zero."""
+    log = motion(robot, 23)
+    effort, step = log.effort.copy(), 0.02 * np.std(log.effort[:, 3])
+    effort[:, 3] = step * np.round(np.random.default_rng(1).normal(0, 20, len(effort)))
+    assert not [finding for finding in spoiled(robot, [replace(log, effort=effort)]) if "zero" in finding.text]
+
+
+@pytest.mark.parametrize("velocity", [0.0, 1e-4, None])
+def test_postures_are_no_motion(robot, velocity):
+    q = np.random.default_rng(2).uniform(-1, 1, (300, 4))
+    rate = 1.0 if velocity is None else 10.0
+    log = replace(motion(robot, 24), velocity=None)
+    log = _log(robot, np.arange(300) / rate, q, np.cos(q))
+    log = replace(log, velocity=None if velocity is None else velocity + 0 * q)
+    (found,) = refusals(robot, log)
+    assert found.text.startswith("these are 300 postures at standstill")
+    assert "record a motion through them" in found.advice
+
+
+@pytest.mark.parametrize(("joint", "angle"), [(1, 90.0), (1, -90.0)])
+def test_a_zero_of_another_table_is_named(robot, joint, angle):
+    log = motion(robot, 25)
+    away = np.where(np.arange(4) == joint, np.radians(angle), 0.0)
+    (found,) = refusals(robot, replace(log, position=log.position + away))
+    assert f"the zero of joint_{joint + 1} looks 90° off" in found.text
+    assert f"{-angle:g} deg" in found.text
+
+
+def test_a_parked_joint_without_torque_leaves_the_others(robot):
+    log = motion(robot, 26)
+    still = np.arange(4) == 0
+    n = robot.dof
+    q, qd, qdd = _multisine(n, log.t, 26)
+    q, qd, qdd = (np.where(still, 0.0, values) for values in (q, qd, qdd))
+    dynamics = Dynamics(robot)
+    torque = dynamics.regressor(q, qd, qdd) @ dynamics.standard_parameters()
+    torque = torque + FRICTION[:n] * np.tanh(qd / 0.01) + 0.8 * FRICTION[:n] * qd
+    torque += 0.01 * np.std(torque, axis=0) * np.random.default_rng(3).normal(size=torque.shape)
+    parked = _log(robot, log.t, q, np.where(still, 0.0, torque))
+    assert not refusals(robot, parked)
+    model = estimate(robot, [parked])
+    coulomb = dict(zip(model.names, model.values, strict=True))
+    np.testing.assert_allclose([coulomb[f"f0_{k}"] for k in (2, 3, 4)], FRICTION[1:4], rtol=0.1)
+    assert any("never move: joint_1" in note for note in model.notes)

@@ -217,7 +217,7 @@ def test_an_effect_next_to_a_dominant_one_is_scored_on_its_own_joint(tmp_path):
     causes = {(cause["effect"], *cause["joints"]): cause for cause in found.result["causes"]}
     assert ("stribeck", "tip") in causes
     assert causes["stribeck", "tip"]["closure"] < 0.03
-    assert re.search(r"and \d+ % of the remaining gap on tip", diagnosis_text(found.result))
+    assert re.search(r"closes \d+ % of what the other causes leave on tip", diagnosis_text(found.result))
 
 
 @pytest.mark.verify
