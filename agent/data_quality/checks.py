@@ -32,8 +32,8 @@ from agent.robot import RobotDescription
 
 #: Every check in stages. One that refuses, or finds another unit, ends the list.
 CHECKS: tuple[tuple[Callable[[Recordings], Iterator[QualityFinding]], ...], ...] = (
-    (static_postures,),
     (discontinuous_positions,),
+    (static_postures,),
     (dead_channels, position_units, excessive_torque, unsigned_channels),
     (velocity_mismatch,),
     (late_velocity,),

@@ -39,8 +39,14 @@ _LATEST = 2.0**31
 
 
 def position_columns(mapping: Mapping, tables: Sequence[ColumnTable]) -> list[str]:
-    """Names of the columns of positions, as the tables have them; of a matrix, those of its columns."""
+    """Names of the columns of positions, as the tables have them; of a matrix, those of its columns.
+
+    Raises:
+        InputError: no table has any of them.
+    """
     names = mapping.entries.position.columns
+    if not any(table.column(name) is not None for table in tables for name in names):
+        mapping.fault("position.columns", "; ".join(table.missing(names) for table in tables))
     if len(names) == 1 and isinstance(names[0], str):
         names = next((matrix for table in tables if (matrix := table.matrix(names[0]))), names)
     titles = [[table.name(name) for table in tables] for name in names]

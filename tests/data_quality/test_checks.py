@@ -429,7 +429,7 @@ def test_zero_that_is_a_level_like_its_neighbours_is_no_dropout(robot):
 @pytest.mark.parametrize("velocity", [0.0, 1e-4, None])
 def test_postures_are_no_motion(robot, velocity):
     q = np.random.default_rng(2).uniform(-1, 1, (300, 4))
-    rate = 1.0 if velocity is None else 10.0
+    rate = 1.0 if velocity is None else 3.0
     log = replace(motion(robot, 24), velocity=None)
     log = _log(robot, np.arange(300) / rate, q, np.cos(q))
     log = replace(log, velocity=None if velocity is None else velocity + 0 * q)
