@@ -8,7 +8,7 @@ export OMP_NUM_THREADS ?= 1
 # Many containers forbid Python to keep what it has compiled, so that every process of ours compiles again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: env dev calibrate test pytest verify docs lint format lock package release clean
+.PHONY: env dev calibrate test pytest ros verify docs lint format lock package release clean
 
 env: $(VENV)/.user
 dev: $(VENV)/.dev
@@ -46,6 +46,19 @@ test: dev
 
 pytest: dev
 	$(BIN)/python -m pytest -n 4 --dist worksteal -m "not verify"
+
+# ROS 2 has an environment of its own (250 MB): its wheels restart every Python that they are installed for.
+ROS := .venv-ros
+$(ROS)/.made: $(VENV)/.dev
+	$(PYTHON) -m venv $(ROS)
+	$(ROS)/bin/python -m pip install --quiet --disable-pip-version-check \
+		'ros-jazzy-rclpy[fastrtps]' ros-jazzy-sensor-msgs ros-jazzy-trajectory-msgs
+	$(BIN)/python -c 'import site; print("import site; site.addsitedir(%r)" % site.getsitepackages()[0])' \
+		> "$$($(ROS)/bin/python -c 'import site; print(site.getsitepackages()[0])')/zz_project.pth"
+	@touch $@
+
+ros: $(ROS)/.made
+	$(ROS)/bin/python -m pytest tests/ros2
 
 verify: dev
 	$(BIN)/python tests/verify.py

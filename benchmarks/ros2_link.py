@@ -23,6 +23,8 @@ os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 
 import numpy as np
 
+from drivers.errors import DriverError
+from drivers.protocol import Driver
 from drivers.registry import create
 from drivers.transports.ros2.ros import Ros
 from drivers.wire.ros2 import JOINT_STATES, JointStateReader, RosAddress
@@ -88,12 +90,12 @@ class Observer:
             self._ros.spin_once(0.05)
 
     def rest_after(self, moment: float, limit: float) -> float:
-        """Seconds from a moment on until the arm rests for 0.2 s."""
+        """Seconds from a moment on until the arm rests for a second."""
         while time.time() < moment + limit:
             time.sleep(0.05)
             after = [(stamp, speed) for stamp, speed in list(self.speed) if stamp > moment]
             moved = [stamp for stamp, speed in after if speed > 0.01]
-            if after and after[-1][0] - (moved[-1] if moved else moment) > 0.2:
+            if after and after[-1][0] - (moved[-1] if moved else moment) > 1.0:
                 return (moved[-1] if moved else moment) - moment
         return float("nan")
 
@@ -123,14 +125,15 @@ def reception(rate: float, seconds: float) -> str:
     wall, cpu = time.monotonic() - wall, time.process_time() - cpu
     age = 1e3 * np.concatenate(ages)
     lost = sum(gap.count for gap in driver.gaps)
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
     driver.close()
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)  # of the second process, from its start on
+    spent = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    brake = resource.getrusage(resource.RUSAGE_CHILDREN)
     return (
         f"{rate:g} Hz, {wall:.0f} s: {last + 1 - lost} of {last + 1} samples; age p50 {np.median(age):.1f} ms, p99 "
         f"{np.quantile(age, 0.99):.1f} ms, largest {age.max():.0f} ms; CPU {100 * cpu / wall:.1f} % of a core, "
-        f"{memory:.0f} MiB; second process {100 * (brake.ru_utime + brake.ru_stime) / wall:.1f} %, "
-        f"{brake.ru_maxrss / 1024:.0f} MiB; load {os.getloadavg()[0]:.1f}"
+        f"{memory:.0f} MiB; second process {100 * spent / wall:.1f} %; load {os.getloadavg()[0]:.1f}"
     )
 
 
@@ -138,10 +141,19 @@ def agent(way: float, seconds: float) -> None:
     """A motion in this process, which somebody is going to kill."""
     driver = create("ros2", ADDRESS)
     driver.connect()
-    driver.start("p", driver.upload("p", program(goal(way, seconds))))
+    driver.start("p", driver.upload("p", program(json.dumps(TO) + "\n", goal(way, seconds))))
     print("started", flush=True)
     for _ in driver.samples():
         pass
+
+
+def read(driver: Driver) -> None:
+    """Samples to the end of a motion, however it ends."""
+    try:
+        for _ in driver.samples():
+            pass
+    except DriverError as error:
+        print(f"  a motion ended early: {error}", flush=True)
 
 
 def stops(observer: Observer, count: int) -> str:
@@ -151,13 +163,13 @@ def stops(observer: Observer, count: int) -> str:
     took, rested = [], []
     for _ in range(count):
         driver.start("p", driver.upload("p", program(json.dumps(TO) + "\n", goal(0.5, 8.0))))
-        reader = threading.Thread(target=lambda: [None for _ in driver.samples()])
+        reader = threading.Thread(target=read, args=(driver,))
         reader.start()
         time.sleep(4.0)
         moment, seen = time.time(), len(observer.commands)
         driver.stop()
-        took.append(observer.commands[seen] - moment)
         rested.append(observer.rest_after(moment, 5.0))
+        took += [one - moment for one in observer.commands[seen : seen + 1]]
         reader.join()
     driver.close()
     return (
@@ -174,6 +186,7 @@ def killed(observer: Observer, both: bool) -> str:
     child = subprocess.Popen([sys.executable, __file__, "--agent", ADDRESS], stdout=subprocess.PIPE)
     assert child.stdout is not None
     child.stdout.readline()
+    time.sleep(3.0)
     brake = int(Path(f"/proc/{child.pid}/task/{child.pid}/children").read_text().split()[0])
     time.sleep(4.0)
     seen, moment = len(observer.commands), time.time()
@@ -193,7 +206,7 @@ def main() -> None:
     global ADDRESS, DOMAIN
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=60.0)
-    parser.add_argument("--rates", type=float, nargs="+", default=[500.0, 1000.0])
+    parser.add_argument("--rates", type=float, nargs="*", default=[500.0, 1000.0])
     parser.add_argument("--stops", type=int, default=5)
     parser.add_argument("--agent", help=argparse.SUPPRESS)
     options = parser.parse_args()
@@ -218,8 +231,7 @@ def main() -> None:
         driver = create("ros2", ADDRESS)
         driver.connect()
         driver.start("p", driver.upload("p", program(json.dumps(TO) + "\n")))
-        for _ in driver.samples():
-            pass
+        read(driver)
         driver.close()
     arm.send_signal(signal.SIGTERM)
     arm.wait()

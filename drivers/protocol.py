@@ -196,6 +196,16 @@ class NamesEndpoints(Protocol):
 
 
 @runtime_checkable
+class BoundsMotion(Protocol):
+    """A driver whose arm rests by itself within a known time, whoever is gone: `Identity.unguarded` says so.
+
+    `longest_motion` [s]: of what it sends at once.
+    """
+
+    longest_motion: float
+
+
+@runtime_checkable
 class MeasuresThroughput(Protocol):
     """A driver that can measure how many samples its link carries."""
 
@@ -211,6 +221,16 @@ class MeasuresCurrents(Protocol):
     """
 
     torque_per_ampere: np.ndarray
+
+
+@runtime_checkable
+class ReportsEffort(Protocol):
+    """A driver whose wire does not say what effort is: `effort` is `torque`, `current` or `none`, as in the recipe."""
+
+    effort: str
+
+    def resting(self) -> tuple[np.ndarray, np.ndarray]:
+        """Position and torque (n,) of the arm now, while it rests; torque is computed where effort is current."""
 
 
 @runtime_checkable

@@ -14,6 +14,7 @@ import numpy as np
 from agent.core import LARGEST_PROGRAM, Console, InputError, read_text
 from agent.link.alignment import Aligner
 from agent.link.controller import create_driver, torque_facts
+from agent.link.effort import check_effort
 from agent.link.planning import interpolator_of, plan_program, torque_limits
 from agent.recipe import Recipe
 from agent.runs import robot_lock
@@ -244,6 +245,8 @@ def open_link(
             guard.open()
             who = guard.identity
             console.detail(f"{who.robot}, serial {who.serial}, {who.controller} {who.version}")
+            if remark := check_effort(driver, recipe.robot, recipe.tool, controller.place):
+                console.warn(remark)
             yield RobotLink(guard, recipe, console, {**torque_facts(recipe, driver), **facts}, limits)
         finally:
             guard.close()

@@ -137,9 +137,9 @@ class GuardedLink:
             self._warn(f"{self.address}: {identity.watch_only}")
         check_throughput(self._driver, identity, self.address)
         if identity.unguarded and self._authorisation is not None:
-            raise ControllerError(f"{self.address}: {identity.unguarded}; till then, somebody has to stand by")
+            raise ControllerError(f"{self.address}: {identity.unguarded}; somebody has to stand by")
         if identity.unguarded:
-            self._warn(f"{self.address}: {identity.unguarded}; till then, stay at the emergency stop")
+            self._warn(f"{self.address}: {identity.unguarded}; stay at the emergency stop")
         if self._authorisation is None and not self._yes:
             confirm_clear_cell(identity, status, self.address, self._ask)
         self._identity, self._emulator = identity, status.emulator

@@ -64,7 +64,7 @@ def program(*lines, joints=JOINTS):
     return json.dumps({"program": "p", "joint_names": list(joints)}) + "\n" + "".join(lines)
 
 
-SHORT = program(goal(0.2, 1.0))
+SHORT = program(goal(0.2, 2.0))
 LONG = program(goal(1.0, 19.0))
 
 

@@ -221,7 +221,7 @@ class Unguarded(TcpDriver):
 
 def test_an_unguarded_arm_moves_only_with_an_operator_present(bench, program, authorisation):
     bench.driver = Unguarded
-    with pytest.raises(ControllerError, match=r"the published programs run on; till then, somebody has to stand by"):
+    with pytest.raises(ControllerError, match=r"the published programs run on; somebody has to stand by"):
         bench.open(authorisation=authorisation(program()))
     assert bench.controller.starts == 0
     bench.close()

@@ -16,7 +16,7 @@ from agent.pipeline.setup.findings import CheckedItem, Findings
 from agent.recipe import Recipe, examine_recipe
 from agent.robot import not_judged_text
 from agent.safety import check_frames, check_period, check_throughput, frames_text
-from drivers.protocol import AcceptsViaPoints, ReportsFrames
+from drivers.protocol import AcceptsViaPoints, BoundsMotion, ReportsFrames
 
 #: Random loops that are run through the interpolator and the cell.
 LOOPS = 50
@@ -105,12 +105,13 @@ def _controller(recipe: Recipe) -> str:
         *(["emergency stop pressed"] if status.emergency_stop else []),
         *(f"alarm {alarm}" for alarm in status.alarms),
         *([identity.watch_only] if identity.watch_only else []),
+        *([f"somebody has to stand by: {identity.unguarded}"] if identity.unguarded else []),
         *([frames_text(frames)] if frames else []),
     ]
     found = (
         f"{identity.robot}, serial {identity.serial}, {identity.controller} {identity.version} at "
         f"{address}, {1 / identity.period:g} Hz: {', '.join(state)}"
     )
-    if identity.unguarded:
-        raise ControllerError(f"{found}; {identity.unguarded}")
+    if identity.unguarded and not isinstance(driver, BoundsMotion):
+        raise ControllerError(found)
     return found

@@ -12,6 +12,7 @@ import time
 from collections.abc import Iterator
 from datetime import UTC, datetime
 from importlib.metadata import Distribution, PackageNotFoundError, distribution, version
+from importlib.util import find_spec
 from pathlib import Path
 
 from packaging.requirements import Requirement
@@ -35,7 +36,7 @@ def examine_installation(runs: Path) -> Findings:
     ----------
     runs : folder of the runs, which need not exist yet.
     """
-    findings = [_python(), *_packages(), _compiled(), _drivers(), _clock(), _disk(runs), _limits()]
+    findings = [_python(), *_packages(), _compiled(), _drivers(), _ros(), _clock(), _disk(runs), _limits()]
     return Findings(tuple(findings), "doctor/1")
 
 
@@ -111,6 +112,25 @@ def _compiled() -> CheckedItem:
 
 def _drivers() -> CheckedItem:
     return CheckedItem("drivers", ", ".join(available()))
+
+
+def _ros() -> CheckedItem:
+    """ROS 2 as this Python sees it."""
+    if find_spec("rclpy") is None:
+        return CheckedItem("ros 2", "not here; for driver ros2, source it first: source /opt/ros/jazzy/setup.bash")
+    facts = {
+        "distribution": os.environ.get("ROS_DISTRO", "not sourced"),
+        "RMW": os.environ.get("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp (default)"),
+        "domain": os.environ.get("ROS_DOMAIN_ID", "that of the recipe's address"),
+        "discovery range": os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET (default)"),
+    }
+    text = ", ".join(f"{name} {value}" for name, value in facts.items())
+    if find_spec("control_msgs") is None:
+        text += (
+            "; control_msgs is missing, so trajectories go by topic and bring no tolerance: apt-get install "
+            "ros-$ROS_DISTRO-control-msgs, then source again"
+        )
+    return CheckedItem("ros 2", text)
 
 
 def _clock() -> CheckedItem:

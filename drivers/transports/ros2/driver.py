@@ -47,6 +47,7 @@ class Ros2Driver(LinkDriver[RosLink, Ros2Motion]):
 
     dialect = "joint_trajectory"
     efforts = EFFORTS
+    longest_motion = LONGEST  # `BoundsMotion`
 
     def __init__(self, address: str, effort: str = "torque", **options: Any) -> None:
         self._target = RosAddress.of(address)
@@ -54,7 +55,7 @@ class Ros2Driver(LinkDriver[RosLink, Ros2Motion]):
             raise ConfigurationError(f"effort {effort!r}: {', '.join(EFFORTS)} are known")
         self._text = address
         super().__init__(address, **{"timeout": _DISCOVERY, **options})
-        self._effort = effort
+        self.effort = effort
         if effort == "current":
             self.torque_per_ampere = np.empty((0, 0))  # `MeasuresCurrents`
         self._parameters: dict[str, Any] = {}
@@ -77,7 +78,7 @@ class Ros2Driver(LinkDriver[RosLink, Ros2Motion]):
             return {}
         return {
             "ros2_sent_by": "goal" if self._by_goal else "topic",
-            "ros2_effort": self._effort,
+            "ros2_effort": self.effort,
             "cycle_markers_s": json.dumps(motion.cycle_starts),
             "stamp_jitter_s": f"{motion.counter.jitter:.6f}",
             "oldest_sample_s": f"{motion.oldest:.4f}",
@@ -121,7 +122,7 @@ class Ros2Driver(LinkDriver[RosLink, Ros2Motion]):
         digest = hashlib.sha256(link.description or repr(link.joints).encode()).hexdigest()
         slow = f"joint_states come {1 / self._period:.0f} times a second, which tells nothing of inertia"
         watch_only = slow if 1 / self._period < _WATCHED - 0.5 else ""
-        if self._effort == "none":
+        if self.effort == "none":
             watch_only = "the recipe says that joint_states have no effort, so nothing can be identified from them"
         return Identity(
             robot=named[1].decode("utf-8", "replace") if named else self._target.controller,
@@ -155,6 +156,14 @@ class Ros2Driver(LinkDriver[RosLink, Ros2Motion]):
             override_known=link.scaling is not None,
         )
 
+    def resting(self) -> tuple[np.ndarray, np.ndarray]:
+        """`ReportsEffort`: of the sample that came last."""
+        sample = self._latest(self._connected())
+        if self.effort != "current":
+            return sample.position, sample.effort
+        check_currents(self.torque_per_ampere, len(sample.position))
+        return sample.position, self.torque_per_ampere @ sample.effort
+
     def throughput(self) -> float:
         """`MeasuresThroughput`: by the stamps of two seconds; a tenth may be left out by the controller itself."""
         found, _ = self._connected().pace()
@@ -183,16 +192,16 @@ class Ros2Driver(LinkDriver[RosLink, Ros2Motion]):
         program = self._stored
         if program is None or (self._name, _checksum(program.text)) != (name, checksum):
             raise RefusedError(f"the program that was stored is not the {name!r} that is to be started; nothing moved")
-        if self._effort == "current":
+        if self.effort == "current":
             check_currents(self.torque_per_ampere, len(link.joints))
         preconditions.check_controller(link, self._parameters, self._manager, self._by_goal)
         preconditions.check_active(link)
         preconditions.check_alone(link)
-        preconditions.check_arm(link, program.joints, self._effort != "none")
+        preconditions.check_arm(link, program.joints, self.effort != "none")
         if self._brake is None or not self._brake.alive:
             raise RefusedError("the second process, which brakes the arm when the agent is gone, has ended; try again")
-        torque = self.torque_per_ampere if self._effort == "current" else None
-        recorded = self._effort != "none"
+        torque = self.torque_per_ampere if self.effort == "current" else None
+        recorded = self.effort != "none"
         motion = Ros2Motion(
             program, link, self._period, self._by_goal, torque, recorded, self._buffer_limit, self._on_over
         )

@@ -71,7 +71,10 @@ class Step:
         )
         if seconds > LONGEST + _SETTLED:
             raise RefusedError(f"the way to the first point would take {seconds:.0f} s, {LONGEST:g} s are allowed")
-        return Points(np.array([seconds]), np.array([[target, 0.0 * target, 0.0 * target]]))
+        # A controller sets out for the first point at once, whatever the stamp: the first is where the arm rests.
+        nothing = np.zeros((2, 2, len(target)))
+        rows = np.concatenate([np.array([position, target])[:, None], nothing], axis=1)
+        return Points(np.array([LEAD, LEAD + seconds]), rows)
 
 
 @dataclass(frozen=True, eq=False)
