@@ -16,14 +16,14 @@ if TYPE_CHECKING:
     from drivers.protocol import Driver
 
 #: Effort along the model's gravity torque, as a share of it: below the first, gravity is not in it; from the second to
-#: the third it is that torque. Friction at rest and wrong masses of a description each change it by up to a half.
+#: the third it is that torque. Static friction and wrong masses of a description each change it by up to a half.
 ABSENT, LOW, HIGH = 0.2, 0.4, 2.5
 #: Gravity torque [N·m] of the heaviest joint below which nothing can be told.
 SMALLEST = 2.0
 
 
 def check_effort(driver: Driver, robot: RobotDescription, tool: Tool | None, address: str) -> str:
-    """What the effort at rest says against what the recipe says of it; a remark for a person, or nothing.
+    """Compare the effort of the stationary arm with what the recipe says; returns a remark for a person, or nothing.
 
     Raises:
         ControllerError: it cannot be what the recipe says.
@@ -43,7 +43,7 @@ def check_effort(driver: Driver, robot: RobotDescription, tool: Tool | None, add
             "joint; move the arm to a stretched pose and run the command again to have it checked"
         )
     share = float(torque @ gravity / (gravity @ gravity))
-    said = f"at rest it is {share:.2f} of the gravity torque of the description"
+    said = f"while the arm is stationary it is {share:.2f} of the gravity torque of the description"
     if abs(share) < ABSENT:
         raise ControllerError(
             f"{address}: the recipe says that effort is {driver.effort}, and {said}: gravity has been taken out of "

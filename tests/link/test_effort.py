@@ -1,4 +1,4 @@
-"""Effort is recognised at rest against the gravity of the description."""
+"""Effort is recognised against the gravity of the description."""
 
 import numpy as np
 import pytest
