@@ -21,7 +21,7 @@ def _common_part(column: list[str], joint: list[str]) -> int:
         part = joint[-size:]
         if any(column[k : k + size] == part for k in range(len(column) - size + 1)):
             own = any(token.isalpha() and token not in _COMMON for token in part)
-            return size if own or size == len(joint) > 1 else 0
+            return size if own or size > 1 else 0  # a number alone, or `joint` alone, names none
     return 0
 
 

@@ -7,7 +7,7 @@ import pytest
 from scipy.io import loadmat, savemat
 
 from agent.core.errors import InputError
-from agent.recording import import_log, read_log
+from agent.recording import import_log, named_joints, read_log
 from agent.robot import load_robot
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "recipes/examples"
@@ -489,3 +489,24 @@ def test_the_emps_import_matches_the_published_formulas(shared_data, tmp_path, n
     np.testing.assert_allclose(log.t, data["t"][:, 0] - data["t"][0, 0], atol=2e-9)
     assert log.sample_rate == pytest.approx(1000, rel=1e-6)
     assert len(log.segments) == 1
+
+
+ALOHA = [f"vx300s_{side}/{name}" for side in ("left", "right") for name in ("waist", "elbow")]
+
+
+@pytest.mark.parametrize(
+    ("columns", "joints", "named"),
+    [
+        (["q_pan", "/drives/lift/torque"], ["pan", "lift"], ["pan", "lift"]),
+        (["shoulder_pan.pos", "wrist_3.pos"], ["shoulder_pan_joint", "wrist_3_joint", "wrist_2_joint"], [0, 1]),
+        (["right_waist", "right_elbow"], ALOHA, [2, 3]),
+        (["waist", "elbow"], ALOHA, None),
+        (["joint1.q", "joint2.q"], ["panda_joint1", "panda_joint2", "panda_joint3"], [0, 1]),
+        (["q1", "q2"], ["joint_1", "joint_2"], None),
+        (["joint_0", "joint_1"], ["joint_1", "joint_2"], None),
+        (["pan.q", "pan.tau"], ["pan", "lift"], None),
+    ],
+)
+def test_the_joint_of_a_column_is_known_by_its_name(columns, joints, named):
+    expected = named and [joints[one] if isinstance(one, int) else one for one in named]
+    assert named_joints(columns, joints) == expected
