@@ -118,6 +118,7 @@ def diagnose(
     ] = None,
     cutoff: opt.Cutoff = None,
     without: opt.Without = None,
+    known: opt.Known = None,
     topic: opt.Topic = None,
     effort: opt.Effort = None,
     allow_mixed: opt.AllowMixed = False,
@@ -154,6 +155,7 @@ def diagnose(
         drives_off=drives_off,
         topic=topic,
         effort=effort,
+        known=tuple(known or ()),
         planning_budget=pipeline.planning_time(planning_budget),
     )
     console = opt.console_for(messages)

@@ -87,6 +87,10 @@ Without = Annotated[
     list[str] | None,
     Option("--without", metavar="EFFECT", help="ignore this effect", autocompletion=completion.effects),
 ]
+Known = Annotated[
+    list[str] | None,
+    Option("--known", metavar="kp", help="what is right in the simulator's file: kp, the gains of its servos"),
+]
 Seed = Annotated[int, Option("--seed", metavar="S", min=0, help="seed of all random draws")]
 Page = Annotated[Path | None, Option("--report", metavar="OUT.html", help="HTML page to write")]
 RunName = Annotated[str | None, Argument(metavar="RUN", help="run folder, or its name")]

@@ -9,7 +9,6 @@ import numpy as np
 from agent.data_quality.faults import MOVING, QualityFinding, Recordings, travel
 from agent.recording import Log
 from agent.robot import RobotDescription
-from agent.simulators import SERVO_STIFFNESS
 
 _NOTHING = 1e-12  # N·m or N by which no torque changes that is one
 _MAX_LAG = 0.2  # rad or m that a joint that is asked to go does not stay behind, however weak its servo
@@ -220,7 +219,7 @@ def _velocity_ratio(log: Log, joint: int) -> float | None:
 
 def spoiled_samples(of: Recordings) -> Iterator[QualityFinding]:
     """Torque that drops to zero, holds its value or is clipped for part of the samples."""
-    for log in (log for log in of.logs if SERVO_STIFFNESS not in log.metadata):
+    for log in of.logs:
         assert log.effort is not None
         found: dict[tuple[str, str, str], list[int]] = {}
         for joint in range(of.robot.dof):

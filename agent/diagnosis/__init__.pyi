@@ -24,12 +24,12 @@ from .hypotheses.search import Search as Search
 from .hypotheses.testability import smallest_sizes as smallest_sizes
 from .labels import could_show as could_show, in_torque as in_torque, shown as shown, torque_gap as torque_gap
 from .limits import LIMITS as LIMITS
+from .position_logs.workflow import without_torque as without_torque
 from .randomisation import Range as Range, ranges as ranges, ranges_text as ranges_text
 from .rows.candidate import Candidate as Candidate, Place as Place
 from .rows.dataset import Dataset as Dataset, background_of as background_of
 from .rows.fit import Fit as Fit
 from .rows.needs import Excursions as Excursions
-from .simulator_file.servo_torque import with_servo_torque as with_servo_torque
 from .sizes import (
     amplitude as amplitude,
     leading_parameter as leading_parameter,

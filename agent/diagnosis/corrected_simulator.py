@@ -2,27 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from agent.diagnosis.diagnosis import Diagnosis
 from agent.diagnosis.gap.torque_gap import rms
-from agent.diagnosis.rows.dataset import assemble
 from agent.diagnosis.rows.fit import Fit
+from agent.diagnosis.simulator_file.released_numbers import DELAY, GAIN
 from agent.diagnosis.simulator_file.reversals import reversals_as_effects
-from agent.diagnosis.simulator_file.servo_torque import at_gains
 from agent.model import IdentifiedModel
-from agent.simulators import Correction, Released, Simulator, correct
+from agent.simulators import Correction, PositionServos, Released, Simulator, correct, with_servos
 
 
 def corrected(diagnosis: Diagnosis, simulator: Simulator, without: int | None = None) -> Correction:
     """What the simulator's numbers should be, by all logs or by all but one (`without`)."""
     fit, names = diagnosis.finding.fit, simulator.arm.joint_names
     change, fitted = fit.fitted(None if without is None else fit.folds[without])
-    if simulator.servos is not None:
-        change, fitted = _at_own_gains(diagnosis, change, fitted, without)
     b = len(simulator.model.independent)
     weight = fit.gram[:, :b, :b].sum(axis=0) / fit.repeat
     closes = {step.step: step.closes for step in diagnosis.document.waterfall}
@@ -32,18 +28,21 @@ def corrected(diagnosis: Diagnosis, simulator: Simulator, without: int | None = 
 
     released = Released()
     for group in diagnosis.released.groups if diagnosis.released else ():
+        if group.kind in (GAIN, DELAY):
+            continue
         into = {"friction": released.friction, "rotor inertia": released.rotors, "link inertia": released.links}
         into[group.kind][group.joint] = reason(group.text(names))
     effects, reasons = [], {}
     for candidate, values in zip(fit.chosen, fitted, strict=True):
         reasons[candidate.effect.name, tuple(names[j] for j in candidate.joints)] = reason(candidate.text(names))
         effects.append(candidate.part_of_model(values, names))
-    reversing = reversals_as_effects(diagnosis.dataset.model, change)
+    of_model = change[: len(simulator.model.values)]
+    reversing = reversals_as_effects(diagnosis.dataset.model, of_model)
     effects += reversing
     reasons |= {(one.effect, one.joints): "how friction reverses" for one in reversing}
     inertia = np.mean([np.diagonal(s.mass, axis1=1, axis2=2).mean(axis=0) for s in fit.signals], axis=0)
     unexplained = fit.error(fit.once) / fit.repeat
-    found = correct(simulator, change, weight, unexplained, inertia, effects, released, reasons)
+    found = correct(simulator, of_model, weight, unexplained, inertia, effects, released, reasons)
     given, gap = diagnosis.dataset.model, diagnosis.gap
     model = replace(
         found.model,
@@ -53,13 +52,15 @@ def corrected(diagnosis: Diagnosis, simulator: Simulator, without: int | None = 
         held_out_rmse=gap.after * gap.unit,
         weights=1 / np.stack([np.maximum(gap.after * gap.unit, 1e-9) ** 2] * 2),
     )
-    return replace(found, model=model)
+    return _with_servos(replace(found, model=model), diagnosis, change)
 
 
 def supported_correction(diagnosis: Diagnosis, simulator: Simulator) -> Correction:
     """The correction; none, with a note, where it does not lower the error of the corrected file itself."""
     found = corrected(diagnosis, simulator)
-    if simulator.servos is not None or not ((diagnosis.released and diagnosis.released.groups) or found.effects):
+    if diagnosis.dataset.servos is not None or not (
+        (diagnosis.released and diagnosis.released.groups) or found.effects
+    ):
         return found
     before, after = held_out_errors(diagnosis, simulator)
     unit = diagnosis.gap.unit
@@ -98,29 +99,17 @@ def _predicted(fit: Fit, model: IdentifiedModel) -> np.ndarray:
     return np.concatenate(list(parts))
 
 
-def _at_own_gains(
-    diagnosis: Diagnosis, change: np.ndarray, fitted: Sequence[np.ndarray], without: int | None
-) -> tuple[np.ndarray, list[np.ndarray]]:
-    """Numbers and effects fitted anew to the torque of servos that have the gains found.
-
-    Beside another gain they were fitted to a torque of the file's, as many times too large as its gain is.
-    """
-    fit, released = diagnosis.finding.fit, diagnosis.released
-    gains = {
-        k: 1 + values[candidate.names.index(candidate.effect.scales_report)]
-        for k, (candidate, values) in enumerate(zip(fit.chosen, fitted, strict=True))
-        if candidate.effect.scales_report is not None
-    }
-    if not gains or released is None:
-        return change, list(fitted)
-    given, factors = released.given, np.ones(diagnosis.dataset.robot.dof)
-    for k, scale in gains.items():
-        factors[fit.chosen[k].joints[0]] /= scale
-    logs = at_gains(given.logs, factors)
-    data = assemble(given.robot, given.model, logs, given.cutoff, released.model)
-    moved = released.released_in(data).seen_from(fit.reference)
-    others = [(c.effect, c.joints, c.settings) for k, c in enumerate(fit.chosen) if k not in gains]
-    again = moved.with_chosen(moved.candidates(others))
-    change, found = again.fitted(None if without is None else again.folds[without])
-    left = iter(found)
-    return change, [values if k in gains else next(left) for k, values in enumerate(fitted)]
+def _with_servos(found: Correction, diagnosis: Diagnosis, change: np.ndarray) -> Correction:
+    """Gains and delays moved by a `change` (p,); damping below zero comes off the servo's, as both are one number."""
+    data, servos, own = diagnosis.dataset, diagnosis.dataset.servos, found.given.servos
+    if servos is None or not isinstance(own, PositionServos):
+        return found
+    n, b, first = len(servos.kp), len(data.model.independent), len(data.model.values)
+    viscous = found.given.damping + change[b + 1 : b + 2 * n : 2]
+    damping = np.maximum(own.damping + np.minimum(viscous, 0.0), 0.0)
+    groups = diagnosis.released.groups if diagnosis.released else ()
+    reasons = {found.given.joint_names[g.joint]: g.text(found.given.joint_names) for g in groups if g.kind == GAIN}
+    gains = {g.joint for g in groups if g.kind == GAIN}
+    stiffness = np.array([servos.kp[k] + (change[first + k] if k in gains else 0.0) for k in range(n)])
+    delay = np.maximum(own.delay + change[first + n : first + 2 * n], 0.0)
+    return with_servos(found, stiffness, damping, delay, reasons)

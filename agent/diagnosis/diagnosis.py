@@ -30,11 +30,11 @@ from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.dataset import Dataset
 from agent.diagnosis.simulator_file.explanation import Explanation
 from agent.diagnosis.simulator_file.released_numbers import ReleasedSimulator
+from agent.diagnosis.simulator_file.servo_table import servo_table
 from agent.diagnosis.sizes import intervals
 from agent.diagnosis.verdict import Verdict, causes_of
 from agent.model import CATALOGUE, PAYLOAD
-from agent.robot import error_units
-from agent.simulators import servo_stiffness
+from agent.robot import error_units, position_units
 
 _WHEN_UNKNOWN = "slow single-joint ramps both ways on {joints}, then the same at full speed, each twice"
 #: In the warning of a gap that no effect explains better than what differs on a healthy arm.
@@ -96,10 +96,11 @@ def build(
         verdict.name,
         TorqueGap(
             dataset.robot.joint_names,
-            tuple(error_units(dataset.robot)),
+            tuple(error_units(dataset.robot) if dataset.servos is None else position_units(dataset.robot)),
             tuple(gap.before.tolist()),
             tuple(gap.after.tolist()),
             None if gap.floor is None else tuple(gap.floor.tolist()),
+            dataset.of,
         ),
         _path_gap(motion),
         closure,
@@ -119,7 +120,7 @@ def build(
         () if verdict.name == "no_gap" else tuple(remainders(dataset, gap)),
         tuple(power(dataset, found.search, smallest)),
         dataset.model_error,
-        "servos" if any(servo_stiffness(log.metadata) is not None for log in dataset.logs) else "motors",
+        **({} if dataset.servos is None else servo_table(found)),
     )
     return Diagnosis(document, finding, dataset, motion, gap, found.released if found.of_file else None, held)
 

@@ -75,13 +75,17 @@ class Rejected:
 
 @dataclass(frozen=True)
 class TorqueGap:
-    """Held-out error per joint, in `units`: without the causes, with them, and what does not repeat."""
+    """Held-out error per joint, in `units`: without the causes, with them, and what does not repeat.
+
+    `of`: torque, or the position of the simulator's free motion under the recorded command.
+    """
 
     joints: tuple[str, ...]
     units: tuple[str, ...]
     before: tuple[float, ...]
     after: tuple[float, ...]
     floor: tuple[float, ...] | None
+    of: str = "torque"
 
 
 @dataclass(frozen=True)
@@ -162,16 +166,18 @@ class DiagnosisResult:
     power: tuple[EffectPower, ...] = ()
     #: The model's held-out error over the torque of these logs; None of a simulator's file, which states no error.
     model_error: float | None = None
-    #: `servos` where torque was not measured but is that of the simulator's servos at recorded set-points.
-    torque_of: str = "motors"
+    #: Per kind of number and joint value, low and high (95 %), where positions are judged; None: only a class is known.
+    servo: Mapping[str, tuple[tuple[float, float, float] | None, ...]] | None = None
+    #: What sets the scale of these numbers: gravity of known masses, a known kp, or nothing.
+    scale_from: str | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data, ready for JSON."""
         data = {"schema": SCHEMA, **_plain(self)}
         data["causes"] = [_unless(cause, {"closure_of_joints": None, "slides": False}) for cause in data["causes"]]
-        return _unless(
-            data, {"waterfall": [], "rejected": [], "remainder": [], "model_error": None, "torque_of": "motors"}
-        )
+        data["gap"] = _unless(data["gap"], {"of": "torque"})
+        usual: dict[str, Any] = {"waterfall": [], "rejected": [], "remainder": [], "model_error": None}
+        return _unless(data, {**usual, "servo": None, "scale_from": None})
 
 
 def _unless(data: Mapping[str, Any], usual: Mapping[str, Any]) -> dict[str, Any]:

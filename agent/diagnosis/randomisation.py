@@ -15,7 +15,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from agent.diagnosis.diagnosis import Diagnosis
-from agent.diagnosis.simulator_file.released_numbers import groups_of
+from agent.diagnosis.simulator_file.released_numbers import DELAY, GAIN, groups_of
 from agent.diagnosis.sizes import unit_of
 from agent.simulators import Correction
 
@@ -40,7 +40,8 @@ def ranges(diagnosis: Diagnosis, correction: Correction) -> tuple[Range, ...]:
         return ()
     fit, found = diagnosis.finding.fit, diagnosis.released
     model, robot, arm = diagnosis.dataset.model, diagnosis.dataset.robot, correction.arm
-    p, b = len(model.values), len(model.independent)
+    p, b, first = len(diagnosis.dataset.held), len(model.independent), len(model.values)
+    change = fit.fitted()[0]
     groups = [*found.groups]
     groups += [group for group in groups_of(found.given) if (group.kind, group.joint) not in found.parts]
     columns = np.hstack([group.directions for group in groups])
@@ -59,6 +60,14 @@ def ranges(diagnosis: Diagnosis, correction: Correction) -> tuple[Range, ...]:
         joint, name = group.joint, robot.joint_names[group.joint]
         own = slice(at, at + group.directions.shape[1])
         at = own.stop
+        if group.kind in (GAIN, DELAY) and (servos := diagnosis.dataset.servos) is not None:
+            if group.kind == GAIN:
+                value, size = servos.kp[joint] + change[first + joint], group.scale[0]
+                result.append(_range(f"actuator of {name}", "kp", value, size * deviation[own][0], "N·m/rad"))
+            else:
+                value = servos.file[-1].mean() + change[-1]
+                result.append(_range("actuators", "delay", value, servos.delay * deviation[own][0], "s"))
+            continue
         unit, way = ("N", "m") if robot.joints[joint].prismatic else ("N·m", "rad")
         if group.kind == "friction":
             terms = [k for k, term in enumerate(model.terms) if term.axle == joint]

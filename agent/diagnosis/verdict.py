@@ -69,6 +69,21 @@ def decide_verdict(
     return Verdict("unknown" if gap else "no_gap", (), closure)
 
 
+def decide_by_position(
+    finding: Finding, causes: Sequence[Cause], numbers: Sequence[Cause], closure: float | None
+) -> Verdict:
+    """Return the verdict on positions: effects and moved numbers together, and last the delay of the command.
+
+    The delay of the command is the recorder's and the bus's, and most of any gap; what the arm has comes before it.
+    """
+    sized = sorted(
+        filter(has_size, (*causes, *numbers)), key=lambda cause: not cause.joints and "delay" in cause.parameters
+    )
+    if sized and (found := _explanation(sized, closure)) is not None:
+        return found
+    return Verdict("unknown" if finding.leaves_gap or sized else "no_gap", (), closure)
+
+
 def _explanation(causes: Sequence[Cause], closure: float | None) -> Verdict | None:
     """Return the verdict by the causes that have a size; None if they may not be named."""
     sized = tuple(filter(has_size, causes))

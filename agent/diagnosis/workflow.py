@@ -17,15 +17,18 @@ from agent.diagnosis.hypotheses.healthy import healthy_on
 from agent.diagnosis.hypotheses.search import Search
 from agent.diagnosis.hypotheses.testability import effects_of_path
 from agent.diagnosis.limits import LIMITS
+from agent.diagnosis.position_logs.workflow import search_positions, without_torque
 from agent.diagnosis.rows.dataset import Dataset, assemble
 from agent.diagnosis.simulator_file.explanation import Explanation, search_simulator, with_numbers
 from agent.diagnosis.simulator_file.released_numbers import ReleasedSimulator, causes_of_numbers
-from agent.diagnosis.verdict import Verdict, causes_of, decide_verdict, named, supported
+from agent.diagnosis.verdict import Verdict, causes_of, decide_by_position, decide_verdict, named, supported
 from agent.estimation import beyond_fit
 from agent.model import CATALOGUE, IdentifiedModel
 from agent.recording import Log
 from agent.robot import RobotDescription
-from agent.simulators import SIMULATOR
+from agent.simulators import SIMULATOR, Simulator
+
+_ONE_MOTION = "one motion only: held-out figures come from parts of it; another motion would be a harder test"
 
 
 def diagnose(
@@ -36,8 +39,13 @@ def diagnose(
     without: Sequence[str] = (),
     progress: Callable[[str], None] = lambda text: None,
     drives_off: Log | None = None,
+    simulator: Simulator | None = None,
+    known_kp: bool = False,
 ) -> Diagnosis:
     """Diagnose logs against a model, or against a model fitted to them; `progress` receives progress messages.
+
+    Logs without torque are judged by the free motion of the `simulator` that the model was read from; `known_kp`: the
+    gains of its servos are right.
 
     `drives_off` is a log of the stationary arm on its brakes: it gives the zero of the torque channels.
 
@@ -52,6 +60,14 @@ def diagnose(
     zero = None if drives_off is None else channel_zero(robot, drives_off, model)
     logs, twice = _distinct(logs)
     held: HeldTorque | None = None
+    if simulator is not None and without_torque(simulator, logs):
+        positions = search_positions(simulator, logs, without, progress, known_kp)
+        found = positions.explanation
+        motion = motion_gap(logs)
+        warned = (*twice, *positions.said, *_path_warnings(motion))
+        if len(logs) == 1:
+            warned = (*warned, _ONE_MOTION)
+        return build(found, _verdict(found, motion), motion, warned)
     if model is not None and model.method == SIMULATOR:
         found = search_simulator(robot, model, logs, cutoff, without, progress)
     else:
@@ -77,6 +93,8 @@ def _verdict(found: Explanation, motion: MotionGap | None) -> Verdict:
     gap, by_numbers = found.gap if found.of_file else found.as_given, found.as_given.closure or 0.0
     causes = causes_of(found.dataset, found.finding, gap)
     numbers = causes_of_numbers(found.released, found.finding, found.as_given)
+    if found.dataset.servos is not None:
+        return decide_by_position(found.finding, causes, numbers, gap.closure)
     of_path = [name for name in effects_of_path() if name in found.search.allowed]
     path = None if motion is None else motion.causes(of_path)
     verdict = decide_verdict(found.finding, causes, gap.closure, path, numbers, by_numbers)
@@ -132,7 +150,7 @@ def _of_model(dataset: Dataset) -> Iterator[str]:
 def _warnings(robot: RobotDescription, logs: Sequence[Log], given: bool) -> Iterator[str]:
     """Warnings that limit the conclusions."""
     if len(logs) == 1:
-        yield "one motion only: held-out figures come from parts of it; another motion would be a harder test"
+        yield _ONE_MOTION
     if not given:
         yield "no model was given: only what a model fitted to these logs cannot absorb is seen as a gap"
     yield from map(str, spoiled(robot, logs))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, TypeVar, cast
@@ -144,8 +144,8 @@ class MotionSignals:
 
     `log_index` counts logs (-1 where unknown), `cycle_starts` [s] are those of its log and `started` [s] is when that
     began, counted from the first log: all for effects that happen at some time. `low_pass` is the torque's filter, of
-    whose samples it returns `kept`. Where the torque is that of position servos, `driving` (S, n) [N·m] is what
-    set-points add to it: stiffness times set-point.
+    whose samples it returns `kept`. Where positions are judged instead of torque, `answer` says what they show of
+    torque columns (S, K) by joint: (S', K) by joint.
     """
 
     reference: NominalModel
@@ -158,7 +158,7 @@ class MotionSignals:
     cycle_starts: tuple[float, ...] = ()
     started: float = 0.0
     low_pass: Callable[[np.ndarray], np.ndarray] = np.asarray
-    driving: np.ndarray | None = None
+    answer: Callable[[Mapping[int, np.ndarray]], dict[int, np.ndarray]] | None = None
     memory: dict[Any, Any] = field(default_factory=dict, init=False, repr=False)
 
     def remembered(self, key: Hashable, make: Callable[[], T]) -> T:
@@ -166,6 +166,10 @@ class MotionSignals:
         if key not in self.memory:
             self.memory[key] = make()
         return cast(T, self.memory[key])
+
+    def shown(self, joint: int, columns: np.ndarray) -> np.ndarray:
+        """(S', K) what the recorded rows of a joint show of torque columns (S, K) on it."""
+        return self.low_pass(columns) if self.answer is None else self.answer({joint: columns})[joint]
 
     @cached_property
     def axles(self) -> AxleMotion:

@@ -66,7 +66,7 @@ def look_at(cause: Mapping[str, Any], result: Mapping[str, Any]) -> str:
 
 def _words(effect: str, result: Mapping[str, Any]) -> tuple[str, str]:
     known = CATALOGUE[effect]
-    by_servos = known.of_servos if result.get("torque_of") == "servos" else None
+    by_servos = known.of_servos if result["gap"].get("of") == "position" else None
     return by_servos or (known.phrase, known.look_at)
 
 
@@ -238,13 +238,19 @@ def _where(result: Mapping[str, Any]) -> Iterator[str]:
     if not torque_gap(result):
         yield _in_torque(result)
         if worst:
-            yield f"The largest torque error on held-out motion is {_error(result, worst)}, on {worst}."
+            of = _judged(result).lower()
+            yield f"The largest {of} error on held-out motion is {_error(result, worst)}, on {worst}."
         return
     yield from sentences
     own = result["causes"][0]["joints"] if result["causes"] else []
     shown = [worst] if worst in own or len(own) != 1 else [own[0], worst]
     for joint in filter(None, shown):
-        yield f"Torque error of {joint} on held-out motion: {_error(result, joint)}."
+        yield f"{_judged(result)} error of {joint} on held-out motion: {_error(result, joint)}."
+
+
+def _judged(result: Mapping[str, Any]) -> str:
+    """What the gap is in: torque, or position."""
+    return capital(str(result["gap"].get("of", "torque")))
 
 
 def _error(result: Mapping[str, Any], joint: str) -> str:
@@ -269,8 +275,8 @@ def _what(result: Mapping[str, Any]) -> Iterator[str]:
                 yield f"{'The first' if cause['equivalent_to'] else 'It'} {figures}."
         else:
             yield f"Also on {place(cause)}: {what(cause['effect'], result)}{f', which {figures}' if figures else ''}."
-    if result.get("torque_of") == "servos":
-        yield "No torque was measured; it is that of the simulated servos at the set-points."
+    if result["gap"].get("of") == "position":
+        yield "No torque was measured: the simulator runs under the recorded command, and its motion is judged."
     yield from remainder_sentences(result)
     steps = [step for step in result.get("waterfall", ())[:-1] if step["closes"] >= _STEP]
     if {step["step"] for step in steps} - set(map(_step_of, result["causes"])):

@@ -2,6 +2,7 @@
 
 from agent.recording.column_names import named_joints, prefixed
 from agent.recording.datasets import DATASET_PRESETS, is_dataset, is_gripper, joint_pairs
+from agent.recording.datasets.episodes import HELD, HOLD, SMOOTH
 from agent.recording.importer import import_log
 from agent.recording.inputs import import_dataset, read_recording, recorded_joints
 from agent.recording.log import PARTS, PLANNED_PARTS, Log, machines_of

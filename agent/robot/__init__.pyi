@@ -39,6 +39,7 @@ from .torque_figures import (
     figure_text as figure_text,
     not_judged_text as not_judged_text,
     outcome_text as outcome_text,
+    position_units as position_units,
     torque_units as torque_units,
     without_nominal as without_nominal,
 )

@@ -19,6 +19,11 @@ def torque_units(robot: RobotDescription) -> tuple[str, ...]:
     return tuple("N" if joint.prismatic else "N·m" for joint in robot.joints)
 
 
+def position_units(robot: RobotDescription) -> tuple[str, ...]:
+    """Unit of every joint's position: rad, on a prismatic joint m."""
+    return tuple("m" if joint.prismatic else "rad" for joint in robot.joints)
+
+
 def error_units(robot: RobotDescription) -> list[str]:
     """What a figure of each joint is in: "of nominal" torque, or the unit of its torque where it has no nominal one."""
     return [

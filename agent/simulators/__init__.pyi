@@ -1,10 +1,10 @@
-from .arm import SIMULATOR as SIMULATOR
+from .arm import SIMULATOR as SIMULATOR, SimulatedArm as SimulatedArm, model_of as model_of
 from .corrected.corrected_file import write_corrected as write_corrected, written_files as written_files
 from .corrected.correction import (
-    Commands as Commands,
     Correction as Correction,
     Released as Released,
     correct as correct,
+    with_servos as with_servos,
 )
 from .effect_numbers import reversal_over as reversal_over
 from .export import export_model as export_model, export_table as export_table
@@ -14,6 +14,13 @@ from .forward_simulation import (
     RigidActuation as RigidActuation,
     ServoGains as ServoGains,
     SimulatedMotion as SimulatedMotion,
+)
+from .free_motion import (
+    KINDS as KINDS,
+    FreeMotion as FreeMotion,
+    FreeSimulator as FreeSimulator,
+    RecordedCommand as RecordedCommand,
+    ServoNumbers as ServoNumbers,
 )
 from .joints import load_joint_map as load_joint_map
 from .loader import (
@@ -25,9 +32,5 @@ from .loader import (
 )
 from .loads import VENDORS as VENDORS, identified_load as identified_load, load_text as load_text
 from .mjcf import compiled as compiled, mujoco_package as mujoco_package
-from .servos import (
-    SERVO_STIFFNESS as SERVO_STIFFNESS,
-    PositionServos as PositionServos,
-    servo_stiffness as servo_stiffness,
-)
+from .servos import PositionServos as PositionServos
 from .targets import TARGETS as TARGETS, numbers_of_file as numbers_of_file, write_target as write_target

@@ -15,7 +15,6 @@ from agent.robot import RobotDescription, parse_robot_file
 from agent.simulators.arm import SimulatedArm, described, model_of
 from agent.simulators.joints import matched
 from agent.simulators.mjcf import branches_of, longest_branch, read_mjcf
-from agent.simulators.servos import PositionServos
 from agent.simulators.urdf import chains_of, longest_chain, read_urdf
 
 _GRAVITY = (0.0, 0.0, -9.80665)
@@ -25,16 +24,12 @@ _ONE_ARM = "write a robot.yaml with tip_frame and joints of one arm (docs/how-to
 
 @dataclass(frozen=True, eq=False)
 class Simulator:
-    """A simulator's file, its model, the description that gave the drives, and notes on what was held or left out.
-
-    `servos`: those of the file, where their torque replaces the torque that the logs lack.
-    """
+    """A simulator's file, its model, the description that gave the drives, and notes on what was held or left out."""
 
     arm: SimulatedArm
     model: IdentifiedModel
     robot: RobotDescription | None
     notes: tuple[str, ...]
-    servos: PositionServos | None = None
 
 
 def is_simulator(path: Path) -> bool:

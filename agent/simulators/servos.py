@@ -7,16 +7,11 @@ whatever the unit of its control, clamped to `forcerange`; the joint has gear ·
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-
-#: Key of `Log.metadata` where torque is that of servos: their stiffness per joint, a JSON list [N·m/rad].
-SERVO_STIFFNESS = "servo_stiffness_nm_per_rad"
-_AT_LIMIT = 1 - 1e-3  # of the largest torque, from where on it says nothing but a bound
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +20,8 @@ class PositionServos:
 
     stiffness k [N·m/rad], damping d [N·m·s/rad]; low, high [N·m] the least and largest torque; least, most [rad] of the
     set-points; `control` (n, 2): the control of the file's actuator is control₀ + control₁ r, `gear` (n,) its gear;
-    `actuators` and `inputs` (n,) are the indices of actuators and of their controls in the compiled model.
+    `actuators` and `inputs` (n,) are the indices of actuators and of their controls in the compiled model; `delay` (n,)
+    [s] of the actuators, `step` [s] of the simulation.
     """
 
     stiffness: np.ndarray
@@ -38,17 +34,14 @@ class PositionServos:
     gear: np.ndarray
     actuators: tuple[int, ...]
     inputs: tuple[int, ...]
+    delay: np.ndarray
+    step: float
 
     def torque(self, set_points: np.ndarray, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
         """(S, n) [N·m] before it is clamped."""
         return np.asarray(
             self.stiffness * (np.clip(set_points, self.least, self.most) - q) - self.damping * qd, dtype=float
         )
-
-    def scaled(self, joint: int, factor: float) -> PositionServos:
-        """The servos with stiffness and damping of one joint times a factor."""
-        factors = np.where(np.arange(len(self.stiffness)) == joint, factor, 1.0)
-        return replace(self, stiffness=factors * self.stiffness, damping=factors * self.damping)
 
     def parameters(self, joint: int) -> tuple[float, list[float]]:
         """Gain and bias (b₀, b₁, b₂) of the actuator of a joint."""
@@ -58,25 +51,15 @@ class PositionServos:
         return float(gain), [float(-gain * first) + 0.0, float(-kp), float(-kv) + 0.0]
 
     def controls(self, set_points: np.ndarray) -> np.ndarray:
-        """(n,) controls of the file's actuators at set-points (n,)."""
+        """(S, n) controls of the file's actuators at set-points (S, n)."""
         return np.asarray(self.control[:, 0] + self.control[:, 1] * set_points)
-
-    def saturated(self, torque: np.ndarray) -> np.ndarray:
-        """(S, n) whether an unclamped torque is at a limit or beyond."""
-        return np.asarray((torque >= _AT_LIMIT * self.high) | (torque <= _AT_LIMIT * self.low))
-
-
-def servo_stiffness(metadata: Mapping[str, str]) -> np.ndarray | None:
-    """(n,) [N·m/rad] of the servos whose torque a log has, by its metadata; None where its torque is no servos'."""
-    said = metadata.get(SERVO_STIFFNESS)
-    return None if said is None else np.array(json.loads(said), dtype=float)
 
 
 def position_servos(mujoco: Any, model: Any, joints: Sequence[int]) -> PositionServos | str:
     """The servos of a compiled model's joints, or a reason for the user why they cannot be used."""
     if np.any(model.body_gravcomp):
         return "it compensates gravity (gravcomp), so that its servos do not carry the weight"
-    numbers, actuators = np.empty((len(joints), 9)), []
+    numbers, actuators = np.empty((len(joints), 10)), []
     for k, joint in enumerate(joints):
         servo = _servo(mujoco, model, int(joint))
         if isinstance(servo, str):
@@ -86,8 +69,21 @@ def position_servos(mujoco: Any, model: Any, joints: Sequence[int]) -> PositionS
     inputs = getattr(model, "actuator_ctrladr", np.arange(model.nu))
     ports = tuple(int(inputs[actuator]) for actuator in actuators)
     stiffness, damping, low, high, least, most = numbers.T[:6]
-    control, gear = numbers[:, 6:8], numbers[:, 8]
-    return PositionServos(stiffness, damping, low, high, least, most, control, gear, tuple(actuators), ports)
+    control, gear, delay = numbers[:, 6:8], numbers[:, 8], numbers[:, 9]
+    return PositionServos(
+        stiffness,
+        damping,
+        low,
+        high,
+        least,
+        most,
+        control,
+        gear,
+        tuple(actuators),
+        ports,
+        delay,
+        float(model.opt.timestep),
+    )
 
 
 def _servo(mujoco: Any, model: Any, joint: int) -> tuple[int, tuple[float, ...]] | str:
@@ -107,9 +103,9 @@ def _servo(mujoco: Any, model: Any, joint: int) -> tuple[int, tuple[float, ...]]
     others = [b for b in on_joint if b != a and model.actuator_biastype[b] != int(mujoco.mjtBias.mjBIAS_NONE)]
     if others:
         return f"{name} has several actuators with a force of their own"
-    delayed = bool(np.any(getattr(model, "actuator_delay", np.zeros(model.nu))[a]))
-    if model.actuator_gaintype[a] != fixed or model.actuator_dyntype[a] != int(mujoco.mjtDyn.mjDYN_NONE) or delayed:
-        return f"the actuator of {name} has a gain, filter or delay of its own"
+    delay = float(np.ravel(getattr(model, "actuator_delay", np.zeros(model.nu))[a])[0])
+    if model.actuator_gaintype[a] != fixed or model.actuator_dyntype[a] != int(mujoco.mjtDyn.mjDYN_NONE):
+        return f"the actuator of {name} has a gain or filter of its own"
     gain, (b0, b1, b2) = float(model.actuator_gainprm[a, 0]), model.actuator_biasprm[a, :3].tolist()
     if gain <= 0 or gear == 0:
         return f"the actuator of {name} has no gain or gear"
@@ -123,7 +119,7 @@ def _servo(mujoco: Any, model: Any, joint: int) -> tuple[int, tuple[float, ...]]
     if model.actuator_ctrllimited[a]:
         asked = np.sort((model.actuator_ctrlrange[a] - control[0]) / control[1])
     low, high = max(float(part[0]) for part in ranges), min(float(part[1]) for part in ranges)
-    return a, (-b1 * gear**2, -b2 * gear**2, low, high, *asked, *control, gear)
+    return a, (-b1 * gear**2, -b2 * gear**2, low, high, *asked, *control, gear, delay)
 
 
 def _of(model: Any, actuator: int) -> int:

@@ -1,7 +1,7 @@
 """A simulator's file run forward: MuJoCo by its own integrator, a URDF through Pinocchio, contacts off.
 
 Joints that are not compared are held; actuators of the file are off, as the torque comes from the recorded robot or a
-servo like its own, except for position servos of the file that are given set-points. Ranges of joints are off too:
+servo like its own. Ranges of joints are off too:
 where the recorded robot was, the simulator may go.
 """
 
@@ -16,9 +16,9 @@ import numpy as np
 
 from agent.model import CATALOGUE, IdentifiedModel
 from agent.robot import ParameterLayout
-from agent.simulators import PositionServos, Simulator, compiled, mujoco_package
+from agent.simulators import Simulator, compiled, mujoco_package
 
-#: (seconds since the start, q (n,), q̇ (n,)) → torque of the motors (n,) [N·m], or set-points (n,) of its servos.
+#: (seconds since the start, q (n,), q̇ (n,)) → torque of the motors (n,) [N·m].
 Drive = Callable[[float, np.ndarray, np.ndarray], np.ndarray]
 
 _LOST = 1e3  # rad/s or m/s: a simulator that has blown up
@@ -34,16 +34,13 @@ class RolloutEngine(Protocol):
 
 
 class MujocoEngine:
-    """An MJCF in MuJoCo with the effects of a second file; with `servos`, the servos of the MJCF drive the arm."""
+    """An MJCF in MuJoCo with the effects of a second file."""
 
-    def __init__(
-        self, path: Path, joints: tuple[str, ...], effects: Path | None = None, servos: PositionServos | None = None
-    ):
+    def __init__(self, path: Path, joints: tuple[str, ...], effects: Path | None = None):
         self._mujoco = mujoco = mujoco_package()
         self._model = model = compiled(path)
-        self._servos = servos
         off = mujoco.mjtDisableBit
-        for bit in ("CONTACT", "LIMIT", "AUTORESET", *(() if servos else ("ACTUATION",))):
+        for bit in ("CONTACT", "LIMIT", "AUTORESET", "ACTUATION"):
             model.opt.disableflags |= int(getattr(off, f"mjDSBL_{bit}", 0))
         model.opt.density = model.opt.viscosity = 0.0
         model.body_gravcomp[:] = 0.0
@@ -51,9 +48,6 @@ class MujocoEngine:
         self._dof = np.array([int(model.joint(name).dofadr[0]) for name in joints])
         held = np.setdiff1d(np.arange(model.nv), self._dof)
         model.dof_armature[held] = _HOLD * max(float(model.body_mass.sum()), 1.0)
-        if servos is not None:
-            others = np.setdiff1d(np.arange(model.nu), servos.actuators)
-            model.actuator_gainprm[others] = model.actuator_biasprm[others] = 0.0
         self._effects = None if effects is None else runpy.run_path(str(effects))
 
     def run(self, q: np.ndarray, qd: np.ndarray, drive: Drive, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -67,10 +61,7 @@ class MujocoEngine:
             for row, until in enumerate(times):
                 while data.time < until - 0.5 * model.opt.timestep:
                     given = drive(data.time, data.qpos[self._at], data.qvel[self._dof])
-                    if self._servos is None:
-                        data.qfrc_applied[self._dof] = given
-                    else:
-                        data.ctrl[list(self._servos.inputs)] = self._servos.controls(given)
+                    data.qfrc_applied[self._dof] = given
                     mujoco.mj_step(model, data)
                     if not np.abs(data.qvel).max() < _LOST:
                         found[:, row:] = np.nan
@@ -127,7 +118,7 @@ def engine(simulator: Simulator, path: Path, model: IdentifiedModel, effects: Pa
     """That of a simulator's format, for a file of it and its model."""
     if simulator.arm.path.suffix.lower() == ".urdf":
         return ChainEngine(model, effects)
-    return MujocoEngine(path, simulator.arm.file_joints, effects, simulator.servos)
+    return MujocoEngine(path, simulator.arm.file_joints, effects)
 
 
 def at_motors(entries: Any, names: tuple[str, ...], torque: np.ndarray) -> np.ndarray:

@@ -19,7 +19,7 @@ import numpy as np
 from agent.diagnosis.extension import extended_model
 from agent.estimation import FilterSettings, Motion, motions, smooth_and_differentiate
 from agent.model import CATALOGUE, PAYLOAD, IdentifiedModel, NominalModel, effect_torque
-from agent.simulators import SERVO_STIFFNESS, ForwardSimulation, RigidActuation, ServoGains
+from agent.simulators import ForwardSimulation, RigidActuation, ServoGains
 
 if TYPE_CHECKING:
     from agent.diagnosis.diagnosis import Diagnosis
@@ -58,8 +58,6 @@ def simulate(diagnosis: Diagnosis) -> list[Simulated]:
         return found
     for number, log in enumerate(dataset.logs):
         if log.reference_position is None or log.metadata.get(PAYLOAD):  # the model simulates the bare arm
-            continue
-        if log.metadata.get(SERVO_STIFFNESS):  # its servo is no usual one, but that of the simulator's file
             continue
         settings = FilterSettings(dataset.cutoff, dataset.model.order)
         motion = max(motions(log, settings, reduce=False), key=lambda m: len(m.time))

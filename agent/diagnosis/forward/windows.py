@@ -1,7 +1,7 @@
 """The gap in motion: the given and the corrected simulator run from measured states, and how far they drift.
 
-Windows of up to two seconds start at measured positions and velocities. If logs have no torque, the servos of the
-simulator's file follow the recorded set-points, each until the next. If logs have both, a servo is fitted:
+Windows of up to two seconds start at measured positions and velocities. If logs have set-points, a servo is
+fitted:
 
     τ = kp e + kd ė + ki ∫ e + a ṙ + b r̈ + c,  e = r − q
 
@@ -27,7 +27,7 @@ from agent.diagnosis.forward.rollout import Drive, RolloutEngine, at_motors, eng
 from agent.diagnosis.forward.simulation import shortened
 from agent.estimation import FilterSettings, Motion, motions
 from agent.model import PAYLOAD, ModelEffect
-from agent.simulators import Commands, Simulator, write_corrected, written_files
+from agent.simulators import Simulator, write_corrected, written_files
 
 _HORIZONS = (0.2, 0.5, 1.0, 2.0)  # s
 _WINDOWS = 24  # at most, over all motions
@@ -56,7 +56,7 @@ def forward(diagnosis: Diagnosis, simulator: Simulator) -> dict[str, Any]:
     if not horizons:
         return {}
     all_motions = list({id(window.motion): window.motion for window in windows}.values())
-    servo = None if simulator.servos else _servo(all_motions)
+    servo = _servo(all_motions)
     given = engine(simulator, simulator.arm.path, simulator.model, None)
     dof = len(simulator.arm.joint_names)
     errors = np.full((2, 2, len(windows), len(horizons), dof), np.nan)
@@ -72,14 +72,11 @@ def forward(diagnosis: Diagnosis, simulator: Simulator) -> dict[str, Any]:
                     continue
                 times = np.array([h for h in horizons if _lasts(window, h)])
                 for side, (which, entries) in enumerate(((given, ()), (fixed, correction.effects))):
-                    if simulator.servos:
-                        drive = _commanded(window, correction.commands if side else Commands.as_recorded(dof))
-                    else:
-                        drive = _drive(window, servo, entries, simulator.arm.joint_names)
+                    drive = _drive(window, servo, entries, simulator.arm.joint_names)
                     drift = _drift(which, window, times, drive)
                     errors[side, :, number, : len(times)] = drift
     group = np.array([window.fold for window in windows])
-    driven = "set_points" if simulator.servos or servo is not None else "torque"
+    driven = "set_points" if servo is not None else "torque"
     return _figures(errors, horizons, driven, group, simulator)
 
 
@@ -162,19 +159,6 @@ def _drive(window: ForwardWindow, servo: np.ndarray | None, entries: Sequence[Mo
     if servo is not None:
         return _following(motion, first, servo)
     return _recorded(motion, first, at_motors(entries, names, motion.torque))
-
-
-def _commanded(window: ForwardWindow, commands: Commands) -> Drive:
-    """Set-points for the file's servos, each in force until the next."""
-    motion, first = window.motion, window.first
-    assert motion.set_points is not None
-    r = motion.set_points - commands.shift
-
-    def drive(time: float, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
-        place = first + int(np.floor((time - commands.late) * motion.rate + 1e-6))
-        return np.asarray(r[min(max(place, 0), len(r) - 1)])
-
-    return drive
 
 
 def _recorded(motion: Motion, first: int, torque: np.ndarray) -> Drive:

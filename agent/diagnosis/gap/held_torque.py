@@ -16,7 +16,6 @@ import numpy as np
 from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.dataset import Dataset, known_effects
 from agent.diagnosis.rows.fit import Fit
-from agent.simulators import SERVO_STIFFNESS
 
 _WINDOWS = (0.05, 0.1, 0.2, 0.4, 0.8)  # s
 _SAMPLES = 5  # of half a window, at least
@@ -121,8 +120,6 @@ def _of_joint(dataset: Dataset, joint: int, predicted: Sequence[np.ndarray], exc
     for signals, by_model in zip(dataset.fit.signals, predicted, strict=True):
         log, time = dataset.logs[signals.log_index], signals.time[signals.kept]
         rows = slice(row, row := row + len(time))
-        if SERVO_STIFFNESS in log.metadata:
-            continue
         assert log.effort is not None
         inside = (log.t >= time[0]) & (log.t <= time[-1])
         stamps, torque = log.t[inside], log.effort[inside, joint]

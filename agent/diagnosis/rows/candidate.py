@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -84,6 +85,9 @@ def _made(context: FitContext, wanted: Sequence[Wanted]) -> Iterator[Candidate]:
     parts: list[dict[int, list[np.ndarray]]] = [{} for _ in wanted]
     for signals, sigma in zip(context.signals, context.sigmas, strict=True):
         over = [column[:, None] for column in np.ascontiguousarray(sigma.T)]
+        if signals.answer is not None:
+            _answered(signals, over, wanted, parts)
+            continue
         ready = [effect.filtered(signals, joints, settings) for effect, joints, settings in wanted]
         for some in _batches(signals, [(k, wanted[k]) for k, found in enumerate(ready) if found is None]):
             filtered = signals.low_pass(np.concatenate([block.T for *_, block in some]).T)
@@ -98,6 +102,27 @@ def _made(context: FitContext, wanted: Sequence[Wanted]) -> Iterator[Candidate]:
         prior = effect.prior_precision(context, joints, settings)
         names = effect.names(settings)
         yield Candidate(effect, joints, dict(settings), names, joined, prior, context.reference)
+
+
+def _answered(
+    signals: MotionSignals,
+    over: Sequence[np.ndarray],
+    wanted: Sequence[Wanted],
+    parts: Sequence[dict[int, list[np.ndarray]]],
+) -> None:
+    """Add what positions show of each candidate to its parts: a torque on one joint moves its neighbours too."""
+    assert signals.answer is not None
+    columns = [effect.columns(signals, joints, settings) for effect, joints, settings in wanted]
+    widths = [next(iter(one.values())).shape[1] for one in columns]
+    ends = np.cumsum([0, *widths])
+    together: dict[int, np.ndarray] = {}
+    for one, first, last in zip(columns, ends[:-1], ends[1:], strict=True):
+        for joint, block in one.items():
+            into = together.setdefault(joint, np.zeros((len(signals.time), int(ends[-1]))))
+            into[:, first:last] = block
+    for joint, moved in signals.answer(together).items():
+        for number, (first, last) in enumerate(pairwise(ends.tolist())):
+            parts[number].setdefault(joint, []).append(moved[:, first:last] / over[joint])
 
 
 def _batches(

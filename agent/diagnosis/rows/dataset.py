@@ -27,7 +27,22 @@ from agent.estimation import (
 from agent.model import IdentifiedModel, MotionSignals, NominalModel, effect_torque, known_payload
 from agent.recording import Log
 from agent.robot import RobotDescription
-from agent.simulators import SIMULATOR, servo_stiffness
+from agent.simulators import SIMULATOR
+
+
+@dataclass(frozen=True, eq=False)
+class ServoParameters:
+    """Parameters of position servos, after those of the model: n of kp [N·m/rad], then n of delay [s].
+
+    `covariance` (p, p) of all parameters as the file has them; `kp` (n,) of the file; `delay` [s] a usual
+    one; `file` (5, n) the file's kp, damping, armature, friction and delay. `kp_known`: the file's kp are right.
+    """
+
+    covariance: np.ndarray
+    kp: np.ndarray
+    delay: float
+    file: np.ndarray
+    kp_known: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +50,8 @@ class Dataset:
     """The fit, the raw residual of the model (S', n) [N·m], and where each row lies.
 
     time, log (S',): time in its log [s] and which log; speed (S', n) of the joints; rate, cutoff [Hz] of the rows and
-    of their filter; given: whether the model was given, or fitted to these very logs.
+    of their filter; given: whether the model was given, or fitted to these very logs. Where positions are judged
+    instead of torque, `servos` has the parameters of the servos, and [N·m] above is rad or m.
     """
 
     robot: RobotDescription
@@ -49,13 +65,26 @@ class Dataset:
     logs: tuple[Log, ...]
     rate: float
     cutoff: float
+    servos: ServoParameters | None = None
+
+    @property
+    def held(self) -> np.ndarray:
+        """(p, p) covariance of the parameters as they were given."""
+        return self.model.covariance if self.servos is None else self.servos.covariance
+
+    @property
+    def of(self) -> str:
+        """What is judged: torque, or position."""
+        return "torque" if self.servos is None else "position"
 
     @property
     def model_error(self) -> float | None:
         """The model's held-out error over the torque of these logs; None of a simulator's file."""
+        if self.model.method == SIMULATOR:
+            return None
         torque = np.concatenate([log.effort for log in self.logs if log.effort is not None])
         share = float(np.linalg.norm(self.model.held_out_rmse) / np.sqrt(np.mean(torque**2, axis=0).sum()))
-        return None if self.model.method == SIMULATOR else share
+        return share
 
 
 def assemble(
@@ -109,7 +138,7 @@ def assemble(
         carrier = carriers[segment.log_index]
         state, number = (motion.time, motion.q, motion.qd, motion.qdd), segment.log_index
         more = (motion.kept, tuple(motion.cycle_starts), begun[number], motion.low_pass)
-        signals.append(MotionSignals(carrier, *state, number, *more, _driving(logs[number], motion.set_points)))
+        signals.append(MotionSignals(carrier, *state, number, *more))
         extra = known_effects(model, signals[-1])
         per_joint = observation.joint_columns(segment, model.terms, carrier.model.base_values)
         index = [places for places, _ in per_joint]
@@ -128,16 +157,10 @@ def assemble(
     else:
         prior = physical_prior(observation, model.terms, _links(model))
         precision, shift = prior.precision, prior.precision @ (prior.mean - model.values)
-    block = _segments(time, log, logs, LIMITS.block)
+    block = segments_of(time, log, logs, LIMITS.block)
     fit = Fit(reference, signals, joined, index, sigma, precision, shift, cell, block, folds, single)
     rate = 1 / float(np.median(np.diff(time)))
     return Dataset(robot, model, given, fit, residual, speed, time, log, tuple(logs), rate, seen_to)
-
-
-def _driving(log: Log, set_points: np.ndarray | None) -> np.ndarray | None:
-    """Torque (S, n) [N·m] that set-points (S, n) add if the torque comes from position servos; else None."""
-    stiffness = servo_stiffness(log.metadata)
-    return None if stiffness is None or set_points is None else stiffness * set_points
 
 
 def _begun(logs: Sequence[Log]) -> list[float]:
@@ -237,7 +260,7 @@ def plain_model(robot: RobotDescription, logs: Sequence[Log], cutoff: float | No
     )
 
 
-def _segments(time: np.ndarray, log: np.ndarray, logs: Sequence[Log], lasting: float) -> np.ndarray:
+def segments_of(time: np.ndarray, log: np.ndarray, logs: Sequence[Log], lasting: float) -> np.ndarray:
     """(S',) segment of `lasting` seconds that a row lies in, counted over all logs, the same in every cycle of one."""
     found = np.zeros(len(time), dtype=int)
     for number, entry in enumerate(logs):

@@ -33,7 +33,7 @@ class Fit:
 
     rows[j] (S', p_j + 1): columns of the model's parameters index[j] and the residual of joint j, over `sigma` (S', n);
     `cell` (S',) of every row (-1: guard); `block` (S',) segment of the motion, the same in all of its cycles; `folds`
-    for what repeats, `single` folds for what happens once.
+    for what repeats, `single` folds for what happens once. `rests` are found where none are given.
     """
 
     def __init__(
@@ -49,6 +49,7 @@ class Fit:
         block: np.ndarray,
         folds: Sequence[Fold],
         single: Sequence[Fold],
+        rests: Rests | None = None,
     ):
         self.reference, self.signals = reference, list(signals)
         self.rows, self.index = list(rows), list(index)
@@ -58,7 +59,7 @@ class Fit:
         self.cuts = np.cumsum(lengths)[:-1]
         rate = 1 / float(np.median(np.diff(self.signals[0].time[self.signals[0].kept])))
         self.repeat = max(1.0, _INDEPENDENT * rate)
-        self.rests = Rests.of(self.signals, self.repeat)
+        self.rests = Rests.of(self.signals, self.repeat) if rests is None else rests
         self._moments = FitMoments(self.rows, self.index, cell, len(precision), self.rests)
         self.cells, self.count = self._moments.cells, self._moments.count
         self._made: dict[tuple[Effect, tuple[int, ...], tuple[tuple[str, float], ...]], Candidate] = {}

@@ -8,10 +8,8 @@ import numpy as np
 
 from agent.model import NominalModel
 from agent.recording import Log
-from agent.simulators import servo_stiffness
 
 _POSTURES = 20  # of a log, for its mean inertia
-_LOWEST, _TRIED = 3.0, 12  # Hz, of a cut-off for the sake of rounding, and how many are tried
 _ON_GRID = 0.01  # steps off the grid that count as on it
 
 
@@ -20,8 +18,7 @@ def rounding_noise(reference: NominalModel, logs: Sequence[Log], cutoff: float) 
 
     Rounding to a step Δ at a rate f_s is white noise of Δ² / 12 (Widrow, Kollár, Quantization Noise, 2008) while a
     joint moves by more than a step a sample or so. Differentiated twice and passed up to the cut-off f_c it has a
-    variance of Δ² / 12 · (2 / f_s) ∫₀^f_c (2π f)⁴ df, and the mass matrix makes torque of it. So does, of positions as
-    they are, the stiffness of a servo whose torque is no measured one. Of the log with most.
+    variance of Δ² / 12 · (2 / f_s) ∫₀^f_c (2π f)⁴ df, and the mass matrix makes torque of it. Of the log with most.
     """
     rotors = reference.coupling.T * (reference.rotors * reference.robot.gear_ratios**2) @ reference.coupling
     largest = np.zeros(reference.robot.dof)
@@ -31,23 +28,8 @@ def rounding_noise(reference: NominalModel, logs: Sequence[Log], cutoff: float) 
         every = max(1, len(log.position) // _POSTURES)
         inertia = np.mean([reference.solid.mass_matrix(q) for q in log.position[::every]], axis=0) + rotors
         noise = inertia**2 @ variance
-        if (stiffness := servo_stiffness(log.metadata)) is not None:
-            noise = noise + stiffness**2 * step**2 / 12 * min(2 * cutoff / log.sample_rate, 1.0)
         largest = np.maximum(largest, np.sqrt(noise))
     return largest
-
-
-def quiet_cutoff(reference: NominalModel, logs: Sequence[Log], highest: float, share: float) -> float:
-    """[Hz], `highest` at most, up to where rounding makes a share of the torque at most, on the joint in the middle.
-
-    If servo torque is computed from positions, it contains the same rounding error as the prediction. Comparing the two
-    cannot reveal this error, so it has to stay below the judged band.
-    """
-    torque = np.std(np.concatenate([log.effort for log in logs if log.effort is not None]), axis=0)
-    for cutoff in np.geomspace(highest, min(_LOWEST, highest), _TRIED):
-        if np.median(rounding_noise(reference, logs, cutoff) / np.maximum(torque, 1e-9)) <= share:
-            break
-    return float(f"{cutoff:.2g}")
 
 
 def rounding_step(position: np.ndarray) -> float:

@@ -28,20 +28,28 @@ from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.candidate import Candidate
 from agent.diagnosis.rows.dataset import Dataset, assemble
 from agent.diagnosis.rows.fit import Fit
-from agent.diagnosis.rows.rounding import quiet_cutoff
-from agent.diagnosis.simulator_file.released_numbers import ReleasedSimulator, release, release_all, waterfall
+from agent.diagnosis.simulator_file.released_numbers import (
+    DELAY,
+    GAIN,
+    ReleasedSimulator,
+    release,
+    release_all,
+    waterfall,
+)
 from agent.diagnosis.simulator_file.reversals import with_reversals
 from agent.diagnosis.verdict import Verdict, causes_of, has_size, named, supported
 from agent.estimation import FilterSettings, resolve_cutoff
-from agent.model import CATALOGUE, IdentifiedModel, NominalModel
+from agent.model import CATALOGUE, IdentifiedModel
 from agent.recording import Log
 from agent.robot import RobotDescription
-from agent.simulators import SIMULATOR, servo_stiffness
+from agent.simulators import SIMULATOR
 
 _OF_THE_MIDDLE = 1.5  # times the relative error of the joint in the middle is expected of every joint
 _BELOW_ZERO = 0.1  # of a friction level without an effect: by chance, an added effect takes it this far below zero
 #: Effects that are the file's numbers under another name.
 _NUMBERS = tuple(name for name, effect in CATALOGUE.items() if effect.numbers in ("friction", "links"))
+#: Effects that do not show in motion, or are numbers of servos there.
+_NO_MOTION = tuple(name for name, effect in CATALOGUE.items() if effect.once or effect.numbers in (GAIN, DELAY))
 #: The effect that is links which weigh otherwise.
 _LINKS = next(name for name, effect in CATALOGUE.items() if effect.numbers == "links")
 _AS_GOOD = 1.1  # times the squared error left, to where another choice of numbers is as good
@@ -124,8 +132,6 @@ def with_expected_error(model: IdentifiedModel, logs: Sequence[Log], share: floa
     error = np.maximum(np.maximum(usual, least), 1e-9)
     settings = FilterSettings()
     cutoff = min(resolve_cutoff(log, settings) for log in logs)
-    if any(servo_stiffness(log.metadata) is not None for log in logs):
-        cutoff = quiet_cutoff(NominalModel(model), logs, cutoff, LIMITS.least_error)
     return replace(
         model,
         cutoff=cutoff,
@@ -151,21 +157,25 @@ def search_simulator(
     """
     progress("moving friction, rotors and links of the simulator, step by step")
     dataset = assemble(robot, with_expected_error(model, logs), logs, cutoff)
-    if not any(servo_stiffness(log.metadata) is not None for log in logs):
-        model = replace(model, terms=with_reversals(dataset).terms)
-        dataset = assemble(robot, with_expected_error(model, logs), logs, cutoff)
+    model = replace(model, terms=with_reversals(dataset).terms)
+    dataset = assemble(robot, with_expected_error(model, logs), logs, cutoff)
     first = release(dataset)
     if first.groups:
         expected = with_expected_error(model, logs, _expected(dataset, first.moved.residual))
         dataset = assemble(robot, expected, logs, cutoff, first.model)
-    unit = dataset.fit.reference.scale
+    return explained(dataset, without, progress)
+
+
+def explained(dataset: Dataset, without: Sequence[str], progress: Callable[[str], None]) -> Explanation:
+    """The simplest of the three explanations of the rows of a simulator that closes as much as any."""
+    unit, model = dataset.fit.reference.scale, dataset.model
     enough = LIMITS.least_share * float(np.mean(held_out_gap(dataset, dataset.fit, unit).before ** 2))
     search = partial(_search_with, model, without, progress, unit)
-    found = [search(ReleasedSimulator(dataset, dataset, ()))]
-    drives, everything = release(dataset, links=False), release(dataset)
-    if 0 < len(drives.groups) < len(everything.groups):
+    as_is, drives, everything = release(dataset, kinds=()), release(dataset, links=False), release(dataset)
+    found = [search(as_is)]
+    if len(as_is.groups) < len(drives.groups) < len(everything.groups):
         found.append(search(drives))
-    if everything.groups:
+    if len(everything.groups) > len(as_is.groups):
         progress("choosing which numbers of the simulator move, with the effects found")
         others = release(dataset, search(release_all(dataset)).finding.causes)
         found.append(min(search(others), search(everything), key=lambda entry: entry.left))
@@ -187,7 +197,10 @@ def _search_with(
 ) -> Explanation:
     """Search with the moved numbers. If any moved, effects that equal numbers are left out: they would compete."""
     moved = released.moved
-    search = Search(moved.fit, (*without, *(_NUMBERS if released.groups else ())), progress)
+    left_out = (_NUMBERS if released.groups else (), _NO_MOTION if moved.servos is not None else ())
+    search = Search(moved.fit, (*without, *left_out[0], *left_out[1]), progress)
+    if moved.servos is not None:  # the gap of the file as given: without its delay, noise of the encoder is most of it
+        moved = replace(moved, residual=released.given.residual)
     finding, gap = supported(moved, named(search.run()), unit)
     kept = [k for k in range(len(finding.causes)) if _possible(model, finding.fit, k)]
     if len(kept) < len(finding.causes):
@@ -237,7 +250,7 @@ def _possible(given: IdentifiedModel, fit: Fit, number: int) -> bool:
     candidate, (change, effects) = fit.chosen[number], fit.fitted()
     values = dict(zip(candidate.names, map(float, effects[number]), strict=True))
     base = len(given.independent)
-    before, level = fit.reference.model.values[base:], (given.values + change)[base:]
+    before, level = fit.reference.model.values[base:], (given.values + change[: len(given.values)])[base:]
     own = [k for k, term in enumerate(given.terms) if term.axle in candidate.joints]
     drives = all(level[k] >= -_BELOW_ZERO * abs(before[k]) for k in own)
     sized = all(values[name] > 0 for name in candidate.effect.sizes)

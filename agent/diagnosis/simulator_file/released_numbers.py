@@ -10,7 +10,7 @@ prior covariance G Gᵀ: friction and rotors that would take all of the joint's 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -31,15 +31,18 @@ _EQUAL = 0.9  # of the best gain, from where on the plainer group is taken
 _MOVED = 100  # standard deviations in the file, from where on a base parameter has moved
 _INTERVAL = (5, 95)  # per cent
 _HELD = 1e-6  # of the stored covariance: the model's parameters stay where they are
-_UNLOADED = 0.1  # of a joint's torque, that holding its load makes at most
+_GAIN_KNOWN = 0.1  # of a servo's gain, standard deviation from where on positions do not tell it
 #: The remaining gap, as the last step.
 REMAINDER = "remainder"
+#: Kinds of groups of servos.
+GAIN, DELAY = "servo gain", "delay of the command"
 OWN_PARAMETERS = "the model's own parameters"
 
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """Parameters released together: `kind` (friction, rotor inertia, link inertia), joint from 0, directions (p, k).
+    """Parameters released together: `kind` (friction, rotor inertia, link inertia, or of servos), joint from 0
+    (-1: of all), directions (p, k).
 
     `scale` (k,) are the physical parameters' sizes, standard ones or friction's, of which the directions are images.
     """
@@ -51,7 +54,7 @@ class Group:
 
     def text(self, names: Sequence[str]) -> str:
         """Name of the step."""
-        return f"{self.kind} of {names[self.joint]}"
+        return f"{self.kind} of {names[self.joint]}" if self.joint >= 0 else self.kind
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,26 +76,33 @@ class ReleasedSimulator:
 
     def released_in(self, dataset: Dataset) -> Fit:
         """The same numbers released in other data of the same simulator."""
-        return _released(dataset, self.groups) if self.groups else dataset.fit
+        return released_fit(dataset, self.groups) if self.groups else dataset.fit
 
     @property
     def model(self) -> IdentifiedModel:
         """The simulator's, its numbers as moved before any effect."""
         given = self.given.model
-        return replace(given, values=given.values + self.moved.fit.change)
+        return replace(given, values=given.values + self.moved.fit.change[: len(given.values)])
 
 
-def release(dataset: Dataset, beside: Sequence[Candidate] = (), links: bool = True) -> ReleasedSimulator:
-    """Release group after group while that gains; without `links`, friction and rotors only.
+def release(
+    dataset: Dataset, beside: Sequence[Candidate] = (), links: bool = True, kinds: Collection[str] | None = None
+) -> ReleasedSimulator:
+    """Release group after group while that gains; without `links`, friction, rotors and servos only, or `kinds` alone.
+
+    The delay of a command is free from the start: no file of a simulator knows that of a recorder.
 
     The choice of numbers includes the effects `beside`. The numbers are then moved without them, as the search's start.
     """
     pool = [group for group in groups_of(dataset) if links or group.kind != "link inertia"]
+    pool = pool if kinds is None else [group for group in pool if group.kind in (*kinds, DELAY)]
+    if dataset.servos is not None:
+        return _moved(dataset, _needed(dataset, pool, beside))
     chosen: list[Group] = []
     fit = dataset.fit.with_chosen(beside)
     least = LIMITS.least_gain * float(fit.count.sum())
     while pool:
-        tried = [_released(dataset, [*chosen, group]).with_chosen(beside) for group in pool]
+        tried = [released_fit(dataset, [*chosen, group]).with_chosen(beside) for group in pool]
         gains = [fit.error(fit.once) - other.error(fit.once) for other in tried]
         if max(gains) < least:
             break
@@ -102,17 +112,55 @@ def release(dataset: Dataset, beside: Sequence[Candidate] = (), links: bool = Tr
     return _moved(dataset, chosen)
 
 
+def _needed(dataset: Dataset, pool: Sequence[Group], beside: Sequence[Candidate]) -> list[Group]:
+    """Groups of which none can go back to the file's numbers: of all, the one that loses least goes, again and again.
+
+    Positions are linear about numbers that were all fitted, so that is where to start from. Last, a joint's friction
+    and rotor go if its servo's gain alone does as well: they show as ratios to it (backward elimination).
+    """
+    fit = dataset.fit.with_chosen(beside)
+    least, p = LIMITS.least_gain * float(fit.count.sum()), len(dataset.held)
+    parts = [(fold.train, fit.gram[fold.test].sum(axis=0)) for fold in fit.folds]
+    known = [(fit.gram[train].sum(axis=0) / fit.repeat, test) for train, test in parts]
+
+    def error(groups: Sequence[Group]) -> float:
+        prior = fit.prior.copy()
+        prior[:p, :p] = precision_of(dataset.held + sum(group.directions @ group.directions.T for group in groups))
+        total = 0.0
+        for train, test in known:
+            matrix = train[:-1, :-1] + prior
+            unit = 1 / np.sqrt(np.diag(matrix))
+            found = unit * np.linalg.solve(matrix * np.outer(unit, unit), unit * train[:-1, -1])
+            extended = np.append(found, -1.0)
+            total += float(extended @ test @ extended)
+        return total + least * len(groups)
+
+    chosen, best = list(pool), error(pool)
+    while True:
+        tried = [[g for g in chosen if g is not one] for one in reversed(chosen) if one.kind != DELAY]
+        errors = [error(groups) for groups in tried]
+        if not errors or min(errors) > best:
+            break
+        best = min(errors)
+        chosen = tried[errors.index(best)]
+    for gain in (group for group in pool if group.kind == GAIN and group not in chosen):
+        others = [g for g in chosen if g.joint != gain.joint or g.kind not in ("friction", "rotor inertia")]
+        if len(others) < len(chosen) - 1 and (swapped := error([*others, gain])) < best:
+            chosen, best = [*others, gain], swapped
+    return sorted(chosen, key=lambda group: group.kind != DELAY)
+
+
 def release_all(dataset: Dataset) -> ReleasedSimulator:
     """Release every group, so that no choice among them stands between a search and its effects."""
     return _moved(dataset, groups_of(dataset))
 
 
 def _moved(dataset: Dataset, groups: Sequence[Group]) -> ReleasedSimulator:
-    fit = _released(dataset, groups) if groups else dataset.fit
+    fit = released_fit(dataset, groups) if groups else dataset.fit
     left = fit.out_of_fold()
     residual = np.where(np.isnan(left), dataset.residual, left)
     found = ReleasedSimulator(dataset, replace(dataset, fit=fit, residual=residual), tuple(groups))
-    if not groups:
+    if not groups or dataset.servos is not None:  # positions are linear about numbers that were fitted already
         return found
     return replace(found, moved=replace(found.moved, fit=fit.seen_from(NominalModel(found.model))))
 
@@ -125,36 +173,57 @@ def groups_of(dataset: Dataset) -> list[Group]:
     model, reference = dataset.model, dataset.fit.reference
     layout, base = ParameterLayout.of(dataset.robot), len(model.independent)
     torque = np.sqrt(np.mean(np.concatenate([s.predicted[s.kept] for s in dataset.fit.signals]) ** 2, axis=0))
-    torque = np.maximum(torque, np.sqrt(np.mean(dataset.residual**2, axis=0)))
+    stiffness = 1.0 if dataset.servos is None else dataset.servos.kp
+    torque = np.maximum(torque, stiffness * np.sqrt(np.mean(dataset.residual**2, axis=0)))
     speed = np.maximum(np.sqrt(np.mean(dataset.speed**2, axis=0)), 1e-9)
     scale = reference.prior_std.copy()
     acceleration = np.concatenate([s.qdd[s.kept] for s in dataset.fit.signals])
     fast = np.maximum(np.sqrt(np.mean(acceleration**2, axis=0)), 1e-9)
     # a file's rotor may be wrong by any factor, and of a wrist's inertia it is nearly all
     scale[layout.rotors] = np.maximum(scale[layout.rotors], torque / fast / dataset.robot.gear_ratios**2)
+    size = len(dataset.fit.precision)
     friction: list[Group] = []
     rotors: list[Group] = []
     links: list[Group] = []
     for joint in range(dataset.robot.dof):
         own = [k for k, term in enumerate(model.terms) if term.axle == joint]
-        columns = np.zeros((len(model.values), len(own)))
+        columns = np.zeros((size, len(own)))
         for column, k in enumerate(own):
-            size = torque[joint] if model.terms[k].form == "coulomb" else torque[joint] / speed[joint]
-            columns[base + k, column] = size
+            level = torque[joint] if model.terms[k].form == "coulomb" else torque[joint] / speed[joint]
+            columns[base + k, column] = level
         friction.append(Group("friction", joint, columns, columns[[base + k for k in own], range(len(own))]))
         for kind, place, found in (
             ("rotor inertia", slice(layout.rotors.start + joint, layout.rotors.start + joint + 1), rotors),
             ("link inertia", layout.link(joint), links),
         ):
-            directions = np.zeros((len(model.values), place.stop - place.start))
+            directions = np.zeros((size, place.stop - place.start))
             directions[:base] = model.projection[:, place] * scale[place]
             if np.any(np.abs(directions) > 1e-12):
                 found.append(Group(kind, joint, directions, scale[place]))
-    return [*friction, *rotors, *reversed(links)]
+    return [*friction, *_of_servos(dataset), *rotors, *reversed(links)]
 
 
-def _released(dataset: Dataset, groups: Sequence[Group]) -> Fit:
-    covariance = dataset.model.covariance + sum(group.directions @ group.directions.T for group in groups)
+def _of_servos(dataset: Dataset) -> list[Group]:
+    """The gain of each servo, which may be wrong by any factor, and the delay of their command."""
+    if (servos := dataset.servos) is None:
+        return []
+    n, first = len(servos.kp), len(dataset.model.values)
+    gains = np.zeros((n, len(servos.covariance), 1))
+    gains[np.arange(n), first + np.arange(n), 0] = servos.kp
+    late = np.zeros((len(servos.covariance), 1))
+    late[first + n :] = servos.delay
+    free = () if servos.kp_known else range(n)
+    return [*(Group(GAIN, j, gains[j], servos.kp[j : j + 1]) for j in free), Group(DELAY, -1, late, np.ones(1))]
+
+
+def drive_groups(dataset: Dataset) -> list[Group]:
+    """Friction, rotor and servo of every joint, and the delay: all groups without links."""
+    return [group for group in groups_of(dataset) if group.kind != "link inertia"]
+
+
+def released_fit(dataset: Dataset, groups: Sequence[Group]) -> Fit:
+    """The rows with groups of numbers released."""
+    covariance = dataset.held + sum(group.directions @ group.directions.T for group in groups)
     return dataset.fit.with_prior(precision_of(covariance))
 
 
@@ -169,12 +238,12 @@ def waterfall(found: ReleasedSimulator, finding: Finding, gap: HeldOutGap) -> tu
     if gap.closure is None:
         return ()
     names, dataset = found.given.robot.joint_names, found.given
-    fits = [_released(dataset, found.groups[: k + 1]) for k in range(len(found.groups))]
-    alone = [_released(dataset, [group]).out_of_fold() for group in found.groups]
+    fits = [released_fit(dataset, found.groups[: k + 1]) for k in range(len(found.groups))]
+    alone = [released_fit(dataset, [group]).out_of_fold() for group in found.groups]
     texts = [group.text(names) for group in found.groups]
     plain, moved = dataset.fit, dataset.fit.with_chosen(finding.causes)
     if not found.groups and dataset.given:  # a model fitted to the same logs has no own numbers to keep
-        held = plain.with_prior(precision_of(_HELD * dataset.model.covariance))
+        held = plain.with_prior(precision_of(_HELD * dataset.held))
         by_effects, by_both = (_absorbed(gap, fit) for fit in (held.with_chosen(finding.causes), moved))
         plain = held if by_both - by_effects >= LIMITS.least_share else plain
     last = fits[-1] if fits else plain
@@ -238,15 +307,26 @@ def _load(found: ReleasedSimulator) -> dict[str, float]:
     return dict(zip(names, map(float, gained), strict=False)) if gained[0] > prior_std[0] else {}
 
 
-def _unloaded_servos(dataset: Dataset) -> tuple[int, ...]:
-    """Joints that carry next to no load where torque is that of servos: another gain is other friction and rotor."""
-    signals, model = [s for s in dataset.fit.signals if s.driving is not None], dataset.model
-    if not signals:
+def doubtful_gains(dataset: Dataset) -> tuple[int, ...]:
+    """Joints whose servo gain positions do not tell: another gain is another load, friction and rotor together.
+
+    Everything over kp alone shows; known masses under gravity set its scale. All numbers are free in that.
+    """
+    if (servos := dataset.servos) is None or servos.kp_known:
         return ()
-    still = [model.rigid.torque(s.q, 0 * s.q, 0 * s.q, model.base_values)[s.kept] for s in signals]
-    whole = np.concatenate([s.predicted[s.kept] for s in signals])
-    load = np.sqrt(np.mean(np.concatenate(still) ** 2, axis=0))
-    return tuple(np.flatnonzero(load < _UNLOADED * np.sqrt(np.mean(whole**2, axis=0))).tolist())
+    free = released_fit(dataset, groups_of(dataset))
+    covariance, _ = free.solve(np.ones(free.cells, dtype=bool))
+    first, n = len(dataset.model.values), len(servos.kp)
+    deviation = np.sqrt(np.diag(covariance)[first : first + n])
+    return tuple(np.flatnonzero(deviation > _GAIN_KNOWN * servos.kp).tolist())
+
+
+def _on_joint(found: ReleasedSimulator, group: Group, beside: Sequence[Candidate], gap: HeldOutGap) -> float | None:
+    """What a group closes of its own joint's error that all others leave; None where torque is judged."""
+    if found.given.servos is None or group.joint < 0:
+        return None
+    others = released_fit(found.given, [g for g in found.groups if g is not group]).with_chosen(beside)
+    return gap.closure_on((group.joint,), others.out_of_fold(others.once))
 
 
 def causes_of_numbers(found: ReleasedSimulator, finding: Finding, gap: HeldOutGap) -> tuple[Cause, ...]:
@@ -261,29 +341,35 @@ def causes_of_numbers(found: ReleasedSimulator, finding: Finding, gap: HeldOutGa
     probability = LAW.certain * min(gap.closure or 0.0, 1.0)
     load = _load(found)
     called = {effect.numbers: effect.name for effect in reversed([*CATALOGUE.values()])}  # the built-in ones last
-    gain = next((name for name, effect in CATALOGUE.items() if effect.scales_report), "")
-    scaled, causes = _unloaded_servos(found.given) if gain else (), []
+    doubtful, causes = doubtful_gains(found.given), list[Cause]()
 
     def closes(*groups: Group) -> float | None:
         others = [group for group in found.groups if not any(group is one for one in groups)]
-        fit = _released(found.given, others).with_chosen(finding.causes)
+        fit = released_fit(found.given, others).with_chosen(finding.causes)
         return gap.closure_without(fit.out_of_fold(fit.once))
 
     bodies: list[Group] = []
     for group in found.groups:
+        joint = () if group.joint < 0 else (names[group.joint],)
         if load and group.kind == "link inertia" and group.joint == len(names) - 1:
-            equal = (EffectPlace(called["links"], ()),)
-            causes.append(Cause(called["load"], (), closes(group), probability, load, equal))
-            continue
-        if group.kind != "friction":
+            like_links = (EffectPlace(called["links"], ()),)
+            causes.append(Cause(called["load"], (), closes(group), probability, load, like_links))
+        elif group.kind == "friction":
+            own = {term.form: float(change[base + k]) for k, term in enumerate(model.terms) if term.axle == group.joint}
+            parameters = {f"{form}_change": value for form, value in own.items()}
+            equal = (EffectPlace(called[GAIN], joint),) if group.joint in doubtful else ()
+            own_part = _on_joint(found, group, finding.causes, gap)
+            causes.append(Cause(called["friction"], joint, closes(group), probability, parameters, equal, own_part))
+        elif group.kind == GAIN and found.given.servos is not None:
+            kp, more = found.given.servos.kp[group.joint], float(change[len(model.values) + group.joint])
+            parameters = {"scale_error": float(kp / (kp + more) - 1)}
+            equal = (EffectPlace(called["friction"], joint),) if group.joint in doubtful else ()
+            own_part = _on_joint(found, group, finding.causes, gap)
+            causes.append(Cause(called[GAIN], joint, closes(group), probability, parameters, equal, own_part))
+        elif group.kind == DELAY:
+            causes.append(Cause(called[DELAY], (), closes(group), probability, {"delay": float(change[-1])}))
+        else:
             bodies.append(group)
-            continue
-        own = {term.form: float(change[base + k]) for k, term in enumerate(model.terms) if term.axle == group.joint}
-        parameters = {f"{form}_change": value for form, value in own.items()}
-        own_gain = (EffectPlace(gain, (names[group.joint],)),) if group.joint in scaled else ()
-        causes.append(
-            Cause(called["friction"], (names[group.joint],), closes(group), probability, parameters, own_gain)
-        )
     if bodies:
         known = np.abs(change[:base]) > _MOVED * model.standard_deviations[:base]
         parameters = {model.names[k]: float(change[k]) for k in np.flatnonzero(known)}

@@ -45,6 +45,7 @@ class TimeDelay(Effect):
     refined = ("reversal",)
     fast_torque = True
     moves_arm = False
+    numbers = "delay of the command"
     of_servos = ("set-points act later than they were recorded", "bus, rate and stamps of the set-points")
     nonlinear = ("reversal",)
 
@@ -68,7 +69,7 @@ class TimeDelay(Effect):
     def columns(self, signals: MotionSignals, joints: Joints, settings: Numbers) -> Columns:
         late = np.clip(signals.time - settings["delay"], signals.time[0], signals.time[-1])
         shifted = _over_time(signals, settings.get("reversal"))(late)
-        change = shifted - signals.predicted if signals.driving is None else signals.driving - shifted
+        change = shifted - signals.predicted
         return {joint: change[:, joint, None] for joint in range(signals.q.shape[1])}
 
     def plausible(self, settings: Numbers, values: Numbers) -> bool:
@@ -83,7 +84,7 @@ def _over_time(signals: MotionSignals, part: float | None) -> Callable[[np.ndarr
         from scipy.interpolate import CubicSpline  # slow to load
 
         torque = signals.predicted if part is None else _turning_faster(signals, part)
-        return CubicSpline(signals.time, torque if signals.driving is None else signals.driving)
+        return CubicSpline(signals.time, torque)
 
     return signals.remembered(("over time", part), made)
 

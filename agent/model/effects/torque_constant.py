@@ -27,6 +27,7 @@ class TorqueConstant(Effect):
     moves_arm = False
     units = MappingProxyType({"scale_error": "%"})
     scales_report = "scale_error"
+    numbers = "servo gain"
     of_servos = ("its servo has another gain", "the gain (P) of this servo in its firmware, and its supply voltage")
 
     def plausible(self, settings: Numbers, values: Numbers) -> bool:

@@ -139,7 +139,7 @@ class TwoMass(Effect):
     def _on_joint(self, context: FitContext, k: int, tried: Sequence[Mapping[str, float]]) -> np.ndarray:
         parts = []
         for signals in context.signals:
-            parts.append(signals.low_pass(-np.stack([self._lead(signals, k, entry)[0] for entry in tried]).T))
+            parts.append(signals.shown(k, -np.stack([self._lead(signals, k, entry)[0] for entry in tried]).T))
         return np.concatenate(parts)
 
     def prepare(self, motions: Sequence[MotionSignals], wanted: Sequence[tuple[Joints, Numbers]]) -> None:

@@ -18,6 +18,7 @@ from agent.pages.diagnosis.figures import (
     timeline,
     waterfall,
 )
+from agent.pages.diagnosis.free_motion import motion_section
 from agent.pages.diagnosis.simulator import drift_section, ranges_section, waterfall_section
 from agent.pages.diagnosis.summary import planned_section, rounds_section
 from agent.pages.elements import About, NextStep, Page, Section, Table, render
@@ -60,17 +61,15 @@ def diagnosis_report(
     """
     result = diagnosis.result if result is None else result
     forward = result.get("forward")
-    # the drift comes before anything of torque where that was not measured
-    first = bool(forward) and diagnosis.document.torque_of == "servos"
     sections = [
-        drift_section(forward) if first else None,
+        motion_section(diagnosis, result),
         _cause_section(diagnosis, None if said_by_rounds(result) else result["next_experiment"]),
         planned_section(result["next_experiment"]),
         rounds_section(result.get("rounds"), result.get("rounds_end", "")),
         _where_section(diagnosis),
         _closure_section(diagnosis, simulated),
         waterfall_section(diagnosis),
-        None if first else drift_section(forward),
+        drift_section(forward),
         ranges_section(result),
         _hypotheses_section(diagnosis),
         _testability_section(diagnosis),
@@ -168,7 +167,11 @@ def _about_cause(cause: Mapping[str, Any], result: Mapping[str, Any]) -> Iterato
 
 
 def _where_section(diagnosis: Diagnosis) -> Section:
-    about = "Torque errors are RMS on held-out motion, in % of nominal torque if known."
+    about = (
+        "Torque errors are RMS on held-out motion, in % of nominal torque if known."
+        if diagnosis.dataset.servos is None
+        else "Position errors are RMS on held-out episodes, of the simulator's motion under the recorded command."
+    )
     parts = (
         gap_table(diagnosis.result),
         regime_map(diagnosis),

@@ -196,7 +196,7 @@ def _results(found: Found, question: GapQuestion, console: Console, rounds: Roun
     result = {**found.result, "simulation": simulation_part(diagnosis, found.simulated)}
     result |= rounds.to_dict() if rounds is not None else {}
     correction = None if simulator is None else supported_correction(diagnosis, simulator)
-    if simulator is not None and correction is not None:
+    if simulator is not None and correction is not None and diagnosis.dataset.servos is None:
         result |= run_forward(diagnosis, simulator, correction, console)
     yield result
     if question.next_recipe is not None:

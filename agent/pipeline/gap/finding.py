@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from agent.core import AgentError, Console, InputError, counted
-from agent.diagnosis import Diagnosis, Simulated, channel_zero, diagnose, simulate, with_servo_torque
+from agent.diagnosis import Diagnosis, Simulated, channel_zero, diagnose, simulate, without_torque
 from agent.model import IdentifiedModel
 from agent.pipeline.declared_effort import check_torque
 from agent.pipeline.gap.next_experiment import check_arm, check_tool
@@ -57,15 +57,24 @@ def find(robot: RobotDescription | None, paths: Sequence[Path], question: GapQue
     at_rest = read_at_rest(robot, reference, question, console)
     of_machine = logs if at_rest is None else [*logs, at_rest]
     check_one_machine(of_machine, reference, question.allow_mixed, payload_counts=True)
-    said: tuple[str, ...] = ()
-    if simulator is None or any(log.reference_position is None for log in logs):
+    by_position = simulator is not None and without_torque(simulator, logs)
+    if not by_position:
         check_torque(logs)
-    if simulator is not None:
-        simulator, logs, said = with_servo_torque(simulator, logs)
-    if not said:
         check_plausible(robot, logs, question.force, console, described=described, model=reference)
     console.step("comparing model and robot")
-    found = diagnose(robot, logs, reference, question.cutoff, question.without, console.progress, drives_off=at_rest)
+    found = diagnose(
+        robot,
+        logs,
+        reference,
+        question.cutoff,
+        question.without,
+        console.progress,
+        drives_off=at_rest,
+        simulator=simulator,
+        known_kp="kp" in question.known,
+    )
+    if by_position:
+        return Found(found, [], simulator)
     say_used(logs, found.dataset.cutoff, found.dataset.model.order, console)
     console.step("simulating with and without the effects")
     simulated: list[Simulated] = []
@@ -74,7 +83,7 @@ def find(robot: RobotDescription | None, paths: Sequence[Path], question: GapQue
         simulated = simulate(found)
     except (AgentError, ArithmeticError, ValueError) as error:
         failed = f"the forward simulation failed; the verdict does not depend on it: {error}"
-    warnings = (*said, *found.warnings, *filter(None, [failed]))
+    warnings = (*found.warnings, *filter(None, [failed]))
     return Found(replace(found, document=replace(found.document, warnings=warnings)), simulated, simulator)
 
 

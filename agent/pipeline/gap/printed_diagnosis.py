@@ -8,7 +8,7 @@ from shutil import get_terminal_size
 from textwrap import fill
 from typing import Any
 
-from agent.core import counted
+from agent.core import counted, plus_minus
 from agent.diagnosis import forward_lines, reported_parameters, size_text, torque_gap
 from agent.pages import FOUR, chances_text, next_text, place, summary
 from agent.robot import SHARE, figure_text
@@ -30,12 +30,11 @@ def diagnosis_text(result: dict[str, Any]) -> str:
         lines += [f"{cause['effect']} on {place(cause)}", *(f"  {'  '.join(line)}" for line in sizes)]
     gap = result["gap"]
     width = max(12, *map(len, gap["joints"]))
-    by_servos = result.get("torque_of") == "servos"
+    of = gap.get("of", "torque")
     drift = list(forward_lines(result["forward"])) if result.get("forward") else []
-    if by_servos:
-        lines += drift
-        lines.append("No torque was measured; the torque below is that of the simulated servos at the set-points.")
-    lines.append("torque error on held-out motion, in % of nominal torque if known (repeatability: between cycles)")
+    lines += list(_servo_lines(result))
+    unit = "" if of == "position" else ", in % of nominal torque if known"
+    lines.append(f"{of} error on held-out motion{unit} (repeatability: between cycles)")
     lines.append(f"{'joint':{width}} {'before':>11} {'after':>11} {'repeatability':>13} {'share':>7}   mostly in")
     shares = {entry["joint"]: entry for entry in result["where"]}
     somewhere = torque_gap(result)
@@ -48,7 +47,7 @@ def diagnosis_text(result: dict[str, Any]) -> str:
         share = f"{100 * shares[name]['share']:6.1f}%" if somewhere else f"{'-':>7}"
         lines.append(f"{name:{width}} {before:>11} {after:>11} {floor:>13} {share}   {', '.join(regimes)}".rstrip())
     if result["closure"] is not None and somewhere:
-        lines.append(f"explained: {100 * result['closure']:.1f} % of the torque gap")
+        lines.append(f"explained: {100 * result['closure']:.1f} % of the {of} gap")
     lines += list(_waterfall_lines(result.get("waterfall", [])))
     if result.get("simulation"):
         torque, units = result["simulation"]["torque"], gap["units"]
@@ -56,8 +55,7 @@ def diagnosis_text(result: dict[str, Any]) -> str:
         worst = max(own or range(len(units)), key=lambda k: (units[k] == SHARE, torque["before"][k]))
         before, after = (figure_text(torque[side][worst], units[worst]) for side in ("before", "after"))
         lines.append(f"torque error of {gap['joints'][worst]} in simulation: {before}, with the effects {after}")
-    if not by_servos:
-        lines += drift
+    lines += drift
     lines += _planned_lines(result)
     if result["not_testable"]:
         names = sorted({entry["effect"] for entry in result["not_testable"]})
@@ -97,6 +95,25 @@ def _planned_lines(result: dict[str, Any]) -> Iterator[str]:
     if "with_a_mass" in experiment:
         text = experiment["with_a_mass"]["text"]
         yield f"{text[0].lower()}{text[1:]}"
+
+
+def _servo_lines(result: dict[str, Any]) -> Iterator[str]:
+    """Numbers of joints and servos to copy, with what 95 % of such intervals hold."""
+    if not (table := result.get("servo")):
+        return
+    scale = {"gravity": "gravity of the file's masses", "kp": "the known kp", "none": "nothing: ratios to kp only"}
+    yield f"numbers for the simulator, ± 95 %; their scale comes from {scale[result['scale_from']]}"
+    names = result["gap"]["joints"]
+    width = max(12, *map(len, names))
+    yield f"{'joint':{width}} " + " ".join(f"{kind.replace('_s', ' [ms]'):>16}" for kind in table)
+    for k, name in enumerate(names):
+        cells = []
+        for kind, row in table.items():
+            scaled = 1e3 if kind == "delay_s" else 1.0
+            cells.append(
+                "class only" if row[k] is None else plus_minus(scaled * row[k][0], scaled * (row[k][2] - row[k][1]) / 2)
+            )
+        yield f"{name:{width}} " + " ".join(f"{cell:>16}" for cell in cells)
 
 
 def _waterfall_lines(steps: Sequence[dict[str, Any]]) -> Iterator[str]:

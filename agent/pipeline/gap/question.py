@@ -39,6 +39,7 @@ class GapQuestion:
     drives_off : log of the stationary arm with its drives off.
     topic : topic of the joint states in the logs.
     effort : what the effort of the logs is; None: as their driver says it, or torque.
+    known : numbers of the simulator's servos that are right: `kp`.
     planning_budget : longest time for planning [s].
     """
 
@@ -55,6 +56,7 @@ class GapQuestion:
     drives_off: Path | None = None
     topic: str | None = None
     effort: str | None = None
+    known: tuple[str, ...] = ()
     planning_budget: float = PLANNING_BUDGET
 
     def options(self) -> list[str]:
@@ -75,6 +77,7 @@ class GapQuestion:
         if self.planning_budget != PLANNING_BUDGET:
             words += ["--planning-budget", f"{self.planning_budget:g} s"]
         words += [word for effect in self.without for word in ("--without", effect)]
+        words += [word for number in self.known for word in ("--known", number)]
         flags = {"--allow-mixed": self.allow_mixed, "--force": self.force}
         return [*words, *(flag for flag, given in flags.items() if given)]
 
@@ -85,6 +88,8 @@ class GapQuestion:
             InputError: an output that cannot be written or would overwrite an input, an unknown effect, or no model.
         """
         check_effects(self.without)
+        if unknown := [number for number in self.known if number != "kp"]:
+            raise InputError(f"diagnose: --known {unknown[0]}: only kp can be known, the gain of the file's servos")
         if self.drives_off is not None and self.drives_off.absolute() in [log.absolute() for log in logs]:
             raise InputError(
                 f"{self.drives_off}: is named both as a motion and with --drives-off; name a log of the "

@@ -51,7 +51,7 @@ def write_corrected(simulator: Simulator, correction: Correction, out: Path) -> 
     source, arm = simulator.arm.path, simulator.arm
     edits = UrdfEdits(arm, out) if arm.is_urdf else MjcfEdits(arm, out)
     changes = list(_changes(correction, edits))
-    if simulator.servos is not None and isinstance(edits, MjcfEdits):
+    if correction.released.gains and isinstance(edits, MjcfEdits):
         changes += _servo_changes(correction, edits)
     files = edits.files()
     _read_back(correction, simulator, files, out)
@@ -114,7 +114,7 @@ def _change(element: str, attribute: str, old: float | list[float], new: float |
 
 
 def _servo_changes(correction: Correction, edits: MjcfEdits) -> Iterator[Change]:
-    """Change servo gains. Damping given as a ratio is written as a number where masses change."""
+    """Change gains and delays of servos. Damping given as a ratio is written as a number where masses change."""
     given, released = correction.given.servos, correction.released
     servos = correction.arm.servos
     assert isinstance(given, PositionServos)
@@ -125,9 +125,14 @@ def _servo_changes(correction: Correction, edits: MjcfEdits) -> Iterator[Change]
             continue
         (_, before), (gain, bias) = given.parameters(k), servos.parameters(k)
         edits.set_servo(k, gain, bias)
-        if k in released.gains:
+        if bias[1] != before[1]:
             yield _change(f"actuator of {joint}", "kp", -before[1], -bias[1], released.gains[k])
-        if bias[2]:
+        if servos.delay[k] != given.delay[k]:
+            edits.set_delay(k, float(servos.delay[k]), given.step)
+            yield _change(
+                f"actuator of {joint}", "delay", float(given.delay[k]), float(servos.delay[k]), "delay of the command"
+            )
+        if bias[2] and (moved or bias[2] != before[2]):
             kept = "as it was: a dampratio would move it with the masses"
             yield _change(f"actuator of {joint}", "kv", -before[2], -bias[2], released.gains.get(k, kept))
 

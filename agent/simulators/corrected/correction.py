@@ -8,7 +8,7 @@ The other effects go to a file next to it (`effects_file`).
 from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -42,24 +42,11 @@ class Released:
 
 
 @dataclass(frozen=True, eq=False)
-class Commands:
-    """Set-points as they reach the servos: delay `late` [s], and `shift` (n,) [rad or m] below the recorded ones."""
-
-    late: float
-    shift: np.ndarray
-
-    @classmethod
-    def as_recorded(cls, dof: int) -> Commands:
-        """Without delay or shift."""
-        return cls(0.0, np.zeros(dof))
-
-
-@dataclass(frozen=True, eq=False)
 class Correction:
     """The corrected arm, its model with all effects, what was released, and the effects that are not in the file.
 
-    `inertia` (n,) [kg·m²] that the joints carried on average while effects were fitted; `commands`: how set-points
-    reach the servos, where torque is theirs; `reasons` for effects, by effect and joints.
+    `inertia` (n,) [kg·m²] that the joints carried on average while effects were fitted; `reasons` for effects, by
+    effect and joints.
     """
 
     given: SimulatedArm
@@ -69,7 +56,6 @@ class Correction:
     effects: tuple[ModelEffect, ...]
     inertia: np.ndarray
     notes: tuple[str, ...]
-    commands: Commands
     reasons: Mapping[tuple[str, tuple[str, ...]], str]
 
 
@@ -98,7 +84,7 @@ def correct(
         if term.axle in released.friction and term.form in _FRICTION:
             friction[term.axle, _FRICTION.index(term.form)] = change[b + k]
     layout = ParameterLayout.of(model.robot)
-    arm, commands = given, Commands.as_recorded(n)
+    arm = given
     left: list[ModelEffect] = []
     for entry in effects:
         reason = reasons.get((entry.effect, entry.joints), entry.effect)
@@ -121,14 +107,11 @@ def correct(
             stiffness, rest = _put(arm.stiffness, joints[0], spring[0]), _put(arm.rest, joints[0], spring[1])
             arm = replace(arm, stiffness=stiffness, rest=rest)
             released.springs[joints[0]] = reason
-        elif simulator.servos is not None and not CATALOGUE[entry.effect].moves_arm:
-            arm, commands = _servo_of(arm, simulator.servos, commands, entry, joints)
-            released.gains |= dict.fromkeys(joints if CATALOGUE[entry.effect].scales_report else (), reason)
         elif CATALOGUE[entry.effect].of_the_arm:
             left.append(entry)
     moved = np.maximum(np.stack([given.frictionloss, given.damping], axis=1) + friction, 0.0)
     arm = replace(arm, frictionloss=moved[:, 0], damping=moved[:, 1])
-    notes = list(_command_notes(commands, names))
+    notes = []
     if np.any(moved[list(released.friction)] == 0):
         notes.append("friction cannot be negative: where the fit gave less, the file has 0")
     arm, said = _with_bodies(arm, model, target, weight, unexplained, released)
@@ -139,37 +122,21 @@ def correct(
         effects=(*fixed.effects, *left),
         notes=(f"corrected from {given.path.name}, by what logs of the robot say", *given.notes),
     )
-    return Correction(given, arm, fixed, released, tuple(left), inertia, (*notes, *said), commands, reasons)
+    return Correction(given, arm, fixed, released, tuple(left), inertia, (*notes, *said), reasons)
 
 
-def _servo_of(
-    arm: SimulatedArm, servos: PositionServos, commands: Commands, entry: ModelEffect, joints: Sequence[int]
-) -> tuple[SimulatedArm, Commands]:
-    """Apply an effect of the measurement to torque given by servos: another gain, or other set-points.
-
-    A torque that is reported 1 + s times too large is of a servo with 1 / (1 + s) of the gain; its limit stays.
-    """
-    effect, values = CATALOGUE[entry.effect], entry.parameters
-    if effect.scales_report is not None:
-        now = arm.servos if isinstance(arm.servos, PositionServos) else servos
-        return replace(arm, servos=now.scaled(joints[0], 1 / (1 + values[effect.scales_report]))), commands
-    if effect.adds_to_report is not None:
-        offset = values[effect.adds_to_report] / servos.stiffness[joints[0]]
-        return arm, replace(commands, shift=_put(commands.shift, joints[0], commands.shift[joints[0]] + offset))
-    return arm, replace(commands, late=commands.late + values.get("delay", 0.0))
-
-
-def _command_notes(commands: Commands, names: Sequence[str]) -> Iterator[str]:
-    if commands.late:
-        yield (
-            f"set-points act {1e3 * commands.late:.3g} ms after they are recorded, which no number of the file says: "
-            "command it that much later"
-        )
-    for k in np.flatnonzero(commands.shift).tolist():
-        yield (
-            f"set-points of {names[k]} act as if they were {commands.shift[k]:.3g} rad or m less, which no number of "
-            "the file says: command them so"
-        )
+def with_servos(
+    found: Correction, stiffness: np.ndarray, damping: np.ndarray, delay: np.ndarray, reasons: Mapping[str, str]
+) -> Correction:
+    """The correction with its servos' stiffness, damping (kv) and delay (n,) changed; `reasons` by kind and joint."""
+    servos, released = found.arm.servos, found.released
+    if not isinstance(servos, PositionServos):
+        return found
+    changed = replace(servos, stiffness=stiffness, damping=damping, delay=delay)
+    moved = (stiffness != servos.stiffness) | (damping != servos.damping) | (delay != servos.delay)
+    for k in np.flatnonzero(moved).tolist():
+        released.gains[k] = reasons.get(found.arm.joint_names[k], "delay of the command")
+    return replace(found, arm=replace(found.arm, servos=changed))
 
 
 def _spring(arm: SimulatedArm, joints: Sequence[int], values: Mapping[str, float]) -> tuple[float, float] | None:

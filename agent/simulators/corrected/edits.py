@@ -194,8 +194,24 @@ class MjcfEdits:
         """Whether servo damping is given as a ratio, which depends on masses."""
         return any(servo.get("dampratio") is not None for servo in self._all("position"))
 
+    def set_delay(self, k: int, delay: float, step: float) -> None:
+        """Set the delay [s] of the actuator of a joint; `step` [s] is that of the simulation."""
+        actuator = self._servo(k)
+        actuator.set("delay", digits(delay))
+        actuator.set("nsample", str(int(np.ceil(delay / step - 1e-9)) + 1))
+
     def set_servo(self, k: int, gain: float, bias: list[float]) -> None:
         """Set gain and bias (b₀, b₁, b₂) of the position actuator of a joint."""
+        actuator = self._servo(k)
+        if actuator.tag == "general":
+            actuator.attrib.update(gainprm=digits(gain), biasprm=digits(*bias))
+            return
+        actuator.set("kp", digits(gain))
+        if bias[2]:
+            actuator.set("kv", digits(-bias[2]))
+        actuator.attrib.pop("dampratio", None)
+
+    def _servo(self, k: int) -> Element:
         name, actuators = self._arm.file_joints[k], self._all("position", "general")
         found = [actuator for actuator in actuators if name in (actuator.get("joint"), actuator.get("jointinparent"))]
         if len(found) != 1:
@@ -203,10 +219,4 @@ class MjcfEdits:
                 f"{self._source}: {name!r} has {len(found)} position or general actuators as text, so its gain cannot "
                 f"be changed in place: {_SAVE_COMPILED}"
             )
-        if found[0].tag == "general":
-            found[0].attrib.update(gainprm=digits(gain), biasprm=digits(*bias))
-            return
-        found[0].set("kp", digits(gain))
-        if bias[2]:
-            found[0].set("kv", digits(-bias[2]))
-        found[0].attrib.pop("dampratio", None)
+        return found[0]

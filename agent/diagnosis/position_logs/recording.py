@@ -1,0 +1,165 @@
+"""Positions and commands of one stretch of a log, and the simulated motion on the same instants."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from agent.core import InputError
+from agent.diagnosis.position_logs.response import LinearResponse
+from agent.diagnosis.rows.rounding import rounding_step
+from agent.model import MotionSignals, NominalModel
+from agent.recording import Log
+from agent.simulators import FreeMotion, FreeSimulator, RecordedCommand, ServoNumbers
+
+_STEP = 5e-3  # s, at most, between the instants of the linearised motion
+_FEWEST = 50  # samples of a stretch that is used
+_FAR = 1.5  # rad or m from the set-points in the middle: they are of another unit or zero
+_MOVES = 1e-2  # rad or m that a joint travels to count as moving
+
+
+@dataclass(frozen=True, eq=False)
+class CommandedStretch:
+    """One stretch of a log without a gap: time (S,) [s] of its frames, position (S, n), the command, and its start.
+
+    `start` (2n,): position and speed at its first frame.
+    """
+
+    log_index: int
+    time: np.ndarray
+    position: np.ndarray
+    command: RecordedCommand
+    start: np.ndarray
+
+    def run(self, simulator: FreeSimulator, numbers: ServoNumbers) -> FreeMotion | None:
+        """The free motion over this stretch."""
+        q, qd = np.split(self.start, 2)
+        return simulator.run(numbers, self.command, (float(self.time[0]), q, qd), float(self.time[-1]))
+
+    @property
+    def grid(self) -> tuple[np.ndarray, int]:
+        """Instants (T,) [s] on and between the frames, of which every m-th is a frame; m."""
+        every = max(1, int(np.ceil(np.median(np.diff(self.time)) / _STEP)))
+        frames = np.arange(len(self.time)) * every
+        return np.interp(np.arange(frames[-1] + 1), frames, self.time), every
+
+    def linearised(
+        self, simulator: FreeSimulator, numbers: ServoNumbers, motion: FreeMotion, reference: NominalModel
+    ) -> LinearisedMotion:
+        """The motion on the grid, with its linear response."""
+        time, every = self.grid
+        on = {
+            name: np.stack(
+                [np.interp(time, motion.time, column) for column in getattr(motion, name).T.astype(float)], axis=1
+            )
+            for name in ("q", "qd", "qdd", "torque", "stuck", "limited")
+        }
+        command = self.command.between(np.append(time, 2 * time[-1] - time[-2]), numbers.delay)
+        there = FreeMotion(
+            time, on["q"], on["qd"], on["qdd"], on["torque"], command, on["stuck"] > 0.5, on["limited"] > 0.5
+        )
+        state = (time, there.q, there.qd, there.qdd)
+        signals = MotionSignals(reference, *state, self.log_index, slice(None, None, every))
+        response = LinearResponse.along(signals, there, numbers, simulator.servos.damping, simulator.creep, every)
+        return LinearisedMotion(self, there, signals, response)
+
+
+@dataclass(frozen=True, eq=False)
+class LinearisedMotion:
+    """A simulated motion over a stretch on its grid, and how it answers to a torque."""
+
+    stretch: CommandedStretch
+    motion: FreeMotion
+    signals: MotionSignals
+    response: LinearResponse
+
+    def number_columns(self, simulator: FreeSimulator, numbers: ServoNumbers) -> np.ndarray:
+        """(S', n, 5 n) change of the positions with each number, kind by kind as in `ServoNumbers.table`."""
+        m, servos, n = self.motion, simulator.servos, self.motion.q.shape[1]
+        free = ~m.limited
+        edges = np.append(m.time, 2 * m.time[-1] - m.time[-2])
+        early, late = (self.stretch.command.between(edges, numbers.delay + sign * 5e-4) for sign in (-1, 1))
+        asked = np.clip(m.command, servos.least, servos.most)
+        by_delay = numbers.kp * (early - late) / 1e-3 * free
+        parts = (m.qdd, m.qd, np.sign(m.qd) * ~m.stuck, -(asked - m.q) * free, by_delay)
+        found = np.empty((len(self.stretch.time), n, 5 * n))
+        for j in range(n):
+            block = np.column_stack([part[:, j] for part in parts])
+            found[:, :, j::n] = self.response.of_torque({j: block})
+        return found
+
+
+def stretches_of(logs: Sequence[Log], held: bool) -> tuple[CommandedStretch, ...]:
+    """The stretches of logs in which positions and commands can be compared; short ones are left out.
+
+    Raises:
+        InputError: no set-points, set-points that are the positions themselves, or of another unit, zero or arm.
+    """
+    found = []
+    for index, log in enumerate(logs):
+        r = _set_points(log)
+        known = np.all(np.isfinite(r), axis=1)
+        for start, stop in log.segments:
+            rows = np.flatnonzero(known[start:stop]) + start
+            if len(rows) < _FEWEST or len(rows) < stop - start - 2:
+                continue
+            t, q = log.t[rows], log.position[rows]
+            steps = np.array([rounding_step(column) for column in q.T])
+            speed = np.where(np.abs(q[1] - q[0]) > 1.5 * steps, q[1] - q[0], 0.0) / (t[1] - t[0])
+            found.append(
+                CommandedStretch(index, t, q, RecordedCommand(t, r[rows], held), np.concatenate([q[0], speed]))
+            )
+    if not found:
+        raise InputError(
+            f"{logs[0].path}: no stretch of {_FEWEST} samples has positions and set-points on the same stamps; record "
+            "what was commanded together with the positions"
+        )
+    return tuple(found)
+
+
+def _set_points(log: Log) -> np.ndarray:
+    r, q = log.reference_position, log.position
+    if r is None:
+        raise InputError(
+            f"{log.path}: neither torque (effort) nor set-points (/joint_references) were recorded: one of them is "
+            "needed, torque as current times torque constant, or set-points for the servos of the simulator's file"
+        )
+    known = np.all(np.isfinite(r), axis=1)
+    names, moving = np.array(log.joint_names), np.ptp(q, axis=0) > _MOVES
+    if not known.any():
+        raise InputError(f"{log.path}: no sample has a set-point at its stamp; record them on the positions' stamps")
+    copied = moving & np.all(r[known] == q[known], axis=0)
+    if copied.any():
+        raise InputError(
+            f"{log.path}: the set-points of {', '.join(names[copied])} are the measured positions themselves, so they "
+            "say nothing about the servo: record what was commanded"
+        )
+    away = np.median(np.abs(r - q)[known], axis=0)
+    if np.any(away > _FAR):
+        k = int(np.argmax(away))
+        raise InputError(
+            f"{log.path}: {names[k]} is {away[k]:.3g} rad or m from its set-points in the middle: they are of another "
+            "unit, zero or arm than its positions"
+        )
+    return r
+
+
+def lost_frames(stretches: Sequence[CommandedStretch], residuals: Sequence[np.ndarray]) -> int:
+    """How many frames are missing without a gap in the stamps: from there on positions follow another set-point.
+
+    A lost frame moves the command by one step against the positions for good; the residual shifts by the speed of the
+    command times one frame. Counted are shifts of the best lag between thirds of a stretch of at least half a frame.
+    """
+    count = 0
+    for one, left in zip(stretches, residuals, strict=True):
+        frame = float(np.median(np.diff(one.time)))
+        speed = np.gradient(one.position, one.time, axis=0)
+        lags = []
+        for part in np.array_split(np.arange(len(left)), 3):
+            energy = float(np.sum(speed[part] ** 2))
+            lags.append(float(np.sum(left[part] * speed[part])) / energy if energy > 0 else 0.0)
+        count += sum(abs(b - a) > 0.5 * frame for a, b in pairwise(lags))
+    return count

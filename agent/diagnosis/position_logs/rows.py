@@ -1,0 +1,116 @@
+"""Rows of positions: what a simulator's free motion leaves, and how each number of its file would move it.
+
+The fit is linear about the numbers of `OutputErrorFit`, θ. Residuals are carried over to the file's own numbers by the
+same derivatives, e + X (θ − θ_file): numbers are released and effects are tried from the file on, as with torque.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from agent.diagnosis.limits import LIMITS
+from agent.diagnosis.position_logs.fitting import OutputErrorFit
+from agent.diagnosis.position_logs.recording import LinearisedMotion
+from agent.diagnosis.rows.dataset import Dataset, ServoParameters, precision_of, segments_of
+from agent.diagnosis.rows.fit import Fit
+from agent.diagnosis.rows.folds import folds_of
+from agent.diagnosis.rows.rounding import rounding_step
+from agent.diagnosis.rows.standstill import Rests
+from agent.model import IdentifiedModel, NominalModel
+from agent.recording import Log
+from agent.simulators import SimulatedArm, model_of
+
+_EXACT = 1e-6  # standard deviation of a number that may not move, over its usual change
+_USUAL_DELAY = 0.1  # s
+
+
+def assemble_positions(
+    found: OutputErrorFit, arm: SimulatedArm, model: IdentifiedModel, logs: Sequence[Log]
+) -> Dataset:
+    """The rows of a fit; `model` is that of the file."""
+    n, given = model.robot.dof, found.simulator.numbers
+    as_given = _as_given(found)
+    error = _expected_error(found)
+    bare = replace(model.robot, joints=tuple(replace(j, nominal_motor_torque=None) for j in model.robot.joints))
+    at = replace(
+        arm, armature=found.numbers.armature, frictionloss=found.numbers.friction, damping=found.numbers.damping
+    )
+    fitted = replace(model_of(at, bare, dict(model.provenance)), held_out_rmse=error, residual_rmse=error)
+    reference = NominalModel(fitted)
+    count = len(model.independent)
+    away = np.concatenate(
+        [
+            fitted.base_values - model.base_values,
+            np.stack([found.numbers.friction - given.friction, found.numbers.damping - given.damping], axis=1).ravel(),
+            found.numbers.kp - given.kp,
+            found.numbers.delay - given.delay,
+        ]
+    )
+    rows: list[list[np.ndarray]] = [[] for _ in range(n)]
+    signals = []
+    for line, left, numbers in zip(found.motions, found.residuals, found.columns, strict=True):
+        base = fitted.rigid.columns(line.signals.q, line.signals.qd, line.signals.qdd)
+        bodies = line.response.of_torque({j: base[:, j] for j in range(n)})
+        kinds = [numbers[:, :, k * n : (k + 1) * n] for k in range(5)]
+        friction = np.stack([kinds[2], kinds[1]], axis=3).reshape(*kinds[1].shape[:2], 2 * n)
+        columns = np.concatenate([bodies, friction, kinds[3], kinds[4]], axis=2)
+        at_file = left + columns @ away
+        for j in range(n):
+            rows[j].append(np.column_stack([columns[:, j], at_file[:, j]]) / error[j])
+        signals.append(replace(line.signals, reference=reference, answer=_answer(line)))
+    joined = [np.concatenate(part) for part in rows]
+    time = np.concatenate([s.time[s.kept] for s in signals])
+    log = np.concatenate([np.full(len(s.time[s.kept]), s.log_index) for s in signals])
+    sigma = np.broadcast_to(error, (len(time), n)).copy()
+    cell, folds, single = folds_of(time, log, logs)
+    usual = np.concatenate(
+        [np.abs(model.values) + 1e-3 * np.abs(model.values).max(), given.kp, np.full(n, _USUAL_DELAY)]
+    )
+    covariance = np.diag((_EXACT * usual) ** 2)
+    index = [np.arange(count + 4 * n)] * n
+    block = segments_of(time, log, logs, LIMITS.block)
+    rests = Rests(tuple(() for _ in range(n)))
+    precision = precision_of(covariance)
+    fit = Fit(
+        reference, signals, joined, index, sigma, precision, np.zeros(len(usual)), cell, block, folds, single, rests
+    )
+    speed = np.concatenate([s.qd[s.kept] for s in signals])
+    rate = 1 / float(np.median(np.diff(time)))
+    judged = replace(model, robot=bare, held_out_rmse=error, residual_rmse=error, weights=1 / np.stack([error**2] * 2))
+    file = np.stack([given.kp, given.damping, given.armature, given.friction, given.delay])
+    servos = ServoParameters(covariance, given.kp, _USUAL_DELAY, file)
+    return Dataset(bare, judged, True, fit, as_given, speed, time, log, tuple(logs), rate, rate / 2, servos)
+
+
+def _as_given(found: OutputErrorFit) -> np.ndarray:
+    """(S', n) residual of the file as it is: its own free motion."""
+    parts = []
+    for one in found.stretches:
+        motion = one.run(found.simulator, found.simulator.numbers)
+        parts.append(one.position - (np.zeros_like(one.position) if motion is None else motion.at(one.time)))
+    return np.concatenate(parts)
+
+
+def _expected_error(found: OutputErrorFit) -> np.ndarray:
+    """(n,) [rad or m] what is expected of a right file: a share of the lag behind the command, or its rounding.
+
+    The share is that of the joint in the middle, as with torque (`explanation.with_expected_error`).
+    """
+    lag = np.concatenate([one.command.set_points_at(one.time) - one.position for one in found.stretches])
+    size = np.maximum(np.std(lag, axis=0), 1e-9)
+    step = np.max([[rounding_step(column) for column in one.position.T] for one in found.stretches], axis=0)
+    share = float(np.clip(1.5 * np.median(found.rmse / size), LIMITS.least_error, LIMITS.unknown_error))
+    return np.maximum(share * size, step / np.sqrt(12))
+
+
+def _answer(line: LinearisedMotion) -> Callable[[Mapping[int, np.ndarray]], dict[int, np.ndarray]]:
+    """What the positions of all joints show of torque columns."""
+
+    def answer(columns: Mapping[int, np.ndarray]) -> dict[int, np.ndarray]:
+        moved = line.response.of_torque(columns)
+        return {j: moved[:, j] for j in range(moved.shape[1])}
+
+    return answer

@@ -1,0 +1,144 @@
+"""Entry point for logs of positions and commands: the servos' numbers, then the same law of evidence as with torque.
+
+1. The simulator runs under the recorded command; its servo numbers and the delay are fitted (`fitting`).
+2. What that leaves, and how every number and effect would move the arm, are rows (`rows`).
+3. Numbers go back to the file's where that loses nothing, effects are searched, and a verdict is given, as with torque.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from agent.core import InputError
+from agent.data_quality import unsigned_torque
+from agent.diagnosis.position_logs.fitting import OutputErrorFit, Parameters, fit_output_error, usual_scale
+from agent.diagnosis.position_logs.recording import CommandedStretch, lost_frames, stretches_of
+from agent.diagnosis.position_logs.rows import assemble_positions
+from agent.diagnosis.rows.needs import Excursions
+from agent.diagnosis.simulator_file.explanation import Explanation, explained
+from agent.model import MotionSignals, NominalModel
+from agent.recording import HELD, HOLD, SMOOTH, Log
+from agent.simulators import FreeSimulator, Simulator
+
+_ROUGH, _FINE = 0.05, 1e-3  # of the cost: a fit gains less in its last round
+_REVERSALS = 2  # of a joint, below which its numbers are not told
+
+
+@dataclass(frozen=True, eq=False)
+class PositionExplanation:
+    """An explanation of position logs, and what is to be said."""
+
+    explanation: Explanation
+    said: tuple[str, ...]
+
+
+def without_torque(simulator: Simulator, logs: Sequence[Log]) -> bool:
+    """Whether a simulator is judged by positions: no log has torque, or all have a current without sign and a servo.
+
+    Raises:
+        InputError: torque in some logs only.
+    """
+    bare = [log for log in logs if log.effort is None]
+    if (
+        not bare
+        and not isinstance(simulator.arm.servos, str)
+        and all(log.reference_position is not None for log in logs)
+    ):
+        return bool(np.any(unsigned_torque(logs)))
+    if bare and len(bare) < len(logs):
+        other = next(log for log in logs if log.effort is not None)
+        raise InputError(
+            f"{bare[0].path}: no torque (effort) was recorded, and {other.name} has some: give logs that all have "
+            "torque, or none of which has"
+        )
+    return bool(bare)
+
+
+def search_positions(
+    simulator: Simulator,
+    logs: Sequence[Log],
+    without: Sequence[str],
+    progress: Callable[[str], None],
+    known_kp: bool = False,
+) -> PositionExplanation:
+    """Judge a simulator's file by positions and commands; `known_kp`: the gains of its servos are right.
+
+    Raises:
+        InputError: a file without servos, or logs that cannot be used (see `stretches_of`).
+    """
+    if isinstance(simulator.arm.servos, str):
+        raise InputError(
+            f"{logs[0].path}: no torque (effort) was recorded, and {simulator.arm.path.name} has no position servo for "
+            f"each joint that would follow set-points: {simulator.arm.servos}. Record the current times the torque "
+            "constant of the joint, or give an MJCF with a position actuator (kp, kv, forcerange) on every joint, and "
+            "logs with set-points; joints without one can be left out (--map)"
+        )
+    free, reference = FreeSimulator(simulator.arm), NominalModel(simulator.model)
+    progress("running the simulator under the recorded command")
+    found, how = _fitted(free, reference, logs, progress, known_kp)
+    dataset = assemble_positions(found, simulator.arm, simulator.model, logs)
+    if known_kp and dataset.servos is not None:
+        dataset = replace(dataset, servos=replace(dataset.servos, kp_known=True))
+    said = [*_about(found, how), *_turns(dataset.fit.signals, simulator.arm.joint_names)]
+    return PositionExplanation(explained(dataset, without, progress), tuple(said))
+
+
+def _fitted(
+    free: FreeSimulator,
+    reference: NominalModel,
+    logs: Sequence[Log],
+    progress: Callable[[str], None],
+    known_kp: bool,
+) -> tuple[OutputErrorFit, str]:
+    """The fit, and how the command is held: as the recorder says, or as the motion shows."""
+    told = {log.metadata.get(HOLD, "") for log in logs} & {HELD, SMOOTH}
+    ways = sorted(told) if len(told) == 1 else [HELD, SMOOTH]
+    rough: dict[str, OutputErrorFit] = {}
+    for way in ways:
+        stretches = stretches_of(logs, way == HELD)
+        file = start = free.numbers
+        if rough:  # a held command is late by half a frame in the middle
+            before = next(iter(rough.values())).numbers
+            start = replace(before, delay=before.delay + 0.5 * _frame(stretches))
+        scale = usual_scale(reference, file, stretches)
+        fixed = Parameters.create(scale, fixed=("kp",))
+        rough[way] = fit_output_error(free, reference, stretches, file, start, fixed, progress, _ROUGH)
+    best = min(rough, key=lambda way: float(np.sum((rough[way].rmse / rough[way].sigma) ** 2)))
+    at = rough[best]
+    parameters = Parameters.create(at.parameters.scale, fixed=("kp",) if known_kp else ())
+    fine = fit_output_error(free, reference, at.stretches, free.numbers, at.numbers, parameters, progress, _FINE)
+    return fine, best if len(ways) > 1 else ""
+
+
+def _frame(stretches: Sequence[CommandedStretch]) -> float:
+    return float(np.median(np.concatenate([np.diff(one.time) for one in stretches])))
+
+
+def _about(found: OutputErrorFit, how: str) -> list[str]:
+    name = found.simulator.arm.path.name
+    said = [
+        f"no torque was measured: {name} runs under the recorded command, and its motion is compared with the measured "
+        "one. kv and damping of a joint are one number there"
+    ]
+    if how:
+        words = {HELD: "held from frame to frame", SMOOTH: "smooth between frames"}
+        said.append(f"the logs do not say how the command was held; by the motion it is {words[how]}")
+    if lost := lost_frames(found.stretches, found.residuals):
+        said.append(
+            f"the lag behind the command jumps by about a frame at {lost} places: frames were lost there, or stamps "
+            "are made from frame numbers; record real stamps"
+        )
+    return said
+
+
+def _turns(signals: Sequence[MotionSignals], names: Sequence[str]) -> list[str]:
+    seen = Excursions.of(signals)
+    few = [name for name, count in zip(names, seen.reversals, strict=True) if count < _REVERSALS]
+    return (
+        [f"{', '.join(few)} turn back less than {_REVERSALS} times, so that their friction and gain cannot be told"]
+        if few
+        else []
+    )

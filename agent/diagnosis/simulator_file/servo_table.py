@@ -1,0 +1,104 @@
+"""Numbers of joints and servos that position logs give, with 95 % intervals: what `servo` of a result holds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from scipy.special import stdtrit
+
+from agent.diagnosis.rows.dataset import Dataset
+from agent.diagnosis.simulator_file.explanation import Explanation
+from agent.diagnosis.simulator_file.released_numbers import (
+    Group,
+    doubtful_gains,
+    drive_groups,
+    released_fit,
+)
+
+#: Kinds of numbers, in the order of a result.
+SERVO_NUMBERS = ("kp", "damping", "armature", "friction", "delay_s")
+_NORMAL = 1.96
+
+
+def servo_table(found: Explanation) -> dict[str, Any]:
+    """`servo` and `scale_from` of a result: value, low and high of each number and joint; None where a class is known.
+
+    The interval is the wider of the posterior's with all drives free, and of what leaving motions out, and halves of
+    them, gives (delete-a-group jackknife). A joint whose gain positions do not tell has ratios only, and no numbers.
+    """
+    dataset, fit = found.dataset, found.finding.fit
+    names, servos = dataset.robot.joint_names, dataset.servos
+    assert servos is not None
+    doubtful = doubtful_gains(dataset)
+    values = _numbers(dataset, found.released.groups, fit.fitted()[0])
+    drives = drive_groups(dataset)
+    wide = released_fit(dataset, drives).with_chosen(fit.chosen)
+    inverse, _ = wide.solve(np.ones(wide.cells, dtype=bool))
+    p = len(dataset.held)
+    spread = _NORMAL * _deviations(dataset, drives, inverse[:p, :p])
+    for folds in (wide.folds, wide.single):
+        spread = np.maximum(spread, _jackknife(np.stack([_numbers(dataset, drives, wide.fitted(f)[0]) for f in folds])))
+    table: dict[str, tuple[tuple[float, float, float] | None, ...]] = {}
+    for kind, row, half in zip(SERVO_NUMBERS, values, spread, strict=True):
+        table[kind] = tuple(
+            None
+            if kind != "delay_s" and k in doubtful
+            else (float(row[k]), float(max(row[k] - half[k], 0.0)), float(row[k] + half[k]))
+            for k in range(len(names))
+        )
+    scale = "kp" if servos.kp_known else "none" if len(doubtful) == len(names) else "gravity"
+    return {"servo": table, "scale_from": scale}
+
+
+def _numbers(dataset: Dataset, groups: Sequence[Group], change: np.ndarray) -> np.ndarray:
+    """(5, n) in the order of `SERVO_NUMBERS`: those of the file, moved by a change (p,)."""
+    servos, model = dataset.servos, dataset.model
+    assert servos is not None
+    n, b = len(servos.kp), len(model.independent)
+    moved = np.zeros(n)
+    coefficients = _inverse(groups) @ change if groups else np.zeros(0)
+    at = 0
+    for group in groups:
+        if group.kind == "rotor inertia":
+            moved[group.joint] = coefficients[at] * group.scale[0] * dataset.robot.gear_ratios[group.joint] ** 2
+        at += group.directions.shape[1]
+    friction = change[b : b + 2 * n]
+    first = len(model.values)
+    return servos.file + np.stack(
+        [change[first : first + n], friction[1::2], moved, friction[::2], change[first + n : first + 2 * n]]
+    )
+
+
+def _deviations(dataset: Dataset, groups: Sequence[Group], covariance: np.ndarray) -> np.ndarray:
+    """(5, n) standard deviations, from the covariance (p, p) of the change."""
+    servos, b = dataset.servos, len(dataset.model.independent)
+    assert servos is not None
+    n, first = len(servos.kp), len(dataset.model.values)
+    own = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    rotors = np.zeros(n)
+    inverse, at = _inverse(groups), 0
+    for group in groups:
+        if group.kind == "rotor inertia":
+            size = group.scale[0] * dataset.robot.gear_ratios[group.joint] ** 2
+            rotors[group.joint] = size * np.sqrt(max(float(inverse[at] @ covariance @ inverse[at]), 0.0))
+        at += group.directions.shape[1]
+    friction = own[b : b + 2 * n]
+    return np.stack([own[first : first + n], friction[1::2], rotors, friction[::2], own[first + n : first + 2 * n]])
+
+
+def _inverse(groups: Sequence[Group]) -> np.ndarray:
+    """(k, p) coefficients of the groups' directions in a change of the parameters."""
+    directions = np.hstack([group.directions for group in groups])
+    size = np.sqrt(np.sum(directions**2, axis=1))
+    unit = np.where(size > 0, 1 / np.maximum(size, 1e-300), 0.0)
+    return np.asarray(np.linalg.pinv(unit[:, None] * directions, rcond=1e-9) * unit)
+
+
+def _jackknife(values: np.ndarray) -> np.ndarray:
+    """Half of the interval from values (K, …) without one group each."""
+    count = len(values)
+    if count < 2:
+        return np.zeros(values.shape[1:])
+    return np.asarray(stdtrit(max(count - 1, 3), 0.975) * np.sqrt((count - 1) * np.var(values, axis=0)))

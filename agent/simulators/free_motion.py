@@ -1,0 +1,236 @@
+"""A simulator's free motion: MuJoCo runs an MJCF under the recorded set-points, with its own servos.
+
+(I + Iₐ) q̈ + d q̇ + F sgn q̇ + g(q) = clip(kₚ (clip(r(t − τ)) − q) − k_v q̇)
+
+The command r acts late by τ, limits of set-point and force after that. A command that is held from frame to frame
+enters every step as its mean over that step, so the motion is a smooth function of τ.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from agent.core import InputError
+from agent.simulators.arm import SimulatedArm
+from agent.simulators.mjcf import compiled, mujoco_package
+from agent.simulators.servos import PositionServos
+
+_LOST = 1e3  # rad/s or m/s: a simulator that has blown up
+_HOLD = 1e6  # armature that holds a joint that is not compared, over the arm's mass
+_COARSEST = 2e-3  # s, of a step; the file's own where that is shorter
+
+
+@dataclass(frozen=True, eq=False)
+class ServoNumbers:
+    """Numbers of n joints and their servos, (n,) each, on the joint side.
+
+    armature [kg·m²], damping [N·m·s/rad] of joint and servo (kv) together, friction [N·m] (Coulomb), kp [N·m/rad],
+    delay [s] from the recorded command to the servo.
+    """
+
+    armature: np.ndarray
+    damping: np.ndarray
+    friction: np.ndarray
+    kp: np.ndarray
+    delay: np.ndarray
+
+    @classmethod
+    def of(cls, arm: SimulatedArm) -> ServoNumbers:
+        """Those of a file."""
+        servos = servos_of(arm)
+        return cls(
+            arm.armature.copy(),
+            arm.damping + servos.damping,
+            arm.frictionloss.copy(),
+            servos.stiffness.copy(),
+            servos.delay.copy(),
+        )
+
+    @property
+    def table(self) -> np.ndarray:
+        """(5, n) in the order of the fields."""
+        return np.stack([getattr(self, one.name) for one in fields(self)])
+
+    @classmethod
+    def of_table(cls, table: np.ndarray) -> ServoNumbers:
+        """From (5, n) in the order of the fields."""
+        return cls(*np.array(table, dtype=float))
+
+
+#: Kinds of numbers, in the order of `ServoNumbers.table`.
+KINDS = tuple(one.name for one in fields(ServoNumbers))
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedCommand:
+    """Set-points (S, n) [rad or m] recorded at times (S,) [s]; `held` until the next one, or else straight between."""
+
+    time: np.ndarray
+    set_points: np.ndarray
+    held: bool
+
+    def set_points_at(self, times: np.ndarray) -> np.ndarray:
+        """(S, n) straight between the recorded ones at times (S,) [s]."""
+        return np.stack([np.interp(times, self.time, column) for column in self.set_points.T], axis=1)
+
+    def between(self, edges: np.ndarray, delay: np.ndarray) -> np.ndarray:
+        """(T, n) its mean between `edges` (T + 1,) [s] as it arrives, late by `delay` (n,) [s]."""
+        if not self.held:
+            middle = (edges[1:] + edges[:-1]) / 2
+            parts = [np.interp(middle - d, self.time, r) for d, r in zip(delay, self.set_points.T, strict=True)]
+            return np.stack(parts, axis=1)
+        ends = np.append(self.time, self.time[-1] + np.median(np.diff(self.time)))
+        area = np.concatenate([np.zeros((1, len(delay))), np.cumsum(self.set_points * np.diff(ends)[:, None], axis=0)])
+        found = np.empty((len(edges) - 1, len(delay)))
+        for j, late in enumerate(delay):
+            at, first, last = edges - late, self.set_points[0, j], self.set_points[-1, j]
+            outside = first * np.minimum(at - ends[0], 0.0) + last * np.maximum(at - ends[-1], 0.0)
+            found[:, j] = np.diff(np.interp(at, ends, area[:, j]) + outside) / np.diff(edges)
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class FreeMotion:
+    """A simulated motion at times (T,) [s] in steps; q, qd, qdd, torque of the servos, r as it reached them: (T, n).
+
+    `stuck` (T, n) bool: friction holds the joint; `limited` (T, n): the servo is at its limit.
+    """
+
+    time: np.ndarray
+    q: np.ndarray
+    qd: np.ndarray
+    qdd: np.ndarray
+    torque: np.ndarray
+    command: np.ndarray
+    stuck: np.ndarray
+    limited: np.ndarray
+
+    def at(self, times: np.ndarray) -> np.ndarray:
+        """(S, n) positions at times (S,) [s]."""
+        return np.stack([np.interp(times, self.time, column) for column in self.q.T], axis=1)
+
+
+def servos_of(arm: SimulatedArm) -> PositionServos:
+    """The servos of a file.
+
+    Raises:
+        InputError: it has none for each joint.
+    """
+    if isinstance(arm.servos, PositionServos):
+        return arm.servos
+    raise InputError(f"{arm.path}: it has no position servo for each joint: {arm.servos}")
+
+
+class FreeSimulator:
+    """An MJCF that moves under set-points, with other numbers than its own where wanted."""
+
+    def __init__(self, arm: SimulatedArm):
+        self.arm, self.servos = arm, servos_of(arm)
+        from mujoco.rollout import Rollout
+
+        self._mujoco = mujoco = mujoco_package()
+        self._rollout = Rollout(nthread=0).rollout
+        self.model = model = compiled(arm.path)
+        self._at = np.array([int(model.joint(name).qposadr[0]) for name in arm.file_joints])
+        self._dof = np.array([int(model.joint(name).dofadr[0]) for name in arm.file_joints])
+        held = np.setdiff1d(np.arange(model.nv), self._dof)
+        model.dof_armature[held] = _HOLD * max(float(model.body_mass.sum()), 1.0)
+        model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+        others = np.setdiff1d(np.arange(model.nu), self.servos.actuators)
+        model.actuator_gainprm[others] = model.actuator_biasprm[others] = 0.0
+        if hasattr(model, "actuator_delay"):
+            model.actuator_delay[:] = 0.0  # the command is late already
+        model.opt.timestep = self.step = min(float(model.opt.timestep), _COARSEST)
+
+    @cached_property
+    def creep(self) -> np.ndarray:
+        """(n,) [1/s] damping over inertia of a joint that friction holds: MuJoCo's friction is a soft constraint.
+
+        With impedance d, f = −d / (1 − d) M (a + b v): a stationary joint gives way at v = −f (1 − d) / (d b M).
+        """
+        model = self.model
+        impedance = np.clip(model.dof_solimp[self._dof, 0], 1e-4, 1 - 1e-4)
+        first, second = model.dof_solref[self._dof].T
+        rate = np.where(first > 0, 2 / np.maximum(model.dof_solimp[self._dof, 1] * first, 1e-9), -second)
+        return np.asarray(rate * impedance / (1 - impedance))
+
+    @cached_property
+    def numbers(self) -> ServoNumbers:
+        """Those of the file."""
+        return ServoNumbers.of(self.arm)
+
+    def run(
+        self,
+        numbers: ServoNumbers,
+        command: RecordedCommand,
+        start: tuple[float, np.ndarray, np.ndarray],
+        until: float,
+        push: np.ndarray | None = None,
+    ) -> FreeMotion | None:
+        """The motion from a state (time [s], q (n,), q̇ (n,)) on; `push` (T, n) [N·m] acts on the joints in addition.
+
+        None where the simulation blows up.
+        """
+        begin, q, qd = start
+        count = int(np.ceil((until - begin) / self.step - 1e-6)) + 1
+        time = begin + self.step * np.arange(count)
+        model = self._set(numbers)
+        asked = command.between(np.append(time, time[-1] + self.step), numbers.delay)
+        inputs = np.zeros((count, model.nu))
+        inputs[:, list(self.servos.inputs)] = self._servos(numbers).controls(asked)
+        kinds = self._mujoco.mjtState
+        spec = int(kinds.mjSTATE_CTRL)
+        if push is not None:
+            spec |= int(kinds.mjSTATE_QFRC_APPLIED)
+            forces = np.zeros((count, model.nv))
+            forces[:, self._dof] = push[:count]
+            inputs = np.hstack([inputs, forces])
+        data = self._mujoco.MjData(model)
+        data.qpos[self._at], data.qvel[self._dof] = q, qd
+        state = np.empty(self._mujoco.mj_stateSize(model, kinds.mjSTATE_FULLPHYSICS))
+        self._mujoco.mj_getState(model, data, state, kinds.mjSTATE_FULLPHYSICS)
+        after, _ = self._rollout([model], [data], state[None], inputs[None], control_spec=spec)
+        states = np.concatenate([state[None], after[0]])
+        place, speed = states[:, 1 + self._at], states[:, 1 + model.nq + self._dof]
+        if not np.all(np.abs(speed) < _LOST):
+            return None
+        torque = self._servos(numbers).torque(asked, place[:-1], speed[:-1])
+        low, high = self.servos.low, self.servos.high
+        held = np.abs(speed[:-1]) < numbers.friction / np.maximum(self.creep * self._inertia(numbers, data), 1e-12)
+        return FreeMotion(
+            time,
+            place[:-1],
+            speed[:-1],
+            np.diff(speed, axis=0) / self.step,
+            np.clip(torque, low, high),
+            asked,
+            held,
+            (torque >= high) | (torque <= low),
+        )
+
+    def _servos(self, numbers: ServoNumbers) -> PositionServos:
+        kv = np.minimum(self.servos.damping, numbers.damping)
+        return replace(self.servos, stiffness=numbers.kp, damping=kv)
+
+    def _inertia(self, numbers: ServoNumbers, data: Any) -> np.ndarray:
+        """(n,) [kg·m²] that each joint moves at the state that `data` began with."""
+        self._mujoco.mj_forward(self.model, data)
+        mass = np.zeros((self.model.nv, self.model.nv))
+        self._mujoco.mj_fullM(self.model, data, mass)
+        return np.diag(mass)[self._dof]
+
+    def _set(self, numbers: ServoNumbers) -> Any:
+        """The compiled model with these numbers; what damping is less than the file's kv comes off the servo's."""
+        model, own = self.model, self.servos
+        model.dof_armature[self._dof] = numbers.armature
+        model.dof_frictionloss[self._dof] = numbers.friction
+        servos = self._servos(numbers)
+        model.dof_damping[self._dof] = numbers.damping - servos.damping
+        for j, actuator in enumerate(own.actuators):
+            gain, bias = servos.parameters(j)
+            model.actuator_gainprm[actuator, 0], model.actuator_biasprm[actuator, :3] = gain, bias
+        return model

@@ -1,0 +1,116 @@
+"""Logs of positions and commands: the simulator's own motion is judged, and the file corrected."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from agent.core import InputError
+from agent.diagnosis import corrected, diagnose
+from agent.diagnosis.position_logs.recording import stretches_of
+from agent.model import NominalModel
+from agent.recording import HOLD, Log
+from agent.simulators import FreeSimulator, RecordedCommand, ServoNumbers, load_simulator, write_corrected
+
+mujoco = pytest.importorskip("mujoco")
+RATE, SECONDS, STEP = 50.0, 10.0, 0.002
+ARM = """<mujoco model="hobby"><option timestep="0.002" integrator="implicitfast"/>
+  <default><joint armature="0.03" damping="0.3" frictionloss="0.05"/>
+    <position kp="20" kv="0.5" forcerange="-3 3"/></default>
+  <worldbody><body name="upper"><joint name="lift" axis="0 1 0"/>
+    <inertial pos="0.12 0 0" mass="0.25" diaginertia="1e-3 1e-3 1e-3"/>
+    <body name="fore" pos="0.2 0 0"><joint name="elbow" axis="0 1 0"/>
+      <inertial pos="0.1 0 0" mass="0.15" diaginertia="5e-4 5e-4 5e-4"/></body></body></worldbody>
+  <actuator><position joint="lift"/><position joint="elbow"/></actuator></mujoco>
+"""
+
+
+def recorded(source: Path, phase: float, late: float = 0.0, friction: float = 1.0, gain: float = 1.0) -> Log:
+    """A log of the arm of a file under a held command; its elbow has other friction and another servo."""
+    model = mujoco.MjModel.from_xml_path(str(source))
+    model.dof_frictionloss[1] *= friction
+    model.actuator_gainprm[1, 0] *= gain
+    model.actuator_biasprm[1, 1] *= gain
+    data, t = mujoco.MjData(model), np.arange(int(SECONDS * RATE)) / RATE
+    parts = ((0.5, 1.1), (0.25, 2.7), (0.08, 6.1))
+    r = sum(a * np.sin(np.outer(t, w * np.array([1, 1.2])) + phase * w + [0, 1]) for a, w in parts)
+    each, q = round(1 / RATE / STEP), np.empty(r.shape)
+    for k in range(-int(RATE), len(t)):
+        if k >= 0:
+            q[k] = data.qpos
+        for part in range(each):
+            now = max(k, 0) / RATE + (part + 0.5) * STEP * (k >= 0) - late
+            data.ctrl[:] = r[min(max(int(now * RATE), 0), len(r) - 1)]
+            mujoco.mj_step(model, data)
+    q = np.round(q / 0.0015) * 0.0015
+    metadata = {"robot": "x", HOLD: "held"}
+    name = Path(f"{phase}.mcap")
+    return Log(name, ("lift", "elbow"), t, q, None, None, r, None, RATE, 100.0, ((0, len(t)),), metadata=metadata)
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory) -> Path:
+    path = tmp_path_factory.mktemp("position") / "arm.xml"
+    path.write_text(ARM, encoding="utf-8")
+    return path
+
+
+def found_in(source: Path, logs: list[Log]):
+    simulator = load_simulator(source, None, logs[0].joint_names, None)
+    return simulator, diagnose(simulator.robot, logs, simulator.model, simulator=simulator)
+
+
+def test_a_wrong_gain_and_a_delay_are_found_and_the_file_follows_the_arm(source, tmp_path):
+    logs = [recorded(source, k, late=0.06, gain=0.7) for k in (1, 2)]
+    simulator, found = found_in(source, logs)
+    result = found.result
+    assert result["gap"]["of"] == "position"
+    first = result["causes"][0]
+    assert "torque_constant" in (first["effect"], *(other["effect"] for other in first["equivalent_to"]))
+    assert first["joints"] == ["elbow"]
+    assert all(
+        after < 0.1 * before for before, after in zip(result["gap"]["before"], result["gap"]["after"], strict=True)
+    )
+    for value, low, high in result["servo"]["delay_s"]:
+        assert value == pytest.approx(0.06, abs=3e-3)
+        assert low <= value <= high
+    out = tmp_path / "fixed.xml"
+    write_corrected(simulator, corrected(found, simulator), out)
+    other = recorded(source, 3, late=0.06, gain=0.7)
+    fixed = FreeSimulator(load_simulator(out, None, other.joint_names, None).arm)
+    start = (0.0, other.position[0], np.zeros(2))
+    motion = fixed.run(
+        fixed.numbers, RecordedCommand(other.t, other.reference_position, True), start, float(other.t[-1])
+    )
+    assert motion is not None
+    assert np.sqrt(np.mean((motion.at(other.t) - other.position) ** 2)) < 2e-3
+
+
+def test_the_linear_response_is_the_change_of_the_simulated_motion(source):
+    log = recorded(source, 1)
+    simulator = load_simulator(source, None, log.joint_names, None)
+    free, (stretch,) = FreeSimulator(simulator.arm), stretches_of([log], held=True)
+    motion = stretch.run(free, free.numbers)
+    line = stretch.linearised(free, free.numbers, motion, NominalModel(simulator.model))
+    columns = line.number_columns(free, free.numbers)
+    for place in range(10):
+        table = free.numbers.table.ravel()
+        step = 0.01 * max(table[place], 0.02)
+        table[place] += step
+        changed = stretch.run(free, ServoNumbers.of_table(table.reshape(5, 2)))
+        difference = (changed.at(log.t) - motion.at(log.t)) / step
+        assert np.corrcoef(difference.ravel(), columns[:, :, place].ravel())[0, 1] > 0.97
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda log: replace(log, reference_position=log.position), "measured positions themselves"),
+        (lambda log: replace(log, reference_position=None), "neither torque"),
+        (lambda log: replace(log, reference_position=log.reference_position + 3.0), "another unit, zero or arm"),
+    ],
+)
+def test_commands_that_say_nothing_are_refused(source, change, said):
+    with pytest.raises(InputError, match=said):
+        found_in(source, [change(recorded(source, 1))])
