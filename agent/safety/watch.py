@@ -126,7 +126,8 @@ class MotionWatch:
         """Samples for the log: those that came while the motion was being started, and all that follow."""
         self.settle()
         while self._heard:
-            yield self._heard.popleft()
+            yield self._heard[0]  # and once more after an interruption: whoever took it may have lost it
+            self._heard.popleft()
         if self._lost is not None:
             raise self._lost
         self._source = self._driver.samples() if self._source is None else self._source
