@@ -23,18 +23,19 @@ _TRAVELS = np.geomspace(1e-5, 0.03, 15)
 def with_reversals(dataset: Dataset) -> IdentifiedModel:
     """The model of the data with the travel per axle over which friction reverses that leaves least of the residual.
 
-    The level is fitted along, because the file's may be wrong. An axle keeps its own reversal unless another one takes
-    as much of its squared error as a number of the file has to (`LIMITS.least_gain`).
+    The level is fitted along, because the file's may be wrong; where it has none, nothing reverses. An axle keeps its
+    own reversal unless another one takes as much of its squared error as a number of the file has to
+    (`LIMITS.least_gain`).
     """
     model, signals = dataset.model, dataset.fit.signals
     terms = list(model.terms)
     for k, term in enumerate(terms):
-        if term.form != "coulomb" or term.reversal is None:
+        level = model.values[len(model.independent) + k]
+        if term.form != "coulomb" or term.reversal is None or level == 0:
             continue
         ends = [(s.axles.position[:, term.axle].min(), s.axles.position[:, term.axle].max()) for s in signals]
         travelled = max(high for _, high in ends) - min(low for low, _ in ends)
         options = [term.reversal, *(Reversal("travel", float(part * travelled)) for part in _TRAVELS)]
-        level = model.values[len(model.independent) + k]
         share = dataset.robot.coupling[term.axle]
         columns = []
         for reversal in options:
