@@ -161,7 +161,8 @@ def test_a_shoulder_spring_is_not_testable_if_its_link_was_corrected(tmp_path):
     places = {("gravity_spring", (0,)), ("gravity_spring", (1,))}
     search = Search(found.moved.fit, only=places)
     search.run()
-    said = {entry.joint: entry.why for entry in not_testable(found.moved, search) if entry.effect == "gravity_spring"}
+    untested = not_testable(found.moved, search, smallest_sizes(found.moved, search.evidence))
+    said = {entry.joint: entry.why for entry in untested if entry.effect == "gravity_spring"}
     assert set(said) == {"lift"}
     assert "and it matters from 1.0 times on" in said["lift"], "of the model's error: this file has no nominal torque"
 

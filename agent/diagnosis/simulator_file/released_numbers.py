@@ -346,7 +346,9 @@ def causes_of_numbers(found: ReleasedSimulator, finding: Finding, gap: HeldOutGa
     def closes(*groups: Group) -> float | None:
         others = [group for group in found.groups if not any(group is one for one in groups)]
         fit = released_fit(found.given, others).with_chosen(finding.causes)
-        return gap.closure_without(fit.out_of_fold(fit.once))
+        part = gap.closure_without(fit.out_of_fold(fit.once))
+        # positions are linear about the fitted numbers: without its delay a command is further off than the arm goes
+        return part if part is None or found.given.servos is None else min(part, 1.0)
 
     bodies: list[Group] = []
     for group in found.groups:
