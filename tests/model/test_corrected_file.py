@@ -87,15 +87,16 @@ def test_keeps_the_text_of_a_urdf(tmp_path):
     assert (tmp_path / "fixed.urdf").read_text() == text
 
 
-def test_a_file_in_another_folder_still_finds_its_meshes(tmp_path):
+@pytest.mark.parametrize(("folder", "file"), [(' meshdir="parts"', "cube.obj"), ("", "parts/cube.obj")])
+def test_a_file_in_another_folder_still_finds_its_meshes(tmp_path, folder, file):
     import mujoco
 
     given = simulator(tmp_path, "mjcf")
     (tmp_path / "parts").mkdir()
     cube = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n"
     (tmp_path / "parts" / "cube.obj").write_text(cube)
-    mesh = '<asset><mesh name="cube" file="cube.obj" scale=".1 .1 .1"/></asset>'
-    text = MJCF.replace('angle="degree"', 'angle="degree" meshdir="parts"').replace("<default>", f"{mesh}<default>", 1)
+    mesh = f'<asset><mesh name="cube" file="{file}" scale=".1 .1 .1"/></asset>'
+    text = MJCF.replace('angle="degree"', f'angle="degree"{folder}').replace("<default>", f"{mesh}<default>", 1)
     (tmp_path / "arm.xml").write_text(text)
     given = load_simulator(tmp_path / "arm.xml", None, NAMES)
     (tmp_path / "out").mkdir()

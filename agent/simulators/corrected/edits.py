@@ -120,7 +120,7 @@ class MjcfEdits:
                     compiler.set(key, os.path.join(self._back, folder))
         for key in ("meshdir", "texturedir"):
             named = any(compiler.get(name) is not None for compiler in compilers for name in (key, "assetdir"))
-            if not named and any(self._all("mesh", "texture", "hfield")):
+            if not named and next(self._all("mesh", "texture", "hfield"), None) is not None:
                 child_of(self._documents[self._source].root, "compiler").set(key, self._back)
 
     def files(self) -> dict[Path, bytes]:
