@@ -13,6 +13,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from scipy.interpolate import Akima1DInterpolator
 
 from agent.core import InputError
 from agent.simulators.arm import SimulatedArm
@@ -67,11 +68,19 @@ KINDS = tuple(one.name for one in fields(ServoNumbers))
 
 @dataclass(frozen=True, eq=False)
 class RecordedCommand:
-    """Set-points (S, n) [rad or m] recorded at times (S,) [s]; `held` until the next one, or else straight between."""
+    """Set-points (S, n) [rad or m] recorded at times (S,) [s]; `held` until the next one, or else smooth between.
+
+    Smooth is a cubic with Akima's slopes: straight lines between frames take (ω h)² / 12 off a motion at ω, 3 % at 3 Hz
+    and 30 frames a second, which armature and damping then make up for; a spline would overshoot at a step.
+    """
 
     time: np.ndarray
     set_points: np.ndarray
     held: bool
+
+    @cached_property
+    def _smooth(self) -> Akima1DInterpolator:
+        return Akima1DInterpolator(self.time, self.set_points, method="makima")
 
     def set_points_at(self, times: np.ndarray) -> np.ndarray:
         """(S, n) straight between the recorded ones at times (S,) [s]."""
@@ -81,8 +90,9 @@ class RecordedCommand:
         """(T, n) its mean between `edges` (T + 1,) [s] as it arrives, late by `delay` (n,) [s]."""
         if not self.held:
             middle = (edges[1:] + edges[:-1]) / 2
-            parts = [np.interp(middle - d, self.time, r) for d, r in zip(delay, self.set_points.T, strict=True)]
-            return np.stack(parts, axis=1)
+            first, last = self.time[0], self.time[-1]
+            at = {late: self._smooth(np.clip(middle - late, first, last)) for late in set(delay.tolist())}
+            return np.stack([at[late][:, j] for j, late in enumerate(delay.tolist())], axis=1)
         ends = np.append(self.time, self.time[-1] + np.median(np.diff(self.time)))
         area = np.concatenate([np.zeros((1, len(delay))), np.cumsum(self.set_points * np.diff(ends)[:, None], axis=0)])
         found = np.empty((len(edges) - 1, len(delay)))

@@ -103,6 +103,17 @@ def test_the_linear_response_is_the_change_of_the_simulated_motion(source):
         assert np.corrcoef(difference.ravel(), columns[:, :, place].ravel())[0, 1] > 0.97
 
 
+def test_a_smooth_command_is_smooth_between_its_frames_and_keeps_to_a_step():
+    t, delay = np.arange(60) / 30, 0.02
+    wave, edges = 2 * np.pi * 3, np.arange(0.5, 1.5, 1e-3)
+    command = RecordedCommand(t, np.stack([np.sin(wave * t), t > 1.0], axis=1), held=False)
+    sine, step = command.between(edges, np.full(2, delay)).T
+    middle = (edges[1:] + edges[:-1]) / 2 - delay
+    assert np.abs(sine - np.sin(wave * middle)).max() < 0.5 * (wave / 30) ** 2 / 8  # half of what straight lines miss
+    assert step.min() >= 0
+    assert step.max() <= 1
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [

@@ -14,6 +14,8 @@ from agent.diagnosis.rows.dataset import Dataset
 from agent.diagnosis.rows.needs import Excursions
 from agent.model import CATALOGUE, Effect
 
+_NO_TORQUE = "no torque was recorded: what happens once is not tried on a simulated motion"
+
 
 def smallest_sizes(dataset: Dataset, evidence: Evidence) -> dict[Place, float]:
     """Return the smallest detectable size of every effect on every joint, over its practical size.
@@ -71,6 +73,8 @@ def not_testable(dataset: Dataset, search: Search, sizes: Mapping[Place, float])
                 why = _why_small(effect, sizes[name, joints], dataset.given, unit)
             if why:
                 result.append(NotTestable(name, where, why))
+    if dataset.servos is not None:
+        result += [NotTestable(name, None, _NO_TORQUE) for name, effect in CATALOGUE.items() if effect.once]
     return result + [NotTestable(name, None, why) for why in _lacking_paths(dataset) for name in effects_of_path()]
 
 

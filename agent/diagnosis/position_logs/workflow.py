@@ -97,15 +97,16 @@ def _fitted(
     told = {log.metadata.get(HOLD, "") for log in logs} & {HELD, SMOOTH}
     ways = sorted(told) if len(told) == 1 else [HELD, SMOOTH]
     rough: dict[str, OutputErrorFit] = {}
-    for way in ways:
+    file = start = free.numbers
+    for number, way in enumerate((*ways, *ways[:-1])):  # the first one again: neither may win by a better start
         stretches = stretches_of(logs, way == HELD)
-        file = start = free.numbers
-        if rough:  # a held command is late by half a frame in the middle
-            before = next(iter(rough.values())).numbers
-            start = replace(before, delay=before.delay + 0.5 * _frame(stretches))
+        if number:  # a held command is late by half a frame in the middle
+            late = 0.5 * _frame(stretches) * (-1 if way == HELD else 1)
+            start = replace(start, delay=np.maximum(start.delay + late, 0.0))
         scale = usual_scale(reference, file, stretches)
         fixed = Parameters.create(scale, fixed=("kp",))
         rough[way] = fit_output_error(free, reference, stretches, file, start, fixed, progress, _ROUGH)
+        start = rough[way].numbers
     best = min(rough, key=lambda way: float(np.sum((rough[way].rmse / rough[way].sigma) ** 2)))
     at = rough[best]
     parameters = Parameters.create(at.parameters.scale, fixed=("kp",) if known_kp else ())
