@@ -10,7 +10,7 @@ import numpy as np
 from agent.core import plus_minus
 from agent.diagnosis import Diagnosis
 from agent.pages.elements import Section, Table
-from agent.pages.plots import SERIES, Panel, Plot, Series
+from agent.pages.plots import DASHES, SERIES, Panel, Plot, Series
 
 _SCALE = {
     "gravity": "Gravity of the file's masses sets the scale of these numbers.",
@@ -38,8 +38,11 @@ def motion_section(diagnosis: Diagnosis, result: Mapping[str, Any]) -> Section |
     text = [
         "The simulator ran under the recorded command; these are the positions that it reached and that were measured.",
         _SCALE[result["scale_from"]],
-        "Class only: positions do not tell kp of this joint from its friction, damping and armature together.",
     ]
+    if any(value is None for kind in kinds for value in result["servo"][kind]):
+        text.append(
+            "Class only: positions tell the joint's friction, damping and armature over its kp, not each alone."
+        )
     return Section("The simulator's motion", text, [errors, _motions(diagnosis), table])
 
 
@@ -56,8 +59,8 @@ def _motions(diagnosis: Diagnosis) -> Plot:
         measured = np.interp(time, log.t, log.position[:, k])
         series = (
             Series("measured", scale * measured, colour=SERIES[2]),
-            Series("as given", scale * (measured - dataset.residual[here, k]), colour=SERIES[1]),
-            Series("corrected", scale * (measured - diagnosis.gap.left[here, k]), colour=SERIES[0]),
+            Series("as given", scale * (measured - dataset.residual[here, k]), "dashed", SERIES[1]),
+            Series("corrected", scale * (measured - diagnosis.gap.left[here, k]), colour=SERIES[0], dash=DASHES[2]),
         )
         panels.append(Panel(name, unit, series, time, joint=name))
     caption = f"Measured and simulated motion of each joint in {log.name}, which the correction was not fitted to."
