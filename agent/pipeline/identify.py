@@ -32,7 +32,7 @@ from agent.recording import (
 )
 from agent.robot import RobotDescription, load_robot
 from agent.runs import check_output
-from agent.simulators import export_model, is_simulator, load_arm as load, load_arm_of
+from agent.simulators import SIMULATOR, export_model, is_simulator, load_arm as load, load_arm_of
 from agent.validation import Validation, flipped_joints, predict_log, predicts, same_scale, summary, torque_scales
 
 MAP_OR_PRESET = "import: describe the columns with either --map MAP.yaml or --preset NAME"
@@ -206,7 +206,7 @@ def check_plausible(
     ----------
     described : the robot's name is that of a description, not of a simulator's file.
     model : logs that it predicts are plausible, and torques of the size it predicts are in the right unit, whatever
-        the description's masses.
+        the description's masses. Logs that name another robot are refused where a fitted model does not predict them.
     further : further motions, which have to confirm a doubt about few logs.
 
     Raises
@@ -229,6 +229,9 @@ def check_plausible(
         ]
     others = sorted({log.metadata.get("robot", "") for log in logs} - {"", robot.name}) if described else []
     named = [f"the logs say that they are of robot {' and '.join(others)}, not of {robot.name}"] if others else []
+    # a simulator without friction predicts no arm
+    if named and not found and model is not None and model.method != SIMULATOR and not predicts(model, logs):
+        found, named = [f"{named[0]}, and its model does not predict them"], []
     if found and not force:
         names = ", ".join(log.name for log in logs)
         raise RejectedError(f"{names}: {'; '.join([*named, *found])}. {advice}")

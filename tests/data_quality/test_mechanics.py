@@ -390,3 +390,21 @@ def test_torque_that_a_rigid_arm_explains_in_part_is_not_refused(healthy):
     (found,) = check_quality(robot, [replace(log, effort=rng.normal(size=log.effort.shape).cumsum(axis=0))])
     assert found.refuses
     assert "do not belong together" in found.text
+
+
+def test_a_model_refuses_logs_of_another_robot_whose_joints_have_the_same_names(capsys):
+    ur5e, ur10e = load_robot("ur5e"), load_robot("ur10e")
+    model = estimate(ur5e, [record(Plant(ur5e, seed=3), name, seed) for name, seed in (("one", 11), ("two", 12))])
+    quiet, other = Console(-1), replace(record(Plant(ur10e, seed=3), "other", 21), metadata={"robot": "ur10e"})
+    with pytest.raises(RejectedError, match=r"other\.mcap: the logs say .* ur10e, not of ur5e, .*--force"):
+        check_plausible(ur5e, [other], False, quiet, model=model)
+    check_plausible(ur5e, [other], True, quiet, model=model)
+    renamed = {"robot": "cell_7"}
+    check_plausible(
+        ur5e, [replace(record(Plant(ur5e, seed=3), "own", 21), metadata=renamed)], False, quiet, model=model
+    )
+    assert "robot cell_7, not of ur5e" in capsys.readouterr().err
+    loaded = Plant(ur5e, seed=3, effects=({"effect": "payload", "parameters": {"mass": 4.0}},))
+    check_plausible(
+        ur5e, [replace(record(loaded, "loaded", 21), metadata={"robot": "ur5e"})], False, quiet, model=model
+    )
