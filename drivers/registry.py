@@ -9,10 +9,14 @@ import importlib
 import logging
 from collections.abc import Callable
 from importlib.metadata import entry_points
+from typing import TYPE_CHECKING
 
 from drivers.errors import ConfigurationError
 from drivers.protocol import Driver
 from drivers.secrets import refuse_in_address
+
+if TYPE_CHECKING:
+    from drivers.transports.ros2.watch import RosWatch
 
 GROUP = "calibration_agent.drivers"
 
@@ -48,6 +52,19 @@ def create(name: str, address: str, **options: object) -> Driver:
     if missing := sorted(one for one in set(vars(Driver)) - set(dir(driver)) if not one.startswith("_")):
         raise ConfigurationError(f"driver {name!r} lacks a method of drivers.protocol.Driver: {', '.join(missing)}")
     return driver
+
+
+def watch(address: str, tell: Callable[[str], None]) -> RosWatch:
+    """What listens to the arm at `address` while somebody else moves it; not open yet.
+
+    Raises:
+        ConfigurationError: no address of ROS 2, or nothing here that can listen.
+        DriverError: its network cannot be joined.
+    """
+    refuse_in_address(address)
+    from drivers.transports.ros2.watch import RosWatch
+
+    return RosWatch(address, tell)
 
 
 def dialect(name: str) -> str:

@@ -182,15 +182,32 @@ def diagnose(
 
 @app.command(rich_help_panel=opt.DATA, epilog="Example: agent record cell.yaml --program loop.pdl -o loop.mcap")
 def record(
-    recipe: opt.RecipePath,
-    program: Annotated[Path, Option(metavar="P", help="program to run")],
+    recipe: Annotated[
+        Path | None, Argument(metavar="RECIPE", help="recipe file (YAML)", autocompletion=completion.recipes)
+    ] = None,
+    program: Annotated[Path | None, Option(metavar="P", help="program to run")] = None,
+    watch: Annotated[
+        str | None,
+        Option(metavar="ADDRESS", help="only listen to ros2://DOMAIN/NAMESPACE/CONTROLLER, until Ctrl-C; no recipe"),
+    ] = None,
     out: Annotated[Path | None, Option("-o", "--out", metavar="LOG", help="log to write")] = None,
     load: opt.KnownLoad = None,
     yes: opt.Yes = False,
     messages: opt.Messages = None,
 ) -> None:
-    """Send a program to the controller, run it and record the motion."""
+    """Send a program to the controller, run it and record the motion; with --watch, only listen."""
     console = opt.console_for(messages)
+    if watch is not None:
+        if recipe or program or load or yes:
+            raise InputError("--watch moves nothing: leave out RECIPE, --program, --payload and --yes")
+        if out is None:
+            raise InputError("--watch needs the log to write: -o LOG.mcap")
+        print(link.record_watched(watch, out, console).path)
+        return
+    if recipe is None or program is None:
+        raise InputError(
+            "name RECIPE and --program to move the arm, or --watch ADDRESS to record what something else moves"
+        )
     recorded = link.record_program_file(recipes.load_recipe(recipe), program, out, console, yes=yes, payload=load)
     print(recorded.path)
 

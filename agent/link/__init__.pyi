@@ -21,3 +21,4 @@ from .record import (
     record_program_file as record_program_file,
     report_losses as report_losses,
 )
+from .watch import record_watched as record_watched

@@ -230,6 +230,29 @@ def _scaling(data: bytes, at: int) -> float:
     return float(scaling)
 
 
+def names_in(data: bytes) -> tuple[str, ...]:
+    """Names of the joints in a JointState or a JointTrajectoryControllerState, in its order.
+
+    Raises:
+        ProtocolError: another type, damaged, or no names of an arm.
+    """
+    try:
+        if bytes(data[:4]) != _LITTLE:
+            raise ValueError("not in little-endian CDR")
+        at = _aligned(_string(data, 12)[1], 4)
+        (count,) = struct.unpack_from("<I", data, at)
+        if count > _JOINTS:
+            raise ValueError(f"{count} joints")
+        at += 4
+        found = []
+        for _ in range(count):
+            name, at = _string(data, at)
+            found.append(name)
+    except (struct.error, ValueError, IndexError) as error:
+        raise ProtocolError(f"a message is damaged, or of another type: {error}") from None
+    return joints_of(found)
+
+
 def joints_of(names: Sequence[object]) -> tuple[str, ...]:
     """Names of joints as a controller says them.
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from agent.core import deferred, interrupted
-from agent.recording.mcap.log_file import FLUSH_INTERVAL, PLANNED, TEMPERATURES, LogFile, RecordingError
+from agent.recording.mcap.log_file import FLUSH_INTERVAL, PLANNED, REFERENCES, TEMPERATURES, LogFile, RecordingError
 from drivers.protocol import SampleBlock
 
 #: Limit of what waits in memory for a slow disk [bytes]: half an hour of six joints at 500 Hz.
@@ -117,6 +117,10 @@ class LogWriter:
     def write_planned(self, time: np.ndarray, position: np.ndarray, velocity: np.ndarray | None = None) -> None:
         """Add what was planned for controller times (K,) [s]: position and velocity (K, n)."""
         self._put(2 * position.nbytes, lambda: self._file.write_states(PLANNED, time, position, velocity))
+
+    def write_references(self, time: np.ndarray, position: np.ndarray, velocity: np.ndarray) -> None:
+        """Add set-points that have stamps (K,) [s] of their own: position and velocity (K, n)."""
+        self._put(2 * position.nbytes, lambda: self._file.write_states(REFERENCES, time, position, velocity))
 
     def write_temperatures(self, readings: Sequence[tuple[float, np.ndarray]]) -> None:
         """Add temperatures of the motors: controller time [s] and (n,) [°C] of each reading."""

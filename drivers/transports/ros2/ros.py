@@ -67,6 +67,14 @@ class Ros:
         while time.monotonic() < until:
             self.spin_once(0.02)
 
+    def best_effort(self, topic: str) -> bool | None:
+        """Whether somebody publishes this topic as best effort; None where nobody publishes it."""
+        from rclpy.qos import ReliabilityPolicy
+
+        infos = self.node.get_publishers_info_by_topic(topic)
+        best = [info.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT for info in infos]
+        return any(best) if best else None
+
     def raw(self, package: str, name: str, topic: str, take: Callable[[bytes], None], depth: int = DEPTH) -> Any:
         """Subscribe to CDR bytes; best effort where somebody publishes so, else reliable.
 
@@ -80,9 +88,7 @@ class Ros:
             raise DriverError(
                 f"the ROS 2 that is sourced here has no {package}.{name}; install {package.split('.')[0]}"
             )
-        infos = self.node.get_publishers_info_by_topic(topic)
-        best = any(info.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT for info in infos)
-        reliability = ReliabilityPolicy.BEST_EFFORT if best else ReliabilityPolicy.RELIABLE
+        reliability = ReliabilityPolicy.BEST_EFFORT if self.best_effort(topic) else ReliabilityPolicy.RELIABLE
 
         def drain(data: bytes) -> None:
             """All that waits: a thread that has to get the interpreter for each message falls behind a busy one."""
