@@ -24,6 +24,8 @@ from agent.recording import HELD, HOLD, SMOOTH, Log
 from agent.simulators import FreeSimulator, Simulator
 
 _ROUGH, _FINE = 0.05, 1e-3  # of the cost: a fit gains less in its last round
+_INDEPENDENT = 0.1  # s between independent rows, as in `Fit`
+_CHANCE = 1.92  # of a log-likelihood: χ² of one number at 95 %, halved (Wilks)
 _REVERSALS = 2  # of a joint, below which its numbers are not told
 
 
@@ -78,11 +80,11 @@ def search_positions(
         )
     free, reference = FreeSimulator(simulator.arm), NominalModel(simulator.model)
     progress("running the simulator under the recorded command")
-    found, how = _fitted(free, reference, logs, progress, known_kp)
+    found, how, later = _fitted(free, reference, logs, progress, known_kp)
     dataset = assemble_positions(found, simulator.arm, simulator.model, logs)
-    if known_kp and dataset.servos is not None:
-        dataset = replace(dataset, servos=replace(dataset.servos, kp_known=True))
-    said = [*_about(found, how), *_turns(dataset.fit.signals, simulator.arm.joint_names)]
+    if dataset.servos is not None:
+        dataset = replace(dataset, servos=replace(dataset.servos, kp_known=known_kp, later=later))
+    said = [*_about(found, how, later), *_turns(dataset.fit.signals, simulator.arm.joint_names)]
     return PositionExplanation(explained(dataset, without, progress), tuple(said))
 
 
@@ -92,33 +94,41 @@ def _fitted(
     logs: Sequence[Log],
     progress: Callable[[str], None],
     known_kp: bool,
-) -> tuple[OutputErrorFit, str]:
-    """The fit, and how the command is held: as the recorder says, or as the motion shows."""
+) -> tuple[OutputErrorFit, str, float]:
+    """The fit, how the command is held if the motion has to tell, and how much later [s] the other way would be.
+
+    The motion tells by its likelihood where the error of each joint is unknown, Π rmse^-N. A recorder holds what it
+    sends; smooth is what does better beyond chance. Where neither does, the other way's delay is as likely.
+    """
     told = {log.metadata.get(HOLD, "") for log in logs} & {HELD, SMOOTH}
     ways = sorted(told) if len(told) == 1 else [HELD, SMOOTH]
-    rough: dict[str, OutputErrorFit] = {}
-    file = start = free.numbers
-    for number, way in enumerate((*ways, *ways[:-1])):  # the first one again: neither may win by a better start
+    file = free.numbers
+    fits: list[OutputErrorFit] = []
+    for way in ways:
         stretches = stretches_of(logs, way == HELD)
-        if number:  # a held command is late by half a frame in the middle
-            late = 0.5 * _frame(stretches) * (-1 if way == HELD else 1)
-            start = replace(start, delay=np.maximum(start.delay + late, 0.0))
         scale = usual_scale(reference, file, stretches)
-        fixed = Parameters.create(scale, fixed=("kp",))
-        rough[way] = fit_output_error(free, reference, stretches, file, start, fixed, progress, _ROUGH)
-        start = rough[way].numbers
-    best = min(rough, key=lambda way: float(np.sum((rough[way].rmse / rough[way].sigma) ** 2)))
-    at = rough[best]
-    parameters = Parameters.create(at.parameters.scale, fixed=("kp",) if known_kp else ())
-    fine = fit_output_error(free, reference, at.stretches, free.numbers, at.numbers, parameters, progress, _FINE)
-    return fine, best if len(ways) > 1 else ""
+        if fits:  # a held command is late by half a frame in the middle
+            start = replace(fits[0].numbers, delay=fits[0].numbers.delay + 0.5 * _frame(stretches))
+        else:
+            fixed = Parameters.create(scale, fixed=("kp",))
+            start = fit_output_error(free, reference, stretches, file, file, fixed, progress, _ROUGH).numbers
+        parameters = Parameters.create(scale, fixed=("kp",) if known_kp else ())
+        fits.append(fit_output_error(free, reference, stretches, file, start, parameters, progress, _FINE))
+    if len(fits) == 1:
+        return fits[0], "", 0.0
+    held, smooth = fits
+    lasting = sum(float(one.time[-1] - one.time[0]) for one in held.stretches)
+    gain = lasting / _INDEPENDENT * float(np.sum(np.log(held.rmse) - np.log(smooth.rmse)))
+    if gain > _CHANCE:
+        return smooth, SMOOTH, 0.0
+    return held, HELD, 0.0 if gain < -_CHANCE else float(np.mean(smooth.numbers.delay - held.numbers.delay))
 
 
 def _frame(stretches: Sequence[CommandedStretch]) -> float:
     return float(np.median(np.concatenate([np.diff(one.time) for one in stretches])))
 
 
-def _about(found: OutputErrorFit, how: str) -> list[str]:
+def _about(found: OutputErrorFit, how: str, later: float) -> list[str]:
     name = found.simulator.arm.path.name
     said = [
         f"no torque was measured: {name} runs under the recorded command, and its motion is compared with the measured "
@@ -126,7 +136,13 @@ def _about(found: OutputErrorFit, how: str) -> list[str]:
     ]
     if how:
         words = {HELD: "held from frame to frame", SMOOTH: "smooth between frames"}
-        said.append(f"the logs do not say how the command was held; by the motion it is {words[how]}")
+        text = f"the logs do not say how the command was held; by the motion it is {words[how]}"
+        if later:
+            text = (
+                "neither logs nor motion tell how the command was held: it is taken as held from frame to frame; if it "
+                f"was smooth, the delay is {1e3 * later:.3g} ms more"
+            )
+        said.append(text)
     if lost := lost_frames(found.stretches, found.residuals):
         said.append(
             f"the lag behind the command jumps by about a frame at {lost} places: frames were lost there, or stamps "

@@ -42,10 +42,11 @@ def servo_table(found: Explanation) -> dict[str, Any]:
         spread = np.maximum(spread, _jackknife(np.stack([_numbers(dataset, drives, wide.fitted(f)[0]) for f in folds])))
     table: dict[str, tuple[tuple[float, float, float] | None, ...]] = {}
     for kind, row, half in zip(SERVO_NUMBERS, values, spread, strict=True):
+        later = servos.later if kind == "delay_s" else 0.0
         table[kind] = tuple(
             None
             if kind != "delay_s" and k in doubtful
-            else (float(row[k]), float(max(row[k] - half[k], 0.0)), float(row[k] + half[k]))
+            else (float(row[k]), float(max(row[k] - half[k], 0.0)), float(row[k] + half[k] + later))
             for k in range(len(names))
         )
     scale = "kp" if servos.kp_known else "none" if len(doubtful) == len(names) else "gravity"
