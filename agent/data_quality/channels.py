@@ -82,6 +82,8 @@ def static_postures(of: Recordings) -> Iterator[QualityFinding]:
         apart = step.max(axis=1) > MOVING
         slow = log.sample_rate < _SLOWEST_RATE
         if log.velocity is not None and not slow:
+            if any(_velocity_ratio(log, joint) is not None for joint in range(of.robot.dof)):
+                continue  # a motion whose velocity is in another unit
             speed = np.maximum(np.abs(log.velocity[1:]), np.abs(log.velocity[:-1])) * np.diff(log.t)[:, None]
             apart &= np.all(speed < _STILL * step.max(axis=1, keepdims=True), axis=1)
         elif not slow:
