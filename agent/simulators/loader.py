@@ -77,7 +77,7 @@ def load_simulator(
     model = model_of(arm, description, provenance)
     left = [name for name in wanted if name not in arm.joint_names]
     why = "the file has no such joint" if names is None else "the map leaves it out"
-    ignored = (f"{', '.join(left)} of the logs is not compared: {why}",) if left else ()
+    ignored = (f"not compared of the logs: {', '.join(left)} ({why})",) if left else ()
     return Simulator(arm, model, robot, (*arm.notes, *said, *ignored))
 
 

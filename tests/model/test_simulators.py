@@ -2,6 +2,7 @@
 
 import re
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -80,6 +81,34 @@ def test_joints_are_matched_by_a_map(tmp_path, robot):
         load_simulator(path, robot, (), {"nobody": "pan"})
     with pytest.raises(InputError, match="two joints"):
         load_joint_map(written(tmp_path, "joints: {a: pan, b: pan}", "twice.yaml"))
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+@pytest.mark.parametrize("named", [("pan",), ("pan", "lift")])
+def test_a_map_names_one_arm_of_two_in_file_and_logs(tmp_path, side, named):
+    """One joint of an arm is enough: the others of that arm are found by their names."""
+    bench = ElementTree.fromstring(URDF)
+    two = ElementTree.Element("robot", name="two")
+    ElementTree.SubElement(two, "link", name="world")
+    for of in ("left", "right"):
+        mass = "3" if of == "left" else "4"
+        arm = ElementTree.tostring(bench, encoding="unicode").replace('mass value="3"', f'mass value="{mass}"')
+        arm = re.sub(r'(name|link)="(\w+)"', rf'\1="{of}_\2"', arm)
+        two.extend(ElementTree.fromstring(arm))
+        mount = ElementTree.SubElement(two, "joint", name=f"{of}_mount", type="fixed")
+        ElementTree.SubElement(mount, "parent", link="world")
+        ElementTree.SubElement(mount, "child", link=f"{of}_base")
+    path = written(tmp_path, ElementTree.tostring(two, encoding="unicode"), "two.urdf")
+    columns = [f"{of}_{joint}" for of in ("left", "right") for joint in ("pan", "lift")]
+    with pytest.raises(InputError, match="One serial arm is compared at a time"):
+        load_simulator(path, None, columns)
+    found = load_simulator(path, None, columns, {f"{side}_{joint}": f"{side}_{joint}" for joint in named})
+    assert found.model.robot.joint_names == (f"{side}_pan", f"{side}_lift")
+    other = "right" if side == "left" else "left"
+    assert f"not compared of the logs: {other}_pan, {other}_lift" in " ".join(found.notes)
+    still = np.zeros((1, 2))
+    mass = 3 if side == "left" else 4
+    assert found.model.predict(still, still, still)[0, 1] == pytest.approx(-mass * 0.2 * 9.80665)
 
 
 BRANCHES = f'<body><joint name="pan" axis="0 0 1"/>{BODY}</body><body><joint name="lift" axis="0 1 0"/>{BODY}</body>'
