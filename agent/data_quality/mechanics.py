@@ -38,12 +38,13 @@ _TILT = np.radians(3.0)  # of gravity from the described direction: a smaller on
 
 @dataclass(frozen=True, eq=False)
 class _Mistake:
-    """text: what it is; fit, torque (S, n): motion and torque without it; about: its joints, from 0."""
+    """text: what it is; fit, torque (S, n): motion and torque without it; about: its joints, from 0; zero: theirs."""
 
     text: str
     fit: RigidFit
     torque: np.ndarray
     about: tuple[int, ...]
+    zero: bool = False
 
 
 def implausible_mechanics(of: Recordings) -> Iterator[QualityFinding]:
@@ -112,21 +113,29 @@ def _likeliest(plain: RigidFit, pushing: np.ndarray, driven_on: np.ndarray) -> Q
     Where joints are driven on, it is one that is about one of them, and undoing it drives none on.
     """
     before, robot = plain.errors(plain.samples.torque), plain.robot
-    tried: list[tuple[float, _Mistake]] = []
+    tried: list[tuple[float, float, _Mistake]] = []
     for mistake in _mistakes(plain, pushing > 0):
         if len(driven_on) and not set(driven_on.tolist()) & set(mistake.about):
             continue
         gain, error = _gain(before, mistake.fit.errors(mistake.torque))
         if gain > max(_GAIN, _CERTAIN * error) and not len(_pushing(mistake.fit, mistake.torque)[1]):
-            tried.append((gain, mistake))
-    best = max((gain for gain, _ in tried), default=0.0)
-    for gain, mistake in tried:
+            tried.append((gain, error, mistake))
+    tried = _distinct_zero(tried)
+    best = max((gain for gain, *_ in tried), default=0.0)
+    for gain, _, mistake in tried:
         if gain > best - _AS_GOOD:
             mended, advice = mistake.fit.robot.gravity, ""
             if mended != robot.gravity:
                 advice = MEND_GRAVITY if any(mended) else WITH_GRAVITY
             return QualityFinding(mistake.text, tuple(robot.joint_names[k] for k in mistake.about), advice=advice)
     return None
+
+
+def _distinct_zero(tried: list[tuple[float, float, _Mistake]]) -> list[tuple[float, float, _Mistake]]:
+    """(gain, standard error, mistake) without zeros where those of two joints gain alike: a short motion shows none."""
+    zeros = sorted((entry for entry in tried if entry[2].zero), key=lambda entry: -entry[0])
+    alike = any(zeros[0][0] - gain < zeros[0][1] and other.about != zeros[0][2].about for gain, _, other in zeros)
+    return [entry for entry in tried if not (alike and entry[2].zero)]
 
 
 def _gain(before: np.ndarray, after: np.ndarray) -> tuple[float, float]:
@@ -159,7 +168,9 @@ def _mistakes(plain: RigidFit, driven: np.ndarray) -> Iterator[_Mistake]:
             offset = np.where(given == k, np.radians(angle), 0.0)
             values = ", ".join(f"{value:g} deg" if value else "0" for value in np.degrees(offset))
             text = f"the zero of {names[k]} looks 90° off: import with `position: {{offset: [{values}]}}`"
-            yield _Mistake(text, RigidFit(plain.dynamics, replace(s, q=s.q + offset), plain.precision), torque, (k,))
+            yield _Mistake(
+                text, RigidFit(plain.dynamics, replace(s, q=s.q + offset), plain.precision), torque, (k,), True
+            )
     for gravity in (*gravity_axes(robot), *_tilted(plain)):
         yield _Mistake(gravity_text(robot, gravity), under(gravity), torque, everyone)
     yield _Mistake("these torques carry no gravity", under((0.0, 0.0, 0.0)), torque, everyone)
