@@ -26,12 +26,14 @@ ARM = """<mujoco model="hobby"><option timestep="0.002" integrator="implicitfast
 """
 
 
-def recorded(source: Path, phase: float, late: float = 0.0, friction: float = 1.0, gain: float = 1.0) -> Log:
-    """A log of the arm of a file under a held command; its elbow has other friction and another servo."""
+def recorded(
+    source: Path, phase: float, late: float = 0.0, friction: float = 1.0, gain: float = 1.0, joints: slice = slice(1, 2)
+) -> Log:
+    """A log of the arm of a file under a held command; its elbow has other friction, and `joints` other servos."""
     model = mujoco.MjModel.from_xml_path(str(source))
     model.dof_frictionloss[1] *= friction
-    model.actuator_gainprm[1, 0] *= gain
-    model.actuator_biasprm[1, 1] *= gain
+    model.actuator_gainprm[joints, 0] *= gain
+    model.actuator_biasprm[joints, 1] *= gain
     data, t = mujoco.MjData(model), np.arange(int(SECONDS * RATE)) / RATE
     parts = ((0.5, 1.1), (0.25, 2.7), (0.08, 6.1))
     r = sum(a * np.sin(np.outer(t, w * np.array([1, 1.2])) + phase * w + [0, 1]) for a, w in parts)
@@ -86,6 +88,13 @@ def test_a_wrong_gain_and_a_delay_are_found_and_the_file_follows_the_arm(source,
     )
     assert motion is not None
     assert np.sqrt(np.mean((motion.at(other.t) - other.position) ** 2)) < 2e-3
+
+
+def test_wrong_gains_of_all_servos_may_be_a_load(source):
+    result = found_in(source, [recorded(source, k, gain=0.7, joints=slice(0, 2)) for k in (1, 2)])[1].result
+    assert result["verdict"] == "ambiguous"
+    first = result["causes"][0]
+    assert "payload" in (first["effect"], *(other["effect"] for other in first["equivalent_to"]))
 
 
 def test_the_linear_response_is_the_change_of_the_simulated_motion(source):

@@ -342,6 +342,9 @@ def causes_of_numbers(found: ReleasedSimulator, finding: Finding, gap: HeldOutGa
     load = _load(found)
     called = {effect.numbers: effect.name for effect in reversed([*CATALOGUE.values()])}  # the built-in ones last
     doubtful, causes = doubtful_gains(found.given), list[Cause]()
+    # gains of several servos at once are as well a load that all of them carry
+    several = sum(group.kind == GAIN for group in found.groups) > 1
+    like_load = (EffectPlace(called["load"], ()),) if several else ()
 
     def closes(*groups: Group) -> float | None:
         others = [group for group in found.groups if not any(group is one for one in groups)]
@@ -359,13 +362,13 @@ def causes_of_numbers(found: ReleasedSimulator, finding: Finding, gap: HeldOutGa
         elif group.kind == "friction":
             own = {term.form: float(change[base + k]) for k, term in enumerate(model.terms) if term.axle == group.joint}
             parameters = {f"{form}_change": value for form, value in own.items()}
-            equal = (EffectPlace(called[GAIN], joint),) if group.joint in doubtful else ()
+            equal = (*like_load, *((EffectPlace(called[GAIN], joint),) if group.joint in doubtful else ()))
             own_part = _on_joint(found, group, finding.causes, gap)
             causes.append(Cause(called["friction"], joint, closes(group), probability, parameters, equal, own_part))
         elif group.kind == GAIN and found.given.servos is not None:
             kp, more = found.given.servos.kp[group.joint], float(change[len(model.values) + group.joint])
             parameters = {"scale_error": float(kp / (kp + more) - 1)}
-            equal = (EffectPlace(called["friction"], joint),) if group.joint in doubtful else ()
+            equal = (*like_load, *((EffectPlace(called["friction"], joint),) if group.joint in doubtful else ()))
             own_part = _on_joint(found, group, finding.causes, gap)
             causes.append(Cause(called[GAIN], joint, closes(group), probability, parameters, equal, own_part))
         elif group.kind == DELAY:
