@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -133,8 +133,8 @@ class Stopping:
         self._sampled, self._stated = Braking(robot.max_velocity), Braking(robot.max_velocity, np.inf)
         self._lock = threading.RLock()
         self._sent: list[threading.Thread] = []
-        self._eyes = ThreadPoolExecutor(1, "eyes")
-        self._look: Future[None] = self._eyes.submit(lambda: None)
+        self._look: Future[None] = Future()
+        self._look.set_result(None)
         self._state_at = -np.inf  # when the state that was read last was asked for
         self._excused = 0.0  # s without observation
         self._ended = False
@@ -191,7 +191,6 @@ class Stopping:
                 self._let_go("after the controller reported the end of the motion")
             self.over = True
         self.wait(ANSWERED)
-        self._eyes.shutdown(wait=False)
 
     def wait(self, limit: float) -> None:
         """Wait until the stop was carried out, `limit` seconds at most."""
@@ -257,7 +256,7 @@ class Stopping:
     def _look_at_state(self) -> None:
         """Ask for the state, one question at a time."""
         if self._look.done():
-            self._look = self._eyes.submit(self._take_state, self._clock())
+            self._look = aside("eyes", self._take_state, self._clock())
 
     def _take_state(self, asked: float) -> None:
         """What the state says, which was asked for at a time [s] of our clock: it may be as old as that."""
@@ -269,3 +268,20 @@ class Stopping:
             if np.isfinite(position).all():
                 self._state_at = asked
                 self._stated.take(np.array([self._state_at]), position[None])
+
+
+def aside(name: str, task: Callable[[float], None], time: float) -> Future[None]:
+    """Run a task in a daemon thread of that name. Where a signal interrupts the start of an executor's thread, Python
+    waits for that thread at its end, for ever."""
+    done: Future[None] = Future()
+
+    def run() -> None:
+        try:
+            task(time)
+        except BaseException as error:
+            done.set_exception(error)
+        else:
+            done.set_result(None)
+
+    threading.Thread(target=run, name=name, daemon=True).start()
+    return done

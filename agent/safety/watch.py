@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Mapping
-from concurrent.futures import Future, ThreadPoolExecutor, wait
+from concurrent.futures import Future, wait
 from contextlib import ExitStack, contextmanager, suppress
 from typing import TYPE_CHECKING
 
@@ -15,7 +15,7 @@ from agent.core import AgentError, ControllerError, SafetyError
 from agent.safety.adherence import Adherence
 from agent.safety.freshness import EXCUSED, Freshness
 from agent.safety.preconditions import unsafe_in_motion
-from agent.safety.stopping import Stopping
+from agent.safety.stopping import Stopping, aside
 from drivers.errors import DriverError, MotionStopped
 from drivers.protocol import Driver, ReportsSettings, ReportsTemperatures, SampleBlock, Status
 
@@ -72,7 +72,6 @@ class MotionWatch:
         self._began: float | None = None  # controller time of the first sample
         self._now, self._last = -np.inf, -1  # time and number of the last one
         self._looked, self._looked_at = -np.inf, clock()
-        self._asking = ThreadPoolExecutor(1, "state")
         self._asked: Future[None] = Future()  # the last look at the state
         self._asked.set_result(None)
         self._turned, self._excused = clock(), 0.0
@@ -333,7 +332,7 @@ class MotionWatch:
         """Ask for the state in a thread of its own, one question at a time; raises what the last question raised."""
         if self._asked.done():
             self._asked.result()
-            self._asked = self._asking.submit(self._judge_state, self._now)
+            self._asked = aside("state", self._judge_state, self._now)
             wait([self._asked], PROMPT)
 
     def _judge_state(self, now: float) -> None:
