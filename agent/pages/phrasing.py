@@ -66,7 +66,7 @@ def look_at(cause: Mapping[str, Any], result: Mapping[str, Any]) -> str:
 
 def _words(effect: str, result: Mapping[str, Any]) -> tuple[str, str]:
     known = CATALOGUE[effect]
-    by_servos = known.of_servos if result["gap"].get("of") == "position" else None
+    by_servos = known.of_servos if result.get("gap", {}).get("of") == "position" else None
     return by_servos or (known.phrase, known.look_at)
 
 

@@ -123,16 +123,23 @@ class MotionWatch:
 
     def _judged(self) -> Iterator[SampleBlock]:
         """Samples for the log: those that came while the motion was being started, and all that follow."""
+        self._started.set()
+        while self._listener is not None and self._listener.is_alive():  # until its next block, which may never come
+            yield from self._handed_out()
+            self._listener.join(TURN)
         self.settle()
-        while self._heard:
-            yield self._heard[0]  # and once more after an interruption: whoever took it may have lost it
-            self._heard.popleft()
+        yield from self._handed_out()
         if self._lost is not None:
             raise self._lost
         self._source = self._driver.samples() if self._source is None else self._source
         for block in self._source:
             if self._judge(block):
                 yield block
+
+    def _handed_out(self) -> Iterator[SampleBlock]:
+        while self._heard:
+            yield self._heard[0]  # and once more after an interruption: whoever took it may have lost it
+            self._heard.popleft()
 
     def samples(self) -> Iterator[SampleBlock]:
         """The samples, with a look at the controller's state now and then; what is left after a stop comes too.

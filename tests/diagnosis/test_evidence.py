@@ -1,11 +1,13 @@
 """Decisions by log evidence: what stands in the logs is named, and what the healthy arm has already is not."""
 
+import numpy as np
 import pytest
 
 from agent.blind_check import clopper_pearson
 from agent.core import Console
 from agent.diagnosis.hypotheses.finding import Finding
 from agent.diagnosis.hypotheses.healthy import healthy_on, with_healthy_effects
+from agent.diagnosis.hypotheses.noise_model import HealthyForm
 from agent.diagnosis.hypotheses.search import Search
 from agent.diagnosis.rows.dataset import assemble
 from agent.diagnosis.verdict import named
@@ -52,7 +54,8 @@ def test_an_effect_of_the_healthy_arm_is_not_named(robot, model):
     fit = fit_of(robot, model, [OFFSET])
     found = {cause.place for cause in named(Search(fit).run()).causes}
     assert found
-    usual = [(form, 10 * 0.02) for form in Search(fit).forms() if form.place in found]
+    forms = [form for form in Search(fit).forms() if form.place in found]
+    usual = [HealthyForm(form, np.full(len(form.names), 6.0)) for form in forms]  # N·m, as large as the effect
     again = named(Search(fit, healthy=usual).run())
     assert not {cause.place for cause in again.causes} & found
 
@@ -67,13 +70,15 @@ def test_learns_an_effect_present_in_one_baseline_log(robot, baseline, odd, mode
     """An offset on one day is part of what the arm has; a baseline without it teaches far less of it."""
     learned, plain = (with_healthy_effects(model, known) for known in (odd, baseline))
     larger, usual = (
-        {(one.effect, one.joints): one.size for one in each.healthy}.get(("torque_offset", ("joint_2",)), 0.0)
+        {(one.effect, one.joints): max(one.amount.values()) for one in each.healthy}.get(
+            ("torque_offset", ("joint_2",)), 0
+        )
         for each in (learned, plain)
     )
-    assert larger > max(5 * usual, 0.01)
+    assert larger > max(5 * usual, 1.0), "N·m: three days of which one has 6 N·m scatter by 3.5"
     fit, known = fit_of(robot, model), {one.effect for one in learned.healthy}
     for without in ((), ("torque_offset",)):
-        assert {form.effect.name for form, _ in healthy_on(fit, learned, without)} == known - {*without}
+        assert {one.candidate.effect.name for one in healthy_on(fit, learned, without)} == known - {*without}
     assert IdentifiedModel.from_dict(learned.to_dict()).healthy == learned.healthy
 
 
@@ -83,8 +88,8 @@ def test_estimate_stores_the_effects_of_the_healthy_arm(robot, odd, tmp_path):
     for path, log in zip(paths, odd, strict=True):
         write_log(path, log)
     estimate_files(robot, paths, tmp_path / "model.json", FitQuestion(), Console(-1))
-    learned = {one.effect: one.size for one in IdentifiedModel.load(tmp_path / "model.json").healthy}
-    assert learned["torque_offset"] > 0.01
+    healthy = IdentifiedModel.load(tmp_path / "model.json").healthy
+    assert max(one.amount["offset"] for one in healthy if one.effect == "torque_offset") > 1.0
 
 
 SETS = 20

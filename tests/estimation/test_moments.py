@@ -112,8 +112,8 @@ def test_weights_are_inverse_variances_and_no_less_certain_in_motion(problem):
         only = replace(moments, rows=moments.rows * (np.arange(2) == group)[:, None])
         np.testing.assert_allclose(1 / sums.reweight(only, values), variance[[group, group]])
     silent = replace(moments, sums=(0 * moments.sums[0], moments.sums[1]), _totals={})
-    least = 1e-20 * silent.torque_energy().sum() / moments.rows.sum()
-    assert 1 / sums.reweight(silent, values)[0, 0] == pytest.approx(least, rel=1e-6, abs=0)
+    weights = sums.reweight(silent, values)
+    assert np.all(weights[:, 0] < 1e-9 * weights[:, 1]), "rows of a joint on its brake say nothing"
     settled = replace(problem, prior_weight=2.0).weights()
     again = sums.reweight(moments, sums.solve_sum(moments.weighted(settled), problem.prior, 2.0))
     np.testing.assert_allclose(again, settled, rtol=0.02)

@@ -21,7 +21,7 @@ ASKED = GapQuestion(
     model=Path("it's a model.xml"), joint_map=Path("map.yaml"), cutoff=12.5, without=("stribeck", "two words"),
     report=Path("page.html"), out=Path("out"), allow_mixed=True, force=True, next_recipe=Path("next.yaml"),
     next_payload="2 kg, 0 mm, 0 mm, -30 mm", drives_off=Path("zero.mcap"), topic="/arm/joint_states",
-    planning_budget=90.0,
+    planning_budget=90.0, effort="current", known=("kp",),
 )  # fmt: skip
 #: Parameters of the command that the question does not have, and what the test's command line says of them.
 BESIDE = {"as_json": False, "yes": False, "messages": None, "robot": None}
@@ -58,7 +58,7 @@ def test_the_command_to_repeat_a_diagnosis_is_the_original_one(run: RunFolder, t
     budgets = {"budget": "600 s", "load": ASKED.next_payload, "planning_budget": "90 s"}
     same = {key: value for key, value in vars(ASKED).items() if key not in ("next_payload", "planning_budget")}
     question = {**recorded, **budgets, **same}
-    assert {**found, "without": tuple(found["without"])} == {**BESIDE, **question}
+    assert {**found, "without": tuple(found["without"]), "known": tuple(found["known"])} == {**BESIDE, **question}
     recorded = read(said.partition("diagnose them with: ")[2].partition("; or start again")[0])
     assert recorded["logs"] == [run.file("excitation.mcap"), run.file("validation_01.mcap")]
     assert (recorded["robot"], recorded["record"], recorded["until_sure"]) == ("my robot.yaml", None, False)
@@ -71,7 +71,7 @@ def test_the_command_for_further_logs_keeps_options_and_overwrites_nothing():
     (step,) = after_diagnosis(result, "my robot.yaml", [Path("a b.mcap")], ASKED)
     found = read(step.command)
     same = replace(ASKED, report=None, out=None, next_recipe=None, next_payload=None)
-    wanted = {**vars(same), "without": list(same.without)}
+    wanted = {**vars(same), "without": list(same.without), "known": list(same.known)}
     del wanted["next_payload"], wanted["planning_budget"]
     assert {key: found[key] for key in wanted} == wanted
     assert found["load"] is None
