@@ -51,7 +51,8 @@ def power(dataset: Dataset, search: Search, sizes: Mapping[Place, float]) -> lis
         unit = 1.0 if np.isfinite(robot.nominal_torque[at]).all() else float(scale[at].max())
         practical = CATALOGUE[name].practical * unit
         where = ", ".join(robot.joint_names[j] for j in joints) or None
-        found.append(EffectPower(name, where, size * practical if np.isfinite(size) else None, practical))
+        smallest = float(f"{size * practical:.3g}") if np.isfinite(size) else None  # no more digits mean anything
+        found.append(EffectPower(name, where, smallest, practical))
     return found
 
 
